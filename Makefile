@@ -63,7 +63,7 @@ $(DEV): $(INSTALLED)
 	touch $@
 
 # kernels of navmeshes, of Habitat's sliding, of pictures for a GPU and the like, which `h3data warmup` leaves to who needs them
-KERNEL_TESTS := tests/habitat/navmesh/test_pathfinder.py tests/sim/motion/test_habitat_slide.py tests/training/torch/test_cameras.py \
+KERNEL_TESTS := tests/scene/navmesh/test_pathfinder.py tests/sim/motion/test_habitat_slide.py tests/training/torch/test_cameras.py \
 	tests/pipelines/test_scenes_command.py::test_a_scene_without_floor_does_not_stop_the_others tests/sim/agents/test_oracle.py \
 	tests/scene/freespace/test_free_space.py tests/play/test_wire.py tests/play/test_apps.py
 
@@ -188,6 +188,10 @@ api-diff: dev  ### BASE=origin/main: what a branch changes of them; fails where 
 	$(BIN)/python -m tests.public_api --since "$$BASE"
 
 VERSION ?= $(shell sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
+.PHONY: error-codes
+error-codes: dev  ### a code for each new error message, into the sources and docs/errors.md, to be committed
+	$(BIN)/python -m tests.error_codes
+
 changelog: dev  ### the next section of CHANGELOG.md as a draft; `make changelog WRITE=1 VERSION=0.3.0` writes it and deletes the fragments
 	$(BIN)/towncrier build --version $(VERSION) $(if $(WRITE),--yes,--draft)
 

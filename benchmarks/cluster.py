@@ -18,7 +18,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
-from h3data_pipelines.execution.executors import opened
+from h3data.commands.executors import opened
 
 SHARDS = 6
 SHARD_S = 10.0

@@ -15,11 +15,12 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.habitat.navmesh.pathfinder import PathFinder
 from h3data.kernels import kernel
-from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.scene import FreeSpace
 from h3data.scene.freespace._visibility import Graph, sees
-from h3data.scene.homes.spec import Preset
+from h3data.scene.navmesh.pathfinder import PathFinder
+from h3data_homes import HomeSpec, build_home
+from h3data_homes.spec import Preset
 
 SEEDS = (1, 2, 3)
 QUERIES = 400

@@ -8,8 +8,8 @@ from typing import get_args
 
 import numpy as np
 
-from h3data.scene import HomeSpec, build_home
-from h3data.scene.homes.spec import Preset
+from h3data_homes import HomeSpec, build_home
+from h3data_homes.spec import Preset
 
 SEEDS = {"small": range(20), "medium": range(20), "large": range(7)}
 

@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 from h3data.bodies import Robot, humanoid_names, load_robot
 from h3data.bodies.robots.robot_files import robot_names
 from h3data.errors import SceneError
-from h3data.habitat.scene_names import named_scenes, open_free_space, open_scene
 from h3data.recording import Recording
 from h3data.replay import Replay
 from h3data.scene import FreeSpace, Scene
+from h3data.scene.open import named_scenes, open_free_space, open_scene
 from sim_kinematic.agents.arm_contact import arm_links
 from sim_kinematic.agents.penetration import Penetration, penetrations, unintended_depth
 from sim_kinematic.agents.robots.arm_clearance import APPROACH_M, LINE_RADIUS_M

@@ -34,7 +34,7 @@ def _cpu_s(*command: str) -> float:
 def _make_run(folder: Path, policy: str, count: int = REPORT_EPISODES, steps: int | None = None) -> Path:
     """A dataset of ``count`` episodes: ten simulated ones over and over, under different names."""
     from h3data.recording import DatasetWriter
-    from h3data.scene import HomeSpec, build_home
+    from h3data_homes import HomeSpec, build_home
     from sim_kinematic.motion.spec import SocialNavSpec
     from sim_kinematic.tasks.runner import simulate
     from sim_kinematic.tasks.social_nav import SocialNav

@@ -23,7 +23,8 @@ from h3data.render.light.bake import LitScene, lit_scene
 from h3data.render.light.sources import sources_of
 from h3data.render.sheets.scene_map import eye_level_camera, render_scene
 from h3data.replay.shadow_casters import shadow_casters
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import FreeSpace, Scene
+from h3data_homes import HomeSpec, build_home
 
 Emit = Callable[[str, float, str], None]
 ROOMS = ("living", "kitchen", "bedroom")

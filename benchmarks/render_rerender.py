@@ -17,7 +17,7 @@ from benchmarks.render import cpu_seconds
 from h3data.render import Output, VideoWriter, pinhole
 from h3data.replay import CameraTrack, Replay, camera_track
 from h3data.replay.stage import Stage
-from h3data.scene import HomeSpec, build_home
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.outputs import Format, Target
 from h3data_pipelines.pictures.rendering import render_files
 from sim_kinematic.motion.spec import SocialNavSpec

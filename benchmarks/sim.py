@@ -18,7 +18,8 @@ import numpy as np
 from h3data.bodies import load_humanoid, load_robot
 from h3data.replay import Replay
 from h3data.replay.cameras import camera_track
-from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.scene import FreeSpace
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.machine.bench import Bench, measure, process_pool
 from sim_kinematic.agents.arm_tuck import draw_arms
 from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands

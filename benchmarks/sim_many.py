@@ -20,9 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from h3data.habitat.scene_names import named_scenes, open_free_space, open_scene
 from h3data.recording import Recording, write_mcap
 from h3data.scene import FreeSpace, Scene
+from h3data.scene.open import named_scenes, open_free_space, open_scene
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.runner import simulate

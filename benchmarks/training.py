@@ -131,13 +131,13 @@ def _learner(settings: Settings, bank: EpisodeBank, device: str) -> Learner:
     import torch
 
     from h3data_training.ppo import Learner
-    from h3data_training.worlds import HeldWorlds
+    from h3data_training.worlds import ActionRepeatEnv
 
     gc.collect()  # of the case before: what its graphs hold is freed with them
     if device == "cuda":
         torch.cuda.empty_cache()
     start = time.perf_counter()
-    learner = Learner(settings, HeldWorlds(settings, bank, device=device), seed=0)
+    learner = Learner(settings, ActionRepeatEnv(settings, bank, device=device), seed=0)
     memory = f", {torch.cuda.memory_reserved() / 1e9:.1f} GB" if device == "cuda" else ""
     print(f"# {settings.worlds} worlds after {time.perf_counter() - start:.0f} s{memory}", flush=True)
     return learner

@@ -22,7 +22,7 @@ STEPS, OBJECTS, LONG = 1500, 20, 60_000
 
 def _recording(steps: int) -> Recording:
     """A simulated episode, repeated up to ``steps`` rows; 20 of its objects circle around their places."""
-    from h3data.scene import HomeSpec, build_home
+    from h3data_homes import HomeSpec, build_home
     from sim_kinematic.motion.spec import SocialNavSpec
     from sim_kinematic.tasks.runner import simulate
     from sim_kinematic.tasks.social_nav import SocialNav

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from h3data.render.sheets.scene_map import plan_picture
-from h3data.scene import HomeSpec, build_home
+from h3data.scenes import HomeSpec, build_home
 
 HOMES, COLUMNS = {"small": 9, "medium": 8, "large": 3}, 5
 CELL_W, CELL_H, LABEL_H = 330, 440, 26

@@ -12,8 +12,7 @@ import numpy as np
 
 import h3data
 from h3data.geometry import wrap_angle
-from sim_kinematic.agents.driven.commands import PersonCommand, Pick, Place
-from sim_kinematic.policies.policy import External
+from h3data.policies import External, PersonCommand, Pick, Place
 
 path = sys.argv[1] if len(sys.argv) > 1 else "out/driven.mcap"
 session = h3data.session("rearrange", "small:3", agents={"person": External(), "robot": "still"}, record=path)

@@ -9,9 +9,8 @@ from torch import nn
 
 import h3data
 from h3data.metrics import measure
-from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
-from sim_kinematic.policies.learned import navigation_input
-from sim_kinematic.policies.network import from_torch, save_network
+from h3data.policies import from_torch, navigation_input, save_network
+from h3data.tasks import SocialNavSpec, WalkerSpec
 from sim_kinematic.policies.social_nav import rollout_expert
 
 FILE = sys.argv[1] if len(sys.argv) > 1 else "expert.npz"

@@ -13,7 +13,7 @@ from h3data.render.image_files import write_jpg
 from h3data.render.light.bake import lit_scene
 from h3data.render.light.sources import sources_of
 from h3data.render.sheets.scene_map import eye_level_camera, render_scene
-from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.scenes import FreeSpace, HomeSpec, build_home
 
 ROOMS = {
     ("small", 15): ("living", "kitchen"),

@@ -2,7 +2,7 @@
 
 import h3data
 from h3data.metrics import measure_many
-from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
+from h3data.tasks import SocialNavSpec, WalkerSpec
 
 EPISODES = 4
 

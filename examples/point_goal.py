@@ -18,15 +18,10 @@ from numpy.typing import NDArray
 import h3data
 from h3data.errors import SceneError
 from h3data.geometry import wrap_angle
+from h3data.policies import AgentView, Velocity
 from h3data.recording import Event
-from sim_kinematic.motion.randomness import generator
-from sim_kinematic.policies.policy import Velocity
-from sim_kinematic.policies.views import AgentView
-from sim_kinematic.sensing.sensor import gps_compass
-from sim_kinematic.sensing.table import SENSORS, Sensor
-from sim_kinematic.tasks.episode import Episode, Outcome, TaskSpec
-from sim_kinematic.tasks.play import WorldPlay
-from sim_kinematic.tasks.task import Task
+from h3data.sensors import SENSORS, Sensor, gps_compass
+from h3data.tasks import Episode, StepOutcome, Task, TaskSpec, WorldRollout, generator
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +66,7 @@ class PointGoal(Task):
                 return Episode(scene=scene, free=free, seed=seed, spec=spec, roster=roster, starts=starts, extra=extra)
         raise SceneError(f"No free point {near} to {far} m from the person's start. Hint: another scene or seed.")
 
-    def begin(self, play: WorldPlay, rows: NDArray[np.intp]) -> None:
+    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
         """Remembers where the goals are and how far it is to them."""
         if play.memory is None:
             worlds = play.world.worlds
@@ -80,7 +75,7 @@ class PointGoal(Task):
         play.memory["left"][rows] = self._distance(play)[rows]
         play.memory["done"][rows] = False
 
-    def judge(self, play: WorldPlay) -> Outcome:
+    def judge(self, play: WorldRollout) -> StepOutcome:
         """Progress along the shortest path is rewarded, disturbing costs, arriving ends the episode."""
         memory, spec, (robot, *people) = play.memory, play.spec, play.world.state.agents
         left, before = self._distance(play), memory["left"]
@@ -90,7 +85,7 @@ class PointGoal(Task):
             (int(w), Event(step=int(play.steps[w]) - 1, agent=0, kind="arrived")) for w in np.flatnonzero(arrived)
         ]
         memory["left"], memory["done"] = left, memory["done"] | arrived
-        return Outcome(
+        return StepOutcome(
             reward=before - left - 0.1 * disturbs + 10.0 * arrived,
             terminated=arrived,
             success=memory["done"],
@@ -103,7 +98,7 @@ class PointGoal(Task):
         goal = Sensor(partial(_goal_gps), [0.0, -np.pi], [100.0, np.pi])
         return {**super().sensors(kind), "goal_gps": goal} if kind == "robot" else super().sensors(kind)
 
-    def _distance(self, play: WorldPlay) -> NDArray[np.float64]:
+    def _distance(self, play: WorldRollout) -> NDArray[np.float64]:
         """Length of the shortest path to the goal [m], [W]; the straight line where there is none."""
         xz, goal = play.world.state.agents[0].xz, play.memory["goal"]
         far = np.array([play.episodes[w].free.geodesic(xz[w], goal[w]) for w in range(len(xz))])

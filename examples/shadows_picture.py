@@ -16,7 +16,7 @@ from h3data.render.light.bake import lit_scene
 from h3data.render.light.sources import sources_of
 from h3data.render.sheets.scene_map import eye_level_camera, render_scene
 from h3data.replay.shadow_casters import shadow_casters
-from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.scenes import FreeSpace, HomeSpec, build_home
 
 ROOMS = (("small", 7, "living"), ("medium", 7, "living"), ("small", 15, "kitchen"), ("large", 7, "library"))
 person, robot = load_humanoid("female_0"), load_robot("quad_arm")

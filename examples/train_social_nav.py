@@ -15,7 +15,7 @@ from torch import Tensor, nn
 import h3data
 from h3data.errors import InputError
 from h3data.files import part_file
-from sim_kinematic.policies.network import from_torch, save_network
+from h3data.policies import from_torch, save_network
 
 OBSERVATIONS = ("humanoid_gps", "humanoid_velocity", "egomotion", "way", "range_scan")
 ROLLOUT, EPOCHS = 64, 3  # steps in each world, times they are learned from

@@ -3,7 +3,7 @@
 ```python
 import h3data
 
-rec = h3data.open("out/demo/episode.mcap")     # a Recording: who, what, every step
+rec = h3data.load_recording("out/demo/episode.mcap")  # a Recording: who, what, every step
 print(rec)                                     # shapes and names, not data
 state = h3data.Replay(rec).at(step=420)        # where everything was
 image = h3data.render_frame(rec, camera="third_person", step=420)["rgb"]
@@ -24,16 +24,22 @@ from h3data.moved import announce_moves
 announce_moves()
 
 if TYPE_CHECKING:
-    from h3data.api import make, measure, open, render_frame
+    from h3data.api import load_dataset, load_recording, load_scene, measure, open, render_frame
     from h3data.errors import H3DataError
     from h3data.recording import Dataset, Episodes, Recording
     from h3data.replay import Replay
-    from h3data.scene import HomeSpec, Scene, build_home
-    from h3data_pipelines.api import card, evaluate, export, generate, import_, pull, push, report, rerender, sync, view
+    from h3data.scene import Scene
+    from h3data_homes import HomeSpec, build_home
+    from h3data_pipelines.api import card, evaluate, export, generate, import_, pull, push, rerender, sync
+    from h3data_viewers.api import report, view
+    from sim_kinematic.envs.make import make
     from sim_kinematic.tasks.sessions import session, simulate
 
 _HOMES = {
-    "make": "h3data.api",
+    "load_dataset": "h3data.api",
+    "load_recording": "h3data.api",
+    "load_scene": "h3data.api",
+    "make": "sim_kinematic.envs.make",
     "open": "h3data.api",
     "render_frame": "h3data.api",
     "session": "sim_kinematic.tasks.sessions",
@@ -46,18 +52,18 @@ _HOMES = {
     "import_": "h3data_pipelines.api",
     "pull": "h3data_pipelines.api",
     "push": "h3data_pipelines.api",
-    "report": "h3data_pipelines.api",
+    "report": "h3data_viewers.api",
     "rerender": "h3data_pipelines.api",
     "sync": "h3data_pipelines.api",
-    "view": "h3data_pipelines.api",
+    "view": "h3data_viewers.api",
     "H3DataError": "h3data.errors",
     "Dataset": "h3data.recording",
     "Episodes": "h3data.recording",
     "Recording": "h3data.recording",
     "Replay": "h3data.replay",
-    "HomeSpec": "h3data.scene",
+    "HomeSpec": "h3data_homes",
     "Scene": "h3data.scene",
-    "build_home": "h3data.scene",
+    "build_home": "h3data_homes",
 }
 
 __all__ = [
@@ -74,6 +80,9 @@ __all__ = [
     "export",
     "generate",
     "import_",
+    "load_dataset",
+    "load_recording",
+    "load_scene",
     "make",
     "measure",
     "open",

@@ -1,14 +1,13 @@
-"""Shortcuts: open a recording or scene, measure, render one frame, make a training environment."""
+"""Shortcuts: open a recording or scene, measure, render one frame."""
 
 from __future__ import annotations
 
 import glob
-import importlib
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from numpy.typing import NDArray
 
@@ -20,10 +19,6 @@ from h3data.render.light.sources import LightMode
 from h3data.replay import CameraTrack, Replay, camera_at
 
 if TYPE_CHECKING:
-    import gymnasium
-    import gymnasium.vector
-
-    from h3data.habitat.scenes.scene_dataset import SceneDataset
     from h3data.metrics import EpisodeMetrics, MetricsTable
     from h3data.scene import Scene
 
@@ -47,7 +42,7 @@ def open(path: str | os.PathLike[str], kind: type[Any] | None = None) -> Any:
     ``*.scene_dataset_config.json``                        `SceneDataset`; followed by ``#name``, a `Scene`
     ====================================================  ==========================================
 
-    Options of Habitat's scenes: `h3data.habitat.scenes.scene_instance.load_habitat_scene`.
+    Options of scenes in files: `h3data.scene.sources.SceneFile`.
 
     Args:
         path: Path, URI or name.
@@ -58,26 +53,42 @@ def open(path: str | os.PathLike[str], kind: type[Any] | None = None) -> Any:
         FormatError: a file is something else; the message says what it is and what to do with it.
     """
     if not isinstance(path, str | os.PathLike):
-        raise InputError(f"Expected a path, URI or name, got {path!r:.60}.")
+        raise InputError(f"Expected a path, URI or name, got {path!r:.60}.", code="H3-FILE-001")
     opened = _open(os.fspath(path))
     if kind is not None and not isinstance(opened, kind):
-        raise InputError(f"Expected a {kind.__name__}, this is a {type(opened).__name__}: {path}")
+        raise InputError(f"Expected a {kind.__name__}, this is a {type(opened).__name__}: {path}", code="H3-FILE-002")
     return opened
 
 
+def load_recording(path: str | os.PathLike[str]) -> Recording:
+    """Opens one episode: ``episode.mcap``, ``ds#3``, ``s3://bucket/ds#3``; fails as `open`."""
+    return open(path, Recording)
+
+
+def load_dataset(path: str | os.PathLike[str]) -> Dataset:
+    """Opens a dataset: a folder, or ``s3://bucket/ds``; fails as `open`."""
+    return open(path, Dataset)
+
+
+def load_scene(path: str | os.PathLike[str]) -> Scene:
+    """Opens a home or scene: ``small:3``, ``h3-homes/test#3``, a GLB, a scene of Habitat; fails as `open`."""
+    from h3data.scene import Scene
+
+    return open(path, Scene)
+
+
 def _open(path: str) -> Any:
-    from h3data.habitat.scene_names import is_builtin_name, named_scenes, open_scene
-    from h3data.habitat.scenes.scene_instance import HABITAT_ENDINGS, dataset_and_scene
     from h3data.recording.parquet.files import is_dataset
+    from h3data.scene.open import is_builtin_name, named_scenes, open_scene, open_scene_path
 
     if is_builtin_name(path):
         first, *more = named_scenes(path)
         if more:
-            raise InputError(f"{path} names several scenes. Expected one, such as {first.name}.")
+            raise InputError(f"{path} names several scenes. Expected one, such as {first.name}.", code="H3-FILE-005")
         return open_scene(first.source)
-    dataset, name = dataset_and_scene(path)
-    if dataset is not None or path.lower().endswith(HABITAT_ENDINGS):
-        return _open_scene(Path(path) if dataset is None else dataset, name)
+    scene = open_scene_path(path)
+    if scene is not None:
+        return scene
     place = Path(path)
     if _GLOB.search(path) and "://" not in path and not place.exists():
         return _below(sorted(glob.glob(path, recursive=True)), path)
@@ -91,18 +102,8 @@ def _below(paths: list[str], named: str) -> Episodes:
     from h3data.recording.finding import find_episodes
 
     if not paths:
-        raise InputError(f"No file has such a name. Expected recordings or datasets: {named}")
+        raise InputError(f"No file has such a name. Expected recordings or datasets: {named}", code="H3-FILE-003")
     return Episodes(find_episodes(paths))
-
-
-def _open_scene(path: Path, name: str | None) -> Scene | SceneDataset:
-    from h3data.habitat.scene_names import read_scene_file
-    from h3data.habitat.scenes.scene_dataset import DATASET_ENDING, load_scene_dataset
-    from h3data.scene.scene_sets import SceneFile
-
-    if path.name.endswith(DATASET_ENDING) and name is None:
-        return load_scene_dataset(path)
-    return read_scene_file(SceneFile(path=str(path), scene=name or ""))
 
 
 @overload
@@ -131,7 +132,7 @@ def measure(recordings: Any, profile: str | None = None) -> EpisodeMetrics | Met
     if isinstance(recordings, str | os.PathLike):
         return metrics.measure_files([recordings], profile)
     if not isinstance(recordings, Iterable):
-        raise InputError(f"Expected recordings, a dataset or a path, got {recordings!r:.60}.")
+        raise InputError(f"Expected recordings, a dataset or a path, got {recordings!r:.60}.", code="H3-FILE-004")
     return metrics.measure_many(recordings, profile)
 
 
@@ -160,148 +161,3 @@ def render_frame(
     seen_from = camera_at(replay, camera, row)
     track = CameraTrack(camera=seen_from, poses=seen_from.pose[None])
     return next(iter(replay.frames([track], [row], outputs=outputs)))[1][0]
-
-
-class MakeOptions(TypedDict, total=False):
-    """Options of `make` beyond task, scenes, number of worlds, device and agents."""
-
-    render_mode: str | None
-    flatten: bool | None
-    observations: Sequence[str] | None
-    reward: str | None
-    partner: Any
-    level: Literal["high", "low"] | None
-    spec: Any
-    roster: str | Sequence[str] | None
-    robot: str | None
-    human: str | None
-    depth_size: tuple[int, int] | None
-    rgb_size: tuple[int, int] | None
-    light: LightMode | None
-    noise: Mapping[str, Any] | None
-    end_on_success: bool | None
-    interrupts_when_close: bool | None
-    threads: int | None
-    dtype: Any
-    episodes: Any
-    episodes_seed: int | None
-    graph: bool | None
-    compile: bool | None
-
-
-@overload
-def make(
-    task: Any,
-    scenes: Any = ...,
-    *,
-    num_envs: None = None,
-    device: None = None,
-    agents: tuple[str] = ...,
-    **options: Unpack[MakeOptions],
-) -> gymnasium.Env[Any, Any]: ...
-@overload
-def make(
-    task: Any,
-    scenes: Any = ...,
-    *,
-    num_envs: int,
-    device: None = None,
-    agents: tuple[str] = ...,
-    **options: Unpack[MakeOptions],
-) -> gymnasium.vector.VectorEnv[Any, Any, Any]: ...
-@overload
-def make(
-    task: Any,
-    scenes: Any = ...,
-    *,
-    num_envs: int | None = None,
-    device: Any = None,
-    agents: Sequence[str] = ...,
-    **options: Unpack[MakeOptions],
-) -> Any: ...
-def make(
-    task: Any,
-    scenes: Any = "h3-homes/train",
-    *,
-    num_envs: int | None = None,
-    device: Any = None,
-    agents: Sequence[str] | None = None,
-    render_mode: str | None = None,
-    flatten: bool | None = None,
-    observations: Sequence[str] | None = None,
-    reward: str | None = None,
-    partner: Any = None,
-    level: Literal["high", "low"] | None = None,
-    spec: Any = None,
-    roster: str | Sequence[str] | None = None,
-    robot: str | None = None,
-    human: str | None = None,
-    depth_size: tuple[int, int] | None = None,
-    rgb_size: tuple[int, int] | None = None,
-    light: LightMode | None = None,
-    noise: Mapping[str, Any] | None = None,
-    end_on_success: bool | None = None,
-    interrupts_when_close: bool | None = None,
-    threads: int | None = None,
-    dtype: Any = None,
-    episodes: Any = None,
-    episodes_seed: int | None = None,
-    graph: bool | None = None,
-    compile: bool | None = None,
-    **task_options: Any,
-) -> Any:
-    """Makes a training environment of a task: ``make("social_nav")``, ``make("social_nav", num_envs=64)``.
-
-    One world is a Gymnasium environment, ``num_envs`` worlds a vector environment, several ``agents`` a PettingZoo
-    environment, a ``device`` worlds as torch tensors (h3data docs environments). None stands for the default of the task or
-    the device. An option that the task or the device does not have is refused.
-
-    Args:
-        task: Name (``social_nav``, ``rearrange``, or of an installed package), ``module:Class``, or a task.
-        scenes: Homes to play in: names such as ``small:3`` and ``h3-homes/train``, paths, scenes, or several of these.
-        num_envs: Number of worlds; None is one world without a leading axis.
-        device: Torch device of the worlds, such as ``cuda`` or ``cpu``; None simulates with NumPy.
-        agents: Names of the agents that act (default: the robot).
-        render_mode: ``rgb_array`` for ``render()``.
-        flatten: Whether observations are one vector instead of a dictionary of arrays; not on a device.
-        observations: Names of sensors and images; each agent gets those that it has.
-        reward: Reward of social navigation: ``paper`` or ``habitat``.
-        partner: Policy of the agents that do not act.
-        level: Actions of rearrangement: ``high`` chooses skills, ``low`` base velocity, arm joints and grip.
-        spec: Rules of the task.
-        roster: Agents that are present.
-        robot: Body of robots.
-        human: Body of people.
-        depth_size: Width and height of depth, masks and boxes [pixels] (default: each camera's own).
-        rgb_size: Width and height of colour images [pixels].
-        light: Light in colour images: ``baked`` or ``flat``.
-        noise: Noise model by name of an observation (default: all are exact).
-        end_on_success: Whether success terminates an episode even where the task goes on.
-        interrupts_when_close: Whether agents of rearrangement may choose anew at every step while the other is close.
-        threads: Threads that render images.
-        dtype: Floating type of the state on a device (default: float64 on the CPU, float32 on others).
-        episodes: Number of episodes that worlds on a device draw from, or a bank of them.
-        episodes_seed: Seed of those episodes.
-        graph: Whether a CUDA device replays each step as one graph.
-        compile: Whether worlds on a device are compiled by torch.
-        **task_options: Options of a task of your own. Type checkers accept them as ``**{"name": value}``.
-
-    Raises:
-        InputError: no such task, scenes or option.
-        MissingExtraError: Gymnasium or PettingZoo are not installed.
-    """
-    options: dict[str, Any] = {
-        "num_envs": num_envs, "device": device, "agents": agents, "render_mode": render_mode,
-        "flatten": flatten, "observations": observations, "reward": reward, "partner": partner, "level": level, "spec": spec,
-        "roster": roster, "robot": robot, "human": human, "depth_size": depth_size, "rgb_size": rgb_size,
-        "light": light, "noise": noise, "end_on_success": end_on_success,
-        "interrupts_when_close": interrupts_when_close, "threads": threads, "dtype": dtype, "episodes": episodes,
-        "episodes_seed": episodes_seed, "graph": graph, "compile": compile,
-    }  # fmt: skip
-    given = {name: value for name, value in options.items() if value is not None}
-    return _simulator("envs.make").make(task, scenes, **given, **task_options)
-
-
-def _simulator(module: str) -> Any:
-    """A module of the simulator, which h3data itself does not import: it lies above."""
-    return importlib.import_module(f"sim_kinematic.{module}")

@@ -1,5 +1,8 @@
-"""Location of what ships with the package: `datasets/` and `docs/` in a checkout, `h3data/_datasets` and `h3data/_docs` in an
-installed wheel."""
+"""Location of the data and documentation that ship with the package.
+
+In a checkout these are the folders `datasets/` and `docs/`; in an installed wheel `h3data/_datasets` and
+`h3data/_docs`.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,8 @@ def _shipped(installed: str, checkout: str, what: str) -> Path:
             return candidate
     raise InputError(
         f"The {what} are missing: expected a folder {installed} beside {package}/__init__.py. "
-        "Hint: reinstall the wheel (pip install --force-reinstall h3data)."
+        "Hint: reinstall the wheel (pip install --force-reinstall h3data).",
+        code="H3-FILE-006",
     )
 
 
@@ -47,5 +51,7 @@ def builtin_path(relative: str) -> Path:
     path = builtin_root() / relative
     if not path.exists():
         siblings = sorted(p.name for p in path.parent.iterdir()) if path.parent.is_dir() else []
-        raise InputError(f"No built-in file {relative!r}. Available there: {', '.join(siblings) or 'nothing'}.")
+        raise InputError(
+            f"No built-in file {relative!r}. Available there: {', '.join(siblings) or 'nothing'}.", code="H3-FILE-007"
+        )
     return path

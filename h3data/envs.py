@@ -1,4 +1,4 @@
-"""Gymnasium ids of the built-in tasks, registered by importing this module.
+"""Environments, and the Gymnasium ids of the built-in tasks, which importing this module registers.
 
 ```python
 import gymnasium
@@ -15,18 +15,44 @@ its environments when it is imported; `h3data` itself does not, because ``import
 
 from __future__ import annotations
 
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from h3data.errors import MissingExtraError
+
+if TYPE_CHECKING:
+    from sim_kinematic.envs.make import make
+    from sim_kinematic.envs.parallel import TaskParallelEnv
+    from sim_kinematic.envs.single import TaskEnv
+    from sim_kinematic.envs.stepper import Options, Stepper
+    from sim_kinematic.envs.vector import TaskVectorEnv
+
+_HOMES = {
+    "Options": "sim_kinematic.envs.stepper",
+    "Stepper": "sim_kinematic.envs.stepper",
+    "TaskEnv": "sim_kinematic.envs.single",
+    "TaskParallelEnv": "sim_kinematic.envs.parallel",
+    "TaskVectorEnv": "sim_kinematic.envs.vector",
+    "make": "sim_kinematic.envs.make",
+}
+__all__ = ["IDS", "Options", "Stepper", "TaskEnv", "TaskParallelEnv", "TaskVectorEnv", "make"]
 
 try:
     import gymnasium
 except ImportError as error:
-    raise MissingExtraError("Environments need Gymnasium. Hint: pip install 'h3data[env]'") from error
+    raise MissingExtraError(
+        "Environments need Gymnasium. Hint: pip install 'h3data[env]'", code="H3-FILE-008"
+    ) from error
 
 IDS = {"h3data/SocialNav-v0": "social_nav", "h3data/Rearrange-v0": "rearrange", "h3data/Wander-v0": "wander"}
 """Name of the task by id."""
 
 for _id, _task in IDS.items():
     if _id not in gymnasium.registry:  # a reload would make Gymnasium warn
-        gymnasium.register(
-            _id, entry_point="h3data.api:make", vector_entry_point="h3data.api:make", kwargs={"task": _task}
-        )
+        gymnasium.register(_id, entry_point="h3data:make", vector_entry_point="h3data:make", kwargs={"task": _task})
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'h3data.envs' has no attribute {name!r}; it has {', '.join(__all__)}")
+    return getattr(importlib.import_module(_HOMES[name]), name)

@@ -6,7 +6,20 @@ from collections.abc import Iterable
 
 
 class H3DataError(Exception):
-    """Base of every error that h3data raises on purpose. Messages say what was expected, what came and what to do."""
+    """Base of every error that h3data raises on purpose. Messages say what was expected, what came and what to do.
+
+    Each kind of message has a code such as ``H3-SCENE-014``, which stays the same when its words change. `str` gives the
+    sentence alone; a traceback shows the code in a line below it. `make error-codes` assigns the codes.
+    """
+
+    code: str = "H3-OTHER-000"
+    """The code of the message. An error that is raised without one, as by a plug-in, has the one of this class."""
+
+    def __init__(self, *args: object, code: str = "") -> None:
+        super().__init__(*args)
+        if code:
+            self.code = code
+            self.add_note(f"{code}: `h3data docs {code}` says more.")
 
 
 class InputError(H3DataError):
@@ -37,6 +50,11 @@ class UntrustedNameError(InputError):
     """A file names code that is neither built in nor installed, and that the user has not trusted."""
 
 
+def with_code(error: BaseException) -> str:
+    """What an error says, with its code at the end if it has one: for a shell, a log or the record of a job."""
+    return f"{error} [{error.code}]" if isinstance(error, H3DataError) else str(error)
+
+
 def did_you_mean(name: str, valid: Iterable[str]) -> str:
     """`` Did you mean 'x'?`` with the valid name closest to an unknown one; empty if none is close."""
     from difflib import get_close_matches
@@ -47,6 +65,10 @@ def did_you_mean(name: str, valid: Iterable[str]) -> str:
 
 
 def suggest(name: str, valid: Iterable[str], *, lead: str = "Expected one of", more: str = "") -> str:
-    """`` Did you mean 'x'?`` alone if a valid name is close to an unknown one, else `` Expected one of: a, b<more>.``"""
+    """Ending of an error message about an unknown name: the closest valid name, or else all valid names.
+
+    Returns `` Did you mean 'x'?`` if a valid name is similar, otherwise `` Expected one of: a, b<more>.``, where
+    ``lead`` replaces "Expected one of".
+    """
     valid = list(valid)
     return did_you_mean(name, valid) or f" {lead}: {', '.join(valid) or 'none'}{more}."

@@ -58,8 +58,11 @@ def cache_folder(kind: str) -> Path | None:
 
 
 def evict(folder: Path, room: float, *, keep: Path) -> None:
-    """Deletes the least recently used files of a cache folder until the rest and ``keep`` fit in ``room`` bytes, and what
-    killed processes left unfinished over a day ago. Processes that have a file open keep it."""
+    """Deletes the least recently used files of a cache folder until the rest fits in ``room`` bytes.
+
+    ``keep``, the file written last, is never deleted, but its size counts. Unfinished files that killed processes left
+    more than a day ago are deleted as well. A process that has a deleted file open can still read it.
+    """
     files = []
     for path in folder.iterdir():
         with suppress(FileNotFoundError):  # others evict too
@@ -86,19 +89,21 @@ def part_file(
     shared: bool = False,
     kept_after: tuple[type[BaseException], ...] | type[BaseException] = (),
 ) -> Iterator[Path]:
-    """Yields a temporary path beside ``path``; renames it to ``path`` on success and removes it on any exception except
-    those in ``kept_after``.
+    """Yields a temporary path next to ``path``, which is renamed to ``path`` on success.
 
-    The temporary path is ``<path>.part``, absolute: libraries take a relative one such as ``walk:1.mp4`` for a URI. With
-    ``shared`` its name is unique, so that several processes may fill the same cache entry at once; the last one to finish
-    wins.
+    Any exception removes the temporary file, except the types in ``kept_after``. Its path is ``<path>.part``, made
+    absolute because libraries take a relative one such as ``walk:1.mp4`` for a URI. With ``shared`` its name is unique,
+    so that several processes may fill the same cache entry at once; the last one to finish wins.
 
     Raises:
         InputError: the folder does not exist.
     """
     final = Path(path)
     if not final.parent.is_dir():
-        raise InputError(f"Cannot write here: the folder does not exist. Hint: create it first. Folder: {final.parent}")
+        raise InputError(
+            f"Cannot write here: the folder does not exist. Hint: create it first. Folder: {final.parent}",
+            code="H3-FILE-009",
+        )
     beside = final.absolute()
     part = beside.with_name(final.name + ".part")
     if shared:  # not `tempfile.mkstemp`, whose files only their owner can read

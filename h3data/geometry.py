@@ -27,10 +27,11 @@ def _floating(value: ArrayLike) -> Array:
 
 
 def _components(vectors: Array, *others: Array) -> list[Any]:
-    """Components [...] of vectors [..., n], as views; of a single double vector as Python floats, unless they will meet
-    ``others`` of another kind.
+    """Components [...] of vectors [..., n], as views of the array.
 
-    The same bits come out, in a third of the time: a step of a person poses some twenty single quaternions.
+    Those of a single float64 vector are Python floats, unless they are combined with ``others`` of another type. The
+    bits of the results are the same, in a third of the time: a step of a person computes some twenty single
+    quaternions.
     """
     if all(v.ndim == 1 and v.dtype == np.float64 for v in (vectors, *others)):
         return vectors.tolist()
@@ -41,8 +42,11 @@ _F64 = np.dtype(np.float64)
 
 
 def _is_single(value: Any) -> bool:
-    """Whether it is a single double vector. Those are computed in Python floats: the same operations in the same order give
-    the same bits, in a quarter of the time of NumPy's calls on four numbers, and agents pose one of each per step."""
+    """Whether a value is a single float64 vector, which is computed in Python floats.
+
+    The same operations in the same order give the same bits, in a quarter of the time of NumPy's calls on four numbers;
+    agents pose one such vector each per step.
+    """
     return type(value) is np.ndarray and value.ndim == 1 and value.dtype is _F64
 
 
@@ -312,8 +316,15 @@ def ground_pose(xz: ArrayLike, heading_rad: ArrayLike, floor_y: ArrayLike = 0.0)
 def sloped_pose(
     height_at: Callable[[Array], Array], xz: ArrayLike, heading_rad: ArrayLike, length_m: float = 0.0
 ) -> Array:
-    """As `ground_pose` on a floor whose height at points [..., 2] a function says. Roots of a length above 0 pitch with the
-    floor under their two ends and are at its mean height there; others stay upright."""
+    """World pose of an agent on a floor whose height varies, shape [..., 7]; `ground_pose` on a level floor.
+
+    Args:
+        height_at: height of the floor at points [..., 2] [m].
+        xz: positions on the floor [..., 2] [m].
+        heading_rad: heading of the agent [...].
+        length_m: distance between the two points that rest on the floor. Above 0, the root pitches with the floor under
+            both points and lies at its mean height there; at 0 it stays upright.
+    """
     xz = np.asarray(xz, np.float64)
     heading = np.broadcast_to(np.asarray(heading_rad, np.float64), xz.shape[:-1])
     if length_m <= 0.0:

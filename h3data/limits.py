@@ -16,10 +16,15 @@ MAX_AGENTS = 256
 def check_size(steps: int, things: int, path: Path, *, values: int = 7) -> None:
     """`FormatError` if so many things with so many values each over so many steps would not fit into memory."""
     if steps > MAX_STEPS or steps * things * values > MAX_TRACK_VALUES:
-        raise FormatError(f"A log of {steps} steps with {things} bodies is more than can be read: {path}")
+        raise FormatError(
+            f"A log of {steps} steps with {things} bodies is more than can be read: {path}", code="H3-FORMAT-018"
+        )
 
 
 def check_count(count: int, most: int, what: str, path: Path) -> None:
     """`FormatError` if there are more than ``most`` of them."""
     if count > most:
-        raise FormatError(f"More than {most} {what} are more than can be read. Hint: cut the file into parts. {path}")
+        raise FormatError(
+            f"More than {most} {what} are more than can be read. Hint: cut the file into parts. {path}",
+            code="H3-FORMAT-019",
+        )

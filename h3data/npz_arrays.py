@@ -33,9 +33,9 @@ def npz_names(path: Path | io.BytesIO) -> tuple[str, ...]:
         with zipfile.ZipFile(path) as archive:
             return tuple(n.removesuffix(".npy") for n in archive.namelist() if n.endswith(".npy"))
     except FileNotFoundError:
-        raise InputError(f"There is no such file: {path}") from None
+        raise InputError(f"There is no such file: {path}", code="H3-FORMAT-013") from None
     except _DAMAGES as error:
-        raise FormatError(f"Expected an npz file, this is none ({error}): {path}") from None
+        raise FormatError(f"Expected an npz file, this is none ({error}): {path}", code="H3-FORMAT-020") from None
 
 
 def npz_members(path: Path | io.BytesIO, names: Collection[str] | None = None) -> dict[str, Any]:
@@ -47,20 +47,26 @@ def npz_members(path: Path | io.BytesIO, names: Collection[str] | None = None) -
                 members = [m for m in members if m.filename.removesuffix(".npy") in names]
             total = sum(member.file_size for member in members)
             if total > MAX_BYTES:
-                raise FormatError(f"The npz unpacks to {total / 2**20:.0f} MiB, more than is admitted: {path}")
+                raise FormatError(
+                    f"The npz unpacks to {total / 2**20:.0f} MiB, more than is admitted: {path}", code="H3-FORMAT-024"
+                )
             return {m.filename.removesuffix(".npy"): _npy(archive.read(m), m.filename, path) for m in members}
     except FileNotFoundError:
-        raise InputError(f"There is no such file: {path}") from None
+        raise InputError(f"There is no such file: {path}", code="H3-FORMAT-013") from None
     except _DAMAGES as error:
-        raise FormatError(f"Expected an npz file, this is none or it is damaged ({error}): {path}") from None
+        raise FormatError(
+            f"Expected an npz file, this is none or it is damaged ({error}): {path}", code="H3-FORMAT-021"
+        ) from None
 
 
 def npz_arrays(path: Path | io.BytesIO, names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
-    """As `npz_members`, plain arrays only: a pickled one is an error that names it."""
+    """Plain arrays of an npz file; a pickled one is an error that names it."""
     members = npz_members(path, names)
     for name, value in members.items():
         if not isinstance(value, np.ndarray) or value.dtype.hasobject:
-            raise FormatError(f"{name}: Expected an array of numbers or text, got pickled objects: {path}")
+            raise FormatError(
+                f"{name}: Expected an array of numbers or text, got pickled objects: {path}", code="H3-FORMAT-022"
+            )
     return members
 
 
@@ -77,4 +83,4 @@ def _npy(data: bytes, name: str, path: Path | io.BytesIO) -> Any:
             return load_pickle(body, path)
         return np.frombuffer(body, dtype).reshape(shape, order="F" if header["fortran_order"] else "C")
     except (ValueError, KeyError, TypeError, SyntaxError, RecursionError, MemoryError) as error:
-        raise FormatError(f"{name} in the npz is damaged ({error}): {path}") from None
+        raise FormatError(f"{name} in the npz is damaged ({error}): {path}", code="H3-FORMAT-023") from None

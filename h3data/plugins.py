@@ -58,7 +58,10 @@ def trust(*modules: str) -> None:
     """
     for module in modules:
         if not re.fullmatch(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", module):
-            raise InputError(f"Expected the name of a module to trust, such as my_package.my_task, got {module!r}.")
+            raise InputError(
+                f"Expected the name of a module to trust, such as my_package.my_task, got {module!r}.",
+                code="H3-FILE-012",
+            )
     os.environ[TRUST_VARIABLE] = ",".join(dict.fromkeys([*_trusted(), *modules]))
 
 
@@ -149,6 +152,12 @@ def _is_there(reference: str) -> bool:
     return spec is not None and spec.origin is not None
 
 
+def missing_part(fault: ModuleNotFoundError) -> str:
+    """Name of the package of h3data that an import did not find; empty if it was a module of somebody else."""
+    package = (fault.name or "").partition(".")[0]
+    return package if package.startswith("h3data_") and not _is_there(package) else ""
+
+
 def load_reference(reference: str) -> Any:
     """The object that ``module:name`` refers to; raises whatever importing its module raises."""
     return EntryPoint("", reference, "").load()
@@ -206,18 +215,18 @@ class Registry(Generic[T]):
         entry = self._own.get(name)
         if entry is None:
             return self._table[name].load()
-        packages = {other.value.partition(":")[0].partition(".")[0] for other in self._own.values()}
         missing = str(entry.value).partition(".")[0]
         if _is_there(entry.value):
             try:
                 return entry.load()
             except ModuleNotFoundError as fault:
-                missing = (fault.name or "").partition(".")[0]
-                if missing not in packages or _is_there(missing):
+                missing = missing_part(fault)
+                if not missing:
                     raise
         raise InputError(
             f"The {self.what} {name!r} needs the package {missing}, which this installation does not have. "
-            "Hint: install h3data as a whole."
+            "Hint: install h3data as a whole.",
+            code="H3-FILE-010",
         )
 
     def names(self) -> tuple[str, ...]:
@@ -245,21 +254,31 @@ class Registry(Generic[T]):
             return self._load_built_in(name)
         claims = self._third_party().get(name, [])
         if len(claims) > 1:
-            raise PluginError(self._conflict(name, claims))
+            raise PluginError(self._conflict(name, claims), code="H3-FILE-013")
         if claims:
             return self._load(claims[0])
         if REFERENCE.fullmatch(name):
             for entry in (one for claims in self._third_party().values() for one in claims if one.value == name):
                 return self._load(entry)  # installed, only named in full
             if _FROM_DATA.get() and not is_trusted(name):
-                raise UntrustedNameError(self._untrusted(name))
+                raise UntrustedNameError(self._untrusted(name), code="H3-FILE-014")
             if not _FROM_DATA.get():
                 trust(name.partition(":")[0])  # whoever names it runs it: files may name it too from now on
             if os.getcwd() not in sys.path:
                 sys.path.append(os.getcwd())  # only now, after everything that is installed: see h3data docs sharing
             return self._load(Plugin(name, name))
         known = self.names()
-        raise InputError(f"Unknown {self.what} {name!r}.{suggest(name, known, more='; or module:name')}")
+        raise InputError(
+            f"Unknown {self.what} {name!r}.{suggest(name, known, more='; or module:name')}", code="H3-FILE-011"
+        )
+
+    def missing(self) -> dict[str, str]:
+        """Packages that come with this one but are not there, by the name of the entry that each would add."""
+        return {
+            name: str(entry.value).partition(":")[0].partition(".")[0]
+            for name, entry in self._own.items()
+            if name not in self._built_in
+        }
 
     def load_all(self) -> dict[str, T]:
         """Returns every object by name; warns about plug-ins that cannot be loaded and leaves them out."""
@@ -308,13 +327,16 @@ class Registry(Generic[T]):
             by_reference = not entry.distribution and isinstance(fault, ModuleNotFoundError)
             hint = " Hint: the module must be installed or its folder on PYTHONPATH." if by_reference else ""
             raise PluginError(
-                f"The {self.what} {self._origin(entry)} cannot be imported: {type(fault).__name__}: {fault}.{hint}"
+                f"The {self.what} {self._origin(entry)} cannot be imported: {type(fault).__name__}: {fault}.{hint}",
+                code="H3-FILE-015",
             ) from fault
         if self._check is not None:
             try:
                 self._check(loaded)
             except InputError as fault:
-                raise PluginError(f"The {self.what} {self._origin(entry)} is not usable: {fault}") from fault
+                raise PluginError(
+                    f"The {self.what} {self._origin(entry)} is not usable: {fault}", code="H3-FILE-016"
+                ) from fault
         return loaded
 
     def _origin(self, entry: Plugin) -> str:

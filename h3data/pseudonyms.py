@@ -27,11 +27,12 @@ def anonymous_id(person: str, *, key: bytes) -> str:
     """
     if len(key) < SHORTEST_KEY:
         raise InputError(
-            f"Expected a key of {SHORTEST_KEY} or more random bytes, got {len(key)}. Hint: secrets.token_bytes(32)."
+            f"Expected a key of {SHORTEST_KEY} or more random bytes, got {len(key)}. Hint: secrets.token_bytes(32).",
+            code="H3-FILE-017",
         )
     text = unicodedata.normalize("NFKC", person).strip().casefold()
     if not text:
-        raise InputError("Expected a person's name or e-mail address, got an empty text.")
+        raise InputError("Expected a person's name or e-mail address, got an empty text.", code="H3-FILE-018")
     digest = hmac.new(key, text.encode(), hashlib.sha256).digest()
     return "P-" + base64.b32encode(digest).decode()[:10]
 
@@ -57,9 +58,11 @@ def participant_key() -> bytes:
     except FileNotFoundError:
         key = _new_key(path)
     except OSError as error:
-        raise InputError(_unusable(path, error)) from None
+        raise InputError(_unusable(path, error), code="H3-FILE-020") from None
     if len(key) < SHORTEST_KEY:
-        raise InputError(f"Expected a participant key of {SHORTEST_KEY} or more bytes, got {len(key)}: {path}")
+        raise InputError(
+            f"Expected a participant key of {SHORTEST_KEY} or more bytes, got {len(key)}: {path}", code="H3-FILE-019"
+        )
     return key
 
 
@@ -78,7 +81,7 @@ def _new_key(path: Path) -> bytes:
             part.unlink()
         return path.read_bytes()
     except OSError as error:
-        raise InputError(_unusable(path, error)) from None
+        raise InputError(_unusable(path, error), code="H3-FILE-020") from None
 
 
 def _unusable(path: Path, error: OSError) -> str:

@@ -49,9 +49,11 @@ def load_pickle(data: bytes, path: Path | io.BytesIO, *, records: Mapping[tuple[
             raise pickle.UnpicklingError("it unfolds to far more than the file holds")
         return content
     except MemoryError:
-        raise FormatError(f"The pickle claims to be larger than the memory: {path}") from None
+        raise FormatError(f"The pickle claims to be larger than the memory: {path}", code="H3-FORMAT-025") from None
     except Exception as fault:  # a broken pickle can raise nearly anything
-        raise FormatError(f"The pickle is refused or damaged: {fault or type(fault).__name__}: {path}") from None
+        raise FormatError(
+            f"The pickle is refused or damaged: {fault or type(fault).__name__}: {path}", code="H3-FORMAT-026"
+        ) from None
 
 
 def builtin(value: Any) -> Any:

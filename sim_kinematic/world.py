@@ -3,7 +3,7 @@
 ```python
 world = World(agents_of("robot,robot,human"), worlds=16)
 world.place(starts, [free] * 16)                     # [16, 3, 3]: x, z, heading
-world.step([Drive(a), Drive(b), WalkTo(points)])     # [16, 2] each
+world.step([DriveCommand(a), DriveCommand(b), WaypointCommand(points)])  # [16, 2] each
 world.touching                                       # [16, 3]: of world.pairs
 ```
 
@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import combinations
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
 from h3data.geometry import Array, ground_pose
 from h3data.kernels import kernel
+from h3data.moved import refuse_renamed
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.arm_tuck import draw_arms
 from sim_kinematic.agents.roster import AgentSpec
@@ -37,10 +38,13 @@ from sim_kinematic.motion.spec import HOME_BASE, BaseSpec, WalkerSpec
 from sim_kinematic.motion.state import HumanState, RobotState, WorldState
 from sim_kinematic.motion.step import discs_at, drive_robots, first_not_finite
 
+if not TYPE_CHECKING:
+    __getattr__ = refuse_renamed(__name__)
+
 Rows = NDArray[np.intp]
 
 
-class Drive(NamedTuple):
+class DriveCommand(NamedTuple):
     """Base velocities: forward and left turn in -1..1 of the limits, [W, 2]; a robot that moves sideways takes [W, 3].
 
     People drive too: as a disc that slides along obstacles, forwards only.
@@ -49,13 +53,13 @@ class Drive(NamedTuple):
     velocity: Array
 
 
-class WalkTo(NamedTuple):
+class WaypointCommand(NamedTuple):
     """Points that people walk straight to, turning on the spot first, [W, 2] [m]."""
 
     points: Array
 
 
-class Stride(NamedTuple):
+class PoseCommand(NamedTuple):
     """Where people who walk along a path get in this step (`sim_kinematic.motion.stride`)."""
 
     points: Array
@@ -64,14 +68,14 @@ class Stride(NamedTuple):
     """[W] [rad]."""
 
 
-class Pace(NamedTuple):
+class GaitCommand(NamedTuple):
     """Where people get in this step and how far in their walking cycle, worked out by somebody else."""
 
     gait: HumanState
     """W worlds."""
 
 
-class Keep(NamedTuple):
+class RecordedPoseCommand(NamedTuple):
     """Where people are, whatever the world thinks of it: the next moment of a recorded track."""
 
     xz: Array
@@ -82,19 +86,19 @@ class Keep(NamedTuple):
 
 
 class Posture(NamedTuple):
-    """What the bodies of people do, one row per world."""
+    """Postures of people as motion clips, one row per world."""
 
     clip: NDArray[np.int64]
     """Index of the motion clip."""
     phase: Array
     """Place in its cycle, 0..1."""
     blend: Array
-    """Its weight over standing, 0..1."""
+    """Weight of the clip over standing, 0..1."""
     arms: Array
-    """How far the left and the right arm are tucked in, 0..1, [W, 2]."""
+    """Fold of the left and the right arm, from 0 (out) to 1 (in), [W, 2]."""
 
 
-Command = Drive | WalkTo | Stride | Pace | Keep
+Command = DriveCommand | WaypointCommand | PoseCommand | GaitCommand | RecordedPoseCommand
 
 
 class World:
@@ -110,20 +114,21 @@ class World:
         person_radius_m: float = 0.25,
         solid: bool = False,
     ) -> None:
-        """
+        """Creates worlds without a floor; `place` puts the agents into their homes.
+
         Args:
-            roster: Who is there: robots, then people.
-            worlds: W.
-            base: How robots drive, as far as their own base does not say (`base_of`).
-            walker: How people walk.
-            person_radius_m: Radius of a person who drives.
-            solid: Whether people who drive slide along the discs of others, where those were before the step.
+            roster: agents of every world, robots first, then people.
+            worlds: number of worlds W.
+            base: limits of driving, where a robot's own base does not give them (`base_of`).
+            walker: gait and speed of people.
+            person_radius_m: radius of a person who is driven from outside.
+            solid: whether people who are driven slide along the discs of the other agents, at their positions before the step.
 
         Raises:
-            InputError: W is not at least 1.
+            InputError: W is less than 1.
         """
         if isinstance(worlds, bool) or not isinstance(worlds, int | np.integer) or worlds < 1:
-            raise InputError(f"Expected at least 1 world, a whole number, got {worlds!r}.")
+            raise InputError(f"Expected at least 1 world, a whole number, got {worlds!r}.", code="H3-SIM-050")
         self.roster, self.worlds = tuple(roster), int(worlds)
         rules, self.walker = base or HOME_BASE, walker or WalkerSpec()
         self.bases = tuple(base_of(m.body, rules) if isinstance(m.body, Robot) else rules for m in self.roster)
@@ -146,7 +151,7 @@ class World:
         self.groups: list[tuple[FreeSpace, Rows]] = []
         """The worlds that share a map: it and their indices."""
         self._uneven: tuple[tuple[FreeSpace, Rows], ...] = ()
-        """Those of the groups whose floor is not level."""
+        """Groups of worlds whose floor is not level."""
         self.blocked = np.zeros((self.worlds, len(self.roster)), np.bool_)
         """Agents that touched an obstacle in the last step, [W, A]."""
         self.pairs = tuple(combinations(range(len(self.roster)), 2))
@@ -161,8 +166,13 @@ class World:
         self._contact = _PairContacts(self.roster, self.pairs)
 
     def place(self, starts: Array, floors: Sequence[FreeSpace], rows: Rows | None = None) -> None:
-        """Put everybody at ``starts`` [n, A, 3] (x, z, heading), at rest, in the worlds ``rows`` [n] (default: all), each
-        on its map."""
+        """Puts all agents at rest at their starts, each world on its own floor.
+
+        Args:
+            starts: (x, z, heading) of each agent, [n, A, 3].
+            floors: free floor of each of the n worlds.
+            rows: numbers of these worlds (default: all).
+        """
         rows = np.arange(self.worlds) if rows is None else rows
         joints = [own.joints.shape[1] for own in self.state.robots]
         fresh = WorldState.zeros(len(rows), robots=len(joints), people=len(self.state.people), joints=joints)
@@ -200,9 +210,9 @@ class World:
             # one pass over the agents, in any order: what they do in a step depends on the map alone, not on the others
             part, at = (self.state, slice(None)) if alone else (self.state.take(rows), rows)
             for k, (own, command) in enumerate(zip(part.agents, commands, strict=True)):
-                if isinstance(command, Keep):
+                if isinstance(command, RecordedPoseCommand):
                     continue
-                if isinstance(command, Pace):
+                if isinstance(command, GaitCommand):
                     assert isinstance(own, HumanState)
                     own.put(slice(None), command.gait.take(at))
                     continue
@@ -211,9 +221,9 @@ class World:
                     drive_robots(own, self._driven_on(k, free), values, self.bases[k])
                     self.blocked[at, k] = own.contact
                     continue
-                if isinstance(command, WalkTo):
+                if isinstance(command, WaypointCommand):
                     walk_humans(own, values, self.walker)
-                elif isinstance(command, Stride):
+                elif isinstance(command, PoseCommand):
                     move_people(own, values, command.headings[at], self.walker)
                 else:
                     others = self._discs_beside(k)[at] if self._solid else None
@@ -224,7 +234,7 @@ class World:
             if not alone:
                 self.state.put(rows, part)
         for k, command in enumerate(commands):
-            if isinstance(command, Keep):
+            if isinstance(command, RecordedPoseCommand):
                 self._keep(k, command)
         self.touching = self._touching(self.rows)
 
@@ -275,23 +285,30 @@ class World:
     # --- parts of a step ----------------------------------------------------------------------------------------------
     def _checked(self, commands: Sequence[Command]) -> list[Command]:
         if len(commands) != len(self.roster):
-            raise InputError(f"Expected one command for each of {len(self.roster)} agents, got {len(commands)}.")
+            raise InputError(
+                f"Expected one command for each of {len(self.roster)} agents, got {len(commands)}.", code="H3-SIM-051"
+            )
         checked: list[Command] = []
         for member, command, base in zip(self.roster, commands, self.bases, strict=True):
-            if isinstance(command, Keep | Pace):
+            if isinstance(command, RecordedPoseCommand | GaitCommand):
                 checked.append(command)
                 continue
             values = np.asarray(command[0], np.float64)
             width = 3 if member.kind == "robot" and base.max_lateral_mps else 2
-            if member.kind == "robot" and not isinstance(command, Drive):
-                raise InputError(f"{member.name} drives: expected Drive, got {type(command).__name__}.")
+            if member.kind == "robot" and not isinstance(command, DriveCommand):
+                raise InputError(
+                    f"{member.name} drives: expected DriveCommand, got {type(command).__name__}.", code="H3-SIM-054"
+                )
             if values.shape != (self.worlds, width) or first_not_finite(values) >= 0:
                 infinite = "" if np.isfinite(values).all() else " with numbers that are not finite"
                 raise InputError(
                     f"Expected finite actions of {member.name}, shape {[self.worlds, width]}, got shape "
-                    f"{list(values.shape)}{infinite}."
+                    f"{list(values.shape)}{infinite}.",
+                    code="H3-SIM-053",
                 )
-            checked.append(Stride(values, command.headings) if isinstance(command, Stride) else type(command)(values))
+            checked.append(
+                PoseCommand(values, command.headings) if isinstance(command, PoseCommand) else type(command)(values)
+            )
         return checked
 
     def _discs_beside(self, agent: int) -> Array:
@@ -314,7 +331,7 @@ class World:
         body = self.roster[agent].body
         return free if not free.has_stairs or (isinstance(body, Robot) and body.climbs_stairs) else free.without_stairs
 
-    def _keep(self, agent: int, command: Keep) -> None:
+    def _keep(self, agent: int, command: RecordedPoseCommand) -> None:
         own = self.state.agents[agent]
         if isinstance(own, HumanState):
             own.distance[:] += np.hypot(*(command.xz - own.xz).T)

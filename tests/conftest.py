@@ -42,10 +42,10 @@ def real() -> Path:
 def homes_are_built_once() -> Iterator[None]:
     """Equal specs give the same home in a process, as they do within a command; most tests are about what happens in it.
 
-    Each takes half a second, and 60 files want ``HomeSpec(preset="small", seed=1)``. In `tests/scene/homes`, which are
+    Each takes half a second, and 60 files want ``HomeSpec(preset="small", seed=1)``. In `tests/homes`, which are
     about building, every home is a new one.
     """
-    from h3data.scene.homes import build
+    from h3data_homes import build
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(build, "build_home", lru_cache(maxsize=64)(build.build_home))

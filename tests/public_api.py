@@ -22,7 +22,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from types import ModuleType
-from typing import Any
+from typing import Any, get_origin
 
 from tests.paths import DATA, ROOT
 
@@ -77,7 +77,7 @@ def _described(name: str, found: Any) -> Iterator[str]:
         for member, value in sorted(members.items()):
             if not member.startswith("_") and member not in fields:
                 yield from _member(f"{name}.{member}", value)
-    elif callable(found):
+    elif callable(found) and get_origin(found) is None:
         yield from _signature(name, found)
     else:
         yield f"{name}: {type(found).__name__}"

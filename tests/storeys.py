@@ -7,8 +7,9 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.scene import FreeSpace, HomeSpec, Room, Scene, build_home
+from h3data.scene import FreeSpace, Room, Scene
 from h3data.scene.floor_heights import flight_rectangle
+from h3data_homes import HomeSpec, build_home
 
 SPEC = HomeSpec(seed=3, generation=2, storeys=2)
 

@@ -351,3 +351,15 @@ def test_shipped_kernels_belong_to_this_code():
         importlib.import_module(stamp.rsplit("-", 1)[0].rpartition(".")[0])
     now = {shipped.code_stamp(kernel) for kernel in decorators._kernels if kernel.__module__.startswith(digests.OURS)}
     assert stamps <= now, f"run make kernels, or git rm {' '.join(f'{stamp}*' for stamp in stamps - now)}"
+
+
+def test_an_index_that_names_renamed_modules_is_made_anew(tmp_path: Path) -> None:
+    class Kept:
+        _index_path = str(tmp_path / "kernel.nbi")
+
+        def _load_index(self) -> dict[object, str]:
+            raise ModuleNotFoundError("The module a is b now.")
+
+    Path(Kept._index_path).write_bytes(b"old")
+    assert decorators._index_of(Kept()) == {}
+    assert not Path(Kept._index_path).exists()

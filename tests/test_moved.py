@@ -1,4 +1,4 @@
-"""Names of modules of earlier versions are refused with the new name."""
+"""Names of modules and objects of earlier versions are refused with the new name."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import importlib.util
 
 import pytest
 
-from h3data.moved import MOVED, MovedFinder, announce_moves, new_name
+from h3data.moved import MOVED, RENAMED, MovedFinder, announce_moves, new_name
 
 
 @pytest.mark.parametrize("old", MOVED)
@@ -28,3 +28,14 @@ def test_imports_ask_for_moved_modules() -> None:
     announce_moves()
     with pytest.raises(ModuleNotFoundError, match=r"h3data_training\.torch"):
         importlib.import_module("sim_kinematic.torch.step")
+
+
+@pytest.mark.parametrize("old", RENAMED)
+def test_the_old_name_of_an_object_is_refused_with_a_new_one_that_exists(old: str) -> None:
+    module, _, name = old.rpartition(".")
+    found = importlib.import_module(module)
+    with pytest.raises(ImportError, match=rf"{name} is {RENAMED[old]} now"):
+        exec(f"from {module} import {name}")
+    new_module, _, new = (RENAMED[old] if "." in RENAMED[old] else f"{module}.{RENAMED[old]}").rpartition(".")
+    assert hasattr(importlib.import_module(new_module), new)
+    assert not hasattr(found, "never_there")

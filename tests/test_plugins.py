@@ -43,7 +43,7 @@ def test_module_and_name_need_no_entry_point(install) -> None:
 
 def test_unknown_names_list_what_exists(install) -> None:
     install("acme", {"zeta": "acme:ZETA"}, "ZETA = 1")
-    with pytest.raises(InputError, match=r"Unknown gadget 'zetta'. Did you mean 'zeta'\?$"):
+    with pytest.raises(InputError, match=r"(?m)Unknown gadget 'zetta'. Did you mean 'zeta'\?$"):
         registry().get("zetta")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,6 +17,7 @@ PACKAGES = {
     "h3data_viewers": ROOT / "viewers" / "h3data_viewers",
     "h3data_play": ROOT / "viewers" / "h3data_play",
     "h3data_studies": ROOT / "viewers" / "h3data_studies",
+    "h3data_homes": ROOT / "pipelines" / "h3data_homes",
     "h3data_training": ROOT / "pipelines" / "h3data_training",
     "h3data_pipelines": ROOT / "pipelines" / "h3data_pipelines",
     "h3data_kernels": ROOT / "pipelines" / "h3data_kernels",
@@ -24,6 +26,7 @@ PACKAGES = {
 LAYERS = (
     "h3data",
     "sim_kinematic",
+    "h3data_homes",
     "h3data_viewers",
     "h3data_play",
     "h3data_studies",
@@ -31,9 +34,23 @@ LAYERS = (
     "h3data_pipelines",
 )
 """Packages from the lowest to the highest."""
+FACES = ("h3data.envs", "h3data.policies", "h3data.robots", "h3data.scenes", "h3data.sensors", "h3data.tasks")
+"""What h3data offers to those who extend it, of modules that may move."""
 AGAINST_THE_LAYERS = {
-    "h3data": ["h3data_pipelines.api", "sim_kinematic.tasks.sessions"],
-    "h3data.api": ["sim_kinematic"],
+    "h3data": [
+        "h3data_homes",
+        "h3data_pipelines.api",
+        "h3data_viewers.api",
+        "sim_kinematic.envs.make",
+        "sim_kinematic.tasks.sessions",
+    ],
+    "h3data.envs": [
+        "sim_kinematic.envs.make",
+        "sim_kinematic.envs.parallel",
+        "sim_kinematic.envs.single",
+        "sim_kinematic.envs.stepper",
+        "sim_kinematic.envs.vector",
+    ],
     "h3data.formats.builtin_formats": [
         "h3data.exporters.csv_tables",
         "h3data.exporters.foxglove.foxglove_file",
@@ -48,26 +65,9 @@ AGAINST_THE_LAYERS = {
     ],
     "h3data.kernels.digests": ["sim_kinematic"],  # whose kernels are ours
     "h3data.metrics.table_files": ["h3data.metrics"],  # no module: a key in the metadata of Parquet files
-    "h3data.moved": [  # nothing is imported: old names and new ones for error messages
-        "h3data_play",
-        "h3data_play.commands.playing",
-        "h3data_play.commands.serving",
-        "h3data_pipelines",
-        "h3data_pipelines.commands",
-        "h3data_studies",
-        "h3data_studies.bots",
-        "h3data_studies.commands",
-        "h3data_training.commands",
-        "h3data_training.envs.rearrange_torch_env",
-        "h3data_training.envs.social_nav_torch_env",
-        "h3data_training.envs.torch_env",
-        "h3data_training.torch",
-        "h3data_viewers",
-        "sim_kinematic",
-        "sim_kinematic.envs",
-    ],
     "h3data.plugins": ["h3data_pipelines"],  # whether a command runs
     "h3data.scene.scene_file": ["h3data.scene"],  # no module: the name of the file format
+    "h3data.scenes": ["h3data_homes"],
     "h3data_play.app": [
         "h3data_play.apps.rearrange",
         "h3data_play.apps.social_nav",
@@ -212,6 +212,20 @@ def test_no_import_circles(graph: dict[str, list[str]]) -> None:
     assert not paths, "Files import each other; move what they share into a file below both:\n" + "\n".join(paths)
 
 
+def test_public_faces_hold_imports_only_and_are_for_others(graph: dict[str, list[str]]) -> None:
+    inside = [name for name in graph if re.match(r"(h3data|sim_kinematic)(\.|$)", name)]
+    assert {name: faces for name in inside if (faces := {*graph[name]} & {*FACES})} == {}
+    for face in FACES:
+        file = ROOT / face.replace(".", "/")
+        tree = ast.parse(
+            (file / "__init__.py" if file.is_dir() else file.with_suffix(".py")).read_text(encoding="utf-8")
+        )
+        own = [node for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)]
+        assert [node.name for node in own if node.name != "__getattr__"] == []
+        module = importlib.import_module(face)
+        assert all(getattr(module, name) is not None for name in module.__all__)
+
+
 def test_circles_are_found() -> None:
     graph = {"a": ["b", "c"], "b": ["c"], "c": ["d"], "d": ["b"], "e": ["f"], "f": ["e", "a"], "g": ["a"]}
     assert circles(graph) == [["b", "c", "d", "b"], ["e", "f", "e"]]
@@ -224,6 +238,7 @@ def test_hidden_imports_count() -> None:
 
 def test_no_new_import_is_hidden_in_a_string(graph: dict[str, list[str]]) -> None:
     found = hidden_arrows(modules(), graph)
+    found.pop("h3data.moved", None)  # it names modules only to say what they are called now, and imports none of them
     new, gone = (
         {name: sorted({*a[name]} - {*b.get(name, ())}) for name in a if {*a[name]} - {*b.get(name, ())}}
         for a, b in ((found, AGAINST_THE_LAYERS), (AGAINST_THE_LAYERS, found))
@@ -258,3 +273,15 @@ def test_folders_stay_small(package: str) -> None:
         f"{folder.relative_to(ROOT)}: {size}" for folder, size in sorted(sizes.items()) if size > FILES_PER_FOLDER
     ]
     assert not crowded, f"More than {FILES_PER_FOLDER} modules in one folder; group them: {crowded}"
+
+
+def test_the_map_names_every_folder_and_every_registry() -> None:
+    text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    named = {part for span in re.findall(r"(?<!`)`([^`\n]+)`", text) for part in re.findall(r"[\w.]+", span)}
+    faces = {face.partition(".")[2] for face in FACES}
+    folders = {name.split(".")[1] for name in modules() if name.count(".") > 1 and name.startswith(tuple(LAYERS))}
+    assert sorted(folders - named - faces) == []
+    source = "".join(path.read_text(encoding="utf-8") for path in modules().values())
+    groups = {*re.findall(r'Registry\(\s*"(h3data\.\w+)"', source)}
+    assert len(groups) > 10
+    assert sorted(groups - named) == []

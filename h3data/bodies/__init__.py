@@ -8,7 +8,7 @@ from h3data.bodies.people.skeleton import JOINT_INDEX, JOINT_NAMES
 from h3data.bodies.robots.ik import IkResult, solve_ik
 from h3data.bodies.robots.robot import JointTargets, Robot, RobotCamera, RobotLeg, RobotLink
 from h3data.bodies.robots.robot_files import is_robot, is_robot_file, robot_names
-from h3data.bodies.robots.robot_loading import check_robot, guess_robot_settings, load_robot, robot_digest
+from h3data.bodies.robots.robot_loading import check_robot, guess_robot_settings, load_robot, robot_digest, robot_name
 from h3data.bodies.robots.urdf import Urdf, read_urdf
 
 __all__ = [
@@ -34,6 +34,7 @@ __all__ = [
     "load_robot",
     "read_urdf",
     "robot_digest",
+    "robot_name",
     "robot_names",
     "solve_ik",
 ]

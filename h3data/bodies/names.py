@@ -12,13 +12,16 @@ from h3data.bodies.people.humanoid import Humanoid
 
 @lru_cache(maxsize=64)
 def load_humanoid(name: str | Path) -> Humanoid:
-    """A person by name: a built-in body (``female_0``), ``random:SEED`` (`h3data.bodies.people.random_humanoid`), or an
-    ``.npz`` file; with a colon and an outfit (``female_0:dress``) they wear that, and with ``+`` and a motion file
-    (``female_0+walk.bvh``) they walk as somebody walks in that. Loaded once, then shared.
+    """Loads a person by name, once; later calls return the same object.
+
+    Args:
+        name: a built-in body (``female_0``), ``random:SEED`` (`h3data.bodies.people.random_humanoid`), or an ``.npz`` file.
+            A colon and an outfit may follow (``female_0:dress``), and ``+`` and a motion file (``female_0+walk.bvh``), by
+            which the person then walks.
 
     Raises:
-        InputError: there is no such body, outfit or motion, or nobody walks in it.
-        FormatError: a file is damaged, or none of these.
+        InputError: there is no such body, outfit or motion, or nobody walks in the motion.
+        FormatError: a file is damaged or of another kind.
     """
     body, motion = split_walk(str(name))
     if not motion:

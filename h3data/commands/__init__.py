@@ -1,1 +1,5 @@
 """What commands are made of: options, results, care with output files."""
+
+from h3data.commands.command import Command, DryRunFlag, ForceFlag, Group, JsonFlag, Outcome, claim_file, claim_folder
+
+__all__ = ["Command", "DryRunFlag", "ForceFlag", "Group", "JsonFlag", "Outcome", "claim_file", "claim_folder"]

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import re
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import Annotated, Any, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, TypeVar
 
 import tyro
 
@@ -21,6 +22,9 @@ from h3data.recording import Recording
 from h3data.recording.storage import AnyPath, RemotePath, local, remove_tree
 from h3data.render.light.sources import LightMode
 from h3data.terminal import counted
+
+if TYPE_CHECKING:
+    from h3data.replay import Replay
 
 P = TypeVar("P", Path, RemotePath, AnyPath)
 JsonFlag = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout instead of text.")]
@@ -46,9 +50,13 @@ LightOption = Annotated[
 ]
 BackendOption = Annotated[
     Literal["auto", "cpu", "gpu"],
-    tyro.conf.arg(help="Who draws: cpu; gpu, whose pictures differ in few pixels; or auto, a GPU if there is one."),
+    tyro.conf.arg(help="Renderer: cpu; gpu, whose images differ in a few pixels; or auto, a GPU if there is one."),
 ]
 WalkOption = Literal["paper", "natural"]
+RulesOption = Annotated[
+    tuple[str, ...],
+    tyro.conf.arg(name="set", help="Other rules of the task, as NAME=VALUE: --set objects=3 --set near_m=[2.0,1.5]."),
+]
 StrictFlag = Annotated[bool, tyro.conf.arg(help="Refuse a Habitat scene of which anything was left out or guessed.")]
 MissingFlag = Annotated[
     bool, tyro.conf.arg(help="Leave out objects of a Habitat scene whose files are missing, with a warning.")
@@ -96,9 +104,13 @@ class Command(Protocol):
     """A command: a dataclass of its options with a method that runs it."""
 
     @property
-    def json(self) -> bool: ...
+    def json(self) -> bool:
+        """Whether the command prints its result as JSON instead of text."""
+        ...
 
-    def run(self) -> Outcome: ...
+    def run(self) -> Outcome:
+        """Runs the command and returns its result, which the command line prints."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -117,20 +129,25 @@ def claim_folder(folder: P, *, force: bool, unfinished: Callable[[], str] = str)
     if isinstance(folder, Path):
         local(folder)
         if folder.exists() and not folder.is_dir():
-            raise InputError(f"The output folder is a file. Choose another with -o: {folder}")
+            raise InputError(f"The output folder is a file. Choose another with -o: {folder}", code="H3-OPTION-008")
     if not force and (isinstance(folder, RemotePath) or folder.is_dir()) and any(folder.iterdir()):
         if held := unfinished():
             raise InputError(
                 f"The output folder holds {held}. --resume goes on with the same options, --force replaces it; or choose "
-                f"another -o: {folder}"
+                f"another -o: {folder}",
+                code="H3-OPTION-009",
             )
-        raise InputError(f"The output folder is not empty. Use --force to overwrite, or another -o: {folder}")
+        raise InputError(
+            f"The output folder is not empty. Use --force to overwrite, or another -o: {folder}", code="H3-OPTION-001"
+        )
     if isinstance(folder, RemotePath):
         return folder
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"Cannot create the output folder ({error.strerror}): {folder}") from None
+        raise InputError(
+            f"Cannot create the output folder ({error.strerror}): {folder}", code="H3-OPTION-010"
+        ) from None
     _try_writing(folder, folder)
     return folder
 
@@ -138,18 +155,22 @@ def claim_folder(folder: P, *, force: bool, unfinished: Callable[[], str] = str)
 def claim_file(path: P, *, force: bool, suffix: str = "") -> P:
     """The path of an output file that ends in ``suffix``; an `InputError` if it exists, unless ``force``."""
     if suffix and path.suffix.lower() != suffix:
-        raise InputError(f"Expected a file name that ends in {suffix}, got: {path}")
+        raise InputError(f"Expected a file name that ends in {suffix}, got: {path}", code="H3-OPTION-002")
     if isinstance(path, Path):
         local(path)
     if path.is_dir():
-        raise InputError(f"Expected a file name, this is a folder: {path}")
+        raise InputError(f"Expected a file name, this is a folder: {path}", code="H3-OPTION-003")
     if path.exists() and not force:
-        raise InputError(f"The output file exists. Use --force to overwrite, or another -o: {path}")
+        raise InputError(
+            f"The output file exists. Use --force to overwrite, or another -o: {path}", code="H3-OPTION-004"
+        )
     try:
         if isinstance(path, Path):
             path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"Cannot create the folder of the output file ({error.strerror}): {path}") from None
+        raise InputError(
+            f"Cannot create the folder of the output file ({error.strerror}): {path}", code="H3-OPTION-011"
+        ) from None
     if isinstance(path, Path):
         _try_writing(path.parent, path)
     return path
@@ -161,7 +182,9 @@ def _try_writing(folder: Path, asked: Path) -> None:
         with NamedTemporaryFile(dir=folder, prefix=".h3data-"):
             pass
     except OSError as error:
-        raise InputError(f"Cannot write here ({error.strerror or error}). Choose another -o: {asked}") from None
+        raise InputError(
+            f"Cannot write here ({error.strerror or error}). Choose another -o: {asked}", code="H3-OPTION-012"
+        ) from None
 
 
 def open_episode(path: AnyPath) -> Recording:
@@ -171,9 +194,37 @@ def open_episode(path: AnyPath) -> Recording:
     opened = open_recording(path)
     if isinstance(opened, Dataset):
         raise InputError(
-            f"Expected a recording (.mcap), this is a dataset of {counted(len(opened), 'episode')}. Name one as {path}#0"
+            f"Expected a recording (.mcap), this is a dataset of {counted(len(opened), 'episode')}. Name one as {path}#0",
+            code="H3-OPTION-005",
         )
     return opened
+
+
+def recording_stem(path: Path) -> str:
+    """``my_session`` of ``my_session.gfx_replay.json.gz``."""
+    name = path.name
+    for suffix in (".gz", ".json", ".pkl", ".gfx_replay", ".mcap"):
+        name = name.removesuffix(suffix)
+    return name or path.stem
+
+
+def missing_lines(replay: Replay, *, max_names: int = 8) -> list[str]:
+    """Lines of text that list the assets of a replay that were not found."""
+    if not replay.missing:
+        return []
+    names = sorted(replay.missing)
+    shown = "built-in bodies and named boxes stand in" if replay.stand_ins else "shown as striped placeholders"
+    plainer = "" if replay.stand_ins else "; --stand-ins draws plain bodies and named boxes"
+    lines = [
+        f"{len(names)} assets not found, {shown} (Hint: --assets DIR or H3DATA_ASSETS; "
+        f"h3data docs import says how to get Habitat's{plainer}):"
+    ]
+    for name in names[:max_names]:
+        count = replay.missing[name]
+        lines.append(f"  {name}" + (f"  x{count}" if count > 1 else ""))
+    if len(names) > max_names:
+        lines.append(f"  ... and {len(names) - max_names} more (--json lists all)")
+    return lines
 
 
 def unfinished_dataset(root: AnyPath) -> str:
@@ -200,19 +251,40 @@ def remove_dataset(root: AnyPath) -> None:
     if not root.exists() or (root.is_dir() and not any(root.iterdir())):
         return
     if not ((root / "h3" / "schema.json").is_file() or is_begun(root)):
-        raise InputError(f"--force would delete this, but it is not an h3data dataset. Remove it yourself: {root}")
+        raise InputError(
+            f"--force would delete this, but it is not an h3data dataset. Remove it yourself: {root}",
+            code="H3-OPTION-006",
+        )
     others = [p for p in root.iterdir() if p.name not in (*_PARTS_OF_DATASET, "README.md", "card.jpg")]
     others += [p for p in root.glob("mcap/*") if not re.fullmatch(r"\d{6,}\.mcap(\.part)?", p.name)]
     if others:
         raise InputError(
             f"--force would replace this dataset, but its folder holds {counted(len(others), 'other file')}. Move them away. "
-            f"The first: {min(others)}"
+            f"The first: {min(others)}",
+            code="H3-OPTION-007",
         )
     for name in _PARTS_OF_DATASET:  # meta first: without it, nothing is committed
         remove_tree(root / name)
     for name in ("README.md", "card.jpg"):
         if (root / name).is_file():
             (root / name).unlink()
+
+
+def read_rules(texts: Iterable[str]) -> tuple[tuple[str, Any], ...]:
+    """Names and values of a task's rules, from ``NAME=VALUE`` with a value as in JSON or a bare word.
+
+    Raises:
+        InputError: one is written in another way.
+    """
+    rules = []
+    for text in texts:
+        name, sign, value = text.partition("=")
+        if not sign or not name:
+            raise InputError(f"Expected --set NAME=VALUE, got {text!r}.", code="H3-OPTION-075")
+        with suppress(ValueError):
+            value = json.loads(value)
+        rules.append((name, value))
+    return tuple(rules)
 
 
 def check_backend(backend: BackendOption) -> None:

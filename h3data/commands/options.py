@@ -5,29 +5,77 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
+import inspect
+import json
 import math
 import os
 import re
 import shlex
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from numbers import Integral, Real
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    TypeVar,
+    Union,
+    cast,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import tyro
 
 from h3data.commands.command import Command
 from h3data.errors import InputError, suggest
 
+T = TypeVar("T")
 _NOT_KEPT = ("out", "workers", "executor", "resume", "force", "json", "dry_run", "mcap", "share_scenes")
 """Options that do not decide what is in the dataset."""
 _FOLDERS = re.compile(r"(?<![\w.~-])[/~](?:[^/,\s:]*/)+")
 _POSITIONAL = get_args(tyro.conf.Positional[str])[1]
+RENAMED = {
+    "--hold": "--action-repeat",
+    "--init": "--warm-start",
+    "--light": "--person-detail",
+    "--keep": "--save-recordings",
+    "--lod": "--low-detail",
+    "--play-as": "--as",
+    "--rule": "--set",
+    "--walk": "--human-walk",
+    "--without": "--ablate",
+    "--zsc": "--unseen-partners",
+}
+"""Options of earlier versions and their names now. The old ones are refused, with the new name."""
 Repeatable = tyro.conf.UseAppendAction
 """An option of any number of values takes one each time it is given: ``--camera A --camera B``. With all of them after one
 flag, it would swallow the positional argument behind it."""
+
+
+@dataclass(frozen=True)
+class OfTasks:
+    """Marks an option that only some of the built-in tasks have: the others refuse it, and their help leaves it out.
+
+    Tasks of other packages may have it."""
+
+    tasks: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class TaskNotes:
+    """Marks an option that means something different in each task: the help of a task adds its sentence."""
+
+    notes: Mapping[str, str]
+    """Text by name of the task."""
+
+    def __hash__(self) -> int:  # tyro keeps marked types in caches
+        return hash(tuple(self.notes.items()))
 
 
 @dataclass(frozen=True)
@@ -36,7 +84,7 @@ class Option:
 
     field: str
     flags: tuple[str, ...]
-    """``-o``, ``--out``; empty for a positional argument."""
+    """``-o``, ``--out``; ``--camera``, ``--cameras`` of one that takes several values; empty for a positional argument."""
     required: bool
     kind: Any
     """Type of one value, without None."""
@@ -47,29 +95,83 @@ class Option:
 
     @property
     def name(self) -> str:
+        """Name of the option in messages: its flags, or the field in capitals for a positional argument."""
         return "/".join(self.flags) or self.field.upper()
 
     @property
     def word_type(self) -> Any:
         """Type for assigning words to the option without reading them: flags are read, values stay text."""
         if self.kind is bool:
-            return _annotated(bool, self.metadata)
+            return annotated(bool, self.metadata)
         if self.count is None and self.flags:
-            return _annotated(Repeatable[tuple[str, ...]], self.metadata)
-        return _annotated(str if self.count == 1 else tuple[str, ...], self.metadata)
+            return annotated(Repeatable[tuple[str, ...]], self.metadata)
+        return annotated(str if self.count == 1 else tuple[str, ...], self.metadata)
+
+    @property
+    def is_list(self) -> bool:
+        """Whether it takes any number of values, as ``--camera A --camera B`` or ``--cameras A,B``."""
+        return self.count is None and bool(self.flags)
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """The built-in tasks that have it; empty if all have."""
+        return next((mark.tasks for mark in self.metadata if isinstance(mark, OfTasks)), ())
+
+    @property
+    def notes(self) -> Mapping[str, str]:
+        """What it means in single tasks."""
+        return next((mark.notes for mark in self.metadata if isinstance(mark, TaskNotes)), {})
 
 
-def _annotated(kind: Any, metadata: tuple[Any, ...]) -> Any:
+def annotated(kind: Any, metadata: tuple[Any, ...]) -> Any:
+    """The type with markers."""
     return Annotated[(kind, *metadata)] if metadata else kind
 
 
 @functools.cache
 def options_of(command: type[Command]) -> tuple[Option, ...]:
+    """The options of a command, in the order of its fields."""
     hints = get_type_hints(command, include_extras=True)
-    return tuple(_option(field, hints[field.name]) for field in dataclasses.fields(cast(Any, command)))
+    return tuple(
+        _option(
+            field.name,
+            hints[field.name],
+            required=field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING,
+        )
+        for field in dataclasses.fields(cast(Any, command))
+    )
 
 
-def _option(field: dataclasses.Field[Any], annotation: Any) -> Option:
+@dataclass_transform(kw_only_default=True, frozen_default=True)
+def command_of(function: Callable[..., Any]) -> Callable[[type[T]], type[T]]:
+    """Makes the command that a function of `h3data` is called by on the command line: names and defaults are the function's.
+
+    The class says what the command line needs beside: types of single words, help, and options such as ``--json`` that only
+    it has. Its fields have no defaults of their own where the function has the parameter.
+
+    Raises:
+        TypeError: a parameter has no field, or a field that the function does not have lacks a default.
+    """
+
+    def decorate(cls: type[T]) -> type[T]:
+        hints = get_type_hints(cls, include_extras=True)
+        for name, parameter in inspect.signature(function).parameters.items():
+            if name not in hints or hasattr(cls, name):
+                raise TypeError(f"Expected a field {name} without a default in {cls.__name__}.")
+            if parameter.default is not parameter.empty:
+                setattr(cls, name, _default(_option(name, hints[name], required=False), parameter.default))
+        return dataclass(frozen=True, kw_only=True)(cls)
+
+    return decorate
+
+
+def _default(option: Option, value: Any) -> Any:
+    if value is None:
+        return () if option.count is None else None
+    return python_value(option, value)
+
+
+def _option(name: str, annotation: Any, *, required: bool) -> Option:
     metadata = getattr(annotation, "__metadata__", ())
     kind = get_args(annotation)[0] if metadata else annotation
     count: int | None = 1
@@ -79,15 +181,68 @@ def _option(field: dataclasses.Field[Any], annotation: Any) -> Option:
         count = None if get_args(kind)[-1] is ... else len(get_args(kind))
         kind = get_args(kind)[0]
     if kind is not bool and get_origin(kind) is not Literal and kind not in KINDS:
-        raise TypeError(
-            f"Options must be bool, int, float, str, Path, Literal, or tuples of these; {field.name} is {kind}."
-        )
+        raise TypeError(f"Options must be bool, int, float, str, Path, Literal, or tuples of these; {name} is {kind}.")
     flags: tuple[str, ...] = ()
     if _POSITIONAL not in metadata:
         aliases = [alias for m in metadata for alias in getattr(m, "aliases", None) or ()]
-        flags = (*aliases, f"--{field.name.replace('_', '-')}")
-    required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-    return Option(field.name, flags, required, kind, count, metadata)
+        named = next((m.name for m in metadata if getattr(m, "name", None)), None)
+        flag = named or name.replace("_", "-")
+        if count is None and named is None and (one := _singular(flag)):
+            metadata = (*metadata, tyro.conf.arg(aliases=[*aliases, f"--{one}"]))
+            aliases.append(f"--{one}")
+        flags = (*aliases, f"--{flag}")
+    return Option(name, flags, required, kind, count, metadata)
+
+
+def _singular(plural: str) -> str:
+    """``camera`` of ``cameras``, ``policy`` of ``policies``; empty for a word that is no plural."""
+    if plural.endswith("ies"):
+        return f"{plural[:-3]}y"
+    return plural[:-1] if plural.endswith("s") else ""
+
+
+def split_list(text: str) -> list[str]:
+    """The values in a text with commas between; commas within brackets and quotes belong to a value."""
+    parts, depth, quoted = [""], 0, False
+    for character in text:
+        quoted ^= character == '"'
+        depth += 0 if quoted else (character in "([{") - (character in ")]}")
+        if character == "," and depth <= 0 and not quoted:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return [part for part in map(str.strip, parts) if part]
+
+
+def _listed(option: Option, words: Iterable[str]) -> list[str]:
+    """All values of a list option: each word may hold several. A path with a comma in its name is one value if it exists."""
+    listed: list[str] = []
+    for word in words:
+        parts = [word] if option.kind is Path and os.path.exists(word) else split_list(word)
+        if not parts:
+            raise ValueError("expected at least one value, got an empty text")
+        listed += parts
+    return listed
+
+
+def known_tasks(options: Iterable[Option]) -> tuple[str, ...]:
+    """The tasks that some of the options belong to, or are described for, in this order."""
+    return tuple(dict.fromkeys(task for o in options for task in (*o.notes, *o.tasks)))
+
+
+def check_task(command: type[Command], task: str, given: Iterable[str]) -> None:
+    """Refuses options of other tasks. ``given`` are the fields that are set.
+
+    Raises:
+        InputError: one of them is of other tasks.
+    """
+    options, fields = options_of(command), set(given)
+    if task not in known_tasks(options):
+        return
+    strangers = [o for o in options if o.field in fields and o.tasks and task not in o.tasks]
+    if strangers:
+        listed = ", ".join(f"{option.flags[-1]} (of {' and '.join(option.tasks)})" for option in strangers)
+        raise InputError(f"These are no options of {task}: {listed}.", code="H3-OPTION-076")
 
 
 def read_value(option: Option, given: Any) -> Any:
@@ -106,30 +261,61 @@ def read_value(option: Option, given: Any) -> Any:
         return read(given)
     if option.count is not None and len(given) != option.count:
         raise ValueError(f"expected {option.count} values, got {len(given)}")
-    return tuple(map(read, given))
+    return tuple(map(read, _listed(option, given) if option.is_list else given))
 
 
-def check_value(option: Option, value: Any) -> None:
-    """Check one value that Python gives, as `read_value` does of words.
+def python_value(option: Option, value: Any) -> Any:
+    """The value of an option from what Python gives: one thing or several of them, paths as text, objects with a name.
 
     Raises:
         InputError: it is not of the option's type.
     """
+    if option.count == 1:
+        return _one(option, value)
+    if isinstance(value, Mapping):
+        value = [f"{name}={json.dumps(each)}" for name, each in value.items()]
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        value = [value]
+    return tuple(_one(option, each) for each in value)
+
+
+def _one(option: Option, value: Any) -> Any:
+    """One value: a class or function by ``module:name``, a robot by its file, text instead of a path."""
     if get_origin(option.kind) is Literal:
         choices = get_args(option.kind)
         if value not in choices:
-            raise InputError(f"{option.field}: unknown {value!r}.{suggest(str(value), map(str, choices))}")
-        return
+            raise InputError(
+                f"{option.field}: unknown {value!r}.{suggest(str(value), map(str, choices))}", code="H3-OPTION-014"
+            )
+        return value
+    if option.kind is str and not isinstance(value, str):
+        value = _name_of(value)
     types, expected = _PYTHON_TYPES[option.kind]
     if not isinstance(value, types) or (isinstance(value, bool) and option.kind is not bool):
-        raise InputError(f"{option.field}: expected {expected}, got {value!r}.")
+        raise InputError(f"{option.field}: expected {expected}, got {value!r:.100}.", code="H3-OPTION-013")
+    return Path(str(value)) if option.kind is Path else value
+
+
+def _name_of(thing: Any) -> Any:
+    """The text by which a command knows an object; itself if there is none."""
+    if isinstance(thing, os.PathLike):
+        return os.fspath(thing)
+    if isinstance(thing, type) or inspect.isfunction(thing):
+        module = thing.__module__
+        if module == "__main__" and (script := getattr(sys.modules["__main__"], "__file__", None)):
+            module = Path(script).stem  # recordings name it, and other processes import it
+            sys.modules.setdefault(module, sys.modules["__main__"])  # which must not run again in this one
+        return f"{module}:{thing.__qualname__}"
+    from h3data.bodies import Robot, robot_name
+
+    return robot_name(thing) if isinstance(thing, Robot) else thing
 
 
 _PYTHON_TYPES: dict[Any, tuple[tuple[type, ...], str]] = {
     bool: ((bool,), "True or False"),
     int: ((Integral,), "a whole number"),
     float: ((Real,), "a number"),
-    str: ((str,), "text"),
+    str: ((str,), "a name or path"),
     Path: ((str, os.PathLike), "a path"),
 }
 
@@ -216,8 +402,11 @@ def in_python_words(message: str, command: type[Command]) -> str:
 
 
 def command_line(name: str, command: Command) -> str:
-    """The command as it is typed, without options that change nothing in its result; folders outside are cut off paths,
-    as datasets are given to others."""
+    """Command line that repeats a command, without options that do not affect its result.
+
+    Paths are shortened to their last part where they lead outside the working folder, since the line is stored in
+    datasets that are given to others.
+    """
     assert dataclasses.is_dataclass(command)
     words = ["h3data", *name.split()]
     for option in options_of(type(command)):
@@ -225,7 +414,12 @@ def command_line(name: str, command: Command) -> str:
         if option.field in _NOT_KEPT or (option.flags and value == default):
             continue
         values = [value] if option.count == 1 else list(value)
-        for each in values:
-            text = [] if option.kind is bool else [_FOLDERS.sub("", str(each))]
-            words += [*option.flags[-1:], *text]
+        texts = [_FOLDERS.sub("", str(each)) for each in values]
+        if option.is_list and split_list(joined := ",".join(texts)) == texts:
+            texts = [joined]
+        flag = (
+            option.flags[-2:-1] if len(values) == 1 and len(option.flags) > 1 and option.is_list else option.flags[-1:]
+        )
+        for text in texts:
+            words += [*flag, *([] if option.kind is bool else [text])]
     return shlex.join(words)

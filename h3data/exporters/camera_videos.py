@@ -127,12 +127,13 @@ def camera_tracks(replay: Replay, cameras: Sequence[str]) -> list[CameraTrack]:
             if name.rpartition("_")[2].rpartition(".")[2] in _DEPTH:
                 raise InputError(
                     f"Videos of a dataset hold colours: 8 bits and lossy compression would ruin depth and ids. Hint: h3data "
-                    f"rerender --outputs depth,instance --format data stores them without loss. {error}"
+                    f"rerender --outputs depth,instance --format data stores them without loss. {error}",
+                    code="H3-EXPORT-002",
                 ) from None
             raise
     names = [track.camera.name for track in tracks]
     if len(set(names)) < len(names):
-        raise InputError(f"Expected each camera once, got: {', '.join(names)}.")
+        raise InputError(f"Expected each camera once, got: {', '.join(names)}.", code="H3-EXPORT-001")
     return tracks
 
 

@@ -22,7 +22,7 @@ FILES = (
     "steps.csv", "object_pose.csv", "bodies.csv", "agents.csv", "skills.csv", "events.csv", "inputs.csv", "columns.npz",
     "recording.json",
 )  # fmt: skip
-"""What `write_csv_tables` writes."""
+"""Names of the files that `write_csv_tables` writes."""
 
 _POSE7 = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _WIDEST = 64
@@ -80,7 +80,7 @@ def export_csv(recordings: Iterable[Recording], request: ExportRequest) -> Expor
 
 
 def _npz(stream: IO[bytes], recording: Recording) -> None:
-    """As `numpy.savez_compressed`, which cannot take every name."""
+    """Writes arrays as `numpy.savez_compressed`, which does not accept every name."""
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, values in recording.columns.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:

@@ -26,19 +26,19 @@ from h3data.exporters.posing import missing_note, posed_cameras, posed_parts
 from h3data.files import part_file, size_text
 from h3data.formats import Exported, ExportRequest
 from h3data.geometry import Array
-from h3data.habitat.asset_library import EMPTY_URI
 from h3data.habitat.gfx.gfx_agents import PERSON_ROOT_PREFIX
-from h3data.habitat.scenes.object_handles import HANDLE
 from h3data.mesh.glb_write import glb_bytes
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.primitives import is_primitive
+from h3data.recording.assets.handles import HANDLE
+from h3data.recording.assets.library import EMPTY_URI
 from h3data.recording.records import AssetRef, Recording
 from h3data.replay import Replay
 
 DECIMALS = 7
-"""As habitat-sim writes them; single precision has no more."""
+"""Number of decimals, as habitat-sim writes them; single precision has no more."""
 CAMERA_PREFIX = "sensor_"
-"""What habitat-sim's replay viewer expects before a camera's name."""
+"""Prefix that habitat-sim's replay viewer expects before a camera's name."""
 
 _NO_FILE = "invalid_filepath"
 _Item = dict[str, Any]
@@ -46,7 +46,7 @@ _Item = dict[str, Any]
 
 @dataclass(frozen=True)
 class GfxReplayFiles:
-    """What was written."""
+    """Result of writing a gfx-replay."""
 
     path: Path
     assets: tuple[Path, ...]
@@ -100,9 +100,11 @@ def write_gfx_replay(
     """
     path = Path(path)
     if not path.name.endswith((".json", ".json.gz")):
-        raise InputError(f"Expected a file that ends in .gfx_replay.json or .gfx_replay.json.gz, got: {path}")
+        raise InputError(
+            f"Expected a file that ends in .gfx_replay.json or .gfx_replay.json.gz, got: {path}", code="H3-EXPORT-009"
+        )
     if not len(recording):
-        raise InputError("A recording without steps has no keyframes to write.")
+        raise InputError("A recording without steps has no keyframes to write.", code="H3-EXPORT-010")
     folder = assets_folder(path)
     files = _Assets(folder)
     keyframes = _Keyframes(len(recording))
@@ -142,7 +144,8 @@ def export_gfx_replay(recordings: Iterable[Recording], request: ExportRequest) -
     )
     if has_own_meshes and not request.force and folder.is_dir() and any(folder.iterdir()):
         raise InputError(
-            f"The folder for assets is not empty. Use force=True to overwrite it, or another name: {folder}"
+            f"The folder for assets is not empty. Use force=True to overwrite it, or another name: {folder}",
+            code="H3-EXPORT-011",
         )
     replay = Replay(recording, assets=request.assets, people=request.people, detail=request.person_detail == "full")
     files = write_gfx_replay(recording, posed_parts(replay), request.out, cameras=posed_cameras(replay))

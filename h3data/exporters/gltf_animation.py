@@ -31,7 +31,7 @@ _NEAREST_M = 0.01
 
 @dataclass(frozen=True)
 class GltfAnimationFile:
-    """What was written."""
+    """Result of writing a glTF animation."""
 
     path: Path
     nodes: int
@@ -59,9 +59,9 @@ def write_gltf_animation(
     """
     path = Path(path)
     if path.suffix != ".glb":
-        raise InputError(f"Expected a file that ends in .glb, got: {path}")
+        raise InputError(f"Expected a file that ends in .glb, got: {path}", code="H3-EXPORT-012")
     if not len(recording):
-        raise InputError("A recording without steps has nothing to animate.")
+        raise InputError("A recording without steps has nothing to animate.", code="H3-EXPORT-013")
     times = recording.columns["time_ns"]
     writer = _Writer(((times - times[0]) * 1e-9).astype("<f4"))
     groups = {index: writer.group(agent.name) for index, agent in enumerate(recording.agents)}
@@ -232,8 +232,10 @@ class _Writer:
 
 
 def _held(poses: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Poses [T, ..., 7] with those that are absent replaced by the one before (at the beginning by the first), and which
-    steps [T] have all of them."""
+    """Poses [T, ..., 7] with gaps filled, and which steps [T] had no gap.
+
+    An absent pose is replaced by the last one before it; at the beginning, by the first one after it.
+    """
     there: NDArray[np.bool_] = np.asarray(np.isfinite(poses).reshape(len(poses), -1).all(1))
     if not there.any():
         still = np.zeros_like(poses)

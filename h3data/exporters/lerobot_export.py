@@ -45,7 +45,7 @@ def write_lerobot(
     """
     first = next(iter(recordings), None)
     if first is None:
-        raise InputError("There is no recording to write.")
+        raise InputError("There is no recording to write.", code="H3-EXPORT-027")
     fps = round(1e9 / _with_transitions(first, agent).episode.dt_ns)  # refused before a folder is made
     widest = (_with_transitions(recording, agent) for recording in recordings)
     with DatasetWriter(root, fps=fps, overwrite=overwrite, like=widest) as out:
@@ -110,7 +110,8 @@ def _appearing_whole(root: AnyPath) -> Iterator[AnyPath]:
         return
     if root.exists() and (not root.is_dir() or any(root.iterdir())):
         raise InputError(
-            f"The output folder exists and is not empty. Use force=True to overwrite it, or another name: {root}"
+            f"The output folder exists and is not empty. Use force=True to overwrite it, or another name: {root}",
+            code="H3-EXPORT-028",
         )
     part = root.with_name(f"{root.name}.part")
     shutil.rmtree(part, ignore_errors=True)  # of a run that was killed
@@ -121,7 +122,9 @@ def _appearing_whole(root: AnyPath) -> Iterator[AnyPath]:
         shutil.rmtree(part, ignore_errors=True)
         if isinstance(error, InputError) and isinstance(error.__cause__, OSError):
             why = error.__cause__.strerror or error.__cause__
-            raise InputError(f"Could not write the dataset ({why}); nothing of it is kept: {root}") from error
+            raise InputError(
+                f"Could not write the dataset ({why}); nothing of it is kept: {root}", code="H3-EXPORT-029"
+            ) from error
         raise
 
 

@@ -36,7 +36,7 @@ class PosedPart:
 
     name: str
     mesh: Mesh
-    """In its own frame [m]; of a body with a skeleton in the rest pose."""
+    """Mesh in its own frame [m]; that of a body with a skeleton in the rest pose."""
     poses: Array
     """pose7 mesh to world, shape [T, 7], or [1, 7] of what stands still; NaN where it was not there. Of a part with a
     skeleton: where it stands."""
@@ -47,7 +47,7 @@ class PosedPart:
     body: Body | None = None
     """The body of the recording that it is; None = it is drawn by the model of its agent."""
     placeholder: bool = False
-    """Its file was not found."""
+    """Whether the file of the mesh was not found."""
     skeleton: Skeleton | None = None
 
 

@@ -20,9 +20,9 @@ from h3data.geometry import (
     quat_sign_continuous,
 )
 from h3data.habitat.gfx.gfx_agents import HUMAN_ROOT_HEIGHT_M
-from h3data.habitat.skinned_meshes import SkinnedMesh
 from h3data.mesh.glb_write import Influences
 from h3data.recording import Body
+from h3data.recording.assets.skinned_meshes import SkinnedMesh
 from h3data.render import OPENGL_TO_OPENCV
 from h3data.replay.cameras import THIRD_PERSON, camera_names, camera_track
 from h3data.replay.records import JointTrack, LinkTrack, PersonTrack, RigTrack
@@ -127,7 +127,7 @@ def _skeleton_of_person(replay: Replay, agent: int, steps: NDArray[np.integer]) 
 def _skeleton_of_rig(
     replay: Replay, track: RigTrack, steps: NDArray[np.integer], roots: Array, scale: Array
 ) -> Skeleton:
-    """The joints as `h3data.habitat.skinned_meshes` moves them, and one more for parts that no skin moves.
+    """The joints as `h3data.recording.assets.skinned_meshes` moves them, and one more for parts that no skin moves.
 
     There a vertex of the file goes to root F rigid(root)^-1 bone_j inverse_bind_j v, with ``root`` scaled and F the file's
     axes; here meshes are F v, so B_j = inverse_bind_j F^-1, brought to unit scale.
@@ -135,7 +135,10 @@ def _skeleton_of_rig(
     skin: SkinnedMesh = track.skin
     size = float(scale[0]) * float(np.cbrt(np.linalg.det(skin.to_metres[:3, :3])))
     if not np.allclose(scale, scale[0]):
-        raise SceneError(f"A skinned body with a scale that is not uniform cannot be exported: {track.body.name!r}.")
+        raise SceneError(
+            f"A skinned body with a scale that is not uniform cannot be exported: {track.body.name!r}.",
+            code="H3-EXPORT-030",
+        )
     frame = skin.to_metres.copy()
     frame[:3, :3] /= size / float(scale[0])
     rigid = np.broadcast_to(pose_to_matrix(roots), (len(steps), 4, 4))

@@ -32,7 +32,7 @@ def write_robomimic(recordings: Iterable[Recording], path: str | Path, *, agent:
     h5py = _import_h5py()
     path = Path(path)
     if path.suffix not in (".hdf5", ".h5"):
-        raise InputError(f"Expected a file that ends in .hdf5, got: {path}")
+        raise InputError(f"Expected a file that ends in .hdf5, got: {path}", code="H3-EXPORT-031")
     count = total = 0
     shapes: dict[str, Any] = {}
     with part_file(path) as part, h5py.File(part, "w") as file:
@@ -46,7 +46,7 @@ def write_robomimic(recordings: Iterable[Recording], path: str | Path, *, agent:
                 data.attrs["env_args"] = json.dumps(_env_args(recording, found))
             count, total = count + 1, total + len(found)
         if not count:
-            raise InputError("There is no recording to write.")
+            raise InputError("There is no recording to write.", code="H3-EXPORT-027")
         data.attrs["total"] = total
         names = np.array([f"demo_{k}" for k in range(count)], dtype="S")
         file.create_group("mask").create_dataset("train", data=names)
@@ -99,7 +99,8 @@ def _check_same(shapes: dict[str, Any], arrays: dict[str, np.ndarray], recording
     if different:
         raise InputError(
             f"Episode {recording.episode.episode_id!r} differs from the first one in {', '.join(different[:4])}: robomimic "
-            "wants the same observations in all demonstrations. Export such episodes to files of their own."
+            "wants the same observations in all demonstrations. Export such episodes to files of their own.",
+            code="H3-EXPORT-032",
         )
 
 
@@ -119,5 +120,7 @@ def _import_h5py() -> Any:
     try:
         import h5py
     except ImportError:
-        raise MissingExtraError('Robomimic files need h5py. Hint: pip install "h3data[robomimic]"') from None
+        raise MissingExtraError(
+            'Robomimic files need h5py. Hint: pip install "h3data[robomimic]"', code="H3-EXPORT-033"
+        ) from None
     return h5py

@@ -31,7 +31,7 @@ class Transitions:
     state: dict[str, NDArray[np.float32]]
     """What its body is like before each action and after the last one: `base_pose`, `joint_pos`, ... [T, width]."""
     state_names: tuple[str, ...]
-    """Of all values of ``state`` one after the other."""
+    """Names of all values of ``state``, one after the other."""
     action: NDArray[np.float32]
     """Shape [T - 1, A]."""
     action_names: tuple[str, ...]
@@ -56,11 +56,14 @@ def transitions_of(recording: Recording, *, agent: str | None = None) -> Transit
     if recording.episode.is_lerobot_export:
         raise InputError(
             "Demonstrations exported to LeRobot lack the last row of each episode; exported again they would lose another one. "
-            "Hint: export the dataset that they were exported from."
+            "Hint: export the dataset that they were exported from.",
+            code="H3-EXPORT-034",
         )
     index = _acting(recording, agent)
     if len(recording) < 2:
-        raise InputError(f"Transitions need at least two steps, the recording has {len(recording)}.")
+        raise InputError(
+            f"Transitions need at least two steps, the recording has {len(recording)}.", code="H3-EXPORT-035"
+        )
     who, columns = recording.agents[index], recording.columns
     state = {
         name: columns[f"agent_{index}.{name}"].reshape(len(recording), -1).astype(np.float32)
@@ -92,14 +95,17 @@ def _acting(recording: Recording, name: str | None) -> int:
     acting = [i for i in range(len(recording.agents)) if recording.columns.get(f"agent_{i}.action") is not None]
     names = [agent.name for agent in recording.agents]
     if name is not None and name not in names:
-        raise InputError(f"There is no agent {name!r}. The recording has: {', '.join(names) or 'none'}.")
+        raise InputError(
+            f"There is no agent {name!r}. The recording has: {', '.join(names) or 'none'}.", code="H3-EXPORT-036"
+        )
     if name is not None:
         acting = [i for i in acting if names[i] == name]
     if not acting:
         whose = f"of {name!r} " if name is not None else ""
         raise InputError(
             f"The recording holds no actions {whose}(columns agent_<i>.action), which a learner needs. Recordings made "
-            "from visual logs, as gfx-replay, have none."
+            "from visual logs, as gfx-replay, have none.",
+            code="H3-EXPORT-037",
         )
     return next((i for i in acting if recording.agents[i].kind == "robot"), acting[0])
 

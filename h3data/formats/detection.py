@@ -20,16 +20,18 @@ from h3data.plugins import PluginWarning, Registry, load_reference
 
 def _check(loaded: Any) -> None:
     if not isinstance(loaded, Format):
-        raise InputError(f"expected an h3data.formats.Format, got {type(loaded).__name__}.")
+        raise InputError(f"expected an h3data.formats.Format, got {type(loaded).__name__}.", code="H3-FORMAT-002")
     for field in ("name", "title"):
         if not isinstance(getattr(loaded, field), str) or not getattr(loaded, field):
-            raise InputError(f"the field {field!r} must be a text that is not empty.")
+            raise InputError(f"the field {field!r} must be a text that is not empty.", code="H3-FORMAT-005")
     if loaded.read is None and loaded.write is None:
-        raise InputError("one of the fields 'read' and 'write' must be given.")
+        raise InputError("one of the fields 'read' and 'write' must be given.", code="H3-FORMAT-003")
     for field in ("read", "write"):
         value = getattr(loaded, field)
         if not (value is None or callable(value) or (isinstance(value, str) and ":" in value)):
-            raise InputError(f"the field {field!r} must be a function or module:name, got {value!r}.")
+            raise InputError(
+                f"the field {field!r} must be a function or module:name, got {value!r}.", code="H3-FORMAT-006"
+            )
 
 
 FORMATS: Registry[Format] = Registry(
@@ -53,7 +55,8 @@ def load(chosen: Format, field: Literal["read", "write"]) -> Callable[..., Any]:
     except Exception as fault:  # a plug-in's module can raise anything
         raise PluginError(
             f"The field {field!r} of the file format {FORMATS.origin(chosen.name)} cannot be imported from {function}: "
-            f"{type(fault).__name__}: {fault}."
+            f"{type(fault).__name__}: {fault}.",
+            code="H3-FORMAT-007",
         ) from fault
 
 
@@ -176,6 +179,9 @@ def export_format(name: str) -> Format:
     if name.lower() in ("habitat", "scene", "scenes"):
         raise InputError(
             f"Cannot export to {name!r}. Hint: `h3data scenes export` writes scenes for Habitat; --to habitat-episodes writes "
-            "the episodes of recordings, --to gfx-replay one recording."
+            "the episodes of recordings, --to gfx-replay one recording.",
+            code="H3-FORMAT-004",
         )
-    raise InputError(f"Cannot export to {name!r}.{suggest(name, options, more='; or module:name')}")
+    raise InputError(
+        f"Cannot export to {name!r}.{suggest(name, options, more='; or module:name')}", code="H3-FORMAT-001"
+    )

@@ -19,7 +19,7 @@ class Format:
     """A file format: how to recognise it, and how to read or write recordings in it."""
 
     name: str
-    """As in tables and JSON output: ``gfx_replay``; on the command line with dashes. An entry point has the same name."""
+    """Name in tables, JSON and entry points, such as ``gfx_replay``; with dashes on the command line."""
     title: str
     """A noun phrase for messages: "a gfx-replay recording"."""
     begins: re.Pattern[bytes] | None = None
@@ -31,22 +31,22 @@ class Format:
     """Endings of file names. `h3data import` collects them from folders; they decide only where neither ``begins`` nor
     ``members`` is given."""
     hint: str = ""
-    """What to do with such a file where a recording is expected."""
+    """Advice for users who give such a file where a recording is expected."""
 
     read: Function = None
     """Called as ``read(file, **options)`` with a path (a `SourceFile`, which saves reading its bytes again); returns a
     `h3data.recording.Recording`."""
     read_options: tuple[Literal["fps", "assets"], ...] = ()
     """Keyword arguments that ``read`` takes: ``fps``, steps per second of files without times; ``assets``, an
-    `h3data.habitat.asset_library.AssetLibrary`."""
+    `h3data.recording.assets.library.AssetLibrary`."""
 
     write: Function = None
     """Called as ``write(recordings, request)`` with an iterable of recordings (which may be iterated repeatedly) and an
     `ExportRequest`; returns an `Exported`."""
-    write_options: tuple[Literal["agent", "assets", "person_detail", "people", "stand_ins", "camera"], ...] = ()
+    write_options: tuple[Literal["agent", "assets", "person_detail", "people", "stand_ins", "cameras"], ...] = ()
     """Options of `h3data export` that apply; the others are refused."""
     target: Literal["file", "folder", "dataset"] = "file"
-    """What is written. A dataset is a folder as in h3data docs format, which ``--force`` replaces."""
+    """Type of the output. A dataset is a folder as in h3data docs format, which ``--force`` replaces."""
     many: bool = False
     """Whether one output holds many recordings."""
 
@@ -58,7 +58,7 @@ class Format:
 
 @dataclass(frozen=True, kw_only=True)
 class ExportRequest:
-    """What an export was asked for, beside the recordings."""
+    """Options of an export, besides the recordings."""
 
     out: Path
     """The file or folder to write; parents of a file, and the folder, exist."""
@@ -71,7 +71,7 @@ class ExportRequest:
     person_detail: PersonDetail = "full"
     """Meshes of people: ``full``, or ``low`` for those with fewer vertices."""
     people: Any = "skin"
-    """How people are shown, a `h3data.bodies.people.rigid_parts.PeopleStyle`."""
+    """Rendering style of people, a `h3data.bodies.people.rigid_parts.PeopleStyle`."""
     stand_ins: bool = False
     """Whether plain things stand in for missing assets, as in `h3data.replay.posed_recording.PosedRecording`."""
     cameras: Sequence[str] = ()
@@ -83,14 +83,14 @@ class ExportRequest:
     threads: int = 1
     """Threads for rendering."""
     backend: Any = "cpu"
-    """Who renders, a `h3data.replay.stage.FrameBackend`."""
+    """Back end that renders, a `h3data.replay.stage.FrameBackend`."""
     progress: Callable[[Iterable[Any], int, str], Iterable[Any]] = lambda items, total, unit: items
     """Wraps an iterable to show progress."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Exported:
-    """What was written: text for people, data for machines."""
+    """Result of an export: text for people, data for machines."""
 
     text: str
     data: Mapping[str, Any] = field(default_factory=dict)

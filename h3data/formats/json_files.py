@@ -31,23 +31,27 @@ def not_json(path: Path, data: bytes, fault: Exception, *, start: int = 0) -> Fo
     """The error for bytes that are not a JSON document; they begin at byte ``start`` of the file."""
     text = str(fault)
     if not data.strip():
-        return FormatError(f"Expected JSON, the file is empty: {path}")
+        return FormatError(f"Expected JSON, the file is empty: {path}", code="H3-FORMAT-010")
     if "truncated" in text:
         return truncated(path, start + len(data))
     actual = format_by_beginning(data)
     if not start and actual.begins is not None and actual.members is None:
-        return FormatError(f"Expected JSON, this is {actual.title}: {path}")
+        return FormatError(f"Expected JSON, this is {actual.title}: {path}", code="H3-FORMAT-011")
     number = _not_finite(data.removeprefix(BYTE_ORDER_MARK), text, start)
     if number is not None:
-        return FormatError(f"{number}, which JSON does not allow. Hint: fix it where the file was made. {path}")
+        return FormatError(
+            f"{number}, which JSON does not allow. Hint: fix it where the file was made. {path}", code="H3-FORMAT-012"
+        )
     text = text.removeprefix("JSON is malformed: ")
     text = re.sub(r"\(byte (\d+)\)", lambda at: f"(byte {int(at[1]) + start})", text)
-    return FormatError(f"Expected JSON, this is not: {text}: {path}")
+    return FormatError(f"Expected JSON, this is not: {text}: {path}", code="H3-FORMAT-008")
 
 
 def truncated(path: Path, size: int) -> FormatError:
     """The error for a JSON document that is cut off after ``size`` bytes."""
-    return FormatError(f"The JSON is truncated: it ends at byte {size}. Hint: copy the file again. {path}")
+    return FormatError(
+        f"The JSON is truncated: it ends at byte {size}. Hint: copy the file again. {path}", code="H3-FORMAT-009"
+    )
 
 
 def _not_finite(data: bytes, fault: str, start: int) -> str | None:

@@ -84,11 +84,11 @@ def byte_chunks(path: Path, size: int = CHUNK_BYTES) -> Iterator[bytes]:
                 while chunk := raw.read(size):
                     yield chunk
     except FileNotFoundError:
-        raise InputError(f"There is no such file: {path}") from None
+        raise InputError(f"There is no such file: {path}", code="H3-FORMAT-013") from None
     except IsADirectoryError:
-        raise InputError(f"Expected a file, this is a folder: {path}") from None
+        raise InputError(f"Expected a file, this is a folder: {path}", code="H3-FORMAT-014") from None
     except OSError as error:
-        raise InputError(f"The file cannot be read ({error.strerror}): {path}") from None
+        raise InputError(f"The file cannot be read ({error.strerror}): {path}", code="H3-FORMAT-015") from None
 
 
 def _unpacked(raw: BinaryIO, path: Path, size: int) -> Iterator[bytes]:
@@ -101,13 +101,15 @@ def _unpacked(raw: BinaryIO, path: Path, size: int) -> Iterator[bytes]:
                 chunk = stream.read(size)
             except (OSError, EOFError, zlib.error) as fault:
                 raise FormatError(
-                    f"The gzip data is damaged or cut off ({fault}). Hint: copy the file again. {path}"
+                    f"The gzip data is damaged or cut off ({fault}). Hint: copy the file again. {path}",
+                    code="H3-FORMAT-017",
                 ) from None
             total += len(chunk)
             if total > limit:
                 raise FormatError(
                     f"The {packed} bytes of gzip data unpack to more than {limit >> 20} MiB and are refused as a possible "
-                    f"bomb. Hint: if the size is right, unpack the file first. {path}"
+                    f"bomb. Hint: if the size is right, unpack the file first. {path}",
+                    code="H3-FORMAT-016",
                 )
             if not chunk:
                 return

@@ -1,5 +1,7 @@
-"""Models of objects as people hold them: folders of the YCB set, and Habitat's object configs; with mass and grasp, and put
-into a home in place of its own things."""
+"""Models of objects: folders of the YCB set, and Habitat's object configs.
+
+They have mass and grasps, and can replace a home's own objects.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,6 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError, SceneError
 from h3data.geometry import heading_from_quat, quat_from_heading
-from h3data.habitat.asset_folders import CONFIG_ENDING
 from h3data.habitat.scenes.collision_geometry import hull_shape
 from h3data.habitat.scenes.config_keys import KeyNotes
 from h3data.habitat.scenes.config_values import number
@@ -23,8 +24,8 @@ from h3data.habitat.scenes.referenced_files import ReferencedFiles
 from h3data.habitat.scenes.scene_dataset import Template
 from h3data.habitat.scenes.templates import TemplateReader
 from h3data.mesh.loading import is_file, load_mesh
-from h3data.scene.homes.kinds import KINDS
-from h3data.scene.homes.kinds.kind import Grasp, grasp_point_in
+from h3data.recording.assets.folders import CONFIG_ENDING
+from h3data.scene.kinds import KINDS, Grasp, grasp_point_in
 from h3data.scene.records import Asset, Instance, Scene, instance_matrix
 
 MESHES = ("textured.obj", "textured.dae", "textured.ply", "nontextured.ply", "nontextured.stl")
@@ -54,7 +55,7 @@ class ObjectModel:
     semantic_id: int
     mass_kg: float
     mass_from: Literal["file", "kind", "volume"]
-    """Its ``kinbody.xml`` or config; the typical mass of its kind (`h3data.scene.homes.kinds.KINDS`); or its volume."""
+    """Its ``kinbody.xml`` or config; the typical mass of its kind (`h3data.scene.kinds.KINDS`); or its volume."""
     grasp: Grasp
     """What a hand takes hold of: that of its kind, else the whole body."""
     grasp_point: NDArray[np.float64]
@@ -74,12 +75,14 @@ class ObjectModel:
 
 
 def load_object_models(path: str | Path, *, assets: Sequence[str | Path] = ()) -> dict[str, ObjectModel]:
-    """Objects by name: of one folder of the YCB set (``003_cracker_box`` with ``google_16k/textured.obj``), of one
-    ``*.object_config.json``, or of all of these in a folder, such as Habitat's ``objects/ycb``.
+    """Loads objects by name.
+
+    They come from one folder of the YCB set (``003_cracker_box`` with ``google_16k/textured.obj``), one
+    ``*.object_config.json``, or a folder of these, such as Habitat's ``objects/ycb``.
 
     Args:
-        path: The folder or file.
-        assets: Further folders in which the meshes that a config names are looked for.
+        path: folder or file.
+        assets: further folders in which the meshes that a config names are searched.
 
     Raises:
         InputError: there is no such path, or no object in it.
@@ -87,12 +90,16 @@ def load_object_models(path: str | Path, *, assets: Sequence[str | Path] = ()) -
     """
     root = Path(path)
     if not root.exists():
-        raise InputError(f"There is no such folder or file. Expected objects of the YCB set or of Habitat: {root}")
+        raise InputError(
+            f"There is no such folder or file. Expected objects of the YCB set or of Habitat: {root}",
+            code="H3-HABITAT-099",
+        )
     found = {model.name: model for model in _models(root, tuple(assets))}
     if not found:
         raise InputError(
             f"Found no object in this folder. Expected folders such as 003_cracker_box/google_16k/textured.obj, or files "
-            f"*{CONFIG_ENDING}: {root}"
+            f"*{CONFIG_ENDING}: {root}",
+            code="H3-HABITAT-100",
         )
     return found
 
@@ -137,7 +144,9 @@ def _of_config(config: Path, assets: Sequence[str | Path]) -> ObjectModel:
     read = reader.rigid(Template(handle=name, path=config))
     if read is None:
         why = "; ".join([*reader.warnings, *(f"{missing!r} is not found" for missing in files.missing)])
-        raise SceneError(f"The object {name!r} cannot be used: {why or 'it is jointed'}. File: {config}")
+        raise SceneError(
+            f"The object {name!r} cannot be used: {why or 'it is jointed'}. File: {config}", code="H3-HABITAT-101"
+        )
     mass = number(read.attributes, "mass", 0.0, where=config)
     semantic = int(number(read.attributes, "semantic_id", 0, where=config))
     asset = replace(reader.assets[read.asset], name=name, category=_kind_name(name))
@@ -180,27 +189,33 @@ def _volume_m3(asset: Asset, scale: NDArray[np.float64]) -> float:
     try:
         return float(ConvexHull(asset.mesh.vertices.astype(np.float64) * scale).volume)
     except (QhullError, ValueError) as fault:
-        raise SceneError(f"The object {asset.name!r} has no volume: its mesh is flat or empty.") from fault
+        raise SceneError(
+            f"The object {asset.name!r} has no volume: its mesh is flat or empty.", code="H3-HABITAT-104"
+        ) from fault
 
 
 def _mass_of_kinbody(file: Path, volume_m3: float) -> float | None:
     """Mass [kg] that OpenRAVE's ``<Mass>`` gives, in total or by density [kg/m3]; None if it gives none."""
     data = file.read_bytes()
     if len(data) > _MOST_XML or re.search(rb"<!(DOCTYPE|ENTITY)", data, re.IGNORECASE):
-        raise SceneError(f"A kinbody with a DOCTYPE, entities or more than 1 MB is refused: {file}")
+        raise SceneError(
+            f"A kinbody with a DOCTYPE, entities or more than 1 MB is refused: {file}", code="H3-HABITAT-102"
+        )
     try:
         elements = list(ElementTree.fromstring(data).iter())
     except ElementTree.ParseError as fault:
-        raise SceneError(f"Expected XML of OpenRAVE ({fault}): {file}") from None
+        raise SceneError(f"Expected XML of OpenRAVE ({fault}): {file}", code="H3-HABITAT-105") from None
     total = 0.0
     for mass in (e for e in elements if e.tag.lower() == "mass"):
         values = {child.tag.lower(): child.text or "" for child in mass}
         try:
             total += float(values["total"]) if "total" in values else float(values.get("density", 0)) * volume_m3
         except ValueError:
-            raise SceneError(f"Expected a number as mass or density, got {values}: {file}") from None
+            raise SceneError(
+                f"Expected a number as mass or density, got {values}: {file}", code="H3-HABITAT-106"
+            ) from None
     if not np.isfinite(total) or total < 0:
-        raise SceneError(f"Expected a mass of more than 0 kg, got {total}: {file}")
+        raise SceneError(f"Expected a mass of more than 0 kg, got {total}: {file}", code="H3-HABITAT-103")
     return total or None
 
 

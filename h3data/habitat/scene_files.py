@@ -7,9 +7,9 @@ import os
 from pathlib import Path, PurePosixPath
 from typing import Protocol
 
-from h3data.habitat.asset_folders import AssetFolders, clean_path
 from h3data.habitat.scenes.scene_dataset import SceneDataset, load_scene_dataset
 from h3data.habitat.scenes.scene_instance import HABITAT_ENDINGS
+from h3data.recording.assets.folders import AssetFolders, clean_path
 
 
 class Folders(Protocol):

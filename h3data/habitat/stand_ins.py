@@ -1,5 +1,7 @@
-"""Stand-ins for the assets of a foreign recording that can be looked at: built-in robots and people in the recorded postures,
-and plain boxes with names on them for the rest. `h3data.habitat.placeholders` has the marked ones, which are the default.
+"""Stand-ins for missing assets of an imported recording that look like what they replace.
+
+They are built-in robots and people in the recorded postures, and plain boxes with names on them for the rest.
+`h3data.recording.assets.placeholders` has the marked ones, which are the default.
 """
 
 from __future__ import annotations
@@ -26,12 +28,12 @@ from h3data.geometry import (
     quat_rotate,
     quat_sign_continuous,
 )
-from h3data.habitat.asset_library import AssetLibrary
 from h3data.habitat.hitl.hitl_agents import SYNTHETIC_BODY, fitting_body, floor_below
 from h3data.habitat.hitl.walk_synthesis import walk_columns
-from h3data.habitat.placeholders import PlaceholderKind, placeholder_kind, placeholder_mesh
 from h3data.mesh.mesh import Mesh, Texture
 from h3data.mesh.primitives import box_mesh
+from h3data.recording.assets.library import AssetLibrary
+from h3data.recording.assets.placeholders import PlaceholderKind, placeholder_kind, placeholder_mesh
 from h3data.recording.records import Agent, Body, Recording
 
 BOX_COLORS: dict[PlaceholderKind, tuple[int, int, int]] = {
@@ -197,8 +199,11 @@ def _person(recording: Recording, index: int, body: Body, rig: Mapping[str, Any]
 
 
 def posture_of_bones(names: Sequence[str], bones: NDArray[np.float64]) -> tuple[Array, Array] | None:
-    """The pelvis [T, 7] and the local rotations of the other 54 joints [T, 54, 4] of bones [T, B, 7] in the world; None if they
-    are not a person's with the names of SMPL-X. Fingers and faces without bones are straight."""
+    """Pose of a person from world poses of bones [T, B, 7].
+
+    Returns the pelvis [T, 7] and the local rotations of the other 54 joints [T, 54, 4]; None if the bones do not have
+    the names of SMPL-X. Fingers and faces without bones are straight.
+    """
     at = {str(name).lower(): k for k, name in enumerate(names)}
     known = [joint for joint in JOINT_NAMES[:22] if joint in at]
     if "pelvis" not in at or len(known) < LEAST_BONES or len(names) > bones.shape[1]:
@@ -240,8 +245,11 @@ def named_box(uri: str) -> Mesh:
 
 
 def readable_name(uri: str) -> str:
-    """What a recorded path calls a thing: ``cracker box`` of ``ycb/003_cracker_box/google_16k/textured.obj``; its kind where
-    the file has a number or a digest for a name."""
+    """Name in words of an object from its recorded path, such as ``cracker box``.
+
+    That is the name for ``ycb/003_cracker_box/google_16k/textured.obj``. If the file is named by a number or a digest,
+    it is the object's kind.
+    """
     path = PurePosixPath(uri.removeprefix("handle:"))
     for part in (path.name.split(".")[0], *reversed(path.parent.parts)):
         name = re.sub(r"_?:\d+$", "", part)

@@ -101,7 +101,7 @@ def compiled_count() -> int:
 def compiled_files() -> dict[str, int]:
     """Size [bytes] of each file of machine code, one for each type of arguments, of the kernels imported so far."""
     files = [kernel._cache._cache_file for kernel in _kernels if hasattr(kernel._cache, "_cache_file")]
-    paths = [Path(file._data_path(name)) for file in files for name in file._load_index().values()]
+    paths = [Path(file._data_path(name)) for file in files for name in _index_of(file).values()]
     return {str(path): path.stat().st_size for path in paths}
 
 
@@ -140,12 +140,24 @@ def _compile_here(dispatcher: Any, signature: Any) -> None:
             compile_here()
         return
     key = dispatcher._cache._index_key(signature, dispatcher.targetctx.codegen())
-    if key in file._load_index():
+    if key in _index_of(file):
         compile_here()
         return
     _announce()
     with _locked(Path(file._index_path + ".lock")), _garbage_kept():
         compile_here()  # looks into the cache again: another process may have just filled it
+
+
+def _index_of(file: Any) -> dict[Any, str]:
+    """What numba has kept of a kernel; nothing, and no longer the index, where it names modules that have been renamed since.
+
+    numba unpickles the types of arguments before it compares the time of the source, and would raise an ImportError.
+    """
+    try:
+        return file._load_index()
+    except (ImportError, AttributeError):
+        Path(file._index_path).unlink(missing_ok=True)
+        return {}
 
 
 @contextmanager

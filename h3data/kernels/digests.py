@@ -57,13 +57,13 @@ class UnknownError(Exception):
 
 
 def code_digest(kernel: Any) -> str:
-    """Digest of the byte code, constants, options and intrinsics of a kernel (a numba dispatcher) and of all functions
-    that it calls.
+    """Digest of everything that determines the machine code of a kernel (a numba dispatcher).
 
-    It is the same in all processes of one version of Python; line numbers, comments and docstrings do not count.
+    It covers the byte code, constants, options and intrinsics of the kernel and of all functions that it calls. It is
+    the same in all processes of one version of Python; line numbers, comments and docstrings do not count.
 
     Raises:
-        UnknownError: the kernel reads a global or a closure variable of a kind that is not known here.
+        UnknownError: the kernel reads a global or a closure variable of an unsupported type.
     """
     texts: dict[int, str] = {}
     waiting = [kernel]

@@ -130,28 +130,34 @@ def unpack_glb(data: bytes, where: str, *, what: str = "a GLB") -> tuple[dict[st
         FormatError: the bytes are something else, truncated or damaged.
     """
     if data[:4] != _MAGIC:
-        raise FormatError(f"Expected {what} (first bytes 'glTF'), got {data[:4]!r}. File: {where}")
+        raise FormatError(f"Expected {what} (first bytes 'glTF'), got {data[:4]!r}. File: {where}", code="H3-MESH-001")
     if len(data) < 20:
-        raise FormatError(f"Truncated GLB: a header needs 20 bytes, there are {len(data)}. File: {where}")
+        raise FormatError(
+            f"Truncated GLB: a header needs 20 bytes, there are {len(data)}. File: {where}", code="H3-MESH-002"
+        )
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2:
         hint = f", {GLTF_1_HINT}" if version == 1 else "."
-        raise FormatError(f"Expected glTF version 2, got {version}{hint} File: {where}")
+        raise FormatError(f"Expected glTF version 2, got {version}{hint} File: {where}", code="H3-MESH-003")
     if length > len(data):
-        raise FormatError(f"Truncated GLB: its header says {length} bytes, there are {len(data)}. File: {where}")
+        raise FormatError(
+            f"Truncated GLB: its header says {length} bytes, there are {len(data)}. File: {where}", code="H3-MESH-004"
+        )
     chunks: dict[bytes, memoryview] = {}
     view = memoryview(data)
     at = 12
     while at + 8 <= length:
         (size,), kind = struct.unpack_from("<I", data, at), data[at + 4 : at + 8]
         if at + 8 + size > length:
-            raise FormatError(f"Damaged GLB: chunk {kind!r} of {size} bytes runs past its end. File: {where}")
+            raise FormatError(
+                f"Damaged GLB: chunk {kind!r} of {size} bytes runs past its end. File: {where}", code="H3-MESH-006"
+            )
         chunks.setdefault(kind, view[at + 8 : at + 8 + size])
         at += 8 + size
     try:
         document = json.loads(bytes(chunks[_JSON]))
     except (KeyError, ValueError, RecursionError) as error:
-        raise FormatError(f"Damaged GLB: it has no readable JSON chunk. File: {where}") from error
+        raise FormatError(f"Damaged GLB: it has no readable JSON chunk. File: {where}", code="H3-MESH-007") from error
     if not isinstance(document, dict):
-        raise FormatError(f"Damaged GLB: its JSON is not an object. File: {where}")
+        raise FormatError(f"Damaged GLB: its JSON is not an object. File: {where}", code="H3-MESH-005")
     return document, chunks.get(_BIN, memoryview(b""))

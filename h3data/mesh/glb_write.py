@@ -273,5 +273,5 @@ def _checked(mesh: Mesh) -> Mesh:
     ]  # fmt: skip
     if faults or not len(mesh.faces):
         what = f"{' and '.join(faults)} that are not finite" if faults else "no triangles"
-        raise SceneError(f"A mesh with {what} cannot be written as GLB.")
+        raise SceneError(f"A mesh with {what} cannot be written as GLB.", code="H3-MESH-008")
     return mesh

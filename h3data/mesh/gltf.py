@@ -1,8 +1,8 @@
 """Reads glTF 2.0 files (GLB, or JSON with files beside it): buffers, node graph and primitives.
 
 Triangles, strips and fans are read. Triangles that repeat a corner, which strips contain by design, are dropped. Skins stand
-as their joints do in the file (`h3data.habitat.skinned_meshes` poses them), morph targets have the weights of the file; points
-and lines are ignored.
+as their joints do in the file (`h3data.recording.assets.skinned_meshes` poses them), morph targets have the weights of the
+file; points and lines are ignored.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class GltfFile:
             raise ValueError("its JSON is not an object")
         version = str(_part(self.document, "asset").get("version", ""))
         if version.startswith("1"):
-            raise SceneError(f"this is glTF {version}, {GLTF_1_HINT}")
+            raise SceneError(f"this is glTF {version}, {GLTF_1_HINT}", code="H3-MESH-011")
         _check_extensions(self.document.get("extensionsRequired", []), path)
         self._buffers: dict[int, memoryview] = {}
         self._meshes: dict[tuple[int, tuple[float, ...]], list[PlainMesh]] = {}
@@ -87,7 +87,7 @@ class GltfFile:
     def _resource(self, uri: Any) -> bytes:
         """Content of a ``data:`` uri, or of a file in the folder of this one or below; never of one outside."""
         if not isinstance(uri, str) or not uri:
-            raise SceneError("it has neither a bufferView nor a uri")
+            raise SceneError("it has neither a bufferView nor a uri", code="H3-MESH-012")
         if uri.startswith("data:"):
             head, _, body = uri.partition(",")
             return base64.b64decode(unquote(body)) if head.endswith(";base64") else unquote_to_bytes(body)
@@ -96,7 +96,7 @@ class GltfFile:
             raise ValueError(f"the uri {uri[:200]!r} leads out of the file's folder, which is not followed")
         file = self.path.parent / name
         if not file.is_file():
-            raise SceneError(f"there is no file {uri[:200]!r} beside it")
+            raise SceneError(f"there is no file {uri[:200]!r} beside it", code="H3-MESH-013")
         return file.read_bytes()
 
     # --- node graph ---------------------------------------------------------------------------------------------------
@@ -299,12 +299,14 @@ def _check_extensions(required: Any, path: Path) -> None:
     packed = [name for name in unknown if "compression" in name]
     if packed:
         raise SceneError(
-            f"its triangles are compressed ({packed[0]}), which is not read. Hint: gltfpack -noq -i IN -o OUT.glb"
+            f"its triangles are compressed ({packed[0]}), which is not read. Hint: gltfpack -noq -i IN -o OUT.glb",
+            code="H3-MESH-009",
         )
     shapes = [name for name in unknown if name not in _SHOWN_WHOLE and not _ONLY_PAINT.match(name)]
     if shapes:
         raise SceneError(
-            f"it requires the glTF extension {', '.join(shapes)}, which is not read. Hint: export it without this extension"
+            f"it requires the glTF extension {', '.join(shapes)}, which is not read. Hint: export it without this extension",
+            code="H3-MESH-010",
         )
     if unknown:
         _log.warning("It needs glTF extensions that are not supported, and may look different: %s: %s", unknown, path)

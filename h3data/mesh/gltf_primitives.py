@@ -241,7 +241,9 @@ def _unpacked(
     try:
         import DracoPy
     except ModuleNotFoundError:
-        raise SceneError("its triangles are compressed (Draco). Hint: pip install 'h3data[gltf]'") from None
+        raise SceneError(
+            "its triangles are compressed (Draco). Hint: pip install 'h3data[gltf]'", code="H3-MESH-014"
+        ) from None
     mesh = DracoPy.decode(bytes(arrays.view(packed["bufferView"])))
     found = {}
     for name, unique_id in packed["attributes"].items():

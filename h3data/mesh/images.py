@@ -39,7 +39,7 @@ def image_size(data: bytes | memoryview) -> tuple[int, int]:
     """Width and height [px] from an image's header. Raises `SceneError` if it cannot be read."""
     if data[:12] == _KTX2:
         if len(data) < 80:
-            raise SceneError("it is cut off")
+            raise SceneError("it is cut off", code="H3-MESH-016")
         width, height = struct.unpack_from("<II", data, 20)
         return _acceptable(width, height)
     return _opened(data).size
@@ -129,7 +129,7 @@ def _linear_table() -> NDArray[np.float32]:
 
 def _acceptable(width: int, height: int) -> tuple[int, int]:
     if not 0 < width * height <= MAX_PX:
-        raise SceneError(f"{width} x {height} texels, the limit is {MAX_PX}")
+        raise SceneError(f"{width} x {height} texels, the limit is {MAX_PX}", code="H3-MESH-015")
     return width, height
 
 
@@ -140,7 +140,7 @@ def _opened(data: bytes | memoryview) -> Any:
     try:
         picture = Image.open(io.BytesIO(data))
     except Exception as fault:  # Pillow's readers raise many types
-        raise SceneError("it is empty" if not len(data) else _reason(fault)) from None
+        raise SceneError("it is empty" if not len(data) else _reason(fault), code="H3-MESH-017") from None
     _acceptable(*picture.size)
     return picture
 
@@ -155,7 +155,7 @@ def _pixels(picture: Any, side: int) -> NDArray[np.uint8]:
             return np.dstack([gray, gray, gray, np.full_like(gray, 255)])
         return np.array(picture.convert("RGBA"))
     except Exception as fault:
-        raise SceneError(_reason(fault)) from None
+        raise SceneError(_reason(fault), code="H3-MESH-018") from None
 
 
 def _ktx2_pixels(data: bytes | memoryview, side: int) -> NDArray[np.uint8]:
@@ -163,7 +163,7 @@ def _ktx2_pixels(data: bytes | memoryview, side: int) -> NDArray[np.uint8]:
     try:
         import opengl_basisu
     except ModuleNotFoundError:
-        raise SceneError("it is a KTX2 image. Hint: pip install 'h3data[gltf]'") from None
+        raise SceneError("it is a KTX2 image. Hint: pip install 'h3data[gltf]'", code="H3-MESH-019") from None
     width, height = image_size(data)
     try:
         texture = opengl_basisu.open(bytes(data))
@@ -172,7 +172,9 @@ def _ktx2_pixels(data: bytes | memoryview, side: int) -> NDArray[np.uint8]:
             level += 1
         return np.array(texture.transcode("rgba8", level=level).data, np.uint8)
     except Exception as fault:
-        raise SceneError(f"its KTX2 content is not Basis Universal or is damaged ({_reason(fault)})") from None
+        raise SceneError(
+            f"its KTX2 content is not Basis Universal or is damaged ({_reason(fault)})", code="H3-MESH-020"
+        ) from None
 
 
 def _with_alpha(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.errors import MissingAssetError, SceneError
+from h3data.errors import H3DataError, MissingAssetError, SceneError
 from h3data.geometry import normalized
 from h3data.mesh.gltf import GltfFile, local_matrix
 from h3data.mesh.gltf_primitives import DEFAULT_COLOR, PlainMesh
@@ -57,9 +57,12 @@ def load_mesh(
     """
     path = Path(path)
     if not is_file(path):
-        raise MissingAssetError(f"There is no such mesh file. Hint: check the asset roots. {path}")
+        raise MissingAssetError(f"There is no such mesh file. Hint: check the asset roots. {path}", code="H3-MESH-022")
     if path.suffix.lower() not in _READABLE:
-        raise SceneError(f"Cannot read a mesh of type {path.suffix!r}. Expected one of {', '.join(_READABLE)}: {path}")
+        raise SceneError(
+            f"Cannot read a mesh of type {path.suffix!r}. Expected one of {', '.join(_READABLE)}: {path}",
+            code="H3-MESH-023",
+        )
     up3, front3 = _vector3(up), _vector3(front)
     return _load_cached(str(path), path.stat().st_mtime_ns, up3, front3, float(units_m))
 
@@ -93,7 +96,7 @@ def node_box(
     except Exception as fault:
         raise unreadable(fault, path) from None
     if not len(box) or not np.isfinite(box).all():
-        raise SceneError(f"A mesh file without triangles: {path}")
+        raise SceneError(f"A mesh file without triangles: {path}", code="H3-MESH-024")
     turned = _corners(box) @ rotation.T * units_m
     return np.stack([turned.min(0), turned.max(0)])
 
@@ -139,7 +142,9 @@ def frame_rotation(up: ArrayLike, front: ArrayLike) -> NDArray[np.float64]:
     lengths = np.linalg.norm(u), np.linalg.norm(f)
     perpendicular = u.shape == f.shape == (3,) and abs(u @ f) < 1e-3 * lengths[0] * lengths[1]  # False for NaN and zero
     if not perpendicular:
-        raise SceneError(f"An asset frame needs two perpendicular axes. Got up {u.tolist()}, front {f.tolist()}.")
+        raise SceneError(
+            f"An asset frame needs two perpendicular axes. Got up {u.tolist()}, front {f.tolist()}.", code="H3-MESH-025"
+        )
     u, f = u / lengths[0], f / lengths[1]
     return np.array([np.cross(f, u), u, -f], np.float64)
 
@@ -179,9 +184,11 @@ def load_parts(
     except Exception as fault:
         raise unreadable(fault, path) from None
     if not parts:
-        raise SceneError(f"A mesh file without triangles: {path}")
+        raise SceneError(f"A mesh file without triangles: {path}", code="H3-MESH-024")
     if not all(np.isfinite(part.vertices).all() for part in parts):
-        raise SceneError(f"A mesh with vertices that are not finite numbers (units_m = {units_m:g}): {path}")
+        raise SceneError(
+            f"A mesh with vertices that are not finite numbers (units_m = {units_m:g}): {path}", code="H3-MESH-026"
+        )
     return parts
 
 
@@ -197,10 +204,12 @@ def _load_cached(path: str, mtime_ns: int, up: Vector3, front: Vector3, units_m:
 def unreadable(fault: Exception, path: Path) -> SceneError:
     """The error for a file whose reader failed with ``fault``."""
     if str(path) in str(fault):
-        return SceneError(str(fault))
+        return SceneError(str(fault), code=fault.code if isinstance(fault, H3DataError) else "")
     plain = isinstance(fault, ValueError | SceneError) and str(fault)
     reason = (str(fault) if plain else f"{type(fault).__name__}: {fault}").splitlines()[0][:300]
-    return SceneError(f"Cannot read this mesh file, it may be damaged or of another kind ({reason}): {path}")
+    return SceneError(
+        f"Cannot read this mesh file, it may be damaged or of another kind ({reason}): {path}", code="H3-MESH-021"
+    )
 
 
 def _placed(part: Mesh | PlainMesh, matrix: NDArray[np.float64]) -> Mesh:

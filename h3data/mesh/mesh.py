@@ -22,7 +22,10 @@ class Texture:
     def __post_init__(self) -> None:
         p = self.pixels
         if p.ndim != 3 or p.shape[2] != 4 or not p.size or p.dtype != np.uint8:
-            raise SceneError(f"Not a valid texture: pixels must be uint8 [H, W, 4], got {p.dtype} {list(p.shape)}.")
+            raise SceneError(
+                f"Not a valid texture: pixels must be uint8 [H, W, 4], got {p.dtype} {list(p.shape)}.",
+                code="H3-MESH-027",
+            )
 
     def __repr__(self) -> str:
         return f"Texture({self.name!r}, {self.pixels.shape[1]}x{self.pixels.shape[0]})"
@@ -71,7 +74,7 @@ class Mesh:
             elif len(f) and (textures.min() < -1 or textures.max() >= len(self.textures)):
                 faults.append(f"face_textures index textures up to {textures.max()}, there are {len(self.textures)}")
         if faults:
-            raise SceneError("Not a valid mesh: " + "; ".join(faults) + ".")
+            raise SceneError("Not a valid mesh: " + "; ".join(faults) + ".", code="H3-MESH-028")
 
     @cached_property
     def bounds(self) -> NDArray[np.float32]:

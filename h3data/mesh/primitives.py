@@ -37,7 +37,8 @@ def primitive_mesh(name: str) -> Mesh:
     match = _NAME.match(name)
     if match is None:
         raise SceneError(
-            f"Not a primitive: {name!r}. Expected cube, capsule3D, cylinder, cone, uvSphere or icosphere, then Solid."
+            f"Not a primitive: {name!r}. Expected cube, capsule3D, cylinder, cone, uvSphere or icosphere, then Solid.",
+            code="H3-MESH-029",
         )
     kind, style, _ = match.groups()
     if style == "Wireframe":

@@ -41,9 +41,9 @@ class Part:
 
     source: AnyPath
     episodes: range | None
-    """Of a dataset; None: a log."""
+    """Numbers of the episodes in a dataset; None for a log."""
     job: str
-    """Whose part it is: datasets stay open within a job."""
+    """Name of the job that the part belongs to; datasets stay open within a job."""
 
 
 F = TypeVar("F")
@@ -100,7 +100,7 @@ def measure_tables(
     workers: int | None = None,
     spread: Spread[list[Measured]] | None = None,
 ) -> tuple[MetricsTable, ...]:
-    """As `measure_files`, with a table for each task whose metrics differ; the first lists what is left out of all."""
+    """Measures files as `measure_files`, with a table for each task whose metrics differ; the first lists what is left out."""
     rows, left_out = _measured(paths, profile, workers, spread)
     groups: dict[tuple[str, ...], list[EpisodeMetrics]] = {}
     for row in rows:
@@ -131,11 +131,11 @@ def measure_sources(
                     yield each
                 else:
                     name, message, reason = each
-                    yield LeftOut(name=name, error=UnmeasurableError(message, reason))
+                    yield LeftOut(name=name, error=UnmeasurableError(message, reason, code="H3-METRIC-003"))
         return
     count = workers if workers is not None else len(os.sched_getaffinity(0))
     if count < 1:
-        raise InputError(f"Expected at least one worker, got {count}.")
+        raise InputError(f"Expected at least one worker, got {count}.", code="H3-METRIC-001")
     yield from _in_order(_jobs(sources, profile), workers=count)
 
 
@@ -207,7 +207,7 @@ def _measured(
 ) -> tuple[list[EpisodeMetrics], list[LeftOut]]:
     sources = list(find_sources(paths))
     if not sources:
-        raise InputError("Expected at least one recording (.mcap) or dataset.")
+        raise InputError("Expected at least one recording (.mcap) or dataset.", code="H3-METRIC-002")
     measured = measure_sources(sources, profile, workers=workers, spread=spread)
     results = list(progress(measured, desc="measure", unit="episode", delay=1.0, leave=False))
     left_out = [result for result in results if isinstance(result, LeftOut)]

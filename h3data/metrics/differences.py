@@ -28,7 +28,7 @@ class Differences:
 
     profile: str
     metrics: tuple[Metric, ...]
-    """Their definitions."""
+    """Definitions of the metrics."""
     names: tuple[str, str]
     """Labels of the two runs."""
     episode_ids: tuple[str, ...]
@@ -103,11 +103,16 @@ def compare_tables(first: MetricsTable, second: MetricsTable, *, names: tuple[st
         InputError: the runs hold different episodes or profiles, or a name means two episodes; the message names them.
     """
     if (first.profile, first.metrics) != (second.profile, second.metrics):
-        raise InputError(f"Runs with different metrics cannot be paired: {first!r} and {second!r}.")
+        raise InputError(
+            f"Runs with different metrics cannot be paired: {first!r} and {second!r}.", code="H3-METRIC-004"
+        )
     ours, theirs = pairing_names(first, second)
     for name, ids in zip(names, (ours, theirs), strict=True):
         if repeated := _repeated(ids):
-            raise InputError(f"Episode ids of {name} are not unique, so they cannot be paired: {_quoted(repeated)}.")
+            raise InputError(
+                f"Episode ids of {name} are not unique, so they cannot be paired: {_quoted(repeated)}.",
+                code="H3-METRIC-008",
+            )
     missing = [i for i in ours if i not in set(theirs)]
     extra = [i for i in theirs if i not in set(ours)]
     if missing or extra:
@@ -116,7 +121,9 @@ def compare_tables(first: MetricsTable, second: MetricsTable, *, names: tuple[st
             for name, ids in zip(names, (missing, extra), strict=True)
             if ids
         ]
-        raise InputError(f"The runs hold different episodes; {'; '.join(parts)}. Pair runs over the same set.")
+        raise InputError(
+            f"The runs hold different episodes; {'; '.join(parts)}. Pair runs over the same set.", code="H3-METRIC-005"
+        )
     place = {episode: k for k, episode in enumerate(theirs)}
     order = np.array([place[episode] for episode in ours], np.int64)
     return Differences(
@@ -141,16 +148,24 @@ def compare_runs(
 ) -> dict[str, PairedComparison]:
     """Compares every metric (or ``metrics``) of two tables over the same episodes; p values are adjusted together."""
     if first.profile != second.profile:
-        raise InputError(f"Two profiles cannot be compared: {first.profile!r} and {second.profile!r}.")
+        raise InputError(
+            f"Two profiles cannot be compared: {first.profile!r} and {second.profile!r}.", code="H3-METRIC-006"
+        )
     names = list(metrics) if metrics is not None else list(first.columns)
     unknown = [n for n in names if n not in first.columns]
     if unknown:
         near = did_you_mean(unknown[0], first.columns)
-        raise InputError(f"No metric {', '.join(map(repr, unknown))}.{near} There are: {', '.join(first.columns)}.")
+        raise InputError(
+            f"No metric {', '.join(map(repr, unknown))}.{near} There are: {', '.join(first.columns)}.",
+            code="H3-METRIC-007",
+        )
     ours, theirs = pairing_names(first, second)
     for ids, which in ((ours, "first"), (theirs, "second")):
         if repeated := _repeated(ids):
-            raise InputError(f"Expected each episode once; the {which} run repeats {some_of(sorted(repeated))}.")
+            raise InputError(
+                f"Expected each episode once; the {which} run repeats {some_of(sorted(repeated))}.",
+                code="H3-METRIC-009",
+            )
     results = {
         name: compare_paired(
             dict(zip(ours, map(float, first.columns[name]), strict=True)),
@@ -165,8 +180,11 @@ def compare_runs(
 
 
 def pairing_names(first: MetricsTable, second: MetricsTable) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names by which the episodes of two runs are paired: their ids; where these repeat, as in evaluations of a robot with
-    several partners, ``3 with both``; where these repeat too, ``3 complement with both``."""
+    """Names that identify the same episode in two runs, one name per row of each table.
+
+    They are the episodes' ids. Where ids repeat, as in evaluations of a robot with several partners, the partner is
+    added (``3 with both``); where these repeat too, the policy as well (``3 complement with both``).
+    """
     names = first.episode_ids, second.episode_ids
     if any(map(_repeated, names)):
         names = _with_partners(first), _with_partners(second)

@@ -26,7 +26,7 @@ class EpisodeMetrics:
     uid: str
     profile: str
     metrics: tuple[Metric, ...]
-    """What was measured, in the order of ``values``."""
+    """Definitions of the metrics, in the order of ``values``."""
     values: Mapping[str, float]
     """Values by metric name; NaN = this recording cannot tell, see ``notes``."""
     notes: Mapping[str, str]
@@ -152,7 +152,7 @@ def note_lines(notes: Mapping[str, Iterable[str]]) -> list[str]:
 
 
 def shared_by(info: Mapping[str, Any]) -> tuple[str, ...]:
-    """Partners with the same plan, who share a recording (``info["partners"]`` of ``h3data evaluate --keep``)."""
+    """Partners with the same plan, who share a recording (``info["partners"]`` of ``h3data evaluate --save-recordings``)."""
     partners = info.get("partners")
     return tuple(map(str, partners)) if isinstance(partners, list) else ()
 

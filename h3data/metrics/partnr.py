@@ -133,10 +133,13 @@ def _satisfied_at(recording: Recording) -> NDArray[np.int64]:
         rows = np.asarray(value, np.int64).reshape(-1)
     except (TypeError, ValueError, OverflowError):
         raise InputError(
-            f"Episode {recording.episode.episode_id!r}: expected info satisfied_at to be a list of rows, got {value!r}."
+            f"Episode {recording.episode.episode_id!r}: expected info satisfied_at to be a list of rows, got {value!r}.",
+            code="H3-METRIC-018",
         ) from None
     if rows.size and rows.min() < -1:
-        raise InputError(f"Episode {recording.episode.episode_id!r}: info satisfied_at has rows below -1.")
+        raise InputError(
+            f"Episode {recording.episode.episode_id!r}: info satisfied_at has rows below -1.", code="H3-METRIC-016"
+        )
     return rows
 
 
@@ -146,7 +149,8 @@ def _constraints(recording: Recording) -> NDArray[np.bool_]:
     if not isinstance(given, list | tuple) or any(not isinstance(c, list | tuple) or len(c) != count for c in given):
         raise InputError(
             f"Episode {recording.episode.episode_id!r}: expected info constraints to be lists of {count} flags, one for each "
-            "proposition."
+            "proposition.",
+            code="H3-METRIC-017",
         )
     return np.array(given, np.bool_).reshape(len(given), count)
 

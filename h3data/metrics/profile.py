@@ -27,7 +27,7 @@ class Computed:
     """Index of the robot that was measured; -1 = none in particular."""
     human: int = -1
     moments: Mapping[str, int] = field(default_factory=dict)
-    """As `EpisodeMetrics.moments`."""
+    """Steps of notable events by name (`EpisodeMetrics.moments`)."""
     protocol_deviations: str = ""
 
 
@@ -67,7 +67,7 @@ class Profile:
     title: str
     """One line for lists."""
     metrics: tuple[Metric, ...]
-    """In the order of tables."""
+    """Metrics of the profile, in the order of tables."""
     tasks: tuple[str, ...] = ()
     """Values of `Episode.task` that it measures, its own name of the task first; empty = any task."""
     compute: Callable[[Recording, Notes], Computed] | None = None
@@ -83,13 +83,17 @@ class Profile:
         alone = self.compute is None and self.compute_many is None
         without = [m.name for m in self.metrics if alone and m.value is None]
         if not self.metrics:
-            raise InputError(f"Profile {self.name!r} has no metrics.")
+            raise InputError(f"Profile {self.name!r} has no metrics.", code="H3-METRIC-019")
         if wrong:
-            raise InputError(f"Expected ids that begin with {self.name}/ in profile {self.name!r}, got {wrong[0]!r}.")
+            raise InputError(
+                f"Expected ids that begin with {self.name}/ in profile {self.name!r}, got {wrong[0]!r}.",
+                code="H3-METRIC-020",
+            )
         if without:
             raise InputError(
                 f"Profile {self.name!r} has no function for {', '.join(without)}: give each metric a value=, "
-                "or the profile a compute= or compute_many=."
+                "or the profile a compute= or compute_many=.",
+                code="H3-METRIC-021",
             )
 
     def measures(self, task: str) -> bool:

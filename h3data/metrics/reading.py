@@ -37,7 +37,7 @@ def only(source: AnyPath) -> Recording:
     """Returns the recording in a file that is not a dataset."""
     opened = open_recording(source)
     if isinstance(opened, Dataset):
-        raise InputError(f"Expected a recording (.mcap), this is a dataset: {source}")
+        raise InputError(f"Expected a recording (.mcap), this is a dataset: {source}", code="H3-METRIC-022")
     return opened
 
 

@@ -26,7 +26,7 @@ ANY_TASK = "task"
 def _check(loaded: Any) -> None:
     several = loaded if isinstance(loaded, tuple) else (loaded,)
     if not several or not all(isinstance(profile, Profile) for profile in several):
-        raise InputError(f"expected an h3data.metrics.Profile or a tuple of them, got {loaded!r}")
+        raise InputError(f"expected an h3data.metrics.Profile or a tuple of them, got {loaded!r}", code="H3-METRIC-025")
 
 
 PROFILES: Registry[Profile | tuple[Profile, ...]] = Registry(
@@ -76,7 +76,9 @@ def find_profile(name: str, task: str = "social_nav") -> Profile:
         if profile.measures(task):
             return profile
     suitable = dict.fromkeys(profile.name for profile in all_profiles() if profile.measures(task))
-    raise InputError(f"Profile {name!r} does not measure the task {task!r}. Use one of: {', '.join(suitable)}.")
+    raise InputError(
+        f"Profile {name!r} does not measure the task {task!r}. Use one of: {', '.join(suitable)}.", code="H3-METRIC-023"
+    )
 
 
 def profile_for(task: str, info: Mapping[str, Any], name: str | None = None) -> Profile:
@@ -131,7 +133,7 @@ def find_metric(name: str, *, profile: str | None = None) -> Metric:
             if test(metric):
                 return metric
     near = did_you_mean(name, [m.name for m in every] + [m.id.rpartition("@")[0] for m in every])
-    raise InputError(f"No metric {name!r}.{near} `h3data metrics list` shows all.")
+    raise InputError(f"No metric {name!r}.{near} `h3data metrics list` shows all.", code="H3-METRIC-024")
 
 
 def all_metrics() -> list[Metric]:

@@ -18,7 +18,7 @@ class PublishedRow:
     policies: tuple[str, ...] = ()
     """Names of the same policy in recordings, in lower case."""
     values: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    """By metric: (mean,), (mean, standard deviation) or (mean, lower end, upper end of the 95% interval)."""
+    """Values by metric: (mean,), (mean, standard deviation) or (mean, lower end, upper end of the 95% interval)."""
     train: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     """The same with the partners of the training population."""
     zsc: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
@@ -51,7 +51,7 @@ class PublishedContrast:
     name: str
     difference: float
     p: str
-    """As printed."""
+    """The p-value as printed."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,10 +16,10 @@ OR = " or "
 class UnmeasurableError(InputError):
     """A recording lacks agents or data that metrics need."""
 
-    def __init__(self, message: str, reason: str) -> None:
+    def __init__(self, message: str, reason: str, *, code: str = "") -> None:
         self.reason = reason
         """The same for all recordings with the same gap, so that they can be counted."""
-        super().__init__(message)
+        super().__init__(message, code=code)
 
 
 class MissingColumnsError(UnmeasurableError):
@@ -31,7 +31,9 @@ class MissingColumnsError(UnmeasurableError):
         each = "; ".join(f"{name} needs {', '.join(columns)}" for name, columns in self.needs.items())
         missing = sorted({column for columns in self.needs.values() for column in columns})
         super().__init__(
-            f"Episode {episode_id!r} has nothing to measure: {each}.", f"nothing to measure: lacks {', '.join(missing)}"
+            f"Episode {episode_id!r} has nothing to measure: {each}.",
+            f"nothing to measure: lacks {', '.join(missing)}",
+            code="H3-METRIC-026",
         )
 
 
@@ -48,6 +50,7 @@ def require_whole(recording: Recording) -> None:
             "Demonstrations exported to LeRobot lack the last row of each episode, where it succeeds or fails. "
             "Hint: measure the dataset that they were exported from.",
             "LeRobot exports lack the last row: measure the dataset that they were exported from",
+            code="H3-METRIC-028",
         )
 
 
@@ -65,6 +68,7 @@ def find_agents(recording: Recording) -> tuple[int, int]:
         f"These metrics need a robot and a human; recording {recording.episode.episode_id!r} has {missing} "
         f"(found: {present}).{hint}",
         "needs a robot and a human",
+        code="H3-METRIC-027",
     )
 
 
@@ -81,6 +85,7 @@ def find_pair(recording: Recording) -> tuple[int, int]:
         raise UnmeasurableError(
             f"These metrics need two agents; recording {recording.episode.episode_id!r} has {present}.",
             "needs two agents",
+            code="H3-METRIC-029",
         )
     return 0, 1
 

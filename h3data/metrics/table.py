@@ -235,7 +235,7 @@ def tabulate(
 
 
 def legend(metrics: Iterable[Metric]) -> str:
-    """The names of metrics spelled out in one line: ``S: finding success; CR: collision rate.``"""
+    """One line that spells out the names of metrics, such as ``S: finding success; CR: collision rate.``."""
     return "; ".join(f"{m.name}: {m.title[:1].lower()}{m.title[1:]}" for m in metrics) + "."
 
 
@@ -247,7 +247,8 @@ def _check_unique(rows: Sequence[EpisodeMetrics]) -> None:
         names = [e.episode_id for e in {e.uid: e for e in rows}.values() if e.uid in set(twice[:5])]
         raise InputError(
             f"{len(twice)} episodes occur more than once and would count more than once: "
-            f"{', '.join(map(repr, names))}{', ...' if len(twice) > 5 else ''}. Name each recording once."
+            f"{', '.join(map(repr, names))}{', ...' if len(twice) > 5 else ''}. Name each recording once.",
+            code="H3-METRIC-045",
         )
 
 
@@ -257,7 +258,8 @@ def _check_alike(rows: Sequence[EpisodeMetrics]) -> None:
     if others:
         names = sorted({f"{e.task} ({e.profile})" for e in (rows[0], *others)})
         raise InputError(
-            f"Episodes with different metrics cannot share a table: {', '.join(names)}. Measure them separately."
+            f"Episodes with different metrics cannot share a table: {', '.join(names)}. Measure them separately.",
+            code="H3-METRIC-046",
         )
     for what, of, unit in (("steps of different length", _step_ms, " ms"), ("different units", lambda e: e.units, "")):
         kinds: dict[float | str, str] = {}
@@ -265,7 +267,9 @@ def _check_alike(rows: Sequence[EpisodeMetrics]) -> None:
             kinds.setdefault(of(row), row.episode_id)
         if len(kinds) > 1:
             each = ", ".join(f"{kind}{unit} (such as {name!r})" for kind, name in kinds.items())
-            raise InputError(f"Episodes with {what} cannot share a table: {each}. Measure them separately.")
+            raise InputError(
+                f"Episodes with {what} cannot share a table: {each}. Measure them separately.", code="H3-METRIC-047"
+            )
 
 
 def _step_ms(row: EpisodeMetrics) -> float:

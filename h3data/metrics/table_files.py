@@ -170,5 +170,7 @@ def _in_shape(table: pa.Table, schema: pa.Schema) -> pa.Table:
 
 def _by_ending(path: Path, writers: dict[str, Callable[..., Any]]) -> Callable[..., Any]:
     if path.suffix not in writers:
-        raise InputError(f"Expected a file name that ends in {' or '.join(writers)}, got {path.name!r}: {path}")
+        raise InputError(
+            f"Expected a file name that ends in {' or '.join(writers)}, got {path.name!r}: {path}", code="H3-METRIC-048"
+        )
     return writers[path.suffix]

@@ -32,7 +32,7 @@ class StoredEpisode:
     read_facts: Callable[[], Mapping[str, Any]]
     """Reads `facts`, without ``info`` spread out."""
     index: int | None = None
-    """Its number in a dataset; None of a file."""
+    """Number of the episode in a dataset; None for a file."""
     read_videos: Callable[[], Sequence[EpisodeVideo]] = tuple
     """Returns the videos that its dataset has of it."""
     read_together: Callable[[range], Iterator[Recording]] | None = None
@@ -87,8 +87,10 @@ def _consecutive(stored: Sequence[StoredEpisode], most_steps: int) -> Iterator[l
 
 
 def common_cameras(stored: Iterable[StoredEpisode]) -> list[str]:
-    """Cameras of which every one of these episodes has a video, all of the same size. Episodes without steps, and those that
-    cannot be read, do not count."""
+    """Cameras of which all of the given episodes have a video of the same size.
+
+    Episodes without steps and episodes that cannot be read do not count.
+    """
     common: list[VideoFeature] | None = None
     for of in stored:
         try:
@@ -106,7 +108,9 @@ def common_cameras(stored: Iterable[StoredEpisode]) -> list[str]:
 class HasEpisodes(Protocol):
     """A dataset, or `Episodes`."""
 
-    def all(self) -> Episodes: ...
+    def all(self) -> Episodes:
+        """All episodes, in the order in which they are stored."""
+        ...
 
 
 class Episodes(Sequence[Recording]):
@@ -156,7 +160,9 @@ class Episodes(Sequence[Recording]):
         for name in equal:
             known = sorted(set().union(*facts))
             if facts and name not in known:
-                raise InputError(f"No episode has a {name!r}.{suggest(name, known, lead='They have')}")
+                raise InputError(
+                    f"No episode has a {name!r}.{suggest(name, known, lead='They have')}", code="H3-RECORDING-003"
+                )
         chosen = (
             stored
             for stored, of in zip(self.stored, facts, strict=True)
@@ -176,7 +182,10 @@ class Episodes(Sequence[Recording]):
             InputError: shares are not positive, or are more than 1 together.
         """
         if not shares or min(shares) <= 0 or sum(shares) > 1 + 1e-9:
-            raise InputError(f"Expected shares above 0 that are at most 1 together, such as 0.8, 0.1, got {shares}.")
+            raise InputError(
+                f"Expected shares above 0 that are at most 1 together, such as 0.8, 0.1, got {shares}.",
+                code="H3-RECORDING-001",
+            )
         facts = self.facts
         groups = list(dict.fromkeys(str(of.get(by)) for of in facts))
         order = np.random.default_rng(seed).permutation(len(groups))
@@ -205,7 +214,7 @@ class Episodes(Sequence[Recording]):
         from h3data.recording.parquet.writer import DatasetWriter
 
         if not self.stored:
-            raise InputError(f"There are no episodes to write: {root}")
+            raise InputError(f"There are no episodes to write: {root}", code="H3-RECORDING-002")
         rate = round(1e9 / max(self[0].episode.dt_ns, 1))
         cameras = common_cameras(self.stored)
         with DatasetWriter(root, fps=rate, overwrite=overwrite, like=self) as writer:

@@ -47,12 +47,15 @@ class FileStore:
         try:
             data = path.read_bytes()
         except OSError as error:
-            raise FormatError(f"{what} is missing ({error.strerror or error}). Hint: {hint}. File: {path}") from error
+            raise FormatError(
+                f"{what} is missing ({error.strerror or error}). Hint: {hint}. File: {path}", code="H3-RECORDING-004"
+            ) from error
         if stored not in self._sound:
             expected, actual = stored.partition(".")[0], hashlib.sha256(data).hexdigest()
             if actual != expected:
                 raise FormatError(
-                    f"{what} is damaged: expected the SHA-256 {expected}, got {actual}. Hint: {hint}. File: {path}"
+                    f"{what} is damaged: expected the SHA-256 {expected}, got {actual}. Hint: {hint}. File: {path}",
+                    code="H3-RECORDING-005",
                 )
             self._sound.add(stored)
         return data

@@ -26,7 +26,7 @@ def find_sources(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> Iterat
         datasets = sorted({file.parent.parent for file in path.rglob("meta/info.json")})
         logs = [log for log in logs_in(path, below=True) if not any(root in log.parents for root in datasets)]
         if not logs and not datasets:
-            raise InputError(f"No recording (.mcap) and no dataset in this folder: {path}")
+            raise InputError(f"No recording (.mcap) and no dataset in this folder: {path}", code="H3-RECORDING-007")
         yield from (*logs, *datasets)
 
 
@@ -60,7 +60,7 @@ def stored_log(path: AnyPath) -> StoredEpisode:
 def _read(path: AnyPath) -> Recording:
     opened = open_recording(path)
     if isinstance(opened, Dataset):
-        raise InputError(f"Expected a recording (.mcap), this is a dataset: {path}")
+        raise InputError(f"Expected a recording (.mcap), this is a dataset: {path}", code="H3-RECORDING-006")
     return opened
 
 

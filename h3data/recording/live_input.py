@@ -34,7 +34,7 @@ class LiveInput:
     asked: tuple[str, ...]
     """What they had asked for last, at each row: `NOTHING`, `STEERS`, `AWAY`, or the kind of a message such as ``pick``."""
     rtt_ms: NDArray[np.float32]
-    """At each row, [T] [ms]; NaN where it had not been measured."""
+    """Round-trip time at each row, [T] [ms]; NaN where it was not measured."""
 
     @property
     def rtt_shares_ms(self) -> tuple[float, float] | None:

@@ -39,7 +39,9 @@ def open_recording(path: str | os.PathLike[str] | RemotePath) -> Recording | Dat
     try:
         exists, folder = path.exists(), path.is_dir()
     except OSError as error:
-        raise InputError(f"The path cannot be read ({error.strerror or error}): {path}") from error
+        raise InputError(
+            f"The path cannot be read ({error.strerror or error}): {path}", code="H3-RECORDING-054"
+        ) from error
     root, _, number = (path.uri if isinstance(path, RemotePath) else str(path)).rpartition("#")
     if not exists and root and number.isdecimal():
         return _episode(open_recording(place(root)), int(number), masked(root))
@@ -47,7 +49,8 @@ def open_recording(path: str | os.PathLike[str] | RemotePath) -> Recording | Dat
         part = path.with_name(path.name + ".part")
         hint = f" Hint: an unfinished one exists, `h3data recover {part} -o OUT`." if part.exists() else ""
         raise InputError(
-            f"There is no such file or folder. Expected a recording (.mcap) or a dataset.{hint} Path: {path}"
+            f"There is no such file or folder. Expected a recording (.mcap) or a dataset.{hint} Path: {path}",
+            code="H3-RECORDING-049",
         )
     if folder:
         from h3data.recording.parquet.dataset import Dataset
@@ -59,10 +62,11 @@ def open_recording(path: str | os.PathLike[str] | RemotePath) -> Recording | Dat
 
         return read_mcap(path)
     if path.suffix == ".part":
-        raise FormatError(f"An unfinished file ({form.title}) with nothing to recover: {path}")
+        raise FormatError(f"An unfinished file ({form.title}) with nothing to recover: {path}", code="H3-RECORDING-050")
     hint = form.hint or (f"`h3data import {path} -o DIR` makes an MCAP log of it" if form.read else "")
     raise FormatError(
-        f"Expected an MCAP log or a dataset folder, this looks like {form.title}.{hint and f' Hint: {hint}.'} File: {path}"
+        f"Expected an MCAP log or a dataset folder, this looks like {form.title}.{hint and f' Hint: {hint}.'} File: {path}",
+        code="H3-RECORDING-048",
     )
 
 
@@ -81,10 +85,12 @@ def open_steps(path: str | os.PathLike[str] | RemotePath, *, episode: int | None
         from h3data.recording.parquet.steps import DatasetSteps
 
         if episode is None:
-            raise InputError(f"A dataset has many episodes: pass episode=0 or another number: {at}")
+            raise InputError(
+                f"A dataset has many episodes: pass episode=0 or another number: {at}", code="H3-RECORDING-055"
+            )
         return DatasetSteps(Dataset(at), episode)
     if episode is not None:
-        raise InputError(f"Only a dataset has numbered episodes, this is not one: {at}")
+        raise InputError(f"Only a dataset has numbered episodes, this is not one: {at}", code="H3-RECORDING-051")
     from h3data.recording.mcap.steps import McapSteps
 
     return McapSteps(at)
@@ -92,9 +98,12 @@ def open_steps(path: str | os.PathLike[str] | RemotePath, *, episode: int | None
 
 def _episode(opened: Recording | Dataset, number: int, root: str) -> Recording:
     if isinstance(opened, Recording):
-        raise InputError(f"Only a dataset has numbered episodes, this is a recording: {root}")
+        raise InputError(f"Only a dataset has numbered episodes, this is a recording: {root}", code="H3-RECORDING-052")
     if number >= len(opened):
-        raise InputError(f"There is no episode {number}: the dataset has {len(opened)}, 0 to {len(opened) - 1}: {root}")
+        raise InputError(
+            f"There is no episode {number}: the dataset has {len(opened)}, 0 to {len(opened) - 1}: {root}",
+            code="H3-RECORDING-053",
+        )
     return opened.recording(number)
 
 
@@ -106,4 +115,6 @@ def _format_of(path: AnyPath) -> Format:
         with open_binary(path) as stream:
             return format_by_beginning(stream.read(_HEAD_BYTES))
     except OSError as error:
-        raise InputError(f"The file cannot be read ({error.strerror or error}): {path}") from error
+        raise InputError(
+            f"The file cannot be read ({error.strerror or error}): {path}", code="H3-RECORDING-026"
+        ) from error

@@ -76,9 +76,9 @@ class AssetRef:
     """``scene:<asset>`` is in the attached scene; ``primitive:<kind>`` is generated; anything else is a file path as
     recorded, to be found below the user's asset roots."""
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
-    """Which axis of the file points up."""
+    """Axis of the file that points up."""
     front: tuple[float, float, float] = (0.0, 0.0, -1.0)
-    """Which axis of the file points forward."""
+    """Axis of the file that points forward."""
     units_m: float = 1.0
     """Metres per unit of the file."""
     color: tuple[int, int, int] | None = None
@@ -180,8 +180,10 @@ class Episode:
 
     @property
     def plants_feet(self) -> bool:
-        """Whether people walk with planted feet, as they do since schema 1.5: in replays of those recorded by clips, and when
-        an episode is simulated again."""
+        """Whether people walk with planted feet, as they do since schema 1.5.
+
+        It applies to replays of people recorded by motion clips, and to episodes that are simulated again.
+        """
         return is_since(self.schema_version, PLANTED_SINCE)
 
     @property
@@ -194,7 +196,9 @@ class Columns(dict[str, NDArray[Any]]):
     """Columns by name. The `KeyError` of an unknown one says what was meant."""
 
     def __missing__(self, name: object) -> NDArray[Any]:
-        raise UnknownColumnError(f"No column {name!r} in this recording.{suggest(str(name), self, lead='It has')}")
+        raise UnknownColumnError(
+            f"No column {name!r} in this recording.{suggest(str(name), self, lead='It has')}", code="H3-RECORDING-106"
+        )
 
 
 class UnknownColumnError(InputError, KeyError):
@@ -223,7 +227,8 @@ class Recording:
         faults = _faults(self)
         if faults:
             raise FormatError(
-                f"Recording {self.episode.episode_id!r} is not consistent: " + "; ".join(faults[:8]) + "."
+                f"Recording {self.episode.episode_id!r} is not consistent: " + "; ".join(faults[:8]) + ".",
+                code="H3-RECORDING-107",
             )
         if type(self.columns) is dict:
             object.__setattr__(self, "columns", Columns(self.columns))

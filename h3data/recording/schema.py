@@ -109,7 +109,10 @@ def layout_of(columns: Mapping[str, NDArray[Any]]) -> Layout:
         else:
             layout.append(Column(name, dtype, array.shape[1:]))
     if faults:
-        raise InputError(f"Columns must be bool, integer or float arrays with time as axis 0, but {'; '.join(faults)}.")
+        raise InputError(
+            f"Columns must be bool, integer or float arrays with time as axis 0, but {'; '.join(faults)}.",
+            code="H3-RECORDING-108",
+        )
     return tuple(layout)
 
 
@@ -143,10 +146,15 @@ def layout_from_json(text: str) -> Layout:
     try:
         layout = tuple(Column(str(n), str(d), tuple(int(s) for s in shape)) for n, d, shape in json.loads(text))
     except (ValueError, TypeError, OverflowError, RecursionError) as error:
-        raise FormatError(f"Expected a JSON list of [name, dtype, shape], got {text[:80]!r}.") from error
+        raise FormatError(
+            f"Expected a JSON list of [name, dtype, shape], got {text[:80]!r}.", code="H3-RECORDING-111"
+        ) from error
     unknown = sorted({c.dtype for c in layout} - DTYPES)
     if unknown:
-        raise FormatError(f"Unknown dtypes {unknown} in a column layout. Hint: a newer h3data may read this file.")
+        raise FormatError(
+            f"Unknown dtypes {unknown} in a column layout. Hint: a newer h3data may read this file.",
+            code="H3-RECORDING-109",
+        )
     return layout
 
 
@@ -162,11 +170,14 @@ def check_version(version: str, *, path: object) -> None:
     try:
         major = int(version.split(".")[0])
     except (ValueError, AttributeError):
-        raise FormatError(f"Expected a schema version such as {SCHEMA_VERSION!r}, got {version!r}: {path}") from None
+        raise FormatError(
+            f"Expected a schema version such as {SCHEMA_VERSION!r}, got {version!r}: {path}", code="H3-RECORDING-112"
+        ) from None
     if major > ours:
         raise FormatError(
             f"Written with schema version {version}; this h3data reads up to {ours}.x. "
-            f"Hint: install a newer h3data (pip install --upgrade h3data): {path}"
+            f"Hint: install a newer h3data (pip install --upgrade h3data): {path}",
+            code="H3-RECORDING-110",
         )
 
 
@@ -269,7 +280,10 @@ def struct_from_dict(struct: str, values: Mapping[str, Any]) -> Any:
         else:
             sound = isinstance(value, list | tuple) and all(isinstance(v, types) for v in value)
         if not sound:
-            raise FormatError(f"Expected {kind.replace('*', ' values')} in {struct}.{name}, got {value!r:.60}.")
+            raise FormatError(
+                f"Expected {kind.replace('*', ' values')} in {struct}.{name}, got {value!r:.60}.",
+                code="H3-RECORDING-113",
+            )
         arguments[name] = tuple(value) if many else value
     if arguments.get("color") == ():
         arguments["color"] = None
@@ -290,12 +304,14 @@ def info_to_json(info: Mapping[str, Any]) -> str:
     try:
         return json.dumps(dict(info), ensure_ascii=False, default=_plain)
     except (TypeError, ValueError) as error:
-        raise InputError(f"Episode.info must hold only what JSON can hold: {error}.") from None
+        raise InputError(f"Episode.info must hold only what JSON can hold: {error}.", code="H3-RECORDING-114") from None
 
 
 def current_info(task: str, version: str, info: str) -> str:
-    """JSON of `Episode.info` with the names that policies have now: before `PAPERS_EXPERT_SINCE`, ``heuristic_expert`` was the
-    name of social navigation's ``rollout_expert``."""
+    """JSON of `Episode.info` with the present names of policies.
+
+    Before `PAPERS_EXPERT_SINCE`, social navigation's ``rollout_expert`` was called ``heuristic_expert``.
+    """
     if task != "social_nav" or is_since(version, PAPERS_EXPERT_SINCE):
         return info
     return info.replace('"heuristic_expert"', '"rollout_expert"')
@@ -323,10 +339,12 @@ def episode_from_dict(values: Mapping[str, Any], *, path: object) -> Episode:
         info = json.loads(current_info(texts["task"], texts["schema_version"], values["info"]))
         episode = Episode(**texts, seed=int(values["seed"]), dt_ns=int(values["dt_ns"]), info=info)
     except (KeyError, ValueError, TypeError, OverflowError, RecursionError) as error:
-        raise FormatError(f"The episode record is incomplete or malformed ({error}): {path}") from error
+        raise FormatError(
+            f"The episode record is incomplete or malformed ({error}): {path}", code="H3-RECORDING-115"
+        ) from error
     return episode
 
 
 def ordered(columns: Mapping[str, NDArray[Any]], names: Iterable[str]) -> dict[str, NDArray[Any]]:
-    """The same columns in the order of ``names``."""
+    """Columns in the order of ``names``."""
     return {name: columns[name] for name in names if name in columns}

@@ -40,7 +40,10 @@ class Steps(ABC):
         names = [c.name for c in self.layout]
         unknown = sorted(set(columns or ()) - set(names))
         if unknown:
-            raise InputError(f"No columns {unknown} in this recording.{suggest(unknown[0], names, lead='It has')}")
+            raise InputError(
+                f"No columns {unknown} in this recording.{suggest(unknown[0], names, lead='It has')}",
+                code="H3-RECORDING-116",
+            )
         return self._rows(start, stop, names if columns is None else [n for n in names if n in set(columns)])
 
     def __getitem__(self, step: int) -> dict[str, NDArray[Any]]:
@@ -70,7 +73,8 @@ class Steps(ABC):
         )
 
     @abstractmethod
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Releases files and memory; the steps cannot be read afterwards."""
 
     def __enter__(self) -> Self:
         return self
@@ -83,7 +87,10 @@ class Steps(ABC):
     # --- private ---
     def _require_steps(self, start: int, stop: int) -> None:
         if not 0 <= start <= stop <= len(self):
-            raise InputError(f"Steps {start} to {stop - 1}: the recording has {len(self)}, 0 to {len(self) - 1}.")
+            raise InputError(
+                f"Steps {start} to {stop - 1}: the recording has {len(self)}, 0 to {len(self) - 1}.",
+                code="H3-RECORDING-117",
+            )
 
     def _inputs_within(self, inputs: Sequence[InputEvent], start: int, stop: int) -> tuple[InputEvent, ...]:
         """Inputs in (time of the row before, time of the last row]; at the ends of the episode also all beyond."""

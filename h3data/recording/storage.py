@@ -68,18 +68,22 @@ class RemotePath:
 
     @property
     def name(self) -> str:
+        """Last part of the path."""
         return self.path.rpartition("/")[2]
 
     @property
     def stem(self) -> str:
+        """Last part of the path without its suffix."""
         return PurePosixPath(self.name).stem
 
     @property
     def suffix(self) -> str:
+        """Suffix of the last part, with its dot; empty if there is none."""
         return PurePosixPath(self.name).suffix
 
     @property
     def parent(self) -> RemotePath:
+        """Folder that contains this path; the bucket itself for a bucket."""
         return self._at(self.path.rpartition("/")[0] or self.path)
 
     @property
@@ -92,18 +96,27 @@ class RemotePath:
         return folders
 
     def relative_to(self, folder: RemotePath) -> PurePosixPath:
+        """Path within a folder that contains this one.
+
+        Raises:
+            ValueError: the path does not lie in the folder.
+        """
         return PurePosixPath(self.path).relative_to(folder.path)
 
     def with_name(self, name: str) -> RemotePath:
+        """Path in the same folder with another last part."""
         return self.parent / name
 
     def exists(self) -> bool:
+        """Whether there is a file or folder at this path."""
         return self._info().type != pafs.FileType.NotFound
 
     def is_dir(self) -> bool:
+        """Whether there is a folder at this path."""
         return self._info().type == pafs.FileType.Directory
 
     def is_file(self) -> bool:
+        """Whether there is a file at this path."""
         return self._info().type == pafs.FileType.File
 
     def iterdir(self) -> Iterator[RemotePath]:
@@ -112,6 +125,7 @@ class RemotePath:
 
     def glob(self, pattern: str) -> Iterator[RemotePath]:
         """Everything below whose relative path matches, part by part (no ``**``)."""
+        # the whole tree is listed and matched here, because stores cannot match patterns
         depth = len(PurePosixPath(pattern).parts)
         return (self / p for p in map(PurePosixPath, self._listed()) if len(p.parts) == depth and p.match(pattern))
 
@@ -125,6 +139,7 @@ class RemotePath:
             return self.filesystem.open_input_file(self.key)
 
     def read_bytes(self) -> bytes:
+        """Content of the file."""
         with self.open_input() as stream:
             return stream.read()
 
@@ -139,11 +154,13 @@ class RemotePath:
                 shutil.copyfileobj(source, stream, _CHUNK)
 
     def unlink(self) -> None:
+        """Deletes the file."""
         with _allowed("delete", self):
             self.filesystem.delete_file(self.key)
 
     @property
     def filesystem(self) -> pafs.FileSystem:
+        """File system of pyarrow that serves this URI; shared by all paths of one scheme and host."""
         return _filesystem(self.scheme, self.path.partition("/")[0], self.query)[0]
 
     @property
@@ -164,6 +181,8 @@ class RemotePath:
 
     def _listed(self, *, recursive: bool = True) -> list[str]:
         """Paths of files and folders below, relative to this one, sorted."""
+        # one request for a whole tree: object stores have no folders, and take tens of milliseconds for each
+        # answer
         selector = pafs.FileSelector(self.key, recursive=recursive, allow_not_found=True)
         with _allowed("list", self):
             found = self.filesystem.get_file_info(selector)
@@ -190,17 +209,21 @@ def place(path: str | os.PathLike[str] | RemotePath) -> AnyPath:
         return path
     text = os.fspath(path)
     match = _URI.fullmatch(text)
+    # a Windows drive or a name with a colon is no URI; ``s3:/bucket`` is one that a `Path` has shortened
     if match is None or not (match["double"] or match["scheme"].lower() in SCHEMES):
         return Path(path)
     scheme, rest = match["scheme"].lower(), match["rest"]
     if scheme not in SCHEMES:
-        raise InputError(f"Expected a path or a URI of {', '.join(SCHEMES)}, got {scheme}://: {masked(text)}")
+        raise InputError(
+            f"Expected a path or a URI of {', '.join(SCHEMES)}, got {scheme}://: {masked(text)}",
+            code="H3-RECORDING-118",
+        )
     if scheme == "file":
         return Path("/" + rest.lstrip("/"))
     key, _, query = rest.partition("?")
     key = key.strip("/")
     if not key:
-        raise InputError(f"A URI needs a bucket or folder: {masked(text)}")
+        raise InputError(f"A URI needs a bucket or folder: {masked(text)}", code="H3-RECORDING-119")
     return RemotePath(scheme, key, query)
 
 
@@ -212,7 +235,10 @@ def local(path: str | os.PathLike[str] | RemotePath) -> Path:
     """
     at = place(path)
     if isinstance(at, RemotePath):
-        raise InputError(f"This can only be written locally; only datasets and .mcap files go to a URI: {at}")
+        raise InputError(
+            f"This can only be written locally; only datasets and .mcap files go to a URI: {at}",
+            code="H3-RECORDING-120",
+        )
     return at
 
 
@@ -253,6 +279,7 @@ def put_tree(folder: Path, target: RemotePath, *, last: str) -> None:
     """Uploads all files of a local folder to ``target``, those below ``last`` after the others; then deletes the folder."""
     try:
         files = sorted(path for path in folder.rglob("*") if path.is_file())
+        # what commits goes last, so readers never see a shard whose other files are still on their way
         for path in sorted(files, key=lambda path: path.is_relative_to(folder / last)):
             with path.open("rb") as stream:
                 (target / path.relative_to(folder)).put(stream)
@@ -270,18 +297,23 @@ def _allowed(to: str, path: RemotePath) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        # pyarrow has one class for all errors of stores; what happened is only in the words of the store
         text = str(error)
         bucket = f"{path.scheme}://{path.path.partition('/')[0]}"
         if _DENIED.search(text):
             raise InputError(
                 f"Access denied: no right to {to} {path}. Expected credentials that may list, read, write and delete there: "
-                "check them (AWS_PROFILE or AWS_ACCESS_KEY_ID for s3://), or choose another place."
+                "check them (AWS_PROFILE or AWS_ACCESS_KEY_ID for s3://), or choose another place.",
+                code="H3-RECORDING-122",
             ) from error
         if "NO_SUCH_BUCKET" in text:
-            raise InputError(f"There is no bucket {bucket}. Make it, or choose another place: {path}") from error
+            raise InputError(
+                f"There is no bucket {bucket}. Make it, or choose another place: {path}", code="H3-RECORDING-123"
+            ) from error
         if "NETWORK_CONNECTION" in text:
             raise InputError(
-                f"The store does not answer. Check the network and the endpoint (AWS_ENDPOINT_URL for s3://): {path}"
+                f"The store does not answer. Check the network and the endpoint (AWS_ENDPOINT_URL for s3://): {path}",
+                code="H3-RECORDING-124",
             ) from error
         raise
 
@@ -291,6 +323,7 @@ def _filesystem(scheme: str, authority: str, query: str) -> tuple[Any, str]:
     """The file system of all URIs that begin like this, and the path of that beginning within it."""
     uri = f"{scheme}://{authority}" + (f"?{query}" if query else "")
     try:
+        # kept per bucket by the cache: a new client would look up credentials and connect again for every file
         return pafs.FileSystem.from_uri(uri)
     except (pa.ArrowException, OSError) as error:
-        raise InputError(masked(f"The storage cannot be opened ({error}): {uri}")) from None
+        raise InputError(masked(f"The storage cannot be opened ({error}): {uri}"), code="H3-RECORDING-121") from None

@@ -57,13 +57,17 @@ class WindowDataset:
         """
         if history < 1 or horizon < 0 or stride < 1:
             raise InputError(
-                f"Expected history >= 1, horizon >= 0 and stride >= 1, got {history}, {horizon} and {stride}."
+                f"Expected history >= 1, horizon >= 0 and stride >= 1, got {history}, {horizon} and {stride}.",
+                code="H3-RECORDING-125",
             )
         if border not in ("drop", "pad"):
-            raise InputError(f"Expected border 'drop' or 'pad', got {border!r}.")
+            raise InputError(f"Expected border 'drop' or 'pad', got {border!r}.", code="H3-RECORDING-126")
         clash = sorted(set(columns) & set(_OWN_KEYS))
         if clash:
-            raise InputError(f"Columns {clash} cannot be in a window: its own keys are {', '.join(_OWN_KEYS)}.")
+            raise InputError(
+                f"Columns {clash} cannot be in a window: its own keys are {', '.join(_OWN_KEYS)}.",
+                code="H3-RECORDING-127",
+            )
         self.dataset, self.columns = dataset, tuple(tables.table_schema(dataset, columns).names)
         self.history, self.horizon, self.stride, self.border = history, horizon, stride, border
         chosen = tables.chosen_episodes(dataset, episodes)

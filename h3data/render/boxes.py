@@ -48,10 +48,14 @@ def visible_masks(ids: ArrayLike, wanted: ArrayLike, *, groups: ArrayLike | None
 def _grouped(ids: ArrayLike, groups: ArrayLike | None) -> NDArray[np.integer]:
     i = np.asarray(ids)
     if i.ndim != 2 or i.dtype.kind not in "iu":
-        raise InputError(f"Expected an image of integer ids [H, W], got {i.dtype} {list(i.shape)}.")
+        raise InputError(
+            f"Expected an image of integer ids [H, W], got {i.dtype} {list(i.shape)}.", code="H3-RENDER-001"
+        )
     if groups is None:
         return i
     table = np.append(np.asarray(groups, np.int64), -1)
     if i.max(initial=-1) >= len(table) - 1:
-        raise InputError(f"The groups cover the ids 0 to {len(table) - 2}, but the image has id {i.max()}.")
+        raise InputError(
+            f"The groups cover the ids 0 to {len(table) - 2}, but the image has id {i.max()}.", code="H3-RENDER-002"
+        )
     return table[np.maximum(i, -1)]

@@ -41,17 +41,18 @@ class Camera:
     """Surfaces beyond this depth count as misses [m]."""
 
     def at(self, pose: ArrayLike) -> Camera:
-        """The same camera at another pose [4, 4], camera to world."""
+        """Camera with the same lens at another pose [4, 4], camera to world."""
         return replace(self, pose=np.asarray(pose, np.float64))
 
     def resized(self, width: int, height: int, *, crop: bool = True) -> Camera:
-        """The same camera with pictures of another size [px]: its axis stays, pixels stay square if they are; an
-        equirectangular one keeps both fields of view.
+        """Same camera with pictures of another size [px].
+
+        Its axis does not change, and square pixels stay square; an equirectangular camera keeps both fields of view.
 
         Args:
-            width: New width.
-            height: New height.
-            crop: Whether to keep the horizontal field of view even where a flatter picture loses its top and bottom; else
+            width: new width.
+            height: new height.
+            crop: whether to keep the horizontal field of view even where a flatter picture loses its top and bottom; otherwise
                 everything in view stays in view, and a narrow picture sees more at its sides instead.
         """
         across, down = width / self.width, height / self.height
@@ -104,7 +105,7 @@ class Camera:
         if self.projection not in get_args(Projection):
             faults.append(f"projection {self.projection!r} (expected one of: {', '.join(get_args(Projection))})")
         if faults:
-            raise InputError(f"Camera {self.name!r} cannot be used, it has: {'; '.join(faults)}.")
+            raise InputError(f"Camera {self.name!r} cannot be used, it has: {'; '.join(faults)}.", code="H3-RENDER-009")
         return self
 
     # --- points and rays ----------------------------------------------------------------------------------------------
@@ -184,7 +185,8 @@ def pinhole(
     """
     if not 0 < hfov_deg < 180:
         raise InputError(
-            f"The field of view of a perspective camera must be between 0 and 180 degrees, got {hfov_deg}."
+            f"The field of view of a perspective camera must be between 0 and 180 degrees, got {hfov_deg}.",
+            code="H3-RENDER-003",
         )
     f = width / 2 / float(np.tan(np.radians(hfov_deg) / 2))
     return _centred(width, height, f, f, "perspective", name, pose, hidden_layers, near, far)
@@ -203,7 +205,10 @@ def orthographic(
 ) -> Camera:
     """A camera with parallel rays; the image is ``width_m`` [m] wide at any depth."""
     if not 0 < width_m < np.inf:
-        raise InputError(f"The width of an orthographic view must be a positive number of metres, got {width_m}.")
+        raise InputError(
+            f"The width of an orthographic view must be a positive number of metres, got {width_m}.",
+            code="H3-RENDER-004",
+        )
     f = width / width_m
     return _centred(width, height, f, f, "orthographic", name, pose, hidden_layers, near, far)
 
@@ -219,7 +224,10 @@ def fisheye(
 ) -> Camera:
     """An equidistant fisheye (distance from the centre proportional to the angle); ``hfov_deg`` spans the width."""
     if not 0 < hfov_deg <= 360:
-        raise InputError(f"The field of view of a fisheye must be above 0 and at most 360 degrees, got {hfov_deg}.")
+        raise InputError(
+            f"The field of view of a fisheye must be above 0 and at most 360 degrees, got {hfov_deg}.",
+            code="H3-RENDER-005",
+        )
     f = width / float(np.radians(hfov_deg))
     return _centred(width, height, f, f, "fisheye", name, pose, hidden_layers)
 
@@ -277,12 +285,18 @@ def camera_from_matrix(
     """
     k = np.asarray(matrix, np.float64)
     if k.shape != (3, 3) or not np.isfinite(k).all():
-        raise InputError(f"Expected a finite 3x3 camera matrix K, got shape {list(k.shape)}: {k.tolist()}.")
+        raise InputError(
+            f"Expected a finite 3x3 camera matrix K, got shape {list(k.shape)}: {k.tolist()}.", code="H3-RENDER-006"
+        )
     fx, fy = float(k[0, 0]), float(k[1, 1])
     if not (fx > 0 and fy > 0):
-        raise InputError(f"This camera matrix is singular or mirrored: fx {fx:g}, fy {fy:g} must be positive.")
+        raise InputError(
+            f"This camera matrix is singular or mirrored: fx {fx:g}, fy {fy:g} must be positive.", code="H3-RENDER-007"
+        )
     if abs(k[0, 1]) > 1e-9 * fx or np.any(k[1:, 0]) or np.any(k[2] != (0, 0, 1)):
-        raise InputError(f"Expected K = [[fx 0 cx] [0 fy cy] [0 0 1]] without skew, got {k.tolist()}.")
+        raise InputError(
+            f"Expected K = [[fx 0 cx] [0 fy cy] [0 0 1]] without skew, got {k.tolist()}.", code="H3-RENDER-008"
+        )
     eye = np.eye(4) if pose is None else np.asarray(pose, np.float64)
     return Camera(
         name=name, width=width, height=height, fx=fx, fy=fy, cx=float(k[0, 2]), cy=float(k[1, 2]), pose=eye

@@ -39,7 +39,7 @@ def instance_to_rgb(ids: ArrayLike) -> NDArray[np.uint8]:
     """Distinct colours [..., 3] for ids [...]: equal ids always get equal colours; negative ids get `MISS_COLOR`."""
     i = np.ascontiguousarray(ids)
     if i.dtype.kind not in "iu":
-        raise InputError(f"Ids must be integers, got {i.dtype}.")
+        raise InputError(f"Ids must be integers, got {i.dtype}.", code="H3-RENDER-010")
     out = np.empty((*np.shape(ids), 3), np.uint8)
     _paint_ids(i.ravel(), _palette(), out.reshape(-1, 3))
     return out
@@ -74,8 +74,11 @@ def _depth_palette() -> NDArray[np.uint8]:
 
 @lru_cache(maxsize=1)
 def _palette() -> NDArray[np.uint8]:
-    """Colours by id, followed by `MISS_COLOR`, shape [1025, 3]: hues in steps of the golden ratio, alternating saturation
-    and brightness, so that neighbouring ids differ clearly."""
+    """Colours by id, followed by `MISS_COLOR`, shape [1025, 3].
+
+    Hues advance in steps of the golden ratio with alternating saturation and brightness, so that neighbouring ids
+    differ clearly.
+    """
     colors = [
         colorsys.hsv_to_rgb((0.13 + 0.6180339887 * k) % 1, (0.55, 0.8, 0.4)[k % 3], (0.95, 0.8, 0.65, 0.9)[k % 4])
         for k in range(_PALETTE_SIZE)
@@ -85,4 +88,4 @@ def _palette() -> NDArray[np.uint8]:
 
 def _check_range(near: float, far: float) -> None:
     if not (np.isfinite(near) and np.isfinite(far) and near < far):
-        raise InputError(f"Expected a depth range with near < far, got {near!r} and {far!r}.")
+        raise InputError(f"Expected a depth range with near < far, got {near!r} and {far!r}.", code="H3-RENDER-011")

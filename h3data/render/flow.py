@@ -41,7 +41,10 @@ def optical_flow(
     """
     missing = [name for name in ("depth", "instance", "triangle") if name not in picture]
     if missing:
-        raise InputError(f"Optical flow needs the outputs depth, instance and triangle; missing: {', '.join(missing)}.")
+        raise InputError(
+            f"Optical flow needs the outputs depth, instance and triangle; missing: {', '.join(missing)}.",
+            code="H3-RENDER-012",
+        )
     depth, ids, triangle = (np.asarray(picture[name]) for name in ("depth", "instance", "triangle"))
     start, directions = camera.rays()
     turn, eye = camera.pose[:3, :3], camera.pose[:3, 3]

@@ -23,11 +23,12 @@ def write_png(path: str | os.PathLike[str], image: NDArray) -> None:
     is_grey = image.ndim == 2 and image.dtype in (np.uint8, np.uint16)
     if not (is_rgb or is_grey) or image.size == 0:
         raise InputError(
-            f"A PNG needs uint8 [H, W, 3] or uint8 / uint16 [H, W], got {image.dtype} {list(image.shape)}."
+            f"A PNG needs uint8 [H, W, 3] or uint8 / uint16 [H, W], got {image.dtype} {list(image.shape)}.",
+            code="H3-RENDER-039",
         )
     ok, data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]) if is_rgb else image, _png_options())
     if not ok:
-        raise InputError(f"OpenCV could not encode an image of shape {list(image.shape)} as PNG.")
+        raise InputError(f"OpenCV could not encode an image of shape {list(image.shape)} as PNG.", code="H3-RENDER-040")
     with part_file(path) as part:
         part.write_bytes(data.tobytes())
 
@@ -54,10 +55,12 @@ def write_jpg(path: str | os.PathLike[str], image: NDArray[np.uint8], *, quality
     import cv2
 
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or image.size == 0:
-        raise InputError(f"A JPEG needs uint8 [H, W, 3], got {image.dtype} {list(image.shape)}.")
+        raise InputError(f"A JPEG needs uint8 [H, W, 3], got {image.dtype} {list(image.shape)}.", code="H3-RENDER-041")
     ok, data = cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not ok:
-        raise InputError(f"OpenCV could not encode an image of shape {list(image.shape)} as JPEG.")
+        raise InputError(
+            f"OpenCV could not encode an image of shape {list(image.shape)} as JPEG.", code="H3-RENDER-042"
+        )
     with part_file(path) as part:
         part.write_bytes(data.tobytes())
 
@@ -79,7 +82,9 @@ def depth_to_mm(depth: NDArray[np.floating]) -> NDArray[np.uint16]:
     """Depth [H, W] [m] in whole millimetres: 0 for misses (and NaN), at least 1 for hits, 65535 for 65.5 m or more."""
     d = np.asarray(depth)
     if d.ndim != 2 or d.dtype.kind != "f":
-        raise InputError(f"Expected depth as floats [H, W] in metres, got {d.dtype} {list(d.shape)}.")
+        raise InputError(
+            f"Expected depth as floats [H, W] in metres, got {d.dtype} {list(d.shape)}.", code="H3-RENDER-043"
+        )
     out = np.empty(d.shape, np.uint16)
     _to_mm(np.ascontiguousarray(d).ravel(), out.ravel())
     return out
@@ -100,11 +105,11 @@ def stored_ids(ids: NDArray[np.integer]) -> NDArray[np.uint16]:
     """
     i = np.asarray(ids)
     if i.ndim != 2 or i.dtype.kind not in "iu":
-        raise InputError(f"Expected ids as integers [H, W], got {i.dtype} {list(i.shape)}.")
+        raise InputError(f"Expected ids as integers [H, W], got {i.dtype} {list(i.shape)}.", code="H3-RENDER-044")
     out = np.empty(i.shape, np.uint16)
     largest = _to_stored(np.ascontiguousarray(i).ravel(), out.ravel())
     if largest >= MAX_DEPTH_MM:
-        raise InputError(f"16-bit images can store ids up to {MAX_DEPTH_MM - 1}, got {largest}.")
+        raise InputError(f"16-bit images can store ids up to {MAX_DEPTH_MM - 1}, got {largest}.", code="H3-RENDER-045")
     return out
 
 

@@ -39,7 +39,9 @@ def check_outputs(outputs: Sequence[str]) -> None:
     """Raises an InputError if a name is not an output."""
     unknown = [name for name in outputs if name not in FORMS]
     if unknown or isinstance(outputs, str):
-        raise InputError(f"Unknown outputs {unknown or outputs!r}. Available: {', '.join(get_args(Output))}.")
+        raise InputError(
+            f"Unknown outputs {unknown or outputs!r}. Available: {', '.join(get_args(Output))}.", code="H3-RENDER-047"
+        )
 
 
 def picture_arrays(
@@ -56,7 +58,8 @@ def picture_arrays(
         elif array.shape != shape or array.dtype != dtype or not array.flags.c_contiguous:
             raise InputError(
                 f"out[{name!r}] must be contiguous {np.dtype(dtype)} {list(shape[1:])} for each of {len(cameras)} cameras, "
-                f"got {array.dtype} {list(array.shape)} for all."
+                f"got {array.dtype} {list(array.shape)} for all.",
+                code="H3-RENDER-048",
             )
         results[name] = array
     return results

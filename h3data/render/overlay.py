@@ -71,8 +71,11 @@ def draw_label(
 
 
 def draw_depth_scale(image: NDArray[np.uint8], near: float, far: float) -> None:
-    """Draws the colours of `h3data.render.depth_to_rgb` from ``near`` to ``far`` [m] into the lower left corner of a depth
-    picture [H, W, 3], with both numbers. Pictures smaller than 96 x 64 stay as they are."""
+    """Draws a scale of depth colours into the lower left corner of a depth picture [H, W, 3].
+
+    It has the colours of `h3data.render.depth_to_rgb` from ``near`` to ``far`` [m], with both numbers. Pictures smaller
+    than 96 x 64 are not changed.
+    """
     import cv2
 
     height, width = image.shape[:2]
@@ -143,7 +146,8 @@ def _check(image: NDArray[np.uint8], camera: Camera) -> None:
     if image.shape != (camera.height, camera.width, 3) or image.dtype != np.uint8 or not image.flags.c_contiguous:
         raise InputError(
             f"Expected a contiguous uint8 image [{camera.height}, {camera.width}, 3] of this camera, "
-            f"got {image.dtype} {list(image.shape)}."
+            f"got {image.dtype} {list(image.shape)}.",
+            code="H3-RENDER-049",
         )
 
 
@@ -156,7 +160,8 @@ def draw_boxes(
     rows, paints = np.asarray(boxes).reshape(-1, 4), np.asarray(colors).reshape(-1, 3)
     if not len(rows) == len(labels) == len(paints):
         raise InputError(
-            f"Expected a label and a colour for each of {len(rows)} boxes, got {len(labels)}, {len(paints)}."
+            f"Expected a label and a colour for each of {len(rows)} boxes, got {len(labels)}, {len(paints)}.",
+            code="H3-RENDER-050",
         )
     for (x0, y0, x1, y1), label, paint in zip(rows.tolist(), labels, paints.tolist(), strict=True):
         cv2.rectangle(image, (x0, y0), (x1 - 1, y1 - 1), paint, thickness)

@@ -176,8 +176,11 @@ class RayCaster:
         return ~(blocked & (distance > 0))
 
     def normals(self, hits: Hits, toward: ArrayLike) -> NDArray[np.float32]:
-        """Unit world normals [..., 3] at hits, smooth if the mesh has vertex normals, on the side of the surface that faces
-        the direction ``toward`` [..., 3]; 0 for misses."""
+        """Unit world normals [..., 3] at hits; 0 for misses.
+
+        They are smooth if the mesh has vertex normals, and are on the side of the surface that faces the direction
+        ``toward`` [..., 3].
+        """
         out = np.zeros((*hits.instance.shape, 3), np.float32)
         mask = hits.instance >= 0
         view = np.broadcast_to(np.asarray(toward, np.float64), out.shape)[mask]
@@ -250,7 +253,10 @@ def lidar(
     """
     matrix, elevation = np.asarray(pose, np.float64), np.radians(np.atleast_1d(np.asarray(elevations_deg, np.float64)))
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or columns < 1:
-        raise InputError(f"A lidar needs a finite 4x4 pose and at least one column, got {matrix.tolist()}, {columns}.")
+        raise InputError(
+            f"A lidar needs a finite 4x4 pose and at least one column, got {matrix.tolist()}, {columns}.",
+            code="H3-RENDER-051",
+        )
     angle = np.arange(columns) * (2 * np.pi / columns)
     flat = np.cos(elevation)[:, None]
     up = np.broadcast_to(np.sin(elevation)[:, None], (len(elevation), columns))
@@ -267,7 +273,8 @@ def _rays(
     o, d = np.broadcast_arrays(np.asarray(origins, np.float64), np.asarray(directions, np.float64))
     if o.ndim == 0 or o.shape[-1] != 3:
         raise InputError(
-            f"Expected rays [..., 3], got origins {list(np.shape(origins))}, directions {list(np.shape(directions))}."
+            f"Expected rays [..., 3], got origins {list(np.shape(origins))}, directions {list(np.shape(directions))}.",
+            code="H3-RENDER-052",
         )
     shape = o.shape[:-1]
     limit = np.broadcast_to(np.asarray(max_m, np.float64), shape).reshape(-1)
@@ -299,6 +306,7 @@ def _embree() -> Any:
     except ImportError as error:
         raise MissingExtraError(
             "Fisheye and equirectangular depth, lidar, line of sight and shadows need Embree. "
-            "Hint: pip install 'h3data[rays]'"
+            "Hint: pip install 'h3data[rays]'",
+            code="H3-RENDER-053",
         ) from error
     return embreex

@@ -70,22 +70,25 @@ class Renderer:
         worlds: int = 1,
         threads: int = 1,
     ) -> None:
-        """
+        """Prepares a scene for a back end.
+
         Args:
-            scene: The scene.
-            light: Light; default `Light()`.
+            scene: the scene.
+            light: light; default `Light()`.
             backend: ``cpu`` (rasteriser, NumPy arrays), ``gpu`` (CUDA, torch tensors that stay on the device), ``rays``
                 (Embree, NumPy arrays) or ``auto``: ``gpu`` if there is one, else ``cpu``. With ``auto`` on a GPU, cast
                 shadows and non-perspective cameras are rendered on the CPU and copied to the device.
-            worlds: Number of worlds.
-            threads: Number of threads that render a batch on the CPU.
+            worlds: number of worlds.
+            threads: number of threads that render a batch on the CPU.
 
         Raises:
             InputError: there is no such back end.
             MissingExtraError: the back end cannot run here; the message says what is missing.
         """
         if worlds < 1 or threads < 1:
-            raise InputError(f"A renderer needs at least one world and one thread, got {worlds} and {threads}.")
+            raise InputError(
+                f"A renderer needs at least one world and one thread, got {worlds} and {threads}.", code="H3-RENDER-055"
+            )
         self.scene = scene
         self.light = light or Light()
         self.world_count = worlds
@@ -93,14 +96,18 @@ class Renderer:
 
     # --- state ----------------------------------------------------------------------------------------------------
     def set_transforms(self, indices: ArrayLike, matrices: ArrayLike, *, world: int = 0) -> None:
-        """Sets the transforms [n, 4, 4] or [n, 3, 4], mesh to world, of instances [n]; NaN hides one until it is set
-        again."""
+        """Sets the transforms [n, 4, 4] or [n, 3, 4] of instances [n], mesh to world.
+
+        NaN hides an instance until its transform is set again.
+        """
         index = self._checked(indices)
         m = np.asarray(matrices, np.float64)
         if m.ndim == 2:
             m = m[None]
         if m.shape not in ((len(index), 4, 4), (len(index), 3, 4)):
-            raise InputError(f"Expected {len(index)} matrices [n, 4, 4], got shape {list(m.shape)}.")
+            raise InputError(
+                f"Expected {len(index)} matrices [n, 4, 4], got shape {list(m.shape)}.", code="H3-RENDER-056"
+            )
         self._engine.set_transforms(self._world(world), index, m[:, :3])
 
     def set_visible(self, indices: ArrayLike, visible: ArrayLike, *, world: int = 0) -> None:
@@ -114,14 +121,16 @@ class Renderer:
         if mesh not in scene.deformable:
             raise InputError(
                 f"Mesh {mesh} is not deformable (these are: {list(scene.deformable)}). "
-                "Hint: list it in RenderScene(..., deformable=...)."
+                "Hint: list it in RenderScene(..., deformable=...).",
+                code="H3-RENDER-057",
             )
         v = np.array(vertices, np.float32, order="C")
         expected = scene.meshes[mesh].vertices.shape
         if v.shape != expected or not np.isfinite(v).all():
             fault = "values that are not finite" if v.shape == expected else f"shape {list(v.shape)}"
             raise InputError(
-                f"Mesh {mesh} needs {list(expected)} finite vertices, got {fault}. Hint: hide it with set_visible."
+                f"Mesh {mesh} needs {list(expected)} finite vertices, got {fault}. Hint: hide it with set_visible.",
+                code="H3-RENDER-058",
             )
         self._engine.set_vertices(self._world(world), mesh, v)
 
@@ -136,10 +145,14 @@ class Renderer:
             if rows.ndim != 2 or rows.shape[1] != BLOCKER_WORDS or tints.shape != (count, 4):
                 raise InputError(
                     f"Blockers need rows [N, {BLOCKER_WORDS}] and tints [{count}, 4], "
-                    f"got {list(rows.shape)} and {list(tints.shape)}."
+                    f"got {list(rows.shape)} and {list(tints.shape)}.",
+                    code="H3-RENDER-065",
                 )
             if not (np.isfinite(rows).all() and np.isfinite(tints).all()):
-                raise InputError("Blockers need finite numbers. Hint: blocker_rows leaves out capsules with NaN.")
+                raise InputError(
+                    "Blockers need finite numbers. Hint: blocker_rows leaves out capsules with NaN.",
+                    code="H3-RENDER-066",
+                )
             blockers = Blockers(np.ascontiguousarray(rows, np.float32), np.ascontiguousarray(tints, np.float32))
         self._engine.set_blockers(self._world(world), blockers)
 
@@ -150,7 +163,8 @@ class Renderer:
     def _world(self, world: int) -> int:
         if not 0 <= world < self.world_count:
             raise InputError(
-                f"There is no world {world}: this renderer has {self.world_count}, 0 to {self.world_count - 1}."
+                f"There is no world {world}: this renderer has {self.world_count}, 0 to {self.world_count - 1}.",
+                code="H3-RENDER-059",
             )
         return int(world)
 
@@ -160,7 +174,7 @@ class Renderer:
         if index.size == 0:
             return np.zeros(0, np.intp)
         if index.ndim != 1 or index.dtype.kind not in "iu" or index.min() < 0 or index.max() >= count:
-            raise InputError(f"Expected instance indices from 0 to {count - 1}, got {indices!r}.")
+            raise InputError(f"Expected instance indices from 0 to {count - 1}, got {indices!r}.", code="H3-RENDER-060")
         return index.astype(np.intp)
 
     # --- images ---------------------------------------------------------------------------------------------------
@@ -198,17 +212,23 @@ class Renderer:
         """Images of N cameras of one size, each in its own world (default 0), as in `render`, each [N, H, W, ...]."""
         check_outputs(outputs)
         if samples not in (1, 4):
-            raise InputError(f"samples must be 1 or 4, got {samples!r}.")
+            raise InputError(f"samples must be 1 or 4, got {samples!r}.", code="H3-RENDER-032")
         if not cameras:
-            raise InputError("A batch needs at least one camera.")
+            raise InputError("A batch needs at least one camera.", code="H3-RENDER-061")
         for camera in cameras:
             camera.checked()
         sizes = sorted({(camera.width, camera.height) for camera in cameras})
         if len(sizes) > 1:
-            raise InputError(f"The cameras of a batch must have one size, got {sizes}. Hint: one batch per size.")
+            raise InputError(
+                f"The cameras of a batch must have one size, got {sizes}. Hint: one batch per size.",
+                code="H3-RENDER-062",
+            )
         world_of_camera = [0] * len(cameras) if worlds is None else [self._world(world) for world in worlds]
         if len(world_of_camera) != len(cameras):
-            raise InputError(f"Expected one world for each of {len(cameras)} cameras, got {len(world_of_camera)}.")
+            raise InputError(
+                f"Expected one world for each of {len(cameras)} cameras, got {len(world_of_camera)}.",
+                code="H3-RENDER-063",
+            )
         return self._engine.render(cameras, world_of_camera, outputs, samples, out)
 
     def __repr__(self) -> str:
@@ -233,7 +253,9 @@ def gpu_fault() -> str:
 
 def _engine(scene: RenderScene, light: Light, backend: str, worlds: int, threads: int) -> tuple[Backend, Engine]:
     if backend not in get_args(Backend):
-        raise InputError(f"Unknown back end {backend!r}. Available: {', '.join(get_args(Backend))}.")
+        raise InputError(
+            f"Unknown back end {backend!r}. Available: {', '.join(get_args(Backend))}.", code="H3-RENDER-054"
+        )
     if backend in ("auto", "gpu"):
         gpu, fault = _gpu_engines()
         if not fault and backend == "auto":
@@ -241,7 +263,9 @@ def _engine(scene: RenderScene, light: Light, backend: str, worlds: int, threads
         if not fault:
             return "gpu", gpu.GpuEngine(scene, light=light, worlds=worlds)
         if backend == "gpu":
-            raise MissingExtraError(f"The back end 'gpu' cannot be used: {fault}. Hint: backend='cpu'.")
+            raise MissingExtraError(
+                f"The back end 'gpu' cannot be used: {fault}. Hint: backend='cpu'.", code="H3-RENDER-064"
+            )
     from h3data.render.hybrid import HybridEngine
 
     only_rays = backend == "rays"

@@ -58,12 +58,13 @@ class RenderScene:
         deformable: Sequence[int] = (),
         mirrors: Mapping[int, NDArray[np.float32]] | None = None,
     ) -> None:
-        """
+        """Cuts the meshes into clusters.
+
         Args:
-            meshes: The meshes.
-            instances: Their instances.
-            deformable: Meshes whose vertices will be replaced, e.g. skinned bodies.
-            mirrors: Glossy meshes, and the light that their vertices mirror from -x, +x, +y, -z and +z, each [V, 5]
+            meshes: the meshes.
+            instances: their instances.
+            deformable: meshes whose vertices will be replaced, such as skinned bodies.
+            mirrors: glossy meshes, and the light that their vertices mirror from -x, +x, +y, -z and +z, each [V, 5]
                 (`h3data.render.light.bake.LitScene.mirrors`).
         """
         self.meshes = tuple(meshes)
@@ -230,4 +231,4 @@ def _check(
     ]
     if faults:
         more = f" and {len(faults) - 5} more faults" if len(faults) > 5 else ""
-        raise InputError("The scene cannot be rendered: " + "; ".join(faults[:5]) + more + ".")
+        raise InputError("The scene cannot be rendered: " + "; ".join(faults[:5]) + more + ".", code="H3-RENDER-067")

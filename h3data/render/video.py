@@ -61,22 +61,26 @@ class VideoWriter:
         preset: str | None = None,
         key_frames: int | None = None,
     ) -> None:
-        """
+        """Opens the file and the encoder.
+
         Args:
-            path: The file to write.
-            width: Width of the frames [px].
-            height: Height of the frames [px].
-            fps: Frames per second.
-            codec: Video codec.
-            crf: Quality, 0 is best; default 23 for H.264, 32 for AV1.
-            preset: Effort of the encoder, in the terms of x264 or SVT-AV1.
-            key_frames: Frames from one key frame to the next, for H.264, without B-frames: a decoder that jumps to a frame
+            path: file to write.
+            width: width of the frames [px].
+            height: height of the frames [px].
+            fps: frames per second.
+            codec: video codec.
+            crf: quality, 0 is best; default 23 for H.264, 32 for AV1.
+            preset: effort of the encoder, in the terms of x264 or SVT-AV1.
+            key_frames: frames from one key frame to the next, for H.264, without B-frames: a decoder that jumps to a frame
                 decodes this many at most. By default the encoder decides.
         """
         if width < 1 or height < 1 or not fps > 0:
-            raise InputError(f"A video needs a size and a frame rate above 0, got {width}x{height} at {fps} frames/s.")
+            raise InputError(
+                f"A video needs a size and a frame rate above 0, got {width}x{height} at {fps} frames/s.",
+                code="H3-RENDER-073",
+            )
         if codec not in _SETTINGS:
-            raise InputError(f"Unknown codec {codec!r}. Expected one of: {', '.join(_SETTINGS)}.")
+            raise InputError(f"Unknown codec {codec!r}. Expected one of: {', '.join(_SETTINGS)}.", code="H3-RENDER-074")
         self.path = Path(path)
         self.width, self.height, self.fps, self.codec = int(width), int(height), fps, codec
         self.frame_count = 0
@@ -122,7 +126,8 @@ class VideoWriter:
             shape, dtype = (self.height, self.width, 3), np.dtype(np.uint8)
         if image.shape != shape or image.dtype != dtype:
             raise InputError(
-                f"Frame {self.frame_count} must be {dtype} {list(shape)}, got {image.dtype} {list(image.shape)}."
+                f"Frame {self.frame_count} must be {dtype} {list(shape)}, got {image.dtype} {list(image.shape)}.",
+                code="H3-RENDER-075",
             )
         if self.codec == "ffv1":
             return np.ascontiguousarray(image)
@@ -138,7 +143,8 @@ class VideoWriter:
         """Appends one frame converted by `planes`."""
         if self._stack is None:
             raise InputError(
-                f"The video is not open. Hint: with VideoWriter(...) as video: video.write(image). {self.path}"
+                f"The video is not open. Hint: with VideoWriter(...) as video: video.write(image). {self.path}",
+                code="H3-RENDER-076",
             )
         frame = _import_av().VideoFrame.from_ndarray(planes, format=_SETTINGS[self.codec].pixels)
         for packet in self._stream.encode(frame):
@@ -156,7 +162,7 @@ class VideoWriter:
             return
         with stack:  # likewise if the last frames cannot be written; otherwise renames the file
             if not self.frame_count:
-                raise InputError(f"No frame was written to the video. {self.path}")
+                raise InputError(f"No frame was written to the video. {self.path}", code="H3-RENDER-078")
             for packet in self._stream.encode():
                 self._container.mux(packet)
 
@@ -195,5 +201,5 @@ def _import_av() -> Any:
     try:
         import av
     except ImportError as error:
-        raise MissingExtraError("Writing videos needs PyAV. Hint: pip install av") from error
+        raise MissingExtraError("Writing videos needs PyAV. Hint: pip install av", code="H3-RENDER-077") from error
     return av

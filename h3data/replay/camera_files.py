@@ -96,18 +96,23 @@ def load_camera_file(path: Path) -> CameraFile:
         InputError: there is no such file, or it does not describe a camera.
     """
     if not path.is_file():
-        raise InputError(f"No such camera file. Expected a TOML or JSON file with eye and target: {path}")
+        raise InputError(
+            f"No such camera file. Expected a TOML or JSON file with eye and target: {path}", code="H3-REPLAY-001"
+        )
     decoder: Any = msgspec.json if path.suffix.lower() == ".json" else msgspec.toml
     try:
         spec = decoder.decode(path.read_bytes(), type=CameraFile)
     except (msgspec.DecodeError, UnicodeDecodeError, json.JSONDecodeError) as error:
         fields = ", ".join(CameraFile.__struct_fields__)
         kind = path.suffix.lower()[1:].upper()
-        raise InputError(f"Not a camera: {error}. Expected {kind} with the fields {fields}: {path}") from None
+        raise InputError(
+            f"Not a camera: {error}. Expected {kind} with the fields {fields}: {path}", code="H3-REPLAY-011"
+        ) from None
     poses = [name for name in ("eye", "pose", "keys", "orbit") if getattr(spec, name)]
     if len(poses) != 1 or (spec.eye is None) != (spec.target is None or spec.orbit is not None):
         raise InputError(
-            f"A camera needs one of: eye with target, pose, keys, orbit; this one has {poses or 'none'}: {path}"
+            f"A camera needs one of: eye with target, pose, keys, orbit; this one has {poses or 'none'}: {path}",
+            code="H3-REPLAY-002",
         )
     return spec
 
@@ -124,7 +129,7 @@ def track_of_file(replay: Replay, path: Path) -> CameraTrack:
         base = _base(replay, spec)
         local = _poses(replay, spec)
     except InputError as error:
-        raise InputError(f"{error} In the camera file {path}") from None
+        raise InputError(f"{error} In the camera file {path}", code=error.code) from None
     poses = local if base is None else base @ local
     camera.at(poses[0]).checked()
     return CameraTrack(camera=camera, poses=poses)
@@ -135,7 +140,9 @@ def _lens(spec: CameraFile, name: str) -> Camera:
     clip: dict[str, Any] = {"near": spec.near, "far": spec.far}
     if spec.projection == "orthographic":
         if spec.width_m is None:
-            raise InputError("An orthographic camera needs width_m, the width of its image in metres.")
+            raise InputError(
+                "An orthographic camera needs width_m, the width of its image in metres.", code="H3-REPLAY-012"
+            )
         return orthographic(spec.width, spec.height, width_m=spec.width_m, **common, **clip)
     if spec.projection == "fisheye":
         return fisheye(spec.width, spec.height, hfov_deg=spec.hfov_deg or 180.0, **common)
@@ -144,7 +151,7 @@ def _lens(spec: CameraFile, name: str) -> Camera:
     if spec.intrinsics is None:
         return pinhole(spec.width, spec.height, hfov_deg=spec.hfov_deg or 70.0, **common, **clip)
     if spec.hfov_deg is not None:
-        raise InputError("Give either hfov_deg or intrinsics, not both.")
+        raise InputError("Give either hfov_deg or intrinsics, not both.", code="H3-REPLAY-003")
     fx, fy, cx, cy = spec.intrinsics
     k = camera_from_matrix([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], spec.width, spec.height)
     return Camera(width=k.width, height=k.height, fx=fx, fy=fy, cx=cx, cy=cy, pose=np.eye(4), **common, **clip)
@@ -159,11 +166,15 @@ def _poses(replay: Replay, spec: CameraFile) -> NDArray[np.float64]:
         except ValueError:  # rows of different lengths
             pose = np.zeros(0)
         if pose.shape not in ((7,), (4, 4)) or not np.isfinite(pose).all():
-            raise InputError(f"pose must be 7 numbers (x y z qx qy qz qw) or a 4x4 matrix, got {spec.pose}.")
+            raise InputError(
+                f"pose must be 7 numbers (x y z qx qy qz qw) or a 4x4 matrix, got {spec.pose}.", code="H3-REPLAY-013"
+            )
         if pose.shape == (7,):
             length = float(np.linalg.norm(pose[3:]))
             if abs(length - 1) > 1e-3:
-                raise InputError(f"The quaternion of pose must have length 1, but its length is {length:g}.")
+                raise InputError(
+                    f"The quaternion of pose must have length 1, but its length is {length:g}.", code="H3-REPLAY-016"
+                )
             pose[3:] /= length
             pose = pose_to_matrix(pose)
         return (pose @ CONVENTIONS[spec.convention])[None]
@@ -172,7 +183,9 @@ def _poses(replay: Replay, spec: CameraFile) -> NDArray[np.float64]:
     if spec.keys:
         times = np.array([key.time_s for key in spec.keys])
         if (np.diff(times) <= 0).any():
-            raise InputError(f"The keys of a path must be in chronological order, got {times.tolist()} s.")
+            raise InputError(
+                f"The keys of a path must be in chronological order, got {times.tolist()} s.", code="H3-REPLAY-014"
+            )
         steps = _times(replay)
         eye = smooth_path(times, np.array([key.eye for key in spec.keys]), steps)
         target = smooth_path(times, np.array([key.target for key in spec.keys]), steps)
@@ -180,7 +193,7 @@ def _poses(replay: Replay, spec: CameraFile) -> NDArray[np.float64]:
     assert spec.eye is not None
     assert spec.target is not None
     if spec.eye == spec.target:
-        raise InputError(f"eye and target must be different points, both are {list(spec.eye)}.")
+        raise InputError(f"eye and target must be different points, both are {list(spec.eye)}.", code="H3-REPLAY-004")
     return look_at(spec.eye, spec.target)[None]
 
 
@@ -212,16 +225,20 @@ def smooth_path(key_times: Array, points: Array, times: Array) -> NDArray[np.flo
 def _base(replay: Replay, spec: CameraFile) -> NDArray[np.float64] | None:
     """World frames [T, 4, 4] that the camera moves with; None if it is given in the world."""
     if spec.body and spec.follow:
-        raise InputError("Give either body or follow, not both.")
+        raise InputError("Give either body or follow, not both.", code="H3-REPLAY-005")
     if spec.body:
         return body_frames(replay, spec.body)
     if not spec.follow:
         if spec.link:
-            raise InputError(f"link {spec.link!r} needs follow, the name of the agent that has it.")
+            raise InputError(
+                f"link {spec.link!r} needs follow, the name of the agent that has it.", code="H3-REPLAY-015"
+            )
         return None
     names = [agent.name for agent in replay.recording.agents]
     if spec.follow not in names:
-        raise InputError(f"The camera follows {spec.follow!r}, but this recording has the agents {names}.")
+        raise InputError(
+            f"The camera follows {spec.follow!r}, but this recording has the agents {names}.", code="H3-REPLAY-006"
+        )
     agent = names.index(spec.follow)
     if spec.link:
         return link_frames(replay, agent, spec.link)
@@ -246,11 +263,14 @@ def link_frames(replay: Replay, agent: int, name: str) -> NDArray[np.float64]:
     """World frames of a robot's link (URDF axes) or a human's joint (z forward, y up, x left at rest), [T, 4, 4]."""
     label = replay.recording.agents[agent].name
     if not replay.recording.agents[agent].model:
-        raise InputError(f"Agent {label!r} has no model with links; a camera can be mounted on its bodies by name.")
+        raise InputError(
+            f"Agent {label!r} has no model with links; a camera can be mounted on its bodies by name.",
+            code="H3-REPLAY-007",
+        )
     model = replay.model(agent)
     names = [link.name for link in model.links] if isinstance(model, Robot) else list(model.joint_names)
     if name not in names:
-        raise InputError(f"Agent {label!r} has no link {name!r}. It has: {', '.join(names)}.")
+        raise InputError(f"Agent {label!r} has no link {name!r}. It has: {', '.join(names)}.", code="H3-REPLAY-008")
     number = names.index(name)
     if isinstance(model, Robot):
         return _rigid(replay.link_track(agent, number).astype(np.float64))
@@ -265,10 +285,14 @@ def body_frames(replay: Replay, name: str) -> NDArray[np.float64]:
     names = [drawable.name for drawable in replay.drawables]
     if name not in names:
         similar = [n for n in names if name.lower() in n.lower()][:8] or names[:8]
-        raise InputError(f"There is no body {name!r} among {len(names)}, for example: {', '.join(similar)}.")
+        raise InputError(
+            f"There is no body {name!r} among {len(names)}, for example: {', '.join(similar)}.", code="H3-REPLAY-009"
+        )
     index = names.index(name)
     if replay.drawables[index].deformable:
-        raise InputError(f"Body {name!r} is a skinned person: mount the camera with follow and link.")
+        raise InputError(
+            f"Body {name!r} is a skinned person: mount the camera with follow and link.", code="H3-REPLAY-010"
+        )
     matrices = replay.matrices(index) if replay.drawables[index].moving else replay.drawables[index].matrix[None]
     return _rigid(np.asarray(matrices, np.float64))
 

@@ -56,7 +56,8 @@ def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
     if mounted is None:
         raise InputError(
             f"Unknown camera {name_or_file!r}."
-            f"{suggest(name_or_file, names, lead='This recording offers', more='; or give a .toml or .json file')}"
+            f"{suggest(name_or_file, names, lead='This recording offers', more='; or give a .toml or .json file')}",
+            code="H3-REPLAY-017",
         )
     return mounted
 
@@ -157,10 +158,10 @@ def top_down_orthographic(replay: Replay, *, margin_m: float = 0.4) -> CameraTra
 
 
 def _ceiling_cut(replay: Replay, eye_y: float, *, lowest: float) -> float:
-    """Near plane of a camera at ``eye_y`` that looks straight down, which cuts `CUT_M` above the highest floor walked
-    on, or above ``lowest`` if there are no agents [m].
+    """Near plane of a camera at height ``eye_y`` that looks straight down and must see below the ceiling [m].
 
-    0 if ceilings can be hidden by their layer, or nothing that stands still is as high.
+    It cuts the scene `CUT_M` above the highest floor that an agent walks on, or above ``lowest`` without agents. It is
+    0 if ceilings can be hidden by their layer, or if no static part of the scene is that high.
     """
     if any(drawable.layer == "ceiling" for drawable in replay.drawables):
         return 0.0

@@ -1,5 +1,7 @@
-"""World poses of the rigid parts of an agent, computed in blocks of steps: those of a long recording would not fit into
-memory."""
+"""World poses of the rigid parts of an agent, computed in blocks of steps.
+
+The poses of a whole long recording would not fit into memory.
+"""
 
 from __future__ import annotations
 

@@ -19,11 +19,11 @@ from h3data.bodies.people.turning import TurningFeet, turned, turning_feet
 from h3data.bodies.robots.trot import legs_are_posed, trot
 from h3data.errors import FormatError, InputError
 from h3data.geometry import Array, pose_to_matrix
-from h3data.habitat.asset_folders import clean_path
-from h3data.habitat.asset_library import AssetLibrary
 from h3data.habitat.stand_ins import named_box, with_stand_ins
 from h3data.plugins import names_from_data
 from h3data.recording import Agent, AssetRef, Body, Recording
+from h3data.recording.assets.folders import clean_path
+from h3data.recording.assets.library import AssetLibrary
 from h3data.recording.records import JOINTS
 from h3data.render.light.sources import LightMode, check_light
 from h3data.replay.link_poses import LinkPoses
@@ -73,10 +73,14 @@ class PosedRecording:
         stand_ins: bool = False,
     ) -> None:
         if not isinstance(recording, Recording):
-            raise InputError(f"Expected a Recording, got {recording!r:.60}. Hint: h3data.open(PATH) reads recordings.")
+            raise InputError(
+                f"Expected a Recording, got {recording!r:.60}. Hint: h3data.open(PATH) reads recordings.",
+                code="H3-REPLAY-021",
+            )
         if people not in get_args(PeopleStyle):
             raise InputError(
-                f"Unknown style of people {people!r}. Expected one of: {', '.join(get_args(PeopleStyle))}."
+                f"Unknown style of people {people!r}. Expected one of: {', '.join(get_args(PeopleStyle))}.",
+                code="H3-REPLAY-022",
             )
         self.detail = detail
         self.people: PeopleStyle = people
@@ -209,7 +213,8 @@ class PosedRecording:
             agent = self.recording.agents[index]
             raise FormatError(
                 f"Agent {agent.name!r} has the model {agent.model!r}, but the recording lacks the columns "
-                f"{', '.join(missing)}. Hint: with an empty model, its recorded bodies are shown instead."
+                f"{', '.join(missing)}. Hint: with an empty model, its recorded bodies are shown instead.",
+                code="H3-REPLAY-023",
             )
 
     def model(self, agent: int) -> Robot | Humanoid:
@@ -222,7 +227,8 @@ class PosedRecording:
             return load_humanoid(name)
         raise FormatError(
             f"Agent {self.recording.agents[agent].name!r} has the model {self.recording.agents[agent].model!r}; "
-            "expected robot/<name> or humanoid/<name>."
+            "expected robot/<name> or humanoid/<name>.",
+            code="H3-REPLAY-018",
         )
 
     # --- poses --------------------------------------------------------------------------------------------------------
@@ -257,7 +263,10 @@ class PosedRecording:
 
     def _part_poses(self, agent: int, body: Humanoid) -> tuple[Callable[[NDArray[np.integer]], Array], int, int]:
         if self.people == "skin":
-            raise InputError(f"Agent {self.recording.agents[agent].name!r} is a person with a skin, without links.")
+            raise InputError(
+                f"Agent {self.recording.agents[agent].name!r} is a person with a skin, without links.",
+                code="H3-REPLAY-024",
+            )
         joints = [part.joint for part in rigid_parts(body, self.people)]
         return lambda steps: self.joint_matrices(agent, steps)[:, joints], len(self), len(joints)
 
@@ -282,8 +291,10 @@ class PosedRecording:
         return np.broadcast_to(self._drawables[index].matrix.astype(np.float32), (len(rows), 4, 4))
 
     def joint_motions(self, steps: NDArray[np.integer]) -> Array:
-        """World matrices [T, J, 4, 4] by which the joints of the home have moved things from where ``recording.bodies`` has
-        them, at ``steps``; J = 0 where nothing opens."""
+        """World matrices by which doors, drawers and other joints have moved at ``steps``, [T, J, 4, 4].
+
+        Each maps points from where ``recording.bodies`` has them; J = 0 in scenes without joints.
+        """
         if self._joints is None:
             return np.zeros((len(steps), 0, 4, 4))
         return self._joints.motions(self.recording.columns[JOINTS][steps].astype(np.float64))
@@ -292,7 +303,9 @@ class PosedRecording:
         """World matrices of a person's 55 joints at ``steps``, shape [T, 55, 4, 4]."""
         body = self.model(agent)
         if not isinstance(body, Humanoid):
-            raise InputError(f"Agent {self.recording.agents[agent].name!r} is not a humanoid with a skeleton.")
+            raise InputError(
+                f"Agent {self.recording.agents[agent].name!r} is not a humanoid with a skeleton.", code="H3-REPLAY-025"
+            )
         prefix, columns = f"agent_{agent}.", self.recording.columns
         if prefix + "joint_quat" in columns:
             return body.joint_matrices_free(columns[prefix + "root_pose"][steps], columns[prefix + "joint_quat"][steps])
@@ -315,15 +328,19 @@ class PosedRecording:
 
     @cached_property
     def heights(self) -> NDArray[np.float64]:
-        """How high the floor of the recorded home is at a place (`h3data.scene.floor_heights`), [K, 10]; K = 0: it is level, or
-        unknown."""
+        """Floor heights of the recorded home in the form of `h3data.scene.floor_heights`, [K, 10].
+
+        K = 0 if the floor is level or its height unknown.
+        """
         return LEVEL if self.scene is None else room_heights(self.scene.rooms)
 
     @cached_property
     def plants_feet(self) -> bool:
-        """Whether people who are recorded by clips walk with planted feet (`h3data.bodies.people.planted_gait`), and strides of
-        robots depend on their speed (`h3data.bodies.robots.trot`): since schema 1.5. Older recordings are posed as they were
-        when they were made."""
+        """Whether people recorded by motion clips walk with planted feet, and robots' strides depend on their speed.
+
+        This is so since schema 1.5 (`h3data.bodies.people.planted_gait`, `h3data.bodies.robots.trot`); older recordings
+        are posed as they were when they were made.
+        """
         return self.recording.episode.plants_feet
 
     def _gait_of(self, agent: int, body: Humanoid) -> Array:
@@ -354,7 +371,7 @@ class PosedRecording:
             bones = pose_to_matrix(self.recording.columns[track.column][steps].astype(np.float64))
             return track.skin.vertices(self._roots(track.body, steps), bones, track.bones)
         if not isinstance(track, PersonTrack):
-            raise InputError(f"{self._drawables[index].name!r} is rigid. Hint: use matrices().")
+            raise InputError(f"{self._drawables[index].name!r} is rigid. Hint: use matrices().", code="H3-REPLAY-026")
         body = self.model(track.agent)
         assert isinstance(body, Humanoid)
         return body.skin(self.joint_matrices(track.agent, steps), lod=self.detail is False)
@@ -375,13 +392,15 @@ class PosedRecording:
         try:
             number = operator.index(step)
         except TypeError:
-            raise InputError(f"Expected a step as a whole number, got {step!r}.") from None
+            raise InputError(f"Expected a step as a whole number, got {step!r}.", code="H3-REPLAY-027") from None
         if not -len(self) <= number < len(self):
             raise self._no_such_step(number)
         return number % len(self)
 
     def _no_such_step(self, step: int) -> InputError:
-        return InputError(f"There is no step {step}: the recording has {len(self)} steps, 0 to {len(self) - 1}.")
+        return InputError(
+            f"There is no step {step}: the recording has {len(self)} steps, 0 to {len(self) - 1}.", code="H3-REPLAY-019"
+        )
 
     def at(self, step: int) -> State:
         """The state after action ``step``; negative steps count from the end."""
@@ -413,7 +432,10 @@ def _recorded_joints(recording: Recording, scene: Scene | None) -> SceneJoints |
         return None
     joints, shape = joints_of(scene), recording.columns[JOINTS].shape[1:]
     if shape != (len(joints),):
-        raise FormatError(f"Expected {JOINTS} [T, {len(joints)}], one for each joint of the scene, got [T, *{shape}].")
+        raise FormatError(
+            f"Expected {JOINTS} [T, {len(joints)}], one for each joint of the scene, got [T, *{shape}].",
+            code="H3-REPLAY-020",
+        )
     return joints
 
 

@@ -18,7 +18,9 @@ def check_recorded_robots(recording: Recording) -> None:
     """
     digests = recording.episode.info.get("robots_sha256", {})
     if not isinstance(digests, Mapping) or not all(isinstance(digest, str) for digest in digests.values()):
-        raise FormatError(f"Expected info.robots_sha256 to map robots to SHA-256 digests, got {digests!r}.")
+        raise FormatError(
+            f"Expected info.robots_sha256 to map robots to SHA-256 digests, got {digests!r}.", code="H3-REPLAY-028"
+        )
     for agent in recording.agents:
         kind, _, name = agent.model.partition("/")
         if kind == "robot":

@@ -15,7 +15,7 @@ from h3data.render.camera import Camera
 from h3data.scene import Mesh
 
 if TYPE_CHECKING:
-    from h3data.habitat.skinned_meshes import SkinnedMesh
+    from h3data.recording.assets.skinned_meshes import SkinnedMesh
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -123,6 +123,6 @@ def forward_fill(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     finite = np.isfinite(values).all(-1)
     if not finite.any():
-        raise InputError("This camera has no pose at any step.")
+        raise InputError("This camera has no pose at any step.", code="H3-REPLAY-029")
     last = np.maximum.accumulate(np.where(finite, np.arange(len(values)), -1))
     return values[np.where(last < 0, np.argmax(finite), last)]

@@ -170,7 +170,7 @@ class Stage:
         samples: Literal[1, 4] = 1,
     ) -> Images:
         """The outputs of each camera at ``step``, by a renderer of this stage."""
-        people = self._pose(renderer, step)
+        people = self._pose(renderer, step, outputs)
         posed: set[_Skin] = set()
         images = []
         for camera in cameras:
@@ -189,7 +189,7 @@ class Stage:
         samples: Literal[1, 4] = 1,
     ) -> list[Images]:
         """`render` for several steps at once, each in a world of the renderer."""
-        people = [self._pose(renderer, step, world=world) for world, step in enumerate(steps)]
+        people = [self._pose(renderer, step, outputs, world=world) for world, step in enumerate(steps)]
         posed: list[set[_Skin]] = [set() for _ in steps]
         images: list[Images] = [[] for _ in steps]
         for track in tracks:
@@ -203,8 +203,13 @@ class Stage:
                 images[world].append({name: array[world] for name, array in host.items()})
         return images
 
-    def _pose(self, renderer: Renderer, step: int, *, world: int = 0) -> list[tuple[_Person, Array]]:
-        """Poses all but the people in a world; returns them with their joint matrices [1, 55, 4, 4]."""
+    def _pose(
+        self, renderer: Renderer, step: int, outputs: Sequence[Output], *, world: int = 0
+    ) -> list[tuple[_Person, Array]]:
+        """Poses all but the people in a world, and returns the people with their joint matrices [1, 55, 4, 4].
+
+        Shapes that keep light away are posed only if light is seen in ``outputs``.
+        """
         rigid: list[tuple[NDArray[np.intp], Array]] = []
         deformed: dict[int, NDArray[np.floating]] = {}
         if len(self._bodies):
@@ -231,7 +236,7 @@ class Stage:
         people = [
             (person, self._joints(person.agent, step // JOINT_STEPS)[[step % JOINT_STEPS]]) for person in self._people
         ]
-        if self._casters is not None:
+        if self._casters is not None and "rgb" in outputs:
             for person, joints in people:
                 ends = person.body.capsules_world(joints)
                 skin = person.full or person.light
@@ -312,20 +317,25 @@ class Stage:
 
 
 def chosen_backend(backend: FrameBackend) -> Literal["cpu", "gpu"]:
-    """Who draws frames: ``gpu`` (h3data docs gpu says how equal its pictures are; views without perspective are the CPU's),
-    ``cpu``, or with ``auto`` the GPU if there is one.
+    """Renderer for a requested back end: ``cpu`` or ``gpu``; ``auto`` means the GPU if there is one.
+
+    The page `gpu` of the documentation says how the pictures differ. Views without perspective are always rendered on
+    the CPU.
 
     Raises:
-        InputError: there is no such back end, or no GPU for ``gpu``.
+        InputError: there is no such back end, or ``gpu`` was requested without a GPU.
     """
     if backend not in get_args(FrameBackend):
-        raise InputError(f"Unknown back end {backend!r}. Available: {', '.join(get_args(FrameBackend))}.")
+        raise InputError(
+            f"Unknown back end {backend!r}. Available: {', '.join(get_args(FrameBackend))}.", code="H3-RENDER-054"
+        )
     if backend == "cpu":
         return "cpu"
     fault = gpu_fault()
     if fault and backend == "gpu":
         raise InputError(
-            f"There is no GPU to draw with: {fault}. Hint: cpu, or auto for a GPU only where there is one."
+            f"There is no GPU to draw with: {fault}. Hint: cpu, or auto for a GPU only where there is one.",
+            code="H3-REPLAY-030",
         )
     return "cpu" if fault else "gpu"
 

@@ -34,20 +34,20 @@ SAID = {"pick": "picks", "place": "places"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Moment:
+class KeyFrame:
     """Something that a strip shows."""
 
     step: int
     text: str
-    """Who does what: ``robot picks mug_0``."""
+    """Caption, such as ``robot picks mug_0``."""
     agents: tuple[int, ...]
     """Numbers of those who do it; the camera follows the first."""
 
 
-def moments_of(recording: Recording) -> list[Moment]:
+def moments_of(recording: Recording) -> list[KeyFrame]:
     """Every pick and place of an episode, and where two agents cross, in the order of time."""
     found = [
-        Moment(step=e.step, text=f"{_name(recording, e.agent)} {SAID[e.kind]} {e.target}", agents=(e.agent,))
+        KeyFrame(step=e.step, text=f"{_name(recording, e.agent)} {SAID[e.kind]} {e.target}", agents=(e.agent,))
         for e in recording.events
         if e.kind in SAID and e.agent >= 0
     ]
@@ -58,7 +58,7 @@ def moments_of(recording: Recording) -> list[Moment]:
     return found if len(found) <= MOST else found[: MOST // 2] + found[-MOST // 2 :]
 
 
-def crossing_of(recording: Recording) -> Moment | None:
+def crossing_of(recording: Recording) -> KeyFrame | None:
     """Where two agents are nearest to each other while both move; None if they are never within `PASSING_M` then."""
     positions = [_positions(recording, k)[:, [0, 2]] for k in range(len(recording.agents))]
     moves = [_moves(xz, recording.episode.dt_ns / 1e9) for xz in positions]
@@ -73,7 +73,7 @@ def crossing_of(recording: Recording) -> Moment | None:
     if distance > PASSING_M:
         return None
     names = f"{_name(recording, a)} and {_name(recording, b)}"
-    return Moment(step=step, text=f"{names} cross, {distance:.1f} m", agents=(a, b))
+    return KeyFrame(step=step, text=f"{names} cross, {distance:.1f} m", agents=(a, b))
 
 
 def episode_strip(replay: Replay) -> NDArray[np.uint8]:
@@ -88,10 +88,11 @@ def episode_strip(replay: Replay) -> NDArray[np.uint8]:
     moments = moments_of(replay.recording)
     if not moments:
         raise InputError(
-            "Expected an episode in which something is picked or placed, or two agents cross: there is none."
+            "Expected an episode in which something is picked or placed, or two agents cross: there is none.",
+            code="H3-REPLAY-031",
         )
     if replay.scene is None:
-        raise InputError("A strip needs the scene, and this recording has none.")
+        raise InputError("A strip needs the scene, and this recording has none.", code="H3-REPLAY-032")
     plan, camera = _plan(replay)
     paths = [_positions(replay.recording, k) for k in range(len(replay.recording.agents))]
     panels = []
@@ -133,7 +134,7 @@ def _plan(replay: Replay) -> tuple[NDArray[np.uint8], Camera]:
     return np.ascontiguousarray((0.40 * image + 0.15 * grey + 0.45 * 255).astype(np.uint8)), camera
 
 
-def _view(replay: Replay, moment: Moment) -> NDArray[np.uint8]:
+def _view(replay: Replay, moment: KeyFrame) -> NDArray[np.uint8]:
     leader = replay.recording.agents[moment.agents[0]].name
     camera = camera_at(replay, f"{leader}/third_person", moment.step).resized(WIDTH_PX, VIEW_PX)
     track = CameraTrack(camera=camera, poses=camera.pose[None])

@@ -54,12 +54,17 @@ JUMP_M, JUMP_MPS = 0.5, 8.0
 
 
 def third_person(replay: Replay, leader: int | None = None, *, width: int = 640, height: int = 480) -> CameraTrack:
-    """A camera that follows an agent by its number, or the robot, or else the first agent, from the best free position
-    around it.
+    """Camera track that follows an agent from the best free positions around it.
 
-    Positions are optimised for the whole recording at once (dynamic programming over directions): a long free line of
-    sight, the other agent visible, preferably from behind, and little turning. The followed agent is in sight at every
+    Positions are optimised for the whole recording at once, by dynamic programming over directions: a long free line of
+    sight, the other agent visible, preferably from behind, and little turning. The followed agent is visible at every
     step.
+
+    Args:
+        replay: recording to film.
+        leader: number of the agent to follow; by default the robot, or else the first agent.
+        width: width of the picture [px].
+        height: height of the picture [px].
     """
     camera = _lens(width, height)
     if not len(replay):

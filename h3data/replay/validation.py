@@ -21,8 +21,8 @@ from shapely import intersects, linestrings, union_all
 from h3data.bodies import Humanoid, Robot
 from h3data.bodies.people.foot_planting import LEG_JOINTS, runs, sole_points
 from h3data.errors import H3DataError
-from h3data.habitat.asset_library import AssetLibrary
 from h3data.recording import Agent, AssetRef, Body, Recording, state_hash
+from h3data.recording.assets.library import AssetLibrary
 from h3data.recording.records import JOINTS
 from h3data.replay.posed_recording import PosedRecording
 from h3data.scene import FreeSpace, Scene, load_scene
@@ -194,7 +194,10 @@ def _expected(array: NDArray[Any], kind: str, shape: tuple[int | None, ...]) -> 
 
 # --- time and numbers -------------------------------------------------------------------------------------------------
 def _time(rec: Recording) -> Iterator[Finding]:
-    """Gaps, and a time step that differs from the header's. (Opening a recording already checks that time increases.)"""
+    """Gaps in time, and a time step that differs from the one in the header.
+
+    Opening a recording already checks that time increases.
+    """
     steps = np.diff(rec.columns["time_ns"])
     if not len(steps):
         return
@@ -396,8 +399,10 @@ def _through_doors(rec: Recording, scene: Scene, free: FreeSpace) -> Iterator[Fi
 
 
 def _feet(replay: _Poses, agent: int) -> Iterator[Finding]:
-    """Soles in the floor, and feet that slide while carrying; the floor is at the height of the root, or of the tread that is
-    below."""
+    """Soles below the floor, and feet that slide while they carry weight.
+
+    The floor is at the height of the root, or of the tread below the foot.
+    """
     rec, body = replay.recording, replay.model(agent)
     assert isinstance(body, Humanoid)
     parts = []

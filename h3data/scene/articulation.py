@@ -24,7 +24,7 @@ NEARLY_CLOSED = 0.02
 """And shut up to this share."""
 
 ON_M, STACK_M = 0.02, 0.1
-"""What is at most so far beside or below a receptacle, or so far over it, lies on it."""
+"""Largest distances beside or below a receptacle, and above it, at which an object lies on it [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,7 +34,7 @@ class SceneJoints:
     names: tuple[str, ...]
     """``thing/part``, [J]."""
     parts: tuple[tuple[Articulation, Part], ...]
-    """Of each joint."""
+    """Object and moving part of each joint."""
     closed: NDArray[np.float64]
     """Positions [J] [rad or m]."""
     opened: NDArray[np.float64]
@@ -55,7 +55,7 @@ class SceneJoints:
         """
         if name not in self.names:
             some = f"It has: {', '.join(self.names[:12])}." if self.names else "Nothing in it opens."
-            raise InputError(f"The scene has no joint {name!r}. {some}")
+            raise InputError(f"The scene has no joint {name!r}. {some}", code="H3-SCENE-002")
         return self.names.index(name)
 
     def shares(self, positions: ArrayLike) -> NDArray[np.float64]:
@@ -67,8 +67,10 @@ class SceneJoints:
         return self.shares(positions) >= AJAR
 
     def motions(self, positions: ArrayLike) -> NDArray[np.float64]:
-        """World matrices [..., J, 4, 4] that bring what each joint moves from where the scene has it to where it is with the
-        joints at ``positions`` [..., J]."""
+        """World matrices [..., J, 4, 4] by which each joint moves its part at joint ``positions`` [..., J].
+
+        They map points from where the scene has them.
+        """
         positions = np.asarray(positions, np.float64)
         out = np.empty((*positions.shape, 4, 4))
         first = 0
@@ -155,10 +157,12 @@ def posed(scene: Scene, positions: ArrayLike | Mapping[str, float]) -> Scene:
     else:
         given = np.asarray(positions, np.float64)
         if given.shape != wanted.shape:
-            raise InputError(f"Expected the positions of {len(wanted)} joints, got shape {list(given.shape)}.")
+            raise InputError(
+                f"Expected the positions of {len(wanted)} joints, got shape {list(given.shape)}.", code="H3-SCENE-003"
+            )
         wanted = given
     if not np.isfinite(wanted).all():
-        raise InputError("Positions of joints must be finite.")
+        raise InputError("Positions of joints must be finite.", code="H3-SCENE-001")
     if np.array_equal(wanted, joints.rest):
         return scene
     motions = joints.motions(wanted)

@@ -78,8 +78,11 @@ def height_at(heights, floor_y, x, z):
 
 @kernel_part()
 def step_at(heights, x, z):
-    """The row of the flight of stairs at (x, z), -1 if there is none, and how many of its risers are below the place: (row,
-    number of the tread, place along the flight in treads from the ramp's lower end)."""
+    """Flight of stairs and tread at (x, z).
+
+    Returns the row of the flight, -1 if there is none; the number of the tread, which is how many risers are below the
+    point; and the place along the flight, in treads from the ramp's lower end.
+    """
     if heights.shape[0] == 0:
         return -1, 0, 0.0
     k = _nearest(heights, x, z)

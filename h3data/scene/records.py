@@ -1,5 +1,8 @@
-"""Records of a scene: assets (meshes, collision parts, receptacles), their instances in the world, things that open, rooms,
-lights."""
+"""Records of a scene.
+
+They are assets (meshes, collision parts, receptacles), their instances in the world, doors and drawers, rooms, and
+lights.
+"""
 
 from __future__ import annotations
 
@@ -167,20 +170,34 @@ class Joint:
         axis, origin = (np.asarray(v, np.float64) for v in (self.axis, self.origin))
         numbers = (self.lower, self.upper, self.rest)
         if self.kind not in get_args(JointKind):
-            raise SceneError(f"Unknown kind of joint {self.kind!r}. Expected one of: {', '.join(get_args(JointKind))}.")
+            raise SceneError(
+                f"Unknown kind of joint {self.kind!r}. Expected one of: {', '.join(get_args(JointKind))}.",
+                code="H3-SCENE-038",
+            )
         if axis.shape != (3,) or not np.isfinite(axis).all() or not np.any(axis):
-            raise SceneError(f"The axis of a joint must be 3 finite numbers, not all 0; got {axis.tolist()}.")
+            raise SceneError(
+                f"The axis of a joint must be 3 finite numbers, not all 0; got {axis.tolist()}.", code="H3-SCENE-039"
+            )
         if origin.shape != (3,) or not np.isfinite(origin).all():
-            raise SceneError(f"The origin of a joint must be 3 finite numbers; got {origin.tolist()}.")
+            raise SceneError(
+                f"The origin of a joint must be 3 finite numbers; got {origin.tolist()}.", code="H3-SCENE-040"
+            )
         if not np.isfinite(numbers).all():
-            raise SceneError(f"Limits and rest position of a joint must be finite; got {numbers}.")
+            raise SceneError(f"Limits and rest position of a joint must be finite; got {numbers}.", code="H3-SCENE-041")
         if self.lower == self.upper:
-            raise SceneError(f"A joint with equal limits ({self.lower:g}) cannot move. Hint: make its part fixed.")
+            raise SceneError(
+                f"A joint with equal limits ({self.lower:g}) cannot move. Hint: make its part fixed.",
+                code="H3-SCENE-042",
+            )
         if self.lower > self.upper:
-            raise SceneError(f"The limits of a joint are reversed: lower {self.lower:g} is above upper {self.upper:g}.")
+            raise SceneError(
+                f"The limits of a joint are reversed: lower {self.lower:g} is above upper {self.upper:g}.",
+                code="H3-SCENE-043",
+            )
         if not self.lower <= self.rest <= self.upper:
             raise SceneError(
-                f"The rest position of a joint, {self.rest:g}, is outside its limits {self.lower:g} to {self.upper:g}."
+                f"The rest position of a joint, {self.rest:g}, is outside its limits {self.lower:g} to {self.upper:g}.",
+                code="H3-SCENE-044",
             )
         length = float(np.linalg.norm(axis))  # a unit vector stays as it is, to the bit
         object.__setattr__(self, "axis", axis if abs(length - 1.0) < 1e-12 else axis / length)
@@ -211,7 +228,7 @@ class Part:
     encloses: tuple[str, ...] = ()
     """Receptacles (``instance|receptacle``) that are out of reach unless the part is open."""
     handle: NDArray[np.float64] | None = None
-    """Where a hand takes hold, in the frame of the thing with all joints at rest, shape [3] [m]; None: nobody said."""
+    """Point at which a hand takes hold, in the frame of the object with all joints at rest, shape [3] [m]; None if unknown."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -257,7 +274,7 @@ class Scene:
     instances: tuple[Instance, ...]
     rooms: tuple[Room, ...] = ()
     lights: tuple[LightSource, ...] | None = None
-    """None if the source says nothing about light; empty if there are no lamps (Habitat then shows flat colours)."""
+    """Light sources; None if unknown, empty if there are no lamps (Habitat then shows flat colours)."""
     source: Mapping[str, Any] = field(default_factory=dict)
     """How to obtain the scene again, e.g. ``{"kind": "home", "preset": "small", "seed": 7}``, or Habitat's files."""
     articulations: tuple[Articulation, ...] = ()
@@ -266,16 +283,23 @@ class Scene:
     def __post_init__(self) -> None:
         unknown = sorted({i.asset for i in self.instances} - set(self.assets))
         if unknown:
-            raise SceneError(f"Scene {self.name!r}: instances refer to assets that it does not have: {unknown[:5]}.")
+            raise SceneError(
+                f"Scene {self.name!r}: instances refer to assets that it does not have: {unknown[:5]}.",
+                code="H3-SCENE-045",
+            )
         names = [i.name for i in self.instances]
         if len(set(names)) != len(names):
             repeated = sorted({n for n in names if names.count(n) > 1})
-            raise SceneError(f"Scene {self.name!r}: instance names must be unique, these are not: {repeated[:5]}.")
+            raise SceneError(
+                f"Scene {self.name!r}: instance names must be unique, these are not: {repeated[:5]}.",
+                code="H3-SCENE-046",
+            )
         if self.articulations and (fault := _articulation_fault(self)):
-            raise SceneError(f"Scene {self.name!r}: {fault}.")
+            raise SceneError(f"Scene {self.name!r}: {fault}.", code="H3-SCENE-047")
 
     @property
     def static_instances(self) -> tuple[Instance, ...]:
+        """Instances that never move."""
         return tuple(i for i in self.instances if i.motion == "static")
 
     @property

@@ -113,7 +113,10 @@ def _add_mesh(chunk: GlbChunk, asset: Asset, textures: _Textures) -> dict[str, A
         return None
     for what, values in (("vertices", mesh.vertices), ("normals", mesh.normals), ("uv", mesh.uv)):
         if values is not None and not np.isfinite(values).all():
-            raise SceneError(f"Asset {asset.name!r} has {what} that are not finite; a scene file cannot store them.")
+            raise SceneError(
+                f"Asset {asset.name!r} has {what} that are not finite; a scene file cannot store them.",
+                code="H3-SCENE-049",
+            )
     out: dict[str, Any] = {"POSITION": chunk.vectors(mesh.vertices, limits=True)}
     if mesh.normals is not None:
         out["NORMAL"] = chunk.vectors(mesh.normals)
@@ -166,7 +169,9 @@ def scene_bytes(scene: Scene) -> bytes:
         try:
             accessors = _add_mesh(chunk, asset, textures)
         except ValueError as error:
-            raise SceneError(f"Asset {asset.name!r} of scene {scene.name!r} cannot be written: {error}.") from error
+            raise SceneError(
+                f"Asset {asset.name!r} of scene {scene.name!r} cannot be written: {error}.", code="H3-SCENE-054"
+            ) from error
         records.append({"key": key, **asset_record(asset, accessors)})
         if accessors is not None and "indices" in accessors:
             mesh_of[key] = len(meshes)
@@ -198,7 +203,8 @@ def scene_bytes(scene: Scene) -> bytes:
         return pack_glb(gltf_document(shown, extras={"h3data": extras}, **lists), chunk)
     except (TypeError, ValueError) as error:
         raise SceneError(
-            f"Scene {scene.name!r} cannot be written: {error}. Poses, shapes and `source` must be finite and plain JSON."
+            f"Scene {scene.name!r} cannot be written: {error}. Poses, shapes and `source` must be finite and plain JSON.",
+            code="H3-SCENE-050",
         ) from error
 
 
@@ -213,7 +219,9 @@ def save_scene(scene: Scene, path_or_buffer: str | os.PathLike[str] | BinaryIO) 
         with part_file(path) as part:
             part.write_bytes(data)
     except OSError as error:
-        raise InputError(f"Cannot write the scene: {error.strerror or error}. Path: {path}") from error
+        raise InputError(
+            f"Cannot write the scene: {error.strerror or error}. Path: {path}", code="H3-SCENE-051"
+        ) from error
 
 
 # --- reading ----------------------------------------------------------------------------------------------------------
@@ -226,7 +234,9 @@ def load_scene(path_or_bytes: str | os.PathLike[str] | bytes | BinaryIO) -> Scen
         try:
             data = Path(path_or_bytes).read_bytes()
         except OSError as error:
-            raise InputError(f"Cannot read a scene: {error.strerror or error}. Path: {where}") from error
+            raise InputError(
+                f"Cannot read a scene: {error.strerror or error}. Path: {where}", code="H3-SCENE-055"
+            ) from error
     else:
         data, where = path_or_bytes.read(), getattr(path_or_bytes, "name", "the given file")
     document, binary = unpack_glb(data, where, what="a scene as GLB")
@@ -235,18 +245,22 @@ def load_scene(path_or_bytes: str | os.PathLike[str] | bytes | BinaryIO) -> Scen
     if not isinstance(record, dict) or record.get("format") != FORMAT_NAME:
         raise FormatError(
             "A GLB, but not one written by h3data.scene.save_scene. "
-            f"Hint: h3data.open reads other GLBs and Habitat's scenes. File: {where}"
+            f"Hint: h3data.open reads other GLBs and Habitat's scenes. File: {where}",
+            code="H3-SCENE-048",
         )
     try:
         major = int(record["version"][0])
         if major > FORMAT_VERSION[0]:
             raise FormatError(
                 f"The scene has format version {major}, this h3data reads up to {FORMAT_VERSION[0]}. "
-                f"Hint: upgrade h3data. File: {where}"
+                f"Hint: upgrade h3data. File: {where}",
+                code="H3-SCENE-052",
             )
         return _scene(record, GltfArrays(document, lambda index: binary))
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, SceneError) as error:
-        raise FormatError(f"Damaged scene file ({type(error).__name__}: {error}). File: {where}") from error
+        raise FormatError(
+            f"Damaged scene file ({type(error).__name__}: {error}). File: {where}", code="H3-SCENE-053"
+        ) from error
 
 
 def _accessor(arrays: GltfArrays, index: object, kind: str, component: int) -> NDArray[Any]:

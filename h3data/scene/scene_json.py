@@ -35,6 +35,7 @@ from h3data.scene.records import (
 
 
 def floats(values: NDArray[np.float64]) -> list[Any]:
+    """Array as nested lists of floats."""
     return np.asarray(values, np.float64).tolist()
 
 
@@ -267,11 +268,10 @@ def read_asset(record: dict[str, Any], mesh: Mesh) -> Asset:
 
 # --- digest -----------------------------------------------------------------------------------------------------------
 def scene_digest(scene: Scene) -> str:
-    """SHA-256 (hex) of a scene's content: assets by name, instances in order, rooms, lights, things that
-    open.
+    """SHA-256 (hex) of a scene's content: assets by name, instances in order, rooms, lights, doors and drawers.
 
-    Independent of files, of the order of assets and of which meshes share a texture. The scene's name and source are not
-    content.
+    It does not depend on files, on the order of assets, or on which meshes share a texture. The scene's name and source
+    are not content.
     """
     pixels_of: dict[int, str] = {}
     h = hashlib.sha256(b"h3data.scene.digest/1")

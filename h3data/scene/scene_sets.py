@@ -18,30 +18,11 @@ import msgspec
 
 from h3data.builtin import builtin_root
 from h3data.errors import FormatError, InputError, did_you_mean
-from h3data.scene.homes.spec import HomeSpec, Look, Preset
+from h3data.plugins import names_from_data
+from h3data.scene.sources import SCENES, SceneFile, SceneGenerator, SceneSource
 
 FORMAT = 1
 SUFFIX = ".toml"
-
-
-@dataclass(frozen=True, kw_only=True)
-class SceneFile:
-    """A scene in a file: Habitat's, or one written by `h3data.scene.save_scene`."""
-
-    path: str
-    """GLB, or Habitat's ``.scene_instance.json``, ``.stage_config.json``, ``.scene_dataset_config.json``."""
-    scene: str = ""
-    """Name of the scene within a ``.scene_dataset_config.json``."""
-    assets: tuple[str, ...] = ()
-    """Additional folders to search for the scene's files; if empty, those of H3DATA_ASSETS."""
-    strict: bool = False
-    """Whether warnings are errors."""
-    allow_missing: bool = False
-    """Whether objects whose files are missing are left out with a warning."""
-
-
-SceneSource = HomeSpec | SceneFile
-"""Everything needed to obtain a scene; hashable."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +88,8 @@ class SceneSet:
                 return entry
         raise InputError(
             f"There is no scene {which!r} in {self.label}. It has {len(self.scenes)}: 0 to {len(self.scenes) - 1}, "
-            f"or by id: {_some(e.id for e in self.scenes)}."
+            f"or by id: {_some(e.id for e in self.scenes)}.",
+            code="H3-SCENE-056",
         )
 
 
@@ -141,30 +123,13 @@ def find_scene_set(text: str) -> SceneSet | None:
     if split not in splits:
         labels = [f"{name}/{s}" for s in splits]
         raise InputError(
-            f"Which split of {name}? Expected {' or '.join(labels)}, got {text!r}.{did_you_mean(text, labels)}"
+            f"Which split of {name}? Expected {' or '.join(labels)}, got {text!r}.{did_you_mean(text, labels)}",
+            code="H3-SCENE-057",
         )
     return read_scene_set(builtin_root() / name / f"{split}{SUFFIX}")
 
 
 # --- the file ---------------------------------------------------------------------------------------------------------
-class _Home(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A procedural home: the fields of `HomeSpec`."""
-
-    id: str
-    seed: int
-    preset: Preset = "small"
-    area_m2: float | None = None
-    bedrooms: int | None = None
-    bathrooms: int | None = None
-    clutter: float = 1.0
-    density: int = 1
-    articulated: bool = False
-    generation: int = 1
-    style: Look | None = None
-    storeys: int = 1
-    doors: bool = False
-
-
 class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     id: str
     file: str
@@ -184,31 +149,38 @@ def read_scene_set(path: str | Path) -> SceneSet:
     """The set in a TOML file. Scene paths are relative to its folder or absolute; the files must exist but are not read.
 
     Raises:
-        InputError: the file cannot be read.
+        InputError: the file cannot be read, or the package that makes its scenes is not installed.
         FormatError: the file is invalid; the message names the key of each fault.
     """
     path = Path(path)
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise InputError(f"Cannot read the scene set ({error.strerror or error}): {path}") from None
+        raise InputError(
+            f"Cannot read the scene set ({error.strerror or error}): {path}", code="H3-SCENE-062"
+        ) from None
     try:
         content = msgspec.toml.decode(data, type=_SetFile)
     except (msgspec.MsgspecError, UnicodeDecodeError) as fault:
-        raise FormatError(f"{_readable(fault, _SetFile)} Scene set: {path}") from None
+        raise FormatError(f"{_readable(fault, _SetFile)} Scene set: {path}", code="H3-SCENE-063") from None
+    for kind in {str(record.get("kind", "home")) for record in content.scenes if "file" not in record}:
+        if kind in SCENES.missing():
+            SCENES.get(kind)  # says which package is missing, once and not for each scene
     faults = list(_header_faults(content))
     scenes: list[SceneEntry] = []
     for k, record in enumerate(content.scenes):
         try:
             scenes.append(_entry(record, path.parent))
-        except (InputError, msgspec.ValidationError) as fault:
-            kind = _File if "file" in record else _Home
+        except InputError as fault:
+            faults.append(f"scenes[{k}]: {str(fault).rstrip('.')}.")
+        except msgspec.ValidationError as fault:
+            kind = _File if "file" in record else _generator(record).Table
             faults.append(f"scenes[{k}]: {_readable(fault, kind)}")
     ids = [e.id for e in scenes]
     faults += [f"scenes: the id {i!r} occurs {ids.count(i)} times." for i in dict.fromkeys(ids) if ids.count(i) > 1]
     if faults:
         more = f" ... and {len(faults) - 5} more faults." if len(faults) > 5 else ""
-        raise FormatError(f"{' '.join(faults[:5])}{more} Scene set: {path}")
+        raise FormatError(f"{' '.join(faults[:5])}{more} Scene set: {path}", code="H3-SCENE-058")
     return SceneSet(
         name=content.name,
         split=content.split,
@@ -235,23 +207,40 @@ def _header_faults(content: _SetFile) -> Iterable[str]:
 
 def _entry(record: dict[str, Any], folder: Path) -> SceneEntry:
     if "file" not in record:
-        home = msgspec.convert(record, _Home)
-        options = {name: value for name, value in msgspec.structs.asdict(home).items() if name != "id"}
-        return SceneEntry(id=_checked_id(home.id), source=HomeSpec(**options))
+        generator = _generator(record)
+        values = {name: value for name, value in record.items() if name != "kind"}
+        table = msgspec.structs.asdict(msgspec.convert(values, generator.Table))
+        return SceneEntry(id=_checked_id(table.pop("id")), source=generator.Spec(**table))
     entry = msgspec.convert(record, _File)
     if ".." in PurePosixPath(entry.file).parts:
         raise InputError(
-            f"file: the path must not leave the folder of the set, got {entry.file!r}. Hint: use an absolute path."
+            f"file: the path must not leave the folder of the set, got {entry.file!r}. Hint: use an absolute path.",
+            code="H3-SCENE-059",
         )
     file = folder / entry.file
     if not file.is_file():
-        raise InputError(f"file: no such file: {entry.file!r}.")
+        raise InputError(f"file: no such file: {entry.file!r}.", code="H3-SCENE-060")
     return SceneEntry(id=_checked_id(entry.id), source=SceneFile(path=str(file), scene=entry.scene))
+
+
+def _generator(record: Mapping[str, Any]) -> SceneGenerator:
+    """What makes the scene of a table without a file.
+
+    Raises:
+        InputError: there is no such generator, or its package is not installed.
+    """
+    with names_from_data():
+        generator = SCENES.get(str(record.get("kind", "home")))
+    if not isinstance(generator, SceneGenerator):
+        raise InputError(
+            f"kind: expected a generator of scenes such as home, got {record['kind']!r}.", code="H3-SCENE-064"
+        )
+    return generator
 
 
 def _checked_id(text: str) -> str:
     if not re.fullmatch(r"[A-Za-z0-9_-]+", text):
-        raise InputError(f"id: expected letters, digits, '_' and '-', got {text!r}.")
+        raise InputError(f"id: expected letters, digits, '_' and '-', got {text!r}.", code="H3-SCENE-061")
     return text
 
 

@@ -13,7 +13,7 @@ from h3data.scene.records import Box, Capsule, Cylinder, Hull, Shape
 PRISM_SIDES = 32
 """Sides of the prism that stands for a cylinder."""
 _CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
-"""Of a box of half extents 1."""
+"""Corners of a box with half extents 1."""
 
 
 def bounding_sphere(shape: Shape) -> tuple[NDArray[np.float64], float]:
@@ -32,8 +32,10 @@ def bounding_sphere(shape: Shape) -> tuple[NDArray[np.float64], float]:
 
 
 def bounding_capsule(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Returns the ends [3] of the axis and the radius [m] of a capsule around a shape, in the shape's own frame: along the
-    longest side of a box, a ball for a hull."""
+    """Returns the ends [3] of the axis and the radius [m] of a capsule around a shape, in the shape's own frame.
+
+    The axis is along the longest side of a box; the capsule of a hull is a ball.
+    """
     if isinstance(shape, Capsule):
         return np.asarray(shape.start, np.float64), np.asarray(shape.end, np.float64), float(shape.radius)
     if isinstance(shape, Hull):
@@ -50,8 +52,10 @@ def bounding_capsule(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 
 def shape_bounds(shape: Shape, matrix: ArrayLike) -> NDArray[np.float64]:
-    """Returns lower and upper corner [2, 3] [m] of a shape under a 4x4 matrix, which may scale it; tight for boxes and hulls,
-    and for round shapes unless the scale is uneven."""
+    """Returns lower and upper corner [2, 3] [m] of a shape under a 4x4 matrix, which may scale it.
+
+    They are tight for boxes and hulls, and for round shapes unless the scale is uneven.
+    """
     m = np.asarray(matrix, np.float64)
     if isinstance(shape, Capsule):
         points, margin = np.stack([shape.start, shape.end]), np.linalg.norm(m[:3, :3], axis=1) * shape.radius

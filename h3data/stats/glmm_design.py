@@ -69,7 +69,8 @@ class FixedDesign:
         """
         if factor not in self.levels:
             raise InputError(
-                f"{factor!r} is no factor of this model. Its factors are: {', '.join(self.levels) or 'none'}."
+                f"{factor!r} is no factor of this model. Its factors are: {', '.join(self.levels) or 'none'}.",
+                code="H3-STATS-015",
             )
         cells = np.array(list(itertools.product(*(range(len(v)) for v in self.levels.values()))))
         columns: dict[str, NDArray[Any]] = dict(zip(self.levels, cells.T, strict=True))
@@ -84,7 +85,7 @@ class MixedDesign:
 
     family: Family
     formula: str
-    """In lme4's notation."""
+    """Model in lme4's notation."""
     response: NDArray[np.float64]
     """Counts, or successes, shape [N]."""
     trials: NDArray[np.float64]
@@ -110,20 +111,30 @@ def mixed_design(
 ) -> MixedDesign:
     """Reads and checks the columns of a table; arguments and errors as for `fit_glmm`."""
     if family not in ("poisson", "binomial"):
-        raise InputError(f"Expected the family 'poisson' or 'binomial', got {family!r}.")
+        raise InputError(f"Expected the family 'poisson' or 'binomial', got {family!r}.", code="H3-STATS-003")
     if isinstance(fixed, str) or isinstance(random, str):
-        raise InputError("Expected lists of column names for fixed and random, e.g. fixed=['condition'].")
+        raise InputError(
+            "Expected lists of column names for fixed and random, e.g. fixed=['condition'].", code="H3-STATS-004"
+        )
     if not random and not observation_effect:
-        raise InputError("A mixed model needs at least one random intercept, e.g. random=['participant', 'scene'].")
+        raise InputError(
+            "A mixed model needs at least one random intercept, e.g. random=['participant', 'scene'].",
+            code="H3-STATS-005",
+        )
     terms = tuple(tuple(term.split(":")) for term in fixed)
     variables = list(dict.fromkeys(v for term in terms for v in term))
     both = sorted(set(variables) & set(random))
     if both:
-        raise InputError(f"{both[0]!r} is both a fixed and a random effect. Name it in one of the two.")
+        raise InputError(
+            f"{both[0]!r} is both a fixed and a random effect. Name it in one of the two.", code="H3-STATS-006"
+        )
     for term in terms:
         for variable in term if len(term) > 1 else ():
             if (variable,) not in terms:
-                raise InputError(f"The interaction {':'.join(term)!r} needs {variable!r} as a fixed effect of its own.")
+                raise InputError(
+                    f"The interaction {':'.join(term)!r} needs {variable!r} as a fixed effect of its own.",
+                    code="H3-STATS-021",
+                )
     columns = _read(table, [response, *([trials] if trials else []), *variables, *random], optional=sorted(levels))
     y, n = _response(columns, response, trials, family)
 
@@ -170,13 +181,17 @@ def _read(
     if unknown:
         near = did_you_mean(unknown[0], available)
         raise InputError(
-            f"The table has no column {', '.join(map(repr, unknown))}.{near} It has: {', '.join(available)}."
+            f"The table has no column {', '.join(map(repr, unknown))}.{near} It has: {', '.join(available)}.",
+            code="H3-STATS-007",
         )
     columns, missing = {}, []
     for name in names:
         values = np.asarray(table[name]) if isinstance(table, Mapping) else np.asarray(table[name].to_pylist())
         if values.ndim != 1:
-            raise InputError(f"Expected one value per row in {name!r}, got an array of shape {list(values.shape)}.")
+            raise InputError(
+                f"Expected one value per row in {name!r}, got an array of shape {list(values.shape)}.",
+                code="H3-STATS-016",
+            )
         if values.dtype.kind == "O":
             gaps = np.array([v is None or v != v for v in values])
             kinds = {type(v) for v in values[~gaps]}
@@ -190,13 +205,14 @@ def _read(
         columns[name] = values
     if missing:
         raise InputError(
-            f"Undefined values: {'; '.join(missing)}. Hint: leave these rows out, and say so in the report."
+            f"Undefined values: {'; '.join(missing)}. Hint: leave these rows out, and say so in the report.",
+            code="H3-STATS-008",
         )
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
-        raise InputError(f"All columns must have the same length, got {lengths}.")
+        raise InputError(f"All columns must have the same length, got {lengths}.", code="H3-STATS-009")
     if not next(iter(lengths.values())):
-        raise InputError("The table has no rows.")
+        raise InputError("The table has no rows.", code="H3-STATS-010")
     return columns
 
 
@@ -205,18 +221,24 @@ def _response(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     y = columns[response]
     if y.dtype.kind not in "biuf" or (y < 0).any() or (y % 1 != 0).any():
-        raise InputError(f"Expected counts 0, 1, 2, ... in the response {response!r}, got e.g. {_odd(y)}.")
+        raise InputError(
+            f"Expected counts 0, 1, 2, ... in the response {response!r}, got e.g. {_odd(y)}.", code="H3-STATS-011"
+        )
     if family == "poisson":
         if trials:
-            raise InputError("Trials belong to the binomial family; a Poisson response has none.")
+            raise InputError("Trials belong to the binomial family; a Poisson response has none.", code="H3-STATS-017")
         return y.astype(np.float64), np.ones(len(y))
     n = columns[trials] if trials else np.ones(len(y))
     if n.dtype.kind not in "iuf" or (n < 1).any() or (n % 1 != 0).any():
-        raise InputError(f"Expected numbers of trials 1, 2, ... in {trials!r}, got e.g. {_odd(n, least=1)}.")
+        raise InputError(
+            f"Expected numbers of trials 1, 2, ... in {trials!r}, got e.g. {_odd(n, least=1)}.", code="H3-STATS-012"
+        )
     if (y > n).any():
         row = int(np.argmax(y > n))
         hint = "" if trials else " Hint: name the column of the numbers of trials: trials=..."
-        raise InputError(f"Expected at most {n[row]:g} in {response!r}, got {y[row]:g} in row {row}.{hint}")
+        raise InputError(
+            f"Expected at most {n[row]:g} in {response!r}, got {y[row]:g} in row {row}.{hint}", code="H3-STATS-013"
+        )
     return y.astype(np.float64), n.astype(np.float64)
 
 
@@ -235,12 +257,16 @@ def _factor(name: str, values: NDArray[Any], order: Sequence[str] | None) -> tup
         if unknown or unused or len(set(order)) != len(order):
             raise InputError(
                 f"The levels given for {name!r} do not match its values: values without a level {unknown}; "
-                f"levels without a row {unused}."
+                f"levels without a row {unused}.",
+                code="H3-STATS-018",
             )
         codes = np.array([list(order).index(level) for level in levels])[codes]
         levels = list(order)
     if len(levels) < 2:
-        raise InputError(f"{name!r} has only one level ({levels[0]!r}): it has no effect to estimate. Leave it out.")
+        raise InputError(
+            f"{name!r} has only one level ({levels[0]!r}): it has no effect to estimate. Leave it out.",
+            code="H3-STATS-014",
+        )
     return codes.astype(np.int64), tuple(levels)
 
 
@@ -262,12 +288,14 @@ def _check_rank(design: FixedDesign, x: NDArray[np.float64], coded: Mapping[str,
                 where = ", ".join(f"{v} = {design.levels[v][k]}" for v, k in zip(factors, cell, strict=True))
                 raise InputError(
                     f"No row has {where}: the interaction {':'.join(term)!r} cannot be estimated. "
-                    "Hint: leave the interaction out, or the levels that lack rows."
+                    "Hint: leave the interaction out, or the levels that lack rows.",
+                    code="H3-STATS-022",
                 )
     names = [design.names[k] for k in order[rank:]]
     raise InputError(
         f"The fixed effects are linearly dependent ({len(x)} rows): {', '.join(names)} follows from the others. "
-        "Leave it out."
+        "Leave it out.",
+        code="H3-STATS-001",
     )
 
 
@@ -319,7 +347,8 @@ def _check_separation(
     )
     raise SeparationError(
         f"Separation: {response!r} {what} in {where}, so the estimate would be infinite. "
-        "Hint: leave these rows out and report their rate with a Wilson interval."
+        "Hint: leave these rows out and report their rate with a Wilson interval.",
+        code="H3-STATS-002",
     )
 
 
@@ -338,11 +367,13 @@ def _check_groups(groups: Mapping[str, NDArray[np.int64]], *, bernoulli: bool) -
         if bernoulli and codes.max() + 1 == len(codes):
             raise InputError(
                 f"Every row has its own level of {name!r}: with 0/1 responses its variance cannot be estimated. "
-                "Leave it out."
+                "Leave it out.",
+                code="H3-STATS-019",
             )
     for (a, first), (b, second) in itertools.combinations(groups.items(), 2):
         pairs = len(np.unique(np.column_stack([first, second]), axis=0))
         if pairs == first.max() + 1 == second.max() + 1:
             raise InputError(
-                f"{a!r} and {b!r} group the rows identically: their variances cannot be separated. Leave one out."
+                f"{a!r} and {b!r} group the rows identically: their variances cannot be separated. Leave one out.",
+                code="H3-STATS-020",
             )

@@ -31,7 +31,7 @@ def wilson_interval(successes: int, trials: int, *, confidence: float = 0.95) ->
 
     check_confidence(confidence)
     if not 0 <= successes <= trials:
-        raise InputError(f"Expected 0 <= successes <= trials, got {successes} of {trials}.")
+        raise InputError(f"Expected 0 <= successes <= trials, got {successes} of {trials}.", code="H3-STATS-023")
     if trials == 0:
         return float("nan"), float("nan")
     z = float(ndtri((1 + confidence) / 2))
@@ -150,11 +150,11 @@ def over_seeds(values: ArrayLike, *, confidence: float = 0.95) -> SeedSummary:
 def check_confidence(confidence: float) -> None:
     """Raises an `InputError` unless ``confidence`` is a share, such as 0.95 (not 95)."""
     if not 0 < confidence < 1:
-        raise InputError(f"Expected a confidence between 0 and 1, e.g. 0.95, got {confidence}.")
+        raise InputError(f"Expected a confidence between 0 and 1, e.g. 0.95, got {confidence}.", code="H3-STATS-024")
 
 
 def _defined(values: ArrayLike) -> NDArray[np.float64]:
     v = np.asarray(values, np.float64)
     if v.ndim != 1:
-        raise InputError(f"Expected one value per episode, shape [E], got shape {list(v.shape)}.")
+        raise InputError(f"Expected one value per episode, shape [E], got shape {list(v.shape)}.", code="H3-STATS-025")
     return v[~np.isnan(v)]

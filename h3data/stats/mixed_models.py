@@ -42,7 +42,7 @@ class GlmmFit:
     """A fitted model. All estimates are on the link scale: natural logarithm for Poisson, log-odds for binomial."""
 
     formula: str
-    """In lme4's notation."""
+    """Model in lme4's notation."""
     family: Family
     rows: int
     fixed: FixedDesign
@@ -205,7 +205,10 @@ def _maximum(
     start, mode = _profiled(model, penalty)
     k = len(start)
     if not np.isfinite(mode.deviance):
-        raise InputError(f"No likelihood could be computed: {design.formula}. Hint: scale covariates to about 1.")
+        raise InputError(
+            f"No likelihood could be computed: {design.formula}. Hint: scale covariates to about 1.",
+            code="H3-STATS-026",
+        )
     scale = np.zeros((k + design.x.shape[1],) * 2)
     scale[:k, :k] = np.diag(np.maximum(start, 0.05) / np.sqrt(2.0 * model.level_counts))
     scale[k:, k:] = np.linalg.inv(mode.fixed_factor).T

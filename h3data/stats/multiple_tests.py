@@ -23,7 +23,7 @@ def adjust_p_values(p: ArrayLike, *, method: PAdjustment = "holm") -> NDArray[np
     """
     values = np.asarray(p, np.float64)
     if values.ndim != 1 or (values < 0).any() or (values > 1).any():
-        raise InputError(f"Expected p values between 0 and 1, shape [M], got {p!r}.")
+        raise InputError(f"Expected p values between 0 and 1, shape [M], got {p!r}.", code="H3-STATS-027")
     result = values.copy()
     tested = np.flatnonzero(~np.isnan(values))
     order = tested[np.argsort(values[tested], kind="stable")]
@@ -38,5 +38,7 @@ def adjust_p_values(p: ArrayLike, *, method: PAdjustment = "holm") -> NDArray[np
         case "benjamini-hochberg":
             result[order] = np.minimum.accumulate((ranked * m / np.arange(1, m + 1))[::-1])[::-1]
         case _:
-            raise InputError(f"Expected holm, bonferroni, benjamini-hochberg or none, got {method!r}.")
+            raise InputError(
+                f"Expected holm, bonferroni, benjamini-hochberg or none, got {method!r}.", code="H3-STATS-028"
+            )
     return result

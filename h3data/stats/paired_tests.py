@@ -85,9 +85,11 @@ def compare_paired(
     if method == "auto":
         method = "mcnemar" if binary else "permutation"
     if method == "mcnemar" and len(a) and not binary:
-        raise InputError("McNemar's test compares 0/1 values; these are others. Hint: method='permutation'.")
+        raise InputError(
+            "McNemar's test compares 0/1 values; these are others. Hint: method='permutation'.", code="H3-STATS-029"
+        )
     if method not in _TESTS:
-        raise InputError(f"Expected a method of auto, {', '.join(_TESTS)}, got {method!r}.")
+        raise InputError(f"Expected a method of auto, {', '.join(_TESTS)}, got {method!r}.", code="H3-STATS-030")
     name, test, effect_name = _TESTS[method]
     d = a - b
     if method == "permutation" and np.count_nonzero(d) <= _ENUMERATED:
@@ -204,10 +206,11 @@ def _check_same_episodes(first: Mapping[str, float], second: Mapping[str, float]
     if only_first or only_second:
         raise InputError(
             f"A paired comparison needs the same episodes in both runs. Only in the first: {some_of(only_first)}. "
-            f"Only in the second: {some_of(only_second)}."
+            f"Only in the second: {some_of(only_second)}.",
+            code="H3-STATS-031",
         )
     if not first:
-        raise InputError("The runs have no episodes.")
+        raise InputError("The runs have no episodes.", code="H3-STATS-032")
 
 
 def some_of(names: Sequence[str], most: int = 5) -> str:

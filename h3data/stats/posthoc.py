@@ -95,7 +95,9 @@ class Contrast:
     def ratio(self) -> tuple[float, float, float]:
         """exp(difference) with its interval: the ratio of the means (Poisson) or of the odds (binomial); ``link`` only."""
         if self.scale != "link":
-            raise InputError("A ratio needs contrasts on the link scale: contrasts(means, scale='link').")
+            raise InputError(
+                "A ratio needs contrasts on the link scale: contrasts(means, scale='link').", code="H3-STATS-036"
+            )
         return tuple(float(np.exp(v)) for v in (self.difference, self.low, self.high))  # type: ignore[return-value]
 
 
@@ -138,7 +140,8 @@ def contrasts(
     check_confidence(confidence)
     if scale not in ("link", "response") or adjust not in ("tukey", "holm", "none"):
         raise InputError(
-            f"Expected scale link or response and adjust tukey, holm or none; got {scale!r} and {adjust!r}."
+            f"Expected scale link or response and adjust tukey, holm or none; got {scale!r} and {adjust!r}.",
+            code="H3-STATS-033",
         )
     count = len(means.levels)
     pairs = list(itertools.combinations(range(count), 2))
@@ -183,9 +186,15 @@ def relative_efficiency(
 
     check_confidence(confidence)
     if means.family != "poisson":
-        raise InputError("Relative efficiency is a ratio of steps: expected means of a Poisson model, got binomial.")
+        raise InputError(
+            "Relative efficiency is a ratio of steps: expected means of a Poisson model, got binomial.",
+            code="H3-STATS-034",
+        )
     if baseline not in means.levels:
-        raise InputError(f"No level {baseline!r} in {means.factor!r}. Its levels are: {', '.join(means.levels)}.")
+        raise InputError(
+            f"No level {baseline!r} in {means.factor!r}. Its levels are: {', '.join(means.levels)}.",
+            code="H3-STATS-035",
+        )
     base = means.levels.index(baseline)
     result = []
     for k, level in enumerate(means.levels):

@@ -1,4 +1,4 @@
-"""Agreement of two rankings: do automatic evaluation and one with people put the same methods in the same order?"""
+"""Agreement of two rankings of methods, such as one by automatic evaluation and one by a study with people."""
 
 # The coefficients are scipy's (tests compare them); written out here over all resamples at once, because 10,000 calls of
 # scipy.stats.kendalltau take seconds.
@@ -61,7 +61,8 @@ def rank_agreement(
     if set(first) != set(second) or len(first) < 2:
         raise InputError(
             f"Ranks need the same two methods or more in both evaluations, got {', '.join(first) or 'none'} and "
-            f"{', '.join(second) or 'none'}."
+            f"{', '.join(second) or 'none'}.",
+            code="H3-STATS-037",
         )
     names = tuple(first)
     values = [[_defined(side[name], name) for name in names] for side in (first, second)]
@@ -96,7 +97,7 @@ def _defined(values: ArrayLike, name: str) -> NDArray[np.float64]:
     array = np.asarray(values, np.float64).ravel()
     array = array[~np.isnan(array)]
     if not len(array):
-        raise InputError(f"{name!r} has no defined value to rank.")
+        raise InputError(f"{name!r} has no defined value to rank.", code="H3-STATS-038")
     return array
 
 

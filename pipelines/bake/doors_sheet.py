@@ -14,8 +14,9 @@ from bake.open_kitchen import picture
 from h3data.geometry import heading_from_quat
 from h3data.render import look_at, pinhole
 from h3data.render.image_files import write_jpg
-from h3data.scene import HomeSpec, Scene, build_home
+from h3data.scene import Scene
 from h3data.scene.articulation import joints_of, posed
+from h3data_homes import HomeSpec, build_home
 
 SHOWN = ((1, "door_0/leaf"), (0, "door_1/leaf"))
 """Homes and their doors."""
@@ -40,6 +41,7 @@ def row(scene: Scene, name: str) -> NDArray[np.uint8]:
 
 
 def main(path: str) -> None:
+    """Renders the doors and writes the picture."""
     rows = [row(build_home(HomeSpec(seed=seed, generation=2, doors=True)), name) for seed, name in SHOWN]
     write_jpg(path, np.vstack([rows[0], np.full((GAP, rows[0].shape[1], 3), 255, np.uint8), rows[1]]))
 

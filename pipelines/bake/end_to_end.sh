@@ -9,7 +9,7 @@
 set -u
 out=$1 seconds=${2:-480} began=$SECONDS
 space=${SPACE:-/tmp/end_to_end}
-options=${OPTIONS:---recipe fast --device cuda --init end_to_end --rollout 64 --minibatches 8 --follow-steps 300}
+options=${OPTIONS:---recipe fast --device cuda --warm-start end_to_end --rollout 64 --minibatches 8 --follow-steps 300}
 one_s=${ONE:-150} spare_s=12 worlds=${WORLDS:-4096}
 export NCCL_NVLS_ENABLE=0 PYTHONUNBUFFERED=1
 mkdir -p "$out" "$space"

@@ -1,8 +1,10 @@
-"""Write `datasets/h3-homes` or, with ``--generation 2``, `datasets/h3-homes-v2`: ``python -m bake.home_sets --choose`` picks
-the homes of the three splits and writes them down; without ``--choose`` only the tables of the card are measured again.
+"""Write `datasets/h3-homes` or, with ``--generation 2``, `datasets/h3-homes-v2`.
 
-Sizes are spread evenly on a logarithmic scale, rooms follow from them. A seed is taken only if the home is without faults
-(`h3data scenes validate`) and the episodes of the split can be drawn in it.
+``python -m bake.home_sets --choose`` picks the homes of the three splits and writes them down; without ``--choose``
+only the tables of the card are measured again.
+
+Sizes are spread evenly on a logarithmic scale, and the rooms follow from them. A seed is taken only if the home has no
+faults (`h3data scenes validate`) and the episodes of the split can be sampled in it.
 """
 
 from __future__ import annotations
@@ -19,10 +21,10 @@ import numpy as np
 from h3data.builtin import builtin_root
 from h3data.errors import SceneError
 from h3data.files import part_file
-from h3data.habitat.scene_names import NamedScene, named_scenes, open_free_space, open_scene
-from h3data.scene import HomeSpec
-from h3data.scene.homes.spec import MAX_BATHROOMS, MAX_BEDROOMS, Preset, min_area_m2
+from h3data.scene.open import NamedScene, named_scenes, open_free_space, open_scene
 from h3data.scene.scene_sets import SceneEntry, SceneSet, SocialNavRules, read_scene_set
+from h3data_homes import HomeSpec
+from h3data_homes.spec import MAX_BATHROOMS, MAX_BEDROOMS, Preset, min_area_m2
 from h3data_pipelines.assets.scene_reports import AGENT_HEIGHT_M, AGENT_RADIUS_M, scene_size, validate_scene
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.social_nav.sets import set_episode
@@ -52,6 +54,7 @@ class Split:
 
     @property
     def rules(self) -> SocialNavRules:
+        """Rules by which episodes are sampled in the homes of the split."""
         return SocialNavRules(episodes_per_scene=self.episodes, spawn_distance_m=self.spawn_distance_m)
 
 
@@ -204,6 +207,7 @@ def updated_card(text: str, parts: dict[str, str]) -> str:
 
 
 def main() -> None:
+    """Chooses homes if asked to, and writes the tables of the card."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--choose", action="store_true", help="pick the homes anew")

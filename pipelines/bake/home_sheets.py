@@ -1,5 +1,7 @@
-"""Contact sheets of homes of the second generation: ``python -m bake.home_sheets docs/pictures`` writes ``kinds.jpg``,
-``styles.jpg``, ``room_kinds.jpg`` and ``generations.jpg``; further words choose some of them.
+"""Contact sheets of homes of the second generation.
+
+``python -m bake.home_sheets docs/pictures`` writes ``kinds.jpg``, ``styles.jpg``, ``room_kinds.jpg`` and
+``generations.jpg``; further words choose some of them.
 """
 
 from __future__ import annotations
@@ -19,12 +21,13 @@ from h3data.render.image_files import write_jpg
 from h3data.render.light.bake import lit_scene
 from h3data.render.light.sources import sources_of
 from h3data.render.sheets.scene_map import eye_level_camera, plan_picture, render_scene
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
-from h3data.scene.homes.kinds import KINDS, Kind
-from h3data.scene.homes.kinds.kind import furniture_of, thing_of
-from h3data.scene.homes.layout import plan_layout
-from h3data.scene.homes.lived_in.looks import sample_look
-from h3data.scene.homes.spec import Look
+from h3data.scene import FreeSpace, Scene
+from h3data.scene.kinds import KINDS, Kind
+from h3data_homes import HomeSpec, build_home
+from h3data_homes.kinds.kind import furniture_of, thing_of
+from h3data_homes.layout import plan_layout
+from h3data_homes.lived_in.looks import sample_look
+from h3data_homes.spec import Look
 
 Picture = NDArray[np.uint8]
 PAPER, INK = (250, 250, 248), (30, 30, 36)
@@ -65,6 +68,7 @@ def kind_picture(kind: Kind, *, size_px: int = CELL_PX, look: Look = "mid_centur
 
 
 def mesh_picture(mesh: Mesh, *, size_px: int = CELL_PX) -> Picture:
+    """Picture of a mesh on a plain background, uint8 [size_px, size_px, 3]."""
     low, high = mesh.bounds.astype(float)
     middle, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     eye = middle + 4.2 * radius * np.array([0.42, 0.42, 0.8])
@@ -78,7 +82,7 @@ def mesh_picture(mesh: Mesh, *, size_px: int = CELL_PX) -> Picture:
 
 def kinds_sheet() -> Picture:
     """All kinds of the second generation."""
-    kinds = [k for k in KINDS.values() if k.parts]
+    kinds = [k for k in KINDS.values() if k.model]
     cells = [kind_picture(k, seed=n, look=get_args(Look)[n % len(get_args(Look))]) for n, k in enumerate(kinds)]
     names = [k.name.replace("_", " ") for k in kinds]
     return _grid([_labelled(c, n, scale=0.32) for c, n in zip(cells, names, strict=True)], COLUMNS)
@@ -154,6 +158,7 @@ SHEETS: Mapping[str, Callable[[], Picture]] = {
 
 
 def main() -> None:
+    """Renders and writes the sheets."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("names", nargs="*", help=f"some of {', '.join(SHEETS)} (default: all)")

@@ -14,8 +14,9 @@ from h3data.render import Camera, Renderer, RenderInstance, RenderScene, look_at
 from h3data.render.image_files import write_jpg
 from h3data.render.light.bake import lit_scene
 from h3data.render.light.sources import sources_of
-from h3data.scene import HomeSpec, Scene, build_home, instance_matrix
+from h3data.scene import Scene, instance_matrix
 from h3data.scene.articulation import opened
+from h3data_homes import HomeSpec, build_home
 
 SEEDS, WIDTH, HEIGHT, GAP = (0, 2), 640, 560, 6
 EYE_M, BACK_M, ASIDE_M = 1.75, 2.4, 0.9
@@ -48,6 +49,7 @@ def view_of(scene: Scene) -> Camera:
 
 
 def main(path: str) -> None:
+    """Renders the kitchens and writes the picture."""
     rows = []
     for seed in SEEDS:
         scene = build_home(HomeSpec(seed=seed, articulated=True))

@@ -27,6 +27,7 @@ def rounded(weights: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def main(source: Path, out: Path, *, rounding: bool) -> None:
+    """Writes the packed policy file, with rounded weights if asked to."""
     _, arrays = read_arrays(source)
     packed = {}
     for name, array in arrays.items():

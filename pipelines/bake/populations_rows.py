@@ -75,7 +75,9 @@ def read_results(folder: Path) -> SeedResults:
             plays=tuple(row for episode in found[: table["episodes"]] for row in episode["rows"]), missing=len(table["failed"]),
         )  # fmt: skip
     except (KeyError, TypeError, ValueError) as fault:
-        raise FormatError(f"Expected an evaluation of rearrange with --zsc ({fault!r}). Folder: {folder}") from None
+        raise FormatError(
+            f"Expected an evaluation of rearrange with --unseen-partners ({fault!r}). Folder: {folder}"
+        ) from None
 
 
 def learned_beside(run: str, seed: int) -> Callable[[str], bool]:

@@ -30,8 +30,8 @@ untrained() { # SEED: random weights, as training begins with them
     mkdir -p "$trained/untrained.$1"
     [ -f "$file" ] || python3 -c "import sys
 from h3data_training.populations import learner, settings
-from sim_kinematic.policies.pictured import save_pictured
-save_pictured(learner.ChooserLearner(settings.PopulationSettings(), 'robot', seed=int(sys.argv[1])).network(), sys.argv[2])" \
+from sim_kinematic.policies.visual_policy import save_policy
+save_policy(learner.ChooserLearner(settings.PopulationSettings(), 'robot', seed=int(sys.argv[1])).network(), sys.argv[2])" \
         "$1" "$file"
 }
 runs=${RUNS:-}
@@ -66,7 +66,7 @@ evaluate() { # WALK RUN SEED
     mkdir -p "$out/$1"
     timeout --foreground -k 10 $left python3 -m h3data_pipelines.cli evaluate rearrange --scenes "${SCENES:-h3-homes/test}" \
         --seed "${SEED:-9101}" --episodes "${EPISODES:-50}" $rules --policies "weights:$trained/$2.$3/policy.npz" \
-        --partners "$partners" --zsc "$ten" ${skills:+--skills "$skills"} --workers "$workers" -o "$folder" \
+        --partners "$partners" --unseen-partners "$ten" ${skills:+--skills "$skills"} --workers "$workers" -o "$folder" \
         >"$folder.log" 2>&1 || echo "$1 $2 $3: failed or stopped, see $folder.log"
 }
 export -f evaluate

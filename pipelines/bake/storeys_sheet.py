@@ -24,7 +24,8 @@ from h3data.render.light.bake import lit_scene
 from h3data.render.light.sources import sources_of
 from h3data.render.sheets.scene_map import render_scene, scene_map
 from h3data.replay import Replay
-from h3data.scene import FreeSpace, HomeSpec, Room, Scene, build_home
+from h3data.scene import FreeSpace, Room, Scene
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.runner import simulate
 

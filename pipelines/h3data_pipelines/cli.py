@@ -49,6 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(args: list[str]) -> int:
     from h3data.commands.options import in_shell_words
     from h3data.errors import H3DataError  # here, so that Ctrl-C during these slow imports is caught too
+    from h3data.plugins import missing_part
     from h3data.recording.storage import masked
     from h3data_pipelines.commands.table import REGISTRY, TABLE, all_commands
     from h3data_pipelines.parsing import parse
@@ -65,11 +66,14 @@ def _run(args: list[str]) -> int:
             outcome = command.run()
     except BrokenPipeError:
         raise
-    except (H3DataError, OSError, MemoryError) as error:
+    except (H3DataError, OSError, MemoryError, ModuleNotFoundError) as error:
+        if isinstance(error, ModuleNotFoundError) and not missing_part(error):
+            raise
         message = masked(_message(error) if command is None else in_shell_words(_message(error), type(command)))
-        _complain(f"error: {message}")
+        code = error.code if isinstance(error, H3DataError) else ""
+        _complain(f"error: {message} [{code}]" if code else f"error: {message}")
         if "--json" in args:
-            _print(json.dumps({"error": message}))
+            _print(json.dumps({"error": message} | ({"code": code} if code else {})))
         return 2
     try:
         _print(json.dumps(jsonable(outcome.data), indent=2) if command.json else outcome.text.rstrip())
@@ -103,6 +107,13 @@ def _message(error: BaseException) -> str:
     """One line about an error, including those of the operating system that a user can fix (permissions, full disks)."""
     if isinstance(error, MemoryError):
         return f"Out of memory ({error})." if str(error) else "Out of memory."
+    if isinstance(error, ModuleNotFoundError):
+        from h3data.plugins import missing_part
+
+        return (
+            f"This needs the package {missing_part(error)}, which this installation does not have. "
+            "Hint: install h3data as a whole."
+        )
     if isinstance(error, OSError):
         path = f": {error.filename}" if error.filename is not None else ""
         if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 
 from numpy.typing import NDArray
 
@@ -22,7 +22,8 @@ Format = Literal["mp4", "av1", "png", "data"]
 ToPicture = Callable[[NDArray[Any], int], NDArray[Any]]
 """Converts the rendered image of a step to the one that is stored."""
 
-OUTPUTS = ("rgb", "depth", "instance", "semantic")
+OutputName = Literal["rgb", "depth", "instance", "semantic"]
+OUTPUTS: tuple[OutputName, ...] = get_args(OutputName)
 _FORMS: Mapping[Format, tuple[Form, Form, Form]] = {
     "mp4": ("h264", "h264", "h264"),
     "av1": ("av1", "av1", "av1"),
@@ -123,7 +124,8 @@ def _open_folder(target: Path, picture: ToPicture) -> Iterator[Sink]:
         others = [p for p in folder.glob("*") if not re.fullmatch(r"\d{6,}\.png(\.part)?", p.name)]
         if others:
             raise InputError(
-                f"The output folder holds files that are not numbered pictures. Move them away: {others[0]}"
+                f"The output folder holds files that are not numbered pictures. Move them away: {others[0]}",
+                code="H3-OPTION-066",
             )
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)

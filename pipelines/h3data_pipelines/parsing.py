@@ -15,11 +15,22 @@ from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, Literal, NoReturn, get_args, get_origin, get_type_hints
 
+import docstring_parser
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from h3data.commands.command import Command, Group, NameOf
-from h3data.commands.options import KINDS, Option, Repeatable, options_of, read_value
+from h3data.commands.options import (
+    KINDS,
+    RENAMED,
+    Option,
+    Repeatable,
+    annotated,
+    check_task,
+    known_tasks,
+    options_of,
+    read_value,
+)
 from h3data.errors import InputError, did_you_mean, suggest
 from h3data.plugins import own_version, trust
 from h3data_pipelines.job_files import read_job_file
@@ -75,7 +86,7 @@ def _parse_options(command: type[Command], prog: str, words: list[str]) -> Invoc
     texts while words are assigned, then values are read and missing ones reported here, in one line.
     """
     if {"-h", "--help"} & set(words):
-        _help(command, prog)
+        _help(command, prog, words[0] if words and not words[0].startswith("-") else "")
     options, see = options_of(command), f"See: {prog} --help"
     words, quiet, config = _common(words, see)
     configured = {} if config is None else read_job_file(config, options)
@@ -84,7 +95,7 @@ def _parse_options(command: type[Command], prog: str, words: list[str]) -> Invoc
             _unread(command), prog=prog, config=_CONFIG, args=words, return_unknown_args=True, console_outputs=False
         )
     except SystemExit:  # all fields are optional: only the value of an option can be missing
-        raise InputError(f"{_valueless(options, words)} {see}") from None
+        raise InputError(f"{_valueless(options, words)} {see}", code="H3-OPTION-072") from None
     rest = next((o for o in options if o.count is None and not o.flags), None)
     apart = unknown if rest is not None and not any(word.startswith("-") for word in unknown) else []
     if unknown and not apart:
@@ -95,14 +106,18 @@ def _parse_options(command: type[Command], prog: str, words: list[str]) -> Invoc
     if rest is not None and apart:  # metrics A --paired B: words of one list on both sides of an option
         given[rest.field] = (*given.get(rest.field, ()), *apart)
     if missing := [o.name for o in options if o.required and o.field not in given and o.count is not None]:
-        raise InputError(f"Missing from {prog}: {' and '.join(missing)}. {see}")
+        raise InputError(f"Missing from {prog}: {' and '.join(missing)}. {see}", code="H3-OPTION-069")
+    try:
+        check_task(command, given.get("task", ""), given)
+    except InputError as error:
+        raise InputError(f"{error} {see}", code="H3-OPTION-079") from None
     values = {o.field: () for o in options if o.required}  # any number of values may be none
     for option in options:
         if option.field in given:
             try:
                 values[option.field] = read_value(option, given[option.field])
             except ValueError as error:
-                raise InputError(f"{option.name}: {error}. {see}") from None
+                raise InputError(f"{option.name}: {error}. {see}", code="H3-OPTION-073") from None
     return Invocation(command(**values), quiet)
 
 
@@ -122,7 +137,7 @@ def _common(words: list[str], see: str) -> tuple[list[str], bool, Path | None]:
         elif name == "--config":
             path = value if sign else next(waiting, "")
             if not path or path.startswith("-"):
-                raise InputError(f"Missing value for --config. {see}")
+                raise InputError(f"Missing value for --config. {see}", code="H3-OPTION-074")
             config = Path(path)
         elif name == "--trust":
             trust(value if sign else next(waiting, ""))
@@ -131,15 +146,26 @@ def _common(words: list[str], see: str) -> tuple[list[str], bool, Path | None]:
     return rest, quiet, config
 
 
-def _help(command: type[Command], prog: str) -> NoReturn:
-    """Prints the help of a command: summary, options, and the examples last, where a terminal still shows them."""
+def _help(command: type[Command], prog: str, task: str) -> NoReturn:
+    """Prints the help of a command: summary, options, and the examples last, where a terminal still shows them.
+
+    Of a command whose options differ between tasks, ``task`` chooses what is shown; empty: what all of them have.
+    """
     about, _, examples = (inspect.getdoc(command) or "").partition("Examples:\n")
+    tasks = known_tasks(options_of(command))
     try:
         tyro.cli(
-            _documented(command), prog=prog, config=_CONFIG, args=["--help"], description=about, registry=_registry
-        )
+            _documented(command, task), prog=f"{prog} {task}" if task in tasks else prog, config=_CONFIG,
+            args=["--help"], description=about, registry=_registry,
+        )  # fmt: skip
     except SystemExit:
-        _leave(f"{_COMMON_HELP}\n\nExamples:\n{examples.rstrip()}")
+        more = _COMMON_HELP
+        if tasks and task not in tasks:
+            more = f"A task has more options. See: {' or '.join(f'{prog} {each} --help' for each in tasks)}\n\n{more}"
+        lines = examples.rstrip().splitlines()
+        if task in tasks:
+            lines = [line for line in lines if f"{prog} {task} " in f"{line} "]
+        _leave(f"{more}\n\nExamples:\n" + "\n".join(lines))
     raise AssertionError("tyro printed no help")
 
 
@@ -154,23 +180,40 @@ def _unread(command: type[Command]) -> Any:
     return dataclasses.make_dataclass(command.__name__, fields)
 
 
-def _documented(command: type[Command]) -> Any:
-    """A subclass of the command whose help shows only defaults that mean something."""
-    annotations = {}
+def _documented(command: type[Command], task: str) -> Any:
+    """A subclass of the command whose help shows only defaults that mean something, and only options of ``task``.
+
+    An empty task leaves out all that only some tasks have; one of another package may have any option.
+    """
+    annotations: dict[str, Any] = {}
     by_field = {option.field: option for option in options_of(command)}
+    tasks = known_tasks(by_field.values())
+    # tyro keeps the line breaks of the source, which are not those of the terminal
+    texts = {
+        p.arg_name: " ".join((p.description or "").split()) for p in docstring_parser.parse_from_object(command).params
+    }
     for name, kind in get_type_hints(command, include_extras=True).items():
         if name not in by_field:  # a class variable
             continue
-        repeatable = by_field[name].count is None and by_field[name].flags
+        option = by_field[name]
         names = next((extra for extra in getattr(kind, "__metadata__", ()) if isinstance(extra, NameOf)), None)
         if names is not None:
             kind = Annotated[kind, _shown(f"{{{','.join(names.names())}}}")]
-        elif get_origin(by_field[name].kind) is Literal and NoneType in get_args(_bare(kind)):
-            kind = Annotated[kind, _shown(f"{{{','.join(map(str, get_args(by_field[name].kind)))}}}")]
-        hint = tyro.conf.arg(help_behavior_hint=lambda label: "" if label in _SILENT else f"(default: {label})")
-        annotations[name] = Annotated[Repeatable[kind] if repeatable else kind, hint]
+        elif get_origin(option.kind) is Literal and NoneType in get_args(_bare(kind)):
+            kind = Annotated[kind, _shown(f"{{{','.join(map(str, get_args(option.kind)))}}}")]
+        if option.is_list:
+            kind = Repeatable[annotated(kind, option.metadata)]
+        if option.tasks and (not task or task in tasks) and task not in option.tasks:
+            kind = Annotated[kind, tyro.conf.Suppress]
+        hint = functools.partial(_hint, f"{task}: {option.notes[task]}" if task in option.notes else "")
+        annotations[name] = Annotated[kind, tyro.conf.arg(help=texts.get(name), help_behavior_hint=hint)]
     members = {"__doc__": command.__doc__, "__module__": command.__module__, "__annotations__": annotations}
     return type(command.__name__, (command,), members)
+
+
+def _hint(note: str, label: str) -> str:
+    """What follows the text of an option: what it means in the task, and its default if that says something."""
+    return " ".join(filter(None, (note, "" if label in _SILENT else f"(default: {label})")))
 
 
 def _bare(kind: Any) -> Any:
@@ -180,9 +223,13 @@ def _bare(kind: Any) -> Any:
 def _refuse_option(unknown: list[str], options: tuple[Option, ...], see: str) -> NoReturn:
     word = next((w for w in unknown if w.startswith("-")), unknown[0])
     if not word.startswith("-"):
-        raise InputError(f"Unknown argument {word!r}. {see}")
+        raise InputError(f"Unknown argument {word!r}. {see}", code="H3-OPTION-070")
     flags = [flag for option in options for flag in option.flags]
-    raise InputError(f"Unknown option {word!r}.{did_you_mean(word.partition('=')[0], flags)} {see}")
+    if (now := RENAMED.get(word.partition("=")[0])) in flags:
+        raise InputError(f"{word} is {now} now. {see}", code="H3-OPTION-078")
+    raise InputError(
+        f"Unknown option {word!r}.{did_you_mean(word.partition('=')[0], flags)} {see}", code="H3-OPTION-067"
+    )
 
 
 def _valueless(options: tuple[Option, ...], words: list[str]) -> str:
@@ -197,8 +244,10 @@ def _valueless(options: tuple[Option, ...], words: list[str]) -> str:
 
 def _refuse(prog: str, word: str, commands: Mapping[str, Any]) -> NoReturn:
     if word.startswith("-"):
-        raise InputError(f"Expected a command before {word}: {prog} COMMAND {word}. See: {prog} --help")
-    raise InputError(f"Unknown command {word!r}.{suggest(word, commands)} See: {prog} --help")
+        raise InputError(
+            f"Expected a command before {word}: {prog} COMMAND {word}. See: {prog} --help", code="H3-OPTION-071"
+        )
+    raise InputError(f"Unknown command {word!r}.{suggest(word, commands)} See: {prog} --help", code="H3-OPTION-068")
 
 
 # --- help -------------------------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ import torch
 
 from h3data.errors import FormatError, InputError
 from h3data_training.ppo import Learner
-from h3data_training.running import Length, share_of
+from h3data_training.running import RunLength, share_of
 from h3data_training.torch.graph import overwrite
 
 FORMAT = "h3data.training/1"
@@ -44,7 +44,8 @@ def restore(learner: Learner, kept: dict[str, Any], path: Path) -> None:
         if len(dice) != learner.ranks.count:
             raise InputError(
                 f"The run in this folder is one of {len(dice)} processes, not {learner.ranks.count}. "
-                f"Hint: --gpus {len(dice)}. File: {path}"
+                f"Hint: --gpus {len(dice)}. File: {path}",
+                code="H3-TRAIN-004",
             )
         learner.net.load_state_dict(kept["net"])
         learner.optimizer.load_state_dict(kept["optimizer"])
@@ -54,13 +55,15 @@ def restore(learner: Learner, kept: dict[str, Any], path: Path) -> None:
         overwrite((m.state, m.last, m.over), (own(kept[n]) for n in ("state", "last", "over")))
     except (KeyError, RuntimeError, ValueError) as fault:
         reason = str(fault).splitlines()[0]
-        raise FormatError(f"The checkpoint does not fit ({reason}). File: {path}") from None
+        raise FormatError(f"The checkpoint does not fit ({reason}). File: {path}", code="H3-TRAIN-005") from None
 
 
-class PlainSettings(Length, Protocol):
+class PlainSettings(RunLength, Protocol):
     """Settings of a run, whose class has defaults for all of them."""
 
-    def as_dict(self) -> dict[str, Any]: ...
+    def as_dict(self) -> dict[str, Any]:
+        """All settings by name, as plain values."""
+        ...
 
 
 def to_go_on(path: Path, settings: PlainSettings, seed: int, *, form: str = FORMAT) -> dict[str, Any] | None:
@@ -75,7 +78,8 @@ def to_go_on(path: Path, settings: PlainSettings, seed: int, *, form: str = FORM
     if share_of(settings, kept["curve"], kept["seconds"], kept["setups_s"]) >= 1:
         raise InputError(
             f"The run is over: {len(kept['curve'])} updates in {kept['seconds'] / 60:.1f} minutes. "
-            f"Hint: more --{'updates' if settings.updates else 'minutes'}. Folder: {path.parent}"
+            f"Hint: more --{'updates' if settings.updates else 'minutes'}. Folder: {path.parent}",
+            code="H3-TRAIN-001",
         )
     return kept
 
@@ -93,14 +97,16 @@ def read(path: Path, settings: PlainSettings, seed: int, *, form: str = FORMAT) 
         fits = kept["format"] == form
     except Exception as fault:  # torch raises whatever the bytes lead to
         raise FormatError(f"Expected a checkpoint of h3data train, this is none, or damaged ({type(fault).__name__}). "
-                          f"Hint: --force begins anew. File: {path}") from None  # fmt: skip
+                          f"Hint: --force begins anew. File: {path}", code="H3-TRAIN-006") from None  # fmt: skip
     if not fits:
-        raise FormatError(f"Expected a checkpoint {form}, got {kept['format']}. File: {path}")
+        raise FormatError(f"Expected a checkpoint {form}, got {kept['format']}. File: {path}", code="H3-TRAIN-002")
     now = settings.as_dict() | {"seed": seed}
     then = type(settings)().as_dict() | then  # settings that are newer than the checkpoint have their defaults
     other = differences(then, {name: value for name, value in now.items() if name not in FREE})
     if other:
-        raise InputError(f"The run in this folder has {other}. Hint: name the same settings, or another folder.")
+        raise InputError(
+            f"The run in this folder has {other}. Hint: name the same settings, or another folder.", code="H3-TRAIN-003"
+        )
     return kept
 
 

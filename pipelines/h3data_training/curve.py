@@ -31,7 +31,9 @@ def curve_of(folder: Path) -> list[Row]:
     """
     path = folder / CURVE
     if not path.is_file():
-        raise InputError(f"Expected the folder of a training run, found no {CURVE}. Folder: {folder}")
+        raise InputError(
+            f"Expected the folder of a training run, found no {CURVE}. Folder: {folder}", code="H3-TRAIN-019"
+        )
     return pq.read_table(path.absolute()).to_pylist()  # a relative path may look like a URI
 
 

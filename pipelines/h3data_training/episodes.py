@@ -9,8 +9,8 @@ from multiprocessing import get_context
 from typing import TypeVar
 
 from h3data.errors import InputError
-from h3data.habitat.scene_names import listed_scenes
 from h3data.progress import progress
+from h3data.scene.open import listed_scenes
 from h3data_training.settings import Settings
 from h3data_training.torch.episodes import EpisodeBank
 from h3data_training.torch.step import refuse_stairs
@@ -29,7 +29,7 @@ def rules(settings: Settings) -> SocialNavSpec:
         InputError: there is no such walk.
     """
     if settings.walk not in WALKERS:
-        raise InputError(f"Unknown walk {settings.walk!r}. Expected one of: {', '.join(WALKERS)}.")
+        raise InputError(f"Unknown walk {settings.walk!r}. Expected one of: {', '.join(WALKERS)}.", code="H3-TRAIN-020")
     return SocialNavSpec(spawn_distance_m=3.0, human=WALKERS[settings.walk])
 
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 
-class HeldSteps:
+class ActionRepeat:
     """The part of a `h3data_training.ppo.Worlds` that all tasks share.
 
     A world whose episode ends on the way begins the next one at once; what it gains after that is not counted.
@@ -88,6 +88,8 @@ class HeldSteps:
         return None
 
     def _counted(self, before: Any, live: Tensor, ends: Tensor) -> list[Tensor]:
-        """Sums of a step over the worlds that are ``live`` [W], and those whose episode has just ended, in the order of
-        `counts` after the first, which is the reward."""
+        """Sums over the worlds that are ``live`` [W] in a step, in the order of `counts` after the first, the reward.
+
+        ``ends`` are the worlds whose episode has just ended.
+        """
         raise NotImplementedError

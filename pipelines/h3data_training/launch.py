@@ -19,17 +19,19 @@ LOOK_S = 0.5
 """Seconds between two looks at whether somebody asked to stop."""
 
 
-class Stop(Protocol):
+class StopRequest(Protocol):
     """Whether somebody asked to stop; `threading.Event` is one."""
 
-    def is_set(self) -> bool: ...
+    def is_set(self) -> bool:
+        """Whether the run should stop."""
+        ...
 
 
-Work = Callable[[Any, Stop, Callable[[str], None]], Any]
+Work = Callable[[Any, StopRequest, Callable[[str], None]], Any]
 """Of a process: what it is given, whether to stop, and whom to tell lines."""
 
 
-def launch(work: Work, count: int, given: Any, *, stop: Stop, say: Callable[[str], None]) -> Any:
+def launch(work: Work, count: int, given: Any, *, stop: StopRequest, say: Callable[[str], None]) -> Any:
     """Runs ``work`` in ``count`` new processes, with the variables that torchrun would set; returns what the first one returns.
 
     ``given`` is left in a file for them, since it may be large. When a process fails, the others, which would wait for it
@@ -69,7 +71,7 @@ def launch(work: Work, count: int, given: Any, *, stop: Stop, say: Callable[[str
                 process.join()
 
 
-def _result(processes: list[Any], pipes: list[Any], asked: Event, stop: Stop, say: Callable[[str], None]) -> Any:
+def _result(processes: list[Any], pipes: list[Any], asked: Event, stop: StopRequest, say: Callable[[str], None]) -> Any:
     """What the first process returns; lines of all of them are said here."""
     result, still = None, dict(enumerate(pipes))
     while still:

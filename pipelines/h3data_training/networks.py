@@ -1,6 +1,6 @@
 """The policy in PyTorch, with what only training needs: a critic, an auxiliary head, exploration noise.
 
-`sim_kinematic.policies.pictured` is the same policy in NumPy.
+`sim_kinematic.policies.visual_policy` is the same policy in NumPy.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from torch.nn import functional as F
 from h3data.errors import InputError
 from h3data_training.settings import Settings
 from sim_kinematic.policies.networks.resnet_lstm import ResNetLSTM, pixels_of
-from sim_kinematic.policies.pictured import (
+from sim_kinematic.policies.visual_policy import (
     PATCH,
     PICTURES,
     SPEED_MPS,
     STRIDES,
-    PicturedNetwork,
+    VisualPolicy,
     lengths,
     number_count,
     picture_in,
@@ -32,13 +32,13 @@ Shown = Mapping[str, Tensor]
 
 
 def polar(seen: Tensor) -> Tensor:
-    """As `sim_kinematic.policies.pictured.polar`, [n, 2] -> [n, 6]."""
+    """As `sim_kinematic.policies.visual_policy.polar`, [n, 2] -> [n, 6]."""
     d, a = seen[:, :1], seen[:, 1:]
     return torch.cat([d / 5, (-d / 2).exp(), (-d).exp(), a.cos(), a.sin(), a / math.pi], 1)
 
 
 def spot(seen: Tensor) -> Tensor:
-    """As `sim_kinematic.policies.pictured.spot`, [n, 3] -> [n, 8]."""
+    """As `sim_kinematic.policies.visual_policy.spot`, [n, 3] -> [n, 8]."""
     d = seen.square().sum(1, keepdim=True).sqrt()
     return torch.cat([seen / SPEED_MPS, seen / (d + 0.1), (-2 * d).exp(), (-8 * d).exp()], 1)
 
@@ -64,12 +64,16 @@ def critic_numbers(shown: Shown, over: Tensor, names: tuple[str, ...]) -> Tensor
 
 
 def critic_length(settings: Settings) -> int:
+    """Number of inputs of the critic: its observations, and whether the episode is over."""
     return sum(lengths(name, settings.actions)[1] for name in settings.critic) + 1
 
 
 def picture(seen: Tensor) -> Tensor:
-    """Squares of pixels as channels, of depth near things in more detail: [n, H, W, planes] -> [n, 16 planes, H / 4, W / 4],
-    half precision, in which the depth of rollouts of 4,096 worlds takes 0.8 GB."""
+    """Moves squares of 4 x 4 pixels into channels: [n, H, W, planes] -> [n, 16 planes, H / 4, W / 4].
+
+    Depth is rescaled so that near distances have more detail. The result has half precision, in which the depth of
+    rollouts of 4,096 worlds takes 0.8 GB.
+    """
     scaled = seen.sqrt() if seen.shape[-1] == 1 else seen.float() / 255
     return F.pixel_unshuffle(scaled.permute(0, 3, 1, 2).half(), PATCH)
 
@@ -111,6 +115,7 @@ class ActorCritic(nn.Module):
         return last
 
     def std(self) -> Tensor:
+        """Standard deviation of the exploration noise, for each component of an action."""
         return self.log_std.exp().clamp_min(self.least_std)
 
     def pixels(self, seen: Tensor) -> Tensor:
@@ -172,13 +177,13 @@ class ActorCritic(nn.Module):
                  for n, t in mine.items() if n not in arrays or arrays[n].shape != tuple(t.shape)]  # fmt: skip
         other += [f"{n}, which is unknown here" for n in arrays if n not in mine]
         if other:
-            raise InputError(f"The policy to begin with has another network: {'; '.join(other)}.")
+            raise InputError(f"The policy to begin with has another network: {'; '.join(other)}.", code="H3-TRAIN-022")
         with torch.no_grad():
             for name, tensor in mine.items():
                 tensor.copy_(torch.as_tensor(arrays[name]))
 
     def arrays(self) -> dict[str, Any]:
-        """The actor as `sim_kinematic.policies.pictured.PicturedNetwork` names its arrays, float32."""
+        """The actor as `sim_kinematic.policies.visual_policy.VisualPolicy` names its arrays, float32."""
         return {n: t.detach().float().cpu().contiguous().numpy().copy() for n, t in self._named().items()}
 
     def _named(self) -> dict[str, Any]:
@@ -208,15 +213,19 @@ class ResNetActorCritic(ActorCritic):
         return self.actor.act
 
     def pixels(self, seen: Tensor) -> Tensor:
+        """Pictures in the form that the network takes."""
         return pixels_of(seen)
 
     def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
+        """Features [n, F] of pixels and numbers."""
         return self.actor.features(pixels, numbers)
 
     def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Output and next state of the recurrent layers."""
         return self.actor.remember(x, state)
 
     def head(self, known: Tensor, numbers: Tensor) -> Tensor:
+        """Mean of the action, from the output of the recurrent layers."""
         return self.actor.act(known)
 
     def _named(self) -> dict[str, Any]:
@@ -228,7 +237,7 @@ def network(settings: Settings) -> ActorCritic:
     return {"cnn_gru": ActorCritic, "resnet18_lstm": ResNetActorCritic}[settings.network](settings)
 
 
-def begin_with(net: ActorCritic, policy: PicturedNetwork, settings: Settings) -> dict[str, Any]:
+def begin_with(net: ActorCritic, policy: VisualPolicy, settings: Settings) -> dict[str, Any]:
     """Replaces the actor by a trained one; returns what its card says of its training, and of what came before that.
 
     Raises:
@@ -242,7 +251,7 @@ def begin_with(net: ActorCritic, policy: PicturedNetwork, settings: Settings) ->
     }  # fmt: skip
     other = [f"{name}={theirs!r}, not {ours!r}" for name, (theirs, ours) in pairs.items() if theirs != ours]
     if other:
-        raise InputError(f"The policy to begin with has {'; '.join(other)}.")
+        raise InputError(f"The policy to begin with has {'; '.join(other)}.", code="H3-TRAIN-021")
     net.take(policy.arrays)
     before = {k: v for k, v in card.training.items() if k not in ("settings", "last_update")}
     return {"digest": policy.digest[:12], "hold": card.hold, **before}

@@ -30,13 +30,19 @@ class Worlds(Protocol):
     """Sums over worlds and steps, of `counts`."""
 
     @property
-    def counts(self) -> tuple[str, ...]: ...
+    def counts(self) -> tuple[str, ...]:
+        """Names of the sums that `step` returns, the reward first."""
+        ...
+
     @property
     def play(self) -> Any:
         """Where all worlds are; it has ``tensors()`` and ``terminated`` [W]."""
         ...
 
-    def reset(self, *, seed: Sequence[int]) -> tuple[dict[str, Tensor], dict[str, Tensor]]: ...
+    def reset(self, *, seed: Sequence[int]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """Begins episodes in all worlds; returns the actor's observations and those of the critic."""
+        ...
+
     def held(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
         """Moves all worlds by an action [W, A].
 
@@ -99,8 +105,10 @@ def schedule(settings: Settings, share: float, update: int) -> Schedule:
 
 
 class Learner:
-    """Actor, critic, optimizer and rollout buffers of one run; of several processes, each has a learner with its share of the
-    worlds, and all come to the same weights."""
+    """Actor, critic, optimizer and rollout buffers of one run.
+
+    In a run of several processes, each has a learner with its share of the worlds, and all arrive at the same weights.
+    """
 
     def __init__(self, settings: Settings, worlds: Worlds, *, seed: int, ranks: Ranks | None = None) -> None:
         self.settings, self.worlds = settings, worlds

@@ -102,8 +102,13 @@ def own_place(device: str) -> tuple[Ranks, str]:
         device = "cuda"
     if device.startswith("cuda") and not torch.cuda.is_available():
         if place is not None and place[1] > 1:
-            raise InputError(f"Expected a GPU for each of {place[1]} processes, found none for number {place[0]}.")
-        raise InputError("There is no GPU that this torch can use. Hint: --device cpu with --recipe tiny.")
+            raise InputError(
+                f"Expected a GPU for each of {place[1]} processes, found none for number {place[0]}.",
+                code="H3-TRAIN-040",
+            )
+        raise InputError(
+            "There is no GPU that this torch can use. Hint: --device cpu with --recipe tiny.", code="H3-ENV-013"
+        )
     return Ranks(*place) if place else Ranks(), device
 
 

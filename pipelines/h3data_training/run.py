@@ -18,21 +18,21 @@ from h3data.plugins import own_version
 from h3data_training import checkpoints
 from h3data_training.curve import EventLog, save_curve
 from h3data_training.episodes import make_bank
-from h3data_training.launch import Stop, launch
+from h3data_training.launch import StopRequest, launch
 from h3data_training.networks import begin_with
 from h3data_training.ppo import Learner, schedule
 from h3data_training.ranks import Ranks, connect, leave, own_place, torchrun_place
-from h3data_training.running import SPARE_S, Result, Say, one_thread, share_of, stop_asked
+from h3data_training.running import SPARE_S, RunResult, Say, one_thread, share_of, stop_asked
 from h3data_training.settings import Settings
 from h3data_training.skills.episodes import make_skill_bank
 from h3data_training.skills.settings import SkillSettings
-from h3data_training.skills.worlds import HeldSkills
+from h3data_training.skills.worlds import ActionRepeatSkills
 from h3data_training.torch.episodes import EpisodeBank
 from h3data_training.torch.skills.bank import SkillBank
-from h3data_training.worlds import HeldWorlds
+from h3data_training.worlds import ActionRepeatEnv
 from sim_kinematic.policies.network import RUN_POLICY
 from sim_kinematic.policies.networks.resnet_lstm import ResNetPolicy
-from sim_kinematic.policies.pictured import PICTURES, PicturedNetwork, PolicyCard, save_pictured
+from sim_kinematic.policies.visual_policy import PICTURES, PolicyCard, VisualPolicy, save_policy
 
 Bank = EpisodeBank | SkillBank
 CHECKPOINT, POLICY = "checkpoint.pt", RUN_POLICY
@@ -42,9 +42,9 @@ STARTS = "starts.npz"
 
 def train(
     folder: Path, settings: Settings, *, seed: int = 0, device: str = "cpu", gpus: int = 1,
-    init: PicturedNetwork | None = None, resume: bool = False, stop_after: float | None = None, checkpoint_s: float = 30.0,
+    init: VisualPolicy | None = None, resume: bool = False, stop_after: float | None = None, checkpoint_s: float = 30.0,
     compile: bool | None = None, name: str = "", bank: Bank | None = None, say: Say = lambda text: None,
-) -> Result:  # fmt: skip
+) -> RunResult:  # fmt: skip
     """Trains until the run is over, ``stop_after`` minutes have passed, or somebody interrupts it, and saves.
 
     On the CPU, a run that was interrupted and goes on comes to the very weights of one that was not, if its length is given in
@@ -79,7 +79,8 @@ def train(
     if processes < 1 or settings.worlds % (processes * settings.minibatches):
         raise InputError(
             f"Expected worlds in multiples of {settings.minibatches} minibatches for each of {processes} processes, "
-            f"got {settings.worlds}."
+            f"got {settings.worlds}.",
+            code="H3-TRAIN-041",
         )
     require_light(settings, device)
     job.kept()
@@ -90,12 +91,16 @@ def train(
 
 
 def require_light(settings: Settings, device: str) -> None:
-    """
+    """Checks that pictures can be rendered in the light of the settings.
+
     Raises:
-        InputError: the device has no such light.
+        InputError: the device does not support this light.
     """
     if settings.light != "flat" and not device.startswith("cpu"):
-        raise InputError(f"On {device} colours are in flat light. Hint: --light flat, or --device cpu for baked light.")
+        raise InputError(
+            f"On {device} colours are in flat light. Hint: --light flat, or --device cpu for baked light.",
+            code="H3-TRAIN-042",
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +111,7 @@ class _Job:
     settings: Settings
     seed: int
     device: str
-    init: PicturedNetwork | None
+    init: VisualPolicy | None
     resume: bool
     stop_after: float | None
     checkpoint_s: float
@@ -132,7 +137,7 @@ class _Job:
         return bank
 
 
-def _work(job: _Job, stop: Stop, say: Say) -> Result:
+def _work(job: _Job, stop: StopRequest, say: Say) -> RunResult:
     """The work of one process."""
     ranks, device = own_place(job.device)
     if not ranks.is_first:
@@ -144,7 +149,8 @@ def _work(job: _Job, stop: Stop, say: Say) -> Result:
         except torch.cuda.OutOfMemoryError as fault:
             raise InputError(
                 f"The GPU is too small for {job.settings.worlds // ranks.count} worlds. "
-                f"Hint: --worlds {max(job.settings.worlds // 2, 1)}. ({str(fault).splitlines()[0]})"
+                f"Hint: --worlds {max(job.settings.worlds // 2, 1)}. ({str(fault).splitlines()[0]})",
+                code="H3-TRAIN-043",
             ) from None
         finally:
             leave()
@@ -152,13 +158,13 @@ def _work(job: _Job, stop: Stop, say: Say) -> Result:
 
 def worlds_of(
     settings: Settings, bank: Bank, *, device: str, compile: bool | None = None, count: int | None = None
-) -> HeldWorlds | HeldSkills:
+) -> ActionRepeatEnv | ActionRepeatSkills:
     """The worlds that settings ask for, in the episodes of a bank."""
     if isinstance(settings, SkillSettings):
         assert isinstance(bank, SkillBank)
-        return HeldSkills(settings, bank, device=device, compile=compile, count=count)
+        return ActionRepeatSkills(settings, bank, device=device, compile=compile, count=count)
     assert isinstance(bank, EpisodeBank)
-    return HeldWorlds(settings, bank, device=device, compile=compile, count=count)
+    return ActionRepeatEnv(settings, bank, device=device, compile=compile, count=count)
 
 
 def _silent(line: str) -> None:
@@ -204,7 +210,7 @@ class _Run:
     def share(self) -> float:
         return share_of(self.settings, self.curve, self.seconds, self.setups_s)
 
-    def go(self, stop: Stop) -> Result:
+    def go(self, stop: StopRequest) -> RunResult:
         job, is_first = self.job, self.ranks.is_first
         limit = float("inf") if job.stop_after is None else job.stop_after * 60 - SPARE_S / 2
         saved = said = time.monotonic()
@@ -230,7 +236,8 @@ class _Run:
             if not all(map(isfinite, row.values())):
                 raise InputError(
                     f"Training diverged in update {update + 1}: a number is not finite. The checkpoint is as it was. "
-                    f"Hint: another seed, or a lower rate. Folder: {self.folder}"
+                    f"Hint: another seed, or a lower rate. Folder: {self.folder}",
+                    code="H3-TRAIN-031",
                 )
             if is_first and (now - said > 10 or update == 0):
                 said = now
@@ -238,7 +245,7 @@ class _Run:
         done = self.share >= 1
         self._save(is_last=True)
         updates = len(self.curve)
-        return Result(
+        return RunResult(
             folder=self.folder, done=done, updates=updates, decisions=updates * self.settings.decisions_per_update,
             seconds=self.seconds, setup_s=self.setup_s, last=dict(self.curve[-1]) if self.curve else {},
         )  # fmt: skip
@@ -274,18 +281,18 @@ class _Run:
                 save_curve(self.curve, self.folder)
                 if self.events is not None:
                     self.events.write(self.curve)
-            save_pictured(self.policy(), self.folder / POLICY)
+            save_policy(self.policy(), self.folder / POLICY)
         except (OSError, RuntimeError) as fault:  # torch reports a full disk as RuntimeError
             if is_last:
                 raise OSError(f"The run could not be saved ({fault}). Folder: {self.folder}") from fault
             self.say(f"could not save ({fault}); training goes on, the last checkpoint is as it was")
 
-    def policy(self) -> PicturedNetwork:
+    def policy(self) -> VisualPolicy:
         """The policy that has been learned so far."""
         s, updates = self.settings, len(self.curve)
         last = {k: v for k, v in self.curve[-1].items() if k in TOLD} if self.curve else {}
         pictured = {*PICTURES, "humanoid_detector"} & set(s.observations)
-        kind = PicturedNetwork if s.network == "cnn_gru" else ResNetPolicy
+        kind = VisualPolicy if s.network == "cnn_gru" else ResNetPolicy
         return kind(
             card=PolicyCard(
                 task=s.task, actions=s.actions, robot=s.robot, observations=s.observations,

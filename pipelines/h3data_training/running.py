@@ -18,17 +18,22 @@ SPARE_S = 10.0
 Say = Callable[[str], None]
 
 
-class Length(Protocol):
+class RunLength(Protocol):
     """Settings that say how long a run is."""
 
     @property
-    def updates(self) -> int: ...
+    def updates(self) -> int:
+        """Number of updates of the run."""
+        ...
+
     @property
-    def minutes(self) -> float: ...
+    def minutes(self) -> float:
+        """Time limit of the run [min]."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
-class Result:
+class RunResult:
     """Result of a call of `train`."""
 
     folder: Path
@@ -51,7 +56,7 @@ class Result:
         }  # fmt: skip
 
 
-def share_of(settings: Length, curve: list[Any], seconds: float, setups_s: float) -> float:
+def share_of(settings: RunLength, curve: list[Any], seconds: float, setups_s: float) -> float:
     """Progress, 0..1: by updates where their number is given, else by the time spent learning."""
     if settings.updates:
         return min(len(curve) / settings.updates, 1.0)
@@ -84,8 +89,11 @@ def stop_asked() -> Iterator[threading.Event]:
 
 @contextmanager
 def one_thread(device: str) -> Iterator[None]:
-    """On the CPU, one thread: the tensors are small, and beside other work several threads wait for each other most of the
-    time (145 decisions a second instead of 6,000)."""
+    """Limits PyTorch to one thread on the CPU.
+
+    The tensors are small: next to other processes, several threads spend most of the time waiting for each other (145
+    decisions per second instead of 6,000).
+    """
     threads = torch.get_num_threads()
     if device == "cpu":
         torch.set_num_threads(1)

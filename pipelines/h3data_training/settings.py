@@ -8,7 +8,7 @@ from typing import Any
 
 from h3data.errors import InputError
 from h3data.render.light.sources import LightMode, check_light
-from sim_kinematic.policies.pictured import BASE_ACTIONS, OF_SOCIAL_NAV, PATCH, PICTURES
+from sim_kinematic.policies.visual_policy import BASE_ACTIONS, OF_SOCIAL_NAV, PATCH, PICTURES
 
 PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", "humanoid_gps")
 """What the paper's policy sees (appendix, social navigation)."""
@@ -22,7 +22,7 @@ class Settings:
     """Settings of one run. Rates and shares are linear in progress, 0 at the start and 1 at the end of the run."""
 
     scenes: str = "h3-homes/train"
-    """One name or several, separated by commas (`h3data.habitat.scene_names.listed_scenes`)."""
+    """One name or several, separated by commas (`h3data.scene.open.listed_scenes`)."""
     episodes_per_home: int = 28
     observations: tuple[str, ...] = PAPER_OBSERVATIONS
     picture_size: tuple[int, int] = (64, 48)
@@ -91,11 +91,17 @@ class Settings:
     def __post_init__(self) -> None:
         check_light(self.light)
         if self.light != "flat" and "arm_rgb" not in self.observations:
-            raise InputError("Light makes no difference to depth. Hint: leave out the light, or observe arm_rgb.")
+            raise InputError(
+                "Light makes no difference to depth. Hint: leave out the light, or observe arm_rgb.",
+                code="H3-TRAIN-045",
+            )
         known = (*self.pictures, *self.told)
         strangers = [name for name in self.observations if name not in known]
         if strangers or not self.observations:
-            raise InputError(f"Expected observations among {', '.join(known)}; got {', '.join(strangers) or 'none'}.")
+            raise InputError(
+                f"Expected observations among {', '.join(known)}; got {', '.join(strangers) or 'none'}.",
+                code="H3-TRAIN-046",
+            )
         whole = (
             "episodes_per_home",
             "worlds",
@@ -110,26 +116,40 @@ class Settings:
         )
         for name in whole:
             if getattr(self, name) < 1:
-                raise InputError(f"Expected {name} of at least 1, got {getattr(self, name)}.")
+                raise InputError(f"Expected {name} of at least 1, got {getattr(self, name)}.", code="H3-TRAIN-039")
         if set(PICTURES) <= set(self.observations):
-            raise InputError(f"Expected one picture among the observations, not {' and '.join(PICTURES)}.")
+            raise InputError(
+                f"Expected one picture among the observations, not {' and '.join(PICTURES)}.", code="H3-TRAIN-047"
+            )
         if self.network not in NETWORKS:
-            raise InputError(f"Unknown network {self.network!r}. Expected one of: {', '.join(NETWORKS)}.")
+            raise InputError(
+                f"Unknown network {self.network!r}. Expected one of: {', '.join(NETWORKS)}.", code="H3-TRAIN-048"
+            )
         if self.network == "cnn_gru" and any(side < PATCH or side % PATCH for side in self.picture_size):
-            raise InputError(f"Expected pictures with sides in multiples of {PATCH} pixels, got {self.picture_size}.")
+            raise InputError(
+                f"Expected pictures with sides in multiples of {PATCH} pixels, got {self.picture_size}.",
+                code="H3-TRAIN-049",
+            )
         if self.network == "resnet18_lstm" and (min(self.picture_size) < 8 or self.channels[0] % 16):
             raise InputError(
                 f"Expected pictures of at least 8 pixels a side and multiples of 16 planes for {self.network}, "
-                f"got {self.picture_size} and {self.channels[0]}."
+                f"got {self.picture_size} and {self.channels[0]}.",
+                code="H3-TRAIN-050",
             )
         if self.worlds % self.minibatches:
-            raise InputError(f"Expected worlds in multiples of minibatches={self.minibatches}, got {self.worlds}.")
+            raise InputError(
+                f"Expected worlds in multiples of minibatches={self.minibatches}, got {self.worlds}.",
+                code="H3-TRAIN-051",
+            )
         if self.follow_steps < 0 or self.critic_updates < 0:
             raise InputError(
-                f"Expected follow_steps and critic_updates >= 0, got {self.follow_steps} and {self.critic_updates}."
+                f"Expected follow_steps and critic_updates >= 0, got {self.follow_steps} and {self.critic_updates}.",
+                code="H3-TRAIN-052",
             )
         if self.updates < 0 or not math.isfinite(self.minutes) or self.minutes <= 0:
-            raise InputError(f"Expected updates >= 0 and minutes > 0, got {self.updates} and {self.minutes}.")
+            raise InputError(
+                f"Expected updates >= 0 and minutes > 0, got {self.updates} and {self.minutes}.", code="H3-TRAIN-038"
+            )
 
     @property
     def task(self) -> str:
@@ -163,6 +183,7 @@ class Settings:
 
     @property
     def decisions_per_update(self) -> int:
+        """Number of decisions in the rollouts of one update."""
         return self.worlds * self.rollout
 
     def second_stage(self) -> Settings:
@@ -174,7 +195,8 @@ class Settings:
         """With a value that looks ``steps`` of 1/30 s ahead at the end of the run, and in proportion at its start."""
         if not (math.isfinite(steps) and steps > self.hold * self.horizon[1] / self.horizon[0]):
             raise InputError(
-                f"Expected a horizon that is longer than an action of {self.hold} steps from the start, got {steps:g} steps."
+                f"Expected a horizon that is longer than an action of {self.hold} steps from the start, got {steps:g} steps.",
+                code="H3-TRAIN-053",
             )
         return replace(self, horizon=(steps * self.horizon[0] / self.horizon[1], float(steps)))
 
@@ -210,5 +232,5 @@ def recipe(name: str, **changes: Any) -> Settings:
         InputError: there is no such recipe, or a value is out of range.
     """
     if name not in RECIPES:
-        raise InputError(f"Unknown recipe {name!r}. Expected one of: {', '.join(RECIPES)}.")
+        raise InputError(f"Unknown recipe {name!r}. Expected one of: {', '.join(RECIPES)}.", code="H3-TRAIN-044")
     return replace(RECIPES[name], **{k: v for k, v in changes.items() if v is not None})

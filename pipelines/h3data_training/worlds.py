@@ -11,15 +11,15 @@ from h3data.errors import InputError
 from h3data_training.cpu_cameras import CpuCameras
 from h3data_training.envs.social_nav_torch_env import SocialNavTorchEnv, arm_cameras
 from h3data_training.episodes import rules
-from h3data_training.held import HeldSteps
+from h3data_training.held import ActionRepeat
 from h3data_training.settings import CRITIC, Settings
 from h3data_training.torch.episodes import EpisodeBank
 
 COUNTS = ("reward", "follows", "collided", "ended", "steps", "contact", "met", "distance")
-"""Sums over worlds and steps that `HeldWorlds.totals` keeps."""
+"""Sums over worlds and steps that `ActionRepeatEnv.totals` keeps."""
 
 
-class HeldWorlds(HeldSteps, SocialNavTorchEnv):
+class ActionRepeatEnv(ActionRepeat, SocialNavTorchEnv):
     """`SocialNavTorchEnv` in which an action moves all worlds ``hold`` steps."""
 
     counts = COUNTS
@@ -93,4 +93,4 @@ class HeldWorlds(HeldSteps, SocialNavTorchEnv):
 
     def taught(self) -> Tensor:
         """Nobody teaches social navigation."""
-        raise InputError("There is no teacher of social navigation. Hint: teacher=0.")
+        raise InputError("There is no teacher of social navigation. Hint: teacher=0.", code="H3-TRAIN-078")

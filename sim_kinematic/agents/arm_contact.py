@@ -47,7 +47,7 @@ class ArmContact:
         self, base_pose: ArrayLike, joints: ArrayLike, *, held: str = "", shapes: Sequence[Shape] = (),
         held_pose: ArrayLike | None = None,
     ) -> list[ArmTouch]:  # fmt: skip
-        """What touches now, deepest first, at most one for each part and thing.
+        """Present contacts, deepest first, at most one for each part and thing.
 
         Args:
             base_pose: The robot's root, pose7 [7].

@@ -28,7 +28,7 @@ LOOKS = 3
 """Lines that are done are sorted out after every so many looks, which saves a tenth of the time. The looks that they take
 meanwhile change nothing: a line is done when no further look can change its arm."""
 HANDS: tuple[Hand, ...] = ("left", "right")
-"""In the order of `HumanState.arms`."""
+"""Hands in the order of `HumanState.arms`."""
 CARRY_FREE_M, CARRY_TIGHT_M = 0.14, 0.06
 """A hand that carries something is held out where this much room is around its palm, and close to the body where only this
 much is: hand and object reach 8 to 10 cm beyond the palm."""
@@ -111,8 +111,11 @@ def _draw_in_worlds(sdf, origin, cell, xz, heading, arms, busy, rate, aside, fre
 def draw_arms(
     state: HumanState, free: FreeSpace, body: Humanoid, rules: ArmRoomSpec | None, *, busy: Hand | None = None
 ) -> None:
-    """Draws the arms of a person in all worlds in, or lets them go, by one step towards what the room there asks for, in
-    place; without rules they stay as they are. An arm whose hand is ``busy`` is let go."""
+    """Moves the arms of people in all worlds towards or away from the body by one step, in place.
+
+    How far each arm is folded in follows from the room beside the body; without rules the arms stay as they are. An arm
+    whose hand is ``busy`` is released.
+    """
     if rules is None:
         return
     width = width_m(body) - rules.aside_m

@@ -16,7 +16,7 @@ from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.yielding import Seen
+from sim_kinematic.avoidance.yielding import ObservedAgent
 from sim_kinematic.contact import AgentContacts
 from sim_kinematic.contact.body_capsules import PersonCapsules, RobotCapsules, may_touch
 from sim_kinematic.contact.clearance import robot_span
@@ -98,7 +98,9 @@ class AgentContactTracker:
             steps_aside = me.agreed and other.yields and other.path_start is None
             settled = other.number in self._settled
             seen.append(
-                Seen(other.number, now, velocity, settled, other.is_robot, other.heading, steps_aside, other.footprint)
+                ObservedAgent(
+                    other.number, now, velocity, settled, other.is_robot, other.heading, steps_aside, other.footprint
+                )
             )
         if len(seen) > 1:
             seen.sort(key=lambda other: float(np.hypot(*(other.xz - me.xz))))

@@ -41,18 +41,23 @@ def _step_arms(joints, columns, action, most, lower, upper):
 
 
 def move_arms(state: RobotState, robot: Robot, action: ArrayLike, spec: ArmSpec) -> None:
-    """Move the arm of a robot in all its worlds by ``action`` [W, n], in place: -1..1 of ``spec.joint_step`` for each of
-    ``robot.arm_columns``.
+    """Moves the arm of a robot in all worlds, in place.
+
+    Args:
+        state: state of the robot.
+        robot: its body.
+        action: -1..1 of ``spec.joint_step`` for each of ``robot.arm_columns``, [W, n].
+        spec: limits of the arm.
 
     Raises:
-        InputError: the actions or the state's joints have another shape, or an action is not finite; then nothing moved.
+        InputError: the actions or the state's joints have another shape, or an action is not finite; then nothing moves.
     """
     columns = np.array(robot.require_arm())
     joints = _checked_joints(state, robot)
     rows = _rows(action, (len(joints), len(columns)), "One number per world and arm joint")
     broken = _step_arms(joints, columns, rows, spec.joint_step, robot.lower, robot.upper)
     if broken >= 0:
-        raise InputError(f"Actions must be finite. That of world {broken} is {rows[broken]}.")
+        raise InputError(f"Actions must be finite. That of world {broken} is {rows[broken]}.", code="H3-SIM-007")
 
 
 def robot_hands(state: RobotState, robot: Robot, floor: Floor = 0.0) -> NDArray[np.float64]:
@@ -68,7 +73,8 @@ def _checked_joints(state: RobotState, robot: Robot) -> NDArray[np.float64]:
     if state.joints.shape != expected:
         raise InputError(
             f"Expected the joints of {robot.name} in the state, shape {list(expected)}, got "
-            f"{list(state.joints.shape)}. Hint: WorldState.zeros(worlds, joints={expected[1]})."
+            f"{list(state.joints.shape)}. Hint: WorldState.zeros(worlds, joints={expected[1]}).",
+            code="H3-SIM-008",
         )
     return state.joints
 
@@ -155,7 +161,7 @@ def grip_objects(
         frames, state.object_pose, state.held_by, state.grip_pose, rows, agent, NOBODY, spec.grasp_m
     )  # fmt: skip
     if broken >= 0:
-        raise InputError(f"Actions must be finite. That of world {broken} is {rows[broken]}.")
+        raise InputError(f"Actions must be finite. That of world {broken} is {rows[broken]}.", code="H3-SIM-007")
     carry_objects(state, frames, agent=agent)
 
 
@@ -167,12 +173,14 @@ def carry_objects(state: WorldState, hands: NDArray[np.float64], *, agent: int =
 def _hands(hands: ArrayLike, state: WorldState) -> NDArray[np.float64]:
     frames = _rows(hands, (len(state.held_by), 4, 4), "One hand per world, hand to world")
     if not np.isfinite(frames).all():
-        raise InputError("Frames of hands must be finite.")
+        raise InputError("Frames of hands must be finite.", code="H3-SIM-009")
     return frames
 
 
 def _rows(values: ArrayLike, shape: tuple[int, ...], what: str) -> NDArray[np.float64]:
     rows = np.ascontiguousarray(values, np.float64)
     if rows.shape != shape:
-        raise InputError(f"Expected shape {list(shape)}: {what[0].lower()}{what[1:]}, got {list(rows.shape)}.")
+        raise InputError(
+            f"Expected shape {list(shape)}: {what[0].lower()}{what[1:]}, got {list(rows.shape)}.", code="H3-SIM-010"
+        )
     return rows

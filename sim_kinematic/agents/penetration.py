@@ -75,9 +75,12 @@ def penetrations(recording: Recording, *, every: int = 1) -> list[Penetration]:
     """
     replay = Replay(recording)
     if replay.scene is None:
-        raise InputError("Penetration is measured in the recording's own scene, and it has no attachment scene.glb.")
+        raise InputError(
+            "Penetration is measured in the recording's own scene, and it has no attachment scene.glb.",
+            code="H3-SIM-011",
+        )
     if every < 1:
-        raise InputError(f"Expected every so many-th step, at least 1, got {every}.")
+        raise InputError(f"Expected every so many-th step, at least 1, got {every}.", code="H3-SIM-012")
     steps, scenery = np.arange(0, len(recording), every), _Scenery(replay.scene)
     return [_of_agent(replay, k, steps, scenery) for k, agent in enumerate(recording.agents) if agent.model]
 

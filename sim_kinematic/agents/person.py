@@ -1,7 +1,7 @@
 """A person under control, at three levels: joints (`Person.set_pose`), a hand's target (`Person.reach_to`), and skills.
 
 Skills are generators. Each ``next`` is one step of 1/30 s, after which the person's pose and the objects in the hands hold the
-new moment; the generator's return value is a `SkillResult`. `run` plays one to its end and keeps the frames:
+new moment; the generator's return value is a `MotionResult`. `run` plays one to its end and keeps the frames:
 
 ```python
 person = Person(load_humanoid("female_1"), ground_pose([0, 0], 0.0), {"mug": mug_pose})
@@ -72,7 +72,7 @@ FADE_STEPS = 12
 """Steps over which walking goes over into reaching and back. A line of the hand takes no fewer, so its end is exact. Without
 it, interrupting a reach turned a shoulder by up to 76 degrees in one step."""
 CLOSE_ENOUGH = 0.1
-"""What lacks of holding something close to the body while a person begins to walk."""
+"""Remaining distance from the carrying pose, as a share, at which a person begins to walk."""
 GRIP_M, GRIP_WITHIN = 0.03, (0.01, 0.09)
 """Radius that a hand closes around where no size is known, and the range of radii that it can [m]."""
 FINGER_M, FINGER_HALF = 0.026, 0.008
@@ -91,19 +91,19 @@ PERSON_SPEC = WalkerSpec(speed_mps=1.2, turn_rad_s=1.6)
 
 
 @dataclass(frozen=True, kw_only=True)
-class SkillResult:
+class MotionResult:
     """How a skill ended."""
 
     success: bool
     reason: str = ""
     """Why not: a status of `h3data.bodies.people.reach`, or ``missed``."""
     hand_error_m: float = 0.0
-    """From where the hand (or what it puts down) should be to where it is, or would be, nearest."""
+    """Distance from where the hand (or what it puts down) should be to where it is, or would be, nearest [m]."""
     base_motion: BaseMotion | None = None
     """Where to stand instead (see `Person.approach`); None when that does not help either."""
 
 
-Skill = Generator[object, None, SkillResult]
+Skill = Generator[object, None, MotionResult]
 
 
 class Frame(NamedTuple):
@@ -120,6 +120,8 @@ class Frame(NamedTuple):
 
 
 class Held(NamedTuple):
+    """Object in a person's hand."""
+
     name: str
     grip: Array
     """Pose of the object in the palm's frame."""
@@ -146,9 +148,16 @@ class Person:
         self, body: Humanoid, base_pose: ArrayLike, objects: Mapping[str, ArrayLike] | None = None, *,
         spec: WalkerSpec = PERSON_SPEC, free: FreeSpace | None = None, sizes: Mapping[str, float] | None = None,
     ) -> None:  # fmt: skip
-        """``base_pose`` [7] is the agent root; ``objects`` are world poses [7] of what can be picked, by name. ``free`` is the
-        map, by which they draw in their arms where ``spec.arms`` says how. ``sizes`` are radii [m] that hands close around, by
-        name of the object; the default is `GRIP_M`."""
+        """Puts a person at a pose, standing still.
+
+        Args:
+            body: body of the person.
+            base_pose: pose of the agent root [7].
+            objects: world poses [7] of the objects that can be picked, by name.
+            spec: how the person walks.
+            free: free floor, by which the arms are folded in as ``spec.arms`` says.
+            sizes: radii of the grips of objects by name [m]; the default is `GRIP_M`.
+        """
         self.body, self.spec, self.free = body, spec, free
         self._drawn = HumanState.zeros(1)
         self.tilts: dict[Hand, float] = {"left": 0.0, "right": 0.0}
@@ -177,11 +186,18 @@ class Person:
 
     # --- joints -----------------------------------------------------------------------------------------------------
     def set_pose(self, quats: ArrayLike, pelvis: ArrayLike, base_pose: ArrayLike | None = None) -> None:
-        """Local rotations [55, 4] (the pelvis' in the agent root frame) and the pelvis [3] [m], as `Humanoid.clip_pose`
-        returns them; the objects in the hands follow."""
+        """Sets the joints of the body; objects in the hands follow.
+
+        Args:
+            quats: local rotations [55, 4], that of the pelvis in the agent root frame, as `Humanoid.clip_pose` returns them.
+            pelvis: position of the pelvis in the agent root frame [3] [m].
+            base_pose: pose of the agent root [7] (default: unchanged).
+        """
         quats, pelvis = np.array(quats, np.float64), np.array(pelvis, np.float64)
         if quats.shape != (55, 4) or pelvis.shape != (3,):
-            raise InputError(f"Expected rotations [55, 4] and a pelvis [3], got {quats.shape} and {pelvis.shape}.")
+            raise InputError(
+                f"Expected rotations [55, 4] and a pelvis [3], got {quats.shape} and {pelvis.shape}.", code="H3-SIM-013"
+            )
         if base_pose is not None:
             self.base = np.array(base_pose, np.float64)
         self.transition = Transition()
@@ -229,7 +245,7 @@ class Person:
         for _ in range(round(seconds / STEP_S)):
             self.stride()
             yield
-        return SkillResult(success=True)
+        return MotionResult(success=True)
 
     def turn(self, heading: float, *, settles: bool = True) -> Skill:
         """Turn on the spot by steps until the heading [rad] is reached; if it ``settles``, both feet end where they belong."""
@@ -242,7 +258,7 @@ class Person:
             yield
         if settles:
             yield from self.settle()
-        return SkillResult(success=True)
+        return MotionResult(success=True)
 
     def settle(self) -> Generator[None, None, None]:
         """Step until both feet stand where they belong; nothing if they do, or if the root was put elsewhere."""
@@ -258,7 +274,7 @@ class Person:
         """Walk along floor points ``(x, z)`` [K, 2] [m], turning on the spot before each leg; what is held is carried."""
         points = np.atleast_2d(np.asarray(path, np.float64))
         if points.shape[-1] != 2 or not np.isfinite(points).all():
-            raise InputError(f"Expected floor points (x, z) of shape [K, 2], got {points.shape}.")
+            raise InputError(f"Expected floor points (x, z) of shape [K, 2], got {points.shape}.", code="H3-SIM-014")
         for point in points:
             way = point - self.base[[0, 2]]
             if np.hypot(*way) <= self.spec.arrive_m:
@@ -275,24 +291,28 @@ class Person:
                 if state.blend[0] == 0:
                     break
         yield from self.settle()
-        return SkillResult(success=True)
+        return MotionResult(success=True)
 
     def approach(self, position: ArrayLike, hand: Hand = "right") -> Skill:
         """Walk, in a straight line, to where the hand reaches a world position [3]."""
         result = reach(self.body, self.seen(position), hand)
         if result.base_motion is None:
-            return SkillResult(success=False, reason=result.status, hand_error_m=result.hand_error_m)
+            return MotionResult(success=False, reason=result.status, hand_error_m=result.hand_error_m)
         goal = result.base_motion.of(self.base)
         yield from self.walk_to(goal[[0, 2]])
         yield from self.turn(float(heading_from_quat(goal[3:])))
-        return SkillResult(success=True)
+        return MotionResult(success=True)
 
     def pick(self, name: str, hand: Hand = "right") -> Skill:
         """Move a hand on a straight line to an object, take it, and bring it to where it is carried."""
         if name not in self.objects:
-            raise InputError(f"There is no object {name!r}. There are: {', '.join(self.objects) or 'none'}.")
+            raise InputError(
+                f"There is no object {name!r}. There are: {', '.join(self.objects) or 'none'}.", code="H3-SIM-015"
+            )
         if hand in self.held:
-            raise InputError(f"The {hand} hand already holds {self.held[hand].name!r}. Hint: place it first.")
+            raise InputError(
+                f"The {hand} hand already holds {self.held[hand].name!r}. Hint: place it first.", code="H3-SIM-016"
+            )
         target = self.seen(self.objects[name][:3])
         answer = reach(self.body, target, hand)
         if not answer.reached:
@@ -307,7 +327,7 @@ class Person:
         if error > SNAP_M:
             self.look_at = None
             yield from self._move(hand, self._way_out(hand, target)[::-1], ends=(1.0, 0.0))
-            return SkillResult(success=False, reason="missed", hand_error_m=error)
+            return MotionResult(success=False, reason="missed", hand_error_m=error)
         heading = quat_from_heading(-heading_from_quat(self.base[3:]))
         self.held = {other: held for other, held in self.held.items() if held.name != name}  # from the other hand
         self.held[hand] = Held(
@@ -316,12 +336,12 @@ class Person:
         self.look_at = None
         yield from self._move(hand, np.stack([target, self._carry_point(hand)]), ends=(1.0, 0.0), arms=(1.0, 1.0))
         yield from self._take_close(hand)
-        return SkillResult(success=True, hand_error_m=error)
+        return MotionResult(success=True, hand_error_m=error)
 
     def place(self, position: ArrayLike, hand: Hand = "right") -> Skill:
         """Put what a hand holds down at a world position [3], upright as it stood, and take the hand back."""
         if hand not in self.held:
-            raise InputError(f"The {hand} hand holds nothing.")
+            raise InputError(f"The {hand} hand holds nothing.", code="H3-SIM-017")
         held, target = self.held[hand], self.seen(position)
         answer = reach(self.body, target, hand)
         if not answer.reached:
@@ -334,12 +354,17 @@ class Person:
         self.look_at = None
         error = float(np.linalg.norm(self.objects[held.name][:3] - np.asarray(position, np.float64)))
         yield from self._move(hand, self._way_out(hand, target)[::-1], ends=(1.0, 0.0))
-        return SkillResult(success=error < SNAP_M, reason="" if error < SNAP_M else "missed", hand_error_m=error)
+        return MotionResult(success=error < SNAP_M, reason="" if error < SNAP_M else "missed", hand_error_m=error)
 
     def lead(self, points: ArrayLike, advance: Callable[[int], bool], hand: Hand = "right") -> Skill:
-        """Take hold of a handle at the first of some world points [T, 3], lead it along the others as far as the arm reaches,
-        and take the hand back. ``advance(k)`` moves what is led to point k in the same step; where it says False, the hand
-        waits. What is led goes on by itself when the hand has let go."""
+        """Skill that grasps a handle, leads it along a path, and takes the hand back.
+
+        Args:
+            points: world points of the path [T, 3], the first at the handle; the hand follows them as far as the arm reaches.
+            advance: moves the part to point k in the same step; if it returns False, the hand waits. The part finishes its
+                motion after the hand has let go.
+            hand: which hand.
+        """
         local = self.seen(points)
         answer = reach(self.body, local[0], hand)
         if not answer.reached:
@@ -364,7 +389,7 @@ class Person:
         self._closing.pop(hand, None)
         self.look_at = None
         yield from self._move(hand, self._way_out(hand, local[held - 1])[::-1], ends=(1.0, 0.0))
-        return SkillResult(success=True)
+        return MotionResult(success=True)
 
     # --- how ---------------------------------------------------------------------------------------------------------
     def seen(self, position: ArrayLike) -> Array:
@@ -373,8 +398,10 @@ class Person:
         return inverse[:3] + quat_rotate(inverse[3:], np.asarray(position, np.float64))
 
     def hand_way(self, position: ArrayLike, hand: Hand = "right", *, full: bool = False) -> ReachPoses:
-        """The poses of a hand's way to a world position [3], in the agent root frame: of an empty one, as `pick` takes it, or
-        of one that holds something, as `place` does. Nothing moves."""
+        """Poses of the body while a hand moves to a world position [3], in the agent root frame.
+
+        An empty hand moves as in `pick`, one that holds something as in `place`. The person is not moved.
+        """
         target = self.seen(position)
         if full:
             return self._line(hand, np.stack([self._carry_point(hand), target]), (0.0, 1.0), (1.0, 1.0))[0]
@@ -433,8 +460,10 @@ class Person:
         self.transition = Transition("walk")
 
     def stride(self, gait: HumanState | None = None) -> None:
-        """One step of the feet while the root gets to where ``gait`` (one world) is, or stays where it is; hands that hold
-        something keep carrying it."""
+        """Makes one step of the feet while the root moves to ``gait`` (one world), or stays where it is.
+
+        Hands that hold something keep carrying it.
+        """
         if gait is not None:
             self.base = self.root_at(gait)
         self.walk.step(self.base)
@@ -452,8 +481,10 @@ class Person:
         self.transition = Transition()
 
     def show(self, kind: str, quats: Array, pelvis: Array) -> None:
-        """Take a pose of one kind of motion, blended over `FADE_STEPS` with the pose in which another kind was left; feet stay
-        where the walk has them."""
+        """Takes a pose of one kind of motion, blended over `FADE_STEPS` with the last pose of the kind before.
+
+        The feet stay where walking has put them.
+        """
         fade = self.transition
         if fade.kind != kind:
             fade = Transition(kind, self.bare, self.pelvis, 1.0)
@@ -503,8 +534,11 @@ class Person:
                 return
 
     def with_arms(self, quats: Array, moving: Hand | None = None) -> Array:
-        """Returns a pose [55, 4] with its arms drawn in by one step where there is little room; arms that hold something
-        and do not move keep carrying it, close to the body where there is little room."""
+        """Returns a pose [55, 4] with the arms folded in by one step where there is little room.
+
+        An arm that holds something and is not ``moving`` keeps carrying it, close to the body where there is little
+        room.
+        """
         quats = quats.copy()
         if self.free is not None and self.spec.arms is not None:
             self._drawn.xz[0], self._drawn.heading[0] = self.base[[0, 2]], heading_from_quat(self.base[3:])
@@ -547,7 +581,7 @@ class Person:
         return self._carry_arms[hand]
 
 
-def run(person: Person, skill: Skill) -> tuple[list[Frame], SkillResult]:
+def run(person: Person, skill: Skill) -> tuple[list[Frame], MotionResult]:
     """Play a skill to its end: a frame after each step, and how it ended."""
     frames = []
     while True:
@@ -558,8 +592,8 @@ def run(person: Person, skill: Skill) -> tuple[list[Frame], SkillResult]:
         frames.append(person.frame())
 
 
-def _unreached(answer: ReachResult) -> SkillResult:
-    return SkillResult(
+def _unreached(answer: ReachResult) -> MotionResult:
+    return MotionResult(
         success=False, reason=answer.status, hand_error_m=answer.hand_error_m, base_motion=answer.base_motion
     )
 

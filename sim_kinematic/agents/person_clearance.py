@@ -22,7 +22,7 @@ from sim_kinematic.contact import MovingShapes, capsule_transforms, shapes_from_
 from sim_kinematic.contact.clearance import scenery_of, supports
 
 TOLERANCE_M = 0.02
-"""So deep a capsule may be in something: bodies are softer than capsules, and capsules a little thicker than bodies."""
+"""Depth to which a capsule may enter an obstacle [m]: bodies are softer, and a little thinner, than capsules."""
 EVERY = 4
 """Each so many-th frame of the hand's way is looked at, and the last one."""
 REACHING_PARTS: dict[Hand, tuple[str, str]] = {
@@ -44,7 +44,7 @@ class _Part(NamedTuple):
     shapes: MovingShapes
 
 
-class ReachRoom:
+class BodyClearance:
     """Asks for one scene and one person."""
 
     def __init__(self, scene: Scene, body: Humanoid, floor_y: float) -> None:
@@ -108,12 +108,12 @@ class ReachRoom:
 
 @lru_cache(maxsize=8)
 def _hand_ways(body: Humanoid) -> dict[tuple[Hand, tuple[float, ...]], Array]:
-    """Paths of a body's hands that `ReachRoom._capsules` has computed, shared between homes: they depend on the body alone."""
+    """Cache of the paths of a body's hands for `BodyClearance._capsules`, shared by all homes."""
     del body
     return {}
 
 
 @lru_cache(maxsize=8)
-def reach_room(scene: Scene, body: Humanoid, floor_y: float) -> ReachRoom:
+def reach_room(scene: Scene, body: Humanoid, floor_y: float) -> BodyClearance:
     """Made once for each scene and body."""
-    return ReachRoom(scene, body, floor_y)
+    return BodyClearance(scene, body, floor_y)

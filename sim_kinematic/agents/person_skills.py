@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 from h3data.bodies.people.reach import Hand, reacher
 from h3data.geometry import Array, heading_from_quat
 from h3data.scene import FreeSpace
-from sim_kinematic.agents.opening.openables import Openables, stands_clear
+from sim_kinematic.agents.opening.openables import ArticulatedParts, stands_clear
 from sim_kinematic.agents.opening.skills import Leading, full_way, handle_way, stands_before, why_not
-from sim_kinematic.agents.person import Person, SkillResult, Transition
+from sim_kinematic.agents.person import MotionResult, Person, Transition
 from sim_kinematic.agents.person import Skill as Motion
-from sim_kinematic.agents.person_clearance import ReachRoom
-from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
+from sim_kinematic.agents.person_clearance import BodyClearance
+from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Objects, Skill, SkillResult
 from sim_kinematic.agents.stands import island_of, nearest_stand, person_stands
 from sim_kinematic.agents.waypoint_walker import walking_path
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
-from sim_kinematic.avoidance.yielding import NO_PATH, Seen, crowds, in_the_way, path_around, shut_off, waits
+from sim_kinematic.avoidance.yielding import NO_PATH, ObservedAgent, crowds, in_the_way, path_around, shut_off, waits
 from sim_kinematic.motion.gait import move_people, walk_humans
 from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 from sim_kinematic.motion.state import HUMAN, NOBODY, HumanState
@@ -41,7 +41,7 @@ SHUFFLE_MPS = 0.4
 ASIDE_LEG_M = 0.05
 """Points of a path aside nearer than this are underfoot: people would brake at every point of a rounded corner."""
 HANDS: tuple[Hand, ...] = ("right", "left")
-"""In the order in which a person tries them."""
+"""Hands in the order in which a person tries them."""
 
 
 class _Posture(NamedTuple):
@@ -62,24 +62,27 @@ class _Posture(NamedTuple):
 
 @dataclass(eq=False)
 class PersonActor:
-    """A person with two hands; the left one is for what the right one cannot. They heed those they see (``others``): a person
-    with one robot sees nobody, as Habitat's planners."""
+    """Person with skills, who uses the right hand, or the left one where the right one cannot reach.
+
+    The person gives way to the agents in ``others``. Alone with one robot it is empty, as people in Habitat do not give
+    way to robots.
+    """
 
     person: Person
     free: FreeSpace
     spec: WalkerSpec
     objects: Objects
     number: int = HUMAN
-    """Of the agent."""
-    room: ReachRoom | None = None
+    """Number of the agent."""
+    room: BodyClearance | None = None
     """Checks where the body would be; None: nobody does."""
-    others: tuple[Seen, ...] = ()
-    """Who else is there, the nearest first."""
+    others: tuple[ObservedAgent, ...] = ()
+    """Other agents that the person gives way to, the nearest first."""
     agreed: bool = False
     """Whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
     meets: Callable[[], bool] = field(default=lambda: False)
     """Whether the person touches somebody now: then they stay where they were."""
-    openables: Openables | None = None
+    openables: ArticulatedParts | None = None
     """Doors and drawers; None: nothing opens."""
     path: NDArray[np.floating] = field(default_factory=lambda: NO_PATH)
     yields: bool = True
@@ -98,22 +101,27 @@ class PersonActor:
 
     @property
     def is_robot(self) -> bool:
+        """False."""
         return False
 
     @property
     def footprint(self) -> Footprint:
+        """Space that other agents leave for a person."""
         return AVOIDANCE.person
 
     @property
     def path_start(self) -> NDArray | None:
+        """First point [2] of the path that the person walks; None without a path."""
         return self.path[0] if len(self.path) else None
 
     @property
     def xz(self) -> NDArray:
+        """Position on the floor [2] [m]."""
         return self.person.base[0:3:2].copy()
 
     @property
     def heading(self) -> float:
+        """Heading [rad]."""
         return float(heading_from_quat(self.person.base[3:]))
 
     @property
@@ -128,6 +136,7 @@ class PersonActor:
         return np.zeros(0)
 
     def infeasible(self, action: Action) -> str:
+        """Reason why an action is impossible now; empty if it is possible."""
         if action.skill in (*PRIMITIVES, CONTROL):
             return "not_of_a_person"
         why = self.objects.why_not(self.number, action)
@@ -149,6 +158,7 @@ class PersonActor:
         return "" if any(self._reaches(stand, handle, hand) for hand in HANDS) else "out_of_reach"
 
     def start(self, action: Action) -> Skill:
+        """Begins a skill."""
         k = action.target
         self._goes_around |= self.turned_away
         self.turned_away = False
@@ -167,13 +177,14 @@ class PersonActor:
         return self._handle(k, None if action.skill == "pick" else self.objects.goals[k])
 
     def idle(self) -> None:
+        """Stands still for one step."""
         self._stand()
 
     def _wait(self, steps: int) -> Skill:
         for _ in range(steps):
             self._stand()
             yield
-        return Ending("done")
+        return SkillResult("done")
 
     def _hands(self, k: int) -> tuple[Hand, ...]:
         """The hand that holds an object, else both in the order in which they are tried."""
@@ -200,7 +211,7 @@ class PersonActor:
                 break
             gets_there |= bool(np.isfinite(nearest_stand(self.free, stands, self.xz)[1]))
         else:
-            return Ending("failed", "no_room" if gets_there else "no_way")
+            return SkillResult("failed", "no_room" if gets_there else "no_way")
         return (yield from self._go_to(stands[k], point))
 
     def stands(self, point: NDArray, hand: Hand, free: FreeSpace | None = None) -> Array:
@@ -209,7 +220,7 @@ class PersonActor:
         return person_stands(free, self.person.body, point, hand, island=island_of(free, self.xz))
 
     def stands_on(self, free: FreeSpace, point: NDArray) -> Array:
-        """As `stands`, for either hand, were the floor as in ``free``."""
+        """Stands for either hand on the floor ``free``."""
         return np.concatenate([self.stands(point, hand, free) for hand in HANDS])
 
     def walk_on(self, free: FreeSpace) -> None:
@@ -217,7 +228,7 @@ class PersonActor:
         self.free = self.person.free = free
 
     def _clear_of_open(self, stands: Array) -> Array:
-        """Those of some stands that are not where a part of the home stands open."""
+        """Stands that are out of the doors and drawers that stand open."""
         if self.openables is None:
             return stands
         return stands[stands_clear(stands, self.openables.open_points(), (0.0,), AVOIDANCE.person.radius_m)]
@@ -234,7 +245,7 @@ class PersonActor:
                 n, left = nearest_stand(self.free, near, self.xz, crowds(near, self.others) if len(near) else None)
                 if np.isfinite(left):
                     return (yield from self._go_to(near[n], way[0]))
-        return Ending("failed", "no_way")
+        return SkillResult("failed", "no_way")
 
     def _go_to(self, stand: Array, point: Array) -> Skill:
         """Walk to a stand ``(x, z, heading)`` [3] and look at a world point [3] there."""
@@ -245,11 +256,13 @@ class PersonActor:
             self._pace(None)
             yield
         if np.hypot(*(self.xz - stand[:2])) > 2 * self.spec.arrive_m:
-            return Ending("failed", "blocked" if self.turned_away or waited > AVOIDANCE.patience_steps else "stuck")
+            return SkillResult(
+                "failed", "blocked" if self.turned_away or waited > AVOIDANCE.patience_steps else "stuck"
+            )
         self.person.look_at = point.copy()
         self._goes_around = False
         yield from self._careful(self.person.turn(float(stand[2]), settles=False))
-        return Ending("done")
+        return SkillResult("done")
 
     def _move_part(self, k: int, *, opens: bool) -> Skill:
         """Open or close a part, the hand at its handle."""
@@ -264,15 +277,17 @@ class PersonActor:
                 next(motion)
             except StopIteration as end:
                 result = end.value
-                return Ending("done") if result.success else Ending("failed", result.reason or "out_of_reach")
+                return SkillResult("done") if result.success else SkillResult("failed", result.reason or "out_of_reach")
             if leading.gave_up:
-                return Ending("failed", "blocked")
+                return SkillResult("failed", "blocked")
             yield
 
     def _walk(self, goal: NDArray, *, facing: float | None = None) -> Generator[None, None, int]:
-        """Walk to a floor point [2] without stopping on the way, turning on the spot where it turns (paper 3.1), or in curves
-        as `WalkerSpec.stride` says, which end towards the heading ``facing`` [rad]. Returns the steps for which they waited
-        for others at the end."""
+        """Walks to a floor point [2] without stopping.
+
+        The person turns on the spot at corners (paper 3.1), or walks curves as `WalkerSpec.stride` says, which end at
+        the heading ``facing`` [rad]. Returns the number of steps for which they waited for other agents at the end.
+        """
         if self.spec.stride is not None:
             return (yield from self._walk_curves(goal, facing))
         path = self._path(goal)
@@ -304,7 +319,7 @@ class PersonActor:
         return waited
 
     def _walk_curves(self, goal: NDArray, facing: float | None) -> Generator[None, None, int]:
-        """As `_walk`; whoever waits brakes."""
+        """Walks to a floor point as `_walk`, braking where the person has to wait."""
         strider = Strider(self.free, self.spec, halts=True)
         strider.begin(np.vstack([self.xz[None], self._path(goal)]), facing=facing)
         waited, left = 0, False
@@ -387,8 +402,11 @@ class PersonActor:
         return True
 
     def _shuffles(self, towards: NDArray) -> bool:
-        """Steps towards a floor point [2] without turning where turning would have touched others for long; returns whether it
-        did. Two people side by side in a corridor could neither turn nor walk."""
+        """Steps towards a floor point [2] without turning, where turning has been blocked for long.
+
+        Otherwise two people next to each other in a corridor could neither turn nor walk. Returns whether the person
+        moved.
+        """
         gait, before = self._gait_here(), self._posture()
         stopped, leg = gait.take([0]), towards - self.xz
         left = float(np.hypot(*leg))
@@ -417,8 +435,10 @@ class PersonActor:
         self._follow()
 
     def _pace(self, towards: NDArray | None) -> None:
-        """One step of walking towards a floor point [2], or of coming to a stand; where they would touch somebody they do not
-        get on."""
+        """Walks one step towards a floor point [2], or slows down to a stand.
+
+        A step that would touch another agent is not made.
+        """
         person, gait, before = self.person, self._gait_here(), self._posture()
         stopped, spec = gait.take([0]), self.spec if towards is None else self._setting_off(towards)
         for target in (gait.xz[0].copy() if towards is None else towards, gait.xz[0].copy()):
@@ -442,9 +462,11 @@ class PersonActor:
         speed = min(speed + stride.accel_mps2 * STEP_S, math.sqrt(2 * stride.decel_mps2 * left))
         return replace(self.spec, speed_mps=min(max(speed, CREEP_MPS), self.spec.speed_mps))
 
-    def _careful(self, motion: Motion, patience: int = AVOIDANCE.patience_steps) -> Generator[None, None, SkillResult]:
-        """Do a motion, each step of it as soon as nobody is where it leads; after so many steps in which somebody was, take
-        back what was done of it, if nothing has come into their hands."""
+    def _careful(self, motion: Motion, patience: int = AVOIDANCE.patience_steps) -> Generator[None, None, MotionResult]:
+        """Carries out a motion, waiting at each step until no other agent is in the way.
+
+        After ``patience`` steps of waiting the motion is reversed and fails, unless it has changed what the hands hold.
+        """
         before, done, holding = self._posture(), [], tuple(self.person.held)
         self._trail.clear()
         while True:
@@ -458,7 +480,7 @@ class PersonActor:
                 blocked += 1
                 if blocked > patience and tuple(self.person.held) == holding:
                     yield from self._back_through(done)
-                    return SkillResult(success=False, reason="blocked")
+                    return MotionResult(success=False, reason="blocked")
                 self._follow()
                 yield
                 self._take(after)
@@ -525,11 +547,11 @@ class PersonActor:
         near: list[Hand] = [hand for hand in hands if self._reaches(stand, point, hand)]
         able: list[Hand] = [hand for hand in near if self._has_room(stand, point, hand)]
         if near and not able:
-            return Ending("failed", "no_room")
+            return SkillResult("failed", "no_room")
         hand = able[0] if able else hands[0]
         self.person.objects[name] = self.objects.poses[k].copy()
         motion = self._careful(self.person.pick(name, hand) if picks else self.person.place(point, hand))
-        result = SkillResult(success=False)
+        result = MotionResult(success=False)
         self.yields = False
         while True:
             try:
@@ -540,15 +562,17 @@ class PersonActor:
             if picks and hand not in self.person.held:  # it may go away under the hand
                 self.person.objects[name] = self.objects.poses[k].copy()
             yield
-        return Ending("done") if result.success else Ending("failed", result.reason or "out_of_reach")
+        return SkillResult("done") if result.success else SkillResult("failed", result.reason or "out_of_reach")
 
     def _reaches(self, stand: NDArray, point: NDArray, hand: Hand) -> bool:
         seen = Person(self.person.body, self.free.root_pose(stand[:2], float(stand[2]))).seen(point)
         return bool(reacher(self.person.body, hand).reachable(seen[None])[0])
 
     def _has_room(self, stand: NDArray, point: NDArray, hand: Hand) -> bool:
-        """Whether the body keeps out of the home when a hand reaches for a point from a stand; yes where nobody looks, and
-        where it does not get there anyway."""
+        """Whether the body stays clear of the home while a hand reaches for a point from a stand.
+
+        It is True where bodies are not checked, and where the hand does not reach the point anyway.
+        """
         return self.room is None or not self._reaches(stand, point, hand) or self.room.is_clear(stand, point, hand)
 
     def _follow(self) -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from h3data.bodies import Robot, humanoid_names, is_robot, load_humanoid, load_robot, robot_names
+from h3data.bodies import Robot, humanoid_names, is_robot, load_humanoid, load_robot, robot_name, robot_names
 from h3data.bodies.motion.walk_names import JOIN, split_walk
 from h3data.bodies.people.look.wardrobe import split_outfit
 from h3data.bodies.people.random_humanoid import is_random
@@ -48,14 +49,14 @@ def common_floor(roster: Sequence[AgentSpec], free: FreeSpace) -> FreeSpace:
 
 
 def make_roster(
-    agents: str | Sequence[str], *, robot: str = ROBOT_BODY, human: str = HUMAN_BODY
+    agents: str | Sequence[str | Robot], *, robot: str | Path | Robot = ROBOT_BODY, human: str = HUMAN_BODY
 ) -> tuple[AgentSpec, ...]:
     """Returns the agents that ``agents`` lists, robots first, as in the state and in recordings, otherwise in its order.
 
     Args:
         agents: A sequence, or names separated by commas. Each is ``robot`` or ``human``; the name of a body; a file: a
             URDF, a ``robot.toml`` or its folder for a robot, an .npz for a person; or its kind and one of these,
-            ``robot:../fetch.urdf``, ``human:male_1``. Behind a person, ``+`` and a motion file is how they walk.
+            ``robot:../fetch.urdf``, ``human:male_1``; or a `Robot`. Behind a person, ``+`` and a motion file is how they walk.
         robot: Body of each ``robot``.
         human: Body of each ``human``.
 
@@ -63,10 +64,13 @@ def make_roster(
         InputError: The list is empty, or an entry is unknown; the message lists the known names.
     """
     listed = agents.split(",") if isinstance(agents, str) else list(agents)
+    listed = [f"robot:{robot_name(one)}" if isinstance(one, Robot) else one for one in listed]
     listed = [name.strip() if isinstance(name, str) else name for name in listed]
     if not listed or listed == [""]:
-        raise InputError("Expected at least one agent: robot, human, or the name of a built-in body; got none.")
-    parsed = [_kind_and_model(name, robot=robot, human=human) for name in listed]
+        raise InputError(
+            "Expected at least one agent: robot, human, or the name of a built-in body; got none.", code="H3-SIM-020"
+        )
+    parsed = [_kind_and_model(name, robot=robot_name(robot), human=human) for name in listed]
     total, count = Counter(kind for kind, _ in parsed), Counter[str]()
     roster = []
     for kind, model in sorted(parsed, key=lambda pair: pair[0] != "robot"):
@@ -118,12 +122,14 @@ def _kind_and_model(name: str, *, robot: str, human: str) -> tuple[Kind, str]:
         return "robot", name
     known = ("robot", "human", *robot_names(), *humanoid_names())
     files = ", a robot's .urdf, robot.toml or folder, or a person's .npz file"
-    raise InputError(f"Unknown agent {name!r}.{suggest(str(name), known, more=files)}")
+    raise InputError(f"Unknown agent {name!r}.{suggest(str(name), known, more=files)}", code="H3-SIM-019")
 
 
 def is_person(name: str) -> bool:
-    """Whether a name, which is no kind, means a person: a body, ``random:SEED``, a file, or one of these with an outfit or a
-    motion."""
+    """Whether a name that is no kind of agent means a person.
+
+    People are named by a body, ``random:SEED`` or a file, each possibly with an outfit or a motion.
+    """
     body, motion = split_walk(name)
     body, _ = split_outfit(body)
     return body in humanoid_names() or body.endswith(".npz") or is_random(body) or bool(motion and not body)
@@ -164,5 +170,8 @@ def sample_places(
             if attempts == ATTEMPTS:
                 distance, attempts = distance / 2, 0
                 if distance < NEAREST_M:
-                    raise SceneError(f"Found no place for {len(roster)} agents. Hint: fewer agents, or a larger home.")
+                    raise SceneError(
+                        f"Found no place for {len(roster)} agents. Hint: fewer agents, or a larger home.",
+                        code="H3-SIM-021",
+                    )
     return np.stack([places[k] for k in range(len(roster))])

@@ -9,13 +9,17 @@ from __future__ import annotations
 from collections.abc import Generator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
+from h3data.moved import refuse_renamed
 from sim_kinematic.motion.state import NOBODY, WorldState
+
+if not TYPE_CHECKING:
+    __getattr__ = refuse_renamed(__name__)
 
 SKILLS = (
     "nav_to_object", "nav_to_goal", "pick", "place", "wait", "move_forward", "move_backward", "turn_left", "turn_right",
@@ -78,7 +82,7 @@ def sentence(reason: str) -> str:
 
 
 class Action(NamedTuple):
-    """What a high-level policy chooses."""
+    """Choice of a high-level policy: a skill and its target."""
 
     skill: str
     target: int = -1
@@ -92,20 +96,23 @@ class Action(NamedTuple):
     [m], of ``hand_over`` the robot's number."""
 
 
-class Ending(NamedTuple):
+class SkillResult(NamedTuple):
     """How a skill ended."""
 
     outcome: Literal["done", "failed", "aborted"]
     reason: str = ""
 
 
-Skill = Generator[None, None, Ending]
+Skill = Generator[None, None, SkillResult]
 
 
 @lru_cache(maxsize=64)
 def choices(objects: int, *, robot: bool = True) -> tuple[Action, ...]:
-    """What can be chosen among, as a learned policy numbers it: each of the four skills with each of the objects, ``wait``
-    and, for robots, the four primitives: 4 K + 5 or 4 K + 1 actions."""
+    """All actions that an agent can choose among, in the order in which learned policies number them.
+
+    They are each of the four skills with each of the K objects, ``wait`` and, for robots, the four primitives: 4 K + 5
+    actions, or 4 K + 1 for a person.
+    """
     with_target = [Action(skill, k) for skill in SKILLS[:4] for k in range(objects)]
     primitives = [Action(skill) for skill in PRIMITIVES] if robot else []
     return (*with_target, Action("wait", steps=CHOICE_WAIT_STEPS), *primitives)
@@ -118,7 +125,9 @@ class Actor(Protocol):
         """Why a skill cannot start now; empty: it can."""
         ...
 
-    def start(self, action: Action) -> Skill: ...
+    def start(self, action: Action) -> Skill:
+        """Begins an action; the skill that is returned advances by one step at each iteration."""
+        ...
 
     def idle(self) -> None:
         """One step of doing nothing."""
@@ -132,7 +141,9 @@ class LearnedSkill(Protocol):
         """Why it cannot start now, beyond what `Objects.why_not` says; empty: it can."""
         ...
 
-    def start(self, actor: Any, action: Action) -> Skill: ...
+    def start(self, actor: Any, action: Action) -> Skill:
+        """Begins an action; the skill that is returned advances by one step at each iteration."""
+        ...
 
 
 @dataclass(eq=False)
@@ -167,13 +178,17 @@ class Objects:
         skill, k = action.skill, action.target
         known = (*SKILLS, *OPENING_SKILLS) if self.joints else SKILLS
         if skill not in known:
-            raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(known)}.")
+            raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(known)}.", code="H3-SIM-022")
         if skill in OPENING_SKILLS:
             if not 0 <= k < len(self.joints):
-                raise InputError(f"{skill} needs one of the joints 0 to {len(self.joints) - 1}, got {k}.")
+                raise InputError(
+                    f"{skill} needs one of the joints 0 to {len(self.joints) - 1}, got {k}.", code="H3-SIM-024"
+                )
             return "hand_full" if skill != "nav_to_handle" and self.held(agent) >= 0 else ""
         if skill in SKILLS[:4] and not 0 <= k < len(self.names):
-            raise InputError(f"{skill} needs one of the objects 0 to {len(self.names) - 1}, got {k}.")
+            raise InputError(
+                f"{skill} needs one of the objects 0 to {len(self.names) - 1}, got {k}.", code="H3-SIM-023"
+            )
         if skill in ("nav_to_object", "pick") and self.held_by[k] not in (NOBODY, agent):
             return "held_by_other"
         if skill == "nav_to_object" and self.held_by[k] == agent:

@@ -48,8 +48,11 @@ def person_stands(free: FreeSpace, body: Humanoid, point: ArrayLike, hand: Hand 
 
 
 def robot_fits(robot: Robot, rules: BaseSpec, scene: Scene, free: FreeSpace) -> Callable[[Array, float], bool]:
-    """Returns a test whether a resting robot fits at a floor point [2] with a heading: the discs of its base are clear of
-    obstacles, the rest of it of furniture, and its floor leads on from there."""
+    """Returns a function that tests whether a resting robot fits at a floor point [2] with a heading.
+
+    The discs of its base must be clear of obstacles and the rest of it of furniture, and there must be free floor
+    around it to drive on.
+    """
     base = base_of(robot, rules)
     floor, clear = floor_of(robot, base, scene, free), clear_of_furniture(scene, robot)
 
@@ -70,8 +73,11 @@ def discs_fit(free: FreeSpace, base: BaseSpec, xz: Array, heading: float) -> boo
 
 
 def robot_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike, *, island: int = 0) -> Array:
-    """Returns stands ``(x, z, heading)`` [N, 3] on an island of the floor from which a robot's hand reaches a world point [3]
-    [m] (`sim_kinematic.agents.robots.hand_reach`), and at which its base can turn all the way around."""
+    """Returns poses ``(x, z, heading)`` [N, 3] from which a robot's hand reaches a world point [3] [m].
+
+    They lie on one island of the floor, where the base can turn all the way around
+    (`sim_kinematic.agents.robots.hand_reach`).
+    """
     point = np.asarray(point, np.float64)
     distances = reach_distances(robot, float(point[1] - free.height_at(point[[0, 2]])))
     stands = _on_island(free, point, _ring(point, distances, -reach_bearing(robot)), island)
@@ -80,8 +86,11 @@ def robot_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike
 
 
 def handle_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike, *, island: int = 0) -> Array:
-    """Returns stands as `robot_stands` in which the base need not be able to turn around, and the hand may reach to the side:
-    it fits there, and on the last `APPROACH_M` straight ahead or back."""
+    """Returns poses as `robot_stands`, for handles: the base need not be able to turn around there.
+
+    The hand may also reach to the side. The base fits at the pose and on the last `APPROACH_M` straight before or
+    behind it.
+    """
     point = np.asarray(point, np.float64)
     height, found = float(point[1] - free.height_at(point[[0, 2]])), list[Array]()
     for aside in ASIDE_RAD:
@@ -103,10 +112,10 @@ def nearest_stand(
     free: FreeSpace, stands: Array, start_xz: ArrayLike, crowded: NDArray[np.bool_] | NDArray[np.integer] | None = None,
     is_clear: Callable[[Array], bool] | None = None,
 ) -> tuple[int, float]:  # fmt: skip
-    """Returns the index of the stand with the shortest path from ``start_xz`` [2], and its length [m]; -1 and infinity if no
-    stand can be reached.
+    """Returns the index of the stand with the shortest path from ``start_xz`` [2], and the path's length [m].
 
-    Stands that are ``crowded`` [N] are taken only if all are, the less crowded first; only those that are ``is_clear`` count.
+    Stands that are ``crowded`` [N] are used only if all are, the less crowded first; only stands for which ``is_clear``
+    is true count. Returns -1 and infinity if no stand can be reached.
     """
     if not len(stands):
         return -1, np.inf
@@ -132,7 +141,7 @@ def island_of(free: FreeSpace, xz: Array) -> int:
 
 
 def _on_island(free: FreeSpace, point: Array, stands: Array, island: int) -> Array:
-    """Those of the stands round a world point that are on an island, and on the storey of the point: not on stairs."""
+    """Stands around a world point that are on an island and on the point's storey, and not on stairs."""
     there = free.island(stands[:, :2]) == island
     if len(free.heights):
         level = np.abs(free.height_at(stands[:, :2]) - free.height_at(point[[0, 2]])) < LEVEL_M

@@ -1,6 +1,7 @@
-"""The scripted person of social navigation: shortest paths to random points of the home, one after the other
-(paper section 4.1; spec/habitat.md 1.4). The person does not react to the robot, so the whole track is known from the seed, or
-from the goals that are given.
+"""Scripted person of social navigation, who walks shortest paths to random points of the home.
+
+The script follows the paper (section 4.1) and habitat-lab (spec/habitat.md 1.4). The person does not react to the
+robot, so the whole track follows from the seed, or from goals that are given.
 """
 
 from __future__ import annotations
@@ -67,8 +68,10 @@ class WaypointHuman:
             self._next_goal(position)
 
     def stride(self, xz: NDArray[np.float64], heading: float) -> NDArray[np.float64]:
-        """Where they are after a step from where they are now, (x, z, heading); with `WalkerSpec.stride`. Reacts to nobody, so
-        the way to each goal is walked ahead at once."""
+        """Pose (x, z, heading) one step after the present one, with `WalkerSpec.stride`.
+
+        The person reacts to nobody, so the walk to each goal is computed at once.
+        """
         while self._row >= len(self._track):
             self._next_goal(xz)
             self._track, self._row = self._strides().whole(xz, heading, most=MOST_STEPS), 0
@@ -107,8 +110,11 @@ class WaypointHuman:
 def walking_path(
     free: FreeSpace, start: NDArray[np.float64], goal: NDArray[np.float64], spec: WalkerSpec
 ) -> NDArray[np.float64]:
-    """Way points [K, 2] of a person from ``start`` to ``goal``: the shortest path with sharp corners, each of them kept
-    ``spec.clearance_m`` away from walls and furniture as far as there is room."""
+    """Waypoints [K, 2] of a person from ``start`` to ``goal``.
+
+    They are those of the shortest path with sharp corners, each moved ``spec.clearance_m`` away from walls and
+    furniture as far as there is room.
+    """
     return with_room(free, sharp_corners(free, free.path(start, goal)), spec.clearance_m)
 
 
@@ -183,7 +189,7 @@ def _sees(free: FreeSpace, a: NDArray[np.float64], b: NDArray[np.float64]) -> bo
 
 
 class HumanPlan(NamedTuple):
-    """What the scripted person will do, whatever the robot does."""
+    """Plan of the scripted person, which does not depend on the robot."""
 
     xz: NDArray[np.float64]
     """Where the person is after each step, shape [steps, 2] [m]."""

@@ -48,9 +48,12 @@ def _search(
     sdf, origin, cell, x, z, heading, offsets, radius, hull, discs, left, grid_origin, grid_cell, moves, steps, dt, enough,
     bearing, facing, slides, slide, poses, parents, moved,
 ):  # fmt: skip
-    """Fills ``poses`` [N, 3], ``parents`` [N] and ``moved`` [N] (the move that led there); returns the last node, -1 if there
-    is no maneuver. ``bearing`` is the heading wanted at the end within ``facing`` [rad]. Where it ``slides``, the first
-    move does so as `drive_base`, of which ``slide`` are radius, iterations, tolerances and longest step."""
+    """Searches for a maneuver; returns the number of its last node, or -1 if there is none.
+
+    Fills ``poses`` [N, 3], ``parents`` [N] and ``moved`` [N] (the move that leads to a node). ``bearing`` is the wanted
+    heading at the end, to within ``facing`` [rad]. If ``slides``, the first move slides along obstacles as in
+    `drive_base`, with ``slide`` as radius, iterations, tolerances and longest step.
+    """
     nx, nz = left.shape
     seen = np.zeros((nx, nz, HEADINGS), np.bool_)
     sector, way_poses = 2.0 * math.pi / HEADINGS, np.empty((steps, 3))
@@ -62,6 +65,7 @@ def _search(
         px, pz, ph = poses[node, 0], poses[node, 1], poses[node, 2]
         i, j = int((px - grid_origin[0]) / grid_cell), int((pz - grid_origin[1]) / grid_cell)
         k = int(math.floor(ph / sector + 0.5)) % HEADINGS
+        # the heap may hold a pose of this cell several times; the first one that comes out was the cheapest
         if seen[i, j, k]:
             continue
         seen[i, j, k] = True
@@ -70,10 +74,14 @@ def _search(
         if left[i, j] <= enough and off <= facing and node > 0:
             return node
         for m in range(len(moves)):
+            # bounded: the world stands still while it searches, and a robot that finds nothing may wait or
+            # take a detour
             if count >= len(parents):
                 return -1
             nx_, nz_, nh = px, pz, ph
             for s in range(steps):
+                # only the first move slides: it frees a base that is wedged in, and costs more than a
+                # test of a pose
                 if slides and node == 0:
                     nx_, nz_, nh, _ = drive_base(
                         sdf, origin, cell, nx_, nz_, nh, moves[m, 0], 0.0, moves[m, 1], dt, offsets, *slide
@@ -82,6 +90,8 @@ def _search(
                     nx_, nz_, nh = integrate(nx_, nz_, nh, moves[m, 0], 0.0, moves[m, 1], dt)
                     way_poses[s, 0], way_poses[s, 1], way_poses[s, 2] = nx_, nz_, nh
             gone = math.hypot(nx_ - px, nz_ - pz) + abs(nh - ph) * grid_cell
+            # else a base pressed against a wall would creep along it by millimetres, through thousands of
+            # nodes
             if gone < SLIDES_M:
                 continue
             a, b = int((nx_ - grid_origin[0]) / grid_cell), int((nz_ - grid_origin[1]) / grid_cell)
@@ -135,6 +145,7 @@ def plan_maneuver(
         bearing: Heading wanted at the goal.
     """
     grid = FloorRoutes.of(free)
+    # one flood from the goal tells for every pose how far it has still to go
     left = _filled(grid.flood(goal, np.zeros((0, 3))).distance)
     i, j = np.clip(((xz - grid.origin) / AVOIDANCE.cell_m).astype(int), 0, np.array(left.shape) - 1).tolist()
     here = float(left[i, j])
@@ -172,6 +183,7 @@ def plan_maneuver(
 def _moves(base: BaseSpec) -> tuple[NDArray[np.float64], int]:
     """Velocities (m/s, rad/s) of the moves [M, 2], and the steps that each of them takes."""
     turn = 2 * math.pi / HEADINGS
+    # a move takes whole steps, and changes its cell: a shorter one would be thrown away as seen before
     steps = math.ceil(max(MOVE_M / (base.max_speed_mps * STEP_S), turn / (base.max_turn_rad_s * STEP_S), 3.0))
     ahead, aside = MOVE_M / (steps * STEP_S), turn / (steps * STEP_S)
     moves = [(ahead, 0.0), (ahead, aside), (ahead, -aside), (0.0, aside), (0.0, -aside)]

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise, product
 from typing import Protocol
 
@@ -25,7 +25,7 @@ from h3data.geometry import wrap_angle
 from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.routes import FloorRoutes, distance_to_path, first_of_path
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.stand_offs import Errand, StandOffs
+from sim_kinematic.avoidance.stand_offs import StandOffs, TaskProgress
 from sim_kinematic.avoidance.yielding import NO_PATH, Body, discs_of
 
 
@@ -67,13 +67,17 @@ class _Request:
     """It leads to a refuge, at which the agent stays for so long at most; 0: it does not."""
     stayed: int = 0
     """Steps since it got there."""
+    chose_at: tuple[float, float, float] | None = None
+    """Where the other, who is driven from outside, stood when the agent last chose anew what to do."""
+    seen: NDArray[np.float64] = field(default_factory=lambda: np.full(2, np.nan))
+    """Where they were [2] at the last look."""
 
 
 class RightOfWay:
     """Tells every agent in each step whether, and by which path, to step aside."""
 
     def __init__(
-        self, free: FreeSpace, walkers: Sequence[Walker], errand: Callable[[int], Errand] | None = None, *,
+        self, free: FreeSpace, walkers: Sequence[Walker], errand: Callable[[int], TaskProgress] | None = None, *,
         asks: bool = True,
     ) -> None:  # fmt: skip
         """``errand`` says what an agent is about: then stand-offs are ended. With ``asks`` False that is all that is done."""
@@ -97,6 +101,7 @@ class RightOfWay:
             place = x, z, heading = _place(walker)
             was_x, was_z, was_heading = self._place[number]
             turned = abs(float(wrap_angle(heading - was_heading)))
+            # measured from where it last got on, not from step to step: who sways on the spot does not get on
             if math.hypot(x - was_x, z - was_z) > AVOIDANCE.progress_m or turned > AVOIDANCE.progress_rad:
                 self._stalled[number] = self._still[number] = 0
                 self._place[number] = place
@@ -106,10 +111,13 @@ class RightOfWay:
             if number in self._requests:
                 _drop_reached(walker, self._requests[number])
         for number in [n for n, request in self._requests.items() if self._is_over(self._walkers[n], request)]:
-            del self._requests[number]
+            request = self._requests.pop(number)
+            if request.chose_at is not None and self._stand_offs is not None:
+                self._stand_offs.of(number, request.by).steps = 0  # time to get past
         if self._stand_offs is not None:
             for pair in self._stand_offs.update(self._is_held_off):
                 self._part(self._stand_offs, pair, carrying)
+        # the usual case ends here: ranks and paths cost far more than the distances that rule them out
         if not self._requests and (not self._asks or self._all_are_clear()):
             for walker in self._walkers.values():
                 walker.aside = None
@@ -121,6 +129,7 @@ class RightOfWay:
             first.append(me)
             blockers = [other for other in waiting if self._blocks(other, me)]
             asked = [other for other in blockers if self._ask(other, me, first)]
+            # who was asked asks next, with the rank of the asker, so that a whole row backs out in one step
             waiting = asked + [other for other in waiting if other not in asked]
         for number, walker in self._walkers.items():
             walker.aside = self._requests[number].route if number in self._requests else None
@@ -132,16 +141,23 @@ class RightOfWay:
 
     # --- rank ----------------------------------------------------------------------------------------------------------
     def _rank(self, walker: Walker, carrying: Sequence[int]) -> tuple[float, ...]:
-        """Sorts busy agents before idle ones, people before robots, those that carry something before others, then by length
-        of path. An agent that steps aside comes right after the one that asked it."""
+        """Sort key of an agent's priority: lower keys go first.
+
+        Busy agents come before idle ones, people before robots, agents that carry something before others, then shorter
+        paths before longer ones. An agent that steps aside comes right after the one that asked for it.
+        """
         chain: list[int] = [walker.number]
+        # requests may form a circle, so each agent counts once
         while chain[-1] in self._requests and self._requests[chain[-1]].by not in chain:
             chain.append(self._requests[chain[-1]].by)
         head = self._walkers[chain[-1]]
+        # whoever was let out (`_exchange`) goes before everybody, or the two would exchange roles again in the
+        # next step
         promoted = head.number in self._requests and self._requests[head.number].by == head.number
         idle = not len(self.path(head)) and not head.hindered_by
         length = float(np.hypot(*np.diff(head.path, axis=0).T).sum())
         before = not promoted, idle, head.is_robot, head.number not in carrying, length, head.number
+        # tuples that begin alike sort by length: who was asked comes right after who asked
         return (*before, *([1] * (len(chain) - 1)))
 
     def path(self, walker: Walker) -> NDArray[np.floating]:
@@ -167,6 +183,8 @@ class RightOfWay:
         start, moves = self._start(me), self._start(other) is not None
         if start is None or (moves and not held_up):
             return False
+        # plain numbers: this runs for every pair in every step, where arrays of two numbers cost more than the
+        # sums
         (x, z), (other_x, other_z) = start.tolist(), other.xz.tolist()
         reach = AVOIDANCE.asks_moving_m if moves else AVOIDANCE.asks_idle_m
         reach += AVOIDANCE.beside_m[me.is_robot] + _size_beyond_default(me) + other.footprint.extent_m
@@ -184,6 +202,8 @@ class RightOfWay:
         nearest = distance_to_path(body, _without_start(ahead))
         gaps = np.hypot(*(body - me.xz).T)
         beside = AVOIDANCE.beside_m[me.is_robot] + _size_beyond_default(me)
+        # who is nearer to me than to what lies ahead of me is behind or beside me, and out of the way as I walk
+        # on
         return bool(np.any((nearest < beside) & (nearest < gaps)))
 
     def _ask(self, other: Walker, me: Walker, first: Sequence[Walker]) -> bool:
@@ -192,9 +212,12 @@ class RightOfWay:
         before, mine = self._requests.get(other.number), self._requests.get(me.number)
         if mine is not None and mine.stays_steps and mine.by == other.number:
             return False  # I am to get out of its way
+        # it is on its way to a refuge: another request would send it back and forth between two places
         if before is not None and before.stays_steps:
             return True
         if before is not None and len(before.route) and self._stalled[other.number] < 3 * AVOIDANCE.held_up_steps:
+            # its place is kept while that clears my path: the best place is another one in each step, and it
+            # would waver
             end = before.route[-1]
             kept = first_of_path(path, AVOIDANCE.keeps_free_m)
             if float(distance_to_path(end, kept)) >= AVOIDANCE.aside_share * aside_distance_m(me, other):
@@ -205,6 +228,7 @@ class RightOfWay:
         if route is not None:
             self._requests[other.number] = _Request(me.number, route)
             return True
+        # with no place off my path it can only come out past me, so look for one as if I were not there
         leaves = self._retreat(other, [(me, path)], [walker for walker in first if walker is not me])
         if leaves is not None:
             self._exchange(other, me, leaves, first)
@@ -231,19 +255,25 @@ class RightOfWay:
             return
         encounter, errands = stand_offs.of(*pair), {number: stand_offs.errand(number) for number in pair}
         order = sorted(pair, key=lambda n: (errands[n].busy, n in carrying, not self._walkers[n].is_robot, n))
+        # in turns: to send the same one away again would end as it did before
         for number in order[:: -1 if encounter.rounds % 2 else 1]:
             me, other = self._walkers[number], self._walkers[sum(pair) - number]
             if not me.yields or not errands[number].obeys:
                 continue
-            route = self._refuge(me, other)
+            driven = not errands[other.number].obeys
+            waits = driven and not encounter.waited and math.dist(me.xz, other.xz) >= aside_distance_m(me, other)
+            route = np.zeros((0, 2)) if waits else self._refuge(me, other)
             if route is None:
                 continue
-            self._requests.pop(other.number, None)
-            stays = AVOIDANCE.refuge_steps if errands[other.number].obeys else math.inf
-            me.turned_away = not errands[other.number].obeys
-            self._requests[number] = _Request(other.number, route, stays_steps=stays)
+            lets_out = self._requests.get(other.number)
+            if lets_out is not None and lets_out.by != number:
+                del self._requests[other.number]
+            stays = AVOIDANCE.waits_steps if waits else math.inf if driven else AVOIDANCE.refuge_steps
+            me.turned_away, where = driven, self._place[other.number] if driven else None
+            seen = other.xz.copy()
+            self._requests[number] = _Request(other.number, route, stays_steps=stays, chose_at=where, seen=seen)
             self._stalled[number] = self._stalled[other.number] = encounter.steps = 0
-            encounter.rounds += 1
+            encounter.rounds, encounter.waited = encounter.rounds + 1, driven
             return
 
     def _goes_to_refuge(self, number: int, other: int) -> bool:
@@ -265,8 +295,10 @@ class RightOfWay:
         return looks and not self._gets_around(me, self._walkers[other], AVOIDANCE.passing_m[-1])
 
     def _refuge(self, me: Walker, other: Walker) -> NDArray[np.float64] | None:
-        """Points [N, 2] that lead to the nearest place that is off all of the other's path and far from it; else to the
-        farthest there is."""
+        """Points [N, 2] that lead to the nearest place far from the other agent's path.
+
+        If there is no such place, they lead to the one that is farthest from it.
+        """
         spec = AVOIDANCE
         discs = np.array([(*other.xz, spec.squeeze_share * aside_distance_m(me, other))])
         flood = self._routes.flood(me.xz, discs)
@@ -277,6 +309,7 @@ class RightOfWay:
             return None
         apart = np.hypot(*(cells - other.xz).T)
         aside = distance_to_path(cells, other.path) >= aside_distance_m(me, other)
+        # any place far away ends a stand-off better than none
         for good in (aside & (apart >= spec.refuge_m), apart >= spec.refuge_m, apart >= 0.95 * apart.max()):
             if good.any():
                 fits[fits] = good
@@ -289,11 +322,26 @@ class RightOfWay:
         other = self._walkers[request.by]
         obeys = self._stand_offs is None or self._stand_offs.errand(other.number).obeys
         if not obeys and request.steps % AVOIDANCE.looks_steps == 0:
-            clear = math.dist(walker.xz, other.xz) >= aside_distance_m(walker, other)  # beside it every way seems open
-            if clear and self._gets_around(walker, other, AVOIDANCE.passing_m[0]):
+            apart, was = math.dist(walker.xz, other.xz), math.dist(walker.xz, request.seen)
+            clear = apart >= aside_distance_m(walker, other)  # beside it every way seems open
+            request.seen = other.xz.copy()
+            if (
+                clear
+                and apart > was - AVOIDANCE.progress_m
+                and self._gets_around(walker, other, AVOIDANCE.passing_m[0])
+            ):
                 return True
-            stopped = self._still[other.number] - AVOIDANCE.held_up_steps
-            walker.turned_away |= 0 < stopped <= AVOIDANCE.looks_steps  # once where the other stops anew
+            if apart < was - AVOIDANCE.progress_m and math.isfinite(request.stays_steps):
+                return True  # who comes on is not waited for
+            if apart > was + AVOIDANCE.progress_m and apart >= AVOIDANCE.refuge_m:
+                return True  # follow who leaves
+            stops = (
+                self._still[other.number] > AVOIDANCE.held_up_steps and self._place[other.number] != request.chose_at
+            )
+            if stops and not len(
+                request.route
+            ):  # who is on their way there would stop at every stop of who comes after
+                walker.turned_away, request.chose_at = True, self._place[other.number]
         if len(request.route):
             return self._stalled[walker.number] > 2 * AVOIDANCE.gives_up_steps
         request.stayed += 1
@@ -335,6 +383,7 @@ class RightOfWay:
             return walker.number not in other.hindered_by and (len(walker.path) > 0 or not len(request.route))
         mine = walker.xz[None]
         if len(walker.path):
+            # the shortest path from here, which it will take once it is let go; its old path began elsewhere
             mine = first_of_path(self._free.path(walker.xz, walker.path[-1], max_snap_m=1.0), AVOIDANCE.returns_m)
             mine = np.vstack([walker.xz[None], _dots(mine)])
         return float(distance_to_path(mine, path).min()) >= AVOIDANCE.aside_share * aside_distance_m(walker, other)
@@ -343,8 +392,10 @@ class RightOfWay:
     def _retreat(
         self, walker: Walker, paths: Sequence[tuple[Walker, NDArray]], first: Sequence[Walker]
     ) -> NDArray[np.float64] | None:
-        """Points [N, 2] that lead to the nearest place off some paths and off those of all agents of higher rank; past others
-        that can step aside only where there is no other path."""
+        """Points [N, 2] that lead to the nearest place off the given paths and those of agents with a higher rank.
+
+        The route passes agents that can step aside only if there is no other.
+        """
         spec = AVOIDANCE
         others = [other for other in self._walkers.values() if other is not walker]
         firm = [other for other in others if other in first or not other.yields]
@@ -364,6 +415,7 @@ class RightOfWay:
             fits = (flood.distance >= least) & (flood.distance <= farthest) & (self._routes.room >= room)
             cells = self._routes.centres[fits]
             good = np.ones(len(cells), np.bool_)
+            # distances to points first: they leave few cells for those to paths, which cost more
             for other in around:
                 good &= np.hypot(*(cells - other.xz).T) >= share * aside_distance_m(walker, other)
             for other, path in kept:

@@ -48,6 +48,7 @@ def base_of(robot: Robot, rules: BaseSpec) -> BaseSpec:
         if limit is not None and getattr(rules, name) == getattr(_RULES, name):
             own[name] = limit
     hull = tuple(robot.hull_discs.tolist())
+    # nothing differs: with a base of another class that has the same values, every cache by base would begin anew
     if hull == AVOIDANCE.robot.offsets_m and all(getattr(rules, name) == value for name, value in own.items()):
         return rules
     return RobotBase(**{**vars(rules), **own, "hull_offsets_m": hull})
@@ -69,10 +70,11 @@ def wider_by(base: BaseSpec) -> float:
 
 
 def carrying_base_of(robot: Robot, base: BaseSpec) -> BaseSpec:
-    """Returns a base with one more disc, which covers what the folded arm carries (a ball of `CARRIED_M`), where the base's own
-    discs do not; ``base`` itself if it is not the one that covers the whole robot, such as that of the profile ``habitat``.
+    """Returns a base with one more disc, which covers an object that the folded arm carries.
 
-    The hand of ``quad_arm`` is 5 cm behind the front of its base, so what it carried was up to 11 cm in walls.
+    The object is taken as a ball of `CARRIED_M`. ``base`` itself is returned if its discs cover the object already, or
+    if it is not the base that covers the whole robot, as in the profile ``habitat``. The hand of ``quad_arm`` is 5 cm
+    behind the front of its base, so that objects it carried went up to 11 cm into walls.
     """
     if base.disc_offsets_m != tuple(robot.base_discs.tolist()) or robot.hand_link < 0:
         return base
@@ -99,6 +101,7 @@ def floor_of(robot: Robot, base: BaseSpec, scene: Scene, free: FreeSpace) -> Fre
 
 @lru_cache(maxsize=16)
 def _wider_floor(robot: Robot, radius_m: float, scene: Scene, free: FreeSpace) -> FreeSpace:
+    # it depends on how narrow the home is whether such a floor is refused, or has no area
     try:
         floor = free.as_in(scene, radius_m=radius_m)
     except SceneError:
@@ -106,6 +109,7 @@ def _wider_floor(robot: Robot, radius_m: float, scene: Scene, free: FreeSpace) -
     if floor is None or not len(floor.polygon.geoms):
         raise SceneError(
             f"A base with discs of {radius_m:g} m fits nowhere in {scene.name}. Hint: a smaller base_radius_m in the "
-            f"robot.toml of {robot.name}. File: {robot.file}"
+            f"robot.toml of {robot.name}. File: {robot.file}",
+            code="H3-SIM-025",
         )
     return floor

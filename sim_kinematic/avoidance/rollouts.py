@@ -1,5 +1,6 @@
-"""Trials of a robot's next command by the motion of the simulator itself, beside a person who walks: what the experts of
-social navigation choose from.
+"""Simulated trials of a robot's next commands in the presence of a walking person.
+
+The experts of social navigation choose among them. The motion is that of the simulator itself.
 """
 
 from __future__ import annotations
@@ -36,13 +37,15 @@ def roll_out(
     free: FreeSpace, base: BaseSpec, xz: NDArray[np.float64], heading: float, commands: NDArray[np.float64],
     person: NDArray[np.float64] | None = None, *, look_steps: int,
 ) -> Rollouts:  # fmt: skip
-    """Tries N commands from a pose, for as long as a person walks along ``person`` [H, 2], one place per step; for
-    ``look_steps`` steps without a person.
+    """Simulates N commands from one pose.
 
     A command [N, 4] is ``(forward, turn, steps, then)``: forward and left turn in -1..1 of the limits for a number of
-    steps, then straight on at speed ``then``. The base slides along obstacles as in `sim_kinematic.motion.step.drive_base`.
-    Sort commands that begin alike next to each other: their common part is driven once (6,900 instead of 4,700 expert steps
-    per CPU second).
+    steps, then straight on at speed ``then``. The base slides along obstacles as in
+    `sim_kinematic.motion.step.drive_base`. The simulation lasts as long as the person walks along ``person`` [H, 2],
+    one place per step, or ``look_steps`` steps without a person.
+
+    Commands that begin alike should be next to each other: their common part is simulated once (6,900 instead of 4,700
+    expert steps per CPU second).
     """
     ends = np.empty((len(commands), 4))
     _roll_out(
@@ -94,6 +97,8 @@ def _roll_out(
                 touch,
                 most,
             )
+            # the gap is looked at for as long as the person is foreseen, the pose only for the next
+            # ``look_steps``
             if step < len(person):
                 now = least_gap(x, z, heading, person[step, 0], person[step, 1], hull, reach)
                 gap = min(gap, now + doubt * step * dt)

@@ -31,6 +31,8 @@ def _flood(room, least, discs, origin, cell, si, sj):
     while len(heap) > 0:
         far, at = heapq.heappop(heap)
         i, j = at // nz, at % nz
+        # an entry from before a shorter path was found: heapq cannot change an entry, so outdated ones stay in
+        # the heap
         if far > distance[i, j]:
             continue
         for di in range(-1, 2):
@@ -75,21 +77,25 @@ class FloorRoutes:
         centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         return FloorRoutes(free, np.asarray(free.origin, np.float64), centres, free.signed_distance(centres))
 
-    def flood(self, start: NDArray, discs: NDArray) -> Flood:
-        """Finds all paths from ``start`` [2] that keep out of ``discs`` ``(x, z, radius)`` [N, 3]; those in which it starts
-        may be left."""
+    def flood(self, start: NDArray, discs: NDArray) -> DistanceMap:
+        """Distances and shortest paths from ``start`` [2] to all of the floor outside of some discs.
+
+        The discs are ``(x, z, radius)`` [N, 3]; a path may lead out of discs that contain the start.
+        """
         cell = AVOIDANCE.cell_m
         discs = np.array(discs, np.float64).reshape(-1, 3)
         gaps = np.hypot(*(discs[:, :2] - start).T)
+        # whoever stands inside a disc would have no path at all; this one lets them move away from its centre
+        # only
         discs[:, 2] = np.minimum(discs[:, 2], gaps - AVOIDANCE.leaves_m)
         i, j = np.clip(((start - self.origin) / cell).astype(int), 0, np.array(self.room.shape) - 1).tolist()
         least = self.free.radius_m + AVOIDANCE.spare_m
         distance, before = _flood(self.room, least, discs, self.origin, cell, i, j)
-        return Flood(self, np.array(start, np.float64), discs, distance, before)
+        return DistanceMap(self, np.array(start, np.float64), discs, distance, before)
 
 
 @dataclass(frozen=True, eq=False)
-class Flood:
+class DistanceMap:
     """All paths from one place."""
 
     grid: FloorRoutes
@@ -109,6 +115,7 @@ class Flood:
 
     def reaches(self, places: NDArray) -> NDArray[np.bool_]:
         """Whether a path leads to each of some floor points [N, 2], as `path_to` finds them, [N]."""
+        # imported here: few episodes ask for this, and it would make every start slower
         from scipy.spatial import KDTree
 
         open_cells = self.grid.centres[np.isfinite(self.distance)]
@@ -117,6 +124,7 @@ class Flood:
     def path_to_nearest(self, fits: NDArray[np.bool_]) -> NDArray[np.float64] | None:
         """Returns the path, as `path_to`, to the nearest of the cells [nx, nz] that fit."""
         lengths = np.where(fits, self.distance, np.inf)
+        # the nearest along the floor, not through walls
         best = int(lengths.argmin())
         return self._path(best, self.grid.centres.reshape(-1, 2)[best]) if np.isfinite(lengths.flat[best]) else None
 
@@ -126,6 +134,7 @@ class Flood:
             cells.append(int(self.before.flat[cells[-1]]))
         points = [self.start, *self.grid.centres.reshape(-1, 2)[cells[-2:0:-1]], np.asarray(goal, np.float64)]
         path, k = [points[0]], 0
+        # a path over cells knows eight directions only, and would lead in zigzags across an open room
         while k < len(points) - 1:
             ahead = next((n for n in range(len(points) - 1, k + 1, -1) if self._sees(points[k], points[n])), k + 1)
             # where a cell's corner is cut, the exact shortest path goes around it
@@ -162,6 +171,7 @@ def _distances(points, path):
         for k in range(len(path) - 1):
             a_x, a_z = path[k]
             leg_x, leg_z = path[k + 1, 0] - a_x, path[k + 1, 1] - a_z
+            # a leg may have no length: any share of it is the same place, but it must be a number
             along = ((x - a_x) * leg_x + (z - a_z) * leg_z) / max(leg_x * leg_x + leg_z * leg_z, 1e-12)
             along = min(max(along, 0.0), 1.0)
             least[p] = min(least[p], math.hypot(x - a_x - along * leg_x, z - a_z - along * leg_z))

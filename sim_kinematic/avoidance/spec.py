@@ -166,15 +166,17 @@ class AvoidanceSpec:
     gets_on_m: float = 1.0
     """An agent gets on that completes something, or has this much less to go than when they met."""
     looks_steps: int = 10
-    """So often that is looked at."""
+    """Interval of this check [steps]."""
     stand_off_steps: tuple[int, int] = (90, 180)
     """After so many steps in which neither has got on, one of them is sent away; after the second number where one is driven
     from outside: who turns, or goes a short way, beside them is in nobody's way."""
     held_off_steps: int = 45
     """Near somebody who is driven from outside, who wants to go on and has not moved for so long is sent away at once. So is
     whose way is shut by one who has stood for ``held_up_steps``."""
+    waits_steps: int = 60
+    """It first stands where it is for so long: whoever drives the other sees it wait, and may be about to go on anyway."""
     refuge_m: float = 3.5
-    """At least so far from the other, if there is such a place."""
+    """Least distance of a refuge from the other agent, if there is such a place [m]."""
     refuge_steps: int = 240
     """It stays there until the other has got past, but no longer than this; where the other is driven from outside, until there
     is a way around it."""

@@ -12,17 +12,17 @@ from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.yielding import Body
 
 
-class Errand(NamedTuple):
-    """What an agent is about, as far as it tells whether the agent gets on."""
+class TaskProgress(NamedTuple):
+    """Facts about an agent's task that show whether it makes progress."""
 
     busy: bool
-    """It has something to do."""
+    """Whether the agent has something to do."""
     leg: Hashable
     """What it does now; another value is another way to go."""
     left_m: Callable[[], float]
     """Gives the length of the path that it has still to go; infinite: it goes nowhere."""
     completed: int
-    """So many things it has completed."""
+    """Number of tasks that the agent has completed."""
     obeys: bool = True
     """It can be told to go elsewhere: nobody drives it from outside."""
 
@@ -32,9 +32,11 @@ class Encounter:
     """Two agents near each other."""
 
     steps: int = 0
-    """For so long neither has got on, near each other all the time."""
+    """Number of steps for which neither agent has made progress while they were near each other."""
     rounds: int = 0
-    """So often one of them was sent away since either has got on."""
+    """Number of times that one of them was sent away since the last progress."""
+    waited: bool = False
+    """Whether one of them has waited for the other, who is driven from outside."""
     completed: tuple[int, ...] = ()
     legs: dict[int, tuple[Hashable, float]] = field(default_factory=dict)
     """What each was about, and how far it had to go when that began or they met."""
@@ -43,7 +45,7 @@ class Encounter:
 class StandOffs:
     """Counts, for every pair of agents, for how long neither has got on."""
 
-    def __init__(self, walkers: Sequence[Body], numbers: Sequence[int], errand: Callable[[int], Errand]) -> None:
+    def __init__(self, walkers: Sequence[Body], numbers: Sequence[int], errand: Callable[[int], TaskProgress]) -> None:
         self._walkers = dict(zip(numbers, walkers, strict=True))
         self._encounters = {pair: Encounter() for pair in combinations(numbers, 2)}
         self.errand = errand
@@ -61,22 +63,25 @@ class StandOffs:
         for pair, encounter in self._encounters.items():
             (x, z), (other_x, other_z) = (self._walkers[number].xz.tolist() for number in pair)
             if math.hypot(other_x - x, other_z - z) > AVOIDANCE.stand_off_m:
-                encounter.steps = 0
+                encounter.steps, encounter.waited = 0, False
                 encounter.legs.clear()
                 continue
             encounter.steps += 1
+            # asked only of those who are near: an errand is put together anew each time
             errands = {number: self.errand(number) for number in pair}
             if self._gets_on(encounter, errands):
-                encounter.steps = encounter.rounds = 0
+                encounter.steps, encounter.rounds, encounter.waited = 0, 0, False
                 continue
             driven = [number for number, errand in errands.items() if not errand.obeys]
             long = encounter.steps > AVOIDANCE.stand_off_steps[len(driven) > 0]
+            # nobody can tell who is driven from outside to give way, so the other one must not wait as long
             long |= any(held_off(sum(pair) - number, number) for number in driven)
+            # two that have nothing to do may stand beside each other for ever
             if long and any(errand.busy for errand in errands.values()):
                 stuck.append(pair)
         return stuck
 
-    def _gets_on(self, encounter: Encounter, errands: dict[int, Errand]) -> bool:
+    def _gets_on(self, encounter: Encounter, errands: dict[int, TaskProgress]) -> bool:
         completed = tuple(errand.completed for errand in errands.values())
         gets_on = completed != encounter.completed and len(encounter.completed) > 0
         encounter.completed = completed
@@ -84,8 +89,10 @@ class StandOffs:
             leg, before = encounter.legs.get(number, (None, math.inf))
             if number not in encounter.legs or leg != errand.leg:
                 encounter.legs[number] = errand.leg, errand.left_m()
+            # lengths of paths take a search each, too much for every step
             elif encounter.steps % AVOIDANCE.looks_steps == 0 and math.isfinite(before):
                 gets_on |= before - errand.left_m() > AVOIDANCE.gets_on_m
+        # what they had left is measured anew from here, or one good step would count again and again
         if gets_on:
             encounter.legs.clear()
         return gets_on

@@ -22,6 +22,7 @@ from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.step import integrate, is_clear, wrap_angle
 
 _LEVELS = (-1.0, -0.5, 0.0, 0.5, 1.0)
+# standing still comes first: of equal commands the first one wins
 _CANDIDATES = np.array([(0.0, 0.0), *((forward, turn) for forward in _LEVELS for turn in _LEVELS)])
 
 
@@ -49,6 +50,7 @@ def try_command(
     for step in range(1, steps + 1):
         if abs(speed) * step * dt > length:
             speed = 0.0
+        # rounded to the nearest step, so that a turn neither stops short nor overshoots by a whole one
         if abs(turn) * (step - 0.5) * dt > arc:
             turn = 0.0
         nx, nz, nh = integrate(x, z, heading, speed, 0.0, turn, dt)
@@ -75,7 +77,7 @@ def try_commands(
             )  # fmt: skip
 
 
-class Avoided(NamedTuple):
+class ObstacleDisc(NamedTuple):
     """A disc of another agent that a robot keeps clear of."""
 
     xz: NDArray
@@ -90,7 +92,7 @@ class Avoided(NamedTuple):
 
 def keep_clear(
     free: FreeSpace, base: BaseSpec, xz: NDArray, heading: float, wanted: tuple[float, float], towards: NDArray,
-    others: Sequence[Avoided], before: tuple[float, float] | None = None,
+    others: Sequence[ObstacleDisc], before: tuple[float, float] | None = None,
 ) -> tuple[float, float]:  # fmt: skip
     """Returns the command (forward, turn: -1..1 of the limits) that replaces ``wanted`` so that nobody is run into.
 
@@ -99,6 +101,7 @@ def keep_clear(
     """
     spec, (here_x, here_z), (goal_x, goal_z) = AVOIDANCE, xz.tolist(), towards.tolist()
     places = [other.xz.tolist() for other in others]
+    # who is far away cannot matter within the horizon, and most steps end here
     others = [o for o, (x, z) in zip(others, places, strict=True) if np.hypot(x - here_x, z - here_z) <= spec.range_m]
     if not others:
         return wanted
@@ -123,11 +126,13 @@ def keep_clear(
         return out.tolist()
 
     margins = [other.margin_m for other in others]
+    # a robot that stands too near to somebody already could not leave if it had to keep more than it has
     if any(other.settled for other in others):
         for k, (gap, *_) in enumerate(trials(_CANDIDATES[:1])[0]):  # of standing still
             margins[k] = min(spec.still_margin_m, gap) if others[k].settled else margins[k]
     dx, dz = goal_x - here_x, goal_z - here_z
     length = math.hypot(dx, dz)
+    # close to the goal its bearing turns around with every centimetre
     arc = abs(wrap_angle(math.atan2(-dz, dx) - heading)) if length > 0.1 else math.inf
     gaps = trials(np.array([wanted], np.float64), length, arc)[0]
     if all(gap >= margin for (gap, *_), margin in zip(gaps, margins, strict=True)):
@@ -135,7 +140,9 @@ def keep_clear(
     best, least = wanted, math.inf
     candidates = _CANDIDATES if before is None else np.vstack([_CANDIDATES, before])
     for (forward, turn), tried in zip(candidates.tolist(), trials(candidates), strict=True):
+        # only the worst gap counts: more room on one side must not make up for less on the other
         lacks = max(margin - gap for margin, (gap, *_) in zip(margins, tried, strict=True))
+        # where the base gets does not depend on who is near, so any trial tells
         _, x, z, new_heading = tried[0]
         left = math.hypot(x - goal_x, z - goal_z)
         off = abs(wrap_angle(math.atan2(z - goal_z, goal_x - x) - new_heading)) if left > 0.1 else 0.0
@@ -160,6 +167,7 @@ def eased(base: BaseSpec, wanted: tuple[float, float], before: tuple[float, floa
 
 def _within(wanted: float, before: float, up: float, down: float) -> float:
     """``wanted``, or what is nearest to it if a size may grow by ``up`` and shrink by ``down``."""
+    # mirrored, because to brake is to make a number smaller in size, whatever its sign
     if before < 0.0:
         return -_within(-wanted, -before, up, down)
     return min(max(wanted, before - down, -up), before + up)
@@ -176,7 +184,7 @@ def _discs(base: BaseSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return np.array(base.disc_offsets_m), np.array(hull_of(base))
 
 
-def is_crowded(base: BaseSpec, stands: NDArray, other: Avoided, margin_m: float) -> NDArray[np.bool_]:
+def is_crowded(base: BaseSpec, stands: NDArray, other: ObstacleDisc, margin_m: float) -> NDArray[np.bool_]:
     """Whether a robot at stands ``(x, z, heading)`` [N, 3] would be within a margin [m] of another agent now, [N]."""
     reach, (_, hull) = base.disc_radius_m + other.radius_m, _discs(base)
     other_x, other_z = other.xz.tolist()

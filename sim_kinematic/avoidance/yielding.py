@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.routes import FloorRoutes
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
-from sim_kinematic.avoidance.velocity import Avoided
+from sim_kinematic.avoidance.velocity import ObstacleDisc
 
 NO_PATH = np.zeros((0, 2))
 """The path of an agent that goes nowhere."""
 
 
-class Seen(NamedTuple):
+class ObservedAgent(NamedTuple):
     """Another agent, as seen by one that moves."""
 
     number: int
@@ -37,16 +37,24 @@ class Body(Protocol):
     """An agent on the floor."""
 
     @property
-    def is_robot(self) -> bool: ...
+    def is_robot(self) -> bool:
+        """Whether the agent is a robot; otherwise it is a person."""
+        ...
 
     @property
-    def xz(self) -> NDArray[np.float64]: ...
+    def xz(self) -> NDArray[np.float64]:
+        """Position on the floor [2] [m]."""
+        ...
 
     @property
-    def heading(self) -> float: ...
+    def heading(self) -> float:
+        """Heading [rad]."""
+        ...
 
     @property
-    def footprint(self) -> Footprint: ...
+    def footprint(self) -> Footprint:
+        """Space that other agents leave for this one."""
+        ...
 
 
 def discs_of(body: Body) -> NDArray[np.float64]:
@@ -56,7 +64,7 @@ def discs_of(body: Body) -> NDArray[np.float64]:
     return np.array([(x + c * offset, z - s * offset, footprint.radius_m) for offset in footprint.offsets_m])
 
 
-def avoided(others: Sequence[Seen], *, agreed: bool = False) -> list[Avoided]:
+def avoided(others: Sequence[ObservedAgent], *, agreed: bool = False) -> list[ObstacleDisc]:
     """Returns all discs of the others that a robot's base keeps clear of.
 
     With ``agreed``, agents step aside for each other when asked, so those that stand may be passed more closely.
@@ -65,33 +73,36 @@ def avoided(others: Sequence[Seen], *, agreed: bool = False) -> list[Avoided]:
     for other in others:
         radius = other.footprint.radius_m if other.is_robot else AVOIDANCE.person_radius_m
         margin = AVOIDANCE.standing_margin_m if agreed and stands(other) else AVOIDANCE.margin_m
-        discs += [Avoided(disc[:2], other.velocity, other.settled, radius, margin) for disc in discs_of(other)]
+        discs += [ObstacleDisc(disc[:2], other.velocity, other.settled, radius, margin) for disc in discs_of(other)]
     return discs
 
 
-def stands(other: Seen) -> bool:
+def stands(other: ObservedAgent) -> bool:
     """Whether an agent stands."""
     return float(np.hypot(*other.velocity)) <= AVOIDANCE.stands_mps
 
 
-def waits(number: int, other: Seen) -> bool:
+def waits(number: int, other: ObservedAgent) -> bool:
     """Whether a person waits for an agent in their way: one with a smaller number that moves."""
+    # an order of all people: if two waited for each other, neither would ever walk on
     return other.number < number and not stands(other)
 
 
-def in_the_way(xz: NDArray, towards: NDArray, others: Sequence[Seen]) -> Seen | None:
+def in_the_way(xz: NDArray, towards: NDArray, others: Sequence[ObservedAgent]) -> ObservedAgent | None:
     """Returns the nearest agent in the way of a person at ``xz`` [2] who walks straight ``towards`` [2]."""
     leg = towards - xz
     length = float(np.hypot(*leg))
     ahead = leg / max(length, 1e-9)
-    blocker: Seen | None = None
+    blocker: ObservedAgent | None = None
     nearest = np.inf
     for other in others:
         for x, z, radius in discs_of(other):
             gap = np.array([x, z]) - xz
+            # who moves may turn this way in the next step
             room = AVOIDANCE.person.radius_m + radius + (0.0 if stands(other) else AVOIDANCE.moving_m)
             along, aside = float(gap @ ahead), float(abs(gap[0] * ahead[1] - gap[1] * ahead[0]))
             distance = float(np.hypot(*gap))
+            # people who walk side by side get hardly nearer to each other, and must not wait for it
             nears = distance - aside > AVOIDANCE.beside_nearer_m if along > 0 else False
             if nears and along < min(AVOIDANCE.ahead_m, length) + room and aside < room and distance < nearest:
                 blocker, nearest = other, distance
@@ -99,7 +110,7 @@ def in_the_way(xz: NDArray, towards: NDArray, others: Sequence[Seen]) -> Seen | 
 
 
 def path_around(
-    free: FreeSpace, xz: NDArray, goal: NDArray, others: Sequence[Seen], *,
+    free: FreeSpace, xz: NDArray, goal: NDArray, others: Sequence[ObservedAgent], *,
     radius_m: float = AVOIDANCE.person.radius_m, passing_m: Sequence[float] = AVOIDANCE.passing_m,
 ) -> NDArray | None:  # fmt: skip
     """Returns floor points [N, 2] from ``xz`` [2] to ``goal`` [2] around all agents that stand; None if there is no path.
@@ -108,6 +119,7 @@ def path_around(
     """
     standing = [discs_of(other) for other in others if stands(other)]
     discs = np.concatenate(standing) if standing else np.zeros((0, 3))
+    # a narrow way is better than none, but only then
     for gap in passing_m:
         wide = discs + np.array([0.0, 0.0, radius_m + gap])
         path = FloorRoutes.of(free).flood(xz, wide).path_to(goal)
@@ -120,12 +132,14 @@ def shut_off(
     free: FreeSpace,
     xz: NDArray,
     places: NDArray,
-    others: Sequence[Seen],
+    others: Sequence[ObservedAgent],
     *,
     radius_m: float = AVOIDANCE.person.radius_m,
 ) -> NDArray[np.bool_]:
-    """Whether those who stand shut every way from ``xz`` [2] to each of some floor points [N, 2], [N]. ``radius_m`` is one's
-    own."""
+    """Which floor points [N, 2] cannot be reached from ``xz`` [2] because standing agents block all paths, [N].
+
+    ``radius_m`` is the radius of the agent that moves.
+    """
     if not len(places):
         return np.zeros(0, np.bool_)
     discs = np.concatenate([np.zeros((0, 3)), *(discs_of(other) for other in others if stands(other))])
@@ -134,7 +148,7 @@ def shut_off(
 
 
 def retreat_place(
-    free: FreeSpace, xz: NDArray, others: Sequence[Seen], *, wider_m: float = 0.0
+    free: FreeSpace, xz: NDArray, others: Sequence[ObservedAgent], *, wider_m: float = 0.0
 ) -> NDArray[np.float64] | None:
     """Returns the place [2] nearest to a robot at ``xz`` [2] from which a person nearby has room to pass.
 
@@ -152,11 +166,12 @@ def retreat_place(
         return None
     lengths = free.geodesic(np.broadcast_to(xz, places.shape), places, max_snap_m=1.0)
     of_person = free.geodesic(np.broadcast_to(near[0].xz, places.shape), places, max_snap_m=1.0)
+    # the robot has to be there before the person could be, or it would drive in front of them
     fits = np.isfinite(lengths) & (of_person >= spec.retreat_m) & (lengths < of_person)
     return places[fits][np.argmin(lengths[fits])] if fits.any() else None
 
 
-def crowds(places: NDArray, others: Sequence[Seen]) -> NDArray[np.bool_]:
+def crowds(places: NDArray, others: Sequence[ObservedAgent]) -> NDArray[np.bool_]:
     """Whether a person at places ``(x, z, heading)`` [N, 3] would be too close to an agent that stays, [N]."""
     apart = AVOIDANCE.apart_m
     gaps = [np.hypot(*(places[:, :2] - other.xz).T) < apart for other in others if not other.steps_aside]

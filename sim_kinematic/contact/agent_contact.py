@@ -1,5 +1,7 @@
-"""Contact between the agents of a world, any pair of them: capsules around their shapes first, then FCL on the exact
-shapes."""
+"""Contact between any two agents of a world.
+
+Capsules around their shapes are compared first, then FCL decides on the exact shapes.
+"""
 
 from __future__ import annotations
 

@@ -34,8 +34,10 @@ REACH_MARGIN_M = 0.05
 
 
 class RobotHumanContact:
-    """Contact between a robot that keeps its posture (collision shapes of its links) and a person who plays clips (their
-    18 capsules)."""
+    """Contact between a robot that keeps one posture and a person who is posed by motion clips.
+
+    The robot has the collision shapes of its links, the person 18 capsules.
+    """
 
     def __init__(self, robot: Robot, human: Humanoid, posture: ArrayLike | None = None) -> None:
         """``posture``: the robot's joint positions [J]; None is its resting one."""
@@ -51,8 +53,16 @@ class RobotHumanContact:
         self, robot_base: NDArray[np.floating], human_base: NDArray[np.floating], clip: int, phase: float, blend: float,
         arms: tuple[float, float] = (0.0, 0.0),
     ) -> bool:  # fmt: skip
-        """Whether they touch: base poses [7], the frame of the clip that the person plays, and how far their arms are drawn
-        in."""
+        """Whether robot and person touch.
+
+        Args:
+            robot_base: pose of the robot's root [7].
+            human_base: pose of the person's root [7].
+            clip: number of the motion clip.
+            phase: position within the clip.
+            blend: weight of the clip.
+            arms: how far each arm is folded in, left and right.
+        """
         at = np.array([clip]), np.array([phase]), np.array([blend]), np.array([arms])
         return bool(self.touching_many(robot_base[None], human_base[None], *at)[0])
 
@@ -60,8 +70,11 @@ class RobotHumanContact:
         self, robot_base: NDArray[np.floating], human_base: NDArray[np.floating], clip: NDArray, phase: NDArray,
         blend: NDArray, arms: NDArray | None = None,
     ) -> NDArray[np.bool_]:  # fmt: skip
-        """Whether they touch in each of N cases, [N]: base poses [N, 7], frames [N] of clips, arms [N, 2]. Poses the people
-        together."""
+        """Whether robot and person touch in each of N cases, [N].
+
+        Arguments are those of `touching` with a first axis N: base poses [N, 7], frames of clips [N], arms [N, 2]. The
+        people are posed together.
+        """
         gap = robot_base[:, [0, 2]] - human_base[:, [0, 2]]
         near = np.flatnonzero(np.hypot(gap[:, 0], gap[:, 1]) <= self.gate_m)
         result = np.zeros(len(gap), np.bool_)
@@ -115,8 +128,10 @@ def robot_reach(robot: Robot, joints: Array) -> float:
 
 
 def robot_span(robot: Robot) -> float:
-    """Returns an upper bound of the distance between the root and any shape of the robot in any posture [m]: the lengths of
-    all links before it added up, as if stretched out."""
+    """Returns an upper bound of the distance between the root and any shape of the robot in any posture [m].
+
+    It is the sum of the lengths of all links up to the shape, as if stretched out.
+    """
     stretched, span = np.zeros(len(robot.links)), 0.0
     for k, link in enumerate(robot.links):
         if link.parent >= 0:

@@ -79,8 +79,10 @@ class FclScene(_Objects):
         super().__init__(geometries, matrices)
 
     def is_near(self, start: ArrayLike, end: ArrayLike, radius_m: float) -> bool:
-        """Whether the bounding box of a capsule between ``start`` and ``end`` [n, 3] overlaps that of a part: a first question,
-        50 times as fast as FCL's answer."""
+        """Whether the bounding box of a capsule between ``start`` and ``end`` [n, 3] overlaps that of a part.
+
+        It is a quick first test, 50 times as fast as FCL's exact answer.
+        """
         start, end = (np.asarray(ends, np.float64)[None] for ends in (start, end))
         return len(_near_pairs(start, end, np.full(start.shape[1], radius_m), self.bounds)) > 0
 
@@ -101,10 +103,14 @@ class MovingShapes(_Objects):
         """Moves every shape: ``transforms`` [n, 4, 4] are the world frames in which the shapes are given, rigid."""
         t = np.asarray(transforms, np.float64)
         if t.shape != (len(self), 4, 4):
-            raise InputError(f"Expected one 4x4 transform for each of {len(self)} shapes, got shape {list(t.shape)}.")
+            raise InputError(
+                f"Expected one 4x4 transform for each of {len(self)} shapes, got shape {list(t.shape)}.",
+                code="H3-SIM-026",
+            )
         if not np.isfinite(t).all():
             raise InputError(
-                "Transforms of collision shapes must be finite. Hint: leave out bodies that are not there."
+                "Transforms of collision shapes must be finite. Hint: leave out bodies that are not there.",
+                code="H3-SIM-027",
             )
         world = t @ self._local
         for k, one in enumerate(self.objects):
@@ -236,8 +242,11 @@ def contacts(a: _Objects, b: _Objects) -> list[Contact]:
 
 
 def distance(a: _Objects, b: _Objects) -> float:
-    """Smallest distance between a and b [m]; when they overlap, minus `Contact.depth_m` of the deepest contact, with its
-    error; inf if one is empty."""
+    """Smallest distance between two sets of objects [m].
+
+    If they overlap, it is minus `Contact.depth_m` of the deepest contact, with its error. It is infinite if one is
+    empty.
+    """
     import fcl
 
     if not len(a) or not len(b):

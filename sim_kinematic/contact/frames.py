@@ -29,7 +29,8 @@ def require_bodies(state: WorldState, bodies: tuple[Body, ...]) -> None:
     if not fits or (robots, len(bodies) - robots) != (len(state.robots), len(state.people)):
         raise InputError(
             f"Expected the bodies of {len(state.robots)} robots, then of {len(state.people)} people, as in the state, got: "
-            f"{', '.join(type(body).__name__ for body in bodies) or 'none'}."
+            f"{', '.join(type(body).__name__ for body in bodies) or 'none'}.",
+            code="H3-SIM-029",
         )
 
 
@@ -59,7 +60,7 @@ def body_frames(body: Body, state: AgentState, floor: Floor = 0.0, *, speed_mps:
         phase, blend = walking_phase(body, clip, state), np.where(stands, 1.0, state.blend)
         posture = body.clip_pose(np.where(stands, 0, clip), phase, blend, arms=state.arms)
         return body.joint_matrices(base, *posture)
-    raise InputError(f"Expected the body of a {type(state).__name__}, got a {type(body).__name__}.")
+    raise InputError(f"Expected the body of a {type(state).__name__}, got a {type(body).__name__}.", code="H3-SIM-028")
 
 
 def walking_phase(body: Humanoid, clip: int, state: HumanState) -> NDArray[np.float64]:

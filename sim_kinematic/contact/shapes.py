@@ -30,7 +30,7 @@ def fcl_geometry(shape: Shape, scale: ArrayLike = (1.0, 1.0, 1.0)) -> tuple[fcl.
 
     s = np.asarray(scale, np.float64)
     if s.shape != (3,) or not np.isfinite(s).all() or (s == 0).any():
-        raise InputError(f"A scale must be three finite numbers other than 0, got {s}.")
+        raise InputError(f"A scale must be three finite numbers other than 0, got {s}.", code="H3-SIM-030")
     # comparisons are written out: this runs for every shape of a home, and np.allclose costs many times as much
     even = bool((np.abs(np.abs(s) - abs(s[0])) <= 1e-6 * abs(s[0]) + 1e-8).all())
     factor = float(np.abs(s).max())
@@ -99,7 +99,9 @@ def _convex(points: NDArray[np.float64]) -> tuple[fcl.CollisionGeometry, NDArray
     try:
         hull = ConvexHull(points)
     except (QhullError, ValueError) as fault:
-        raise SceneError(f"A hull needs at least four points that are not in one plane, got {len(points)}.") from fault
+        raise SceneError(
+            f"A hull needs at least four points that are not in one plane, got {len(points)}.", code="H3-SIM-031"
+        ) from fault
     used = np.unique(hull.simplices)
     vertices = np.ascontiguousarray(points[used])
     faces = np.searchsorted(used, hull.simplices)

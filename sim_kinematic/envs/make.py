@@ -3,22 +3,183 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypedDict, Unpack, overload
 
+from h3data.bodies import Robot, robot_name
 from h3data.errors import InputError, suggest
 from h3data.plugins import Registry
+from h3data.render.light.sources import LightMode
 from sim_kinematic.envs.recipe import EnvRecipe
+from sim_kinematic.policies.assignment import PolicyChoice
+from sim_kinematic.sensing.sensor import NoiseModel
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.sources import Scenes
 from sim_kinematic.tasks.task import Task
+
+if TYPE_CHECKING:
+    import gymnasium.vector
+    import pettingzoo
+    import torch
+
+    from sim_kinematic.tasks.sessions import Spec
+
+
+class Bank(Protocol):
+    """Episodes in arrays, from which worlds on a device draw (`h3data_training.torch.episodes.EpisodeBank`)."""
+
+    def __len__(self) -> int: ...
+
 
 DEVICE_ENVS: Registry[Callable[..., Any]] = Registry("h3data.device_envs", {}, what="task on a torch device")
 """By name of the task, what makes W worlds of it on a torch device: ``(worlds, scenes, *, device, agents, **options)``."""
 
 
+class MakeOptions(TypedDict, total=False):
+    """Options of `make` beyond task, scenes, number of worlds, device and agents."""
+
+    render_mode: str | None
+    flatten: bool | None
+    observations: Sequence[str] | None
+    reward: str | None
+    partner: PolicyChoice | None
+    level: Literal["high", "low"] | None
+    spec: Spec | None
+    roster: str | Sequence[str | Robot] | None
+    robot: str | Path | Robot | None
+    human: str | None
+    depth_size: tuple[int, int] | None
+    rgb_size: tuple[int, int] | None
+    light: LightMode | None
+    noise: Mapping[str, NoiseModel] | None
+    end_on_success: bool | None
+    interrupts_when_close: bool | None
+    threads: int | None
+    dtype: torch.dtype | None
+    episodes: int | Bank | None
+    episodes_seed: int | None
+    graph: bool | None
+    compile: bool | None
+
+
+@overload
 def make(
+    task: str | Task | type[Task],
+    scenes: Scenes = ...,
+    *,
+    num_envs: None = None,
+    device: None = None,
+    agents: str | tuple[str] = ...,
+    **options: Unpack[MakeOptions],
+) -> gymnasium.Env[Any, Any]: ...
+@overload
+def make(
+    task: str | Task | type[Task],
+    scenes: Scenes = ...,
+    *,
+    num_envs: int,
+    device: None = None,
+    agents: str | tuple[str] = ...,
+    **options: Unpack[MakeOptions],
+) -> gymnasium.vector.VectorEnv[Any, Any, Any]: ...
+@overload
+def make(
+    task: str | Task | type[Task],
+    scenes: Scenes = ...,
+    *,
+    num_envs: int | None = None,
+    device: str | torch.device | None = None,
+    agents: Sequence[str] = ...,
+    **options: Unpack[MakeOptions],
+) -> Any: ...
+def make(
+    task: str | Task | type[Task],
+    scenes: Scenes = "h3-homes/train",
+    *,
+    num_envs: int | None = None,
+    device: str | torch.device | None = None,
+    agents: str | Sequence[str] | None = None,
+    render_mode: str | None = None,
+    flatten: bool | None = None,
+    observations: Sequence[str] | None = None,
+    reward: str | None = None,
+    partner: PolicyChoice | None = None,
+    level: Literal["high", "low"] | None = None,
+    spec: Spec | None = None,
+    roster: str | Sequence[str | Robot] | None = None,
+    robot: str | Path | Robot | None = None,
+    human: str | None = None,
+    depth_size: tuple[int, int] | None = None,
+    rgb_size: tuple[int, int] | None = None,
+    light: LightMode | None = None,
+    noise: Mapping[str, NoiseModel] | None = None,
+    end_on_success: bool | None = None,
+    interrupts_when_close: bool | None = None,
+    threads: int | None = None,
+    dtype: torch.dtype | None = None,
+    episodes: int | Bank | None = None,
+    episodes_seed: int | None = None,
+    graph: bool | None = None,
+    compile: bool | None = None,
+    **task_options: object,
+) -> gymnasium.Env[Any, Any] | gymnasium.vector.VectorEnv[Any, Any, Any] | pettingzoo.ParallelEnv[str, Any, Any]:
+    """Makes a training environment of a task: ``make("social_nav")``, ``make("social_nav", num_envs=64)``.
+
+    One world is a Gymnasium environment, ``num_envs`` worlds a vector environment, several ``agents`` a PettingZoo
+    environment, a ``device`` worlds as torch tensors (h3data docs environments). None stands for the default of the task or
+    the device. An option that the task or the device does not have is refused.
+
+    Args:
+        task: Name (``social_nav``, ``rearrange``, or of an installed package), ``module:Class``, or a task.
+        scenes: Homes to play in: names such as ``small:3`` and ``h3-homes/train``, paths, scenes, or several of these.
+        num_envs: Number of worlds; None is one world without a leading axis.
+        device: Torch device of the worlds, such as ``cuda`` or ``cpu``; None simulates with NumPy.
+        agents: Names of the agents that act (default: the robot).
+        render_mode: ``rgb_array`` for ``render()``.
+        flatten: Whether observations are one vector instead of a dictionary of arrays; not on a device.
+        observations: Names of sensors and images; each agent gets those that it has.
+        reward: Reward of social navigation: ``paper`` or ``habitat``.
+        partner: Policy of the agents that do not act.
+        level: Actions of rearrangement: ``high`` chooses skills, ``low`` base velocity, arm joints and grip.
+        spec: Rules of the task.
+        roster: Agents that are present.
+        robot: Body of robots.
+        human: Body of people.
+        depth_size: Width and height of depth, masks and boxes [pixels] (default: each camera's own).
+        rgb_size: Width and height of colour images [pixels].
+        light: Light in colour images: ``baked`` or ``flat``.
+        noise: Noise model by name of an observation (default: all are exact).
+        end_on_success: Whether success terminates an episode even where the task goes on.
+        interrupts_when_close: Whether agents of rearrangement may choose anew at every step while the other is close.
+        threads: Threads that render images.
+        dtype: Floating type of the state on a device (default: float64 on the CPU, float32 on others).
+        episodes: Number of episodes that worlds on a device draw from, or a bank of them.
+        episodes_seed: Seed of those episodes.
+        graph: Whether a CUDA device replays each step as one graph.
+        compile: Whether worlds on a device are compiled by torch.
+        **task_options: Options of a task of your own. Type checkers accept them as ``**{"name": value}``.
+
+    Raises:
+        InputError: no such task, scenes or option.
+        MissingExtraError: Gymnasium or PettingZoo are not installed.
+    """
+    options: dict[str, Any] = {
+        "num_envs": num_envs, "device": device, "agents": agents, "render_mode": render_mode,
+        "flatten": flatten, "observations": observations, "reward": reward, "partner": partner, "level": level, "spec": spec,
+        "roster": roster, "robot": robot, "human": human, "depth_size": depth_size, "rgb_size": rgb_size,
+        "light": light, "noise": noise, "end_on_success": end_on_success,
+        "interrupts_when_close": interrupts_when_close, "threads": threads, "dtype": dtype, "episodes": episodes,
+        "episodes_seed": episodes_seed, "graph": graph, "compile": compile,
+    }  # fmt: skip
+    if isinstance(robot, Robot):
+        options["robot"] = robot_name(robot)
+    given = {name: value for name, value in {**options, **task_options}.items() if value is not None}
+    return make_env(find_task(task) if isinstance(task, type) else task, scenes, **given)
+
+
+def make_env(
     task: str | Task,
     scenes: Scenes = "h3-homes/train",
     *,
@@ -29,7 +190,7 @@ def make(
     flatten: bool = False,
     **options: Any,
 ) -> Any:
-    """A training environment of a task.
+    """A training environment of a task with options by name, those of the task's stepper or its device among them.
 
     Args:
         task: By name, ``module:Class``, or a `Task`.
@@ -67,17 +228,20 @@ def _make(
     flatten: bool,
     options: dict[str, Any],
 ) -> Any:
-    found = find_task(task) if isinstance(task, str) else task
+    found = find_task(task)
     if device is not None:
         if flatten:
-            raise InputError("Observations on a torch device are tensors by name. Hint: leave out flatten or device.")
+            raise InputError(
+                "Observations on a torch device are tensors by name. Hint: leave out flatten or device.",
+                code="H3-ENV-019",
+            )
         return _on_device(found, scenes, num_envs, device, agents, options)
     from sim_kinematic.envs.stepper import FlatStepper, ManySteppers, Options
 
     if isinstance(agents, str):
         agents = (agents,)
     if len(agents) > 1 and num_envs is not None:
-        raise InputError("An environment of two agents has one world. Hint: leave out num_envs.")
+        raise InputError("An environment of two agents has one world. Hint: leave out num_envs.", code="H3-ENV-018")
     stepper_class = _stepper_class(found)
     if "agent" in options:
         agents = (options.pop("agent"),)
@@ -123,7 +287,10 @@ def _require_known(task: Task, stepper: Any, options: dict[str, Any], shared: Se
     known += [*shared, *task.env_options, "num_envs", "device", "render_mode", "flatten"]
     for name in options:
         if name not in known:
-            raise InputError(f"Unknown option {name!r} of {task.name}.{suggest(name, known, lead='Expected some of')}")
+            raise InputError(
+                f"Unknown option {name!r} of {task.name}.{suggest(name, known, lead='Expected some of')}",
+                code="H3-ENV-020",
+            )
 
 
 def _on_device(

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError, MissingExtraError
-from sim_kinematic.envs.recipe import Remade
+from sim_kinematic.envs.recipe import PickledEnv
 from sim_kinematic.envs.single import ALL, Observations, checked_render_mode, first, one_row, run_seed
 from sim_kinematic.envs.stepper import Stepper
 from sim_kinematic.motion.spec import STEP_S
-from sim_kinematic.sensing.watching import Watcher
+from sim_kinematic.sensing.watching import DebugRenderer
 
 if TYPE_CHECKING:
     from gymnasium.spaces import Space
@@ -20,12 +20,14 @@ if TYPE_CHECKING:
 try:
     import pettingzoo
 except ImportError as error:
-    raise MissingExtraError("Environments of two agents need PettingZoo. Hint: pip install 'h3data[env]'") from error
+    raise MissingExtraError(
+        "Environments of two agents need PettingZoo. Hint: pip install 'h3data[env]'", code="H3-ENV-021"
+    ) from error
 
 Infos = dict[str, dict[str, Any]]
 
 
-class TaskParallelEnv(Remade, pettingzoo.ParallelEnv[str, Any, Any]):
+class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
     """Several agents act at every step, and all get the same reward.
 
     In tasks with skills, which last differently long, a step lasts until one agent must choose. ``info[agent]["choosing"]``
@@ -44,7 +46,7 @@ class TaskParallelEnv(Remade, pettingzoo.ParallelEnv[str, Any, Any]):
         self.agents: list[str] = []
         self.observation_spaces = {agent: stepper.observation_space(agent) for agent in self.possible_agents}
         self.action_spaces = {agent: stepper.action_space(agent) for agent in self.possible_agents}
-        self._watcher = Watcher()
+        self._watcher = DebugRenderer()
         self._seed, self._episode = 0, -1
 
     def observation_space(self, agent: str) -> Space:
@@ -78,7 +80,8 @@ class TaskParallelEnv(Remade, pettingzoo.ParallelEnv[str, Any, Any]):
         if set(actions) != set(self.agents) or not self.agents:
             raise InputError(
                 f"Expected actions of {', '.join(self.agents) or 'nobody: the episode is over, call reset()'}; got those of "
-                f"{', '.join(map(str, actions)) or 'nobody'}."
+                f"{', '.join(map(str, actions)) or 'nobody'}.",
+                code="H3-ENV-022",
             )
         reward, terminated, truncated = self.stepper.step({agent: one_row(a) for agent, a in actions.items()})
         ends, stops = bool(terminated[0]), bool(truncated[0])

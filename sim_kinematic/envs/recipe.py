@@ -7,9 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from h3data.errors import H3DataError
+from h3data.plugins import load_reference
 
 if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec
+
+MAKE = "h3data:make"
+"""What makes environments, by name: it lies above."""
 
 
 @dataclass(frozen=True)
@@ -23,35 +27,33 @@ class EnvRecipe:
 
     def make(self) -> Any:
         """Makes the environment anew; it has not been reset."""
-        from h3data.api import make
-
-        return make(self.task, self.scenes, **self.options)
+        return load_reference(MAKE)(self.task, self.scenes, **self.options)
 
     def gymnasium_spec(self) -> EnvSpec:
         """The specification by which ``gymnasium.make(env.spec)`` makes the environment again."""
         from gymnasium.envs.registration import EnvSpec
 
-        from h3data.envs import IDS
+        from sim_kinematic.tasks.registry import BUILT_IN
 
         name = self.task if isinstance(self.task, str) else self.task.name
-        ids = {task: id for id, task in IDS.items()}
+        words = name.title().replace("_", "") if name in BUILT_IN else "".join(c if c.isalnum() else "_" for c in name)
         kwargs = {"task": self.task, "scenes": self.scenes, **self.options}
         kwargs.pop("num_envs", None)
         kwargs.pop("render_mode", None)
         return EnvSpec(
-            id=ids.get(name, f"h3data/{''.join(c if c.isalnum() else '_' for c in name)}-v0"),
-            entry_point="h3data.api:make",
-            vector_entry_point="h3data.api:make",
+            id=f"h3data/{words}-v0",  # of built-in tasks one of h3data.envs.IDS
+            entry_point=MAKE,
+            vector_entry_point=MAKE,
             kwargs=kwargs,
         )
 
 
-class Remade:
+class PickledEnv:
     """An environment that is pickled as its recipe, like Gymnasium's ``EzPickle``: the copy begins with a reset."""
 
     recipe: EnvRecipe | None = None
 
     def __reduce__(self) -> tuple[Callable[[], Any], tuple[()]]:
         if self.recipe is None:
-            raise H3DataError("Only environments made by h3data.make can be pickled.")
+            raise H3DataError("Only environments made by h3data.make can be pickled.", code="H3-ENV-023")
         return self.recipe.make, ()

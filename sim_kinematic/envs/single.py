@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
-from sim_kinematic.envs.recipe import Remade
+from sim_kinematic.envs.recipe import PickledEnv
 from sim_kinematic.envs.stepper import Stepper, gymnasium
 from sim_kinematic.motion.spec import STEP_S
-from sim_kinematic.sensing.watching import Watcher
+from sim_kinematic.sensing.watching import DebugRenderer
 
 Observations = dict[str, NDArray[Any]]
 ALL = np.ones(1, np.bool_)
 
 
-class TaskEnv(Remade, gymnasium.Env[Any, Any]):
+class TaskEnv(PickledEnv, gymnasium.Env[Any, Any]):
     """One world in which one agent acts.
 
     ``reset(seed=s)`` begins run ``s`` with its episode 0; every `reset` without a seed goes on to its next episode. The same
@@ -32,7 +32,7 @@ class TaskEnv(Remade, gymnasium.Env[Any, Any]):
         self.render_mode = checked_render_mode(render_mode)
         self.stepper = stepper
         (self.agent,) = stepper.agents
-        self._watcher = Watcher()
+        self._watcher = DebugRenderer()
         self._seed, self._episode = 0, -1
         self.observation_space = stepper.observation_space(self.agent)
         self.action_space = stepper.action_space(self.agent)
@@ -89,7 +89,7 @@ def checked_render_mode(mode: str | None) -> str | None:
         InputError: it is another.
     """
     if mode not in (None, "rgb_array"):
-        raise InputError(f"Unknown render mode {mode!r}. Expected rgb_array or None.")
+        raise InputError(f"Unknown render mode {mode!r}. Expected rgb_array or None.", code="H3-ENV-024")
     return mode
 
 

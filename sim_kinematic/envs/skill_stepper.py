@@ -1,5 +1,8 @@
-"""One world of rearrangement, as an environment steps it: an action is a skill and lasts until the agent must choose again,
-or, on the lower layer, one step."""
+"""One world of rearrangement, stepped by an environment.
+
+On the upper layer an action is a skill, and a step of the environment lasts until the agent must choose again. On the
+lower layer it lasts one step of the simulation.
+"""
 
 from __future__ import annotations
 
@@ -18,31 +21,30 @@ from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
 from sim_kinematic.agents.skills import CONTROL, Action, choices
 from sim_kinematic.contact.frames import Body
 from sim_kinematic.envs.stepper import DEFAULTS, Info, Options, gymnasium
-from sim_kinematic.policies.assignment import check_policy
-from sim_kinematic.policies.learned import is_learned
+from sim_kinematic.policies.assignment import policy_names, resolve_policy, unknown_policy
 from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.rearrange import HighLevelPolicy
 from sim_kinematic.policies.rearrange_observations import STATE_SENSES, exact, limits
 from sim_kinematic.sensing.agent_pictures import Limits, picture_names
 from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names
 from sim_kinematic.tasks.describe import in_words
-from sim_kinematic.tasks.rearrange.play import AgentRun, RearrangePlay
+from sim_kinematic.tasks.rearrange.play import RearrangeRollout, SkillExecutor
 from sim_kinematic.tasks.rearrange.task import Rearrange
-from sim_kinematic.tasks.runner import Turns
+from sim_kinematic.tasks.runner import DecisionLoop
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 
 if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space
 
     from sim_kinematic.sensing.camera_sensor import StateRenderer
-    from sim_kinematic.sensing.watching import Watcher
+    from sim_kinematic.sensing.watching import DebugRenderer
 
 Level = Literal["high", "low"]
 KINDS = ("robot", "human")
 
 
 class SkillStepper:
-    """As `sim_kinematic.envs.stepper.Stepper`, with W = 1."""
+    """Stepper of one world of rearrangement."""
 
     worlds = 1
 
@@ -61,32 +63,37 @@ class SkillStepper:
         human: str = HUMAN_BODY,
         options: Options = DEFAULTS,
     ) -> None:
-        """
+        """Opens scenes and agents of a rearrangement environment.
+
         Args:
-            task: Rearrangement.
-            scenes: As `EpisodeSource`.
-            agents: Who acts: ``robot``, ``human`` or both.
-            partner: What moves the other one: a partner or a robot policy by name, ``weights:FILE``, or a function of an
-                episode's seed that makes one. By default ``plan_pop_4`` beside a robot and ``complement`` beside a person.
-            level: ``high``: skills; ``low``: the robot's base velocity, arm joints and grip.
-            observations: Names in `sim_kinematic.policies.rearrange_observations.SENSES` and of pictures.
-            spec: The rules.
-            interrupts_when_close: Whether agents that act may choose anew at every step while the other is close.
-            robot: Body of the robot.
-            human: Body of the person.
-            options: Pictures and noise.
+            task: the task.
+            scenes: as for `EpisodeSource`.
+            agents: agents that act: ``robot``, ``human`` or both.
+            partner: policy of the other agent: the name of a partner or robot policy, ``weights:FILE``, or a function that
+                makes one from an episode's seed. By default ``plan_pop_4`` with a robot and ``complement`` with a person.
+            level: ``high``: actions are skills; ``low``: the robot's base velocity, arm joints and grip.
+            observations: names in `sim_kinematic.policies.rearrange_observations.SENSES` and of pictures.
+            spec: rules of the task.
+            interrupts_when_close: whether acting agents may choose again at every step while the other agent is close.
+            robot: body of the robot.
+            human: body of the person.
+            options: pictures and noise.
 
         Raises:
-            InputError: there is no such thing.
+            InputError: a name does not exist.
         """
         if not agents or not set(agents) <= set(KINDS) or len(set(agents)) < len(agents):
-            raise InputError(f"Expected agents 'robot', 'human' or both, got {agents!r}.")
+            raise InputError(f"Expected agents 'robot', 'human' or both, got {agents!r}.", code="H3-ENV-002")
         if level not in get_args(Level):
-            raise InputError(f"Unknown level {level!r}. Expected one of: {', '.join(get_args(Level))}.")
+            raise InputError(
+                f"Unknown level {level!r}. Expected one of: {', '.join(get_args(Level))}.", code="H3-ENV-025"
+            )
         if level == "low" and "robot" not in agents:
-            raise InputError("Only a robot has a lower layer. Hint: level='high' for the person.")
+            raise InputError("Only a robot has a lower layer. Hint: level='high' for the person.", code="H3-ENV-026")
         if len(agents) == len(KINDS) and partner is not None:
-            raise InputError("Both agents are told from outside, so there is no partner. Hint: leave out partner.")
+            raise InputError(
+                "Both agents are told from outside, so there is no partner. Hint: leave out partner.", code="H3-ENV-003"
+            )
         self.task, self.agents = task, tuple(agents)
         self.source = EpisodeSource(task, scenes, spec=spec, robot=robot, human=human)
         self.spec = self.source.spec
@@ -100,12 +107,13 @@ class SkillStepper:
         self._sets = self._observation_sets(observations or STATE_SENSES, options)
         self._light: LightMode = options.light
         self._stage = Stage()
-        self.play: RearrangePlay | None = None
-        self._turns: Turns | None = None
+        self.play: RearrangeRollout | None = None
+        self._turns: DecisionLoop | None = None
         self._steps, self._reward = 0, 0.0
 
     # --- spaces -------------------------------------------------------------------------------------------------------
     def observation_space(self, agent: str) -> Dict:
+        """Space of an agent's observations."""
         return self._sets[agent].space()
 
     def action_space(self, agent: str) -> Space[Any]:
@@ -116,6 +124,7 @@ class SkillStepper:
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
+        """Samples the next episode and plays it until an agent that acts must choose."""
         del where
         episode = self.source.sample(int(seeds[0]), int(indices[0]))
         chosen: dict[str, Any] = {agent: External(interrupts_when_close=self._interrupts) for agent in self.agents}
@@ -123,7 +132,7 @@ class SkillStepper:
             if kind not in chosen:
                 chosen[kind] = self._partner if isinstance(self._partner, str) else self._partner(episode.seed)
         self.play = self.task.play(episode, self.task.assign(episode, chosen))
-        self._turns = Turns(self.play)
+        self._turns = DecisionLoop(self.play)
         self._steps, self._reward = 0, 0.0
         self._go_on({})
         self._steps, self._reward = 0, 0.0
@@ -134,8 +143,10 @@ class SkillStepper:
         return self._turns is not None and self._turns.over
 
     def step(self, actions: Mapping[str, Any]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Gives agents that are `choosing` their actions and goes on until one of those outside must choose again, or to
-        the end. Actions of agents that are busy have no effect."""
+        """Plays until an agent that acts must choose again, or to the end of the episode.
+
+        Actions are given to the agents that are `choosing`; those of busy agents have no effect.
+        """
         play = self._playing()
         choosing = self.choosing
         chosen = {}
@@ -169,6 +180,7 @@ class SkillStepper:
 
     # --- what is shown ------------------------------------------------------------------------------------------------
     def observe(self, agent: str) -> Arrays:
+        """Observations of an agent, with a first axis of length 1."""
         play, own = self._begun(), self._sets[agent]
         shown = exact(play.view(KINDS.index(agent)), own.states)
         seen: Arrays = {name: values[None] for name, values in shown.items()}
@@ -177,8 +189,9 @@ class SkillStepper:
         return own.shown(seen, [play.episode.seed], [play.steps])
 
     def info(self, agent: str) -> Info:
+        """Facts about the last skill, the objects and the choices that are possible now."""
         play = self._begun()
-        runner: AgentRun = play.runner(KINDS.index(agent))
+        runner: SkillExecutor = play.runner(KINDS.index(agent))
         ending, ended = runner.ending, play.ended if self.is_over else ""
         mask = [not play.objects.why_not(runner.number, action) for action in self._choices[agent]]
         info = {
@@ -200,14 +213,17 @@ class SkillStepper:
         }
 
     def episode_info(self) -> Info:
+        """Scene and seed of the episode."""
         episode = self._begun().episode
         return {"scene": np.array([episode.scene.name], object), "episode_seed": np.array([episode.seed])}
 
-    def picture(self, agent: str, watcher: Watcher, world: int = 0) -> NDArray[np.uint8]:
+    def picture(self, agent: str, watcher: DebugRenderer, world: int = 0) -> NDArray[np.uint8]:
+        """Picture of the world for people who watch, uint8 [480, 640, 3]."""
         del world
         return watcher.picture(self._stage.posed(self._begun(), self._light), KINDS.index(agent))
 
     def describe(self) -> str:
+        """Task, scenes and agents in a few words."""
         models = {member.kind: member.model for member in self.source.roster}
         partner = self._partner if isinstance(self._partner, str) else "partner of its own"
         others = {kind: f"{model} ({partner})" for kind, model in models.items() if kind not in self.agents}
@@ -215,14 +231,14 @@ class SkillStepper:
         return in_words("rearrange", self.source.scenes, len(self.source.homes), acting, beside=others)
 
     # --- inside -------------------------------------------------------------------------------------------------------
-    def _begun(self) -> RearrangePlay:
+    def _begun(self) -> RearrangeRollout:
         if self.play is None:
-            raise InputError("No episode has begun. Hint: call reset() first.")
+            raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
         return self.play
 
-    def _playing(self) -> RearrangePlay:
+    def _playing(self) -> RearrangeRollout:
         if self.play is None or self.is_over:
-            raise InputError("No episode is going on. Hint: call reset() first.")
+            raise InputError("No episode is going on. Hint: call reset() first.", code="H3-ENV-027")
         return self.play
 
     def _chosen(self, agent: str, action: ArrayLike) -> Action:
@@ -237,7 +253,9 @@ class SkillStepper:
         there = self._choices[agent]
         if number.shape != (1,) or number.dtype.kind not in "iu" or not 0 <= number[0] < len(there):
             shown = number[0] if number.shape == (1,) else action
-            raise InputError(f"Expected the number of an action, 0 to {len(there) - 1}, got {shown!r}.")
+            raise InputError(
+                f"Expected the number of an action, 0 to {len(there) - 1}, got {shown!r}.", code="H3-ENV-028"
+            )
         return there[int(number[0])]
 
     def _go_on(self, chosen: dict[int, Action]) -> None:
@@ -259,10 +277,10 @@ class SkillStepper:
 
     def _check_partner(self, kind: str, name: str) -> None:
         """Refuses policies of the other kind, too: the task itself lets either kind follow both, as recordings may."""
-        if is_learned(name):
-            self.task.check_policy(kind, name, self.spec)
-        else:
-            check_policy(self.task, kind, name)
+        other = "human" if kind == "robot" else "robot"
+        if name in policy_names(self.task, other) and name not in policy_names(self.task, kind):
+            raise unknown_policy(self.task, kind, name)
+        resolve_policy(self.task, kind, name, self.spec)
 
     def _observation_sets(self, names: Sequence[str], options: Options) -> dict[str, ObservationSet]:
         states = {agent: self._limits(agent) for agent in self.agents}
@@ -293,7 +311,7 @@ class Stage:
         self._episode: Any = None
         self._renderers: dict[LightMode, StateRenderer] = {}
 
-    def posed(self, play: RearrangePlay, light: LightMode = "flat") -> StateRenderer:
+    def posed(self, play: RearrangeRollout, light: LightMode = "flat") -> StateRenderer:
         """The renderer of a light, with everything where it is now."""
         from sim_kinematic.sensing.camera_sensor import StateRenderer
 

@@ -23,7 +23,7 @@ from sim_kinematic.sensing.sensor import NoiseModel
 if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space
 
-    from sim_kinematic.sensing.watching import Watcher
+    from sim_kinematic.sensing.watching import DebugRenderer
 
 __all__ = ["DEFAULTS", "Info", "ManySteppers", "Options", "Stepper", "checked_actions", "gymnasium"]
 
@@ -87,7 +87,7 @@ class Stepper(Protocol):
         ...
 
     def observe(self, agent: str) -> Arrays:
-        """What an agent is shown now, [W, ...] each and within its space."""
+        """Observations of an agent, [W, ...] each and within its space."""
         ...
 
     def info(self, agent: str) -> Info:
@@ -95,10 +95,10 @@ class Stepper(Protocol):
         ...
 
     def episode_info(self) -> Info:
-        """Which episode each world plays, [W] each."""
+        """Scene and seed of the episode in each world, [W] each."""
         ...
 
-    def picture(self, agent: str, watcher: Watcher, world: int = 0) -> NDArray[np.uint8]:
+    def picture(self, agent: str, watcher: DebugRenderer, world: int = 0) -> NDArray[np.uint8]:
         """One world for people who watch, uint8 [480, 640, 3]; ``watcher`` is the one that follows this world.
 
         Raises:
@@ -116,13 +116,16 @@ class ManySteppers:
 
     def __init__(self, make: Callable[[], Any], worlds: int) -> None:
         if isinstance(worlds, bool) or not isinstance(worlds, int) or worlds < 1:
-            raise InputError(f"Expected at least 1 world (num_envs), a whole number, got {worlds!r}.")
+            raise InputError(
+                f"Expected at least 1 world (num_envs), a whole number, got {worlds!r}.", code="H3-ENV-030"
+            )
         self.each = [make() for _ in range(worlds)]
         self.worlds, self.agents = worlds, self.each[0].agents
         self.observation_space = self.each[0].observation_space
         self.action_space = self.each[0].action_space
 
     def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
+        """Begins episodes in the steppers ``where`` [W], one after the other, with a progress bar if it takes long."""
         one = np.ones(1, np.bool_)
         with progress(desc="episodes", total=int(where.sum()), unit="episode", delay=1.0, leave=False) as begun:
             for w in np.flatnonzero(where).tolist():
@@ -130,6 +133,7 @@ class ManySteppers:
                 begun.update()
 
     def step(self, actions: Mapping[str, Any]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Steps every stepper whose episode is not over; the others give zeros."""
         parts = [
             stepper.step({agent: np.asarray(action)[w : w + 1] for agent, action in actions.items()})
             if not stepper.is_over
@@ -140,18 +144,23 @@ class ManySteppers:
         return reward, terminated, truncated
 
     def observe(self, agent: str) -> Arrays:
+        """Observations of an agent in all worlds, [W, ...] each."""
         return _joined([stepper.observe(agent) for stepper in self.each])
 
     def info(self, agent: str) -> Info:
+        """Facts beyond the observations in all worlds, [W] each."""
         return _joined([stepper.info(agent) for stepper in self.each])
 
     def episode_info(self) -> Info:
+        """Scene and seed of the episode in each world, [W] each."""
         return _joined([stepper.episode_info() for stepper in self.each])
 
-    def picture(self, agent: str, watcher: Watcher, world: int = 0) -> NDArray[np.uint8]:
+    def picture(self, agent: str, watcher: DebugRenderer, world: int = 0) -> NDArray[np.uint8]:
+        """Picture of one world for people who watch, uint8 [480, 640, 3]."""
         return self.each[world].picture(agent, watcher)
 
     def describe(self) -> str:
+        """Description of the first stepper, with the number of worlds."""
         return self.each[0].describe().removesuffix("1 world") + f"{self.worlds} world{'s' if self.worlds > 1 else ''}"
 
 
@@ -170,7 +179,7 @@ class FlatStepper:
         return gymnasium.spaces.flatten_space(self._spaces[agent])
 
     def observe(self, agent: str) -> NDArray[Any]:
-        """What an agent is shown now, [W, D]."""
+        """Observations of an agent as vectors, [W, D]."""
         shown, space = self._stepper.observe(agent), self.observation_space(agent)
         rows = [shown[name].reshape(self._stepper.worlds, -1) for name in self._spaces[agent].spaces]
         return np.concatenate(rows, axis=1, dtype=space.dtype)
@@ -189,9 +198,11 @@ def checked_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
     try:
         checked = np.asarray(actions, np.float64)
     except (TypeError, ValueError):
-        raise InputError(f"Expected actions of shape {list(shape)}, got {actions!r}.") from None
+        raise InputError(f"Expected actions of shape {list(shape)}, got {actions!r}.", code="H3-ENV-031") from None
     if checked.shape != shape:
-        raise InputError(f"Expected actions of shape {list(shape)}, got {list(checked.shape)}.")
+        raise InputError(f"Expected actions of shape {list(shape)}, got {list(checked.shape)}.", code="H3-ENV-010")
     if not np.isfinite(checked).all():
-        raise InputError(f"Actions must be finite, got {checked[~np.isfinite(checked)][0]} in {checked.tolist()}.")
+        raise InputError(
+            f"Actions must be finite, got {checked[~np.isfinite(checked)][0]} in {checked.tolist()}.", code="H3-ENV-029"
+        )
     return checked

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
-from sim_kinematic.envs.recipe import Remade
+from sim_kinematic.envs.recipe import PickledEnv
 from sim_kinematic.envs.single import Observations, checked_render_mode, run_seed
 from sim_kinematic.envs.stepper import Info, Stepper, gymnasium
 from sim_kinematic.motion.spec import STEP_S
-from sim_kinematic.sensing.watching import Watcher
+from sim_kinematic.sensing.watching import DebugRenderer
 
 
-class TaskVectorEnv(Remade, gymnasium.vector.VectorEnv[Any, Any, Any]):
+class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
     """W worlds of `sim_kinematic.envs.single.TaskEnv`: world w after ``reset(seed=s)`` is the single one after ``s + w``.
 
     Autoreset is Gymnasium's NEXT_STEP: the step after a world's last ignores its action, begins its next episode, gives
@@ -34,7 +34,7 @@ class TaskVectorEnv(Remade, gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.render_mode = checked_render_mode(render_mode)
         self.stepper = stepper
         self.num_envs = stepper.worlds
-        self._watchers = [Watcher() for _ in range(self.num_envs)]
+        self._watchers = [DebugRenderer() for _ in range(self.num_envs)]
         (self.agent,) = stepper.agents
         self._seeds = np.zeros(self.num_envs, object)  # Python's whole numbers: seeds may have any size
         self._indices = np.full(self.num_envs, -1)
@@ -56,7 +56,9 @@ class TaskVectorEnv(Remade, gymnasium.vector.VectorEnv[Any, Any, Any]):
         else:
             listed = [None] * self.num_envs if seed is None else list(seed)  # type: ignore[arg-type]
         if len(listed) != self.num_envs:
-            raise InputError(f"Expected one seed, or one for each of {self.num_envs} worlds, got {len(listed)}.")
+            raise InputError(
+                f"Expected one seed, or one for each of {self.num_envs} worlds, got {len(listed)}.", code="H3-ENV-032"
+            )
         for w, given in enumerate(listed):
             if given is not None or self._indices[w] < 0:
                 self._seeds[w], self._indices[w] = run_seed(given, self.np_random), -1

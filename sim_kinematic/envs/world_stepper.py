@@ -16,29 +16,30 @@ from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
 from sim_kinematic.contact.frames import Body
 from sim_kinematic.envs.stepper import DEFAULTS, Info, Options, checked_actions, gymnasium
 from sim_kinematic.motion.state import HumanState
+from sim_kinematic.policies.assignment import resolve_policy
 from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.agent_pictures import picture_names
 from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names
-from sim_kinematic.sensing.table import PAIR_SENSORS, Moment
+from sim_kinematic.sensing.table import PAIR_SENSORS, SensorContext
 from sim_kinematic.tasks.describe import in_words
-from sim_kinematic.tasks.play import WorldPlay
+from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 from sim_kinematic.tasks.task import Task
-from sim_kinematic.world import Command, Drive, Pace, Stride, WalkTo
+from sim_kinematic.world import Command, DriveCommand, GaitCommand, PoseCommand, WaypointCommand
 
 if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space
 
     from sim_kinematic.sensing.camera_sensor import StateRenderer
-    from sim_kinematic.sensing.watching import Watcher
+    from sim_kinematic.sensing.watching import DebugRenderer
 
 STATE_OBSERVATIONS = ("humanoid_gps", "egomotion")
 """Default observations: they cost no picture."""
 
 
 class WorldStepper:
-    """As `sim_kinematic.envs.stepper.Stepper`."""
+    """Stepper of W worlds of a task whose agents drive and walk."""
 
     def __init__(
         self,
@@ -56,48 +57,52 @@ class WorldStepper:
         options: Options = DEFAULTS,
         **task_options: Any,
     ) -> None:
-        """
+        """Opens scenes and agents of an environment with W worlds.
+
         Args:
-            task: What is to be done.
-            scenes: As `EpisodeSource`.
-            agents: Names of the agents that act; the others follow ``partner``.
-            worlds: W.
-            spec: The rules (default: the task's).
-            roster: Who is there (default: the task's roster).
-            partner: Policy of the others, as `Task.assign` takes it (default: the task's).
-            observations: Names of sensors and pictures; each agent is shown its own of them.
-            robot: Body of robots named by their kind.
-            human: Body of people named by their kind.
-            options: Pictures and noise.
-            **task_options: For the task (`WorldPlay.options`).
+            task: the task.
+            scenes: as for `EpisodeSource`.
+            agents: names of the agents that act; the others follow ``partner``.
+            worlds: number of worlds W.
+            spec: rules (default: the task's).
+            roster: all agents of a world (default: the task's roster).
+            partner: policy of the agents that do not act, as `Task.assign` takes it (default: the task's).
+            observations: names of sensors and pictures; each agent gets those that its kind has.
+            robot: body of robots named by their kind.
+            human: body of people named by their kind.
+            options: pictures and noise.
+            **task_options: options of the task (`WorldRollout.options`).
 
         Raises:
-            InputError: there is no such thing.
+            InputError: a name does not exist.
         """
         self.source = EpisodeSource(task, scenes, spec=spec, agents=roster, robot=robot, human=human)
         self.task, self.spec = task, self.source.spec
         task.check_env_options(task_options)
-        self.play = WorldPlay(task, self.spec, self.source.roster, worlds=worlds, options=task_options)
+        self.play = WorldRollout(task, self.spec, self.source.roster, worlds=worlds, options=task_options)
         self.worlds = self.play.world.worlds
         names = [member.name for member in self.source.roster]
         strangers = [agent for agent in agents if agent not in names]
         if strangers or not agents or len(set(agents)) < len(agents):
-            raise InputError(f"Expected agents that act, some of {', '.join(names)}; got {tuple(agents)!r}.")
+            raise InputError(
+                f"Expected agents that act, some of {', '.join(names)}; got {tuple(agents)!r}.", code="H3-ENV-033"
+            )
         self.agents = tuple(agents)
         self.numbers = {agent: names.index(agent) for agent in agents}
         self._others = [k for k in range(len(names)) if k not in self.numbers.values()]
         self._partner, self._options = partner, options
         for k in self._others if isinstance(partner, str) else ():
-            task.check_policy(self.source.roster[k].kind, partner, self.spec)
+            resolve_policy(task, self.source.roster[k].kind, partner, self.spec)
         self._walkers: list[list[Any]] = [[] for _ in range(self.worlds)]
         self._targets: dict[int, Array] = {k: np.zeros((self.worlds, 2)) for k in self._others}
         self._home = np.full(self.worlds, -1)
         self._renderers: dict[tuple[int, int, LightMode], StateRenderer] = {}
-        """By home, number of worlds that are rendered at once, and light."""
+        """Renderers by home, number of worlds that are rendered at once, and light."""
         self._sets = self._observation_sets(observations or STATE_OBSERVATIONS)
 
     # --- spaces -------------------------------------------------------------------------------------------------------
     def observation_space(self, agent: str) -> Dict:
+        """Space of an agent's observations in one world."""
         return self._sets[self.numbers[agent]].space()
 
     def action_space(self, agent: str) -> Space[Any]:
@@ -110,6 +115,7 @@ class WorldStepper:
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
+        """Samples episodes for the worlds ``where`` [W], then begins them together; a failure changes no world."""
         rows = np.flatnonzero(where) if self.play.episodes else np.arange(self.worlds)
         if not len(rows):
             return
@@ -131,13 +137,16 @@ class WorldStepper:
                     self._targets[k][w] = policy.target(self.play.world.state.agents[k].xz[w])
 
     def step(self, actions: Mapping[str, ArrayLike]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Applies the actions [W, n] of the agents that act, and lets the others follow their policies."""
         given = {
             self.numbers[agent]: checked_actions(action, (self.worlds, self._width(self.numbers[agent])))
             for agent, action in actions.items()
         }
         if not self.play.episodes:
-            raise InputError("No episode has begun. Hint: call reset() first.")
-        commands = [Drive(given[k]) if k in given else self._other_command(k) for k in range(len(self.source.roster))]
+            raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
+        commands = [
+            DriveCommand(given[k]) if k in given else self._other_command(k) for k in range(len(self.source.roster))
+        ]
         outcome = self.play.advance(commands)
         ends = outcome.terminated
         if self._options.end_on_success:
@@ -145,31 +154,34 @@ class WorldStepper:
         return outcome.reward, ends, self.play.out_of_time
 
     def _other_command(self, k: int) -> Command:
-        """What an agent does that is not controlled by actions."""
+        """Command of an agent that is not controlled by actions."""
         own, scripted = self.play.world.state.agents[k], isinstance(self._walkers[0][k], WaypointPolicy)
         if scripted and self.spec.human.stride is not None:
             walkers = [self._walkers[w][k] for w in range(self.worlds)]
             moves = np.array([who.stride(own.xz[w], own.heading.item(w)) for w, who in enumerate(walkers)])
-            return Stride(moves[:, :2], moves[:, 2])
+            return PoseCommand(moves[:, :2], moves[:, 2])
         if scripted:  # only those who have arrived need a new way point
             gap = self._targets[k] - own.xz
             for w in np.flatnonzero(np.hypot(gap[:, 0], gap[:, 1]) <= self.spec.human.arrive_m):
                 self._targets[k][w] = self._walkers[w][k].target(own.xz[w])
-            return WalkTo(self._targets[k])
+            return WaypointCommand(self._targets[k])
         choices = [self._walkers[w][k].act(self.task.view(self.play, k, w)) for w in range(self.worlds)]
         if hasattr(choices[0], "gait"):
             gait = HumanState.zeros(self.worlds)
             for w, choice in enumerate(choices):
                 gait.put([w], choice.gait)
-            return Pace(gait)
+            return GaitCommand(gait)
         if hasattr(choices[0], "heading"):
-            return Stride(np.array([choice.xz for choice in choices]), np.array([choice.heading for choice in choices]))
+            return PoseCommand(
+                np.array([choice.xz for choice in choices]), np.array([choice.heading for choice in choices])
+            )
         if hasattr(choices[0], "xz"):
-            return WalkTo(np.array([choice.xz for choice in choices]))
-        return Drive(np.array([[choice.forward, choice.turn] for choice in choices]))
+            return WaypointCommand(np.array([choice.xz for choice in choices]))
+        return DriveCommand(np.array([[choice.forward, choice.turn] for choice in choices]))
 
     # --- what is shown ------------------------------------------------------------------------------------------------
     def observe(self, agent: str) -> Arrays:
+        """Observations of an agent in all worlds, [W, ...] each."""
         own = self._sets[self.numbers[agent]]
         moment = self._moment(self.numbers[agent])
         sensors = self.task.sensors(self.source.roster[self.numbers[agent]].kind)
@@ -179,21 +191,25 @@ class WorldStepper:
         return own.shown(exact, [episode.seed for episode in self.play.episodes], self.play.steps.tolist())
 
     def info(self, agent: str) -> Info:
+        """Facts of the task about all worlds (`Task.info_of`), the same for every agent."""
         del agent
         return self.task.info_of(self.play)
 
     def episode_info(self) -> Info:
+        """Scene and seed of the episode in each world, [W] each."""
         return {
             "scene": np.array([e.scene.name for e in self.play.episodes], object),
             "episode_seed": np.array([e.seed for e in self.play.episodes], np.int64),
         }
 
-    def picture(self, agent: str, watcher: Watcher, world: int = 0) -> NDArray[np.uint8]:
+    def picture(self, agent: str, watcher: DebugRenderer, world: int = 0) -> NDArray[np.uint8]:
+        """Picture of one world for people who watch, uint8 [480, 640, 3]."""
         if not self.play.episodes:
-            raise InputError("No episode has begun. Hint: call reset() first.")
+            raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
         return watcher.picture(self._posed(np.array([world]), self._options.light), self.numbers[agent])
 
     def describe(self) -> str:
+        """Task, scenes, agents and number of worlds in a few words."""
         models = {member.name: member.model for member in self.source.roster}
         acting = {name: models[name] for name in self.agents}
         beside = {name: model for name, model in models.items() if name not in acting}
@@ -231,14 +247,14 @@ class WorldStepper:
             for k, own, limits in zip(numbers, chosen, states, strict=True)
         }
 
-    def _moment(self, k: int) -> Moment:
+    def _moment(self, k: int) -> SensorContext:
         world = self.play.world
         kinds = [member.kind for member in world.roster]
         other = next((n for n, kind in enumerate(kinds) if kind != kinds[k]), (k + 1) % len(kinds))
         now, before = world.state.agents, world.before.agents
         mine = [p for p, pair in enumerate(world.pairs) if k in pair]
 
-        return Moment(
+        return SensorContext(
             self.spec,
             world.bases[k],
             self.play.memory,

@@ -32,9 +32,11 @@ def walk_towards(x, z, heading, goal_x, goal_z, speed, turn, dt, turn_before_wal
     if distance <= arrive:
         return x, z, heading, 0.0
     error = wrap_angle(math.atan2(-dz, dx) - heading)
+    # on the spot first: only the straight line to the way point is known to be free
     most = turn * dt
     if abs(error) > turn_before_walk:
         return x, z, heading + min(max(error, -most), most), 0.0
+    # exactly onto the way point: the line to the next one is free from there
     walked = min(speed * dt, distance)
     return x + dx / distance * walked, z + dz / distance * walked, heading + error, walked
 
@@ -45,8 +47,10 @@ def step_cycle(distance, set_off, blend, walked, rate):
 
     At a blend above 0.5 one foot stands (`h3data.bodies.people.kernels.legs.settle`), so a walk begins there.
     """
+    # the phase stays while the legs come to rest, so the feet do not slide
     if walked == 0.0:
         return distance, set_off, max(blend - rate, 0.0)
+    # from rest the clip begins anew, where `cycle_phase` starts it; within a walk it goes on
     if blend == 0.0:
         set_off = distance
     return distance + walked, set_off, min(max(blend, 0.5) + rate, 1.0)
@@ -64,6 +68,7 @@ def _walk_worlds(xz, heading, distance, set_off, blend, goal, speed, turn, dt, t
 @kernel(error_model="numpy")
 def _step_cycles(distance, set_off, blend, xz, before, backwards, rate):
     for w in range(len(distance)):
+        # what they got on, not what they wanted to: the legs of somebody held by a wall stand still
         walked = math.hypot(xz[w, 0] - before[w, 0], xz[w, 1] - before[w, 1])
         walked = -walked if backwards[w] else walked
         distance[w], set_off[w], blend[w] = step_cycle(distance[w], set_off[w], blend[w], walked, rate)
@@ -120,6 +125,7 @@ def drive_people(
     """
     action = per_world(action, state, width=2)
     touched, before = np.zeros(len(action), np.bool_), state.xz.copy()
+    # a person under control is a base of one disc, so walls stop both by the same rules
     disc = RobotState(xz=state.xz, heading=state.heading, contact=touched, joints=np.zeros((len(action), 0)))
     base = _disc(spec.speed_mps, spec.turn_rad_s, radius_m, backwards)
     drive_robots(disc, free, action, base)

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import math
 
-from h3data.habitat.navmesh._surface import try_step
 from h3data.kernels import kernel
+from h3data.scene.navmesh._surface import try_step
 
 
 @kernel(error_model="numpy")

@@ -44,7 +44,7 @@ class BaseSpec:
     """What happens at a wall. ``strict``: no disc ever enters an obstacle. ``habitat``: as Habitat's base action, step for
     step; it moves by the disc that is worst off, so others may get into walls (research: navigation-and-stepping 3.2)."""
     habitat: HabitatSlideSpec = HabitatSlideSpec()
-    """For ``slide="habitat"`` only."""
+    """Parameters for ``slide="habitat"``."""
     disc_offsets_m: tuple[float, ...] = (0.0, 0.225)
     """Along the robot's x axis: centre and front, the paper's two cylinders (appendix, social navigation), which is the
     profile ``habitat`` of every robot. They leave out hind legs and hand, which stood more than 2 cm inside walls or furniture
@@ -76,15 +76,18 @@ HOME_BASE = BaseSpec(disc_offsets_m=(-0.4, 0.02, 0.33), keeps_speed=True, maneuv
 
 @dataclass(frozen=True, kw_only=True)
 class ArmRoomSpec:
-    """When a person draws an arm in (`sim_kinematic.agents.arm_tuck`). Distances are beyond the half width with both
-    arms in, which is 0.21 to 0.27 m; swinging arms are 3 to 6 cm wider."""
+    """Rules by which people fold in their arms where there is little room (`sim_kinematic.agents.arm_tuck`).
+
+    Distances are measured from the half width of a person with both arms folded in, which is 0.21 to 0.27 m; swinging
+    arms are 3 to 6 cm wider.
+    """
 
     free_m: float = 0.08
     """An arm swings freely where so much more room than that is at its side,"""
     tight_m: float = 0.02
     """and is wholly drawn in where there is only so much more."""
     aside_m: float = 0.12
-    """Where the line runs along which this is measured, to the side of the middle."""
+    """Distance from the middle of the body to the line along which room is measured [m]."""
     within_m: float = 0.3
     """So far ahead and behind, what is near counts in full,"""
     fade_m: float = 0.5
@@ -92,7 +95,7 @@ class ArmRoomSpec:
     step_m: float = 0.1
     """The line is looked at in steps of this length."""
     rate: float = 0.12
-    """So much of the way in or out an arm goes in one step at most."""
+    """Largest change of an arm's fold in one step, where 1 is from fully out to fully in."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,11 +110,11 @@ class StrideSpec:
     steer_per_s: float = 2.6
     """Turn rate for each radian between the heading and the point that they walk to."""
     look_m: float = 0.7
-    """How far ahead that point is at most; where there is little room it is nearer."""
+    """Largest distance of the point that the person walks towards [m]; it is nearer where there is little room."""
     sidestep_rad: float = 0.35
-    """How far the direction of walking may be off the heading."""
+    """Largest angle between the direction of walking and the heading [rad]."""
     sidestep_rad_s: float = 2.5
-    """How fast that angle changes."""
+    """Largest rate of change of that angle [rad/s]."""
     arrive_m: float = 0.12
     """Within twice this distance of the end they no longer turn, and step to it sideways if need be."""
     patience_s: float = 4.0
@@ -141,9 +144,9 @@ class WalkerSpec:
     clearance_m: float = 0.0
     """Way points keep so far away from walls and furniture where there is room; 0: shortest paths, as in Habitat."""
     arms: ArmRoomSpec | None = None
-    """How arms are drawn in beside walls and furniture; None: they swing whatever is there."""
+    """Rules for folding in the arms beside walls and furniture; None: they swing regardless of obstacles."""
     stride: StrideSpec | None = None
-    """How people walk curves, set off and brake; None: as in the paper, they turn on the spot and walk at full speed."""
+    """Rules for curves, starts and stops; None: as in the paper, people turn on the spot and walk at full speed."""
 
     def __repr__(self) -> str:
         # uids of episodes are made of it: those of walkers without a stride stay as they were
@@ -159,7 +162,7 @@ HOME_WALKER = WalkerSpec(clearance_m=0.4, arms=ArmRoomSpec())
 
 
 WALKERS = {"paper": HOME_WALKER, "natural": NATURAL_WALKER}
-"""By the name of how they walk: at 2.5 m/s with turns on the spot as in the paper, or as people do."""
+"""Gaits by name: ``paper`` walks at 2.5 m/s and turns on the spot, ``natural`` walks as people do."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,7 +179,7 @@ class SocialNavSpec:
     end_on_collision: bool = True
     agent_radius_m: float = 0.25
     agent_height_m: float = 1.41
-    """As Habitat's navigation mesh for Spot, which both agents use (spec/habitat.md 1.2)."""
+    """Height of Habitat's navigation mesh for Spot, which both agents use [m] (spec/habitat.md 1.2)."""
     robot: BaseSpec = HOME_BASE
     human: WalkerSpec = NATURAL_WALKER
     solid_agents: bool = field(default=False, repr=False)
@@ -196,8 +199,10 @@ class ArmSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class SkillSpec:
-    """Rules of a robot's learned skills: when one has succeeded, when its time is over, and what a step is worth (paper
-    appendix, low-level skill training)."""
+    """Rules of a robot's learned skills: conditions of success, time limits, and rewards.
+
+    They follow the paper's appendix (low-level skill training).
+    """
 
     nav_steps: int = 1500
     """Longest duration of ``nav``,"""
@@ -230,7 +235,7 @@ class SkillSpec:
     pick_success: float = 2.0
     place_success: float = 10.0
     placed: float = 5.0
-    """For putting the object at its goal, once."""
+    """Reward for putting the object at its goal, once."""
     lost: float = 0.5
     """Cost of taking another object or dropping the right one, which ends ``pick``."""
 
@@ -257,4 +262,6 @@ class OracleSpec:
     def __post_init__(self) -> None:
         for changes, ends in (self.robot_steps, self.person_steps):
             if not 1 <= changes <= ends:
-                raise InputError(f"Expected picks of 1 <= hand-over <= end steps, got {changes} and {ends}.")
+                raise InputError(
+                    f"Expected picks of 1 <= hand-over <= end steps, got {changes} and {ends}.", code="H3-SIM-032"
+                )

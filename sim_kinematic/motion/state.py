@@ -1,5 +1,7 @@
-"""The state of W worlds, each with the same robots, people and O objects: structs of arrays, worlds first. One world is
-W = 1; any number of robots and people may be in it, none too."""
+"""State of W worlds, each with the same robots, people and O objects, as structs of arrays with worlds first.
+
+One world is W = 1. A world may have any number of robots and people, also none.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +17,12 @@ from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE
 
 NOBODY = -1
-"""Who holds an object that lies about."""
+"""Number that stands for no agent, for objects that nobody holds."""
 ROBOT, HUMAN = 0, 1
 """Numbers of the agents where there is one robot and one person. In general robots are counted first, then people."""
 
 Worlds = NDArray[np.bool_] | NDArray[np.integer] | Sequence[int] | slice
-"""Which worlds: numbers or a mask, which copy, or a slice, which gives views."""
+"""Selection of worlds: numbers or a mask, which copy, or a slice, which gives views."""
 
 
 class _Arrays:
@@ -45,7 +47,7 @@ class _Arrays:
             mine[worlds] = theirs
 
     def copy(self) -> Self:
-        """The same in arrays of its own."""
+        """Copy with arrays of its own."""
         return self.take(np.arange(self.worlds))
 
 
@@ -65,7 +67,7 @@ class RobotState(_Arrays):
 
     @classmethod
     def zeros(cls, worlds: int, *, joints: int = 0) -> RobotState:
-        """At the origin."""
+        """People at the origin."""
         return cls(
             xz=np.zeros((worlds, 2)), heading=np.zeros(worlds), contact=np.zeros(worlds, np.bool_),
             joints=np.zeros((worlds, joints)),
@@ -87,7 +89,7 @@ class HumanState(_Arrays):
     blend: NDArray[np.float64]
     """0 = standing, 1 = walking, shape [W]."""
     arms: NDArray[np.float64]
-    """How far the left and the right arm are drawn in, 0..1, shape [W, 2]."""
+    """Fold of the left and the right arm, from 0 (out) to 1 (in), shape [W, 2]."""
 
     @classmethod
     def zeros(cls, worlds: int) -> HumanState:
@@ -121,8 +123,15 @@ class WorldState(_Arrays):
         cls, worlds: int, *, robots: int = 1, people: int = 1, joints: int | Sequence[int] = 0, objects: int = 0,
         scene_joints: int = 0,
     ) -> WorldState:  # fmt: skip
-        """W worlds with everything at the origin, nothing held. ``joints``: of every robot, or one number for each;
-        ``scene_joints``: of doors and drawers.
+        """State of W worlds with everything at the origin and nothing held.
+
+        Args:
+            worlds: number of worlds W.
+            robots: number of robots in each world.
+            people: number of people.
+            joints: number of joints of every robot, or one number for each of them.
+            objects: number of objects O.
+            scene_joints: number of doors and drawers.
 
         Raises:
             InputError: a number is negative, or there is not one number of joints for each robot.
@@ -131,7 +140,8 @@ class WorldState(_Arrays):
         if len(each) != robots or min(worlds, robots, people, objects, scene_joints, *each) < 0:
             raise InputError(
                 f"Expected numbers of 0 or more, and one number of joints for each robot; got {worlds} worlds, {robots} "
-                f"robots, {people} people, joints {joints}, {objects} objects and {scene_joints} joints of the scene."
+                f"robots, {people} people, joints {joints}, {objects} objects and {scene_joints} joints of the scene.",
+                code="H3-SIM-033",
             )
         nowhere = np.tile(IDENTITY_POSE, (worlds, objects, 1))
         return cls(
@@ -149,10 +159,12 @@ class WorldState(_Arrays):
         return (*self.robots, *self.people)
 
     def arrays(self) -> list[NDArray[Any]]:
+        """All arrays of the state, in a fixed order."""
         own = [self.object_pose, self.held_by, self.grip_pose, self.joint_pos]
         return [array for agent in self.agents for array in agent.arrays()] + own
 
     def take(self, worlds: Worlds) -> WorldState:
+        """State of some of the worlds."""
         return WorldState(
             robots=tuple(robot.take(worlds) for robot in self.robots),
             people=tuple(person.take(worlds) for person in self.people),

@@ -15,11 +15,11 @@ from typing import get_args
 import numpy as np
 
 from h3data.errors import InputError
-from h3data.habitat.navmesh.pathfinder import PathFinder
 from h3data.kernels import kernel
 from h3data.scene import FreeSpace
 from h3data.scene.floor_heights import way_to_stairs
 from h3data.scene.freespace.free_space import sample_sdf, sdf_gradient
+from h3data.scene.navmesh.pathfinder import PathFinder
 from sim_kinematic.motion.habitat_slide import slide_as_habitat
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, Slide
 from sim_kinematic.motion.state import AgentState, RobotState
@@ -58,8 +58,10 @@ def is_clear(sdf, origin, cell, x, z, heading, offsets, radius):
 
 @kernel(error_model="numpy", inline="always")
 def push_out(sdf, origin, cell, x, z, heading, offsets, radius, iterations):
-    """Base position moved until its discs, if possible, keep their radius, and the `least_clearance` there:
-    ``(x, z, clearance)``."""
+    """Moves a base until its discs keep their radius from obstacles, as far as possible.
+
+    Returns ``(x, z, clearance)``: the new position, and the `least_clearance` there.
+    """
     c, s = math.cos(heading), math.sin(heading)
     for _ in range(iterations):
         free, least = True, math.inf
@@ -125,10 +127,24 @@ def drive_base(
 
 @kernel(error_model="numpy")
 def keep_apart(sdf, origin, cell, x, z, tx, tz, discs, radius, limit):
-    """Where a disc that wants to get from (x, z) to (tx, tz) gets beside others, discs ``(x, z, radius)`` [N, 3]:
-    ``(x, z, touched)``. It slides along them as along walls; who is too near already may leave, and gets no nearer.
+    """Moves a disc from (x, z) towards (tx, tz) without entering other discs ``(x, z, radius)`` [N, 3].
 
-    ``radius`` is its own and ``limit`` the least clearance from walls [m].
+    It slides along them as along walls. A disc that overlaps another one already may move away from it, but not closer.
+
+    Args:
+        sdf: signed distances of the floor's grid [m].
+        origin: position of the grid.
+        cell: size of its cells [m].
+        x: position of the disc.
+        z: position of the disc.
+        tx: position that it moves towards.
+        tz: position that it moves towards.
+        discs: other discs.
+        radius: radius of the disc [m].
+        limit: least clearance from walls [m].
+
+    Returns:
+        ``(x, z, touched)``.
     """
     sx, sz, touched = tx, tz, False
     for _ in range(APART_ITERATIONS):
@@ -177,8 +193,11 @@ def first_not_finite(rows):
 
 @kernel(error_model="numpy")
 def velocities(action, limits):
-    """``(speed, lateral, turn)`` of an action [2 or 3], each clipped to -1..1 of ``limits``: speed [m/s], lateral [m/s],
-    turn [rad/s], and the share of the speed that it may drive backwards."""
+    """Velocities of an action [2 or 3], each component clipped to -1..1 of its limit.
+
+    ``limits`` are speed [m/s], lateral speed [m/s], turn rate [rad/s], and the share of the speed allowed backwards.
+    Returns ``(speed, lateral, turn)``.
+    """
     speed = min(max(action[0], -limits[3]), 1.0) * limits[0]
     lateral = min(max(action[2], -1.0), 1.0) * limits[1] if len(action) > 2 else 0.0
     return speed, lateral, min(max(action[1], -1.0), 1.0) * limits[2]
@@ -222,15 +241,21 @@ def drive_robots(
     state: RobotState, free: FreeSpace, action: np.ndarray, spec: BaseSpec, *, dt: float = STEP_S,
     finder: PathFinder | None = None,
 ) -> None:  # fmt: skip
-    """Move a robot in all its worlds by ``action`` [W, 2], in place: forward and left turn, -1..1 of the limits. With
-    ``spec.max_lateral_mps`` it is [W, 3]: sideways comes last.
+    """Moves a robot in all its worlds by one step, in place.
 
-    On stairs and right before them robots drive at `STAIRS_SHARE` of what they are asked for.
+    On stairs and right before them robots drive at `STAIRS_SHARE` of the commanded velocity.
 
-    ``finder`` is the navmesh on which ``slide="habitat"`` moves; None makes one of ``free`` and keeps it.
+    Args:
+        state: state of the robot.
+        free: free floor.
+        action: forward velocity and left turn, -1..1 of the limits, [W, 2]; with ``spec.max_lateral_mps`` the velocity to
+            the left follows, [W, 3].
+        spec: limits of the base.
+        dt: duration of the step [s].
+        finder: navmesh for ``slide="habitat"``; by default one is made of ``free`` and cached.
 
     Raises:
-        InputError: the actions have another shape, or one is not finite; then nothing has moved.
+        InputError: the actions have another shape, or one is not finite; then nothing moves.
     """
     action = per_world(action, state, width=3 if spec.max_lateral_mps else 2)
     if free.has_stairs:
@@ -247,7 +272,8 @@ def drive_robots(
     elif spec.slide == "habitat":
         if len(free.heights):
             raise InputError(
-                "Bases slide as in Habitat on one level floor only. Hint: slide='strict' in homes with stairs."
+                "Bases slide as in Habitat on one level floor only. Hint: slide='strict' in homes with stairs.",
+                code="H3-SIM-037",
             )
         rules = spec.habitat.slides, spec.habitat.slides_while_turning, spec.habitat.navmesh_slides
         broken = _drive_worlds_as_habitat(
@@ -255,9 +281,11 @@ def drive_robots(
             offsets, spec.contact_tolerance_m, rules,
         )  # fmt: skip
     else:
-        raise InputError(f"Unknown slide {spec.slide!r}. Expected one of: {', '.join(get_args(Slide))}.")
+        raise InputError(
+            f"Unknown slide {spec.slide!r}. Expected one of: {', '.join(get_args(Slide))}.", code="H3-SIM-036"
+        )
     if broken >= 0:
-        raise InputError(f"Actions must be finite. That of world {broken} is {action[broken]}.")
+        raise InputError(f"Actions must be finite. That of world {broken} is {action[broken]}.", code="H3-SIM-034")
 
 
 @kernel(error_model="numpy")
@@ -300,5 +328,7 @@ def per_world(rows: np.ndarray, state: AgentState, *, width: int) -> np.ndarray:
     rows = np.asarray(rows, np.float64)
     worlds = len(state.heading)
     if rows.shape != (worlds, width):
-        raise InputError(f"Expected shape {[worlds, width]}: {width} numbers per world, got {list(rows.shape)}.")
+        raise InputError(
+            f"Expected shape {[worlds, width]}: {width} numbers per world, got {list(rows.shape)}.", code="H3-SIM-035"
+        )
     return rows

@@ -1,10 +1,9 @@
-"""Walking along a path as people do: they set off and brake smoothly, walk curves instead of turning on the spot, and look
-where they are going.
+"""Walking along a path with smooth starts, stops and curves.
 
-A step is a pure pursuit of the path: the person turns towards a point some way ahead on it, walks where they look, sideways by
-a little, and slower while the point is not ahead. Turning and walking speed change no faster than `StrideSpec` says. The body's
-disc is pushed out of walls and furniture as one that is driven (`sim_kinematic.motion.step.push_out`), so a curve cut short
-never leads into them.
+Each step is a pure pursuit of the path: the person turns towards a point ahead on it and walks in the direction of
+view, a little sideways, and slower while the point is not ahead. Turn rate and speed change no faster than `StrideSpec`
+says. The body's disc is pushed out of walls and furniture like a driven one (`sim_kinematic.motion.step.push_out`), so
+that a curve never cuts into them.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ arrived first and turned then stood turning in 3% of the steps of rearrangement.
 STAIRS_SHARE = 0.5
 """Share of their speed with which people climb stairs, measured in the plan."""
 CORNER_M = 0.5
-"""How far beyond the point that they walk to people see a corner coming."""
+"""Distance beyond the point that they walk towards at which people notice a corner [m]."""
 
 
 @kernel(error_model="numpy")
@@ -83,6 +82,7 @@ def _progress(path, cumulative, along, x, z):
     total = cumulative[-1]
     px, pz = _at(path, cumulative, along)
     gap = math.hypot(px - x, pz - z)
+    # only forward and to the first nearest point: where a path folds back, its next leg may be nearer still
     while along < total:
         ahead = min(along + PROGRESS_M, total)
         px, pz = _at(path, cumulative, ahead)
@@ -95,10 +95,13 @@ def _progress(path, cumulative, along, x, z):
 
 @kernel(error_model="numpy")
 def _slide(sdf, origin, cell, radius, x, z, nx, nz, most):
-    """Where a step from (x, z) to (nx, nz) ends that keeps ``radius`` to obstacles, ``most`` [m] long at most, how far the
-    obstacles let it get, and the least clearance on it: ``(x, z, moved, clearance)``."""
+    """End of a step from (x, z) towards (nx, nz) that keeps ``radius`` from obstacles and is at most ``most`` [m] long.
+
+    Returns ``(x, z, moved, clearance)``: the position, the length that obstacles allowed, and the least clearance.
+    """
     sx, sz, clearance = push_out(sdf, origin, cell, nx, nz, 0.0, (0.0,), radius, PUSHES)
     moved = math.hypot(sx - x, sz - z)
+    # being pushed out of a wall must not carry anybody farther than they walk
     share = min(most / moved, 1.0) if moved > 0.0 else 1.0
     sx, sz = x + share * (sx - x), z + share * (sz - z)
     return sx, sz, moved, min(clearance, sample_sdf(sdf, origin, cell, sx, sz))
@@ -108,13 +111,26 @@ def _slide(sdf, origin, cell, radius, x, z, nx, nz, most):
 def stride_step(
     sdf, origin, cell, heights, radius, path, cumulative, goes, halts, facing, state, speed, limits, patience, dt
 ):
-    """One step along a path, in place: ``state`` is x, z, heading, speed, turn rate, how far along the path, the angle between
-    the directions of walking and looking, the farthest that they have been along the path, steps without getting on, and
-    whether they keep to the path itself, corners and all.
+    """Walks one step along a path, in place, and returns whether the end has been reached.
 
-    ``limits`` are `StrideSpec.limits`; after ``patience`` steps without getting on people keep to the path. With ``halts``
-    they stop on its last point, else they pass it. From `FACE_M` before the end on they turn to the heading ``facing`` [rad]
-    while they walk, if it is not NaN. Returns whether they have arrived.
+    Args:
+        sdf: signed distances of the floor's grid [m].
+        origin: position of the grid.
+        cell: size of its cells [m].
+        heights: heights of the floor.
+        radius: radius of the body [m].
+        path: points of the path [K, 2].
+        cumulative: length of the path up to each point [K] [m].
+        goes: whether the person walks; otherwise they slow down to a stand.
+        halts: whether they stop at the last point; otherwise they pass it.
+        facing: heading to turn to from `FACE_M` before the end on [rad]; none if NaN.
+        state: x, z, heading, speed, turn rate, distance along the path, angle between walking and view, largest distance
+            along the path so far, steps without progress, and whether the person follows the path itself with all its
+            corners.
+        speed: walking speed [m/s].
+        limits: `StrideSpec.limits`.
+        patience: steps without progress after which the person follows the path itself.
+        dt: duration of the step [s].
     """
     accel, decel, turn_rate, turn_accel, gain, look, sidestep, sidestep_rate, arrive = limits
     x, z, heading, v, turn = state[0], state[1], state[2], state[3], state[4]
@@ -151,6 +167,7 @@ def stride_step(
     facing = 1.0 if closing else max(math.cos(bend), 0.0) ** 2
     left = to_end if along >= total - ahead else total - along
     most = max(speed * max(facing, 0.2), CREEP_MPS / 2)
+    # they can still brake before the end; never zero, or they would not get there
     most = min(most, max(math.sqrt(2.0 * decel * left), CREEP_MPS / 2))
     widest = math.pi if closing or keeps_to_path else FACE_RAD if aims else sidestep
     wanted_off = min(max(bearing, -widest), widest)
@@ -170,6 +187,7 @@ def stride_step(
     direction = heading + off
     nx, nz = x + math.cos(direction) * v * dt, z - math.sin(direction) * v * dt
     beside = sample_sdf(sdf, origin, cell, nx, nz)
+    # wanted, not needed: who is in a narrower gap already keeps the room that there is
     wide = min(radius + SHOULDER_M, max(room + radius, radius))
     if beside < wide and not closing and not keeps_to_path:
         sx, sz, moved, clearance = _slide(sdf, origin, cell, wide, x, z, nx, nz, v * dt)
@@ -179,12 +197,14 @@ def stride_step(
         sx, sz, moved, clearance = _slide(sdf, origin, cell, radius, x, z, nx, nz, v * dt)
         if clearance >= min(radius, room + radius) - 1e-3:
             nx, nz, v = sx, sz, min(v, max(moved / dt, v - decel * dt))
+        # they were pushed into something else, so they stay; patience ends that
         elif not keeps_to_path:
             nx, nz, v = x, z, 0.0
     state[0], state[1], state[2], state[3], state[4], state[5] = nx, nz, heading + turn * dt, v, turn, along
     state[6] = off
     state[8] = 0.0 if along > state[7] + PROGRESS_M or not goes else state[8] + 1.0
     state[7] = max(state[7], along)
+    # cutting corners has led to where they cannot go on; the path itself is known to be free
     if state[8] > patience:
         state[9] = 1.0
     return there
@@ -229,7 +249,7 @@ class Strider:
             InputError: the walker has no `StrideSpec`.
         """
         if spec.stride is None:
-            raise InputError("Expected a walker with a stride, got one who turns on the spot.")
+            raise InputError("Expected a walker with a stride, got one who turns on the spot.", code="H3-SIM-038")
         self._radius_m = radius_m
         self.walk_on(free)
         self._rules = spec.speed_mps, spec.stride.limits, round(spec.stride.patience_s / STEP_S), STEP_S
@@ -262,8 +282,10 @@ class Strider:
         return int(np.searchsorted(self._cumulative, self._state[5] + PROGRESS_M))
 
     def begin(self, path: Array, *, facing: float | None = None) -> None:
-        """Takes the path [K, 2] from where the person is; speed and turning go on. They arrive turned to the heading ``facing``
-        [rad] as far as they can turn on the last steps."""
+        """Sets the path [K, 2] from the present position; speed and turn rate continue.
+
+        The person arrives with the heading ``facing`` [rad], as far as they can turn on the last steps.
+        """
         self._facing = math.nan if facing is None else facing
         path = np.asarray(path, np.float64)
         self._path = np.ascontiguousarray(path if len(path) > 1 else np.repeat(path, 2, axis=0))

@@ -1,5 +1,7 @@
-"""How names become policies: of the task, of every task (`COMMON`), of installed packages (entry point group
-``h3data.policies``), ``module:name``, and files of weights (``weights:FILE``).
+"""Lookup of policies by name.
+
+A name is looked up in the task, in the policies of every task (`COMMON`), and in installed packages (entry point group
+``h3data.policies``). It may also be ``module:name`` or a file of weights (``weights:FILE``).
 """
 
 from __future__ import annotations
@@ -46,7 +48,7 @@ class AssignedPolicy(NamedTuple):
 
     policy: Any
     name: str
-    """As recorded."""
+    """Name of the policy, as recorded."""
     kind: str
     """``robot`` or ``human``."""
     plan: str = ""
@@ -54,6 +56,7 @@ class AssignedPolicy(NamedTuple):
 
     @property
     def is_external(self) -> bool:
+        """Whether the agent is controlled from outside."""
         return isinstance(self.policy, External)
 
     @property
@@ -62,6 +65,9 @@ class AssignedPolicy(NamedTuple):
         return bool(getattr(self.policy, "takes_commands", False))
 
 
+PolicyChoice = str | Policy | External | AssignedPolicy | Callable[..., Any]
+"""The name of a policy, ``weights:FILE``, ``module:name``; a policy; a function ``(view, base)``; `External` for somebody who
+decides outside."""
 Chosen = str | Any | Sequence[Any]
 Assigned = Mapping[str, Chosen]
 KINDS = {"robot": "robot", "human": "human", "person": "human"}
@@ -74,12 +80,15 @@ def plugin_policies() -> Registry[Any]:
 
 
 def assign(task: Task, episode: Episode, chosen: Assigned) -> list[AssignedPolicy]:
-    """As `Task.assign`."""
+    """Assigns a policy to each agent of an episode; the default of `Task.assign`."""
     members = episode.roster
     names = [member.name for member in members]
     strangers = [key for key in chosen if key not in names and key not in KINDS and not _alias(key, names)]
     if strangers:
-        raise InputError(f"Nobody is called {strangers[0]!r}.{suggest(strangers[0], names, lead='Expected some of')}")
+        raise InputError(
+            f"Nobody is called {strangers[0]!r}.{suggest(strangers[0], names, lead='Expected some of')}",
+            code="H3-POLICY-003",
+        )
     picked: list[Any] = [None] * len(members)
     for key, choice in chosen.items():
         kind = KINDS.get(key) if key not in names or names.count(key) != 1 else None
@@ -115,56 +124,70 @@ def each_of(choice: Chosen, count: int, kind: str) -> list[Any]:
     if count and len(listed) != count:
         what, whose = ("policy", "robot") if kind == "robot" else ("partner", "person")
         raise InputError(
-            f"Expected one {what} for each {whose}, {count} in all, or one name for all; got {len(listed)}."
+            f"Expected one {what} for each {whose}, {count} in all, or one name for all; got {len(listed)}.",
+            code="H3-POLICY-004",
         )
     return listed[:count]
 
 
-def make_policy(task: Task, episode: Episode, number: int, choice: Any) -> AssignedPolicy:
+PolicyMaker = Callable[[Episode, int], AssignedPolicy]
+"""Makes a fresh policy for the agent with this number in one episode."""
+
+
+def make_policy(task: Task, episode: Episode, number: int, choice: PolicyChoice) -> AssignedPolicy:
     """A fresh policy for one agent in one episode.
 
     Raises:
         InputError: no such policy; the message lists what there is.
     """
-    kind = episode.roster[number].kind
+    return resolve_policy(task, episode.roster[number].kind, choice)(episode, number)
+
+
+def resolve_policy(task: Task, kind: str, choice: PolicyChoice, spec: Any = None) -> PolicyMaker:
+    """Finds what a policy's name means and returns a function that makes the policy for an episode.
+
+    Commands, environments, sessions, live play and plug-ins all look policies up here.
+
+    Args:
+        task: What is played; its `Task.named_policy` is asked first, then its tables, those of every task and plug-ins.
+        kind: ``robot`` or ``human``.
+        choice: A name, ``weights:FILE`` or ``module:name``; a policy, its class, a function ``(view, base)``, or `External`.
+        spec: The rules, which files of weights must fit; None where episodes say them.
+
+    Raises:
+        InputError: no such policy; the message lists what there is.
+    """
     if isinstance(choice, str):
-        return task_policy(task, episode, number, choice.strip())
+        return _named(task, kind, choice.strip(), spec)
     if isinstance(choice, AssignedPolicy):
-        return choice
+        return lambda episode, number: choice
     if isinstance(choice, External):
-        return AssignedPolicy(choice, "external", kind)
+        return lambda episode, number: AssignedPolicy(choice, "external", kind)
+    if isinstance(choice, type):
+        return lambda episode, number: AssignedPolicy(choice(), choice.__name__, kind)
     if hasattr(choice, "act"):
-        return AssignedPolicy(choice, type(choice).__name__, kind)
+        return lambda episode, number: AssignedPolicy(choice, type(choice).__name__, kind)
     if callable(choice):
         name = getattr(choice, "__name__", type(choice).__name__)
-        return AssignedPolicy(FunctionPolicy(choice, _base(episode, number)), name, kind)
-    raise InputError(f"Expected a policy by name, with a method act, or a function, got {choice!r}.")
+        return lambda episode, number: AssignedPolicy(FunctionPolicy(choice, _base(episode, number)), name, kind)
+    raise InputError(
+        f"Expected a policy by name, with a method act, or a function, got {choice!r}.", code="H3-POLICY-001"
+    )
 
 
-def task_policy(task: Task, episode: Episode, number: int, name: str) -> AssignedPolicy:
-    """The policy that a name means for an agent of a task."""
-    kind = episode.roster[number].kind
-    made = task.named_policy(episode, number, name)
+def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
+    made = task.named_policy(kind, name, spec)
     if made is not None:
         return made
     own = {**COMMON[kind], **task.policies.get(kind, {})} if task.uses_common_policies else task.policies.get(kind, {})
-    if name in own:
-        return AssignedPolicy(as_policy(own[name], task, episode, number), name, kind)
     plugins = plugin_policies()
-    if not name.startswith(PREFIX) and (":" in name or name in plugins.names()):
-        return AssignedPolicy(as_policy(plugins.get(name), task, episode, number), name, kind)
-    raise _unknown(task, kind, name)
-
-
-def check_policy(task: Task, kind: str, name: str) -> None:
-    """As `Task.check_policy`."""
-    own, plugins = policy_names(task, kind), plugin_policies()
     if name in own:
-        return
-    if not name.startswith(PREFIX) and (":" in name or name in plugins.names()):
-        plugins.get(name)
-        return
-    raise _unknown(task, kind, name)
+        found = own[name]
+    elif not name.startswith(PREFIX) and (":" in name or name in plugins.names()):
+        found = plugins.get(name)
+    else:
+        raise unknown_policy(task, kind, name)
+    return lambda episode, number: AssignedPolicy(as_policy(found, task, episode, number), name, kind)
 
 
 def policy_names(task: Task, kind: str) -> list[str]:
@@ -173,17 +196,20 @@ def policy_names(task: Task, kind: str) -> list[str]:
     return list(dict.fromkeys((*task.policies.get(kind, {}), *common)))
 
 
-def _unknown(task: Task, kind: str, name: str) -> InputError:
+def unknown_policy(task: Task, kind: str, name: str) -> InputError:
+    """What says that agents of a kind follow nothing of this name in a task, and what there is."""
     there = [*policy_names(task, kind), *plugin_policies().names()]
     if name.startswith(PREFIX):  # tasks that take files of weights have read it by now
         whose = "robots" if kind == "robot" else "people"
         return InputError(
             f"Files of weights are not for {whose} of {task.name}, got {name!r}. Expected one of: {', '.join(there)} or "
-            "module:name."
+            "module:name.",
+            code="H3-POLICY-005",
         )
     return InputError(
         f"Unknown {'policy' if kind == 'robot' else 'partner'} {name!r}."
-        f"{suggest(name, there, more=', weights:FILE or module:name')}{weights_hint(name)}"
+        f"{suggest(name, there, more=', weights:FILE or module:name')}{weights_hint(name)}",
+        code="H3-POLICY-002",
     )
 
 
@@ -193,8 +219,10 @@ def _base(episode: Episode, number: int) -> BaseSpec:
 
 
 def as_policy(made: Any, task: Task, episode: Episode, number: int) -> Any:
-    """A policy from what a table or a plug-in holds: a factory ``(task, episode, number)``, a class of policies, a policy,
-    or a function ``(view, base)``."""
+    """Makes a policy from an entry of a table or a plug-in.
+
+    The entry is a factory ``(task, episode, number)``, a class of policies, a policy, or a function ``(view, base)``.
+    """
     if isinstance(made, type):
         return made()
     if hasattr(made, "act"):

@@ -17,13 +17,13 @@ from h3data.errors import FormatError, InputError
 from h3data.render.light.sources import LightMode
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies import network as files
-from sim_kinematic.policies import pictured
+from sim_kinematic.policies import visual_policy
 from sim_kinematic.policies.choosers import chooser_network
-from sim_kinematic.policies.choosers.chooser_network import ChooserNetwork
+from sim_kinematic.policies.choosers.chooser_network import SkillPolicyNetwork
 from sim_kinematic.policies.network import Network
-from sim_kinematic.policies.pictured import PicturedNetwork
 from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.policies.views import SocialNavView
+from sim_kinematic.policies.visual_policy import VisualPolicy
 from sim_kinematic.sensing.sensor import egomotion, gps_compass, humanoid_velocity, localization, range_scan, way
 
 PREFIX = "weights:"
@@ -44,7 +44,7 @@ _STAMP = re.compile(r"^(?P<file>.+)@(?P<digest>[0-9a-f]{12})$")
 _IN_LIGHT = re.compile(r"^(?P<name>.+)@(?P<light>baked|flat)$")
 
 Floats = NDArray[np.floating]
-AnyNetwork = Network | PicturedNetwork | ChooserNetwork
+AnyNetwork = Network | VisualPolicy | SkillPolicyNetwork
 
 
 # --- names --------------------------------------------------------------------------------------------------------------
@@ -59,13 +59,14 @@ def weights_hint(name: str) -> str:
 
 
 def stamped(policy: str) -> str:
-    """The name of a policy as it is recorded: of a file of weights with 12 digits of its digest, ``weights:FILE@digest``, and
-    the light that it is shown, if that is another than it has learned in, ``weights:FILE@digest@baked``.
+    """Name of a policy as recordings hold it, which identifies its exact weights.
 
-    Such a name means these very weights; other policies keep their names.
+    For a file of weights it is ``weights:FILE@digest``, with 12 digits of the file's digest. If the policy sees its
+    colours in another light than in training, the light follows, as in ``weights:FILE@digest@baked``. Other names are
+    unchanged.
 
     Raises:
-        InputError: there is no such file, it is none, or it is another than the name says.
+        InputError: the file does not exist, is no policy, or differs from the digest in the name.
     """
     if not policy.startswith(PREFIX):
         return policy
@@ -77,12 +78,14 @@ def stamped(policy: str) -> str:
 
 def network_light(network: AnyNetwork) -> LightMode | None:
     """Light in the colours that a network is shown; None: it sees none."""
-    return network.card.light if isinstance(network, PicturedNetwork) and network.sees_colours else None
+    return network.card.light if isinstance(network, VisualPolicy) and network.sees_colours else None
 
 
 def in_light(policy: str, light: LightMode | None) -> str:
-    """The name of a policy that is shown colours in this light; None leaves it the light that it has learned in. Policies
-    that see no colours keep their names."""
+    """Name of a policy that sees its colours in the given light.
+
+    None means the light of its training. Policies without colours keep their names.
+    """
     if light is None or not is_learned(policy) or network_light(network_of(policy)) is None:
         return policy
     return stamped(f"{_without_light(policy)[0]}@{light}") if policy.startswith(PREFIX) else policy
@@ -95,27 +98,33 @@ def _without_light(policy: str) -> tuple[str, LightMode | None]:
 
 
 def network_of(policy: str) -> AnyNetwork:
-    """The network that ``weights:FILE``, ``weights:FILE@digest`` or a name of `SHIPPED` means; of a file with ``@baked`` or
-    ``@flat`` at the end the one that is shown colours in this light, whatever it has learned in.
+    """Loads the network that a name means: ``weights:FILE``, ``weights:FILE@digest``, or a name in `SHIPPED`.
+
+    With ``@baked`` or ``@flat`` at the end, the network sees its colours in this light, whatever that of its training
+    was.
 
     Raises:
-        InputError: there is no such file, it is none, or it is another than the name says.
+        InputError: the file does not exist, is no policy, or differs from the digest in the name.
     """
     bare, light = _without_light(policy)
     name = str(builtin_path(SHIPPED[policy])) if policy in SHIPPED else bare.removeprefix(PREFIX)
     found = _STAMP.match(name)
     if not name:
-        raise InputError("Expected the path of a file of weights, as weights:FILE.")
+        raise InputError("Expected the path of a file of weights, as weights:FILE.", code="H3-POLICY-013")
     path = Path(found["file"] if found else name)
     network = _loaded(path, path.stat().st_mtime_ns if path.is_file() else 0)
     if found and not network.digest.startswith(found["digest"]):
         raise InputError(
             f"The weights are no longer those that {policy} names: their digest is {network.digest[:12]}. "
-            f"Hint: weights:{path} takes them as they are."
+            f"Hint: weights:{path} takes them as they are.",
+            code="H3-POLICY-014",
         )
     if light is not None:
-        if not isinstance(network, PicturedNetwork):
-            raise InputError(f"The network sees no colours, so light makes no difference to it. Policy: {policy}")
+        if not isinstance(network, VisualPolicy):
+            raise InputError(
+                f"The network sees no colours, so light makes no difference to it. Policy: {policy}",
+                code="H3-POLICY-019",
+            )
         return network.in_light(light)
     return network
 
@@ -124,25 +133,26 @@ def network_of(policy: str) -> AnyNetwork:
 def _loaded(path: Path, changed_ns: int) -> AnyNetwork:
     del changed_ns  # a file that has changed is read again
     found, data = files.read_arrays(path)
-    if found == pictured.FILE_FORMAT:
-        return pictured.pictured_from(data, path, kind_of=_kind_of)
+    if found == visual_policy.FILE_FORMAT:
+        return visual_policy.policy_from(data, path, kind_of=_kind_of)
     if found == files.FILE_FORMAT:
         return files.network_from(data, path)
     raise FormatError(
-        f"Expected a file of weights ({files.FILE_FORMAT}) or a trained policy ({pictured.FILE_FORMAT}), got {found}. "
-        f"{files.HINT} File: {path}"
+        f"Expected a file of weights ({files.FILE_FORMAT}) or a trained policy ({visual_policy.FILE_FORMAT}), got {found}. "
+        f"{files.HINT} File: {path}",
+        code="H3-POLICY-063",
     )
 
 
-def _kind_of(network: str) -> type[PicturedNetwork] | type[ChooserNetwork]:
+def _kind_of(network: str) -> type[VisualPolicy] | type[SkillPolicyNetwork]:
     """The class of the network that a card names; PyTorch is imported for one that needs it."""
     if network == chooser_network.KIND:
-        return ChooserNetwork
+        return SkillPolicyNetwork
     if network == "resnet18_lstm":
         from sim_kinematic.policies.networks.resnet_lstm import ResNetPolicy
 
         return ResNetPolicy
-    return PicturedNetwork
+    return VisualPolicy
 
 
 # --- social navigation --------------------------------------------------------------------------------------------------
@@ -191,34 +201,39 @@ class LearnedNavigation:
         self.network = network
 
     def __call__(self, view: SocialNavView, spec: BaseSpec) -> Velocity:
-        """As `sim_kinematic.policies.social_nav.Policy`."""
+        """Velocity of the base for a view of the robot."""
         out = self.network(navigation_input(view, spec, self.network.observations))
         forward, turn = np.clip(np.nan_to_num(out, nan=0.0), -1, 1).tolist()
         return Velocity(forward, turn, "follow" if view.met else "find")
 
 
-class PicturedNavigation:
-    """A robot of social navigation that sees and remembers: the recurrent state is its own, so there is one for each
-    episode. An action is held for as many steps as in training."""
+class VisualNavigation:
+    """Learned robot policy of social navigation, with pictures and a recurrent memory.
 
-    def __init__(self, network: PicturedNetwork, *, robot: str = "") -> None:
-        """
+    Each episode needs a policy of its own. An action is repeated for as many steps as in training.
+    """
+
+    def __init__(self, network: VisualPolicy, *, robot: str = "") -> None:
+        """Checks that the network fits the robot.
+
         Args:
-            network: The policy.
-            robot: Body that it drives; empty where nobody says.
+            network: the policy.
+            robot: name of the robot's body; empty if unknown.
 
         Raises:
-            FormatError: it is for another task or another robot.
+            FormatError: the network is for another task or another robot.
         """
-        require(network, "social_nav", {**pictured.PICTURES, **pictured.ENCODINGS}, outputs=2)
+        require(network, "social_nav", {**visual_policy.PICTURES, **visual_policy.ENCODINGS}, outputs=2)
         if robot and robot != network.card.robot:
-            raise FormatError(f"These weights drive the robot {network.card.robot}, the episode has {robot}.")
+            raise FormatError(
+                f"These weights drive the robot {network.card.robot}, the episode has {robot}.", code="H3-POLICY-020"
+            )
         self.network = network
         self._state, self._action = network.start(), np.zeros(2, np.float32)
         self._step, self._decision = -1, -1
 
     def __call__(self, view: SocialNavView, spec: BaseSpec) -> Velocity:
-        """As `sim_kinematic.policies.social_nav.Policy`."""
+        """Velocity of the base for a view of the robot; the network is evaluated once for several steps."""
         if view.step == 0 or view.step <= self._step:
             self._state, self._action, self._decision = self.network.start(), np.zeros(2, np.float32), -1
         decision = view.step // self.network.card.hold
@@ -240,7 +255,9 @@ class PicturedNavigation:
         pictures = tuple(n for n in card.observations if n not in NAVIGATION_INPUTS)
         shown = {n: NAVIGATION_INPUTS[n](view, spec) for n in card.observations if n in NAVIGATION_INPUTS}
         if pictures and view.pictures is None:
-            raise InputError(f"The policy needs {' and '.join(pictures)}, and nobody takes pictures here.")
+            raise InputError(
+                f"The policy needs {' and '.join(pictures)}, and nobody takes pictures here.", code="H3-POLICY-021"
+            )
         return shown | (view.pictures(pictures, card.picture_size, card.light) if pictures and view.pictures else {})
 
 
@@ -250,35 +267,43 @@ def naming(policy: str) -> Iterator[None]:
     try:
         yield
     except FormatError as fault:
-        raise FormatError(f"{fault} Policy: {policy}") from None
+        raise FormatError(f"{fault} Policy: {policy}", code=fault.code) from None
 
 
-def navigation_of(network: AnyNetwork, *, robot: str = "") -> LearnedNavigation | PicturedNavigation:
+def navigation_of(network: AnyNetwork, *, robot: str = "") -> LearnedNavigation | VisualNavigation:
     """A fresh player of a network for one episode.
 
     Raises:
         FormatError: the network is for another task or another robot.
     """
-    if isinstance(network, PicturedNetwork):
-        return PicturedNavigation(network, robot=robot)
-    if isinstance(network, ChooserNetwork):
-        raise FormatError(f"Expected weights for the task social_nav, these are for {network.task!r}.")
+    if isinstance(network, VisualPolicy):
+        return VisualNavigation(network, robot=robot)
+    if isinstance(network, SkillPolicyNetwork):
+        raise FormatError(
+            f"Expected weights for the task social_nav, these are for {network.task!r}.", code="H3-POLICY-015"
+        )
     return LearnedNavigation(network)
 
 
-def require(network: Network | PicturedNetwork, task: str, known: Mapping[str, Any], *, outputs: int) -> None:
+def require(network: Network | VisualPolicy, task: str, known: Mapping[str, Any], *, outputs: int) -> None:
     """Refuse a network that is for another task, is shown what we do not have, or answers with other numbers.
 
     Raises:
         FormatError: it does not fit.
     """
     if network.task != task:
-        raise FormatError(f"Expected weights for the task {task}, these are for {network.task!r}.")
+        raise FormatError(
+            f"Expected weights for the task {task}, these are for {network.task!r}.", code="H3-POLICY-016"
+        )
     strangers = [name for name in network.observations if name not in known]
     if strangers:
         raise FormatError(
             f"The network wants observations that a policy from a file is not given: {', '.join(strangers)}. There are: "
-            f"{', '.join(known)}."
+            f"{', '.join(known)}.",
+            code="H3-POLICY-017",
         )
     if network.outputs != outputs:
-        raise FormatError(f"Expected a network with {outputs} outputs for {task}, this one has {network.outputs}.")
+        raise FormatError(
+            f"Expected a network with {outputs} outputs for {task}, this one has {network.outputs}.",
+            code="H3-POLICY-018",
+        )

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError
 from sim_kinematic.agents.skills import Action, choices
-from sim_kinematic.policies.choosers.chooser_network import ChooserNetwork
-from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentChooser
+from sim_kinematic.policies.choosers.chooser_network import SkillPolicyNetwork
+from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy
 from sim_kinematic.policies.learned import naming, network_of, require
 from sim_kinematic.policies.network import Network
 from sim_kinematic.policies.rearrange_observations import SENSES, observe
@@ -19,12 +19,21 @@ from sim_kinematic.policies.views import RearrangeView
 TASK = "rearrange"
 
 
-class LearnedChooser:
-    """Chooses the action with the highest output. If it is shown ``interrupted``, it thinks again in every step while the other
-    agent is close, and goes on with what it was doing by choosing the same."""
+class LearnedSkillPolicy:
+    """Policy that chooses the action with the highest output of a network.
+
+    If ``interrupted`` is among its observations, it chooses at every step while the other agent is close, and continues
+    what it is doing by choosing the same action.
+    """
 
     def __init__(self, network: Network, objects: int = 2, *, robot: bool = True) -> None:
-        """
+        """Checks that the network fits the agent.
+
+        Args:
+            network: the policy.
+            objects: number of objects of the task.
+            robot: whether the agent is a robot; otherwise it is a person.
+
         Raises:
             FormatError: the network is for another task, another number of objects or the other agent.
         """
@@ -33,16 +42,16 @@ class LearnedChooser:
         self.network = network
 
     def act(self, view: RearrangeView) -> Action:
-        """As `sim_kinematic.policies.rearrange.HighLevelPolicy.act`."""
+        """Next action, the one with the highest output of the network."""
         scores = self.network(chooser_input(view, self.network.observations))
         return self.choices[int(np.argmax(scores))]
 
     def interrupts(self, view: RearrangeView) -> str:
-        """As `sim_kinematic.policies.rearrange.HighLevelPolicy` says."""
+        """Reason to interrupt the running action and choose again; empty if there is none."""
         return "agents_close" if view.close and "interrupted" in self.network.observations else ""
 
 
-def learned_chooser(policy: str, objects: int, *, robot: bool) -> LearnedChooser | RecurrentChooser:
+def learned_chooser(policy: str, objects: int, *, robot: bool) -> LearnedSkillPolicy | RecurrentSkillPolicy:
     """The chooser that ``weights:FILE`` or the name of a trained policy means.
 
     Raises:
@@ -50,11 +59,13 @@ def learned_chooser(policy: str, objects: int, *, robot: bool) -> LearnedChooser
     """
     network = network_of(policy)
     with naming(policy):
-        if isinstance(network, ChooserNetwork):
-            return RecurrentChooser(network, objects, robot=robot)
+        if isinstance(network, SkillPolicyNetwork):
+            return RecurrentSkillPolicy(network, objects, robot=robot)
         if not isinstance(network, Network):
-            raise FormatError(f"Expected weights for the task {TASK}, these are for {network.task!r}.")
-        return LearnedChooser(network, objects, robot=robot)
+            raise FormatError(
+                f"Expected weights for the task {TASK}, these are for {network.task!r}.", code="H3-POLICY-022"
+            )
+        return LearnedSkillPolicy(network, objects, robot=robot)
 
 
 def chooser_input(view: RearrangeView, names: Sequence[str]) -> NDArray[np.float32]:

@@ -17,11 +17,11 @@ NEAR_M = 2.0
 
 
 class Maneuvering:
-    """Follows a function of the view until the base has not moved for a moment, then a maneuver
-    (`sim_kinematic.avoidance.maneuvers`) towards the person.
+    """Policy that computes velocities from the view, and backs out of places where the base is stuck.
 
-    A base 1.2 m long that is wedged between two walls gets out by several commands, of which the first does not shorten the
-    path. Experts stood like that for the rest of 3% of the episodes.
+    When the base has not moved for a moment, it makes a maneuver (`sim_kinematic.avoidance.maneuvers`) towards the
+    person. A base 1.2 m long that is wedged between two walls needs several commands to get out, the first of which
+    does not shorten the path. Without maneuvers, experts stood like that for the rest of 3% of the episodes.
     """
 
     def __init__(self, function: Callable[[SocialNavView, BaseSpec], Velocity], base: BaseSpec) -> None:

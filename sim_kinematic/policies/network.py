@@ -42,24 +42,24 @@ class Network:
     """A multi-layer perceptron: ``W_n f(... f(W_1 (x - mean) / scale + b_1) ...) + b_n``, in float32."""
 
     task: str
-    """For which task it acts: ``social_nav`` or ``rearrange``."""
+    """Task of the policy: ``social_nav`` or ``rearrange``."""
     observations: tuple[str, ...]
     """What its input is made of, by name, one after the other."""
     weights: tuple[NDArray[np.float32], ...]
-    """Of each layer, [out, in], as `torch.nn.Linear` has them."""
+    """Weights of each layer, [out, in], as in `torch.nn.Linear`."""
     biases: tuple[NDArray[np.float32], ...]
-    """Of each layer, [out]."""
+    """Biases of each layer, [out]."""
     activation: Activation = "tanh"
     """Between layers; the last one has none."""
     mean: NDArray[np.float32] = field(default_factory=lambda: np.zeros(1, np.float32))
     """Taken from the input, [in] or [1]."""
     scale: NDArray[np.float32] = field(default_factory=lambda: np.ones(1, np.float32))
-    """By which it is divided then, [in] or [1]; positive."""
+    """Divisors of the inputs after that, [in] or [1]; positive."""
 
     def __post_init__(self) -> None:
         faults = _faults(self)
         if faults:
-            raise InputError(f"These layers make no network: {'; '.join(faults)}.")
+            raise InputError(f"These layers make no network: {'; '.join(faults)}.", code="H3-POLICY-025")
 
     @property
     def inputs(self) -> int:
@@ -87,7 +87,9 @@ class Network:
         """
         y = np.asarray(x, np.float32)
         if y.shape[-1:] != (self.inputs,):
-            raise InputError(f"The network takes {self.inputs} numbers, got an input of shape {list(y.shape)}.")
+            raise InputError(
+                f"The network takes {self.inputs} numbers, got an input of shape {list(y.shape)}.", code="H3-POLICY-026"
+            )
         with np.errstate(over="ignore", invalid="ignore"):  # who is given such numbers is told by the answer
             y = (y - self.mean) / self.scale
             for k, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
@@ -149,7 +151,8 @@ def from_torch(
     ):  # fmt: skip
         names = [type(layer).__name__ for layer in listed]
         raise InputError(
-            f"Expected Linear layers with Tanh, or with ReLU, between them; got {', '.join(names) or 'none'}."
+            f"Expected Linear layers with Tanh, or with ReLU, between them; got {', '.join(names) or 'none'}.",
+            code="H3-POLICY-023",
         )
 
     def plain(tensor: Any) -> NDArray[np.float32]:
@@ -168,8 +171,11 @@ def from_torch(
 
 # --- files --------------------------------------------------------------------------------------------------------------
 def save_network(network: Network, path: str | Path) -> None:
-    """Write an npz: ``format``, ``task``, ``activation``, ``observations``, ``mean``, ``scale``, ``weight_0``, ``bias_0``,
-    ``weight_1``, ... The file appears whole or not at all."""
+    """Writes a network as an npz file, which appears whole or not at all.
+
+    Its entries are ``format``, ``task``, ``activation``, ``observations``, ``mean``, ``scale``, ``weight_0``,
+    ``bias_0``, ``weight_1`` and so on.
+    """
     arrays: dict[str, NDArray[Any]] = {
         "format": np.array(FILE_FORMAT), "task": np.array(network.task), "activation": np.array(network.activation),
         "observations": np.array(network.observations), "mean": network.mean, "scale": network.scale,
@@ -189,7 +195,9 @@ def load_network(path: str | Path) -> Network:
     """
     found, data = read_arrays(Path(path))
     if found != FILE_FORMAT:
-        raise FormatError(f"Expected a file of weights ({FILE_FORMAT}), got {found}. {HINT} File: {path}")
+        raise FormatError(
+            f"Expected a file of weights ({FILE_FORMAT}), got {found}. {HINT} File: {path}", code="H3-POLICY-024"
+        )
     return network_from(data, path)
 
 
@@ -208,9 +216,9 @@ def network_from(data: Mapping[str, NDArray[Any]], path: str | Path) -> Network:
             biases=tuple(data[f"bias_{k}"] for k in range(count)),
         )  # fmt: skip
     except KeyError as fault:
-        raise FormatError(f"The file of weights lacks the array {fault}. File: {path}") from None
+        raise FormatError(f"The file of weights lacks the array {fault}. File: {path}", code="H3-POLICY-027") from None
     except InputError as fault:
-        raise FormatError(f"{fault} File: {path}") from None
+        raise FormatError(f"{fault} File: {path}", code=fault.code) from None
 
 
 def read_arrays(path: Path) -> tuple[str, dict[str, NDArray[Any]]]:
@@ -224,7 +232,10 @@ def read_arrays(path: Path) -> tuple[str, dict[str, NDArray[Any]]]:
         with zipfile.ZipFile(path) as packed:
             size = sum(entry.file_size for entry in packed.infolist())
         if size > MAX_BYTES:
-            raise FormatError(f"Expected at most {MAX_BYTES >> 20} MiB of weights, got {size >> 20} MiB. File: {path}")
+            raise FormatError(
+                f"Expected at most {MAX_BYTES >> 20} MiB of weights, got {size >> 20} MiB. File: {path}",
+                code="H3-POLICY-028",
+            )
         with np.load(path, allow_pickle=False) as file:
             data = {name: file[name] for name in file.files}
         if not all(isinstance(array, np.ndarray) for array in data.values()):
@@ -233,19 +244,23 @@ def read_arrays(path: Path) -> tuple[str, dict[str, NDArray[Any]]]:
     except (FileNotFoundError, IsADirectoryError):
         if (path / RUN_POLICY).is_file():
             raise InputError(
-                f"Expected a file of weights, this is the folder of a training run. Hint: weights:{path / RUN_POLICY}"
+                f"Expected a file of weights, this is the folder of a training run. Hint: weights:{path / RUN_POLICY}",
+                code="H3-POLICY-031",
             ) from None
-        raise InputError(f"Expected a file of weights, found none. {HINT} File: {path}") from None
+        raise InputError(f"Expected a file of weights, found none. {HINT} File: {path}", code="H3-POLICY-029") from None
     except _DAMAGE as fault:
         raise FormatError(
-            f"Expected a file of weights ({FILE_FORMAT}), this is none ({fault}). {HINT} File: {path}"
+            f"Expected a file of weights ({FILE_FORMAT}), this is none ({fault}). {HINT} File: {path}",
+            code="H3-POLICY-030",
         ) from None
     return _word(data.get("format", np.array("another npz file"))), data
 
 
 def to_planes(array: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """The bytes of an array [...] as planes, uint8 [4, ...]: the first bytes of all numbers, then the second ones, ... They
-    compress better, by a fifth where the last bits are 0."""
+    """Bytes of an array [...] as planes, uint8 [4, ...]: the first bytes of all numbers, then the second ones, and so on.
+
+    They compress better, by a fifth where the last bits are 0.
+    """
     planes = np.moveaxis(np.ascontiguousarray(array, "<f4")[..., None].view(np.uint8), -1, 0)
     return np.ascontiguousarray(planes)
 

@@ -6,15 +6,19 @@ A script, a planner, a network, a recorded track and somebody outside are the sa
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.geometry import Array
+from h3data.moved import refuse_renamed
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.motion.state import HumanState
+
+if not TYPE_CHECKING:
+    __getattr__ = refuse_renamed(__name__)
 
 
 # --- choices ----------------------------------------------------------------------------------------------------------
@@ -28,14 +32,14 @@ class Velocity(NamedTuple):
     skill: str = ""
 
 
-class Towards(NamedTuple):
+class WaypointAction(NamedTuple):
     """A point that a person walks straight to."""
 
     xz: NDArray[np.float64]
     """``(x, z)`` [m]."""
 
 
-class StrideTo(NamedTuple):
+class PoseAction(NamedTuple):
     """Where a person who walks along a path is after this step."""
 
     xz: Array
@@ -43,14 +47,14 @@ class StrideTo(NamedTuple):
     heading: float
 
 
-class PaceTo(NamedTuple):
+class GaitAction(NamedTuple):
     """Where a person is after this step, and how far in their walking cycle."""
 
     gait: HumanState
     """One world."""
 
 
-class KeptMoment(NamedTuple):
+class RecordedPose(NamedTuple):
     """One step of a recorded person, taken as it was."""
 
     xz: NDArray[np.float64]
@@ -67,7 +71,7 @@ class Policy(Protocol):
     """Decides for one agent in one episode."""
 
     def act(self, view: Any) -> Any:
-        """What to do next, given `Task.view`."""
+        """Choice for the next step, given an observation from `Task.view`."""
         ...
 
 
@@ -86,11 +90,12 @@ class External:
     def act(self, view: Any) -> Any:
         """Never asked: a session answers for it."""
         raise InputError(
-            f"Agent {getattr(view, 'agent', '')} is controlled from outside. Hint: play it with h3data.session."
+            f"Agent {getattr(view, 'agent', '')} is controlled from outside. Hint: play it with h3data.session.",
+            code="H3-POLICY-037",
         )
 
     def interrupts(self, view: Any) -> str:
-        """As `sim_kinematic.policies.rearrange.HighLevelPolicy` says."""
+        """Reason to interrupt the running action and choose again; empty if there is none."""
         action = view.action
         going_on = action is None or action.skill == "control"
         return "agents_close" if self.interrupts_when_close and view.close and not going_on else ""
@@ -104,6 +109,7 @@ class FunctionPolicy:
         self.__name__ = getattr(function, "__name__", type(function).__name__)
 
     def act(self, view: Any) -> Any:
+        """Choice for the next step."""
         return self._function(view, self._base)
 
 
@@ -111,5 +117,6 @@ class Still:
     """Does nothing; lower-bound baseline."""
 
     def act(self, view: Any) -> Velocity:
+        """A velocity of 0."""
         del view
         return Velocity(0.0, 0.0)

@@ -1,5 +1,7 @@
-"""High-level policies of social rearrangement: partners that follow a plan, populations of them, and heuristic robots
-(paper section 4.2; spec/habitat.md 2.6). A policy says what to do next; skills (`sim_kinematic.agents.skills`) do it.
+"""High-level policies of social rearrangement: partners that follow a plan, populations of them, and heuristic robots.
+
+They follow the paper (section 4.2) and habitat-lab (spec/habitat.md 2.6). A policy chooses the next skill; skills
+(`sim_kinematic.agents.skills`) carry it out.
 """
 
 from __future__ import annotations
@@ -27,15 +29,15 @@ POPULATIONS: dict[str, tuple[str, ...]] = {
     "plan_pop_3": ("object_1", "object_2", "both"),
     "plan_pop_4": ("still", "object_1", "object_2", "both"),
 }
-"""From which plans a partner is drawn, anew in each episode (paper section 4.2, Plan-Pop)."""
+"""Plans from which a partner's is sampled, again in each episode (paper section 4.2, Plan-Pop)."""
 ZSC = ("both", "object_1", "object_2", "still")
 """The planners of the paper's zero-shot population (appendix)."""
 ZSC_TEN = (*ZSC, *SHIPPED_PARTNERS)
 """That population with its six learned partners, which are trained here: the paper's were not published."""
 REPLAN_STEPS = 15
-"""So often a robot on its way to an object thinks again; in every step while the person is close."""
+"""Interval at which a robot that drives to an object chooses again [steps]; 1 while the person is close."""
 IN_REACH_M = 0.9
-"""Who stands this near to an object may be about to take it."""
+"""Distance to an object below which an agent may be about to take it [m]."""
 STRAIGHT_ON_STEPS = 10
 """Over so many steps the person's motion tells where they are going."""
 
@@ -53,8 +55,10 @@ class HighLevelPolicy(Protocol):
 
 
 def errand(view: RearrangeView, k: int) -> Action:
-    """The next of the actions that bring object k to its goal: the four, after those that open what it lies in
-    and what it is to lie in, as long as the hand is free."""
+    """Next action that brings object k closer to its goal.
+
+    It is one of the four skills, or, as long as the hand is free, one that opens what encloses the object or its goal.
+    """
     done = view.action if view.last is not None and view.last.outcome == "done" else None
     if not (view.held_by == view.agent).any():
         for at_goal in (True, False):
@@ -67,16 +71,20 @@ def errand(view: RearrangeView, k: int) -> Action:
 
 @dataclass
 class Planner:
-    """A partner who brings its objects to their goals, one after the other, then stands still. It plans once and never
-    aborts, as Habitat's; what is done already or in the other's hands when its turn comes is passed over. An object that others
-    keep it from getting to (`blocked`) comes last."""
+    """Partner that brings its objects to their goals one after the other, then stands still.
+
+    It plans once and never aborts, as the partners of habitat-lab. Objects that are at their goals or in the other
+    agent's hands when their turn comes are skipped. An object from which others block it (`blocked`) is moved to the
+    end.
+    """
 
     objects: tuple[int, ...]
     _passed: int = 0
-    """So many of its objects are behind it."""
+    """Number of objects that are done or skipped."""
     _tries: int = 0
 
     def act(self, view: RearrangeView) -> Action:
+        """Next action for the first object that is not done."""
         done, rest = self.objects[: self._passed], self.objects[self._passed :]
         blocked = view.last is not None and view.last[:2] == ("failed", "blocked")
         if rest and blocked and view.held_by[rest[0]] != view.agent:  # who keeps it from there goes away some day
@@ -92,8 +100,10 @@ class Planner:
 
 @dataclass
 class Chooser:
-    """A robot that brings objects to their goals, `prefer` says which next. It goes on to another when the person has taken
-    the one that it wanted."""
+    """Robot that brings objects to their goals in the order of a preference.
+
+    `prefer` names the next object. The robot changes to another when the person has taken the one it is heading for.
+    """
 
     prefer: Callable[[RearrangeView, list[int]], int | None]
     """Chooses among objects that are left; None waits."""
@@ -102,6 +112,7 @@ class Chooser:
     """Objects at which it failed, and until which step it leaves them."""
 
     def act(self, view: RearrangeView) -> Action:
+        """Next action for the object in hand, or for the preferred one; after a failure it avoids an object for 60 steps."""
         if view.last is not None and view.last.outcome == "failed" and self._object >= 0:
             self._avoid[self._object] = view.step + 60
         held = np.flatnonzero(view.held_by == view.agent)
@@ -110,6 +121,7 @@ class Chooser:
         return Action("wait", steps=5) if chosen is None else errand(view, chosen)
 
     def interrupts(self, view: RearrangeView) -> str:
+        """Reason to interrupt the running action, such as ``object_taken``; empty if there is none."""
         action = view.action
         if action is None or action.skill not in ("nav_to_object", "pick"):
             return ""
@@ -156,8 +168,10 @@ def persons_object(view: RearrangeView) -> int:
 
 
 def _complement(view: RearrangeView, left: list[int]) -> int | None:
-    """The object that the person does not go for. As long as nobody knows, the one that is farther from the person than from
-    the robot."""
+    """Object that the person is not heading for.
+
+    While the person's target is unknown, it is an object that is farther from the person than from the robot.
+    """
     if np.isnan(view.other_xz).any():
         return _nearest(view, left)
     theirs = persons_object(view)
@@ -205,20 +219,26 @@ def robot_policy(name: str, objects: int = 2) -> HighLevelPolicy:
         return learned_chooser(name, objects, robot=True)
     if name not in ROBOT_POLICIES:
         there = (*ROBOT_POLICIES, *SHIPPED_IN["rearrange"])
-        raise InputError(f"Unknown policy {name!r}.{suggest(name, there, more=', or weights:FILE')}")
+        raise InputError(
+            f"Unknown policy {name!r}.{suggest(name, there, more=', or weights:FILE')}", code="H3-POLICY-038"
+        )
     return ROBOT_POLICIES[name]()
 
 
 def partner_plan(name: str, seed: int) -> str:
-    """The plan (a name in `PLANS`) that a partner has in the episode with this seed; a learned one (``weights:FILE``) plans
-    nothing: it is its name, as it is recorded."""
+    """Plan of a partner in the episode with this seed, a name in `PLANS`.
+
+    A learned partner (``weights:FILE``) has no plan; its recorded name is returned.
+    """
     if is_learned(name):
         return stamped(name)
     if name in PLANS:
         return name
     if name not in POPULATIONS:
         there = (*PARTNERS, *SHIPPED_PARTNERS)
-        raise InputError(f"Unknown partner {name!r}.{suggest(name, there, more=', or weights:FILE')}")
+        raise InputError(
+            f"Unknown partner {name!r}.{suggest(name, there, more=', or weights:FILE')}", code="H3-POLICY-039"
+        )
     plans = POPULATIONS[name]
     return plans[int(generator(seed, f"partner/{name}").integers(len(plans)))]
 

@@ -1,8 +1,8 @@
-"""What a learned policy of rearrangement is shown: named numbers from a `RearrangeView`, the same for training environments and
-for policies from a file.
+"""Observations of learned policies of rearrangement, as named numbers computed from a `RearrangeView`.
 
-Places are (distance [m], angle [rad], positive to the RIGHT) from the agent's base, or ``(x, y, z)`` [m] in the frame of its
-hand, as Habitat's sensors of the same names (spec/habitat.md 2.5), or in the agent root frame in which it began. Pictures:
+They are the same for training environments and for policies from a file. Places are (distance [m], angle [rad],
+positive to the RIGHT) from the agent's base; ``(x, y, z)`` [m] in the frame of its hand, as Habitat's sensors of the
+same names (spec/habitat.md 2.5); or in the agent root frame at the start. Pictures are computed by
 `sim_kinematic.sensing.agent_pictures`.
 """
 
@@ -85,7 +85,7 @@ def _flags(of: Callable[[RearrangeView], NDArray], times: Times = "objects") -> 
 
 
 def _other(of: Callable[[RearrangeView], Floats], low: tuple[float, ...], high: tuple[float, ...]) -> Sense:
-    """Of the other agent: zeros where there is none."""
+    """Observation of the other agent; zeros if there is none."""
     return Sense(lambda v: of(v) if np.isfinite(v.other_xz).all() else np.zeros(len(low)), low, high, "once")
 
 
@@ -103,14 +103,16 @@ def _one_of_choices(outcome: str) -> Callable[[RearrangeView], Floats]:
 
 
 def _ways(start: NDArray, points: NDArray, view: RearrangeView) -> Floats:
-    """Lengths of the shortest ways from ``start`` [2] to points [K, 3] [m]; points lie on furniture, so ends are moved to the
-    floor."""
+    """Lengths of the shortest paths from ``start`` [2] to points [K, 3] [m].
+
+    Points lie on furniture, so the ends of the paths are moved to the free floor.
+    """
     ways = view.free.geodesic(np.broadcast_to(start, (len(points), 2)), points[:, [0, 2]], max_snap_m=SNAP_M)
     return np.minimum(ways, FAR_M)
 
 
 def _of_other(of: Callable[[RearrangeView], Floats]) -> Callable[[RearrangeView], Floats]:
-    """Of the other agent, for each object: zeros where there is none."""
+    """Observation of the other agent for each object; zeros if there is none."""
     return lambda view: of(view) if np.isfinite(view.other_xz).all() else np.zeros(len(view.objects))
 
 
@@ -121,8 +123,11 @@ def _approach(view: RearrangeView) -> Floats:
 
 
 def _path_ahead(view: RearrangeView, *, of_other: bool) -> Floats:
-    """Where somebody would be `AHEAD_M` further on, on the way to each object, or with the one they hold to its goal, as the
-    agent itself sees it: (distance, angle) of each point [K, 4]. To what is in another hand the way is straight."""
+    """Points that an agent would reach after `AHEAD_M` on its path to each object, [K, 4].
+
+    For an object in its hand, the path leads to the object's goal. Each point is (distance, angle) as the observing
+    agent sees it. Paths to objects in another agent's hand are straight lines.
+    """
     xz, hands = (view.other_xz if of_other else view.xz), view.held_by
     own = (hands == view.agent) if not of_other else (hands != NOBODY) & (hands != view.agent)
     found = []

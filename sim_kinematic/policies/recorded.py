@@ -14,14 +14,14 @@ from h3data.errors import InputError
 from h3data.geometry import heading_from_quat
 from h3data.recording import Recording, SkillSpan
 from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, SKILLS, Action
-from sim_kinematic.policies.policy import KeptMoment, Velocity
+from sim_kinematic.policies.policy import RecordedPose, Velocity
 from sim_kinematic.policies.rearrange import HighLevelPolicy
 from sim_kinematic.policies.views import RearrangeView
 
 COMMAND = "command"
 """Kind of the raw input that holds a command from outside."""
 RESUMED = "resumed"
-"""Why what an agent was doing is interrupted where another policy takes over; it may choose the same and go on."""
+"""Reason recorded for a skill that is interrupted because another policy takes over, which may continue it."""
 
 
 class NotRecorded(InputError):
@@ -34,7 +34,7 @@ class RecordedCommand(NamedTuple):
     step: int
     choice: Any
     interrupts: str = ""
-    """Why it interrupted a running skill; empty: the agent had to choose."""
+    """Reason for interrupting a running skill; empty if the agent had to choose."""
 
 
 class RecordedVelocities:
@@ -58,11 +58,18 @@ class RecordedVelocities:
         own: Any,
         since: int = 0,
     ) -> RecordedVelocities:
-        """From the commands that came from outside, else from the column ``agent_<i>.action``. ``since`` is the step from which
-        ``own`` decided, `deciding_since`.
+        """Policy that repeats the recorded commands from outside, or else the column ``agent_<i>.action``.
+
+        Args:
+            recording: the recording.
+            number: number of the agent.
+            commands: recorded raw input; None if the agent was not controlled from outside.
+            until: step from which ``own`` decides.
+            own: policy that takes over.
+            since: step from which ``own`` decided in the recording (`deciding_since`).
 
         Raises:
-            InputError: commands or skills are not of the kind that the simulator knows.
+            InputError: the simulator does not know a recorded command or skill.
         """
         told = {command.step: command.choice for command in commands or ()}
         if commands and f"agent_{number}.action" not in recording.columns:
@@ -71,14 +78,16 @@ class RecordedVelocities:
         actions = recording.columns[f"agent_{number}.action"]
         if actions.shape != (len(recording), 2) or not np.isfinite(actions).all():
             raise InputError(
-                f"Expected agent_{number}.action [T, 2] of finite numbers, got shape {list(actions.shape)}."
+                f"Expected agent_{number}.action [T, 2] of finite numbers, got shape {list(actions.shape)}.",
+                code="H3-POLICY-043",
             )
         names = recording.agents[number].skill_names
         codes = recording.columns.get(f"agent_{number}.skill", np.full(len(recording), -1))
         strange = sorted({int(c) for c in codes if not -1 <= c < len(names)})
         if strange:
             raise InputError(
-                f"Unknown skill codes {strange[:5]} in agent_{number}.skill. Expected: {', '.join(names)}."
+                f"Unknown skill codes {strange[:5]} in agent_{number}.skill. Expected: {', '.join(names)}.",
+                code="H3-POLICY-044",
             )
         choices = {
             k: Velocity(forward, turn, names[code] if code >= 0 else "")
@@ -87,11 +96,16 @@ class RecordedVelocities:
         return cls({**choices, **told}, until=until, own=own, since=since)
 
     def act(self, view: Any) -> Any:
+        """Recorded choice of this step, or that of the policy that has taken over.
+
+        Raises:
+            NotRecorded: the recording has no command for this step.
+        """
         choice = self._own.act(view) if self._own is not None and view.step >= self.since else None
         if view.step >= self._until and self._own is not None:
             return choice
         if view.step not in self._choices:
-            raise NotRecorded(f"The recorded raw input has no command for step {view.step}.")
+            raise NotRecorded(f"The recorded raw input has no command for step {view.step}.", code="H3-POLICY-045")
         return self._choices[view.step]
 
 
@@ -106,10 +120,15 @@ class RecordedCommands:
         self.since = until if own is not None else 0
 
     def act(self, view: Any) -> Any:
+        """Next recorded command, or the choice of the policy that has taken over.
+
+        Raises:
+            NotRecorded: the recording has no command for this step.
+        """
         if view.step >= self._until and self._own is not None:
             return self._own.act(view)
         if self._next >= len(self._commands) or self._commands[self._next].step != view.step:
-            raise NotRecorded(f"The recorded raw input has no command for step {view.step}.")
+            raise NotRecorded(f"The recorded raw input has no command for step {view.step}.", code="H3-POLICY-045")
         self._next += 1
         return self._commands[self._next - 1].choice
 
@@ -126,25 +145,38 @@ class RecordedTrack:
     """A person who keeps a recorded track, whatever the others do."""
 
     def __init__(self, recording: Recording, number: int, body: Any) -> None:
-        """
+        """Reads the recorded track of a person.
+
+        Args:
+            recording: the recording.
+            number: number of the agent.
+            body: its body.
+
         Raises:
-            InputError: the person's body was not recorded as clips at every step.
+            InputError: the person's body was not recorded as motion clips at every step.
         """
         if not len(recording):
-            raise InputError("The recording has no steps, so there is no track of a person to keep.")
+            raise InputError(
+                "The recording has no steps, so there is no track of a person to keep.", code="H3-POLICY-046"
+            )
         names = [f"agent_{number}.{n}" for n in ("base_pose", "motion_id", "motion_phase", "motion_blend")]
         lacks = [n for n in names if n not in recording.columns]
         if lacks:
-            raise InputError(f"The person's body must be recorded as clips; the recording lacks: {', '.join(lacks)}.")
+            raise InputError(
+                f"The person's body must be recorded as clips; the recording lacks: {', '.join(lacks)}.",
+                code="H3-POLICY-047",
+            )
         base, *self._motion = (recording.columns[n] for n in names)
         self._arms = recording.columns.get(f"agent_{number}.motion_arms", np.zeros((len(recording), 2), np.float32))
         if self._arms.shape != (len(recording), 2):
-            raise InputError(f"Expected agent_{number}.motion_arms [T, 2], got shape {list(self._arms.shape)}.")
+            raise InputError(
+                f"Expected agent_{number}.motion_arms [T, 2], got shape {list(self._arms.shape)}.", code="H3-POLICY-048"
+            )
         if not all(np.isfinite(array).all() for array in (base, self._arms, *self._motion)):
-            raise InputError("The person's track must be finite at every step.")
+            raise InputError("The person's track must be finite at every step.", code="H3-POLICY-049")
         clips = len(body.clips)
         if ((self._motion[0] < 0) | (self._motion[0] >= clips)).any():
-            raise InputError(f"agent_{number}.motion_id must be in 0..{clips - 1}.")
+            raise InputError(f"agent_{number}.motion_id must be in 0..{clips - 1}.", code="H3-POLICY-050")
         self._xz = base[:, [0, 2]].astype(np.float64)
         self._heading = np.unwrap(heading_from_quat(base[:, 3:].astype(np.float64)))
 
@@ -152,11 +184,12 @@ class RecordedTrack:
         """Positions after each step, [T, 2] [m]."""
         return self._xz
 
-    def act(self, view: Any) -> KeptMoment:
+    def act(self, view: Any) -> RecordedPose:
+        """Recorded pose and motion clip of this step."""
         step = view.step
         clip, phase, blend = (array[step] for array in self._motion)
         left, right = self._arms[step].tolist()
-        return KeptMoment(
+        return RecordedPose(
             self._xz[step], float(self._heading[step]), int(clip), float(phase), float(blend), (left, right)
         )
 
@@ -170,7 +203,7 @@ class RecordedPolicy:
     """
 
     spans: Sequence[SkillSpan]
-    """Its skills, in the order of time."""
+    """Recorded skills of the agent, in the order of time."""
     objects: tuple[str, ...]
     """Names of the task's objects."""
     now: NDArray[np.integer]
@@ -186,7 +219,7 @@ class RecordedPolicy:
     _running: Action = field(default_factory=lambda: Action("wait"))
 
     def act(self, view: RearrangeView) -> Action:
-        """As `HighLevelPolicy.act`."""
+        """Recorded action of this decision, or the choice of the policy that has taken over."""
         choice = self.own.act(view) if self.own is not None and view.step >= self.since else None
         if view.step >= self.until and choice is not None:
             return choice
@@ -196,7 +229,7 @@ class RecordedPolicy:
         return self._running
 
     def interrupts(self, view: RearrangeView) -> str:
-        """As `HighLevelPolicy` says."""
+        """Reason for which the recording interrupts the running action; empty if there is none."""
         asked = self.own is not None and view.step >= self.since
         if asked and view.step == self.since > 0:
             return RESUMED
@@ -240,18 +273,21 @@ def deciding_since(recording: Recording) -> list[int]:
     except msgspec.ValidationError:
         since = []
     if len(since) != count or min(since) < 0:
-        raise InputError(f"Expected deciding_since in the info, a step for each of {count} agents.")
+        raise InputError(
+            f"Expected deciding_since in the info, a step for each of {count} agents.", code="H3-POLICY-040"
+        )
     return since
 
 
 def recorded_choices(
     recording: Recording, number: int, objects: tuple[str, ...], since: int = 0, *, joints: tuple[str, ...] = ()
 ) -> tuple[list[SkillSpan], NDArray]:
-    """Skill spans of an agent, and its skills and targets step by step [T, 2], checked; ``since`` is the step before which
-    commands from outside decided, whose skills are left out.
+    """Skill spans of an agent, and its skills and targets step by step [T, 2].
+
+    ``since`` is the step before which commands from outside decided, whose skills are left out.
 
     Raises:
-        InputError: there are other skills or targets than the simulator knows, or commands of the lower layer, which are not
+        InputError: the simulator does not know a skill or target, or there are commands of the lower layer, which are not
             recorded.
     """
     spans = [span for span in recording.skills if span.agent == number and (not since or span.end_step >= since)]
@@ -262,7 +298,8 @@ def recorded_choices(
     names = {span.name for span in spans} | {codes[c] for c in now[:, 0].tolist() if c in codes}
     if CONTROL in names:
         raise InputError(
-            f"agent_{number} was driven by its lower layer ({CONTROL}), whose commands are not recorded. Expected skills only."
+            f"agent_{number} was driven by its lower layer ({CONTROL}), whose commands are not recorded. Expected skills only.",
+            code="H3-POLICY-041",
         )
     strange: set[Any] = names - set(known) | {c for c in now[:, 0].tolist() if c not in codes}
     strange |= {s.target for s in spans if s.target not in ("", *(joints if s.name in OPENING_SKILLS else objects))}
@@ -272,11 +309,15 @@ def recorded_choices(
     if strange or now.ndim != 2:
         raise InputError(
             f"Unknown skills or objects of agent_{number}: {', '.join(sorted(map(str, strange))[:5])}. Expected skills: "
-            f"{', '.join(name for name in known if name != CONTROL)}; objects: {', '.join((*objects, *joints))}."
+            f"{', '.join(name for name in known if name != CONTROL)}; objects: {', '.join((*objects, *joints))}.",
+            code="H3-POLICY-042",
         )
     for span in spans:
         if span.name in (*SKILLS[:4], *OPENING_SKILLS) and not span.target:
-            raise InputError(f"The skill {span.name} of agent_{number} at step {span.start_step} names no object.")
+            raise InputError(
+                f"The skill {span.name} of agent_{number} at step {span.start_step} names no object.",
+                code="H3-POLICY-051",
+            )
     return spans, now
 
 
@@ -297,5 +338,5 @@ def recorded_commands(recording: Recording, decode: Callable[[Any], Any]) -> dic
             command = RecordedCommand(int(data["step"]), decode(data["choice"]), str(data.get("interrupts", "")))
             commands.setdefault(int(data["agent"]), []).append(command)
         except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as fault:
-            raise InputError(f"Malformed raw input at {event.time_ns} ns: {fault!r}.") from None
+            raise InputError(f"Malformed raw input at {event.time_ns} ns: {fault!r}.", code="H3-POLICY-052") from None
     return commands

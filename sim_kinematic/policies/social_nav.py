@@ -49,7 +49,7 @@ TURN_COST_M = 0.5
 ROOM_COST = 8.0
 """and a metre of lacking room."""
 REACH_M = 2.0
-"""So near to the person the robot may find them; farther away they are not heeded before they are found."""
+"""Distance to the person below which the robot may find them [m]; farther away it ignores them until they are found."""
 SAMPLES = 24
 """Commands that the sampling expert draws at every step."""
 
@@ -105,8 +105,10 @@ def rollout_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
 
 
 def _receding(view: SocialNavView) -> float:
-    """By how much the person goes away from the robot in this step [m], if they go on as in the last one: without, a robot
-    before somebody who walks at it backs away and comes back every other step."""
+    """Distance by which the person moves away from the robot in this step, if they continue as in the last one [m].
+
+    Without it, a robot in front of a person who walks towards it backs away and returns every other step.
+    """
     if view.human_before is None or view.geodesic_m > REACH_M:
         return 0.0
     (away_x, away_z), (step_x, step_z) = (
@@ -177,11 +179,11 @@ def _way_left(
 
 
 def sampling_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """Draws commands, tries each beside the person as they will walk on, and takes the best: the way to 1.5 m from them,
-    facing them, with room between both.
+    """Expert that samples commands and simulates each together with the person's expected walk.
 
-    One that draws way points without foreseeing their walk collides more than plain backing (75 % of episodes, a draft of the
-    paper's appendix says): it drives to where they are going.
+    It takes the best of them: on the path to 1.5 m from the person, facing them, with room between both. An expert that
+    samples waypoints without predicting the walk collides more often than one that just backs away (in 75% of episodes,
+    says a draft of the paper's appendix), because it drives to where the person is going.
     """
     if not view.met and view.geodesic_m > REACH_M:
         return _approach(view, spec, view.human_xz)
@@ -195,7 +197,10 @@ def future_oracle(view: SocialNavView, spec: BaseSpec) -> Velocity:
         InputError: nobody knows their future: they do not follow the script of an episode.
     """
     if view.future is None:
-        raise InputError("future_oracle needs the person's future, known of scripted and recorded people alone.")
+        raise InputError(
+            "future_oracle needs the person's future, known of scripted and recorded people alone.",
+            code="H3-POLICY-062",
+        )
     future = view.future()
     walk = np.concatenate([future[:ESCAPE_STEPS], np.repeat(future[-1:], max(ESCAPE_STEPS - len(future), 0), axis=0)])
     if not view.met and view.geodesic_m > REACH_M:
@@ -280,7 +285,9 @@ def policy_by_name(name: str) -> Policy:
     name = EARLIER_NAMES.get(name, name)
     if name not in POLICIES:
         there = [*POLICIES, *SHIPPED_IN["social_nav"]]
-        raise InputError(f"Unknown policy {name!r}.{suggest(name, there, more=', or weights:FILE')}")
+        raise InputError(
+            f"Unknown policy {name!r}.{suggest(name, there, more=', or weights:FILE')}", code="H3-POLICY-038"
+        )
     return POLICIES[name]
 
 

@@ -18,15 +18,15 @@ from h3data.geometry import Array, pose_multiply
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.arm_tuck import draw_arms
 from sim_kinematic.agents.contact_tracker import AgentContactTracker
-from sim_kinematic.agents.person import Frame, Person, SkillResult
+from sim_kinematic.agents.person import Frame, MotionResult, Person
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.skills import RobotActor
-from sim_kinematic.agents.skills import Ending, Objects, Skill
+from sim_kinematic.agents.skills import Objects, Skill, SkillResult
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.contact.frames import root_pose, walking_phase
 from sim_kinematic.motion.spec import ArmRoomSpec
 from sim_kinematic.motion.state import HumanState, WorldState
-from sim_kinematic.policies.policy import PaceTo, Velocity
+from sim_kinematic.policies.policy import GaitAction, Velocity
 from sim_kinematic.world import World
 
 ARRIVED_M = 0.3
@@ -35,7 +35,7 @@ ARM_RAD_S = 8.0
 """Arms stay folded; whatever has unfolded them, they fold at this speed."""
 
 
-class Rover(RobotActor):
+class RobotTrafficAgent(RobotActor):
     """A robot that drives about."""
 
     def go_to(self, goal: NDArray[np.float64]) -> Skill:
@@ -50,25 +50,27 @@ class Rover(RobotActor):
         return Velocity(0.0, 0.0) if self.hindered_by else Velocity(*self.command)
 
 
-class Stroller(PersonActor):
+class WalkingAgent(PersonActor):
     """A person who walks about, in the motion clip that the world plays."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.figure = cast("ClipFigure", self.person)
+        self.figure = cast("ClipBody", self.person)
 
     @property
     def xz(self) -> NDArray:
+        """Position on the floor [2] [m]."""
         return self.figure.gait.xz[0].copy()
 
     @property
     def heading(self) -> float:
+        """Heading [rad]."""
         return self.figure.gait.heading.item(0)
 
     def go_to(self, goal: NDArray[np.float64]) -> Skill:
         """Walks to a floor point [2], or gives up where somebody does not let them pass."""
         yield from self._walk(goal)
-        return Ending("done")
+        return SkillResult("done")
 
     def follow(self, state: WorldState) -> None:
         """Takes over where the world has the person, and how far they are in their walking cycle."""
@@ -76,9 +78,9 @@ class Stroller(PersonActor):
         assert isinstance(own, HumanState)
         self._gait = self.figure.gait = own.take([0])
 
-    def choice(self) -> PaceTo:
+    def choice(self) -> GaitAction:
         """The step that the person has just made."""
-        return PaceTo(self.figure.gait)
+        return GaitAction(self.figure.gait)
 
     def _posture(self) -> Any:
         return self.figure.gait.take([0])
@@ -87,7 +89,7 @@ class Stroller(PersonActor):
         self.figure.gait = posture
 
 
-class ClipFigure:
+class ClipBody:
     """The part of `Person` that walking needs, posed by a motion clip."""
 
     look_at = None
@@ -100,14 +102,17 @@ class ClipFigure:
 
     @property
     def base(self) -> Array:
+        """Pose of the agent root [7]."""
         return root_pose(self.body, self.gait.xz[0], self.gait.heading.item(0), self._free)
 
     @property
     def quats(self) -> Array:
+        """Local rotations of the joints [55, 4]."""
         return self._pose()[0]
 
     @property
     def pelvis(self) -> Array:
+        """Position of the pelvis in the agent root frame [3] [m]."""
         return self._pose()[1]
 
     @property
@@ -116,19 +121,19 @@ class ClipFigure:
         return np.inf
 
     def stride(self, gait: HumanState | None = None) -> None:
-        """As `Person.stride`."""
+        """Moves the body by one step of its walk."""
         if gait is not None:
             self.gait = gait.take([0])
             draw_arms(self.gait, self._free, self.body, self._arms)
 
-    def turn(self, heading: float, *, settles: bool = True) -> Generator[None, None, SkillResult]:
-        """As `Person.turn`: `sim_kinematic.motion.gait.walk_humans` turns them before they walk."""
+    def turn(self, heading: float, *, settles: bool = True) -> Generator[None, None, MotionResult]:
+        """Does nothing: `sim_kinematic.motion.gait.walk_humans` turns people before they walk."""
         del heading, settles
         yield from ()
-        return SkillResult(success=True)
+        return MotionResult(success=True)
 
     def frame(self) -> Frame:
-        """As `Person.frame`."""
+        """Pose of the body in this step."""
         root = pose_multiply(self.base, np.concatenate([self.pelvis, self.quats[0]]))
         return Frame(self.base, root, self.quats[1:], {})
 
@@ -159,14 +164,14 @@ class Traffic:
             actor.meets = partial(self._tracker.meets, actor)
             actor.yields = False  # until it takes a turn: whoever follows another policy makes way for nobody
 
-    def _actor(self, number: int, floor: FreeSpace) -> Rover | Stroller:
+    def _actor(self, number: int, floor: FreeSpace) -> RobotTrafficAgent | WalkingAgent:
         world, body = self._world, self._world.roster[number].body
         if isinstance(body, Robot):
-            return Rover(body, floor, world.bases[number], self._objects, 0.0, ARM_RAD_S, number)
-        figure = ClipFigure(body, world.clips[number], floor, world.walker.arms)
-        return Stroller(cast(Person, figure), floor, world.walker, self._objects, number)
+            return RobotTrafficAgent(body, floor, world.bases[number], self._objects, 0.0, ARM_RAD_S, number)
+        figure = ClipBody(body, world.clips[number], floor, world.walker.arms)
+        return WalkingAgent(cast(Person, figure), floor, world.walker, self._objects, number)
 
-    def begin_turn(self, number: int, step: int) -> Rover | Stroller:
+    def begin_turn(self, number: int, step: int) -> RobotTrafficAgent | WalkingAgent:
         """Returns an agent as it is in the world, with what it knows of the others."""
         if step != self._step:
             self._begin_step(step)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from h3data.geometry import Array
 from h3data.scene import FreeSpace
-from sim_kinematic.agents.skills import Action, Ending
+from sim_kinematic.agents.skills import Action, SkillResult
 from sim_kinematic.motion.spec import BaseSpec, WalkerSpec
 from sim_kinematic.motion.state import NOBODY
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 
 class AgentView(NamedTuple):
-    """What a privileged policy may know in any task: the map, and where everybody is and was a step ago."""
+    """Observation of privileged policies in any task: the map, and all agents' poses now and one step ago."""
 
     step: int
     seed: int
-    """Of the episode: with ``step`` it decides everything that a policy samples."""
+    """Seed of the episode, which with ``step`` determines all random numbers of a policy."""
     agent: int
     """Number of the agent that decides."""
     kinds: tuple[str, ...]
@@ -58,7 +58,7 @@ class AgentView(NamedTuple):
 
 
 class SocialNavView(NamedTuple):
-    """What a privileged policy may know: where both are, and the map."""
+    """Observation of privileged policies of social navigation: the map and the poses of both agents."""
 
     free: FreeSpace
     robot_xz: NDArray[np.float64]
@@ -69,45 +69,45 @@ class SocialNavView(NamedTuple):
     met: bool
     """The robot has found the person before."""
     seed: int = 0
-    """Of the episode: with ``step`` it decides everything that a policy draws."""
+    """Seed of the episode, which with ``step`` determines all random numbers of a policy."""
     step: int = 0
     robot_before: tuple[NDArray[np.float64], float] | None = None
-    """Where the robot was before the last step, place and heading; None at the start."""
+    """Position and heading of the robot before the last step; None at the start."""
     human_before: NDArray[np.float64] | None = None
-    """Where the person was before the last step; None at the start."""
+    """Position of the person before the last step; None at the start."""
     future: Callable[[], NDArray[np.float64]] | None = None
-    """Where the person will be after this step and each later one [K, 2]: for `future_oracle` alone. None: nobody knows."""
+    """Future positions of the person after this step and each later one [K, 2], for `future_oracle` alone; None if unknown."""
     pictures: Callable[..., dict[str, NDArray[Any]]] | None = None
     """Takes pictures of the robot as `sim_kinematic.sensing.eyes.see`: ``pictures(names, size, light="flat")`` with a size
     (width, height) or None. They are costly, so only a policy that sees asks for them. None: nobody takes pictures."""
 
 
 class RearrangeView(NamedTuple):
-    """What a privileged policy may know: everything but the other's plan."""
+    """Observation of privileged policies of rearrangement: everything but the other agent's plan."""
 
     step: int
     free: FreeSpace
     agent: int
-    """Which agent it is that decides."""
+    """Number of the agent that decides."""
     xz: NDArray[np.float64]
     heading: float
     other_xz: NDArray[np.float64]
-    """Of the other agent, the nearest where there are several; NaN when it is alone."""
+    """Position of the other agent, the nearest if there are several; NaN if there is none."""
     other_track: NDArray[np.float64]
-    """Where the other was in the last steps, the newest last, shape [N, 2] [m]."""
+    """Past positions of the other agent, the newest last, shape [N, 2] [m]."""
     close: bool
     """The other is inside the ellipse in which skills may be interrupted (``agents_within_threshold``)."""
     objects: NDArray[np.float64]
-    """Where the objects are, shape [K, 3] [m]."""
+    """Positions of the objects, shape [K, 3] [m]."""
     goals: NDArray[np.float64]
     held_by: NDArray[np.int64]
     at_goal: NDArray[np.bool_]
     action: Action | None
-    """What it is doing or, between two actions, has done last."""
-    last: Ending | None
-    """How that ended; None while it goes on."""
+    """Present action of the agent or, between two actions, its last one."""
+    last: SkillResult | None
+    """Result of that action; None while it is running."""
     starts: NDArray[np.float64]
-    """Where the objects were at the beginning, shape [K, 3] [m]."""
+    """Initial positions of the objects, shape [K, 3] [m]."""
     hand: Callable[[], NDArray[np.floating]]
     """Gives pose7 [7] of the hand in the world: of a robot's, or of a person's right palm."""
     arm: NDArray[np.float64]
@@ -117,7 +117,7 @@ class RearrangeView(NamedTuple):
     before: NDArray[np.float64]
     """and where it was a step ago."""
     contact: bool
-    """Its base touched an obstacle in the last step."""
+    """Whether the robot's base touched an obstacle in the last step."""
     collision: bool
     """Agents touch now."""
     barrier: Callable[[int, bool], int] = lambda k, at_goal: -1

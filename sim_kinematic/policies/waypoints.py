@@ -10,8 +10,8 @@ from sim_kinematic.agents.skills import Skill
 from sim_kinematic.agents.waypoint_walker import WaypointHuman
 from sim_kinematic.avoidance.yielding import NO_PATH
 from sim_kinematic.motion.spec import WalkerSpec
-from sim_kinematic.policies.policy import PaceTo, StrideTo, Towards, Velocity
-from sim_kinematic.policies.traffic import Rover, Stroller
+from sim_kinematic.policies.policy import GaitAction, PoseAction, Velocity, WaypointAction
+from sim_kinematic.policies.traffic import RobotTrafficAgent, WalkingAgent
 from sim_kinematic.policies.views import AgentView
 
 ATTEMPTS = 3
@@ -21,16 +21,16 @@ ATTEMPTS = 3
 class WaypointPolicy(WaypointHuman):
     """The scripted person of social navigation: shortest paths to random points (paper section 4.1). Reacts to nobody."""
 
-    def act(self, view: AgentView) -> Towards | StrideTo:
+    def act(self, view: AgentView) -> WaypointAction | PoseAction:
         """The way point to walk to, or the next stride."""
         return self.move(np.asarray(view.xz, np.float64), view.heading)
 
-    def move(self, xz: NDArray[np.float64], heading: float) -> Towards | StrideTo:
-        """The same from ``xz`` [2] and ``heading``: all that this policy looks at."""
+    def move(self, xz: NDArray[np.float64], heading: float) -> WaypointAction | PoseAction:
+        """Choice for a position ``xz`` [2] and a heading, which are all that this policy needs."""
         if self.spec.stride is None:
-            return Towards(self.target(xz))
+            return WaypointAction(self.target(xz))
         x, z, turned = self.stride(xz, heading)
-        return StrideTo(np.array([x, z]), turned)
+        return PoseAction(np.array([x, z]), turned)
 
 
 class WanderPolicy:
@@ -40,7 +40,7 @@ class WanderPolicy:
         self._goals = WaypointHuman(free, seed, walker)
         self._going: Skill | None = None
 
-    def act(self, view: AgentView) -> PaceTo | Velocity:
+    def act(self, view: AgentView) -> GaitAction | Velocity:
         """A step for a person, a velocity for a robot."""
         traffic = view.traffic()
         actor = traffic.begin_turn(view.agent, view.step)
@@ -49,7 +49,7 @@ class WanderPolicy:
         traffic.end_turn(view.agent)
         return actor.choice()
 
-    def _goes_on(self, actor: Rover | Stroller) -> bool:
+    def _goes_on(self, actor: RobotTrafficAgent | WalkingAgent) -> bool:
         """Makes the next step to the goal, else to another one; returns whether there was one to make."""
         if self._going is None:
             actor.path = NO_PATH

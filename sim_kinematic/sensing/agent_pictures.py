@@ -1,5 +1,6 @@
-"""The pictures among an agent's observations, by name, the same in all tasks: depth and colours of each of its cameras, and
-what the humanoid detector reads from the arm's.
+"""Pictures among an agent's observations, by name, the same in all tasks.
+
+They are depth and colours of each of its cameras, and the output of the humanoid detector on the arm's camera.
 """
 
 from __future__ import annotations
@@ -43,8 +44,11 @@ class Limits(NamedTuple):
 
 
 def picture_names(body: Body) -> tuple[str, ...]:
-    """``CAMERA_depth`` and ``CAMERA_rgb`` of each camera ``robot_CAMERA`` of a robot, and `DETECTORS` if its arm has one; of a
-    person ``head_depth`` and ``head_rgb``, their own view."""
+    """Names of the pictures that a body can observe.
+
+    A robot has ``CAMERA_depth`` and ``CAMERA_rgb`` of each of its cameras ``robot_CAMERA``, and `DETECTORS` if there is
+    one on its arm. A person has ``head_depth`` and ``head_rgb``, their own view.
+    """
     if isinstance(body, Humanoid):
         return ("head_depth", "head_rgb")
     cameras = [c.name.removeprefix(PREFIX) for c in body.cameras if not c.name.endswith("_rgb")]
@@ -59,20 +63,24 @@ class AgentPictures:
         self, body: Body, names: Sequence[str], *, agent: int, depth_size: tuple[int, int] | None = None,
         rgb_size: tuple[int, int] | None = None,
     ) -> None:  # fmt: skip
-        """
+        """Selects the pictures of one agent.
+
         Args:
-            body: Of the agent.
-            names: Its observations; those in `picture_names` are pictures.
-            agent: Its number in the state.
-            depth_size: Width and height [pixels] of depth, masks and boxes; None is each camera's own. The field of view stays.
-            rgb_size: The same of colours.
+            body: body of the agent.
+            names: its observations; those in `picture_names` are pictures.
+            agent: its number in the state.
+            depth_size: width and height of depth, masks and boxes [px]; None is each camera's own. The field of view does not
+                change.
+            rgb_size: width and height of colours, likewise.
 
         Raises:
-            InputError: a size is not at least 1 x 1.
+            InputError: a size is less than 1 x 1.
         """
         for size in filter(None, (depth_size, rgb_size)):
             if len(size) != 2 or min(size) < 1:
-                raise InputError(f"Expected a picture of at least 1 x 1 pixels (width, height), got {size}.")
+                raise InputError(
+                    f"Expected a picture of at least 1 x 1 pixels (width, height), got {size}.", code="H3-SIM-039"
+                )
         self.names = tuple(name for name in names if name in picture_names(body))
         self._agent = agent
         self._lenses = {n: _lens(body, n, rgb_size if n.endswith("_rgb") else depth_size) for n in self.names}

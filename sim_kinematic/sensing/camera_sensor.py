@@ -38,7 +38,7 @@ from sim_kinematic.sensing.sensor import HUMAN_ID, scaled_depth
 ROBOT_ID = 200
 """Semantic id of robots in our recordings."""
 HEAD_SIZE, HEAD_HFOV_DEG = (640, 480), 90.0
-"""Of the camera between a person's eyes."""
+"""Size and field of view of the camera between a person's eyes."""
 CAPSULE_SIDES = 12
 
 
@@ -60,19 +60,20 @@ class StateRenderer:
         speed_mps: float | None = None, skinned: bool = True, light: LightMode = "flat", lit_as: Scene | None = None,
         backend: Backend = "cpu", threads: int = 1,
     ) -> None:  # fmt: skip
-        """
+        """Loads the meshes of a home and its agents into a renderer.
+
         Args:
-            scene: The home; all worlds share it.
-            agents: Bodies of those who are in it, robots first, as in the state.
-            worlds: W.
-            objects: Names of the instances of ``scene`` that the state moves, in the order of ``object_pose`` [O].
-            speed_mps: At which people walk, which chooses their clips (default: `WalkerSpec`'s).
-            skinned: People are skinned meshes; else the rigid capsules of their bones.
-            light: Light in ``rgb``, as of `h3data.replay.Replay`.
-            lit_as: The scene whose baked light surfaces carry (default: ``scene``): the same instances, with doors and drawers
-                elsewhere, so that light is not baked anew whenever one moves.
-            backend: Of `h3data.render.Renderer`.
-            threads: Threads that draw a batch.
+            scene: the home, shared by all worlds.
+            agents: bodies of the agents, robots first, as in the state.
+            worlds: number of worlds W.
+            objects: names of the instances of ``scene`` that the state moves, in the order of ``object_pose`` [O].
+            speed_mps: walking speed of people, which selects their motion clips (default: `WalkerSpec`'s).
+            skinned: whether people are skinned meshes; otherwise they are the rigid capsules of their bones.
+            light: light in ``rgb``, as for `h3data.replay.Replay`.
+            lit_as: scene whose baked light the surfaces carry (default: ``scene``). It has the same instances, with doors and
+                drawers elsewhere, so that light is not baked again whenever one moves.
+            backend: back end of `h3data.render.Renderer`.
+            threads: number of threads that render a batch.
         """
         self._meshes: list[Mesh] = []
         self._instances: list[RenderInstance] = []
@@ -86,7 +87,9 @@ class StateRenderer:
         static = [k for name, k in drawn_as.items() if name not in set(objects)]
         unknown = sorted(set(objects) - set(drawn_as))
         if unknown:
-            raise InputError(f"The scene draws no instances {', '.join(unknown)}, which the state is to move.")
+            raise InputError(
+                f"The scene draws no instances {', '.join(unknown)}, which the state is to move.", code="H3-SIM-040"
+            )
         scales = {i.name: i.scale for i in scene.instances}
         self._objects = [drawn_as[name] for name in objects]
         self._object_scale = np.array([scales[name] for name in objects], np.float64).reshape(-1, 1, 3)
@@ -111,11 +114,12 @@ class StateRenderer:
 
     @property
     def worlds(self) -> int:
+        """Number of worlds W."""
         return self.renderer.world_count
 
     @property
     def bodies(self) -> tuple[Body, ...]:
-        """Those of the agents."""
+        """Bodies of the agents."""
         return tuple(drawn.body for drawn in self._agents)
 
     def instances(self, agent: int) -> tuple[int, ...]:
@@ -123,8 +127,10 @@ class StateRenderer:
         return tuple(self._agents[agent].instances)
 
     def _bake(self, scene: Scene, static: Sequence[int], lit_as: Scene) -> None:
-        """Replaces static meshes by ones that carry the light of the scene; their poses are those that a recording has, so that
-        the light is the very one of replays, and baked once for both."""
+        """Replaces static meshes by ones that carry the light of the scene.
+
+        Their poses are those of recordings, so that the light equals that of replays and is baked once for both.
+        """
         as_lit = list(self._instances)
         for instances, other in ((self._instances, scene), (as_lit, lit_as)):
             there = {i.name: recorded_matrix(i) for i in other.instances}
@@ -170,7 +176,8 @@ class StateRenderer:
         if state.object_pose.shape[:2] != (self.worlds, len(self._objects)):
             raise InputError(
                 f"Expected a state of {self.worlds} worlds and {len(self._objects)} objects, got "
-                f"{state.worlds} and {state.object_pose.shape[1]}."
+                f"{state.worlds} and {state.object_pose.shape[1]}.",
+                code="H3-SIM-041",
             )
         require_bodies(state, self.bodies)
         if frames is None:
@@ -202,9 +209,9 @@ class StateRenderer:
     def _posed(self, agent: int) -> Array:
         """An agent's frames as last posed."""
         if not self._frames:
-            raise InputError("Nothing has been posed yet. Hint: call pose(state) first.")
+            raise InputError("Nothing has been posed yet. Hint: call pose(state) first.", code="H3-SIM-042")
         if not 0 <= agent < len(self._agents):
-            raise InputError(f"There are {len(self._agents)} agents, counted from 0; got {agent}.")
+            raise InputError(f"There are {len(self._agents)} agents, counted from 0; got {agent}.", code="H3-SIM-043")
         return self._frames[agent]
 
     def cameras(self, name: str = "", *, agent: int = 0, size: tuple[int, int] | None = None) -> list[Camera]:
@@ -225,8 +232,10 @@ class StateRenderer:
         return [camera.at(pose) for pose in poses]
 
     def picture(self, cameras: Sequence[Camera], outputs: Sequence[Output]) -> dict[str, Any]:
-        """What N cameras per world see, by output, each [N * W, H, W', ...] (`h3data.render.Renderer.render`): the first
-        cameras of all worlds come first."""
+        """Renders N cameras per world; returns arrays by output, each [N * W, H, W', ...].
+
+        The first cameras of all worlds come first (`h3data.render.Renderer.render`).
+        """
         if self._skinned:
             for k, drawn in enumerate(self._agents):
                 if isinstance(drawn.body, Humanoid):
@@ -250,8 +259,11 @@ class StateRenderer:
         self._is_shaded = True
 
     def _show_person(self, agent: int, drawn: _Drawn, body: Humanoid, cameras: Sequence[Camera]) -> None:
-        """The light mesh where it will do for every camera, as in replays; each is skinned at most once per pose, and only
-        where one of its cameras may see it: skinning takes longer than the rest of a step."""
+        """Poses a person's mesh for the given cameras.
+
+        As in replays, it is the mesh of low detail where that suffices for all of them. Each mesh is skinned at most
+        once per pose, and only if a camera may see it: skinning takes longer than the rest of a step.
+        """
         joints = self._frames[agent]
         eyes = np.array([camera.pose[:3, 3] for camera in cameras]).reshape(-1, self.worlds, 3)
         apart = np.linalg.norm(joints[:, :, :3, 3] - eyes[:, :, None], axis=-1).min((0, 2))
@@ -301,9 +313,9 @@ class CameraSensor:
     """A named camera of an agent and what it gives: depth and colours of the arm, body cameras, ids for the detector."""
 
     camera: str = "robot_arm"
-    """Of a robot; a person has one only."""
+    """Name of the robot's camera; a person has only one."""
     agent: int = 0
-    """Whose it is."""
+    """Number of the agent that carries the camera."""
     outputs: tuple[Output, ...] = ("depth",)
     depth_range_m: tuple[float, float] | None = None
     """Depth is clipped to this range and scaled to 0..1, as Habitat's; None leaves metres."""
@@ -312,7 +324,9 @@ class CameraSensor:
 
     def __post_init__(self) -> None:
         if self.depth_range_m is not None and not 0 <= self.depth_range_m[0] < self.depth_range_m[1] < float("inf"):
-            raise InputError(f"Expected a depth range (near, far) with 0 <= near < far, got {self.depth_range_m}.")
+            raise InputError(
+                f"Expected a depth range (near, far) with 0 <= near < far, got {self.depth_range_m}.", code="H3-SIM-044"
+            )
 
     def observe(self, drawn: StateRenderer) -> dict[str, Any]:
         """Pictures of all worlds as last posed, by output, each [W, H, W', ...]."""

@@ -1,5 +1,7 @@
-"""The observations that one agent of a training environment is shown: which there are, their spaces, noise. Needs the extra
-``env``."""
+"""Observations of one agent of a training environment: their names, spaces and noise.
+
+Needs the extra ``env``.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,7 @@ try:
     import gymnasium
 except ImportError as error:
     raise MissingExtraError(
-        "Training environments need Gymnasium and PettingZoo. Hint: pip install 'h3data[env]'"
+        "Training environments need Gymnasium and PettingZoo. Hint: pip install 'h3data[env]'", code="H3-SIM-045"
     ) from error
 
 Arrays = dict[str, NDArray[Any]]
@@ -38,18 +40,19 @@ class ObservationSet:
         depth_size: tuple[int, int] | None = None, rgb_size: tuple[int, int] | None = None,
         noise: Mapping[str, NoiseModel] | None = None,
     ) -> None:  # fmt: skip
-        """
+        """Selects the observations of one agent.
+
         Args:
-            names: As `checked_names` gives them: some of ``states`` and of `picture_names` of the body.
-            states: Spaces of observations that are no pictures.
-            body: Of the agent.
-            agent: Its number in the state.
-            depth_size: As of `AgentPictures`.
-            rgb_size: As of `AgentPictures`.
-            noise: Model by name of an observation; None and others are exact.
+            names: some of ``states`` and of the body's `picture_names`, as `checked_names` returns them.
+            states: limits of observations that are not pictures.
+            body: body of the agent.
+            agent: its number in the state.
+            depth_size: as for `AgentPictures`.
+            rgb_size: as for `AgentPictures`.
+            noise: noise model by name of an observation; others are exact.
 
         Raises:
-            InputError: a size is not at least 1 x 1.
+            InputError: a size is less than 1 x 1.
         """
         self.names = tuple(names)
         self.pictures = AgentPictures(body, self.names, agent=agent, depth_size=depth_size, rgb_size=rgb_size)
@@ -71,7 +74,7 @@ class ObservationSet:
         return self.pictures.take(drawn) if self.pictures.names else {}
 
     def shown(self, exact: Arrays, seeds: Sequence[int], steps: Sequence[int]) -> Arrays:
-        """What W worlds show, [W, ...], of exact values [W, ...]: with noise, depth scaled to 0..1, within the space.
+        """Observations [W, ...] for exact values [W, ...]: with noise, depth scaled to 0..1, within the space.
 
         Noise follows from the episodes' ``seeds`` [W] and ``steps`` [W] alone.
         """
@@ -97,7 +100,8 @@ class ObservationSet:
             if drawn.shape != values[w].shape or not np.isfinite(drawn).all():
                 raise InputError(
                     f"The noise of {name} must keep the shape {list(values[w].shape)} and be finite, got "
-                    f"{list(drawn.shape)}."
+                    f"{list(drawn.shape)}.",
+                    code="H3-SIM-048",
                 )
             noisy[w] = drawn
         return noisy
@@ -118,8 +122,13 @@ def checked_names(
     """
     every = tuple(dict.fromkeys(name for each in known for name in each))
     if not isinstance(names, list | tuple) or not names or not all(name in every for name in names):
-        raise InputError(f"Expected a list of observations, some of: {', '.join(every)}. Got {names!r}.")
+        raise InputError(
+            f"Expected a list of observations, some of: {', '.join(every)}. Got {names!r}.", code="H3-SIM-046"
+        )
     strangers = sorted(set(noise) - set(names))
     if strangers:
-        raise InputError(f"Noise is for observations that are shown ({', '.join(names)}), not {', '.join(strangers)}.")
+        raise InputError(
+            f"Noise is for observations that are shown ({', '.join(names)}), not {', '.join(strangers)}.",
+            code="H3-SIM-047",
+        )
     return tuple(tuple(name for name in dict.fromkeys(names) if name in each) for each in known)

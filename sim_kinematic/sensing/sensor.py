@@ -132,8 +132,16 @@ def in_frame(pose: ArrayLike, points: ArrayLike) -> Floats:
 
 
 def humanoid_velocity(robot_heading: ArrayLike, before_xz: ArrayLike, xz: ArrayLike, *, dt: float = STEP_S) -> Floats:
-    """Velocity of a person who was at ``before_xz`` [..., 2] a step ago, over the ground but along the axes of a base with
-    this heading [...]: ``(forward, left)`` [..., 2] [m/s]."""
+    """Velocity of a person along the axes of a robot's base: ``(forward, left)`` [..., 2] [m/s].
+
+    It is the velocity over the ground, not relative to the robot.
+
+    Args:
+        robot_heading: heading of the base [...] [rad].
+        before_xz: position of the person one step ago [..., 2] [m].
+        xz: position now [..., 2] [m].
+        dt: duration of a step [s].
+    """
     return in_base_frame(before_xz, robot_heading, xz) / dt
 
 
@@ -166,10 +174,11 @@ def path_points(
 
 
 def range_scan(free: FreeSpace, xz: ArrayLike, heading: ArrayLike) -> Floats:
-    """What a laser scanner in the middle of bases [..., 2] measures: free way [m] in `RANGES` directions [..., RANGES], the
-    first straight ahead, the others to the LEFT in turn, at most `RANGE_M`. People are not seen.
+    """Free distance around bases [..., 2] as a laser scanner in their middle measures it, [..., RANGES] [m].
 
-    Sphere tracing in the distance grid (Hart, 1996), `RANGE_STRIDES` strides: a ray that grazes a wall may end too early.
+    The first direction is straight ahead, the others follow to the LEFT. Distances are at most `RANGE_M`; people are
+    not seen. The method is sphere tracing in the distance grid (Hart, 1996) with `RANGE_STRIDES` strides: a ray that
+    grazes a wall may end too early.
     """
     along = np.asarray(heading, np.float64)[..., None] + 2 * np.pi / RANGES * np.arange(RANGES)
     direction, start = heading_direction(along), np.asarray(xz, np.float64)[..., None, :]
@@ -204,7 +213,7 @@ def is_holding(held_by: ArrayLike, agent: int = 0) -> Floats:
 
 # --- the person in a picture --------------------------------------------------------------------------------------------
 class Detection(NamedTuple):
-    """What the humanoid detector says of pictures [..., H, W]."""
+    """Output of the humanoid detector for pictures [..., H, W]."""
 
     found: NDArray[np.float32]
     """1 where more than `DETECTED_PIXELS` pixels show a person, shape [...]."""
@@ -217,11 +226,14 @@ class Detection(NamedTuple):
 def detect_humanoids(
     ids: ArrayLike, human: int | tuple[int, ...] = HUMAN_ID, *, more_than_pixels: int = DETECTED_PIXELS
 ) -> Detection:
-    """The humanoid detector on pictures of ids [..., H, W]: ``semantic`` with the default, or ``instance`` with the
-    instances that are people."""
+    """Applies the humanoid detector to pictures of ids [..., H, W].
+
+    The ids are those of ``semantic`` with the default, or of ``instance`` with the numbers of the instances that are
+    people.
+    """
     mask = np.isin(np.asarray(ids), human)
     if mask.ndim < 2:
-        raise InputError(f"Expected pictures [..., H, W] of ids, got shape {list(mask.shape)}.")
+        raise InputError(f"Expected pictures [..., H, W] of ids, got shape {list(mask.shape)}.", code="H3-SIM-049")
     rows, columns = mask.any(-1), mask.any(-2)
     box = _but_last(rows)[..., :, None] & _but_last(columns)[..., None, :]
     found = mask.sum((-2, -1)) > more_than_pixels
@@ -270,8 +282,11 @@ def with_noise(values: ArrayLike, sigma: ArrayLike, rng: np.random.Generator) ->
 def depth_with_noise(
     depth: ArrayLike, rng: np.random.Generator, *, base_m: float = 0.0012, growth: float = 0.0019, missing: float = 0.0
 ) -> NDArray[np.float32]:
-    """Depth [...] [m] with the axial noise of a structured-light camera: sigma = base + growth (d - 0.4)^2 (Nguyen, Izadi
-    and Lovell, "Modeling Kinect sensor noise", 2012). ``missing`` is the share of pixels that are lost (0); misses stay 0."""
+    """Adds the axial noise of a structured-light camera to depth [...] [m].
+
+    sigma = base + growth (d - 0.4)^2 (Nguyen, Izadi and Lovell, "Modeling Kinect sensor noise", 2012). ``missing`` is
+    the share of pixels that are lost (0). Pixels without depth stay 0.
+    """
     d = np.asarray(depth, np.float64)
     noisy = d + (base_m + growth * (d - 0.4) ** 2) * rng.standard_normal(d.shape)
     lost = rng.random(d.shape) < missing

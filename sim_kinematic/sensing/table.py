@@ -6,12 +6,13 @@ A sensor of one's own is one more row: ``{**SENSORS, "goal": Sensor(...)}`` retu
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.geometry import Array, ground_pose
+from h3data.moved import refuse_renamed
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.motion.state import AgentState
 from sim_kinematic.sensing.agent_pictures import Limits
@@ -31,13 +32,16 @@ from sim_kinematic.sensing.sensor import (
 )
 from sim_kinematic.world import World
 
+if not TYPE_CHECKING:
+    __getattr__ = refuse_renamed(__name__)
+
 JOINT_MOST = 10.0
 """Bound of joint positions [rad or m]."""
 PAIR_SENSORS = ("humanoid_gps", "humanoid_velocity", "way", "humanoid_in_start_frame")
 """Sensors of another agent, which a lone one does not have."""
 
 
-class Moment(NamedTuple):
+class SensorContext(NamedTuple):
     """One agent of each world, now."""
 
     spec: Any
@@ -45,7 +49,7 @@ class Moment(NamedTuple):
     base: BaseSpec
     """Discs and limits of the agent."""
     memory: Any
-    """What the task remembers (`WorldPlay.memory`), for sensors of its own."""
+    """State that the task stores between steps (`WorldRollout.memory`), for its own sensors."""
     episodes: Sequence[Any]
     """The episode of each world."""
     world: World
@@ -71,7 +75,7 @@ class Sensor(NamedTuple):
     """An observation that is no picture."""
 
     of: Callable[[Any], NDArray[np.floating]]
-    """Values [W, n] of a `Moment`."""
+    """Values [W, n] of a `SensorContext`."""
     low: ArrayLike
     high: ArrayLike
 
@@ -81,14 +85,14 @@ class Sensor(NamedTuple):
         return Limits(low, high, low.shape, np.float32)
 
 
-def _other_from_start(moment: Moment) -> NDArray[np.floating]:
+def _other_from_start(moment: SensorContext) -> NDArray[np.floating]:
     heights = moment.world.heights
     start = ground_pose(moment.start.xz, moment.start.heading, heights(moment.start.xz))
     other = ground_pose(moment.other.xz, moment.other.heading, heights(moment.other.xz))
     return in_frame(start, other[:, None, :3])[:, 0]
 
 
-def _path_to_other(moment: Moment) -> NDArray[np.floating]:
+def _path_to_other(moment: SensorContext) -> NDArray[np.floating]:
     begun = moment.base.disc_radius_m / 2
     xz, heading, other = moment.now.xz, moment.now.heading.tolist(), moment.other.xz
     length = moment.distance().tolist()
@@ -98,7 +102,7 @@ def _path_to_other(moment: Moment) -> NDArray[np.floating]:
     return values
 
 
-def _range_scan(moment: Moment) -> NDArray[np.floating]:
+def _range_scan(moment: SensorContext) -> NDArray[np.floating]:
     values = np.zeros((len(moment.now.xz), RANGES))
     for free, rows in moment.world.groups:
         values[rows] = range_scan(free, moment.now.xz[rows], moment.now.heading[rows])

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 SIZE, HFOV_DEG = (640, 480), 60.0
 DISTANCE_M, ELEVATION_DEG = 4.2, 50.0
 SIDES = 12
-"""From so many sides it may look."""
+"""Number of directions from which the camera may look."""
 TRIAL = (64, 48)
 """Size of the pictures that tell from which side the agent is seen best."""
 OTHERS = 0.5
@@ -28,9 +28,12 @@ BETTER = 0.25
 """Another side must be so much better, else the camera stays."""
 
 
-class Watcher:
-    """Follows one agent of one world. It keeps looking from the same side of the world until walls or furniture hide the
-    agent, then from the one that shows most of it."""
+class DebugRenderer:
+    """Renderer for people who watch: its camera follows one agent of one world.
+
+    It looks from the same side of the world until walls or furniture hide the agent, then changes to the side from
+    which most of the agent is visible.
+    """
 
     def __init__(self) -> None:
         self._side = -1
@@ -51,7 +54,7 @@ class Watcher:
         return drawn.picture([_camera(target, self._side, SIZE)], ("rgb",))["rgb"][0]
 
     def __repr__(self) -> str:
-        return f"Watcher(side {self._side} of {SIDES})"
+        return f"DebugRenderer(side {self._side} of {SIDES})"
 
 
 def _camera(target: Array, side: int, size: tuple[int, int]) -> Camera:

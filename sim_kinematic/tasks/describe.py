@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Mapping
+from typing import Any
 
 from h3data.scene import Scene
+from sim_kinematic.tasks.sources import Scenes
 
 LISTED = 3
-"""So many scenes of a list are named."""
+"""Number of scenes of a list that are named."""
 
 
 def in_words(
-    task: str, scenes: str | Scene | Sequence[str | Scene], count: int, agents: Mapping[str, str], *,
+    task: str, scenes: Scenes, count: int, agents: Mapping[str, str], *,
     beside: Mapping[str, str] | None = None, worlds: int = 1,
 ) -> str:  # fmt: skip
     """``social_nav, 37 scenes of h3-homes/train, robot quad_arm beside human female_0, 64 worlds``.
@@ -32,8 +35,8 @@ def in_words(
     )
 
 
-def _scenes(scenes: str | Scene | Sequence[str | Scene], count: int) -> str:
-    listed = [scenes] if isinstance(scenes, str | Scene) else list(scenes)
-    names = [scene.name if isinstance(scene, Scene) else scene for scene in listed]
+def _scenes(scenes: Scenes, count: int) -> str:
+    listed: list[Any] = list(scenes) if isinstance(scenes, list | tuple) else [scenes]
+    names = [scene.name if isinstance(scene, Scene) else os.fspath(scene) for scene in listed]
     named = ", ".join(names[:LISTED]) + (", ..." if len(names) > LISTED else "")
     return f"scene {named}" if count == 1 else f"{count} scenes of {named}"

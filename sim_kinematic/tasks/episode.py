@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +14,15 @@ from numpy.typing import NDArray
 from h3data.bodies import Robot
 from h3data.errors import InputError, suggest
 from h3data.geometry import Array
+from h3data.moved import refuse_renamed
 from h3data.recording import Event
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec, common_floor
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, WALKERS, BaseSpec, WalkerSpec
+
+if not TYPE_CHECKING:
+    __getattr__ = refuse_renamed(__name__)
 
 MAX_STEPS = 1_000_000
 """Longest episode that is simulated again: nine hours."""
@@ -49,7 +54,7 @@ class Episode:
     roster: tuple[AgentSpec, ...]
     """Robots, then people."""
     starts: Array
-    """Where each agent begins, ``(x, z, heading)``, shape [A, 3]."""
+    """Start ``(x, z, heading)`` of each agent, shape [A, 3]."""
     extra: Mapping[str, Any] = field(default_factory=dict)
     """Whatever else the task sampled, as JSON types; recorded in ``info["extra"]``."""
 
@@ -74,7 +79,7 @@ def agent_floor(episode: Episode, number: int) -> FreeSpace:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class StepOutcome:
     """The judgement of one step in W worlds, each array [W]."""
 
     reward: NDArray[np.float64]
@@ -89,9 +94,12 @@ class Outcome:
 
 
 def rules_dict(spec: Any) -> dict[str, Any]:
-    """The rules as recordings and episode files hold them; people who turn on the spot have no entry ``stride``, and where
-    nobody is solid, no floor moves and no skill is learned or an oracle's there is none of that, as in those made before there
-    were such rules."""
+    """Rules of an episode as a dictionary, as recordings and episode files hold them.
+
+    A rule added after the first version of the format has no entry as long as it has its neutral value: people turn on
+    the spot (no ``stride``), nobody is solid, no floor moves, and no skill is learned or an oracle's. Old and new
+    recordings of the same episode thus have equal dictionaries.
+    """
     rules = asdict(spec)
     for name in ("solid_agents", "floor_moves", "skills", "oracle"):
         if not rules.get(name, True):
@@ -103,11 +111,14 @@ def rules_dict(spec: Any) -> dict[str, Any]:
 
 
 def with_options(spec: Any, **options: Any) -> Any:
-    """A spec with those options that are not None; ``human_walk`` is how people walk, ``paper`` or ``natural``, and
-    ``human_speed`` how fast [m/s]."""
+    """Rules with some options replaced; options that are None leave them as they are.
+
+    Beside the fields of ``spec`` there are ``human_walk``, the gait of people (``paper`` or ``natural``), and
+    ``human_speed``, their walking speed [m/s].
+    """
     speed, walk = options.pop("human_speed", None), options.pop("human_walk", None)
     if walk not in (None, *WALKERS):
-        raise InputError(f"Unknown human_walk {walk!r}. Expected one of: {', '.join(WALKERS)}.")
+        raise InputError(f"Unknown human_walk {walk!r}. Expected one of: {', '.join(WALKERS)}.", code="H3-TASK-001")
     if walk is not None:
         spec = replace(spec, human=WALKERS[walk])
     if speed is not None:
@@ -116,5 +127,51 @@ def with_options(spec: Any, **options: Any) -> Any:
     for name in options:
         if name not in known:
             valid = [*known, "human_speed", "human_walk"]
-            raise InputError(f"Unknown rule {name!r}.{suggest(name, valid, lead='Expected some of')}")
+            raise InputError(
+                f"Unknown rule {name!r}.{suggest(name, valid, lead='Expected some of')}", code="H3-JOB-020"
+            )
     return replace(spec, **{name: value for name, value in options.items() if value is not None})
+
+
+_RULE_KINDS = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "a word",
+    tuple: "a list of numbers",
+}
+"""Types of rules that can be given as text, and how to ask for them."""
+
+
+def rule_value(spec: Any, name: str, value: Any) -> Any:
+    """The value of a rule, given as JSON, in the type that the rules have.
+
+    Raises:
+        InputError: the task has no such rule, or its values are of another type.
+    """
+    there = [f.name for f in fields(spec) if type(getattr(spec, f.name)) in _RULE_KINDS]
+    if name not in there:
+        raise InputError(f"Unknown rule {name!r}.{suggest(name, there)}", code="H3-JOB-020")
+    now = getattr(spec, name)
+    kind = type(now)
+    if kind is float and type(value) is int:
+        value = float(value)
+    if kind is tuple and isinstance(value, list) and len(value) == len(now):
+        value = tuple(map(_rule_number, value))
+    numbers = value if isinstance(value, tuple) else (value,)
+    if type(value) is not kind or any(number is None or number != number for number in numbers):
+        given = value if isinstance(value, str) else json.dumps(value)
+        shape = f" of length {len(now)}" if kind is tuple else ""
+        raise InputError(
+            f"Expected the rule {name} to be {_RULE_KINDS[kind]}{shape}, as {name}={_as_text(now)}; got {given}.",
+            code="H3-JOB-021",
+        )
+    return value
+
+
+def _rule_number(value: Any) -> float | None:
+    return float(value) if type(value) in (int, float) else None
+
+
+def _as_text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Mapping, Sequence
 from functools import partial
-from typing import Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,36 +12,51 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import H3DataError, InputError
 from h3data.geometry import Array
+from h3data.moved import refuse_renamed
 from h3data.recording import STEP_NS, Event, SkillSpan
 from h3data.render.light.sources import LightMode
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.state import HumanState, RobotState
 from sim_kinematic.policies.assignment import AssignedPolicy
-from sim_kinematic.policies.policy import KeptMoment, PaceTo, StrideTo, Towards
+from sim_kinematic.policies.policy import GaitAction, PoseAction, RecordedPose, WaypointAction
 from sim_kinematic.policies.traffic import Traffic
 from sim_kinematic.policies.views import AgentView
 from sim_kinematic.policies.waypoints import WaypointPolicy
-from sim_kinematic.tasks.episode import Episode, Outcome, agent_floor
-from sim_kinematic.world import Command, Drive, Keep, Pace, Posture, Stride, WalkTo, World
+from sim_kinematic.tasks.episode import Episode, StepOutcome, agent_floor
+from sim_kinematic.world import (
+    Command,
+    DriveCommand,
+    GaitCommand,
+    PoseCommand,
+    Posture,
+    RecordedPoseCommand,
+    WaypointCommand,
+    World,
+)
+
+if not TYPE_CHECKING:
+    __getattr__ = refuse_renamed(__name__)
 
 Columns = dict[str, NDArray[Any]]
 
 
-class Play(Protocol):
+class Rollout(Protocol):
     """One episode under way. It moves everybody; who decides is asked through `turns`."""
 
     policies: list[AssignedPolicy]
     """One for each agent."""
     ended: str
-    """What ended the episode; ``max_steps`` until something else does."""
+    """Reason why the episode ended; ``max_steps`` until there is another."""
     events: list[Event]
-    """Since the recorder last took them."""
+    """Events since the recorder last took them."""
     spans: list[SkillSpan]
     """Skills that have ended, likewise."""
 
     @property
-    def episode(self) -> Episode: ...
+    def episode(self) -> Episode:
+        """The episode that is played."""
+        ...
 
     @property
     def step(self) -> int:
@@ -54,12 +69,15 @@ class Play(Protocol):
         ...
 
     def turns(self) -> Generator[int | None, Any, None]:
-        """Plays to the end: yields the number of an agent that must decide and takes its choice, and yields None when a
-        step is over."""
+        """Generator that plays the episode to its end.
+
+        It yields the number of an agent that must decide and is sent the agent's choice, and yields None after each
+        step.
+        """
         ...
 
     def view(self, agent: int) -> Any:
-        """What the policy of an agent is shown now."""
+        """Observation of an agent's policy."""
         ...
 
     def snapshot(self) -> Any:
@@ -76,23 +94,30 @@ class Play(Protocol):
 
 
 class Rules(Protocol):
-    """What `WorldPlay` asks of a task; `sim_kinematic.tasks.task.Task` explains each."""
+    """Methods of a task that `WorldRollout` calls; `sim_kinematic.tasks.task.Task` explains them."""
 
     skills: ClassVar[Mapping[str, tuple[str, ...]]]
     columns: ClassVar[Mapping[str, Any]]
     records_judgement: ClassVar[bool]
 
-    def begin(self, play: WorldPlay, rows: NDArray[np.intp]) -> None: ...
+    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
+        """Prepares the worlds ``rows`` [n], whose episodes have just begun."""
 
-    def judge(self, play: WorldPlay) -> Outcome: ...
+    def judge(self, play: WorldRollout) -> StepOutcome:
+        """Returns reward, end and events of the step that all worlds have just made."""
+        ...
 
-    def view(self, play: WorldPlay, agent: int, world: int) -> Any: ...
+    def view(self, play: WorldRollout, agent: int, world: int) -> Any:
+        """Returns the observation of an agent's policy in one world."""
+        ...
 
-    def end_reason(self, play: WorldPlay, world: int) -> str: ...
+    def end_reason(self, play: WorldRollout, world: int) -> str:
+        """Returns the word recorded in ``info["ended"]`` for an episode that the rules have ended."""
+        ...
 
 
-class WorldPlay:
-    """W worlds of one task, each in an episode of its own; with W = 1 a `Play`."""
+class WorldRollout:
+    """W worlds of one task, each in an episode of its own; with W = 1 a `Rollout`."""
 
     def __init__(
         self,
@@ -104,24 +129,35 @@ class WorldPlay:
         measure: bool = True,
         options: Mapping[str, Any] | None = None,
     ) -> None:
-        """
+        """Creates worlds without episodes; `begin` puts episodes into them.
+
+        Args:
+            task: rules by which each step is judged.
+            spec: numbers of the rules, such as ``max_steps``.
+            roster: agents of every world.
+            worlds: number of worlds W.
+            measure: whether rewards and collisions are computed.
+            options: options of the task, for environments.
+
         Raises:
-            InputError: W is not at least 1, or the rules give an episode no step.
+            InputError: W is less than 1, or the rules allow no steps.
         """
         if spec.max_steps < 1:
-            raise InputError(f"Expected rules with at least 1 step, got max_steps={spec.max_steps}.")
+            raise InputError(
+                f"Expected rules with at least 1 step, got max_steps={spec.max_steps}.", code="H3-TASK-004"
+            )
         self.task, self.spec, self.measure, self.options = task, spec, measure, dict(options or {})
         self.world = World(
             roster, worlds=worlds, base=spec.robot, walker=spec.human, person_radius_m=spec.agent_radius_m,
             solid=getattr(spec, "solid_agents", False),
         )  # fmt: skip
         self.episodes: list[Episode] = []
-        """What each world plays; empty before the first `begin`."""
+        """Episode of each world; empty before the first `begin`."""
         self.steps = np.zeros(self.world.worlds, np.int64)
         """Steps of the episode so far, [W]."""
         self.memory: Any = None
         """The task's own state."""
-        self.outcome = Outcome(
+        self.outcome = StepOutcome(
             reward=np.zeros(worlds), terminated=np.zeros(worlds, np.bool_), success=np.zeros(worlds, np.bool_)
         )
         self.policies: list[AssignedPolicy] = []
@@ -132,7 +168,7 @@ class WorldPlay:
         self._words: list[str] = []
         self._checked = False
         self._traffic: dict[int, Traffic] = {}
-        """By world, where somebody has asked for it."""
+        """Traffic of the worlds for which it was requested."""
 
     # --- W worlds -----------------------------------------------------------------------------------------------------
     def begin(self, episodes: Sequence[Episode], rows: NDArray[np.intp] | None = None) -> None:
@@ -147,14 +183,14 @@ class WorldPlay:
         self.steps[rows] = 0
         self.task.begin(self, rows)
 
-    def advance(self, commands: Sequence[Command]) -> Outcome:
+    def advance(self, commands: Sequence[Command]) -> StepOutcome:
         """Moves all worlds one step and judges it.
 
         Raises:
             InputError: no episode has begun, or the commands do not fit; then nothing has moved.
         """
         if not self.episodes:
-            raise InputError("No episode has begun. Hint: call reset() first.")
+            raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
         self.world.step(commands)
         self._commands = list(commands)
         self.steps += 1
@@ -170,7 +206,7 @@ class WorldPlay:
         return self.steps >= self.spec.max_steps
 
     def agent_view(self, agent: int, world: int = 0) -> AgentView:
-        """What any policy may know about a world."""
+        """Observation of an agent in one world, for any policy."""
         w, now, before = world, self.world.state.agents, self.world.before.agents
         episode = self.episodes[w]
         places = np.array([[*own.xz[w], own.heading[w]] for own in now])
@@ -212,23 +248,28 @@ class WorldPlay:
             self._traffic[world] = Traffic(self.world, world, floors)
         return self._traffic[world]
 
-    # --- one world: Play ----------------------------------------------------------------------------------------------
+    # --- one world: Rollout -------------------------------------------------------------------------------------------
     @property
     def episode(self) -> Episode:
+        """Episode of the first world."""
         return self.episodes[0]
 
     @property
     def step(self) -> int:
+        """Number of steps made in the first world."""
         return int(self.steps[0])
 
     @property
     def over(self) -> bool:
+        """Whether the rules or the time limit have ended the first world's episode."""
         return bool(self.outcome.terminated[0] or self.out_of_time[0])
 
     def view(self, agent: int) -> Any:
+        """Observation of an agent's policy in the first world, as the task defines it."""
         return self.task.view(self, agent, 0)
 
     def turns(self) -> Generator[int | None, Any, None]:
+        """Plays the first world to the end of its episode: asks every agent in turn, then makes a step."""
         agents = range(len(self.world.roster))
         for _ in range(self.spec.max_steps):
             choices = []
@@ -249,27 +290,30 @@ class WorldPlay:
 
     def _command(self, number: int, choice: Any) -> Command:
         """A choice for one agent of the only world; velocities are rounded to float32, as they are recorded."""
-        if isinstance(choice, Towards):
-            return WalkTo(choice.xz[None])
-        if isinstance(choice, StrideTo):
-            return Stride(choice.xz[None], np.array([choice.heading]))
-        if isinstance(choice, PaceTo):
-            return Pace(choice.gait)
-        if isinstance(choice, KeptMoment):
+        if isinstance(choice, WaypointAction):
+            return WaypointCommand(choice.xz[None])
+        if isinstance(choice, PoseAction):
+            return PoseCommand(choice.xz[None], np.array([choice.heading]))
+        if isinstance(choice, GaitAction):
+            return GaitCommand(choice.gait)
+        if isinstance(choice, RecordedPose):
             posture = Posture(
                 np.array([choice.clip]), np.array([choice.phase]), np.array([choice.blend]), np.array([choice.arms])
             )
-            return Keep(choice.xz[None], np.array([choice.heading]), posture)
+            return RecordedPoseCommand(choice.xz[None], np.array([choice.heading]), posture)
         if not hasattr(choice, "forward"):
             who = self.world.roster[number].name
-            raise InputError(f"Expected {who} to choose a Velocity or Towards, got {choice!r}.")
-        return Drive(np.array([[choice.forward, choice.turn]], np.float32).astype(np.float64))
+            raise InputError(
+                f"Expected {who} to choose a Velocity or WaypointAction, got {choice!r}.", code="H3-TASK-069"
+            )
+        return DriveCommand(np.array([[choice.forward, choice.turn]], np.float32).astype(np.float64))
 
     def finish(self) -> None:
         """Nothing goes on: the recorder reads skills off their columns."""
 
     # --- recording ----------------------------------------------------------------------------------------------------
     def snapshot(self) -> tuple[Any, ...]:
+        """State of the first world after a step, as plain numbers; `columns` makes blocks of them."""
         numbers: list[float] = []
         state, before, skills = self.world.state, self.world.before, self.task.skills
         for k, (member, own) in enumerate(zip(self.world.roster, state.agents, strict=True)):
@@ -277,7 +321,7 @@ class WorldPlay:
             (x, z), heading = own.xz[0].tolist(), own.heading.item(0)  # Python floats: half the time of NumPy's
             if isinstance(own, RobotState):
                 command = self._commands[k]
-                forward, turn = command[0][0, :2].tolist() if isinstance(command, Drive) else (0.0, 0.0)
+                forward, turn = command[0][0, :2].tolist() if isinstance(command, DriveCommand) else (0.0, 0.0)
                 code = words.index(self._words[k]) if self._words[k] in words else -1
                 numbers += (x, z, heading, own.contact.item(0), forward, turn, code)
             else:
@@ -294,6 +338,7 @@ class WorldPlay:
         return (*numbers, judged, self.world.touching[0])
 
     def columns(self, snapshots: Sequence[Any], first: int) -> Columns:
+        """Columns of a recording from the snapshots of consecutive steps, the first of which is step ``first``."""
         numbers = np.array([row[:-2] for row in snapshots], np.float64)
         steps, floor = len(snapshots), self.episode.free
         result: Columns = {"time_ns": np.arange(first + 1, first + steps + 1, dtype=np.int64) * STEP_NS}
@@ -337,25 +382,34 @@ class WorldPlay:
         return columns
 
 
-def checked_outcome(task: Rules, outcome: Any, worlds: int) -> Outcome:
+def checked_outcome(task: Rules, outcome: Any, worlds: int) -> StepOutcome:
     """The outcome, if its arrays are [W], finite, and of the declared columns.
 
     Raises:
         H3DataError: they are not: a fault of the task, which the message names with the field.
     """
     who = f"{type(task).__module__}:{type(task).__qualname__}.judge"
-    if not isinstance(outcome, Outcome):
-        raise H3DataError(f"{who} must return an Outcome, got {type(outcome).__name__}.")
+    if not isinstance(outcome, StepOutcome):
+        raise H3DataError(f"{who} must return a StepOutcome, got {type(outcome).__name__}.", code="H3-TASK-068")
     for name in ("reward", "terminated", "success"):
         values = np.asarray(getattr(outcome, name))
         if values.shape != (worlds,):
-            raise H3DataError(f"{who}: {name} must have shape [{worlds}], got {list(values.shape)}.")
+            raise H3DataError(
+                f"{who}: {name} must have shape [{worlds}], got {list(values.shape)}.", code="H3-TASK-006"
+            )
         if values.dtype.kind == "f" and not np.isfinite(values).all():
-            raise H3DataError(f"{who}: {name} must be finite, got {values[~np.isfinite(values)][0]}.")
+            raise H3DataError(
+                f"{who}: {name} must be finite, got {values[~np.isfinite(values)][0]}.", code="H3-TASK-007"
+            )
     strange = sorted(set(outcome.columns) ^ set(task.columns))
     if strange:
-        raise H3DataError(f"{who}: columns must be those that the task declares; {', '.join(strange)} differ.")
+        raise H3DataError(
+            f"{who}: columns must be those that the task declares; {', '.join(strange)} differ.", code="H3-TASK-003"
+        )
     for name, values in outcome.columns.items():
         if np.shape(values)[:1] != (worlds,):
-            raise H3DataError(f"{who}: column {name} must have shape [{worlds}, ...], got {list(np.shape(values))}.")
+            raise H3DataError(
+                f"{who}: column {name} must have shape [{worlds}, ...], got {list(np.shape(values))}.",
+                code="H3-TASK-008",
+            )
     return outcome

@@ -1,5 +1,7 @@
-"""From steps to a recording: one recorder for all tasks. Rows become blocks of columns that go to a sink while the episode
-runs; events, skills and raw input go beside them."""
+"""Recording of an episode while it runs: one recorder for all tasks.
+
+Steps become blocks of columns that go to a sink; events, skills and raw input are written between them.
+"""
 
 from __future__ import annotations
 
@@ -28,11 +30,11 @@ from h3data.recording import (
 )
 from h3data.recording import Episode as EpisodeRecord
 from h3data.scene import Scene, save_scene, scene_digest
-from h3data.scene.homes import categories_of
+from h3data.scene.kinds import categories_of
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.tasks.episode import Episode
-from sim_kinematic.tasks.play import Columns, Play
+from sim_kinematic.tasks.play import Columns, Rollout
 from sim_kinematic.tasks.task import Task
 
 BLOCK = 30
@@ -42,17 +44,26 @@ BLOCK = 30
 class Sink(Protocol):
     """Receives an episode while it runs; `h3data.recording.RecordingWriter` is one."""
 
-    def append(self, rows: dict[str, NDArray[Any]]) -> None: ...
+    def append(self, rows: dict[str, NDArray[Any]]) -> None:
+        """Appends steps: every column, with the same number of rows."""
 
-    def event(self, event: Event) -> None: ...
+    def event(self, event: Event) -> None:
+        """Appends an event."""
 
-    def skill(self, span: SkillSpan) -> int: ...
+    def skill(self, span: SkillSpan) -> int:
+        """Appends a skill, running or ended, and returns its number."""
+        ...
 
-    def input(self, event: InputEvent) -> Any: ...
+    def input(self, event: InputEvent) -> Any:
+        """Appends raw input of an agent that is controlled from outside."""
+        ...
 
-    def close(self, *, info: dict[str, Any]) -> object: ...
+    def close(self, *, info: dict[str, Any]) -> object:
+        """Completes the recording with the entries of info that are known only at the end."""
+        ...
 
-    def abort(self) -> None: ...
+    def abort(self) -> None:
+        """Ends the recording early; what was written so far stays readable."""
 
 
 @dataclass
@@ -60,7 +71,7 @@ class Recorder:
     """The episode as it grows."""
 
     header: RecordingHeader
-    play: Play
+    play: Rollout
     sink: Sink | None = None
     blocks: list[Columns] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
@@ -121,7 +132,7 @@ class Recorder:
         return recording
 
     def abort(self) -> None:
-        """Leaves what the sink has as it is."""
+        """Ends the recording early; the sink keeps what it has."""
         if self.sink is not None:
             self.sink.abort()
 
@@ -184,7 +195,7 @@ def finished(
 def describe(
     task: Task, episode: Episode, policies: Sequence[AssignedPolicy], *, episode_id: str = "0", reference: str = ""
 ) -> RecordingHeader:
-    """What is known before the first step: who and what is there, under which rules.
+    """Header of a recording, known before the first step: agents, bodies, scene and rules.
 
     ``reference`` (``module:Class``) is recorded for tasks that the package does not know by name.
     """

@@ -22,13 +22,15 @@ def task_registry() -> Registry[Any]:
     return Registry("h3data.tasks", BUILT_IN, what="task")
 
 
-def find_task(name: str) -> Task:
-    """The task with this name or ``module:Class``.
+def find_task(task: str | Task | type[Task]) -> Task:
+    """The task with this name or ``module:Class``, of this class, or the task itself.
 
     Raises:
         InputError: there is none, or what it names is no task.
     """
-    return _find(name)
+    if isinstance(task, Task):
+        return task
+    return _checked(task(), task.__qualname__) if isinstance(task, type) else _find(task)
 
 
 @cache
@@ -36,10 +38,16 @@ def _find(name: str) -> Task:
     made = task_registry().get(name)
     if isinstance(made, type) and issubclass(made, Task):
         made = made()
+    return _checked(made, name)
+
+
+def _checked(made: Any, name: str) -> Task:
     if not isinstance(made, Task):
-        raise InputError(f"Expected {name!r} to name a subclass of sim_kinematic.tasks.task.Task, got {made!r}.")
+        raise InputError(
+            f"Expected {name!r} to name a subclass of sim_kinematic.tasks.task.Task, got {made!r}.", code="H3-TASK-031"
+        )
     if not made.name:
-        raise InputError(f"The task {name!r} has no name. Hint: set the class attribute name.")
+        raise InputError(f"The task {name!r} has no name. Hint: set the class attribute name.", code="H3-TASK-032")
     return made
 
 

@@ -1,5 +1,8 @@
-"""What all tasks need to simulate a recording again: the first difference between two runs, the scene and map it was made
-in, the header of a recording that was made from another."""
+"""Parts that all tasks need to simulate a recording again.
+
+These are the first difference between two runs, the scene and map of a recording, and the header of a recording that is
+made from another.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +43,7 @@ class Difference:
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:
-    """What `sim_kinematic.tasks.resume.verify` found."""
+    """Result of `sim_kinematic.tasks.resume.verify`."""
 
     steps: int
     """Steps that agree: all, or those before the first difference."""
@@ -53,7 +56,7 @@ class Verification:
 
 
 def compared(recording: Recording, simulated: Columns, ended: str) -> Verification:
-    """What a simulation of the whole recording says about it; ``ended`` is what ended the simulation."""
+    """Comparison of a recording with its simulation, which ended for the reason ``ended``."""
     steps = len(recording)
     found = first_difference(recording.columns, simulated)
     done = len(simulated["time_ns"])
@@ -72,30 +75,41 @@ def require_kept(
     """
     done = len(simulated["time_ns"])
     if done < step:
-        raise InputError(f"The steps before {step} do not come out again: simulated, it ended at {done} ({ended}).")
+        raise InputError(
+            f"The steps before {step} do not come out again: simulated, it ended at {done} ({ended}).",
+            code="H3-TASK-033",
+        )
     kept = {name: array[:step] for name, array in recording.columns.items()}
     found = first_difference(kept, simulated, names)
     if found is not None:
-        raise InputError(f"The recorded steps do not come out again, so nothing can follow them: {found}.")
+        raise InputError(
+            f"The recorded steps do not come out again, so nothing can follow them: {found}.", code="H3-TASK-034"
+        )
 
 
 def require_step(recording: Recording, step: int) -> None:
-    """Raises:
-    InputError: the recording has fewer steps, or ``step`` is negative.
+    """Checks that a recording has a step of this number.
+
+    Raises:
+        InputError: the recording has fewer steps, or ``step`` is negative.
     """
     if not 0 <= step <= len(recording):
-        raise InputError(f"Expected a step from 0 to {len(recording)}, the number of recorded steps, got {step}.")
+        raise InputError(
+            f"Expected a step from 0 to {len(recording)}, the number of recorded steps, got {step}.", code="H3-TASK-035"
+        )
 
 
 def require(recording: Recording, *, info: Iterable[str] = (), columns: Iterable[str] = ()) -> None:
-    """Raises:
-    InputError: the recording lacks entries of its info, columns or its scene; the message names them.
+    """Checks that a recording holds everything needed to simulate it again.
+
+    Raises:
+        InputError: the recording lacks entries of its info, columns or its scene; the message names them.
     """
     lacks = [name for name in info if name not in recording.episode.info]
     lacks += ["scene.glb"] if "scene.glb" not in recording.attachments else []
     lacks += [name for name in columns if name not in recording.columns]
     if lacks:
-        raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.")
+        raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.", code="H3-TASK-023")
 
 
 def first_difference(recorded: Columns, simulated: Columns, names: Iterable[str] | None = None) -> Difference | None:
@@ -133,7 +147,7 @@ def _text(values: NDArray[Any]) -> str:
 
 @lru_cache(maxsize=4)
 def scene_and_map(file: bytes, radius_m: float, height_m: float) -> tuple[Scene, FreeSpace]:
-    """Of a scene file; the same for all recordings in one home."""
+    """Scene and free floor from a scene file; shared by all recordings in one home."""
     scene = load_scene(file)
     return scene, FreeSpace.from_scene(scene, radius_m=radius_m, height_m=height_m)
 
@@ -144,7 +158,7 @@ def is_counterfactual(recording: Recording) -> bool:
 
 
 def origin(recording: Recording, step: int) -> dict[str, Any]:
-    """What a recording made from this one says about it."""
+    """Entries of info about the recording from which another one is made."""
     return {"uid": recording.episode.uid, "step": step, "policy": recording.episode.info.get("policy")}
 
 

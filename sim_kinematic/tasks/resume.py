@@ -20,7 +20,7 @@ from h3data.replay.recorded_robots import check_recorded_robots
 from sim_kinematic.policies.assignment import KINDS, AssignedPolicy
 from sim_kinematic.policies.recorded import NotRecorded
 from sim_kinematic.tasks.episode import Episode
-from sim_kinematic.tasks.play import Columns, Play
+from sim_kinematic.tasks.play import Columns, Rollout
 from sim_kinematic.tasks.recorder import Recorder, finished
 from sim_kinematic.tasks.registry import find_task, task_registry
 from sim_kinematic.tasks.resimulation import (
@@ -58,7 +58,8 @@ def task_of(recording: Recording) -> Task:
         known = ", ".join(task_registry().names())
         raise InputError(
             f"Only recordings of {known} and of installed tasks can be simulated again, this one is of the task {name!r}: "
-            f"{fault} Hint: h3data validate checks any recording."
+            f"{fault} Hint: h3data validate checks any recording.",
+            code="H3-TASK-038",
         ) from None
 
 
@@ -97,13 +98,16 @@ def resume(
     chosen = {**_by_kind(policy, partner), **(agents or {})}
     if is_counterfactual(recording):
         if any(KINDS.get(key, "human") == "human" for key in chosen):
-            raise InputError("People of a counterfactual recording keep their tracks. Hint: leave out the partner.")
+            raise InputError(
+                "People of a counterfactual recording keep their tracks. Hint: leave out the partner.",
+                code="H3-TASK-039",
+            )
         return _continued(recording, step, chosen, keeps_people=True)
     return _continued(recording, step, chosen, keeps_people=False)
 
 
 def counterfactual(recording: Recording, policy: Any, *, step: int = 0) -> Recording:
-    """The same people on their recorded tracks beside robots that follow ``policy`` from ``step`` on.
+    """Simulates people on their recorded tracks with robots that follow ``policy`` from ``step`` on.
 
     People do not react: ``info["human_reactive"]`` is False. It ends with their tracks, or as the rules say.
 
@@ -112,7 +116,8 @@ def counterfactual(recording: Recording, policy: Any, *, step: int = 0) -> Recor
     """
     if {agent.kind for agent in recording.agents} != {"robot", "human"}:
         raise InputError(
-            "Expected a recording of robots and people: people keep their tracks, robots follow the policy."
+            "Expected a recording of robots and people: people keep their tracks, robots follow the policy.",
+            code="H3-TASK-036",
         )
     return _continued(recording, step, _by_kind(policy, None), keeps_people=True)
 
@@ -139,7 +144,7 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
         info |= {"ended": played.ended, **task.kept_info(recording, episode, played.play)}
         info |= {"counterfactual": {**came, **played.track}, "human_reactive": False}
     else:
-        info |= {**task.hindsight(episode, played.play, assigned), **task.kept_info(recording, episode, played.play)}
+        info |= {**task.final_info(episode, played.play, assigned), **task.kept_info(recording, episode, played.play)}
         info |= {"resumed_from": came}
     what = "counterfactual" if keeps_people else "resume"
     label = ":".join([what, str(step), *task.run_names(assigned)])
@@ -155,7 +160,7 @@ class _Played:
         self, task: Task, episode: Episode, policies: Sequence[AssignedPolicy], recording: Recording, *,
         steps: int | None, keeps_people: bool, since: int = 0,
     ) -> None:  # fmt: skip
-        self.play: Play = task.play(episode, policies, measure=False)
+        self.play: Rollout = task.play(episode, policies, measure=False)
         self.track: dict[str, Any] = {}
         recorder = Recorder(header_from(recording, "again"), self.play)
         most = episode.spec.max_steps if steps is None else min(steps, episode.spec.max_steps)
@@ -208,7 +213,8 @@ def _restored(recording: Recording) -> tuple[Task, Episode]:
     if recording.episode.is_lerobot_export:
         raise InputError(
             "Demonstrations exported to LeRobot cannot be simulated again, or verified: they lack the last row of each episode "
-            "and the simulator's own columns. Hint: use the dataset that they were exported from."
+            "and the simulator's own columns. Hint: use the dataset that they were exported from.",
+            code="H3-TASK-037",
         )
     task = task_of(recording)
     require(recording, columns=task.needed_columns(recording))
@@ -248,7 +254,7 @@ def _assigned(
             if strict and not (keeps_people and member.kind == "human"):
                 entry = "policy" if member.kind == "robot" else "partner"
                 raise InputError(
-                    f"The recording's own {entry} is not at hand; name one with {entry}=. {fault}"
+                    f"The recording's own {entry} is not at hand; name one with {entry}=. {fault}", code="H3-TASK-040"
                 ) from None
             result.append(AssignedPolicy(None, named[k], member.kind))
     return result

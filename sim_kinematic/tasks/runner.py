@@ -1,31 +1,38 @@
-"""The only loop over steps. `run` lets policies play an episode to its end; a `Session` is the same loop for callers that
-bring their own clock, such as a person at a keyboard or a learner; `simulate` runs and records."""
+"""The only loop over steps, in three forms.
+
+`run` lets policies play an episode to its end, and `simulate` also records it. A `Session` is the same loop for callers
+that bring their own clock, such as a live server or a learning algorithm.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from h3data.errors import InputError, suggest
+from h3data.moved import refuse_renamed
 from h3data.recording import STEP_NS, Event, InputEvent, Recording, RecordingHeader, SkillSpan
 from sim_kinematic.agents.skills import sentence
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy
 from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.recorded import COMMAND
 from sim_kinematic.tasks.episode import Episode
-from sim_kinematic.tasks.play import Play
+from sim_kinematic.tasks.play import Rollout
 from sim_kinematic.tasks.recorder import Recorder, Sink, describe
 from sim_kinematic.tasks.registry import reference_of
 from sim_kinematic.tasks.task import Task
 
+if not TYPE_CHECKING:
+    __getattr__ = refuse_renamed(__name__)
 
-class Turns:
+
+class DecisionLoop:
     """An episode's turns, one at a time: who must decide next, or that a step is over."""
 
-    def __init__(self, play: Play) -> None:
+    def __init__(self, play: Rollout) -> None:
         self._play = play
         self._turns: Generator[int | None, Any, None] = play.turns()
         self.over = False
@@ -49,7 +56,7 @@ class Turns:
 
 
 def run(
-    play: Play,
+    play: Rollout,
     recorder: Recorder | None = None,
     *,
     steps: int | None = None,
@@ -61,7 +68,7 @@ def run(
     """
     if steps == 0:
         return play.ended
-    turns, policies, done = Turns(play), play.policies, 0
+    turns, policies, done = DecisionLoop(play), play.policies, 0
     while not turns.over:
         if turns.asked is not None:
             number = turns.asked
@@ -109,7 +116,7 @@ def simulate(
     recorder = Recorder(header, play, sink(header) if sink is not None else None)
     try:
         run(play, recorder, progress=progress)
-        return recorder.finish({**task.hindsight(episode, play, assigned), **(info or {})})
+        return recorder.finish({**task.final_info(episode, play, assigned), **(info or {})})
     except BaseException:
         recorder.abort()
         raise
@@ -118,7 +125,7 @@ def simulate(
 # --- callers that bring their own clock -------------------------------------------------------------------------------
 @dataclass(frozen=True, kw_only=True)
 class StepResult:
-    """What happened in one step of a session."""
+    """Result of one step of a session."""
 
     step: int
     """Number of the step that has just been played, from 0."""
@@ -127,11 +134,11 @@ class StepResult:
     skills: tuple[SkillSpan, ...]
     """Skills that ended before or in this step, with outcome and reason."""
     refused: Mapping[str, str]
-    """By agent controlled from outside, a sentence that says why its skill failed in this step."""
+    """Sentence that says why a skill failed in this step, by agent controlled from outside."""
     waiting: tuple[str, ...]
-    """As `Session.waiting`, for the next step."""
+    """Agents that wait for a command for the next step (`Session.waiting`)."""
     ended: str
-    """What ended the episode; empty while it goes on."""
+    """Reason why the episode ended; empty while it is running."""
 
 
 class _Inbox(External):
@@ -147,7 +154,7 @@ class _Inbox(External):
         self.is_urgent = False
         """Whether it interrupts a running skill."""
         self.reason = ""
-        """Why a running skill has just been interrupted."""
+        """Reason why a running skill has just been interrupted."""
 
     def interrupts(self, view: Any) -> str:
         self.reason = "commanded" if self.has_news and self.is_urgent else super().interrupts(view)
@@ -178,7 +185,7 @@ class Session:
         episode_id: str = "0",
         info: Mapping[str, Any] | None = None,
     ) -> None:
-        """As `simulate`; ``info`` is recorded from the start."""
+        """Begins an episode and its recording; arguments are those of `simulate`, and ``info`` is recorded from the start."""
         self.task, self.episode = task, episode
         self._inboxes: dict[int, _Inbox] = {}
         self.policies: list[AssignedPolicy] = []
@@ -193,7 +200,7 @@ class Session:
             header = replace(header, episode=replace(header.episode, info={**header.episode.info, **info}))
         self.recorder = Recorder(header, self.play, sink(header) if sink is not None else None)
         self._numbers = {member.name: k for k, member in enumerate(episode.roster)}
-        self._turns: Turns | None = None
+        self._turns: DecisionLoop | None = None
         self._closed: Recording | None = None
 
     def __repr__(self) -> str:
@@ -209,30 +216,31 @@ class Session:
         """
         name = agent if agent in self._numbers else agent.replace("person", "human", 1)
         if name not in self._numbers:
-            raise InputError(f"Nobody is called {agent!r}.{suggest(agent, self._numbers)}")
+            raise InputError(f"Nobody is called {agent!r}.{suggest(agent, self._numbers)}", code="H3-TASK-045")
         return self._numbers[name]
 
     @property
     def ended(self) -> str:
-        """What ended the episode; empty while it goes on."""
+        """Reason why the episode ended; empty while it is running."""
         return self.play.ended if self.play.over else ""
 
     @property
     def waiting(self) -> tuple[str, ...]:
-        """Agents controlled from outside that have nothing to do but what they are told next: no skill of theirs is
-        running."""
+        """Names of the agents controlled from outside that wait for a command, because none of their skills is running."""
         if self.play.over:
             return ()
         return tuple(self.episode.roster[k].name for k in self._inboxes if not self.task.is_busy(self.play, k))
 
     def observe(self, agent: str) -> Any:
-        """What a privileged policy of this agent would be shown now (`Task.view`)."""
+        """Observation that a privileged policy of this agent would get now (`Task.view`)."""
         return self.play.view(self.number(agent))
 
     # --- commands -----------------------------------------------------------------------------------------------------
     def act(self, agent: str, command: Any) -> None:
-        """Tells an agent what to do in the next step. A new command interrupts a running skill. It is recorded as raw input,
-        so that the recording can be simulated again from it.
+        """Sets the command of an agent for the next step.
+
+        A new command interrupts a running skill. It is recorded as raw input, so that the recording can be simulated
+        again from it.
 
         Raises:
             InputError: the agent is not controlled from outside, or the command is malformed.
@@ -243,7 +251,7 @@ class Session:
         inbox.is_urgent = self.task.interrupts_running(self.play, number, choice)
 
     def refusal(self, agent: str, command: Any) -> str | None:
-        """Why an agent could not do something now, as a sentence for people; None: it could. Nothing is done.
+        """Reason why an agent could not carry out a command now, as a sentence; None if it could. Nothing is carried out.
 
         Raises:
             InputError: the agent is not controlled from outside, or the command is malformed.
@@ -255,20 +263,27 @@ class Session:
         number = self.number(agent)
         if number not in self._inboxes:
             name = self.policies[number].name
-            raise InputError(f"{agent} follows the policy {name}. Hint: give it External() to control it.")
+            raise InputError(
+                f"{agent} follows the policy {name}. Hint: give it External() to control it.", code="H3-TASK-046"
+            )
         return number, self._inboxes[number]
 
     def step(self) -> StepResult:
-        """Plays one step. An agent that must decide and was told nothing new goes on with its last command, or does
-        nothing (`Task.idle_choice`).
+        """Plays one step.
+
+        An agent that must decide and has no new command continues with its last one, or does nothing
+        (`Task.idle_choice`).
 
         Raises:
             InputError: the episode is over.
         """
         if self.ended:
-            raise InputError(f"The episode has ended ({self.play.ended}). Hint: session.close() gives its recording.")
+            raise InputError(
+                f"The episode has ended ({self.play.ended}). Hint: session.close() gives its recording.",
+                code="H3-TASK-047",
+            )
         if self._turns is None:
-            self._turns = Turns(self.play)
+            self._turns = DecisionLoop(self.play)
         else:  # only now: a command that has come since may interrupt a running skill
             self._turns.go_on()
         while self._turns.asked is not None:
@@ -304,7 +319,7 @@ class Session:
         if self._closed is None:
             if not self.play.over:
                 self.play.ended = "closed"
-            found = self.task.hindsight(self.episode, self.play, self.policies)
+            found = self.task.final_info(self.episode, self.play, self.policies)
             self._closed = self.recorder.finish({**found, **(info or {})})
         return self._closed
 

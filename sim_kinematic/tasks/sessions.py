@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
+from h3data.bodies import Robot
 from h3data.recording import Recording, RecordingHeader, RecordingWriter
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
-from sim_kinematic.policies.assignment import Assigned
-from sim_kinematic.tasks.episode import Episode, with_options
+from sim_kinematic.policies.assignment import PolicyChoice
+from sim_kinematic.tasks.episode import Episode, TaskSpec, with_options
 from sim_kinematic.tasks.recorder import Sink
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.runner import Session
@@ -18,22 +19,31 @@ from sim_kinematic.tasks.runner import simulate as simulate_episode
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 from sim_kinematic.tasks.task import Task
 
+if TYPE_CHECKING:
+    from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
+
+    Spec = TaskSpec | RearrangeSpec
+RuleValue = bool | int | float | str | tuple[float, ...] | None
+
 
 def session(
-    task: str | Task,
+    task: str | Task | type[Task],
     scenes: Scenes = "small:0",
     *,
-    agents: Assigned | None = None,
-    roster: str | Sequence[str] | None = None,
+    agents: Mapping[str, PolicyChoice | Sequence[PolicyChoice]] | None = None,
+    roster: str | Sequence[str | Robot] | None = None,
     seed: int = 0,
     index: int = 0,
-    spec: Any = None,
+    spec: Spec | None = None,
     record: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
     share_in: str | os.PathLike[str] | None = None,
-    robot: str = ROBOT_BODY,
+    robot: str | Path | Robot = ROBOT_BODY,
     human: str = HUMAN_BODY,
-    **rules: Any,
+    human_walk: Literal["natural", "paper"] | None = None,
+    human_speed: float | None = None,
+    max_steps: int | None = None,
+    **rules: RuleValue,
 ) -> Session:
     """Begins an episode that is played one step at a time, with agents driven from outside (h3data docs sessions).
 
@@ -52,52 +62,59 @@ def session(
             the recording.
         robot: Body of robots.
         human: Body of people.
-        **rules: Fields of the rules to change, such as ``max_steps=900`` ``human_speed=1.2`` or
-            ``human_walk="paper"``.
+        human_walk: How people walk (default: as ``spec`` says, natural).
+        human_speed: How fast people walk [m/s].
+        max_steps: Steps after which the episode ends.
+        **rules: Further rules of the task, by the name of their field in its spec, such as ``objects=3``.
 
     Raises:
         InputError: there is no such task, scene, agent, policy or rule.
         SceneError: no scene has room for the episode.
     """
-    found, episode = _episode(task, scenes, roster, seed, index, spec, robot, human, rules)
+    changes = {"human_walk": human_walk, "human_speed": human_speed, "max_steps": max_steps, **rules}
+    found, episode = _episode(task, scenes, roster, seed, index, spec, robot, human, changes)
     return Session(found, episode, agents, sink=_sink(record, overwrite, share_in))
 
 
 def simulate(
-    task: str | Task,
+    task: str | Task | type[Task],
     scenes: Scenes = "small:0",
     *,
-    agents: Assigned | None = None,
-    roster: str | Sequence[str] | None = None,
+    agents: Mapping[str, PolicyChoice | Sequence[PolicyChoice]] | None = None,
+    roster: str | Sequence[str | Robot] | None = None,
     seed: int = 0,
     index: int = 0,
-    spec: Any = None,
+    spec: Spec | None = None,
     record: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
     share_in: str | os.PathLike[str] | None = None,
-    robot: str = ROBOT_BODY,
+    robot: str | Path | Robot = ROBOT_BODY,
     human: str = HUMAN_BODY,
-    **rules: Any,
+    human_walk: Literal["natural", "paper"] | None = None,
+    human_speed: float | None = None,
+    max_steps: int | None = None,
+    **rules: RuleValue,
 ) -> Recording:
     """Plays one episode under policies and returns its recording; arguments as `session`."""
-    found, episode = _episode(task, scenes, roster, seed, index, spec, robot, human, rules)
+    changes = {"human_walk": human_walk, "human_speed": human_speed, "max_steps": max_steps, **rules}
+    found, episode = _episode(task, scenes, roster, seed, index, spec, robot, human, changes)
     return simulate_episode(found, episode, agents, sink=_sink(record, overwrite, share_in))
 
 
 def _episode(
-    task: str | Task,
+    task: str | Task | type[Task],
     scenes: Scenes,
-    roster: str | Sequence[str] | None,
+    roster: str | Sequence[str | Robot] | None,
     seed: int,
     index: int,
-    spec: Any,
-    robot: str,
+    spec: Spec | None,
+    robot: str | Path | Robot,
     human: str,
     rules: Mapping[str, Any],
 ) -> tuple[Task, Episode]:
-    found = find_task(task) if isinstance(task, str) else task
-    spec = with_options(found.Spec() if spec is None else spec, **rules)
-    source = EpisodeSource(found, scenes, spec=spec, agents=roster, robot=robot, human=human)
+    found = find_task(task)
+    changed = with_options(found.Spec() if spec is None else spec, **rules)
+    source = EpisodeSource(found, scenes, spec=changed, agents=roster, robot=robot, human=human)
     return found, source.sample(seed, index)
 
 

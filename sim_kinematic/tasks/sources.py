@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from functools import cached_property, lru_cache
+from pathlib import Path
 from typing import Any
 
+from h3data.bodies import Robot
 from h3data.errors import InputError, SceneError
-from h3data.habitat.scene_names import named_scenes, open_free_space, open_scene
 from h3data.progress import progress
 from h3data.scene import FreeSpace, Scene
-from h3data.scene.scene_sets import SceneSource
+from h3data.scene.open import named_scenes, open_free_space, open_scene
+from h3data.scene.sources import SceneSource
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, make_roster
 from sim_kinematic.motion.randomness import episode_seed, generator
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.task import Task
 
-Scenes = str | Scene | Sequence[str | Scene]
+SceneChoice = str | os.PathLike[str] | Scene
+Scenes = SceneChoice | Sequence[SceneChoice]
 ATTEMPTS = 20
 """Homes and seeds that are tried before a source gives up: some homes have no room for some episodes."""
 
@@ -29,10 +33,12 @@ class Home:
 
     @cached_property
     def scene(self) -> Scene:
+        """Scene, opened at first use."""
         return self.source if isinstance(self.source, Scene) else open_scene(self.source)
 
     @cached_property
     def free(self) -> FreeSpace:
+        """Free floor of the scene, computed or read from the cache at first use."""
         radius, height = self._size
         if isinstance(self.source, Scene):
             return FreeSpace.from_scene(self.source, radius_m=radius, height_m=height)
@@ -53,18 +59,19 @@ class EpisodeSource:
         scenes: Scenes,
         *,
         spec: Any = None,
-        agents: str | Sequence[str] | None = None,
-        robot: str = ROBOT_BODY,
+        agents: str | Sequence[str | Robot] | None = None,
+        robot: str | Path | Robot = ROBOT_BODY,
         human: str = HUMAN_BODY,
     ) -> None:
-        """
+        """Looks up scenes and agents; scenes are opened at first use.
+
         Args:
-            task: What is to be done.
-            scenes: Names as the command line takes them (``h3-homes/train``, ``small:3``), a `Scene`, or several.
-            spec: The rules (default: the task's).
-            agents: Who is there (default: the task's roster).
-            robot: Body of robots named by their kind.
-            human: Body of people named by their kind.
+            task: task of the episodes.
+            scenes: names as on the command line (``h3-homes/train``, ``small:3``), a `Scene`, or several.
+            spec: rules (default: the task's).
+            agents: agents of every episode (default: the task's roster).
+            robot: body of robots named by their kind.
+            human: body of people named by their kind.
 
         Raises:
             InputError: there are no such scenes or agents.
@@ -127,10 +134,10 @@ def scene_sources(scenes: Scenes) -> list[Scene | SceneSource]:
     for one in listed:
         if isinstance(one, Scene):
             sources.append(one)
-        elif isinstance(one, str):
-            sources += [named.source for named in named_scenes(one)]
+        elif isinstance(one, str | os.PathLike):
+            sources += [named.source for named in named_scenes(os.fspath(one))]
         else:
-            raise InputError(f"Expected scenes as names or Scene, got {type(one).__name__}.")
+            raise InputError(f"Expected scenes as names or Scene, got {type(one).__name__}.", code="H3-TASK-059")
     if not sources:
-        raise InputError("Expected at least one scene, got none.")
+        raise InputError("Expected at least one scene, got none.", code="H3-TASK-058")
     return sources

@@ -14,11 +14,11 @@ from h3data.bodies import load_robot
 from h3data.bodies.motion.walk_names import JOIN, split_walk
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array
-from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode as FileEntry
-from h3data.habitat.episodes.stored_episodes import Start, StoredEpisode, info_block, plain, read_info_block
 from h3data.plugins import names_from_data
+from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode as FileEntry
+from h3data.recording.task_episodes.stored_episodes import Start, StoredEpisode, info_block, plain, read_info_block
 from h3data.scene import FreeSpace, Scene, scene_digest
-from h3data.scene.scene_sets import SceneSource
+from h3data.scene.sources import SceneSource
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, make_roster, with_motion
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode, rules_dict
 
@@ -103,7 +103,7 @@ class TaskRecord(msgspec.Struct, frozen=True, kw_only=True):
     """An episode of a task without a record of its own."""
 
     starts: tuple[Start, ...]
-    """Of each agent."""
+    """Start of each agent."""
     agents: tuple[str, ...]
     """The roster, as ``robot:quad_arm``."""
     extra: Mapping[str, Any] = msgspec.field(default_factory=dict)
@@ -121,6 +121,7 @@ class TaskStorage(EpisodeStorage[TaskRecord]):
         self._task, self._rules, self._check_roster = task, rules, check_roster
 
     def record(self, episode: Episode) -> TaskRecord:
+        """Record of an episode: starts, agents, seed, rules, scene and `Episode.extra`."""
         return TaskRecord(
             starts=tuple((float(x), float(z), float(heading)) for x, z, heading in episode.starts.tolist()),
             agents=tuple(f"{member.kind}:{split_walk(member.model)[0]}" for member in episode.roster),
@@ -134,6 +135,7 @@ class TaskStorage(EpisodeStorage[TaskRecord]):
     def entry(
         self, record: TaskRecord, *, episode_id: str, scene_id: str, scene_dataset_config: str = "default"
     ) -> FileEntry:
+        """Entry of an episode file that holds the record in its info."""
         return FileEntry(
             episode_id=episode_id,
             scene_id=scene_id,
@@ -142,16 +144,27 @@ class TaskStorage(EpisodeStorage[TaskRecord]):
         )
 
     def read(self, entry: FileEntry, *, seed: int) -> TaskRecord | None:
+        """Record in an entry of a file; None if the entry belongs to another task.
+
+        Raises:
+            InputError: the record is malformed or its starts are not finite.
+        """
         del seed
         record = read_info_block(entry, self._task, TaskRecord)
         if record is not None and not np.isfinite(np.array(record.starts, np.float64)).all():
-            raise InputError(f"Expected finite starts, got {record.starts}.")
+            raise InputError(f"Expected finite starts, got {record.starts}.", code="H3-TASK-061")
         return record
 
     def rules(self, record: TaskRecord) -> Any:
+        """Rules in a record, as the task's class of rules."""
         return read_rules(record.rules, self._rules)
 
     def episode(self, record: TaskRecord, place: EpisodePlace) -> Episode:
+        """Episode of a record in an opened scene, with the agents of the record or those that the caller names.
+
+        Raises:
+            InputError: the number of starts and of agents differ, or a start is not on the free floor.
+        """
         names = place.agents or record.agents
         if place.human is not None and place.human.startswith(JOIN):  # a motion alone, for everybody
             names = with_motion(names, place.human)
@@ -162,7 +175,9 @@ class TaskStorage(EpisodeStorage[TaskRecord]):
         self._check_roster(roster)
         starts = np.array(record.starts, np.float64).reshape(-1, 3)
         if len(starts) != len(roster):
-            raise InputError(f"The episode has starts for {len(starts)} agents, agents= names {len(roster)}.")
+            raise InputError(
+                f"The episode has starts for {len(starts)} agents, agents= names {len(roster)}.", code="H3-TASK-062"
+            )
         starts = starts_on_floor(place.free, record.starts)
         return Episode(
             scene=place.scene,
@@ -184,11 +199,14 @@ def read_rules(rules: Mapping[str, Any], kind: type[Any], **defaults: Any) -> An
     try:
         spec = msgspec.convert({"robot": {}, "human": {}, **defaults, **rules}, kind)
     except (msgspec.ValidationError, InputError) as fault:
-        raise InputError(f"The rules of the episode cannot be used: {str(fault).replace('`', '')}") from None
+        raise InputError(
+            f"The rules of the episode cannot be used: {str(fault).replace('`', '')}", code="H3-TASK-052"
+        ) from None
     if not 1 <= spec.max_steps <= MAX_STEPS or not 0 < spec.human.speed_mps <= 4:
         raise InputError(
             f"The rules of the episode cannot be used: expected max_steps from 1 and a walking speed above 0 and at most "
-            f"4 m/s, got {spec.max_steps} and {spec.human.speed_mps}."
+            f"4 m/s, got {spec.max_steps} and {spec.human.speed_mps}.",
+            code="H3-TASK-049",
         )
     return spec
 
@@ -206,6 +224,7 @@ def starts_on_floor(free: FreeSpace, starts: Sequence[Start]) -> Array:
     if np.isnan(places).any():
         raise SceneError(
             "Starts of the episode are not on the free floor of this scene. Expected the scene for which the episode was "
-            "made."
+            "made.",
+            code="H3-TASK-060",
         )
     return places

@@ -15,22 +15,25 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import InputError
+from h3data.errors import H3DataError, InputError
 from h3data.geometry import Array
 from h3data.recording import Agent, Body, Recording, SkillSpan
 from h3data.scene import FreeSpace, Scene, scene_digest
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, common_floor, make_roster, sample_places
 from sim_kinematic.motion.randomness import generator
-from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, assign, check_policy, make_policy
+from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, PolicyMaker, assign, make_policy
 from sim_kinematic.policies.policy import Still, Velocity
 from sim_kinematic.policies.recorded import RecordedTrack, RecordedVelocities, deciding_since, recorded_commands
-from sim_kinematic.tasks.episode import MAX_STEPS, Episode, Outcome, TaskSpec, rules_dict
-from sim_kinematic.tasks.play import Play, WorldPlay
+from sim_kinematic.tasks.episode import MAX_STEPS, Episode, StepOutcome, TaskSpec, rules_dict
+from sim_kinematic.tasks.play import Rollout, WorldRollout
 from sim_kinematic.tasks.storage import EpisodeStorage, TaskStorage
 
 if TYPE_CHECKING:
     from h3data.scene.scene_sets import SceneSet
     from sim_kinematic.sensing.table import Sensor
+
+_RENAMED = {"foresight": "precompute", "hindsight": "final_info", "recall": "load_precomputed"}
+"""New names of methods of tasks."""
 
 
 class Task:
@@ -48,14 +51,14 @@ class Task:
     profile: ClassVar[str] = ""
     """Metrics profile of its recordings: a name or ``module:name``; empty: the profile of its name, else the generic one."""
     columns: ClassVar[Mapping[str, Any]] = {}
-    """dtype of each column in `Outcome.columns`."""
+    """dtype of each column in `StepOutcome.columns`."""
     records_judgement: ClassVar[bool] = True
     """Whether each step's reward and success are recorded (``metrics.reward``, ``metrics.success``), for the metrics profile
     ``task``. The built-in tasks, whose metrics follow from other columns, do without."""
     skills: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     """Names of what agents of a kind report to be doing; a kind without any has no skill column."""
     commanded: ClassVar[Mapping[str, Mapping[str, tuple[str, ...]]]] = {}
-    """By kind of agent, fields of its recorded `Agent` that differ when it is controlled from outside."""
+    """Fields of the recorded `Agent` that differ for an agent controlled from outside, by kind of agent."""
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     """Policies by kind of agent and name, beside those that every task has (`sim_kinematic.policies.policy`)."""
     defaults: ClassVar[Mapping[str, str]] = {"robot": "wander", "human": "waypoints"}
@@ -66,9 +69,12 @@ class Task:
     env_defaults: ClassVar[Mapping[str, Any]] = {}
     """Options of its environments that differ from the usual ones."""
     env_options: ClassVar[tuple[str, ...]] = ()
-    """Names of further options of its environments, which it finds in ``WorldPlay.options``."""
+    """Names of further options of its environments, which it finds in ``WorldRollout.options``."""
 
     def __init_subclass__(cls) -> None:
+        for old, new in _RENAMED.items():
+            if old in vars(cls):  # it would never be called
+                raise H3DataError(f"The method {cls.__name__}.{old} of a task is called {new} now.", code="H3-TASK-070")
         if "name" not in vars(cls):
             cls.name = "".join(f"_{c.lower()}" if c.isupper() else c for c in cls.__name__).lstrip("_")
 
@@ -120,24 +126,24 @@ class Task:
         return sample_places(scene, free, roster, rng, apart_m=spec.spawn_distance_m, rules=spec.robot)
 
     # --- rules --------------------------------------------------------------------------------------------------------
-    def begin(self, play: WorldPlay, rows: NDArray[np.intp]) -> None:
+    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
         """Prepares the worlds ``rows`` [n], whose episodes have just begun; keeps what it needs in ``play.memory``."""
 
-    def judge(self, play: WorldPlay) -> Outcome:
+    def judge(self, play: WorldRollout) -> StepOutcome:
         """Judges the step that all worlds have just made.
 
         By default nothing is rewarded and an episode lasts ``max_steps``.
         """
         worlds = play.world.worlds
-        return Outcome(
+        return StepOutcome(
             reward=np.zeros(worlds), terminated=np.zeros(worlds, np.bool_), success=np.zeros(worlds, np.bool_)
         )
 
-    def view(self, play: WorldPlay, agent: int, world: int) -> Any:
-        """What a policy of one agent is shown, by default an `AgentView`."""
+    def view(self, play: WorldRollout, agent: int, world: int) -> Any:
+        """Observation of an agent's policy, by default an `AgentView`."""
         return play.agent_view(agent, world)
 
-    def end_reason(self, play: WorldPlay, world: int) -> str:
+    def end_reason(self, play: WorldRollout, world: int) -> str:
         """The word in ``info["ended"]`` for an episode that the rules end."""
         return "success" if bool(play.outcome.success[world]) else "terminated"
 
@@ -147,7 +153,7 @@ class Task:
 
         return sensors_of(kind)
 
-    def info_of(self, play: WorldPlay) -> dict[str, NDArray[Any]]:
+    def info_of(self, play: WorldRollout) -> dict[str, NDArray[Any]]:
         """Entries of an environment's ``info`` beyond its reward, [W] each."""
         return {"success": play.outcome.success.copy()}
 
@@ -184,28 +190,26 @@ class Task:
         del policy
         return episode
 
-    def check_policy(self, kind: str, name: str, spec: Any) -> None:
-        """Refuses the name of a policy that does not exist.
-
-        Raises:
-            InputError: it does not; the message lists what does.
-        """
-        check_policy(self, kind, name)
-
     # --- playing ------------------------------------------------------------------------------------------------------
-    def play(self, episode: Episode, policies: Sequence[AssignedPolicy] = (), *, measure: bool = True) -> Play:
+    def play(self, episode: Episode, policies: Sequence[AssignedPolicy] = (), *, measure: bool = True) -> Rollout:
         """One episode, ready for `sim_kinematic.tasks.runner.run`.
 
         ``measure=False`` leaves out what only rewards need.
         """
-        play = WorldPlay(self, episode.spec, episode.roster, measure=measure)
+        play = WorldRollout(self, episode.spec, episode.roster, measure=measure)
         play.begin([episode])
         play.policies = list(policies)
         return play
 
-    def named_policy(self, episode: Episode, number: int, name: str) -> AssignedPolicy | None:
-        """The policy that a name means in this task beyond its tables; None: look in the tables."""
-        del episode, number, name
+    def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
+        """What makes the policy that a name means in this task beyond its tables; None: look in the tables.
+
+        ``spec`` are the rules that it must fit, None where they are not known yet.
+
+        Raises:
+            InputError: what the name means cannot play this task.
+        """
+        del kind, name, spec
         return None
 
     def assign(self, episode: Episode, chosen: Assigned | None = None) -> list[AssignedPolicy]:
@@ -219,7 +223,7 @@ class Task:
         return assign(self, episode, chosen or {})
 
     # --- commands from outside ----------------------------------------------------------------------------------------
-    def checked_choice(self, play: Play, number: int, choice: Any) -> Any:
+    def checked_choice(self, play: Rollout, number: int, choice: Any) -> Any:
         """A command from outside in the form that the play takes.
 
         Raises:
@@ -228,26 +232,26 @@ class Task:
         if not hasattr(choice, "forward") and np.shape(choice) == (2,):
             choice = Velocity(float(choice[0]), float(choice[1]))
         if not (hasattr(choice, "forward") and hasattr(choice, "turn")):
-            raise InputError(f"Expected a command (forward, turn) in -1..1, got {choice!r}.")
+            raise InputError(f"Expected a command (forward, turn) in -1..1, got {choice!r}.", code="H3-TASK-064")
         if not np.isfinite([choice.forward, choice.turn]).all():
-            raise InputError(f"Actions must be finite, got {(choice.forward, choice.turn)}.")
+            raise InputError(f"Actions must be finite, got {(choice.forward, choice.turn)}.", code="H3-TASK-065")
         return choice
 
-    def idle_choice(self, play: Play, number: int, last: Any) -> Any:
+    def idle_choice(self, play: Rollout, number: int, last: Any) -> Any:
         """The choice of an agent controlled from outside that was told nothing new: to go on as before."""
         return Velocity(0.0, 0.0) if last is None else last
 
-    def is_busy(self, play: Play, number: int) -> bool:
+    def is_busy(self, play: Rollout, number: int) -> bool:
         """Whether an agent goes on with something by itself until it ends or a command interrupts it."""
         del play, number
         return False
 
-    def interrupts_running(self, play: Play, number: int, choice: Any) -> bool:
+    def interrupts_running(self, play: Rollout, number: int, choice: Any) -> bool:
         """Whether a command from outside interrupts what the agent is doing; by default all do."""
         del play, number, choice
         return True
 
-    def refusal(self, play: Play, number: int, choice: Any) -> str | None:
+    def refusal(self, play: Rollout, number: int, choice: Any) -> str | None:
         """Why a command, as `checked_choice` returned it, would be refused now, as a sentence; None: it would not."""
         del play, number, choice
         return None
@@ -260,7 +264,7 @@ class Task:
         """The choice that `choice_to_json` wrote."""
         return Velocity(float(data["forward"]), float(data["turn"]), str(data.get("skill", "")))
 
-    def last_reward(self, play: Play) -> float:
+    def last_reward(self, play: Rollout) -> float:
         """Reward of the last step of a play of one world."""
         return float(play.outcome.reward[0])  # type: ignore[attr-defined]
 
@@ -288,7 +292,7 @@ class Task:
         return self.name.replace("_", " ").strip() or "act"
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """What ``episode.info`` says from the start, beyond scene and bodies: enough for `restore`."""
+        """Entries of ``episode.info`` that are known from the start, besides scene and bodies: enough for `restore`."""
         names = {kind: ",".join(p.name for p in policies if p.kind == kind) for kind in ("robot", "human")}
         info: dict[str, Any] = {
             "policy": names["robot"],
@@ -308,18 +312,21 @@ class Task:
         what = f"{self.name}:{scene_digest(episode.scene)}:{who}:{episode.seed}:{episode.spec}:{starts}:{episode.extra}"
         return str(uuid.uuid5(uuid.NAMESPACE_URL, f"h3data:{what}"))
 
-    def hindsight(self, episode: Episode, play: Play, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """What ``episode.info`` says only after the last step."""
+    def final_info(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """Entries of ``episode.info`` that are known only after the last step."""
         del episode, policies
         return {"ended": play.ended}
 
-    def foresight(self, episode: Episode) -> dict[str, Any]:
-        """What `hindsight` needs of an episode, takes long, and does not depend on how it is played; plain data."""
+    def precompute(self, episode: Episode) -> dict[str, Any]:
+        """Computes facts about an episode that `final_info` needs, take long, and do not depend on how it is played.
+
+        The result is plain data, so that another process can compute it.
+        """
         del episode
         return {}
 
-    def recall(self, episode: Episode, facts: Mapping[str, Any]) -> None:
-        """Spares an episode what another process has found out by `foresight`: a live world must not wait for it."""
+    def load_precomputed(self, episode: Episode, facts: Mapping[str, Any]) -> None:
+        """Stores the facts that another process has computed with `precompute`, for which a live world must not wait."""
 
     # --- simulating again (sim_kinematic.tasks.resume) -----------------------------------------------------------------
     cut_span: ClassVar[Mapping[str, Any]] = {}
@@ -389,7 +396,8 @@ class Task:
             elif policy is None:
                 raise InputError(
                     f"The person's own policy {assigned.name!r} is not at hand, and {member.name} was not controlled "
-                    "from outside: nothing says how they decided."
+                    "from outside: nothing says how they decided.",
+                    code="H3-TASK-066",
                 )
             policies.append(assigned._replace(policy=policy))
         return policies
@@ -407,13 +415,13 @@ class Task:
         """Further entries of a continued recording's info: since which step each agent's policy decides."""
         return {"deciding_since": [getattr(assigned.policy, "since", 0) for assigned in policies]}
 
-    def kept_info(self, recording: Recording, episode: Episode, play: Play) -> dict[str, Any]:
+    def kept_info(self, recording: Recording, episode: Episode, play: Rollout) -> dict[str, Any]:
         """Entries that a continued recording takes over."""
         del recording, episode, play
         return {}
 
     def keep_people(
-        self, play: Play, recording: Recording, since: int
+        self, play: Rollout, recording: Recording, since: int
     ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
         """Puts people on their recorded tracks; returns facts about that for the info, and what to call after each step."""
         del since
@@ -444,20 +452,26 @@ def restored(task: Task, recording: Recording, scene: Callable[[float, float], t
     info, agents = recording.episode.info, recording.agents
     lacks = [name for name in ("spec", "starts") if name not in info]
     if lacks:
-        raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.")
+        raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.", code="H3-TASK-023")
     try:
         spec = msgspec.convert({"robot": {}, "human": {}, **info["spec"]}, task.Spec)
         starts = np.array(msgspec.convert(info["starts"], list[tuple[float, float, float]]), np.float64)
     except (msgspec.ValidationError, TypeError) as fault:
-        raise InputError(f"The recording's info is malformed: {str(fault).replace('`', '')}") from None
+        raise InputError(
+            f"The recording's info is malformed: {str(fault).replace('`', '')}", code="H3-TASK-030"
+        ) from None
     if not 0 < spec.max_steps <= MAX_STEPS:
-        raise InputError(f"Expected 1 to {MAX_STEPS} steps, the recording's rules say {spec.max_steps}.")
+        raise InputError(
+            f"Expected 1 to {MAX_STEPS} steps, the recording's rules say {spec.max_steps}.", code="H3-TASK-063"
+        )
     roster = make_roster([f"{agent.kind}:{agent.model.partition('/')[2]}" for agent in agents])
     if [member.kind for member in roster] != [agent.kind for agent in agents]:
-        raise InputError(f"Expected robots, then people, got: {[agent.kind for agent in agents]}.")
+        raise InputError(f"Expected robots, then people, got: {[agent.kind for agent in agents]}.", code="H3-TASK-024")
     home, free = scene(spec.agent_radius_m, spec.agent_height_m)
     if starts.shape != (len(agents), 3) or not np.isfinite(starts).all() or not free.is_navigable(starts[:, :2]).all():
-        raise InputError(f"Expected starts on the free floor for {len(agents)} agents, got: {starts.tolist()}.")
+        raise InputError(
+            f"Expected starts on the free floor for {len(agents)} agents, got: {starts.tolist()}.", code="H3-TASK-027"
+        )
     return Episode(
         scene=home,
         free=free,

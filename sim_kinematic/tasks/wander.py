@@ -16,8 +16,8 @@ from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
-from sim_kinematic.tasks.episode import Episode, Outcome, rules_dict
-from sim_kinematic.tasks.play import WorldPlay
+from sim_kinematic.tasks.episode import Episode, StepOutcome, rules_dict
+from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.recorder import scene_attachment
 from sim_kinematic.tasks.task import Task
 
@@ -35,9 +35,11 @@ class Wander(Task):
     records_judgement: ClassVar[bool] = False
 
     def default_spec(self) -> SocialNavSpec:
+        """Rules of social navigation, with this task's number of steps."""
         return SocialNavSpec(max_steps=self.steps)
 
     def recorded_default(self, kind: str) -> str | None:
+        """None: jobs name no policies for this task."""
         return None
 
     def sample_starts(
@@ -49,12 +51,15 @@ class Wander(Task):
         roster: Sequence[AgentSpec],
         stream: str = "agent_worlds",
     ) -> Array:
+        """Random free starts [A, 3], from this task's own random stream."""
         return super().sample_starts(scene, free, seed, spec, roster, stream)
 
-    def begin(self, play: WorldPlay, rows: NDArray[np.intp]) -> None:
+    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
+        """Forgets all contacts, so that agents who touch at the start cause an event."""
         play.memory = np.zeros_like(play.world.touching)  # who touched whom a step ago
 
-    def judge(self, play: WorldPlay) -> Outcome:
+    def judge(self, play: WorldRollout) -> StepOutcome:
+        """Reports each new contact between two agents as an event; rewards are 0 and the rules end no episode."""
         world = play.world
         events = [
             (int(w), Event(step=int(play.steps[w]) - 1, agent=a, kind="collision", target=world.roster[b].name))
@@ -63,13 +68,15 @@ class Wander(Task):
         ]
         play.memory = world.touching.copy()
         nothing = np.zeros(world.worlds, np.bool_)
-        return Outcome(reward=np.zeros(world.worlds), terminated=nothing, success=nothing, events=events)
+        return StepOutcome(reward=np.zeros(world.worlds), terminated=nothing, success=nothing, events=events)
 
     def instruction(self, episode: Episode) -> str:
+        """Instruction in words, the same for all episodes."""
         del episode
         return "walk about the home"
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """Rules, starts and, where they differ from the default, policies for the recording's info."""
         info: dict[str, Any] = {
             "max_steps": episode.spec.max_steps,
             "spec": rules_dict(episode.spec),
@@ -81,6 +88,7 @@ class Wander(Task):
         return info
 
     def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
+        """Identifier derived from scene, bodies, seed, rules and, where they differ from the default, policies."""
         digest = scene_attachment(episode.scene)[1]
         models = ",".join(member.model for member in episode.roster)
         what = f"h3data:wander:{digest}:{models}:{episode.seed}:{episode.spec.max_steps}:{episode.spec}"
@@ -89,17 +97,27 @@ class Wander(Task):
         return str(uuid.uuid5(uuid.NAMESPACE_URL, what))
 
     def run_info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """Nothing: `info` names the policies."""
         return {}
 
     def run_names(self, policies: Sequence[AssignedPolicy]) -> list[str]:
+        """No names."""
         return []
 
     def recorded_names(self, recording: Recording) -> list[str]:
+        """Name of each agent's policy; ``wander`` where the recording names none."""
         names = recording.episode.info.get("policies", ["wander"] * len(recording.agents))
         return [str(name) for name in names]
 
     def changed_policies(self, recording: Recording, chosen: dict[str, Any]) -> dict[str, Any]:
+        """No choices.
+
+        Raises:
+            InputError: a policy is chosen, which this task does not support.
+        """
         if chosen:
             what = "policy" if "robot" in chosen else "partner"
-            raise InputError(f"Nobody in recordings of wander follows a {what}. Hint: leave it out.")
+            raise InputError(
+                f"Nobody in recordings of wander follows a {what}. Hint: leave it out.", code="H3-TASK-067"
+            )
         return chosen

@@ -43,7 +43,7 @@ from h3data.recording import (
     write_mcap,
 )
 from h3data.replay import Replay
-from h3data.scene import HomeSpec, build_home
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
 from tests.simulated import simulate_social_nav, social_nav_episode
@@ -461,7 +461,7 @@ def test_demonstrations_without_their_last_row_are_not_measured(recording: Recor
     write_lerobot([recording, recording], tmp_path / "ds")
     with pytest.raises(UnmeasurableError, match=r"lack the last row .* measure the dataset"):
         measure(Dataset(tmp_path / "ds").recording(0))
-    with pytest.raises(UnmeasurableError, match="LeRobot"):
+    with pytest.raises(UnmeasurableError, match="H3-METRIC-028"):
         measure_files([tmp_path / "ds"])
     assert measure(recording).rows == len(recording)
 
@@ -504,7 +504,7 @@ def test_robomimic_demonstrations(recording: Recording, tmp_path: Path) -> None:
         np.testing.assert_array_equal(demo["obs/base_pose"][1:], demo["next_obs/base_pose"][:-1])
         assert set(demo["obs"]) == set(demo["next_obs"]) >= {"base_pose", "joint_pos", "agent_1.base_pose"}
         assert demo["dones"][:].sum() == demo["dones"][-1] == 1
-    with pytest.raises(InputError, match="no actions"):
+    with pytest.raises(InputError, match="H3-EXPORT-037"):
         write_robomimic([boxes()], tmp_path / "none.hdf5")
     assert not (tmp_path / "none.hdf5").exists()
 

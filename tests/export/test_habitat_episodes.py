@@ -15,8 +15,8 @@ import h3data
 from h3data.errors import InputError
 from h3data.habitat.episodes.episode_files import read_episodes
 from h3data.habitat.episodes.episode_json import KEYS
-from h3data.habitat.episodes.rearrange_episode import goal_poses, instance_handles, object_poses
 from h3data.habitat.scenes.scene_instance import load_habitat_scene
+from h3data.recording.task_episodes.rearrange_episode import goal_poses, instance_handles, object_poses
 from h3data_pipelines.cli import main
 
 
@@ -35,8 +35,8 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Path:
         scenes="small",
         homes=2,
         episodes=2,
-        policy="still",
-        partner="both",
+        policies="still",
+        partners="both",
         max_steps=600,
         human_walk="paper",
     )
@@ -129,5 +129,5 @@ def test_the_exported_scenes_are_played_where_the_home_cannot_be_built(
 
 def test_other_recordings_are_refused(tmp_path: Path) -> None:
     h3data.generate("wander", tmp_path / "ds", episodes=1, max_steps=5)
-    with pytest.raises(InputError, match="Expected a recording of rearrange"):
+    with pytest.raises(InputError, match="H3-HABITAT-049"):
         h3data.export(tmp_path / "ds", tmp_path / "out", to="habitat-episodes")

@@ -16,8 +16,7 @@ from h3data.errors import InputError, SceneError
 from h3data.exporters.habitat import scenes as export_module
 from h3data.exporters.habitat.scenes import NAVMESH_SETTINGS, export_habitat, export_habitat_dataset
 from h3data.geometry import quat_from_axis_angle, transform_points
-from h3data.habitat.navmesh.navmesh import NavMeshSettings
-from h3data.habitat.navmesh.navmesh_file import read_navmesh
+from h3data.habitat.navmesh_file import read_navmesh
 from h3data.habitat.scenes.colliders import part_mesh, part_points
 from h3data.habitat.scenes.scene_instance import load_habitat_scene
 from h3data.mesh.glb_write import glb_bytes
@@ -30,18 +29,18 @@ from h3data.scene import (
     Capsule,
     Cylinder,
     FreeSpace,
-    HomeSpec,
     Hull,
     Instance,
     Mesh,
     Receptacle,
     Room,
     Scene,
-    build_home,
     instance_bounds,
     instance_matrix,
 )
 from h3data.scene.articulation import joints_of, posed
+from h3data.scene.navmesh.navmesh import NavMeshSettings
+from h3data_homes import HomeSpec, build_home
 
 S = 0.5**0.5
 
@@ -293,9 +292,9 @@ def test_scenes_share_the_objects_of_a_dataset(tmp_path: Path) -> None:
     assert objects == sorted(p.name for p in (alone / "objects").iterdir())
     for name in ("tiny", "tiny_1"):
         same_triangles(load_habitat_scene(tmp_path / "both/scenes" / f"{name}.scene_instance.json"), small_scene())
-    with pytest.raises(InputError, match="different names"):
+    with pytest.raises(InputError, match="H3-EXPORT-018"):
         export_habitat_dataset([small_scene(), small_scene()], tmp_path / "twice")
-    with pytest.raises(InputError, match="at least one"):
+    with pytest.raises(InputError, match="H3-EXPORT-017"):
         export_habitat_dataset([], tmp_path / "none")
 
 
@@ -431,7 +430,7 @@ def test_a_folder_with_something_in_it_is_refused(tmp_path: Path) -> None:
     target = tmp_path / "x"
     export_habitat(small_scene(), target)
     before = contents(target)
-    with pytest.raises(InputError, match="not empty"):
+    with pytest.raises(InputError, match="H3-EXPORT-024"):
         export_habitat(small_scene(), target)
     (target / "stray.txt").write_text("old")
     export_habitat(small_scene(), target, force=True)
@@ -445,13 +444,13 @@ def test_force_deletes_nothing_that_it_did_not_write(tmp_path: Path) -> None:
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis/chapter_1.tex").write_text("dear reader")
     (tmp_path / "thesis/hssd.scene_dataset_config.json").write_text('{"stages": {}}')
-    with pytest.raises(InputError, match="did not export it"):
+    with pytest.raises(InputError, match="H3-EXPORT-020"):
         export_habitat(small_scene(), tmp_path / "thesis", force=True)
     assert (tmp_path / "thesis/chapter_1.tex").read_text() == "dear reader"
     (tmp_path / "file").write_text("x")
-    with pytest.raises(InputError, match="this is a file"):
+    with pytest.raises(InputError, match="H3-EXPORT-023"):
         export_habitat(small_scene(), tmp_path / "file", force=True)
-    with pytest.raises(InputError, match="Cannot"):
+    with pytest.raises(InputError, match="H3-EXPORT-026"):
         export_habitat(small_scene(), tmp_path / "file" / "below")
 
 
@@ -494,7 +493,7 @@ def test_meshes_with_nan_and_scenes_without_a_building_are_refused(tmp_path: Pat
     bad.vertices[0, 0] = np.nan
     with pytest.raises(SceneError, match="not finite"):
         export_habitat(replace(scene, assets={**scene.assets, "rug": Asset(name="rug", mesh=bad)}), tmp_path / "x")
-    with pytest.raises(SceneError, match="no building"):
+    with pytest.raises(SceneError, match="H3-EXPORT-019"):
         export_habitat(replace(scene, instances=scene.instances[2:]), tmp_path / "x")
 
 

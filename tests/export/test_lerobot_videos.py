@@ -16,10 +16,10 @@ from h3data.errors import InputError
 from h3data.exporters import camera_videos, lerobot_export
 from h3data.exporters.camera_videos import render_videos
 from h3data.formats import ExportRequest
-from h3data.recording import Dataset, Recording, write_mcap
+from h3data.recording import Dataset, Recording
 from h3data.recording.parquet.lerobot import rebuild_meta
 from h3data.replay import Replay, camera_track
-from h3data.scene import HomeSpec, build_home
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.tasks.registry import find_task
@@ -41,7 +41,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """Two short episodes with videos of two cameras."""
     root = tmp_path_factory.mktemp("filmed") / "ds"
     done = h3data.generate(
-        "social_nav", root, episodes=2, seed=5, max_steps=24, spawn_distance=2.0, camera=CAMERAS, force=True
+        "social_nav", root, episodes=2, seed=5, max_steps=24, spawn_distance=2.0, cameras=CAMERAS, force=True
     )
     assert done.dataset.cameras == CAMERAS
     return done.dataset
@@ -177,7 +177,7 @@ def test_an_interrupted_export_leaves_nothing(
     (tmp_path / "lerobot.part" / "killed").touch()
     lerobot_export.export_lerobot(dataset, ExportRequest(out=out))
     assert [path.name for path in tmp_path.iterdir()] == ["lerobot"]
-    with pytest.raises(InputError, match="not empty"):
+    with pytest.raises(InputError, match="H3-EXPORT-028"):
         lerobot_export.export_lerobot(dataset, ExportRequest(out=out))
 
 
@@ -237,17 +237,6 @@ def test_an_export_renders_in_the_light_of_the_dataset(monkeypatch: pytest.Monke
         with pytest.raises(InputError, match="seen enough"):
             lerobot_export.export_lerobot([made], request)
     assert lights == ["baked", "flat", "flat"]  # datasets of before, which do not say it, were rendered in flat light
-
-
-def test_light_of_exports_has_another_name_now(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    recording = _short(3)
-    low = h3data.export(
-        write_mcap(recording, tmp_path / "a.mcap"), tmp_path / "low.glb", to="gltf", person_detail="low"
-    )
-    assert not caplog.records
-    light = h3data.export(tmp_path / "a.mcap", tmp_path / "light.glb", to="gltf", light=True)
-    assert "--person-detail low" in caplog.text
-    assert low.read_bytes() == light.read_bytes()
 
 
 def test_exports_name_the_numbers_of_actions_and_states(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ import pytest
 import trimesh
 
 from h3data.errors import SceneError
-from h3data.habitat.asset_folders import ASSETS_VARIABLE, clean_path
-from h3data.habitat.asset_library import EMPTY_URI, AssetLibrary
+from h3data.recording.assets.folders import ASSETS_VARIABLE, clean_path
+from h3data.recording.assets.library import EMPTY_URI, AssetLibrary
 from h3data.recording.records import AssetRef
 from h3data.scene.records import Asset, Scene
 
@@ -118,7 +118,7 @@ def test_scene_uris_come_from_the_scene(tmp_path: Path) -> None:
 
 def test_importing_the_asset_library_stays_light() -> None:
     code = (
-        "import sys, h3data.habitat.asset_library; "
+        "import sys, h3data.recording.assets.library; "
         "heavy = {'trimesh', 'torch', 'numba', 'scipy', 'cv2', 'rerun', 'av', 'fcl', 'shapely'} & set(sys.modules); "
         "assert not heavy, heavy"
     )

@@ -10,7 +10,8 @@ import pytest
 
 from h3data.errors import InputError, SceneError
 from h3data.habitat.object_models import load_object_models, with_object_models
-from h3data.scene import HomeSpec, Scene, build_home, load_scene
+from h3data.scene import Scene, load_scene
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 
 
@@ -161,9 +162,9 @@ def test_damaged_kinbodies_are_refused_with_their_name(tmp_path: Path, kinbody: 
 
 
 def test_what_holds_no_object_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such folder"):
+    with pytest.raises(InputError, match="H3-HABITAT-099"):
         load_object_models(tmp_path / "ycb")
-    with pytest.raises(InputError, match="folders such as 003_cracker_box/google_16k"):
+    with pytest.raises(InputError, match="H3-HABITAT-100"):
         load_object_models(tmp_path)
     file = habitat_set(tmp_path / "h") / "meshes" / "024_bowl" / "google_16k" / "textured.obj"
     file.unlink()

@@ -11,10 +11,10 @@ import pytest
 
 from h3data.errors import SceneError
 from h3data.geometry import pose_to_matrix, quat_from_heading
-from h3data.habitat.asset_library import AssetLibrary
-from h3data.habitat.skinned_meshes import load_skinned_mesh
 from h3data.mesh.loading import load_mesh
 from h3data.recording import AssetRef, Body, Dataset, DatasetWriter, Episode, Recording, open_recording
+from h3data.recording.assets.library import AssetLibrary
+from h3data.recording.assets.skinned_meshes import load_skinned_mesh
 from h3data.recording.mcap.writer import write_mcap
 from h3data.replay import Replay, camera_track
 from tests.mesh.gltf_builder import FLOAT, SQUARE, U8, Builder

@@ -14,8 +14,9 @@ from h3data.errors import SceneError
 from h3data.mesh.glb_write import MAX_LOOKS, GlbNode, glb_bytes
 from h3data.mesh.loading import load_mesh
 from h3data.mesh.mesh_operations import face_texture_indices, joined
-from h3data.scene import HomeSpec, Mesh, Texture, build_home
+from h3data.scene import Mesh, Texture
 from h3data.srgb import bytes_to_linear, linear_to_bytes
+from h3data_homes import HomeSpec, build_home
 
 RNG = np.random.default_rng(4)
 WOOD, CLOTH = (Texture(pixels=RNG.integers(0, 256, (4, 8, 4)).astype(np.uint8) | np.array([0, 0, 0, 255], np.uint8), name=name)

@@ -46,7 +46,7 @@ def test_files_outside_the_folder_are_refused(tmp_path: Path, uri: str, what: st
     build.image(encoded(COLORS))
     (tmp_path / "secret.bin").write_bytes(b"".join(build.chunk.parts))
     path = separate(build, tmp_path / "folder", **{what: uri.format(tmp_path)})
-    with pytest.raises(SceneError, match=r"leads out of .*x\.gltf$"):
+    with pytest.raises(SceneError, match=r"(?m)leads out of .*x\.gltf$"):
         load_mesh(path)
 
 
@@ -170,7 +170,7 @@ def test_hostile_documents_are_refused(tmp_path: Path, case: str) -> None:
     at[keys[-1]] = value
     path = tmp_path / "hostile.glb"
     path.write_bytes(pack_glb(document, build.chunk))
-    with pytest.raises(SceneError, match=r"hostile\.glb$"):
+    with pytest.raises(SceneError, match=r"(?m)hostile\.glb$"):
         load_mesh(path)
     if "materials" not in keys and "extensionsRequired" not in keys:
         with suppress(SceneError):
@@ -183,7 +183,7 @@ def test_a_primitive_without_positions_is_left_out(tmp_path: Path, caplog: pytes
     assert len(build.mesh(tmp_path).faces) == 2
     assert "meshes[0].primitives[1] has no POSITION" in caplog.text
     del build.document["meshes"][0]["primitives"][0]
-    with pytest.raises(SceneError, match="without triangles"):
+    with pytest.raises(SceneError, match="H3-MESH-024"):
         build.mesh(tmp_path)
 
 
@@ -211,7 +211,7 @@ def test_vertices_that_are_not_numbers(tmp_path: Path) -> None:
     points = SQUARE.copy()
     points[2] = np.nan
     build.attribute("POSITION", points, "VEC3", FLOAT)
-    with pytest.raises(SceneError, match="not finite"):
+    with pytest.raises(SceneError, match="H3-MESH-026"):
         build.mesh(tmp_path)
     build.primitive["indices"] = build.chunk.array(np.array([0, 1, 3], np.uint16), "SCALAR", U16)
     assert np.isfinite(build.mesh(tmp_path).vertices).all(), "a vertex that nothing uses does no harm"
@@ -276,7 +276,7 @@ def test_a_ply_of_a_billion_vertices(tmp_path: Path) -> None:
             f"ply\nformat {kind} 1.0\nelement vertex 1000000000\nproperty float x\nproperty float y\n"
             "property float z\nelement face 1000000000\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n"
         )
-        with pytest.raises(SceneError, match=r"\.ply$"):
+        with pytest.raises(SceneError, match=r"(?m)\.ply$"):
             load_mesh(path)
 
 

@@ -157,11 +157,11 @@ def test_logs_folders_and_datasets_mix(dataset, tmp_path):
     table = measure_files([tmp_path, dataset])
     assert len(table) == 72
     assert table.episode_ids[:3] == ("e100", "e101", "e000")
-    with pytest.raises(InputError, match="occur more than once"):
+    with pytest.raises(InputError, match="H3-METRIC-045"):
         measure_files([dataset, dataset])
-    with pytest.raises(InputError, match="at least one worker"):
+    with pytest.raises(InputError, match="H3-METRIC-001"):
         measure_files([dataset], workers=0)
-    with pytest.raises(InputError, match="no such file"):
+    with pytest.raises(InputError, match="H3-RECORDING-049"):
         measure_files([tmp_path / "none"])
     with pytest.raises(InputError, match="Unknown metrics profile"):
         measure_files([dataset], "papre")
@@ -276,7 +276,7 @@ def test_runs_that_cannot_be_paired_say_why():
     one = measure_many(episode(k) for k in range(6))
     with pytest.raises(InputError, match="only A has 2: 'e000', 'e001'; only B has 1: 'e006'"):
         compare_tables(one, measure_many(episode(k) for k in range(2, 7)))
-    with pytest.raises(InputError, match="cannot be paired"):
+    with pytest.raises(InputError, match="H3-METRIC-004"):
         compare_tables(one, measure_many((episode(k) for k in range(6)), "field"))
     twice = measure_many([episode(1), episode(1, run="b")])
     with pytest.raises(InputError, match=r"ids of A are not unique.*'e001'"):
@@ -297,7 +297,7 @@ def test_a_gfx_replay_is_said_to_be_taken_for_a_task(tmp_path, capsys):
 
 
 def evaluated(number: int, policy: str, *partners: str, near: float = 1.0) -> Recording:
-    """What ``h3data evaluate --keep`` leaves of an episode: partners that do the same share it."""
+    """What ``h3data evaluate --save-recordings`` leaves of an episode: partners that do the same share it."""
     found = episode(number, run=f"{policy} {partners[0]}", near=near)
     info = {**found.episode.info, "policy": policy, "partner": partners[0], "partners": list(partners)}
     return dataclasses.replace(found, episode=dataclasses.replace(found.episode, info=info))
@@ -314,7 +314,7 @@ def test_a_recording_that_partners_share_counts_for_each_of_them(tmp_path):
     write_table(table, tmp_path / "t.csv")
     with open(tmp_path / "t.csv", newline="") as stream:
         assert [row["partner"] for row in csv.DictReader(stream)][:3] == ["both", "plan_pop_1", "still"]
-    with pytest.raises(InputError, match="more than once"):
+    with pytest.raises(InputError, match="H3-METRIC-045"):
         measure_many([kept[0], kept[0]])
 
 

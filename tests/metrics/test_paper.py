@@ -153,7 +153,7 @@ def test_means_do_not_depend_on_the_order_of_episodes(order):
 # --- what cannot share a table ----------------------------------------------------------------------------------------
 def test_an_episode_counts_once():
     recording = social([0, 0], [1.5, 1.5])
-    with pytest.raises(InputError, match="more than once"):
+    with pytest.raises(InputError, match="H3-METRIC-045"):
         measure_many([recording, recording])
 
 
@@ -306,7 +306,7 @@ def test_partnr_refusals():
     for info in ({"constraints": [[True]]}, {"constraints": "all"}):
         with pytest.raises(InputError, match="constraints to be lists of 2 flags"):
             measure(partnr([1, 2], **info), "partnr")
-    with pytest.raises(InputError, match="list of rows"):
+    with pytest.raises(InputError, match="H3-METRIC-018"):
         measure(partnr("soon"), "partnr")
 
 

@@ -185,7 +185,7 @@ def metric(**changes: object) -> Metric:
 
 
 def test_profiles_are_checked_when_they_are_made():
-    with pytest.raises(InputError, match="has no metrics"):
+    with pytest.raises(InputError, match="H3-METRIC-019"):
         Profile(name="p", title="", metrics=())
     with pytest.raises(InputError, match=r"Expected ids that begin with q/ in profile 'q', got 'p/t/a@1'"):
         Profile(name="q", title="", metrics=(metric(),))

@@ -89,7 +89,7 @@ def test_manifests_are_read_back(tmp_path):
 def test_other_files_are_no_manifests(tmp_path, content):
     path = tmp_path / "x.json"
     path.write_text(content)
-    with pytest.raises(FormatError, match="Expected a session manifest"):
+    with pytest.raises(FormatError, match="H3-METRIC-040"):
         read_session(path)
     with pytest.raises(InputError, match="No such file"):
         read_session(tmp_path / "nothing.json")
@@ -98,19 +98,19 @@ def test_other_files_are_no_manifests(tmp_path, content):
 def test_plans_that_cannot_be_are_refused(tmp_path):
     with pytest.raises(InputError, match="'s0' has too few episodes"):
         plan_sessions(3, CONDITIONS, {"s0": EPISODES["s0"][:30]})
-    with pytest.raises(InputError, match="different conditions"):
+    with pytest.raises(InputError, match="H3-METRIC-033"):
         plan_sessions(3, ["a", "a"], EPISODES)
-    with pytest.raises(InputError, match="different conditions"):
+    with pytest.raises(InputError, match="H3-METRIC-033"):
         latin_square(["a"])
-    with pytest.raises(InputError, match="different participants"):
+    with pytest.raises(InputError, match="H3-METRIC-034"):
         plan_sessions(["ann", "ann"], CONDITIONS, EPISODES)
-    with pytest.raises(InputError, match="different participants"):
+    with pytest.raises(InputError, match="H3-METRIC-034"):
         plan_sessions(0, CONDITIONS, EPISODES)
-    with pytest.raises(InputError, match="same episode id twice"):
+    with pytest.raises(InputError, match="H3-METRIC-038"):
         plan_sessions(2, CONDITIONS, {"s": ["e"] * 40})
-    with pytest.raises(InputError, match="at least one scene"):
+    with pytest.raises(InputError, match="H3-METRIC-035"):
         plan_sessions(2, CONDITIONS, {})
-    with pytest.raises(InputError, match="becomes a file name"):
+    with pytest.raises(InputError, match="H3-METRIC-036"):
         write_sessions(plan_sessions(["../ann"], CONDITIONS, EPISODES), tmp_path)
     assert list(tmp_path.iterdir()) == []
 
@@ -127,7 +127,7 @@ def test_anonymous_ids():
     assert one[2:].isalnum()
     with pytest.raises(InputError, match="16 or more random bytes, got 3"):
         anonymous_id("ann", key=b"abc")
-    with pytest.raises(InputError, match="empty"):
+    with pytest.raises(InputError, match="H3-FILE-018"):
         anonymous_id("  ", key=key)
 
 
@@ -174,9 +174,9 @@ def test_simulations_refuse_nonsense():
         simulate_study(sessions, {"a": 3.0}, "poisson", deviations={})
     with pytest.raises(InputError, match="between 0 and 1"):
         simulate_study(sessions, {"a": 0.5, "b": 1.0}, "binomial", deviations={})
-    with pytest.raises(InputError, match="deviations >= 0"):
+    with pytest.raises(InputError, match="H3-METRIC-041"):
         simulate_study(sessions, {"a": 0.5, "b": 0.5}, "binomial", deviations={"scene": -1})
-    with pytest.raises(InputError, match="one run or more"):
+    with pytest.raises(InputError, match="H3-METRIC-044"):
         simulate_power(sessions, {"a": 0.5, "b": 0.5}, "binomial", deviations={}, runs=0)
 
 

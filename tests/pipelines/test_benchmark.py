@@ -83,7 +83,7 @@ def test_the_arm_sees_one_picture_of_each_world() -> None:
     depth = benchmark.step(benchmark.sample(rng))
     assert depth.shape == (2, 171, 224)
     assert (depth > 0).any((1, 2)).all()
-    with pytest.raises(InputError, match="no arm camera"):
+    with pytest.raises(InputError, match="H3-OPTION-018"):
         BenchmarkWorlds(Cell(agents="human", pictures="arm"))
 
 

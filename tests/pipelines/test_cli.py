@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import time
+from collections.abc import Callable
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -11,9 +14,10 @@ import pytest
 
 import h3data
 from h3data.errors import InputError
+from h3data.replay import CameraTrack
 from h3data_pipelines.cli import jsonable, main
 from h3data_pipelines.commands.table import all_commands
-from h3data_pipelines.pictures.rerender import parse_outputs, parse_steps
+from h3data_pipelines.pictures.rerender import parse_steps
 
 DEMO_FILES = (
     "episode.mcap",
@@ -76,6 +80,43 @@ def test_demo_says_first_what_it_has_first(tmp_path: Path, capsys: pytest.Captur
     picture = cv2.imread(str(out / "first_picture.png"))
     assert picture is not None
     assert picture.shape == (480, 640, 3)
+
+
+def test_demo_draws_the_map_while_it_searches_a_view_and_stops_when_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from h3data_pipelines.commands import demo as module
+
+    begun, searches, find, render = Event(), [], module.camera_track, module.render_files
+
+    def search(replay: h3data.Replay, name: str) -> CameraTrack:
+        if name != "third_person":
+            return find(replay, name)
+        searches.append(begun.wait(10))
+        raise KeyboardInterrupt
+
+    def begin(*arguments: Any, frame_done: Callable[[], object], **options: Any) -> None:
+        def drawn() -> None:
+            begun.set()
+            time.sleep(0.1)  # so that there are frames left to stop
+            frame_done()
+
+        render(*arguments, frame_done=drawn, **options)
+
+    monkeypatch.setattr(module, "camera_track", search)
+    monkeypatch.setattr(module, "render_files", begin)
+    assert main(["demo", "-o", str(tmp_path / "out"), "--steps", "90", "--light", "flat"]) == 130
+    assert searches == [True]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["episode.mcap", "metrics.json"]
+
+
+def test_demo_searches_a_view_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from h3data.replay import cameras
+
+    searches, find = [], cameras.third_person
+    monkeypatch.setattr(cameras, "third_person", lambda *given: searches.append(1) or find(*given))
+    assert main(["demo", "-o", str(tmp_path / "out"), "--steps", "4", "--size", "64x48", "--light", "flat"]) == 0
+    assert len(searches) == 1  # for the picture, the video and the file for Rerun
 
 
 def test_demo_makes_everything(demo: Path) -> None:
@@ -291,7 +332,9 @@ def test_refusals(
 
 def test_errors_are_json_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["metrics", str(tmp_path / "none.mcap"), "--json"]) == 2
-    assert "no such file" in json.loads(capsys.readouterr().out)["error"]
+    said, line = map(str, capsys.readouterr())
+    assert "no such file" in json.loads(said)["error"]
+    assert line.endswith(f" [{json.loads(said)['code']}]\n")
 
 
 def test_doctor(capsys: pytest.CaptureFixture[str]) -> None:
@@ -316,10 +359,3 @@ def test_step_ranges() -> None:
     for bad in ("x", "1:2:0", "9:", "1:2:3:4"):
         with pytest.raises(InputError):
             parse_steps(bad, 5)
-
-
-def test_output_lists() -> None:
-    assert parse_outputs("rgb, depth,rgb") == ("rgb", "depth")
-    for bad in ("", "smell", "rgb,smell"):
-        with pytest.raises(InputError):
-            parse_outputs(bad)

@@ -202,7 +202,7 @@ def test_workers_make_the_same_episodes(tmp_path: Path, capsys: pytest.CaptureFi
 FILM = episode_jobs.film_job
 
 
-def die_at_the_second(job: episode_jobs.Job, filming: episode_jobs.Filming) -> episode_jobs.Filmed:
+def die_at_the_second(job: episode_jobs.Job, filming: episode_jobs.VideoJob) -> episode_jobs.RenderedVideo:
     if job.index == 1:
         os._exit(9)
     return FILM(job, filming)
@@ -354,6 +354,7 @@ def test_files_of_the_same_name_do_not_overwrite_each_other(tmp_path: Path, caps
     files = [tmp_path / "in" / name / "s.gfx_replay.json" for name in ("one", "two")]
     data = run_json(capsys, "import", *files, "-o", tmp_path / "flat", "--force", code=1)
     assert (data["imported"], data["failed"]) == (1, 1)
+    assert [row["code"][:3] for row in data["files"] if row["status"] == "failed"] == ["H3-"]
     assert h3data.open(tmp_path / "flat" / "s.mcap").assets[0].name == "one"
     logs = [tmp_path / "out" / name / "s.mcap" for name in ("one", "two")]
     assert "'s'" in run_json(capsys, "rerender", *logs, "-o", tmp_path / "v", "--force", code=2)["error"]

@@ -153,6 +153,7 @@ def test_other_frame_rates_are_kept(tmp_path: Path, capsys: pytest.CaptureFixtur
     write_mcap(episode("usual"), tmp_path / "in" / "usual.mcap")
     found = run_json(capsys, "convert", tmp_path / "in", tmp_path / "both", code=1)
     assert "steps of 33333333 ns" in found["episodes"][1]["reason"]
+    assert found["episodes"][1]["code"] == "H3-RECORDING-091"
     found = run_json(capsys, "convert", tmp_path / "in", tmp_path / "nominal", "--nominal-fps", "30", "--check")
     assert found["converted"] == 2
     assert [r.episode.dt_ns for r in Dataset(tmp_path / "nominal")] == [100_000_000, 33_333_333]

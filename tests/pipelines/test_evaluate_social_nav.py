@@ -64,8 +64,8 @@ def test_it_says_what_generate_and_metrics_say_and_goes_on(tmp_path: Path, capsy
     ("options", "told"),
     [
         (("social_nav", "--policies", "magic"), "sampling_expert"),
-        (("social_nav", "--policies", ","), "--policies: unknown nothing. Expected some of: rollout_expert"),
-        (("social_nav", "--partners", "both"), "--partners: unknown both. Expected some of: waypoints"),
+        (("social_nav", "--policies", ","), "--policies: expected at least one value, got an empty text"),
+        (("social_nav", "--partners", "both"), "Unknown partner 'both'. Expected one of: waypoints"),
         (("social_nav", "--scenes", "nowhere"), "h3-homes/test"),
         (("social_nav", "--max-steps", "0"), "--max-steps must be at least 1, got 0"),
         (("social_nav", "--seed", "-1"), "--seed must be at least 0, got -1"),
@@ -83,11 +83,11 @@ def test_bad_options_are_refused(
 
 def test_all_may_stand_beside_other_names() -> None:
     there = ("complement", "still")
-    assert chosen_names("--policies", "all", there) == there
-    assert chosen_names("--policies", "still, all", there) == ("still", "complement")
-    assert chosen_names("--policies", "all,my_package:MyPolicy", there) == (*there, "my_package:MyPolicy")
-    with pytest.raises(InputError, match="unknown magic"):
-        chosen_names("--policies", "all,magic", there)
+    assert chosen_names(["all"], there) == there
+    assert chosen_names(["still", "all"], there) == ("still", "complement")
+    assert chosen_names(["all", "my_package:MyPolicy"], there) == (*there, "my_package:MyPolicy")
+    with pytest.raises(InputError, match="at least one policy and partner by name, or all; got none"):
+        chosen_names([], there)
 
 
 def test_results_of_other_weights_in_the_same_file_are_refused(
@@ -155,7 +155,7 @@ def test_a_pattern_names_files_of_weights(tmp_path: Path) -> None:
     assert files_of(pattern) == tuple(f"weights:{tmp_path}/s{seed}/policy.npz" for seed in (0, 1, 2))
     for name in ("rollout_expert", "my_package:NET", f"weights:{tmp_path}/none.npz", f"weights:{tmp_path}/s[1]"):
         assert files_of(name) == (name,)
-    with pytest.raises(InputError, match="No file of weights"):
+    with pytest.raises(InputError, match="H3-JOB-031"):
         files_of(f"weights:{tmp_path}/x*/policy.npz")
 
 

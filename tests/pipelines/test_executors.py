@@ -14,14 +14,14 @@ from pathlib import Path
 
 import pytest
 
+from h3data.commands.executors import check_workers, opened
+from h3data.commands.shards import LostShardError
 from h3data.errors import H3DataError, InputError, MissingExtraError
 from h3data.progress import QUIET
 from h3data_pipelines.cli import main
 from h3data_pipelines.execution import ray_cluster, ray_worker
-from h3data_pipelines.execution.executors import check_workers, opened
 from h3data_pipelines.execution.processes import Processes
 from h3data_pipelines.execution.ray_worker import Origin, carry_out, portable_task
-from h3data_pipelines.execution.shards import LostShardError
 
 
 def square(number: int) -> int:
@@ -32,7 +32,7 @@ def square(number: int) -> int:
 
 @pytest.mark.parametrize("name", ["dask", "Ray", "local://x", "ray://", ""])
 def test_unknown_executors_are_refused(name: str) -> None:
-    with pytest.raises(InputError, match="expected local, ray or ray://HOST:PORT"):
+    with pytest.raises(InputError, match="H3-JOB-001"):
         check_workers(name, 1)
 
 
@@ -74,7 +74,7 @@ def test_without_ray_the_extra_is_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(MissingExtraError, match=r"h3data\[ray\]"), opened("ray", 2):
+    with pytest.raises(MissingExtraError, match="H3-JOB-005"), opened("ray", 2):
         pass
     options = ["generate", "social_nav", "--episodes", "1", "--executor", "ray", "-o", str(tmp_path / "ds"), "--json"]
     assert main(options) == 2
@@ -92,7 +92,7 @@ def test_nobody_at_the_address() -> None:
             opened(f"ray://127.0.0.1:{port}", 1),
         ):
             pass
-    with pytest.raises(InputError, match="Expected --executor ray://HOST:PORT"), opened("ray://head", 1):
+    with pytest.raises(InputError, match="H3-JOB-004"), opened("ray://head", 1):
         pass
 
 

@@ -37,7 +37,7 @@ def run_json(capsys: pytest.CaptureFixture[str], *arguments: str | Path, code: i
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     root = tmp_path_factory.mktemp("hub") / "following"
     return h3data.generate(
-        "social_nav", root, episodes=2, seed=5, max_steps=20, spawn_distance=2.0, camera=["robot_arm"], workers=1
+        "social_nav", root, episodes=2, seed=5, max_steps=20, spawn_distance=2.0, cameras=["robot_arm"], workers=1
     ).dataset
 
 
@@ -148,9 +148,13 @@ def test_commands_are_kept_without_folders_and_without_what_changes_nothing(data
         "h3data generate social_nav --episodes 2 --seed 5 --max-steps 20 --spawn-distance 2.0 --camera robot_arm"
     )
     told = Generate(
-        "wander", Path("/home/me/out"), policy="weights:/home/me/net.npz", assets=(Path("/data/habitat"),), workers=7
+        task="wander",
+        out=Path("/home/me/out"),
+        policies=("weights:/home/me/net.npz",),
+        assets=(Path("/data/habitat"),),
+        workers=7,
     )
-    assert command_line("generate", told) == "h3data generate wander --assets habitat --policy weights:net.npz"
+    assert command_line("generate", told) == "h3data generate wander --asset habitat --policy weights:net.npz"
 
 
 # --- push and pull ----------------------------------------------------------------------------------------------------

@@ -15,11 +15,11 @@ from typing import Any
 
 import pytest
 
+from h3data.commands.executors import opened
+from h3data.commands.shards import LostShardError
 from h3data.errors import InputError
 from h3data_pipelines.cli import main
 from h3data_pipelines.execution import ray_cluster
-from h3data_pipelines.execution.executors import opened
-from h3data_pipelines.execution.shards import LostShardError
 
 pytest.importorskip("ray", reason="needs the extra ray")
 pytestmark = [
@@ -134,7 +134,7 @@ def test_videos_and_evaluations_are_the_same_bytes(
     short = ("--episodes", 3, "--max-steps", 20, "--seed", 3)
     for name, how in (("local", ()), ("ray", ("--executor", "ray", "--workers", 3))):
         run(capsys, "generate", "social_nav", *short, "--camera", "robot_arm", *how, "-o", tmp_path / name / "ds")
-        some = ("--policies", "rollout_expert,stand_still", "--keep", "--scenes", "small")
+        some = ("--policies", "rollout_expert,stand_still", "--save-recordings", "--scenes", "small")
         run(capsys, "evaluate", "social_nav", *some, *short, *how, "-o", tmp_path / name / "eval")
     assert files(tmp_path / "ray") == files(tmp_path / "local")
 

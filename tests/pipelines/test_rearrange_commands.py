@@ -162,14 +162,14 @@ def test_kept_recordings_and_bare_results_give_the_same_heat_maps(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     kept, bare = tmp_path / "kept", tmp_path / "bare"
-    zsc = ("--zsc", "plan_pop_1")
-    first = run_json(capsys, *EVALUATE[:-1], *zsc, "--keep", "-o", kept)
+    zsc = ("--unseen-partners", "plan_pop_1")
+    first = run_json(capsys, *EVALUATE[:-1], *zsc, "--save-recordings", "-o", kept)
     run_json(capsys, *EVALUATE[:-1], *zsc, "-o", bare)
     means = {(c["metric"], c["policy"], c["partner"]): c["mean"] for c in first["cells"]}
     assert means["RC", "complement", "ZSC mean"] == means["RC", "complement", "plan_pop_1"]
     tables = {}
     for folder in (kept, bare):
-        report = make_report([folder], pictures=1 if folder is kept else 0, zsc=["plan_pop_1"])
+        report = make_report([folder], pictures=1 if folder is kept else 0, unseen_partners=["plan_pop_1"])
         heat = {t.key: t for t in report.tables_of_partners}
         tables[folder] = {
             k: [(r.name, [c.value for c in r.cells]) for r in t.sections[0].rows] for k, t in heat.items()
@@ -185,10 +185,10 @@ def test_kept_recordings_and_bare_results_give_the_same_heat_maps(
     assert main(["report", str(kept), "-o", str(tmp_path / "r.html"), "--pictures", "1"]) == 0
     assert "<h2>Trajectories" in (tmp_path / "r.html").read_text()
     assert main(["report", str(bare), "-o", str(tmp_path / "b.html")]) == 0
-    assert "evaluate --keep keeps their recordings" in (tmp_path / "b.html").read_text()
+    assert "evaluate --save-recordings keeps their recordings" in (tmp_path / "b.html").read_text()
     capsys.readouterr()
     shutil.rmtree(kept / "recordings" / "000000")  # killed before the episode was whole
-    again = run_json(capsys, *EVALUATE[:-1], *zsc, "--keep", "--resume", "-o", kept)
+    again = run_json(capsys, *EVALUATE[:-1], *zsc, "--save-recordings", "--resume", "-o", kept)
     assert (again["new"], again["cells"]) == (1, first["cells"])
     assert (kept / "recordings" / "000000").is_dir()
     assert (
@@ -196,9 +196,10 @@ def test_kept_recordings_and_bare_results_give_the_same_heat_maps(
         in run_json(capsys, *EVALUATE[:-1], "--resume", "-o", tmp_path / "x", code=2)["error"]
     )
     assert (
-        "expected partners" in run_json(capsys, *EVALUATE[:-1], "--zsc", "both", "-o", tmp_path / "x", code=2)["error"]
+        "expected partners"
+        in run_json(capsys, *EVALUATE[:-1], "--unseen-partners", "both", "-o", tmp_path / "x", code=2)["error"]
     )
-    assert main(["report", str(bare), "-o", str(tmp_path / "c.html"), "--zsc", "objekt_1"]) == 2
+    assert main(["report", str(bare), "-o", str(tmp_path / "c.html"), "--unseen-partners", "objekt_1"]) == 2
     assert "Did you mean 'object_1'" in capsys.readouterr().err
 
 
@@ -228,7 +229,7 @@ def test_oracle_skills_are_played_as_worlds_on_a_device_play_them(
     assert table["failed"] == []
     for task, more, message in (
         ("rearrange", ("--human-walk", "natural"), "--skills oracle has the paper's people"),
-        ("social_nav", (), "--skills is for rearrange"),
+        ("social_nav", (), "no options of social_nav: --skills"),
     ):
         other = run_json(capsys, "evaluate", task, *more, *args, tmp_path / "other", code=2)
         assert message in other["error"]
@@ -237,12 +238,12 @@ def test_oracle_skills_are_played_as_worlds_on_a_device_play_them(
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (["--rule", "objectz=3"], "Unknown rule 'objectz'. Did you mean 'objects'?"),
-        (["--rule", "objects=2.5"], "Expected the rule objects to be a whole number, as objects=2; got 2.5."),
-        (["--rule", "at_goal_m=NaN"], "Expected the rule at_goal_m to be a number"),
-        (["--rule", "end_on_collision=no"], "to be true or false, as end_on_collision=true; got no."),
-        (["--rule", "near_m=[1]"], "a list of numbers of length 2, as near_m=[2.0, 1.5]; got [1]."),
-        (["--rule", "max_steps=9", "--max-steps", "8"], "Expected --max-steps or --rule max_steps=..., got both."),
+        (["--set", "objectz=3"], "Unknown rule 'objectz'. Did you mean 'objects'?"),
+        (["--set", "objects=2.5"], "Expected the rule objects to be a whole number, as objects=2; got 2.5."),
+        (["--set", "at_goal_m=NaN"], "Expected the rule at_goal_m to be a number"),
+        (["--set", "end_on_collision=no"], "to be true or false, as end_on_collision=true; got no."),
+        (["--set", "near_m=[1]"], "a list of numbers of length 2, as near_m=[2.0, 1.5]; got [1]."),
+        (["--set", "max_steps=9", "--max-steps", "8"], "Expected --max-steps or --set max_steps=..., got both."),
     ],
 )
 def test_rules_of_other_names_and_types_are_refused(

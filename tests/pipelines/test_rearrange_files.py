@@ -13,9 +13,9 @@ import pytest
 import h3data
 from h3data.exporters.habitat.scenes import export_habitat
 from h3data.geometry import pose_to_matrix
-from h3data.habitat.scene_names import open_scene
 from h3data.recording import recordings_equal
-from h3data.scene import HomeSpec
+from h3data.scene.open import open_scene
+from h3data_homes import HomeSpec
 from h3data_pipelines.cli import main
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
 from sim_kinematic.tasks.rearrange.task import Rearrange
@@ -289,7 +289,7 @@ def test_files_that_are_none_end_in_one_line(saved: Path, tmp_path: Path, capsys
         (("--scenes", "medium"), "leave out --scenes"),
         (("--seed", "3"), "leave out --seed"),
         (("--spawn-distance", "3"), "leave out --spawn-distance"),
-        (("--rule", "objects=3"), "leave out the rule objects=3"),
+        (("--set", "objects=3"), "leave out the rule objects=3"),
         (("--episodes", "2"), "at most 1"),
     ],
 )

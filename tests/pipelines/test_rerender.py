@@ -22,7 +22,7 @@ import h3data
 from h3data.recording import DatasetWriter
 from h3data.recording.mcap.writer import write_mcap
 from h3data.replay import camera_track
-from h3data.scene import HomeSpec, build_home
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
 from tests.simulated import simulate_social_nav, social_nav_episode

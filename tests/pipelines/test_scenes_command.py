@@ -15,7 +15,6 @@ import pytest
 
 from h3data.exporters.habitat.scenes import export_habitat
 from h3data.geometry import IDENTITY_POSE, quat_from_axis_angle
-from h3data.habitat.scene_names import named_scenes
 from h3data.render.sheets.scene_map import (
     ISLAND_COLOR,
     MAIN_COLOR,
@@ -31,18 +30,18 @@ from h3data.scene import (
     Capsule,
     Cylinder,
     FreeSpace,
-    HomeSpec,
     Hull,
     Instance,
     Mesh,
     Receptacle,
     Room,
     Scene,
-    build_home,
     load_scene,
     scene_digest,
 )
+from h3data.scene.open import named_scenes
 from h3data.scene.validation import Problem, find_problems, free_space_for_validation, hull_fills_hollows
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.assets.scene_reports import validate_scene
 from h3data_pipelines.cli import main
 from sim_kinematic.contact import overlapping_instances
@@ -491,9 +490,9 @@ def test_episodes_of_an_export_lead_to_its_scenes(
     """From the working directory of the export, as Habitat's own; and h3data finds them when the folder has moved."""
     from h3data.habitat.episodes.episode_files import read_episodes
     from h3data.habitat.episodes.episode_scenes import scene_of_episode
-    from h3data.habitat.episodes.rearrange_episode import instance_handles
-    from h3data.habitat.episodes.social_nav_episodes import read_social_nav
-    from h3data.scene.scene_sets import SceneFile
+    from h3data.recording.task_episodes.rearrange_episode import instance_handles
+    from h3data.recording.task_episodes.social_nav_episodes import read_social_nav
+    from h3data.scene.sources import SceneFile
 
     monkeypatch.chdir(tmp_path)
     homes = [{"id": f"home_{k}", "seed": 20000 + k, "preset": "small"} for k in range(2)]

@@ -13,7 +13,8 @@ from h3data.geometry import transform_points
 from h3data.recording import DatasetWriter, Recording, open_recording, write_mcap
 from h3data.recording.storage import place
 from h3data.replay import Replay
-from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.scene import FreeSpace
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from h3data_viewers import write_rrd
 from h3data_viewers.rerun.entities import SKIN_VERTICES

@@ -54,16 +54,16 @@ def test_a_single_agent_is_measured_too(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_a_set_gives_its_scenes_and_its_seeds() -> None:
-    jobs = Generate(task="wander", out=Path("ds"), scenes="h3-homes/val", episodes=7).jobs()
-    again = Generate(task="rearrange", out=Path("ds"), scenes="h3-homes/val", episodes=7).jobs()
+    jobs = Generate(task="wander", out=Path("ds"), scenes=("h3-homes/val",), episodes=7).jobs()
+    again = Generate(task="rearrange", out=Path("ds"), scenes=("h3-homes/val",), episodes=7).jobs()
     assert [(j.index, j.seed, j.scene, j.origin) for j in jobs] == [(j.index, j.seed, j.scene, j.origin) for j in again]
-    others = Generate(task="wander", out=Path("ds"), scenes="h3-homes/val", episodes=7, seed=1).jobs()
+    others = Generate(task="wander", out=Path("ds"), scenes=("h3-homes/val",), episodes=7, seed=1).jobs()
     assert {j.seed for j in others}.isdisjoint(j.seed for j in jobs)
 
 
 def test_each_person_draws_a_body_that_does_not_depend_on_how_many_episodes_there_are() -> None:
     def bodies(episodes: int) -> list[Any]:
-        options = {"agents": "human,robot,human", "human": "any", "homes": 1}
+        options = {"agents": ("human", "robot", "human"), "human": "any", "homes": 1}
         return [
             job.to_json()["agents"]
             for job in Generate(task="wander", out=Path("ds"), episodes=episodes, **options).jobs()
@@ -113,7 +113,7 @@ def test_an_episode_that_raises_is_listed_and_the_others_are_played(
         (("--policy", "random"), "Unknown policy 'random'"),
         (("--partner", "both"), "Unknown partner 'both'"),
         (("--agents", "robot,humen"), "Did you mean 'human'?"),
-        (("--agents", ""), "at least one agent"),
+        (("--agents", ""), "expected at least one value"),
         (("--human", "femal_1"), "Did you mean 'female_1'?"),
         (("--scenes", "smal"), "Did you mean 'small'?"),
         (("--episodes", "0"), "at least 1"),

@@ -23,10 +23,10 @@ from h3data_play import connections
 from h3data_play import front as fronts
 from h3data_play.commands.playing import Play
 from h3data_play.connections import Live, is_known
-from h3data_play.front import AWAY_S, LOADING_S, Front
+from h3data_play.front import AWAY_S, LOADING_S, WebServer
 from h3data_play.messages import Ping, decode
 from h3data_play.plan import PlayPlan
-from h3data_play.seats import Journal
+from h3data_play.seats import SeatLog
 from h3data_play.serve import certificate_names
 from h3data_play.workers import EXPECTED_SHARE, Refused, WorkerProcess
 from h3data_studies.bots.client import Client
@@ -41,11 +41,11 @@ def worker(busy: float, measured: int, games: int) -> WorkerProcess:
 
 
 @pytest.fixture
-def front(tmp_path: Path) -> Front:
+def front(tmp_path: Path) -> WebServer:
     plan = PlayPlan(app="rearrange", out=str(tmp_path), seats=("person",))
 
-    async def made() -> Front:
-        return Front(plan, tables=50, behind_proxy=True, seats_per_address=2)
+    async def made() -> WebServer:
+        return WebServer(plan, tables=50, behind_proxy=True, seats_per_address=2)
 
     return asyncio.run(made())
 
@@ -63,7 +63,7 @@ def test_a_worker_knows_what_a_further_game_would_make(games: tuple[float, int, 
     assert worker(*games).with_one_more == pytest.approx(expected)
 
 
-def test_a_worker_takes_games_up_to_a_share_of_a_core(front: Front):
+def test_a_worker_takes_games_up_to_a_share_of_a_core(front: WebServer):
     front.workers.active = [worker(0.69, 10, 10), worker(0.6, 10, 10)]
     front._require_capacity()
     front.workers.active = [worker(0.69, 10, 10), worker(0.65, 10, 10)]
@@ -71,7 +71,7 @@ def test_a_worker_takes_games_up_to_a_share_of_a_core(front: Front):
         front._require_capacity()
 
 
-def test_an_address_has_few_seats(front: Front):
+def test_an_address_has_few_seats(front: WebServer):
     def request(forwarded: str) -> object:
         return make_mocked_request("POST", "/api/session", headers={"X-Forwarded-For": forwarded})
 
@@ -114,7 +114,7 @@ class Table:
     """The server of one game in this process, and a browser that has its seat."""
 
     def __init__(self, folder: Path, **options: Any) -> None:
-        self.front = Front(PlayPlan(app="rearrange", out=str(folder), seats=("person",)), **options)
+        self.front = WebServer(PlayPlan(app="rearrange", out=str(folder), seats=("person",)), **options)
         self.heard: list[str] = []
         journal = self.front.journal
         self.seat, self.game = journal.sit("token", 0, 0), journal.begin(0)
@@ -273,13 +273,13 @@ def test_the_names_of_a_certificate_are_read_from_it(tmp_path: Path):
 
 
 def test_commands_pass_further_names_to_the_server():
-    assert Play("rearrange", allow_host=("a.example", "*.b.example"))._serving()["allow_hosts"] == [
+    assert Play("rearrange", allow_hosts=("a.example", "*.b.example"))._serving()["allow_hosts"] == [
         "a.example",
         "*.b.example",
     ]
     for wrong in ("https://a.example", "a.example:80", "*", "a..example", ""):
         with pytest.raises(InputError, match="Expected --allow-host with a name such as"):
-            Play("rearrange", allow_host=(wrong,))._serving()
+            Play("rearrange", allow_hosts=(wrong,))._serving()
 
 
 async def statuses(link: str, hosts: Sequence[str]) -> list[int]:
@@ -338,7 +338,7 @@ def test_a_seat_that_nobody_is_connected_to_can_be_taken_over(tmp_path: Path, op
             await first.connect()
             await first.until(lambda: first.close_code == 4001)
             assert second.close_code is None
-            again = Journal(tmp_path)
+            again = SeatLog(tmp_path)
             assert again.seats.keys() == table.front.journal.seats.keys()
             assert again.seats[second.address.rpartition("/")[2]].game == table.game.key, "the episode goes on"
 

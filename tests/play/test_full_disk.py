@@ -14,7 +14,7 @@ import pytest
 
 from h3data.recording import read_mcap
 from h3data.recording.mcap import part as mcap_part
-from h3data_play.live import Table
+from h3data_play.live import EpisodeFactory
 from h3data_play.messages import PERIOD_S
 from h3data_play.plan import GameOrder, PlayPlan
 from h3data_play.worker import DISK_FULL, Running, Worker
@@ -203,7 +203,7 @@ def test_a_recovery_that_is_killed_loses_nothing(tmp_path: Path, disk: Disk, mon
     for _ in range(2):
         begun(tmp_path)
     monkeypatch.undo()
-    again = Table(PlayPlan(app="rearrange", scenes="small:3", partner="still", out=str(tmp_path))).begin(
+    again = EpisodeFactory(PlayPlan(app="rearrange", scenes="small:3", partner="still", out=str(tmp_path))).begin(
         GameOrder(index=0, name=KEY)
     )
     assert len(again.session.recorder) == 70

@@ -19,7 +19,7 @@ from h3data.recording import read_mcap
 from h3data.recording.live_input import CLIENT
 from h3data.replay.validation import validate_recording
 from h3data_play.app import App, Hud
-from h3data_play.live import LiveGame, Table
+from h3data_play.live import EpisodeFactory, LiveGame
 from h3data_play.messages import decode
 from h3data_play.plan import GameOrder, PlayPlan
 from h3data_play.wire import BUSY
@@ -31,10 +31,10 @@ from sim_kinematic.tasks.runner import Session, StepResult
 from tests.bodies.motion.test_walk_import import walk
 
 
-def table(out: Path, **changes: Any) -> Table:
+def table(out: Path, **changes: Any) -> EpisodeFactory:
     """Rearrangement in a small home beside a robot that keeps still."""
     plan = {"app": "rearrange", "out": str(out), "scenes": "small:3", "partner": "still", **changes}
-    return Table(PlayPlan(**plan))
+    return EpisodeFactory(PlayPlan(**plan))
 
 
 class Player:

@@ -20,7 +20,7 @@ from h3data.recording import read_mcap
 from h3data.recording.records import JOINTS
 from h3data_play import assets
 from h3data_play.drivers import DOOR_SHUT
-from h3data_play.live import LiveGame, Table
+from h3data_play.live import EpisodeFactory, LiveGame
 from h3data_play.plan import GameOrder
 from h3data_play.worker import Worker
 from sim_kinematic.tasks.resume import verify
@@ -31,7 +31,7 @@ HOME = {"scenes": "small-open:2", "seed": 5}
 MUG = 1
 
 
-def opening(out: Path, **changes: object) -> Table:
+def opening(out: Path, **changes: object) -> EpisodeFactory:
     """A table in that home."""
     return table(out, **{**HOME, **changes})
 

@@ -12,8 +12,8 @@ import pytest
 
 from h3data_play import workers as module
 from h3data_play.connections import Live
-from h3data_play.front import Front
-from h3data_play.live import Table
+from h3data_play.front import WebServer
+from h3data_play.live import EpisodeFactory
 from h3data_play.plan import GameOrder, PlayPlan
 from h3data_play.worker import Worker
 from h3data_play.workers import Preparer, WorkerProcess
@@ -52,7 +52,7 @@ def test_what_the_spare_found_out_is_not_simulated_again(tmp_path: Path, monkeyp
         raise AssertionError("the worlds of others would stand still")
 
     monkeypatch.setattr(rearrange, "_simulated_solo_steps", simulated)
-    table = Table(PlayPlan(app="rearrange", out=str(tmp_path), partner="still", scenes="small:2"))
+    table = EpisodeFactory(PlayPlan(app="rearrange", out=str(tmp_path), partner="still", scenes="small:2"))
     game = table.begin(GameOrder(index=5, name="x", facts={"solo_steps": 432}))
     game.step()
     recording = game.close()
@@ -100,7 +100,7 @@ def test_without_a_spare_or_with_one_that_says_nothing_the_worker_does_it(monkey
 def test_the_episodes_after_those_that_are_played_are_prepared_ahead(tmp_path: Path) -> None:
     async def ask() -> None:
         plan = PlayPlan(app="rearrange", out=str(tmp_path), seats=("person",), episodes=6)
-        front, spare = Front(plan, tables=2), Spare()
+        front, spare = WebServer(plan, tables=2), Spare()
         front.workers.ready_spare = lambda: spare  # type: ignore[assignment, return-value]
         front.journal.begin(0)
         front._prepare_next()
@@ -116,7 +116,7 @@ def test_the_episodes_after_those_that_are_played_are_prepared_ahead(tmp_path: P
 
 def test_a_game_beside_others_begins_when_the_spare_is_warm_and_has_prepared_it(tmp_path: Path) -> None:
     async def begin() -> None:
-        front = Front(PlayPlan(app="rearrange", out=str(tmp_path), seats=("person",), episodes=6), tables=6)
+        front = WebServer(PlayPlan(app="rearrange", out=str(tmp_path), seats=("person",), episodes=6), tables=6)
         plays, warming = Spare(), asyncio.get_running_loop().create_future()
         front.workers.spare = cast("Any", warming)
         lives = []

@@ -16,14 +16,13 @@ from typing import Any
 import pytest
 
 import h3data
-from h3data.commands.command import Group
+from h3data.commands.command import Group, missing_lines
 from h3data.commands.options import options_of
 from h3data.errors import InputError
 from h3data.metrics.registry import find_profile
 from h3data_pipelines.cli import main
 from h3data_pipelines.commands.table import all_commands
 from h3data_pipelines.parsing import parse
-from h3data_pipelines.pictures.rerender import missing_lines
 from tests.paths import DOCS, ROOT
 
 COMMANDS = all_commands()
@@ -88,6 +87,31 @@ def fault_of(line: str) -> str:
 @pytest.mark.parametrize("page", [*PAGES, *OTHER_PAGES], ids=lambda page: page.name)
 def test_commands_in_the_prose_exist(page: Path) -> None:
     assert {line: fault for line in quoted(page) if (fault := fault_of(line))} == {}
+
+
+def all_flags() -> set[str]:
+    """Options of all commands and scripts."""
+    scripts = [path for top in ("benchmarks", "examples", "pipelines/bake") for path in ROOT.glob(f"{top}/**/*.py")]
+    scripts += [ROOT / "tests" / "fingerprints.py", ROOT / "pyproject.toml"]
+    flags = {flag for path in scripts for flag in re.findall(r'"(--[a-z-]+)[" ]', path.read_text(encoding="utf-8"))}
+    for top in COMMANDS.values():
+        for command in top.commands.values() if isinstance(top, Group) else [top]:
+            flags |= {flag for option in options_of(command) for flag in option.flags}
+    return flags | {"--config", "--help", "--quiet", "--trust", "--version"}
+
+
+def bare_options(text: str) -> set[str]:
+    """Options that the prose of a page names without their command: `--max-steps 40`."""
+    return set(re.findall(r"`(--[a-z][a-z-]*[a-z])", BLOCK.sub("", text)))
+
+
+def test_options_in_the_prose_exist() -> None:
+    flags = all_flags() | {"--durations", "--compile"}  # of pytest, of an example
+    named = {page.name: bare_options(page.read_text(encoding="utf-8")) for page in [*PAGES, *OTHER_PAGES]}
+    del named["errors.md"]  # it also lists messages of earlier versions
+    assert sum(map(len, named.values())) > 200
+    assert {page: sorted(options - flags) for page, options in named.items() if options - flags} == {}
+    assert bare_options("`--zsc a,b`, `--seed 1`") - flags == {"--zsc"}
 
 
 def test_commands_in_the_tables_of_the_readme_are_complete() -> None:
@@ -245,7 +269,7 @@ def test_pages_are_shown_by_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["docs", "docs/metrics.md#field-proxemics"]) == 0
     assert capsys.readouterr().out.startswith("# ")
     assert main(["docs", "metrisc"]) == 2
-    assert capsys.readouterr().err.endswith("Did you mean 'metrics'? `h3data docs` lists the pages.\n")
+    assert "Did you mean 'metrics'? `h3data docs` lists the pages." in capsys.readouterr().err
 
 
 def test_sources_name_pages_as_the_command_shows_them() -> None:
@@ -254,6 +278,7 @@ def test_sources_name_pages_as_the_command_shows_them() -> None:
     for package in (
         "h3data",
         "sim_kinematic",
+        "pipelines/h3data_homes",
         "pipelines/h3data_pipelines",
         "pipelines/h3data_training",
         "viewers/h3data_viewers",

@@ -53,7 +53,7 @@ ABSENT = {
     "h3data play": "waits for players; tests/play plays it",
     "bodies bake": "the extra bodies",
     "import supersuit": "SuperSuit; tests/sim/envs wraps environments by it where it is installed",
-    "flat.navmesh": "a navmesh of Habitat; tests/habitat/navmesh runs these calls",
+    "flat.navmesh": "a navmesh of Habitat; tests/scene/navmesh runs these calls",
     "female_0_motion_data_smplx.pkl": "Habitat's motion of a person; tests/bodies/motion runs these calls",
     "run(person": "walking frames of its own; tests/sim run these calls",
 }
@@ -80,16 +80,16 @@ ASSUMED: dict[str, str] = {
     + "from h3data.render import pinhole\ncameras = [pinhole(64, 48, hfov_deg=60)] * 3\n"
     + "origins, directions = np.ones((4, 3)), np.eye(3)[[0, 1, 2, 0]]\n"
     + "robot_eye, person_head = np.ones((1, 3)), np.ones((1, 3)) * 2\n"
-    + "mask = None\nfrom h3data.scene import HomeSpec, build_home\nhome = build_home(HomeSpec(preset='small', seed=3))\n"
+    + "mask = None\nfrom h3data.scenes import HomeSpec, build_home\nhome = build_home(HomeSpec(preset='small', seed=3))\n"
     + "from h3data.render.sheets.scene_map import render_scene\nflat = render_scene(home)\n"
     + "meshes, instances, static = flat.meshes, flat.instances, range(len(flat.instances))\n",
-    "rerender.md": 'import h3data\nh3data.rerender("episode.mcap", "training", camera=["robot_arm"], outputs="rgb,depth",'
+    "rerender.md": 'import h3data\nh3data.rerender("episode.mcap", "training", cameras=["robot_arm"], outputs=["rgb", "depth"],'
     + ' format="data", steps="0:9")\n',
     "rearrangement.md": "from sim_kinematic.policies.views import *\nAction = RearrangeView = object\n",
     "replay.md": OPEN + 'my_policy = "stand_still"\n',
     "statistics.md": 'episodes = {f"scene_{k}": [f"e{10 * k + j}" for j in range(80)] for k in range(8)}\n',
     "view.md": OPEN
-    + 'other = recording\nh3data.rerender("ds#0", "v", camera=["top_down"])\n'
+    + 'other = recording\nh3data.rerender("ds#0", "v", cameras=["top_down"])\n'
     + 'import shutil\nshutil.move(next(iter(__import__("pathlib").Path("v").glob("*.mp4"))), "top_down.mp4")\n',
     "robots.md": "import h3data\n",
 }
@@ -184,8 +184,12 @@ def shortened(words: list[str]) -> list[str]:
             words = [*_without(words, "--episodes", "--workers"), "--episodes", episodes]
             words += [] if {"rearrange", "skill"} & set(words) else ["--max-steps", "20"]
         case ["train", *_]:
-            is_fast = "fast" in words or "--init" in words  # later commands begin with what earlier ones have trained
-            words = _without(words, "--recipe", "--device", "--minutes", "--stop-after", "--worlds", "--rollout")
+            is_fast = (
+                "fast" in words or "--warm-start" in words
+            )  # later commands begin with what earlier ones have trained
+            words = _without(
+                words, "--recipe", "--device", "--minutes", "--stop-after", "--worlds", "--rollout", "--scenes"
+            )
             words += ["--recipe", "fast"] if is_fast else []
             words += ["--scenes", "h3-homes/train#0", "--updates", "1"]
             words += [] if "rearrange" in words else ["--worlds", "8"]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from h3data.scene import HomeSpec, build_home
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.motion.spec import SocialNavSpec
 from tests.paths import EXAMPLES
 from tests.simulated import simulate_social_nav, social_nav_episode

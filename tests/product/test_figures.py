@@ -5,13 +5,17 @@ from __future__ import annotations
 import json
 import re
 import tomllib
+from pathlib import Path
 
 import numpy as np
+import pytest
 
+import h3data
 from h3data import limits
 from h3data.formats import source_file
 from h3data.habitat.gfx import gfx_keyframes
 from h3data.mesh import gltf_primitives, images, png
+from h3data_pipelines.cli import main
 from tests.paths import DOCS, ROOT
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -92,6 +96,27 @@ def test_the_readme_has_no_other_figure_with_a_unit() -> None:
     prose = "\n".join(line for line in README.splitlines() if not line.startswith("|"))
     found = re.findall(rf"\d[\d,.]*(?: [MG])? ?(?:{UNITS})\b", re.sub(r"```.*?```", "", prose, flags=re.DOTALL))
     assert found == ["37 GPU minutes"]
+
+
+def test_the_readme_and_the_first_page_show_the_same_metrics_of_the_demo() -> None:
+    shown = [
+        {line[:7].strip(): line[7:].split()[0] for line in re.findall(r"^[A-Z]+ +[01]\.\d{3} .*$", text, re.MULTILINE)}
+        for text in (README, (DOCS / "index.md").read_text(encoding="utf-8"))
+    ]
+    assert list(shown[0]) == ["S", "SPS", "F", "CR"]
+    assert shown[0] == shown[1]
+
+
+@pytest.mark.slow
+def test_the_metrics_of_the_readme_are_those_of_the_demo(tmp_path: Path) -> None:
+    assert main(["demo", "-o", str(tmp_path), "--light", "flat", "--size", "64x48", "--quiet"]) == 0
+    metrics = str(h3data.measure(h3data.open(tmp_path / "episode.mcap", h3data.Recording)))
+    rows = [line.split() for line in re.findall(r"^[A-Z]+ +[01]\.\d{3} .*$", README, re.MULTILINE)]
+    assert len(rows) == 4
+    for name, value, *_ in rows:
+        assert re.search(rf"^{name} +{re.escape(value)} ", metrics, re.MULTILINE), (
+            f"{name} is not {value} in\n{metrics}"
+        )
 
 
 def test_the_version_of_the_readme_is_that_of_the_package() -> None:

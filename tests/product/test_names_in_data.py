@@ -13,7 +13,7 @@ from h3data.commands.command import Group
 from h3data.errors import H3DataError, PluginError, UntrustedNameError
 from h3data.metrics.registry import find_profile, profile_for, profiles_named
 from h3data.recording import DatasetWriter, write_mcap
-from h3data.scene import HomeSpec, build_home
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from h3data_pipelines.commands.table import all_commands
 from sim_kinematic.policies.assignment import plugin_policies

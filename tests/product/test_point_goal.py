@@ -15,7 +15,7 @@ import h3data
 from examples.point_goal import PointGoal
 from h3data.errors import H3DataError
 from h3data_pipelines.cli import main
-from sim_kinematic.tasks.episode import Outcome
+from sim_kinematic.tasks.episode import StepOutcome
 
 REFERENCE = "examples.point_goal:PointGoal"
 
@@ -31,7 +31,7 @@ def run(capsys: pytest.CaptureFixture[str], *words: Any) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("point_goal") / "pg"
-    assert main(["generate", REFERENCE, "--episodes", "3", "--rule", "arrive_m=0.4", "-o", str(out), "--json"]) == 0
+    assert main(["generate", REFERENCE, "--episodes", "3", "--set", "arrive_m=0.4", "-o", str(out), "--json"]) == 0
     return out
 
 
@@ -77,9 +77,9 @@ def test_gymnasium_accepts_it() -> None:
 class NotANumber(PointGoal):
     """Judges NaN."""
 
-    def judge(self, play: Any) -> Outcome:
+    def judge(self, play: Any) -> StepOutcome:
         good = super().judge(play)
-        return Outcome(
+        return StepOutcome(
             reward=good.reward * np.nan, terminated=good.terminated, success=good.success, columns=good.columns
         )
 
@@ -87,9 +87,11 @@ class NotANumber(PointGoal):
 class WrongShape(PointGoal):
     """Judges two worlds where there is one."""
 
-    def judge(self, play: Any) -> Outcome:
+    def judge(self, play: Any) -> StepOutcome:
         good = super().judge(play)
-        return Outcome(reward=good.reward, terminated=np.zeros(2, np.bool_), success=good.success, columns=good.columns)
+        return StepOutcome(
+            reward=good.reward, terminated=np.zeros(2, np.bool_), success=good.success, columns=good.columns
+        )
 
 
 class UndeclaredColumn(PointGoal):
@@ -114,13 +116,18 @@ class NoOutcome(PointGoal):
             UndeclaredColumn(),
             r"columns must be those that the task declares; metrics\.disturbs, metrics\.goal_distance",
         ),
-        (NoOutcome(), r"NoOutcome\.judge must return an Outcome, got NoneType"),
+        (NoOutcome(), r"NoOutcome\.judge must return a StepOutcome, got NoneType"),
     ],
     ids=lambda value: type(value).__name__,
 )
 def test_a_faulty_task_is_named_with_the_field(task: PointGoal, says: str) -> None:
     with pytest.raises(H3DataError, match=says):
         h3data.simulate(task, scenes="small:1")
+
+
+def test_methods_by_their_earlier_names_are_refused_with_the_new_ones() -> None:
+    with pytest.raises(H3DataError, match=r"EarlierTask\.hindsight of a task is called final_info now"):
+        type("EarlierTask", (PointGoal,), {"hindsight": lambda self, episode, play, policies: {}})
 
 
 @pytest.mark.parametrize(

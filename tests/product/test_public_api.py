@@ -26,7 +26,7 @@ def test_the_public_interface_is_the_stored_one() -> None:
 
 def test_it_holds_what_users_write() -> None:
     stored = public_api.FILE.read_text(encoding="utf-8").splitlines()
-    assert "h3data.make(... num_envs: int | None = None)" in stored
+    assert "h3data.envs.make(... num_envs: int | None = None)" in stored
     assert "h3data generate --episodes int = None" in stored
     assert "h3data.Recording is h3data.recording.Recording" in stored
     assert not any(str(ROOT) in line or "0x" in line for line in stored)

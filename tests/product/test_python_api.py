@@ -7,9 +7,10 @@ import inspect
 import json
 import pickle
 import re
+import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,10 @@ import numpy as np
 import pytest
 
 import h3data
+import h3data_viewers.api
+from h3data.bodies import load_robot
 from h3data.commands.command import Command
-from h3data.commands.options import options_of
+from h3data.commands.options import command_of, options_of, python_value
 from h3data.errors import InputError
 from h3data.recording import write_mcap
 from h3data_pipelines import api
@@ -31,19 +34,20 @@ from h3data_pipelines.hub.card import Card
 from h3data_pipelines.hub.pulling import Pull
 from h3data_pipelines.hub.pushing import Push
 from h3data_pipelines.hub.syncing import Sync
-from h3data_pipelines.pictures.report import ReportCommand
 from h3data_pipelines.pictures.rerender import Rerender
-from h3data_pipelines.pictures.viewing import View
-from tests.paths import ROOT
+from h3data_viewers.commands.reporting import ReportCommand
+from h3data_viewers.commands.viewing import View
+from sim_kinematic.policies.policy import Still
+from tests.paths import DATA, ROOT
 
 COMMANDS: list[tuple[Callable[..., Any], type[Command]]] = [
     (api.generate, Generate),
     (api.evaluate, Evaluate),
-    (api.report, ReportCommand),
+    (h3data_viewers.api.report, ReportCommand),
     (api.import_, Import),
     (api.export, Export),
     (api.rerender, Rerender),
-    (api.view, View),
+    (h3data_viewers.api.view, View),
     (api.card, Card),
     (api.push, Push),
     (api.pull, Pull),
@@ -64,10 +68,71 @@ def test_functions_have_the_options_of_their_commands(function: Callable[..., An
     missing = set(options) - set(parameters) - {"json", "dry_run"}
     assert not missing, f"{function.__name__} lacks options of the command: {missing}"
     assert set(parameters) <= set(options)
-    instance = inspect.signature(command).parameters
     for name, parameter in parameters.items():
-        if parameter.default is not inspect.Parameter.empty:
-            assert parameter.default == instance[name].default, name
+        assert options[name].required == (parameter.default is inspect.Parameter.empty), name
+        assert "Any" not in parameter.annotation, name
+
+
+def test_names_and_defaults_of_a_command_are_those_of_its_function() -> None:
+    def play(
+        task: str, *, scenes: str = "small", speed: float | None = None, cameras: Sequence[str] = ("a", "b")
+    ) -> None:
+        """What `h3data` would offer."""
+
+    class Complete:
+        task: str
+        scenes: tuple[str, ...]
+        speed: float | None
+        cameras: tuple[str, ...]
+        json: bool = False
+
+    made: Any = command_of(play)(Complete)(task="x")
+    assert (made.task, made.scenes, made.speed, made.cameras, made.json) == ("x", ("small",), None, ("a", "b"), False)
+
+    class Lacking:
+        task: str
+        scenes: tuple[str, ...]
+        speed: float | None
+
+    with pytest.raises(TypeError, match="a field cameras without a default in Lacking"):
+        command_of(play)(Lacking)
+
+    class Twice:
+        task: str
+        scenes: tuple[str, ...]
+        speed: float | None = 3.0
+        cameras: tuple[str, ...]
+
+    with pytest.raises(TypeError, match="a field speed without a default in Twice"):
+        command_of(play)(Twice)
+
+
+@pytest.mark.parametrize(
+    ("given", "value"),
+    [
+        ({"cameras": "top_down"}, ("top_down",)),
+        ({"cameras": [Path("my.toml"), "top_down"]}, ("my.toml", "top_down")),
+        ({"agents": ["human", load_robot("lift_arm")]}, ("human", "lift_arm")),
+        ({"robot": load_robot("quad_arm")}, "quad_arm"),
+        ({"policies": Still}, ("sim_kinematic.policies.policy:Still",)),
+        ({"rules": {"objects": 3, "near_m": [2.0, 1.5]}}, ("objects=3", "near_m=[2.0, 1.5]")),
+    ],
+    ids=lambda x: str(x)[:20],
+)
+def test_python_gives_one_thing_or_several_by_name_or_itself(given: dict[str, Any], value: Any) -> None:
+    ((name, thing),) = given.items()
+    (option,) = (option for option in options_of(Generate) if option.field == name)
+    assert python_value(option, thing) == value
+
+
+def test_a_policy_by_its_class_and_rules_by_name(tmp_path: Path) -> None:
+    done = h3data.generate(
+        "wander", tmp_path, policies=Still, rules={"max_steps": 12}, scenes=["small:1", "small:2"], episodes=2
+    )
+    assert [len(recording) for recording in done.dataset] == [12, 12]
+    first = done.dataset[0]
+    assert first.episode.info["job"]["policy"] == "sim_kinematic.policies.policy:Still"
+    assert np.ptp(first.columns["agent_0.base_pose"][:, :3], axis=0).max() == 0
 
 
 def test_generate_returns_the_dataset(generated: Any) -> None:
@@ -93,14 +158,14 @@ def test_refusals_name_parameters(generated: Any) -> None:
         ({"episodes": "four"}, "episodes: expected a whole number, got 'four'."),
         ({"episodes": 4.0}, "episodes: expected a whole number, got 4.0."),
         ({"human_speed": "fast"}, "human_speed: expected a number, got 'fast'."),
-        ({"camera": "top_down"}, "camera: expected a list, as ['top_down'], got 'top_down'."),
+        ({"cameras": ["top_down", 3]}, "cameras: expected a name or path, got 3."),
         ({"light": "bakd"}, "light: unknown 'bakd'. Did you mean 'baked'?"),
         ({"resume": "yes"}, "resume: expected True or False, got 'yes'."),
-        ({"scenes": 3}, "scenes: expected text, got 3."),
+        ({"scenes": 3}, "scenes: expected a name or path, got 3."),
     ],
 )
 def test_values_of_other_types_are_refused(options: dict[str, Any], said: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=f"^{re.escape(said)}$"):
+    with pytest.raises(InputError, match=f"(?m)^{re.escape(said)}$"):
         h3data.generate("wander", tmp_path, **options)
 
 
@@ -138,7 +203,7 @@ def test_an_unknown_column_says_what_was_meant(generated: Any) -> None:
 def test_view_rerender_and_export_return_files(generated: Any, tmp_path: Path) -> None:
     episode = f"{generated.dataset.root}#1"
     assert h3data.view(episode, out=tmp_path / "a.rrd").stat().st_size > 1000
-    rendered = h3data.rerender(episode, tmp_path / "pictures", steps="0:2", format="png", camera=["top_down"])
+    rendered = h3data.rerender(episode, tmp_path / "pictures", steps="0:2", format="png", cameras="top_down")
     assert rendered.failed == {}
     assert [path.name for path in rendered.files] == ["ds#1.top_down.rgb"]
     report = h3data.report(generated.dataset.root, tmp_path / "report.html", pictures=0)
@@ -156,11 +221,21 @@ def test_open_takes_what_commands_take(generated: Any, tmp_path: Path) -> None:
     assert len(h3data.open(tmp_path)) == 2
     assert h3data.open("small:3", h3data.Scene).name == "home_small_3"
     assert h3data.open("h3-homes/test#0").name == h3data.open("h3-homes/test#test_00").name
+    assert len(h3data.load_dataset(dataset.root)) == len(dataset)
+    assert h3data.load_recording(f"{dataset.root}#2").episode == recording.episode
+    assert h3data.load_scene("small:3").name == "home_small_3"
+    for load, other in (
+        (h3data.load_scene, dataset.root),
+        (h3data.load_recording, "small:3"),
+        (h3data.load_dataset, tmp_path / "a.mcap"),
+    ):
+        with pytest.raises(InputError, match=r"^Expected a (Scene|Recording|Dataset), this is a "):
+            load(other)
     with pytest.raises(InputError, match=re.escape("several scenes. Expected one, such as small:0")):
         h3data.open("small")
     with pytest.raises(InputError, match="Expected a Dataset, this is a Recording"):
         h3data.open(tmp_path / "a.mcap", h3data.Dataset)
-    with pytest.raises(InputError, match="No file has such a name"):
+    with pytest.raises(InputError, match="H3-FILE-003"):
         h3data.open(tmp_path / "*.nothing")
 
 
@@ -180,7 +255,7 @@ def test_slices_filters_and_splits_choose_episodes(generated: Any) -> None:
     assert {f["scene"] for f in train.facts}.isdisjoint(f["scene"] for f in test.facts)
     assert sorted(f["uid"] for part in (train, test) for f in part.facts) == sorted(uids)
     assert [f["uid"] for f in dataset.split(0.5, by="scene")[0].facts] == [f["uid"] for f in train.facts]
-    with pytest.raises(InputError, match="Expected shares above 0"):
+    with pytest.raises(InputError, match="H3-RECORDING-001"):
         dataset.split(0.8, 0.5)
 
 
@@ -247,10 +322,10 @@ def _leaves(value: Any) -> list[Any]:
 # --- faces of the simulator -------------------------------------------------------------------------------------------
 def test_make_names_every_option_of_every_environment() -> None:
     """`h3data.make` repeats the options of the environments, so that editors, type checkers and the reference know them."""
-    from h3data.api import MakeOptions
     from h3data_training.envs.rearrange_torch_env import RearrangeTorchEnv
     from h3data_training.envs.social_nav_torch_env import SocialNavTorchEnv
     from sim_kinematic.envs import make as maker
+    from sim_kinematic.envs.make import MakeOptions
     from sim_kinematic.envs.skill_stepper import SkillStepper
     from sim_kinematic.envs.stepper import Options
     from sim_kinematic.envs.world_stepper import WorldStepper
@@ -259,7 +334,7 @@ def test_make_names_every_option_of_every_environment() -> None:
     def keywords(function: Any) -> set[str]:
         return {p.name for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY}
 
-    real = keywords(maker.make) | {field.name for field in fields(Options)}
+    real = keywords(maker.make_env) | {field.name for field in fields(Options)}
     for environment in (WorldStepper, SkillStepper, SocialNavTorchEnv, RearrangeTorchEnv):
         real |= keywords(environment)
     for task in ("social_nav", "rearrange"):
@@ -270,6 +345,23 @@ def test_make_names_every_option_of_every_environment() -> None:
     assert set(described) == {"task", "scenes", *keywords(h3data.make)}
 
 
+def test_environments_and_sessions_take_objects_instead_of_names() -> None:
+    from sim_kinematic.tasks.wander import Wander
+
+    home, robot = h3data.load_scene("small:3"), load_robot("lift_arm")
+    recording = h3data.simulate(Wander, home, agents={"robot": Still()}, robot=robot, max_steps=3)
+    assert (recording.episode.task, recording.episode.scene, recording.agents[0].model) == (
+        "wander",
+        home.name,
+        "robot/lift_arm",
+    )
+    named = h3data.simulate("wander", [home], roster=[robot, "human"], agents={"robot": Still}, max_steps=3)
+    assert [agent.model for agent in named.agents] == ["robot/lift_arm", "humanoid/female_0"]
+    env = h3data.make(Wander, [home, "small:1"], robot=robot)
+    assert "lift_arm" in repr(env)
+    assert "2 scenes of home_small_3, small:1" in repr(env)
+
+
 def test_sessions_have_the_signature_of_the_simulator() -> None:
     from sim_kinematic.tasks import sessions
 
@@ -278,6 +370,48 @@ def test_sessions_have_the_signature_of_the_simulator() -> None:
         assert [(p.name, p.kind, p.default) for p in face.values()] == [
             (p.name, p.kind, p.default) for p in real.values()
         ]
+
+
+USER_SCRIPT = DATA / "user_script.py"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("checker", ["pyright", "mypy"])
+def test_a_users_script_passes_a_strict_type_check(checker: str, tmp_path: Path) -> None:
+    pytest.importorskip(checker)
+    script = Path(shutil.copy(USER_SCRIPT, tmp_path))  # outside the checkout, where our own settings do not apply
+    options = ["--strict", f"--cache-dir={tmp_path}/cache"] if checker == "mypy" else ["--pythonpath", sys.executable]
+    assert script.read_text().startswith("# pyright: strict\n")
+    done = subprocess.run(
+        [sys.executable, "-m", checker, *options, str(script)],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        timeout=280,
+    )
+    assert done.returncode == 0, done.stdout
+    wrong = script.read_text().replace("num_envs=4", "num_env=4").replace("episodes=2, agents", 'episodes="2", agents')
+    script.write_text(wrong)
+    done = subprocess.run(
+        [sys.executable, "-m", checker, *options, str(script)],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        timeout=280,
+    )
+    assert done.returncode == 1, "a misspelt option and a text for a number"
+    for said in ("num_env", "int"):
+        assert said in done.stdout
+
+
+@pytest.mark.slow
+def test_a_users_script_runs(tmp_path: Path) -> None:
+    script = shutil.copy(USER_SCRIPT, tmp_path / "mine.py")
+    done = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, cwd=tmp_path, timeout=280, check=True
+    )
+    assert "mine:TurnAround" in done.stdout
+    assert {path.name for path in tmp_path.iterdir()} >= {"out", "table", "videos", "view.html"}
 
 
 @pytest.mark.slow

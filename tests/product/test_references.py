@@ -23,7 +23,7 @@ OF_OTHERS = {"NavMeshSettings.readFromJSON"}
 """Members of classes of others that have the name of one of ours."""
 IMPORT = re.compile(rf"^\s*from ((?:{OURS})\b[\w.]*) import \(?([\w, ]+)", re.MULTILINE)
 FILE = re.compile(
-    r"(?<![\w/.-])((?:benchmarks|datasets|docs|examples|h3data|pipelines|sim_kinematic|tests|viewers)/[\w./-]+\.(?:py|md|toml|txt))\b"
+    r"(?<![\w/.-])((?:benchmarks|datasets|docs|examples|h3data|pipelines|sim_kinematic|tests|viewers)/[\w./-]+\.(?:py|md|toml|txt|sh))\b"
 )
 SOURCES = sorted(
     {*PLACES.values(), *(path for top in ("tests", "benchmarks", "examples") for path in ROOT.glob(f"{top}/**/*.py"))}
@@ -39,7 +39,7 @@ PAGES = sorted(
 )
 """CHANGELOG.md may tell of what is no more."""
 NOT_OBJECTS = re.compile(
-    r"h3data\.(tasks|robots|policies|profiles|formats|apps|commands|device_envs|notebooks|schema_version|moments)"
+    r"h3data\.(tasks|robots|policies|profiles|formats|scenes|apps|commands|device_envs|executors|notebooks|viewers|schema_version|moments)"
 )
 """Groups of entry points and keys in the metadata of files."""
 
@@ -166,6 +166,7 @@ def test_what_is_named_exists(kind: str) -> None:
         ("`Recording.columns`, `Nobody.knows_it`, `Recording.colums`", ["Recording.colums"]),
         ("from h3data.recording import Dataset, Datasets", ["h3data.recording.Datasets"]),
         ("see " + "tests/test_nothing.py and tests/test_files.py", ["tests/test_nothing" + ".py"]),
+        ("trained by " + "pipelines/bake/nothing.sh", ["pipelines/bake/nothing" + ".sh"]),
     ],
 )
 def test_what_does_not_exist_is_found(text: str, found: list[str]) -> None:

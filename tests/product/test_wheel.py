@@ -14,7 +14,7 @@ from tests.paths import ROOT
 
 OPENS = """
 from h3data.bodies import load_humanoid, load_robot
-from h3data.habitat.scene_names import named_scenes
+from h3data.scene.open import named_scenes
 from h3data_viewers.html_report import report
 from sim_kinematic.tasks.registry import find_task
 assert load_robot('quad_arm').joint_names and load_humanoid('female_0').capsules and find_task('rearrange')
@@ -54,6 +54,7 @@ def test_the_wheel_works_outside_the_repository(script: str, says: str, tmp_path
     assert {n for n in top if not n.endswith(".dist-info")} == {
         "h3data",
         "sim_kinematic",
+        "h3data_homes",
         "h3data_pipelines",
         "h3data_training",
         "h3data_viewers",

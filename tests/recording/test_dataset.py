@@ -129,14 +129,14 @@ def test_wider_episodes_are_refused_with_advice(tmp_path):
         columns = {**extra.columns, "metrics.new": np.zeros(60), "metrics.collision": np.zeros(60, np.int8)}
         with pytest.raises(InputError, match=r"metrics.collision int8.*metrics.new.* not a column"):
             writer.add(replace(extra, columns=columns))
-        with pytest.raises(InputError, match="fps=N"):
+        with pytest.raises(InputError, match="H3-RECORDING-091"):
             writer.add(replace(extra, episode=replace(extra.episode, dt_ns=10**8)))
-        with pytest.raises(InputError, match="cannot be stored"):
+        with pytest.raises(InputError, match="H3-RECORDING-101"):
             writer.add(replace(extra, episode=replace(extra.episode, seed=2**70)))
         writer.add(simple_recording(bodies=1))
     assert len(Dataset(tmp_path / "ds")) == 2
     for name in ("index", "metrics.a/b"):
-        with pytest.raises(InputError, match="LeRobot"):
+        with pytest.raises(InputError, match="H3-RECORDING-100"):
             written(tmp_path / name.replace("/", ""), replace(extra, columns={**extra.columns, name: np.zeros(60)}))
 
 
@@ -459,12 +459,12 @@ def test_folders_that_exist_are_kept(tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("years of work")
     for options in ({}, {"overwrite": True}, {"resume": True}):
-        with pytest.raises(InputError, match="not a dataset"):
+        with pytest.raises(InputError, match="H3-RECORDING-095"):
             DatasetWriter(tmp_path / "mine", **options)
     assert (tmp_path / "mine" / "thesis.tex").read_text() == "years of work"
-    with pytest.raises(InputError, match="this is a file"):
+    with pytest.raises(InputError, match="H3-RECORDING-094"):
         DatasetWriter(tmp_path / "mine" / "thesis.tex")
-    with pytest.raises(InputError, match="Choose one"):
+    with pytest.raises(InputError, match="H3-RECORDING-092"):
         DatasetWriter(tmp_path / "new", overwrite=True, resume=True)
     written(tmp_path / "ds", simple_recording(seed=0), simple_recording(seed=1))
     (tmp_path / "ds" / "notes.txt").write_text("keep")
@@ -518,7 +518,7 @@ def test_kinds_of_files_are_told_apart(tmp_path):
     with pytest.raises(FormatError, match=r"schema version 3\.1"):
         open_recording(root)
     (root / "h3/schema.json").unlink()
-    with pytest.raises(FormatError, match="not written by h3data"):
+    with pytest.raises(FormatError, match="H3-RECORDING-063"):
         open_recording(root)
     cases = {
         "replay.json": (b'{"keyframes": []}', r"gfx-replay.*h3data import"),
@@ -537,9 +537,9 @@ def test_kinds_of_files_are_told_apart(tmp_path):
         with pytest.raises(FormatError, match=message):
             open_recording(tmp_path / name)
     (tmp_path / "folder").mkdir()
-    with pytest.raises(FormatError, match="Expected a dataset folder"):
+    with pytest.raises(FormatError, match="H3-RECORDING-062"):
         open_recording(tmp_path / "folder")
-    with pytest.raises(InputError, match="no such"):
+    with pytest.raises(InputError, match="H3-RECORDING-049"):
         open_recording(tmp_path / "nothing")
 
 

@@ -156,11 +156,11 @@ def test_what_is_not_there_is_refused(tmp_path):
         with pytest.raises(InputError, match=r"No columns \['nope'\].*time_ns"):
             steps.rows(0, 1, columns=["nope"])
         steps.close()
-    with pytest.raises(InputError, match="episode=0"):
+    with pytest.raises(InputError, match="H3-RECORDING-055"):
         open_steps(tmp_path / "ds")
     with pytest.raises(InputError, match="Episode 7"):
         open_steps(tmp_path / "ds", episode=7)
-    with pytest.raises(InputError, match="numbered"):
+    with pytest.raises(InputError, match="H3-RECORDING-051"):
         open_steps(tmp_path / "a.mcap", episode=0)
     with pytest.raises(InputError, match="No such file"):
         open_steps(tmp_path / "none.mcap")
@@ -234,7 +234,7 @@ def test_unfinished_and_other_logs_are_named(tmp_path):
         with pytest.raises(FormatError, match=found):
             open_steps(path)
     path.write_bytes(b"PAR1" * 40)
-    with pytest.raises(FormatError, match="Expected an MCAP log"):
+    with pytest.raises(FormatError, match="H3-RECORDING-038"):
         open_steps(path)
 
 

@@ -121,7 +121,7 @@ def test_a_shard_is_visible_from_its_commit_on(store: str) -> None:
         assert len(again) == 1
         again.add(EPISODES[2])
     assert recordings_equal(Dataset(f"{store}/ds")[1], EPISODES[2]) == []
-    with pytest.raises(InputError, match="The folder holds a dataset"):
+    with pytest.raises(InputError, match="H3-RECORDING-096"):
         DatasetWriter(f"{store}/ds")
     with DatasetWriter(f"{store}/ds", overwrite=True) as anew:
         anew.add(EPISODES[2])
@@ -135,7 +135,7 @@ def test_of_two_writers_the_first_is_told(store: str) -> None:
     with DatasetWriter(f"{store}/ds", resume=True) as second:
         second.add(EPISODES[2])
         first.add(EPISODES[0])
-        with pytest.raises(InputError, match="Another process is writing this dataset"):
+        with pytest.raises(InputError, match="H3-RECORDING-097"):
             first.commit()
     assert [
         recordings_equal(a, b) for a, b in zip((EPISODES[0], EPISODES[2]), Dataset(f"{store}/ds"), strict=True)
@@ -174,18 +174,18 @@ def test_logs_go_whole(store: str) -> None:
     opened = open_recording(Path(uri))
     assert isinstance(opened, Recording)
     assert recordings_equal(opened, EPISODES[2]) == []
-    with pytest.raises(InputError, match="exists"):
+    with pytest.raises(InputError, match="H3-RECORDING-047"):
         write_mcap(EPISODES[0], uri)
     write_mcap(EPISODES[0], uri, overwrite=True)
     assert len(read_mcap(uri)) == 7
-    with pytest.raises(InputError, match="only be written locally"):
+    with pytest.raises(InputError, match="H3-RECORDING-120"):
         RecordingWriter(uri, EPISODES[0])
 
 
 def test_what_is_not_there_or_something_else(store: str) -> None:
-    with pytest.raises(InputError, match="There is no such"):
+    with pytest.raises(InputError, match="H3-RECORDING-049"):
         open_recording(f"{store}/nothing")
-    with pytest.raises(InputError, match="There is no such"):
+    with pytest.raises(InputError, match="H3-RECORDING-061"):
         Dataset(f"{store}/nothing")
     picture = place(f"{store}/p.png")
     assert isinstance(picture, RemotePath)

@@ -176,7 +176,7 @@ def test_videos_that_do_not_fit_are_refused(tmp_path):
     assert len(Dataset(tmp_path / "ds")) == 0, "a video that ends early spoils its shard"
     with DatasetWriter(tmp_path / "other") as writer:
         writer.add(ten, videos=[video])
-        with pytest.raises(InputError, match="other settings"):
+        with pytest.raises(InputError, match="H3-RECORDING-089"):
             writer.add(ten, videos=[filmed(tmp_path, 3, 10, preset="slow")])
     with DatasetWriter(tmp_path / "plain") as writer:
         writer.add(ten)
@@ -210,7 +210,7 @@ def test_damaged_videos_are_named(tmp_path, capsys):
     assert main(["validate", str(tmp_path / "ds")]) == 1
     assert "video" in capsys.readouterr().out
     path.unlink()
-    with pytest.raises(FormatError, match="missing"):
+    with pytest.raises(FormatError, match="H3-RECORDING-084"):
         list(dataset.video(0, "eye").frames())
 
 

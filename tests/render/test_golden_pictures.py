@@ -19,7 +19,7 @@ from h3data.render import (
     write_png,
 )
 from h3data.render.sheets.scene_map import render_scene
-from h3data.scene import HomeSpec, build_home
+from h3data_homes import HomeSpec, build_home
 from tests.paths import DATA
 
 GOLDEN = DATA / "golden"

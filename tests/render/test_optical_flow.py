@@ -125,5 +125,5 @@ def test_boxes_and_masks_hold_exactly_the_visible_pixels():
     assert len(visible_boxes(np.full((3, 3), -1)).ids) == 0
     with pytest.raises(InputError, match="cover the ids 0 to 1"):
         visible_boxes(ids, groups=[0, 1])
-    with pytest.raises(InputError, match="integer ids"):
+    with pytest.raises(InputError, match="H3-RENDER-001"):
         visible_boxes(np.zeros((3, 3)))

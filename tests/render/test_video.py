@@ -104,13 +104,13 @@ def test_wrong_frames_and_no_frames_are_refused(tmp_path: Path):
         VideoWriter(tmp_path / "a.mp4", 64, 48) as v,
     ):
         v.write(frame(0, 48, 64))
-    with pytest.raises(InputError, match="No frame"), VideoWriter(tmp_path / "a.mp4", 64, 48):
+    with pytest.raises(InputError, match="H3-RENDER-078"), VideoWriter(tmp_path / "a.mp4", 64, 48):
         pass
-    with pytest.raises(InputError, match="above 0"):
+    with pytest.raises(InputError, match="H3-RENDER-073"):
         VideoWriter(tmp_path / "a.mp4", 0, 48)
-    with pytest.raises(InputError, match="folder"), VideoWriter(tmp_path / "no" / "a.mp4", 64, 48):
+    with pytest.raises(InputError, match="H3-FILE-009"), VideoWriter(tmp_path / "no" / "a.mp4", 64, 48):
         pass
-    with pytest.raises(InputError, match="not open"):
+    with pytest.raises(InputError, match="H3-RENDER-076"):
         VideoWriter(tmp_path / "a.mp4", 64, 48).write(frame(0, 64, 48))
     assert list(tmp_path.iterdir()) == []
 
@@ -133,17 +133,17 @@ def test_ids_are_stored_one_up(tmp_path: Path):
     for bad in (np.array([[65535]]), np.zeros((2, 2)), np.zeros(3, np.int32)):
         with pytest.raises(InputError, match=r"65534|integers"):
             stored_ids(bad)
-    with pytest.raises(InputError, match="Unknown codec"):
+    with pytest.raises(InputError, match="H3-RENDER-074"):
         VideoWriter(tmp_path / "a.mp4", 64, 48, codec="vp9")  # type: ignore[arg-type]
 
 
 def test_bad_pictures_are_refused(tmp_path: Path):
     for bad in (np.zeros((4, 4, 4), np.uint8), np.zeros((4, 4)), np.zeros((0, 4, 3), np.uint8)):
-        with pytest.raises(InputError, match="PNG"):
+        with pytest.raises(InputError, match="H3-RENDER-039"):
             write_png(tmp_path / "a.png", bad)
-    with pytest.raises(InputError, match="metres"):
+    with pytest.raises(InputError, match="H3-RENDER-043"):
         write_depth_png(tmp_path / "a.png", np.zeros((4, 4), np.int32))
-    with pytest.raises(InputError, match="folder"):
+    with pytest.raises(InputError, match="H3-FILE-009"):
         write_png(tmp_path / "no" / "a.png", np.zeros((4, 4), np.uint8))
     assert list(tmp_path.iterdir()) == []
 

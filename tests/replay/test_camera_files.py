@@ -14,7 +14,7 @@ from h3data.geometry import pose_to_matrix
 from h3data.recording import Recording
 from h3data.render import OPENGL_TO_OPENCV, look_at
 from h3data.replay import Replay, camera_names, camera_track
-from h3data.scene import HomeSpec, build_home
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
 from tests.simulated import simulate_social_nav, social_nav_episode
 
@@ -186,8 +186,8 @@ def test_what_is_no_camera_is_refused_in_words(replay, tmp_path, text, message):
 
 def test_broken_files_are_refused(replay, tmp_path):
     for name in ("lost.toml", "lost.json"):
-        with pytest.raises(InputError, match="No such camera file"):
+        with pytest.raises(InputError, match="H3-REPLAY-001"):
             camera_track(replay, str(tmp_path / name))
     (tmp_path / "broken.json").write_bytes(b'{"eye": \xff')
-    with pytest.raises(InputError, match="Not a camera"):
+    with pytest.raises(InputError, match="H3-REPLAY-011"):
         camera_track(replay, str(tmp_path / "broken.json"))

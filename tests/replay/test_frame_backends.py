@@ -20,7 +20,7 @@ from h3data.render import Output
 from h3data.render.renderer import gpu_fault
 from h3data.replay import CameraTrack, Replay, camera_track
 from h3data.replay import stage as stage_module
-from h3data.scene import HomeSpec, build_home
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
 from tests.simulated import simulate_social_nav, social_nav_episode

@@ -14,7 +14,7 @@ from h3data.render.shade.blockers_simd import ALONG, GROUP, RADIUS, START
 from h3data.replay import Replay, camera_track
 from h3data.replay.shadow_casters import moved
 from h3data.replay.stage import Stage
-from h3data.scene import HomeSpec, build_home
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
 from tests.simulated import simulate_social_nav, social_nav_episode
 
@@ -56,13 +56,26 @@ def test_agents_darken_the_floor_around_them_and_change_nothing_else(baked: Repl
     assert np.percentile(apart, 95) < 2.0
 
 
+def test_only_colours_wait_for_what_casts_shadows(baked: Replay, monkeypatch: pytest.MonkeyPatch) -> None:
+    stage, asked = Stage(baked), []
+    assert stage._casters is not None
+    cast = type(stage._casters).blockers
+    monkeypatch.setattr(type(stage._casters), "blockers", lambda self, *poses: asked.append(1) or cast(self, *poses))
+    renderer, camera = stage.renderer(), camera_track(baked, "robot_arm").at(STEP)
+    (depth,) = stage.render(renderer, STEP, [camera], outputs=("depth",))
+    assert not asked
+    (both,) = stage.render(renderer, STEP, [camera], outputs=("rgb", "depth"))
+    assert len(asked) == 1
+    np.testing.assert_array_equal(depth["depth"], both["depth"])
+
+
 def test_there_is_a_capsule_for_every_part_that_moves(baked: Replay) -> None:
     stage = Stage(baked)
     renderer = stage.renderer()
     seen = []
     original = renderer.set_blockers
     renderer.set_blockers = lambda blockers, **k: (seen.append(blockers), original(blockers, **k))  # type: ignore[assignment]
-    stage.render(renderer, STEP, [camera_track(baked, "top_down").at(STEP)], outputs=("depth",))
+    stage.render(renderer, STEP, [camera_track(baked, "top_down").at(STEP)], outputs=("rgb",))
     (blockers,) = seen
     for agent, name in ((0, "robot"), (1, "human")):
         rows = blockers.rows[blockers.rows[:, GROUP] == agent]

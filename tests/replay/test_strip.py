@@ -12,7 +12,7 @@ from h3data.errors import InputError
 from h3data.recording import Event, Recording, write_mcap
 from h3data.replay import Replay, strip
 from h3data.replay.strip import MOST, PASSING_M, crossing_of, episode_strip, moments_of
-from h3data.scene import HomeSpec, build_home
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from tests.simulated import rearrange_episode, simulate_rearrange
 
@@ -126,5 +126,5 @@ def test_the_command_writes_one(recording: Recording, tmp_path: Path, capsys: py
 
 def test_what_makes_no_strip_is_refused(recording: Recording) -> None:
     still = np.zeros((len(recording), 2))
-    with pytest.raises(InputError, match="something is picked or placed, or two agents cross"):
+    with pytest.raises(InputError, match="H3-REPLAY-031"):
         episode_strip(Replay(walked(recording, still, still), detail=False))

@@ -21,7 +21,8 @@ from h3data.recording import DatasetWriter, Event, InputEvent, Recording, SkillS
 from h3data.recording.episodes import StoredEpisode, read_ahead
 from h3data.replay import validation
 from h3data.replay.validation import Finding, validate_recording
-from h3data.scene import HomeSpec, build_home, load_scene
+from h3data.scene import load_scene
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
 from sim_kinematic.tasks.resume import verify

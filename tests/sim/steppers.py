@@ -18,7 +18,7 @@ from sim_kinematic.envs.world_stepper import STATE_OBSERVATIONS, WorldStepper
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.tasks.social_nav import TRAINING
-from sim_kinematic.world import Drive, WalkTo, World
+from sim_kinematic.world import DriveCommand, WaypointCommand, World
 from tests.simulated import REARRANGE, SOCIAL_NAV
 
 PAIR = ("robot", "human")
@@ -128,9 +128,9 @@ class AgentWorlds:
         """Pairs that touch, [W, P]."""
         kinds = [member.kind for member in self.cast]
         if len(actions) != len(kinds):
-            self.world.step([Drive(np.asarray(a)) for a in actions])
+            self.world.step([DriveCommand(np.asarray(a)) for a in actions])
         commands = [
-            Drive(np.asarray(a)) if kind == "robot" else WalkTo(np.asarray(a))
+            DriveCommand(np.asarray(a)) if kind == "robot" else WaypointCommand(np.asarray(a))
             for a, kind in zip(actions, kinds, strict=True)
         ]
         self.world.step(commands)

@@ -81,9 +81,9 @@ def test_undefined_values_are_left_out():
 def test_nonsense_is_refused():
     with pytest.raises(InputError, match="3 of 2"):
         wilson_interval(3, 2)
-    with pytest.raises(InputError, match="confidence"):
+    with pytest.raises(InputError, match="H3-STATS-024"):
         t_interval([1.0, 2.0], confidence=95)
-    with pytest.raises(InputError, match="shape"):
+    with pytest.raises(InputError, match="H3-STATS-025"):
         bootstrap_interval([[1.0, 2.0]])
 
 
@@ -120,7 +120,7 @@ def test_seeds():
 
 
 def test_bad_p_values_are_refused():
-    with pytest.raises(InputError, match="between 0 and 1"):
+    with pytest.raises(InputError, match="H3-STATS-027"):
         adjust_p_values([0.2, 1.2])
     with pytest.raises(InputError, match="'fdr'"):
         adjust_p_values([0.2], method="fdr")  # type: ignore[arg-type]

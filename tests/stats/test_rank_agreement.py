@@ -36,9 +36,9 @@ def test_intervals_narrow_with_more_episodes_and_repeat():
 
 
 def test_what_cannot_be_ranked_is_refused():
-    with pytest.raises(InputError, match="same two methods"):
+    with pytest.raises(InputError, match="H3-STATS-037"):
         rank_agreement({"a": [1], "b": [2]}, {"a": [1], "c": [2]})
-    with pytest.raises(InputError, match="same two methods"):
+    with pytest.raises(InputError, match="H3-STATS-037"):
         rank_agreement({"a": [1]}, {"a": [1]})
     with pytest.raises(InputError, match="'b' has no defined value"):
         rank_agreement({"a": [1], "b": [np.nan]}, {"a": [1], "b": [2]})

@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from h3data_play.live import LiveGame, Table
+from h3data_play.live import EpisodeFactory, LiveGame
 from h3data_play.messages import Act, Pick, Place
 from h3data_studies.commands.running import keep_design
 from h3data_studies.design import StudyPlan
@@ -35,7 +35,7 @@ def play_study(root: Path, people: int = 2, *, unfinished: int = 0, **changes: A
     plan = make_plan(design, folder)
     keep_design(folder, design)
     key, store = read_key(Path(plan.key_file)), StudyStore(plan.design, plan.places, folder)
-    tables: dict[int, Table] = {}
+    tables: dict[int, EpisodeFactory] = {}
     for number in range(people + unfinished):
         ids = recruit_ids({"PROLIFIC_PID": pid(number), "SESSION_ID": f"session{number}"}, key)
         place = store.free_place()
@@ -50,7 +50,9 @@ def play_study(root: Path, people: int = 2, *, unfinished: int = 0, **changes: A
     return path
 
 
-def do_next(store: StudyStore, plan: StudyPlan, person: Participant, tables: dict[int, Table], answer: int) -> None:
+def do_next(
+    store: StudyStore, plan: StudyPlan, person: Participant, tables: dict[int, EpisodeFactory], answer: int
+) -> None:
     """Does what comes next for a participant."""
     progress = person.progress
     if progress.stage.kind == "form":
@@ -63,7 +65,7 @@ def do_next(store: StudyStore, plan: StudyPlan, person: Participant, tables: dic
     key = game_key(person, progress.stage)
     order = order_of(plan, person, key)
     game, journal = (
-        tables.setdefault(order.plan, Table(plan.plans[order.plan])).begin(order),
+        tables.setdefault(order.plan, EpisodeFactory(plan.plans[order.plan])).begin(order),
         store.begin_episode(person, key),
     )
     store.assign(store.seats[next(iter(s.sid for s in store.seats.values() if s.place == person.number))], journal)

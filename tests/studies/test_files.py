@@ -13,7 +13,7 @@ import pytest
 import h3data_studies as package
 from h3data.errors import InputError
 from h3data.recording import read_mcap
-from h3data_play.live import Table
+from h3data_play.live import EpisodeFactory
 from h3data_play.plan import GameOrder, PlayPlan
 from h3data_studies.files import make_plan, read_design, study_folder
 from h3data_studies.forms import BUILTIN, checked_answers, forms_after, resolved, score
@@ -82,10 +82,10 @@ def test_errors_name_the_place_and_what_was_expected(tmp_path: Path, changes: di
 
 
 def test_files_that_are_none(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="h3data study new"):
+    with pytest.raises(InputError, match="H3-STUDY-030"):
         read_design(tmp_path / "none.toml")
     (tmp_path / "bad.toml").write_text("name = ")
-    with pytest.raises(InputError, match="not valid TOML"):
+    with pytest.raises(InputError, match="H3-STUDY-031"):
         read_design(tmp_path / "bad.toml")
 
 
@@ -143,7 +143,7 @@ def test_recordings_name_weights_without_paths_of_the_machine(tmp_path: Path) ->
     condition = {"name": "net", "app": "social_nav", "partner": "weights:net.npz"}
     design = read_design(write_tiny(tmp_path, conditions=[condition], scenes=["small:1"], tutorial={"skip": True}))
     plan = make_plan(design, tmp_path / "tiny-1")
-    game = Table(plan.plans[-1]).begin(GameOrder(index=0, name="one", plan=len(plan.plans) - 1))
+    game = EpisodeFactory(plan.plans[-1]).begin(GameOrder(index=0, name="one", plan=len(plan.plans) - 1))
     game.step()
     game.close()
     recording = read_mcap(tmp_path / "tiny-1" / "one.mcap")
@@ -164,7 +164,7 @@ def test_every_policy_of_a_task_can_be_a_partner(task: str, tmp_path: Path) -> N
         assert [c.partner for c in design.conditions] == list(names), "named as they are"
         for condition in design.conditions:
             plan = PlayPlan(app=task, out=str(tmp_path), seats=(seat,), partner=condition.partner, scenes="small:1")
-            assert Table(plan).plan.partner == condition.partner
+            assert EpisodeFactory(plan).plan.partner == condition.partner
 
 
 def test_one_condition_is_a_study(tmp_path: Path) -> None:

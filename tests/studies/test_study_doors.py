@@ -22,7 +22,7 @@ from h3data_play.front import network
 from h3data_studies.commands.running import keep_design
 from h3data_studies.design import StudyPlan
 from h3data_studies.files import DESIGN_FILE, make_plan, read_design
-from h3data_studies.front import CHECK_S, HURRIED_S, MOST_UNCHECKED, WATCH_S, StudyFront
+from h3data_studies.front import CHECK_S, HURRIED_S, MOST_UNCHECKED, WATCH_S, StudyServer
 from h3data_studies.overview import overview
 from h3data_studies.pseudonyms import recruit_ids, rejoin_code
 from h3data_studies.store import DATABASE, StudyStore
@@ -58,7 +58,7 @@ class Study:
         plan = msgspec.structs.replace(made_plan(), design=design, out=str(folder), key_file=str(folder) + ".key")
         plan = msgspec.structs.replace(plan, places=plan.places[: design.participants])
         self.clock = Clock()
-        self.front = StudyFront(plan, behind_proxy=True, clock=self.clock)
+        self.front = StudyServer(plan, behind_proxy=True, clock=self.clock)
         self.front.preparer.ask = lambda order: None  # type: ignore[method-assign]
         self.stack, self.link = stack, ""
 
@@ -256,7 +256,7 @@ def test_a_study_file_says_what_ids_look_like(tmp_path: Path) -> None:
     patterns = {"PROLIFIC_PID": "lab-[0-9]{2}", "SESSION_ID": "s[0-9]"}
     run(tmp_path, what, recruiting={"id_pattern": patterns})
     assert read_design(write_tiny(tmp_path, recruiting={"id_pattern": "lab-[0-9]+"})).recruiting.id_pattern
-    with pytest.raises(InputError, match="not a regular expression"):
+    with pytest.raises(InputError, match="H3-STUDY-049"):
         read_design(write_tiny(tmp_path, recruiting={"id_pattern": "lab-["}))
     with pytest.raises(InputError, match="Did you mean"):
         read_design(write_tiny(tmp_path, recruiting={"id_pattern": {"PROLIFIC_ID": "x"}}))
@@ -276,7 +276,7 @@ def test_a_study_that_began_before_there_were_formats_goes_on_without(tmp_path: 
         assert keep_design(tmp_path, design).recruiting.id_pattern == ".*"
     named = tiny(recruiting={"id_pattern": "lab-[0-9]+"})
     assert keep_design(tmp_path, named) == named, "the format may change while people take part"
-    with pytest.raises(InputError, match="has changed"):
+    with pytest.raises(InputError, match="H3-STUDY-013"):
         keep_design(tmp_path, tiny(seed=7))
 
 

@@ -21,12 +21,12 @@ from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest
 from h3data_training.episodes import make_bank, rules
 from h3data_training.networks import ActorCritic, actor_numbers, picture
 from h3data_training.settings import Settings
-from h3data_training.worlds import HeldWorlds
+from h3data_training.worlds import ActionRepeatEnv
 from sim_kinematic.motion.spec import BaseSpec
-from sim_kinematic.policies import pictured
-from sim_kinematic.policies.learned import PicturedNavigation, navigation_of, network_of, stamped
+from sim_kinematic.policies import visual_policy
+from sim_kinematic.policies.learned import VisualNavigation, navigation_of, network_of, stamped
 from sim_kinematic.policies.learned_chooser import learned_chooser
-from sim_kinematic.policies.pictured import FILE_FORMAT, PicturedNetwork, PolicyCard, save_pictured
+from sim_kinematic.policies.visual_policy import FILE_FORMAT, PolicyCard, VisualPolicy, save_policy
 from sim_kinematic.tasks.runner import run
 from sim_kinematic.tasks.social_nav import SocialNav
 from sim_kinematic.tasks.sources import EpisodeSource
@@ -35,14 +35,14 @@ from tests.training.runs import SMALL, small
 PICTURED = small(picture_size=(32, 24))
 
 
-def untrained(settings: Settings = PICTURED, **card: Any) -> PicturedNetwork:
+def untrained(settings: Settings = PICTURED, **card: Any) -> VisualPolicy:
     """Random weights that drive about."""
     torch.manual_seed(3)
     net = ActorCritic(settings)
     with torch.no_grad():
         net.act[-1].weight.mul_(60)  # type: ignore[operator]
     about = {"task": "social_nav", "robot": "quad_arm", "observations": settings.observations, "hold": 3, **card}
-    return PicturedNetwork(card=PolicyCard(**{"picture_size": (32, 24), **about}), arrays=net.arrays())
+    return VisualPolicy(card=PolicyCard(**{"picture_size": (32, 24), **about}), arrays=net.arrays())
 
 
 def colored(settings: Settings) -> Settings:
@@ -79,8 +79,8 @@ def test_its_sums_do_not_depend_on_how_many_are_made_at_once() -> None:
     rng = np.random.default_rng(0)
     x, columns, bias = (rng.normal(size=s).astype(np.float32) for s in ((7, 40), (40, 9), (9,)))
     x[x < 0] = 0
-    together = pictured.affine(x, columns, bias)
-    apart = np.concatenate([pictured.affine(x[k : k + 1], columns, bias) for k in range(len(x))])
+    together = visual_policy.affine(x, columns, bias)
+    apart = np.concatenate([visual_policy.affine(x[k : k + 1], columns, bias) for k in range(len(x))])
     np.testing.assert_array_equal(together, apart)
     np.testing.assert_allclose(together, x.astype(float) @ columns + bias, rtol=1e-5, atol=1e-5)
 
@@ -98,10 +98,10 @@ def test_rolling_resets_where_episodes_begin() -> None:
         torch.testing.assert_close(rolled[t], out[0])
 
 
-class Watched(PicturedNavigation):
+class Watched(VisualNavigation):
     """Keeps what it was shown in every step, and what it did."""
 
-    def __init__(self, network: PicturedNetwork) -> None:
+    def __init__(self, network: VisualPolicy) -> None:
         super().__init__(network)
         self.rows: list[tuple[dict[str, np.ndarray], tuple[float, float]]] = []
 
@@ -126,7 +126,7 @@ def test_device_and_simulator_show_the_same(seen: str, light: Any) -> None:
     episode = task.sample(bank.scenes[0], bank.floors[0], int(bank.seeds[0]), spec, source.roster)
     watched = Watched(untrained(settings, light=light))
     run(task.play(episode, task.assign(episode, {"robot": watched}), measure=False))
-    worlds = HeldWorlds(settings, bank, device="cpu", compile=False, hold=1)
+    worlds = ActionRepeatEnv(settings, bank, device="cpu", compile=False, hold=1)
     shown, _ = worlds.reset(seed=0)
     pixels = 0.0
     for exact, action in watched.rows:
@@ -144,7 +144,7 @@ def test_device_and_simulator_show_the_same(seen: str, light: Any) -> None:
 # --- playing ------------------------------------------------------------------------------------------------------------
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    save_pictured(untrained(), tmp_path / "policy.npz")
+    save_policy(untrained(), tmp_path / "policy.npz")
     return tmp_path / "policy.npz"
 
 
@@ -175,11 +175,11 @@ def asked_light(name: str) -> str:
     """The light in which the policy of a name looks."""
     eyes = Eyes()
     network = network_of(name)
-    assert isinstance(network, PicturedNetwork)
+    assert isinstance(network, VisualPolicy)
     view = SimpleNamespace(
         pictures=eyes, step=0, robot_xz=np.zeros(2), robot_heading=0.0, human_xz=np.ones(2), met=False
     )
-    PicturedNavigation(network)(view, BaseSpec())  # type: ignore[arg-type]
+    VisualNavigation(network)(view, BaseSpec())  # type: ignore[arg-type]
     (light,) = eyes.lights
     return light
 
@@ -187,9 +187,9 @@ def asked_light(name: str) -> str:
 def test_a_policy_is_shown_the_light_it_has_learned_in(tmp_path: Path) -> None:
     flat, old, baked, depth = (str(tmp_path / f"{name}.npz") for name in ("flat", "old", "baked", "depth"))
     seeing = untrained(colored(PICTURED))
-    save_pictured(seeing, flat)
-    save_pictured(seeing.in_light("baked"), baked)
-    save_pictured(untrained(), depth)
+    save_policy(seeing, flat)
+    save_policy(seeing.in_light("baked"), baked)
+    save_policy(untrained(), depth)
     with np.load(flat) as data:
         card = msgspec.json.decode(str(data["card"]))
         assert card.pop("light") == "flat"
@@ -204,7 +204,7 @@ def test_a_policy_is_shown_the_light_it_has_learned_in(tmp_path: Path) -> None:
     # the light decides what it does, where it sees colours; digests of before it was on cards stay
     assert network_of(f"weights:{old}").digest == seeing.digest != network_of(f"weights:{baked}").digest
     assert replace(untrained(), card=replace_light(untrained().card)).digest == untrained().digest
-    with pytest.raises(InputError, match="sees no colours"):
+    with pytest.raises(InputError, match="H3-POLICY-032"):
         network_of(f"weights:{depth}@baked")
 
 
@@ -213,13 +213,13 @@ def replace_light(card: PolicyCard) -> PolicyCard:
 
 
 def test_an_evaluation_shows_policies_the_light_that_is_asked_for(tmp_path: Path) -> None:
-    save_pictured(untrained(colored(PICTURED)), tmp_path / "rgb.npz")
-    save_pictured(untrained(), tmp_path / "depth.npz")
+    save_policy(untrained(colored(PICTURED)), tmp_path / "rgb.npz")
+    save_policy(untrained(), tmp_path / "depth.npz")
     names = [f"weights:{tmp_path / name}.npz" for name in ("rgb", "depth")]
 
     def played(light: Any) -> tuple[str, ...]:
-        policies = ",".join([*names, "end_to_end", "stand_still"])
-        request = EvaluationRequest(task="social_nav", policies=policies, scenes="small:1", episodes=1, light=light)
+        policies = (*names, "end_to_end", "stand_still")
+        request = EvaluationRequest(task="social_nav", policies=policies, scenes=("small:1",), episodes=1, light=light)
         return request.jobs()[0].policies
 
     own = (*map(stamped, names), "end_to_end", "stand_still")
@@ -350,5 +350,5 @@ def test_other_sizes_and_truncated_files_are_refused(file: Path) -> None:
     with pytest.raises(InputError, match=r"Expected arm_depth \[24, 32, 1\]"):
         network(shown, np.zeros(2, np.float32), network.start())
     file.write_bytes(file.read_bytes()[:-700])
-    with pytest.raises(FormatError, match="this is none"):
+    with pytest.raises(FormatError, match="H3-POLICY-030"):
         network_of(f"weights:{file}")

@@ -31,13 +31,13 @@ from h3data_training.torch.rearrange.bank import RearrangeBank  # noqa: E402
 from h3data_training.torch.rearrange.bank_file import load_bank, save_bank  # noqa: E402
 from sim_kinematic.motion.spec import HOME_WALKER, OracleSpec  # noqa: E402
 from sim_kinematic.policies.assignment import AssignedPolicy  # noqa: E402
-from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS, ChooserNetwork, encoded  # noqa: E402
-from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentChooser  # noqa: E402
+from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS, SkillPolicyNetwork, encoded  # noqa: E402
+from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy  # noqa: E402
 from sim_kinematic.policies.learned import network_of  # noqa: E402
 from sim_kinematic.policies.rearrange import partner_plan, planner  # noqa: E402
 from sim_kinematic.policies.rearrange_observations import limits  # noqa: E402
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode, RearrangeSpec  # noqa: E402
-from sim_kinematic.tasks.rearrange.play import RearrangePlay  # noqa: E402
+from sim_kinematic.tasks.rearrange.play import RearrangeRollout  # noqa: E402
 from sim_kinematic.tasks.rearrange.task import Rearrange  # noqa: E402
 from sim_kinematic.tasks.runner import run  # noqa: E402
 from sim_kinematic.tasks.sources import EpisodeSource  # noqa: E402
@@ -62,7 +62,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_module, "ORACLE_RULES", SHORT)
 
 
-def network(name: str = ROBOT, *, seed: int = 0, settings: PopulationSettings = SMALL) -> ChooserNetwork:
+def network(name: str = ROBOT, *, seed: int = 0, settings: PopulationSettings = SMALL) -> SkillPolicyNetwork:
     return ChooserLearner(settings, name, seed=seed).network()
 
 
@@ -71,7 +71,7 @@ def players_of(episodes: Sequence[RearrangeEpisode], **options: Any) -> TensorPl
     return TensorPlayers(bank, "cpu", **options)
 
 
-def jobs_of(count: int, networks: dict[str, ChooserNetwork], partner: str = "both") -> list[Job]:
+def jobs_of(count: int, networks: dict[str, SkillPolicyNetwork], partner: str = "both") -> list[Job]:
     return [
         Job(number=n, entry=n % 4, partner=partner, networks=networks, seed=3, gamma=0.99) for n in range(count)
     ]  # fmt: skip
@@ -116,7 +116,7 @@ def by_episode(decisions: Decisions) -> list[dict[str, np.ndarray]]:
     return [{name: part[e] for name, part in parts.items()} for e in range(len(decisions.counts))]
 
 
-class _Best(RecurrentChooser):
+class _Best(RecurrentSkillPolicy):
     """Keeps what it was asked; takes the best."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
@@ -144,7 +144,7 @@ def test_decisions_are_those_of_the_cpu(
         chooser = _Best(policy, 2)
         seed = populations.episode_seed(job.seed, job.number)
         plan = AssignedPolicy(planner(job.partner, seed, 2), job.partner, "human", job.partner)
-        play = RearrangePlay(episode, [AssignedPolicy(chooser, ROBOT, ROBOT), plan])
+        play = RearrangeRollout(episode, [AssignedPolicy(chooser, ROBOT, ROBOT), plan])
         rewards: list[float] = []
         run(play, progress=lambda _, rewards=rewards, play=play: rewards.append(play.reward))
         first, chosen = chooser.rows[:4], mine["chosen"]
@@ -232,7 +232,7 @@ def test_a_bank_comes_back_from_its_file(episodes: Sequence[RearrangeEpisode], t
     jobs = jobs_of(4, {ROBOT: network()})
     one, other = (TensorPlayers(b, "cpu").play(jobs) for b in (bank, kept))
     assert one.played == other.played
-    with pytest.raises(InputError, match="drawn with other rules"):
+    with pytest.raises(InputError, match="H3-TRAIN-066"):
         load_bank(file)
     save_bank(replace(bank, spec=ORACLE_RULES), file, drawn_by=drawn_by(DRAWN))
     assert len(bank_of(DRAWN, file)) == len(bank)
@@ -241,7 +241,7 @@ def test_a_bank_comes_back_from_its_file(episodes: Sequence[RearrangeEpisode], t
     whole, rng = file.read_bytes(), np.random.default_rng(0)
     for broken in (b"", whole[: len(whole) // 2], b"PK" + whole[2:200], gzip.compress(b"{}")):
         file.write_bytes(broken)
-        with pytest.raises(FormatError, match="Expected a bank of episodes") as caught:
+        with pytest.raises(FormatError, match="H3-TRAIN-067") as caught:
             load_bank(file)
         assert "\n" not in str(caught.value)
         assert "pickle" not in str(caught.value)
@@ -276,7 +276,7 @@ def test_agents_begin_where_they_do_in_episodes_of_the_same_home(
 # --- runs ---------------------------------------------------------------------------------------------------------------
 def arrays(folder: Path, name: str = POLICY) -> dict[str, np.ndarray]:
     found = network_of(f"weights:{folder / name}")
-    assert isinstance(found, ChooserNetwork)
+    assert isinstance(found, SkillPolicyNetwork)
     return dict(found.arrays)
 
 
@@ -312,10 +312,10 @@ def test_reward_rises(episodes: Sequence[RearrangeEpisode], monkeypatch: pytest.
 
 
 def test_no_such_device(episodes: Sequence[RearrangeEpisode], tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="Unknown device"):
+    with pytest.raises(InputError, match="H3-ENV-017"):
         train(tmp_path, SMALL, device="toaster", episodes=episodes)
     if not torch.cuda.is_available():
-        with pytest.raises(InputError, match="no GPU"):
+        with pytest.raises(InputError, match="H3-ENV-013"):
             train(tmp_path, SMALL, device="cuda", episodes=episodes)
 
 
@@ -333,7 +333,7 @@ def test_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) ->
         (("--device", "cuda"), "Without --worlds rearrange plays our full rules"),
         (("--worlds", "0"), "at least 1 world"),
         (("--worlds", "8", "--workers", "0"), "at least 1 worker"),
-        (("--worlds", "8", "--gpus", "2"), "Options of social_nav, not of rearrange: --gpus"),
+        (("--worlds", "8", "--gpus", "2"), "no options of rearrange: --gpus"),
     ):
         assert main(["train", "rearrange", *words, *out]) == 2
         assert message in " ".join(capsys.readouterr().err.split())
@@ -350,7 +350,7 @@ def test_device_and_full_rules_judge_alike(monkeypatch: pytest.MonkeyPatch) -> N
     found = [source.sample(7, k) for source in sources for k in range(3)]
     episodes = [one for one in found if isinstance(one, RearrangeEpisode)]
     robot, task = network_of("learn_single"), Rearrange()
-    assert isinstance(robot, ChooserNetwork)
+    assert isinstance(robot, SkillPolicyNetwork)
     seeds = [one.seed for one in episodes]
     monkeypatch.setattr(run_module, "ORACLE_RULES", replace(ORACLE_RULES, end_on_collision=False))
     monkeypatch.setattr(populations, "episode_seed", lambda seed, number: seeds[number])  # plans are the episode's

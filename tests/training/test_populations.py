@@ -32,21 +32,22 @@ from h3data_training.populations.pool import draw_pool, episodes_of, pool_of, po
 from h3data_training.populations.run import CHECKPOINT, POLICY, train
 from h3data_training.populations.settings import NAMES, ROBOT, PopulationSettings, rearrange_recipe
 from sim_kinematic.agents.skills import choices
+from sim_kinematic.policies.assignment import resolve_policy
 from sim_kinematic.policies.choosers.chooser_network import (
     OBSERVATIONS,
     OF_OTHER,
-    ChooserNetwork,
+    SkillPolicyNetwork,
     encoded,
     input_lengths,
     rest_count,
 )
-from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentChooser, allowed
+from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy, allowed
 from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS, network_of
-from sim_kinematic.policies.pictured import save_pictured
 from sim_kinematic.policies.rearrange import ZSC_TEN, partner_policy, planner, robot_policy
 from sim_kinematic.policies.rearrange_observations import limits, observe
+from sim_kinematic.policies.visual_policy import save_policy
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.rearrange.play import RearrangeRollout
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.runner import run
 
@@ -84,14 +85,14 @@ def whole(episodes: Sequence[RearrangeEpisode], tmp_path_factory: Any) -> Path:
     return folder
 
 
-def chooser(name: str = ROBOT, *, seed: int = 0, **changes: Any) -> ChooserNetwork:
+def chooser(name: str = ROBOT, *, seed: int = 0, **changes: Any) -> SkillPolicyNetwork:
     """An untrained policy."""
     return ChooserLearner(replace(SMALL, **changes), name, seed=seed).network()
 
 
 def arrays(folder: Path, name: str = POLICY) -> dict[str, np.ndarray]:
     network = network_of(f"weights:{folder / name}")
-    assert isinstance(network, ChooserNetwork)
+    assert isinstance(network, SkillPolicyNetwork)
     return dict(network.arrays)
 
 
@@ -198,10 +199,10 @@ def test_objects_are_alike_but_for_their_numbers() -> None:
     assert np.ptp(scores[:8].reshape(4, 2), axis=1).max() > 1e-4
 
 
-class _Watched(RecurrentChooser):
+class _Watched(RecurrentSkillPolicy):
     """Chooses at random and checks what it may choose."""
 
-    def __init__(self, network: ChooserNetwork, *, robot: bool, seed: int) -> None:
+    def __init__(self, network: SkillPolicyNetwork, *, robot: bool, seed: int) -> None:
         super().__init__(network, 2, robot=robot)
         self.rng, self.play, self.seen = np.random.default_rng(seed), None, set()
 
@@ -223,7 +224,7 @@ def test_what_cannot_be_is_never_offered(episodes: Sequence[RearrangeEpisode]) -
     episode = replace(episodes[0], spec=replace(episodes[0].spec, max_steps=700))
     robot = _Watched(chooser(think_steps=200), robot=True, seed=1)
     person = _Watched(chooser("partner_0", think_steps=200), robot=False, seed=2)
-    play = RearrangePlay(episode, [
+    play = RearrangeRollout(episode, [
         playing.AssignedPolicy(robot, "robot", "robot"), playing.AssignedPolicy(person, "human", "human"),
     ])  # fmt: skip
     robot.play = person.play = play  # type: ignore[assignment]
@@ -235,8 +236,8 @@ def test_a_score_cannot_buy_what_is_not_allowed(episodes: Sequence[RearrangeEpis
     network = chooser()
     bias = network.arrays["each_1.bias"].copy()
     bias[2:] = 1e6  # pick and place, and nobody has arrived anywhere
-    policy = RecurrentChooser(replace(network, arrays={**network.arrays, "each_1.bias": bias}), 2, robot=True)
-    play = RearrangePlay(episodes[0], [
+    policy = RecurrentSkillPolicy(replace(network, arrays={**network.arrays, "each_1.bias": bias}), 2, robot=True)
+    play = RearrangeRollout(episodes[0], [
         playing.AssignedPolicy(policy, "robot", "robot"), playing.AssignedPolicy(planner("still", 0), "still", "human"),
     ])  # fmt: skip
     assert policy.act(play.view(0)).skill not in ("pick", "place")
@@ -254,11 +255,11 @@ def moved_person(view: Any, rng: np.random.Generator) -> Any:
 
 @pytest.mark.slow
 def test_without_gps_nothing_tells_where_the_person_is(episodes: Sequence[RearrangeEpisode]) -> None:
-    rng, robot = np.random.default_rng(0), RecurrentChooser(chooser(without=("humanoid_gps",)))
+    rng, robot = np.random.default_rng(0), RecurrentSkillPolicy(chooser(without=("humanoid_gps",)))
     assert robot.network.observations == tuple(n for n in OBSERVATIONS if n not in OF_OTHER)
     inputs: dict[str, list[np.ndarray]] = {"blind": [], "seeing": []}
     blind, seeing = robot.network.observations, OBSERVATIONS
-    play = RearrangePlay(replace(episodes[0], spec=replace(episodes[0].spec, max_steps=700)), [
+    play = RearrangeRollout(replace(episodes[0], spec=replace(episodes[0].spec, max_steps=700)), [
         playing.AssignedPolicy(planner("still", 0), "still", "robot"),
         playing.AssignedPolicy(planner("both", 0), "both", "human"),
     ])  # fmt: skip
@@ -314,8 +315,8 @@ def test_an_ablation_is_kept_by_its_file(
     settings = replace(SMALL, without=without, updates=1)
     train(tmp_path, settings, workers=1, episodes=episodes)
     robot, person = (network_of(f"weights:{tmp_path / n}") for n in (POLICY, "partner_0.npz"))
-    assert isinstance(robot, ChooserNetwork)
-    assert isinstance(person, ChooserNetwork)
+    assert isinstance(robot, SkillPolicyNetwork)
+    assert isinstance(person, SkillPolicyNetwork)
     assert robot.card.primitives == ("primitives" not in without)
     assert ("other_gps_compass" in robot.observations) == ("humanoid_gps" not in without)
     assert person.card.primitives
@@ -327,7 +328,7 @@ def test_an_ablation_is_kept_by_its_file(
         train(tmp_path, replace(settings, without=()), workers=1, episodes=episodes, resume=True)
     card = msgspec.structs.replace(robot.card, observations=robot.observations[::-1])
     with pytest.raises(InputError, match=r"expected some of .* in this order"):
-        ChooserNetwork(card=card, arrays=robot.arrays)
+        SkillPolicyNetwork(card=card, arrays=robot.arrays)
 
 
 def test_files_of_before_still_play(episodes: Sequence[RearrangeEpisode], tmp_path: Path) -> None:
@@ -343,10 +344,10 @@ def test_files_of_before_still_play(episodes: Sequence[RearrangeEpisode], tmp_pa
     arrays = dict(network.arrays)
     for name, less in {"object.weight": of_object, "gru.weight_ih": rest, "rest_0.weight": rest}.items():
         arrays[name] = arrays[name][:, less:]
-    old = ChooserNetwork(card=card, arrays=arrays)
-    save_pictured(old, tmp_path / "old.npz")
+    old = SkillPolicyNetwork(card=card, arrays=arrays)
+    save_policy(old, tmp_path / "old.npz")
     kept = network_of(f"weights:{tmp_path / 'old.npz'}")
-    assert isinstance(kept, ChooserNetwork)
+    assert isinstance(kept, SkillPolicyNetwork)
     assert kept.digest == old.digest != network.digest
     played = playing.play_episode(Job(1, 0, "both", {ROBOT: kept}, 0, 0.99), episodes[0])
     assert played.decisions[ROBOT].each.shape[-1] == input_lengths(ROBOT, card.observations)[0]
@@ -363,7 +364,7 @@ def test_rewards_are_told_apart_by_decision_and_lose_nothing() -> None:
     assert gains[0] == gains[2] == 0
 
 
-def fabricated(rng: np.random.Generator, *, wanted: int, network: ChooserNetwork) -> Decisions:
+def fabricated(rng: np.random.Generator, *, wanted: int, network: SkillPolicyNetwork) -> Decisions:
     """An episode of 20 decisions at random, of which one choice pays."""
     agent, count = network.card.agent, 20
     inputs = [encoded(shown(agent, rng), agent=agent, objects=2) for _ in range(count)]
@@ -493,8 +494,8 @@ def test_a_run_leaves_policies_that_play(whole: Path, episodes: Sequence[Rearran
     assert [row["episodes"] for row in curve] == [3, 6, 9]
     assert curve[-1]["steps"] == pytest.approx(9 * 90)
     robot, person = (network_of(f"weights:{whole / n}") for n in (POLICY, "partner_0.npz"))
-    assert isinstance(robot, ChooserNetwork)
-    assert isinstance(person, ChooserNetwork)
+    assert isinstance(robot, SkillPolicyNetwork)
+    assert isinstance(person, SkillPolicyNetwork)
     assert (robot.card.agent, person.card.agent, robot.card.objects) == ("robot", "human", 2)
     assert robot.card.training["population"] == "learn_single"
     assert not same(dict(robot.arrays), dict(chooser().arrays))
@@ -548,7 +549,7 @@ def test_other_settings_and_damaged_checkpoints_are_refused(
     content = (whole / CHECKPOINT).read_bytes()
     for damaged in (content[: len(content) // 2], b"", b"what"):
         (tmp_path / CHECKPOINT).write_bytes(damaged)
-        with pytest.raises(FormatError, match=r"this is none, or damaged"):
+        with pytest.raises(FormatError, match="H3-TRAIN-006"):
             train(tmp_path, SMALL, workers=1, episodes=episodes, resume=True)
 
 
@@ -607,7 +608,7 @@ def test_an_episode_that_raises_is_left_out(
     assert len(players.play(jobs(3)).played) == 2
     assert said == ["left out episode 1: ValueError: no such luck"]
     raising = {0, 1, 2}
-    with pytest.raises(H3DataError, match="No episode could be played"):
+    with pytest.raises(H3DataError, match="H3-TRAIN-023"):
         players.play(jobs(3))
 
 
@@ -616,12 +617,12 @@ def test_files_that_do_not_fit_are_refused(
     tmp_path: Path, episodes: Sequence[RearrangeEpisode], capsys: pytest.CaptureFixture[str]
 ) -> None:
     robot, person = tmp_path / "robot.npz", tmp_path / "person.npz"
-    save_pictured(chooser(), robot)
-    save_pictured(chooser("partner_0"), person)
+    save_policy(chooser(), robot)
+    save_policy(chooser("partner_0"), person)
     task = find_task("rearrange")
     spec = task.Spec()
-    task.check_policy("robot", f"weights:{robot}", spec)
-    task.check_policy("human", f"weights:{person}", spec)
+    resolve_policy(task, "robot", f"weights:{robot}", spec)
+    resolve_policy(task, "human", f"weights:{person}", spec)
     for kind, file, rules, message in (
         ("robot", f"weights:{person}", spec, "for a robot, these are for a human"),
         ("human", f"weights:{robot}", spec, "for a human, these are for a robot"),
@@ -629,11 +630,11 @@ def test_files_that_do_not_fit_are_refused(
         ("robot", "end_to_end", spec, "for the task rearrange, these are for 'social_nav'"),
     ):
         with pytest.raises(FormatError, match=message):
-            task.check_policy(kind, file, rules)
+            resolve_policy(task, kind, file, rules)
     with pytest.raises(FormatError, match="for the task social_nav, these are for 'rearrange'"):
-        find_task("social_nav").check_policy("robot", f"weights:{robot}", find_task("social_nav").Spec())
+        resolve_policy(find_task("social_nav"), "robot", f"weights:{robot}", find_task("social_nav").Spec())
     with pytest.raises(FormatError, match="drive the robot quad_arm, the episode has wheeled"):
-        RecurrentChooser(chooser()).require_body("wheeled")
+        RecurrentSkillPolicy(chooser()).require_body("wheeled")
     broken = tmp_path / "broken.npz"
     network = chooser()
     for content, message in (
@@ -646,16 +647,16 @@ def test_files_that_do_not_fit_are_refused(
         broken.write_bytes(content)
         os.utime(broken, ns=(0, hash(message) % 10**15))
         with pytest.raises(FormatError, match=message):
-            task.check_policy("robot", f"weights:{broken}", spec)
+            resolve_policy(task, "robot", f"weights:{broken}", spec)
     options = ["generate", "rearrange", "--scenes", "small:1", "--episodes", "1", "--policy", f"weights:{person}"]
     assert main([*options, "-o", str(tmp_path / "ds")]) == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
 
 
-def _file(folder: Path, network: ChooserNetwork, *, without: str = "", **changes: np.ndarray) -> bytes:
+def _file(folder: Path, network: SkillPolicyNetwork, *, without: str = "", **changes: np.ndarray) -> bytes:
     """A policy file with other arrays."""
     path = folder / "other.npz"
-    save_pictured(network, path)
+    save_policy(network, path)
     with np.load(path) as file:
         data = {n: file[n] for n in file.files if n != without} | changes
     np.savez(path, **data)  # type: ignore[arg-type]
@@ -664,8 +665,10 @@ def _file(folder: Path, network: ChooserNetwork, *, without: str = "", **changes
 
 def test_a_zero_shot_population_may_hold_files(tmp_path: Path) -> None:
     file = tmp_path / "person.npz"
-    save_pictured(chooser("partner_0"), file)
-    request = EvaluationRequest(task="rearrange", partners=f"both,weights:{file}", zsc=(f"both,weights:{file}",))
+    save_policy(chooser("partner_0"), file)
+    request = EvaluationRequest(
+        task="rearrange", partners=("both", f"weights:{file}"), unseen_partners=("both", f"weights:{file}")
+    )
     assert request.population == request.jobs()[0].partners
     assert "@" in request.population[1]
 
@@ -675,7 +678,7 @@ def test_trained_policies_come_with_the_package() -> None:
         cards = {}
         for name in names:
             network = network_of(name)
-            assert isinstance(network, ChooserNetwork)
+            assert isinstance(network, SkillPolicyNetwork)
             cards[name] = network.card
             assert network.card.agent == agent
             assert name.startswith(network.card.training["population"])
@@ -711,13 +714,16 @@ def test_the_command_plans_and_refuses(tmp_path: Path, whole: Path, capsys: pyte
     assert "10 updates" in text
     assert not (tmp_path / "n").exists()
     for options, message in (
-        (["rearrange", "--hold", "3", "--gpus", "2"], "--hold, --gpus"),
+        (
+            ["rearrange", "--action-repeat", "3", "--gpus", "2"],
+            "no options of rearrange: --action-repeat (of social_nav and skill), --gpus",
+        ),
         (["rearrange", "--recipe", "fast"], "Unknown recipe 'fast' of rearrange. Expected one of: paper; or none"),
         (["rearrange", "--population", "plan_pop"], "Did you mean"),
         (["rearrange", "--workers", "0"], "at least 1 worker"),
         (["social_nav", "--population", "learn_pop"], "--population"),
-        (["skill", "nav", "--without", "primitives"], "--without"),
-        (["rearrange", "--without", "legs"], "humanoid_gps"),
+        (["skill", "nav", "--ablate", "primitives"], "no options of skill: --ablate (of rearrange)"),
+        (["rearrange", "--ablate", "legs"], "humanoid_gps"),
         (["wander"], "social_nav, rearrange or skill"),
     ):
         assert main(["train", *options, *out]) == 2

@@ -19,14 +19,14 @@ import torch
 from h3data.errors import InputError
 from h3data_training.curve import curve_of
 from h3data_training.episodes import make_bank
-from h3data_training.launch import Stop, launch
+from h3data_training.launch import StopRequest, launch
 from h3data_training.ppo import Learner, Schedule
 from h3data_training.ranks import Ranks, connect, leave, own_place, torchrun_place
 from h3data_training.run import CHECKPOINT, POLICY, train
 from h3data_training.torch.episodes import EpisodeBank
-from h3data_training.worlds import HeldWorlds
+from h3data_training.worlds import ActionRepeatEnv
 from sim_kinematic.policies.learned import network_of
-from sim_kinematic.policies.pictured import PicturedNetwork
+from sim_kinematic.policies.visual_policy import VisualPolicy
 from tests.training.runs import small
 
 BLIND = small(observations=("humanoid_gps", "range_scan"), worlds=8)
@@ -37,9 +37,9 @@ def bank() -> EpisodeBank:
     return make_bank(BLIND, seed=0, workers=1)
 
 
-def policy(folder: Path) -> PicturedNetwork:
+def policy(folder: Path) -> VisualPolicy:
     network = network_of(f"weights:{folder / POLICY}")
-    assert isinstance(network, PicturedNetwork)
+    assert isinstance(network, VisualPolicy)
     return network
 
 
@@ -49,13 +49,13 @@ def assert_same(a: Path, b: Path) -> None:
 
 
 # --- what a process does ------------------------------------------------------------------------------------------------
-def two_updates(bank: EpisodeBank, stop: Stop, say: Any) -> Any:
+def two_updates(bank: EpisodeBank, stop: StopRequest, say: Any) -> Any:
     """Weights and curve of this process, gathered from all."""
     torch.set_num_threads(1)
     ranks, device = own_place("cpu")
     connect(ranks, torch.device(device))
     try:
-        worlds = HeldWorlds(BLIND, bank, device=device, compile=False, count=BLIND.worlds // ranks.count)
+        worlds = ActionRepeatEnv(BLIND, bank, device=device, compile=False, count=BLIND.worlds // ranks.count)
         learner = Learner(BLIND, worlds, seed=5, ranks=ranks)
         gps = ranks.gathered(learner.memory.shown["humanoid_gps"])
         rows = [learner.update(Schedule(1e-3, 0.98)) for _ in range(2)]
@@ -75,7 +75,7 @@ def two_updates(bank: EpisodeBank, stop: Stop, say: Any) -> Any:
         leave()
 
 
-def fails(given: int, stop: Stop, say: Any) -> None:
+def fails(given: int, stop: StopRequest, say: Any) -> None:
     place = torchrun_place()
     assert place is not None
     say(f"process {place[0]}")
@@ -86,7 +86,7 @@ def fails(given: int, stop: Stop, say: Any) -> None:
     time.sleep(600)
 
 
-def waits(given: None, stop: Stop, say: Any) -> str:
+def waits(given: None, stop: StopRequest, say: Any) -> str:
     while not stop.is_set():
         time.sleep(0.05)
     return "stopped"
@@ -104,7 +104,7 @@ def test_processes_agree_on_weights_and_curve(bank: EpisodeBank) -> None:
     squares = torch.arange(12.0).square()
     assert found["variance"] == pytest.approx(float(squares.var()))
     assert found["gradient"] == pytest.approx([float(squares.mean()) / 3] * 2)
-    alone = Learner(BLIND, HeldWorlds(BLIND, bank, device="cpu", compile=False), seed=5)
+    alone = Learner(BLIND, ActionRepeatEnv(BLIND, bank, device="cpu", compile=False), seed=5)
     np.testing.assert_array_equal(
         found["gps"], alone.memory.shown["humanoid_gps"].numpy()
     )  # the very worlds of one process

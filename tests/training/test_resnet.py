@@ -21,7 +21,7 @@ from h3data_training.settings import recipe
 from sim_kinematic.policies.learned import network_of
 from sim_kinematic.policies.networks import resnet_lstm
 from sim_kinematic.policies.networks.resnet_lstm import ResNet18, ResNetLSTM, ResNetPolicy
-from sim_kinematic.policies.pictured import FILE_FORMAT
+from sim_kinematic.policies.visual_policy import FILE_FORMAT
 from tests.training.runs import small
 from tests.training.torch.capturable import CapturableOnly
 

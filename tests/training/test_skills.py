@@ -21,15 +21,15 @@ from h3data_training.run import POLICY, train
 from h3data_training.skills.cpu_cameras import CpuSkillCameras
 from h3data_training.skills.episodes import make_skill_bank
 from h3data_training.skills.settings import OF_THE_ARM, SkillSettings, skill_recipe
-from h3data_training.skills.worlds import HeldSkills
+from h3data_training.skills.worlds import ActionRepeatSkills
 from h3data_training.torch.skills import driving
 from h3data_training.torch.skills.bank import COLUMNS, SkillBank
 from h3data_training.torch.skills.worlds import SkillTensors
 from sim_kinematic.motion.spec import SkillSpec
 from sim_kinematic.policies.learned import network_of
-from sim_kinematic.policies.pictured import PicturedNetwork, PolicyCard, save_pictured
 from sim_kinematic.policies.skills.names import recorded_skills, skills_of
 from sim_kinematic.policies.skills.player import NetworkSkill
+from sim_kinematic.policies.visual_policy import PolicyCard, VisualPolicy, save_policy
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.rearrange.skill_judging import judge
 from sim_kinematic.tasks.rearrange.skill_starts import SKILL_NAMES, draw_starts
@@ -62,7 +62,7 @@ def whole(bank: SkillBank, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def arrays(folder: Path) -> dict[str, np.ndarray]:
     network = network_of(f"weights:{folder / POLICY}")
-    assert isinstance(network, PicturedNetwork)
+    assert isinstance(network, VisualPolicy)
     return dict(network.arrays)
 
 
@@ -70,7 +70,7 @@ def test_a_run_leaves_a_policy_of_a_skill_and_its_curve(whole: Path) -> None:
     assert [row["decisions"] for row in curve_of(whole)] == [12, 24, 36]
     assert {"reward", "succeeded", "failed", "holding"} <= set(curve_of(whole)[0])
     network = network_of(f"weights:{whole / POLICY}")
-    assert isinstance(network, PicturedNetwork)
+    assert isinstance(network, VisualPolicy)
     card = network.card
     assert (card.task, card.actions, card.observations, card.picture_size) == ("skill_pick", 10, OF_THE_ARM, None)
     assert "walk" not in card.training["settings"]
@@ -100,7 +100,7 @@ def test_an_interrupted_run_comes_to_the_same_weights(
 def test_it_gives_what_pytorch_gives() -> None:
     torch.manual_seed(1)
     net = ActorCritic(SMALL)
-    network = PicturedNetwork(
+    network = VisualPolicy(
         card=PolicyCard(
             task=SMALL.task, robot="quad_arm", observations=SMALL.observations, picture_size=None, hold=3, actions=10
         ),
@@ -124,7 +124,7 @@ def test_it_gives_what_pytorch_gives() -> None:
 
 
 def test_episodes_are_cut_short_and_count_once(bank: SkillBank) -> None:
-    worlds = HeldSkills(replace(SMALL, limit=6), bank, device="cpu")
+    worlds = ActionRepeatSkills(replace(SMALL, limit=6), bank, device="cpu")
     worlds.reset(seed=[0, 1, 2, 3])
     still = torch.zeros(4, 10)
     over = [worlds.held(still)[2:5] for _ in range(3)]  # six steps, then a decision that begins the next episode
@@ -133,12 +133,12 @@ def test_episodes_are_cut_short_and_count_once(bank: SkillBank) -> None:
     assert timed_out.all()
     assert idle.all()
     assert not any(flags[0].any() for flags in over[:2])
-    assert worlds.totals[HeldSkills.counts.index("ended")] == 4
+    assert worlds.totals[ActionRepeatSkills.counts.index("ended")] == 4
 
 
 def test_before_an_episode_has_ended_there_is_no_length_of_one(bank: SkillBank) -> None:
-    worlds = HeldSkills(SMALL, bank, device="cpu")
-    total = dict.fromkeys((*HeldSkills.counts, "reward"), 0.0) | {"steps": 3072.0}
+    worlds = ActionRepeatSkills(SMALL, bank, device="cpu")
+    total = dict.fromkeys((*ActionRepeatSkills.counts, "reward"), 0.0) | {"steps": 3072.0}
     assert runs.figures_of(worlds.figures(total)) == "no episode has ended"
     assert runs.figures_of(worlds.figures(total | {"ended": 12.0})) == "succeeded 0%  failed 0%  256 steps"
 
@@ -168,7 +168,7 @@ def test_the_command_line_plans_and_refuses(tmp_path: Path, capsys: pytest.Captu
         (["skill"], "Expected the name of a skill: h3data train skill nav, pick or place."),
         (["skill", "nav", "--recipe", "paper"], "Unknown recipe 'paper' of skills"),
         (["skill", "nav", "--recipe", "fast", "--observations", "arm_rgb"], "arm_rgb"),
-        (["skill", "nav", "--walk", "paper"], "not of skill: --walk"),
+        (["skill", "nav", "--human-walk", "paper"], "no options of skill: --human-walk"),
         (["social_nav", "nav"], "after the task skill only"),
     ):
         assert main(["train", *words, "-o", str(tmp_path / "run")]) == 2
@@ -185,13 +185,13 @@ def test_the_teacher_does_what_it_teaches(bank: SkillBank, skill: str, observati
     """Those who are told the way to the stand, and those who are not."""
     own = replace(bank, holds=np.full(len(bank), skill == "place"))
     settings = replace(SMALL, skill=skill, near_share=0.0, observations=observations)  # type: ignore[arg-type]
-    worlds = HeldSkills(settings, own, device="cpu")
+    worlds = ActionRepeatSkills(settings, own, device="cpu")
     worlds.reset(seed=[0, 1, 2, 3])
     for _ in range(80):
         action = worlds.taught()
         assert action.shape == (4, worlds.sim.action_width)
         worlds.held(action)
-    total = dict(zip(HeldSkills.counts, worlds.totals.tolist(), strict=True))
+    total = dict(zip(ActionRepeatSkills.counts, worlds.totals.tolist(), strict=True))
     assert total["succeeded"] >= 3
     assert total["failed"] == 0
 
@@ -199,7 +199,7 @@ def test_the_teacher_does_what_it_teaches(bank: SkillBank, skill: str, observati
 @pytest.mark.parametrize("teacher", [False, True])
 def test_a_decision_can_be_part_of_a_graph(bank: SkillBank, teacher: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(driving, "_on_cpu", lambda robot: False)
-    learner = Learner(SMALL, HeldSkills(SMALL, bank, device="cpu", compile=False), seed=0)
+    learner = Learner(SMALL, ActionRepeatSkills(SMALL, bank, device="cpu", compile=False), seed=0)
     learner.update(schedule(SMALL, 0.0, 10))
     assert set(learner._decide) == {False, True}
     with CapturableOnly(), torch.no_grad():
@@ -286,7 +286,7 @@ def test_one_that_learns_from_pictures_goes_on_exactly(
 
 
 def test_worlds_show_pictures_of_the_state_after_the_last_step(bank: SkillBank) -> None:
-    worlds = HeldSkills(PICTURED, bank, device="cpu")
+    worlds = ActionRepeatSkills(PICTURED, bank, device="cpu")
     shown, _ = worlds.reset(seed=[0, 1, 2, 3])
     assert shown["arm_depth"].shape == (4, 12, 16, 1)
     assert 0 <= shown["arm_depth"].min() < shown["arm_depth"].max() <= 1
@@ -311,7 +311,7 @@ def test_the_file_of_one_that_sees_is_shown_what_it_saw_in_training(pictured: Pa
     seen: list[np.ndarray] = []
     learned = skills_of(skills, robot="quad_arm")["pick"]
 
-    class Watched(PicturedNetwork):
+    class Watched(VisualPolicy):
         def __call__(self, shown, last, state):
             seen.append(shown["arm_depth"])
             return super().__call__(shown, last, state)
@@ -335,7 +335,7 @@ def test_one_that_sees_plays_in_rearrangement_and_is_verified(tmp_path: Path, ep
     card = PolicyCard(
         task="skill_nav", robot="quad_arm", observations=settings.observations, picture_size=(16, 12), hold=3
     )
-    save_pictured(PicturedNetwork(card=card, arrays=net.arrays()), tmp_path / "nav.npz")
+    save_policy(VisualPolicy(card=card, arrays=net.arrays()), tmp_path / "nav.npz")
     short = replace(episode, spec=replace(episode.spec, skills=str(tmp_path), max_steps=24))
     recording = simulate(Rearrange(), short, {"robot": "greedy_nearest", "human": "both"})
     assert len({tuple(action) for action in recording.columns["agent_0.action"].round(4).tolist()}) > 4

@@ -100,11 +100,11 @@ def test_show_gives_a_video(recording: Any, tmp_path: Path) -> None:
 
 
 def test_show_refuses_what_it_cannot_do(recording: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(InputError, match="'rerun' or 'video'"):
+    with pytest.raises(InputError, match="H3-VIEW-013"):
         recording.show("paper")
     found = importlib.util.find_spec
     monkeypatch.setattr("importlib.util.find_spec", lambda name: found(name) if name.startswith("h3data") else None)
-    with pytest.raises(MissingExtraError, match="notebook"):
+    with pytest.raises(MissingExtraError, match="H3-VIEW-014"):
         recording.show("rerun")
 
 

@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from h3data.commands.shards import LostShardError
 from h3data.errors import InputError
 from h3data.geometry import ground_pose
 from h3data.metrics import measure_files
@@ -24,7 +25,6 @@ from h3data.metrics.paper.published import published_results
 from h3data.recording import DatasetWriter, Recording, open_recording
 from h3data.recording.records import STEP_NS, Agent, Episode
 from h3data_pipelines.cli import main
-from h3data_pipelines.execution.shards import LostShardError
 from h3data_training.curve import save_curve
 from h3data_viewers.html_report.report import Report, make_report
 from h3data_viewers.html_report.report_data import gather, same_episodes
@@ -618,7 +618,7 @@ def test_paths_that_cannot_be_reported(runs: dict[str, Path], tmp_path: Path) ->
     for paths, message in (([], "at least one"), ([runs["stand_still"]] * 2, "Named twice")):
         with pytest.raises(InputError, match=message):
             gather(paths)
-    with pytest.raises(InputError, match="no such"):
+    with pytest.raises(InputError, match="H3-RECORDING-049"):
         gather([tmp_path / "nothing"])
 
 

@@ -331,13 +331,13 @@ def test_a_bad_video_is_refused_and_leaves_nothing(tmp_path, images):
     camera = pinhole(64, 48, hfov_deg=60)
     with pytest.raises(InputError, match=r"Expected a (readable )?video"):
         write_rrd(example(), target, cameras=[CameraFeed(camera=camera, video=bad)], images=images)
-    with pytest.raises(InputError, match="do not exist"):
+    with pytest.raises(InputError, match="H3-VIEW-019"):
         write_rrd(example(), target, cameras=[CameraFeed(camera=camera, video=tmp_path / "none.mp4")])
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.mp4"]
 
 
 def test_videos_by_name_need_a_replay_that_knows_cameras(tmp_path):
-    with pytest.raises(InputError, match="CameraFeed"):
+    with pytest.raises(InputError, match="H3-VIEW-020"):
         write_rrd(example(), tmp_path / "e.rrd", replay=Stage(example()), videos={"top_down": tmp_path / "a.mp4"})
     assert not list(tmp_path.iterdir())
 
@@ -345,7 +345,7 @@ def test_videos_by_name_need_a_replay_that_knows_cameras(tmp_path):
 def test_a_file_is_replaced_only_on_request_and_only_by_a_whole_one(tmp_path, capfd):
     target = tmp_path / "e.rrd"
     target.write_bytes(b"precious")
-    with pytest.raises(InputError, match="already exists"):
+    with pytest.raises(InputError, match="H3-VIEW-001"):
         write_rrd(example(), target)
 
     class Broken(Stage):
@@ -377,7 +377,7 @@ def test_on_a_full_disk_it_ends_in_one_line_and_leaves_nothing(tmp_path, capfd):
 
 def test_missing_rerun_names_the_command(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(MissingExtraError, match="pip install"):
+    with pytest.raises(MissingExtraError, match="H3-VIEW-022"):
         write_rrd(example(), tmp_path / "e.rrd")
 
 

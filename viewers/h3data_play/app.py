@@ -18,14 +18,14 @@ _LEAF = "leaf"
 
 @dataclass(frozen=True, kw_only=True)
 class Hud:
-    """What a player reads."""
+    """Text that a player reads during a game."""
 
     task: str
-    """What to do, in a sentence."""
+    """Task of the player, as a sentence."""
     left_s: float | None = None
     """Time that is left [s]; None: no limit is shown."""
     lines: tuple[str, ...] = ()
-    """How it stands, a line each."""
+    """Lines about the state of the game."""
     how: Mapping[str, str] = field(default_factory=dict)
     """How it is done by what the player acts with (``keys``, ``mouse``, ``touch``, ``pad``, ``headset``), said in place of the
     page's own hints. Where it has nothing, the page says what could be done now."""
@@ -38,7 +38,7 @@ class Goal:
     """Where an object has to go; goal number k is that of object number k."""
 
     position: tuple[float, float, float]
-    """Of the object's origin there [m]."""
+    """Goal position of the object's origin [m]."""
     label: str
     """Name of the place."""
 
@@ -71,8 +71,11 @@ class App:
         return Driver(self.session, number)
 
     def refusal(self, number: int, message: Act) -> str:
-        """Returns why a message of the player of agent ``number`` is not followed now, as a sentence; empty: it is. Like
-        everything else in an app it may depend on messages and on the world only, so that a game can go on after a crash."""
+        """Reason why a message of the player of agent ``number`` is not carried out now, as a sentence; empty if it is.
+
+        Like everything in an app, it may depend only on messages and the world, so that a game can continue after a
+        crash.
+        """
         del number, message
         return ""
 
@@ -85,7 +88,7 @@ class App:
         return ""
 
     def hud(self, number: int) -> Hud:
-        """What the player of agent ``number`` reads; -1: a spectator."""
+        """Text for the player of agent ``number``, or for spectators (-1)."""
         del number
         info = self.session.recorder.header.episode.info
         return Hud(task=sentence_of(str(info["instruction"])), left_s=self.left_s)
@@ -105,7 +108,7 @@ class App:
         return " ".join(dict.fromkeys(words.split()))
 
     def over(self, number: int) -> str:
-        """What the player reads at the end."""
+        """Text for the player at the end."""
         ended = self.session.ended
         return {
             "success": "Done. Thank you!",
@@ -127,7 +130,7 @@ def sentence_of(words: str) -> str:
 
 def _require_app(found: Any) -> None:
     if not (isinstance(found, type) and issubclass(found, App) and found.task):
-        raise InputError("Expected a subclass of h3data_play.app.App that names its task.")
+        raise InputError("Expected a subclass of h3data_play.app.App that names its task.", code="H3-PLAY-001")
 
 
 _APPS: Registry[Any] = Registry(

@@ -1,5 +1,8 @@
-"""Files that a client needs once for each home and cast: a GLB of everything, a manifest that says how states move it, the
-distance grid on which it predicts the player's own walk."""
+"""Files that a client needs once for each home and cast.
+
+They are a GLB of everything, a manifest that says how states move its parts, and the distance grid on which the client
+predicts the player's own walk.
+"""
 
 from __future__ import annotations
 

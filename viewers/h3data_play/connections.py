@@ -46,7 +46,7 @@ class Live:
     worker: WorkerProcess
     begun: asyncio.Future[dict[str, Any]]
     sockets: dict[str, Connection] = field(default_factory=dict)
-    """Of those who are connected, by seat."""
+    """Connections of the connected players, by seat."""
     beginning: asyncio.Task[None] | None = None
     """Waits until the episode has been prepared."""
 
@@ -109,6 +109,7 @@ def runner_of(app: web.Application) -> web.AppRunner:
 
 
 def pong(client_ms: float) -> bytes:
+    """Message that answers a client's ping, with the clocks of client and server [ms]."""
     return struct.pack("<B7xdd", 2, client_ms, time.monotonic() * 1e3)
 
 
@@ -136,8 +137,11 @@ def is_known(name: str, names: Iterable[str]) -> bool:
 
 
 def require_known_host(names: Iterable[str]) -> Any:
-    """A middleware that refuses requests to names that are not the server's: a page of another site whose name leads here
-    would otherwise count as a page of this server, with the player's cookies."""
+    """Middleware that refuses requests to host names that are not the server's.
+
+    A page of another site whose name resolves to this machine would otherwise count as a page of this server, with the
+    player's cookies.
+    """
     known = tuple(names)
 
     @web.middleware
@@ -158,6 +162,7 @@ def require_known_host(names: Iterable[str]) -> Any:
 
 @web.middleware
 async def strict(request: web.Request, handler: Any) -> web.StreamResponse:
+    """Middleware that adds security headers to all answers, and drops clients that do not read theirs."""
     found = None if request.transport is None else request.transport.get_extra_info("socket")
     if found is not None and hasattr(socket, "TCP_USER_TIMEOUT"):  # whoever takes nothing of the answer is hung up on
         with contextlib.suppress(OSError):

@@ -38,7 +38,7 @@ from sim_kinematic.agents.skills import Action, sentence
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.tasks.episode import agent_base, agent_floor
-from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.rearrange.play import RearrangeRollout
 from sim_kinematic.tasks.runner import Session, StepResult
 
 CANCEL = Action("wait", steps=1)
@@ -61,11 +61,13 @@ class Driver:
 
     # --- from the player ----------------------------------------------------------------------------------------------
     def take(self, message: Act, refusal: str = "") -> str:
-        """Folds in one message, which acts on the next step; returns a sentence for the player where it cannot be done, or
-        the app's ``refusal``.
+        """Takes one message, which acts on the next step.
+
+        Returns:
+            A sentence for the player if the message cannot be carried out, or the app's ``refusal``.
 
         Raises:
-            InputError: it is no command in this task; then it must not be recorded.
+            InputError: the message is no command of this task; it must not be recorded.
         """
         why = refusal or self.follow(message)
         if message.seq is not None:
@@ -73,7 +75,7 @@ class Driver:
         return why
 
     def follow(self, message: Act) -> str:
-        """As `take`."""
+        """Takes a message; returns a sentence for the player if it cannot be carried out."""
         if isinstance(message, Move):
             # float32, as it is recorded
             self.forward, self.turn = float(np.float32(message.f)), float(np.float32(message.t))
@@ -88,7 +90,7 @@ class Driver:
         if isinstance(message, GoTo):
             self.interrupt()
             return self.go(message.p[::2])
-        raise InputError(f"This cannot be done here: {type(message).__name__.lower()}.")
+        raise InputError(f"This cannot be done here: {type(message).__name__.lower()}.", code="H3-PLAY-013")
 
     def release(self) -> None:
         """The player is gone: keys go up. The world stands still meanwhile, so skills and walks may go on later."""
@@ -108,7 +110,7 @@ class Driver:
 
     # --- to the world -------------------------------------------------------------------------------------------------
     def command(self) -> Any:
-        """What the session is told before the next step; None: nothing new."""
+        """Command for the next step; None to continue the last one."""
         return Velocity(*self.velocity())
 
     def velocity(self) -> tuple[float, float]:
@@ -166,10 +168,11 @@ class SkillDriver(Driver):
         self.cancelled = False
 
     def follow(self, message: Act) -> str:
+        """Carries out a message; pick, place, hand over, open and close become skills."""
         if isinstance(message, Pick):
             names = self.objects.names
             if message.o >= len(names):
-                raise InputError(f"There is no object {message.o}. Expected 0 to {len(names) - 1}.")
+                raise InputError(f"There is no object {message.o}. Expected 0 to {len(names) - 1}.", code="H3-PLAY-017")
             if why := self.barred(message.o, message.lead):
                 return why
             pick = Action("pick", message.o)
@@ -182,7 +185,7 @@ class SkillDriver(Driver):
             return self.do([self.drop()])
         if isinstance(message, Give):
             if message.a >= len(self.session.episode.roster):
-                raise InputError(f"There is no agent {message.a}.")
+                raise InputError(f"There is no agent {message.a}.", code="H3-PLAY-018")
             return self.do([self.give(message.a)])
         return super().follow(message)
 
@@ -208,7 +211,7 @@ class SkillDriver(Driver):
         """Opens or closes a door or drawer."""
         names = self.objects.joints
         if message.j >= len(names):
-            raise InputError(f"There is no door or drawer {message.j}; the home has {len(names)}.")
+            raise InputError(f"There is no door or drawer {message.j}; the home has {len(names)}.", code="H3-PLAY-016")
         if self.objects.held(self.number) >= 0:
             return sentence("hand_full")
         openables = self.session.play.openables  # type: ignore[attr-defined]
@@ -227,12 +230,13 @@ class SkillDriver(Driver):
 
     def door_before(self, point: Array) -> int:
         """The closed door between rooms that keeps the agent from where it could reach a world point [3]; -1: none."""
-        play: RearrangePlay = self.session.play  # type: ignore[assignment]
+        play: RearrangeRollout = self.session.play  # type: ignore[assignment]
         actor = play.actors[self.number]
         return play.door_before(actor, partial(actor.stands_on, point=point))
 
     def go(self, xz: Any, heading: float | None = None) -> str:
-        play: RearrangePlay = self.session.play  # type: ignore[assignment]
+        """Walks or drives to a floor point, unless a closed door is in between."""
+        play: RearrangeRollout = self.session.play  # type: ignore[assignment]
         spot = play.doorways.open_floor.snap(xz, max_distance_m=FLOOR_SNAP_M)
         place = np.array([[*spot, 0.0]])[np.isfinite(spot).all(keepdims=True)]
         if play.door_before(play.actors[self.number], lambda _: place) >= 0:
@@ -246,19 +250,21 @@ class SkillDriver(Driver):
 
     def drop(self) -> Any:
         """The command that lets go."""
-        raise InputError("The robot does not drop things.")
+        raise InputError("The robot does not drop things.", code="H3-PLAY-014")
 
     def give(self, agent: int) -> Any:
         """The command that hands over."""
         del agent
-        raise InputError("The robot does not hand things over.")
+        raise InputError("The robot does not hand things over.", code="H3-PLAY-015")
 
     def interrupt(self) -> None:
+        """Stops walking, cancels the running skill and drops all that are queued."""
         super().interrupt()
         self.cancelled = self.runs
         self.queue = []
 
     def command(self) -> Any:
+        """Command of the next step; None while a skill is running."""
         if self.cancelled:
             self.cancelled = False
             if self.queue:
@@ -276,6 +282,7 @@ class SkillDriver(Driver):
         return Velocity(forward, turn)
 
     def velocity(self) -> tuple[float, float]:
+        """Forward velocity and turn of the next step; a failed walk drops the queued skills."""
         failed = self.guide
         velocity = super().velocity()
         if failed is not None and failed.failed:
@@ -283,6 +290,7 @@ class SkillDriver(Driver):
         return velocity
 
     def after(self, result: StepResult) -> str:
+        """Sentence about the last step for the player; a failed skill drops the queued ones."""
         # what a new command has interrupted is followed by what that command asked for
         own = [span for span in result.skills if span.agent == self.number and span.reason != "commanded"]
         if any(span.outcome in ("failed", "aborted") for span in own):
@@ -296,10 +304,12 @@ class SkillDriver(Driver):
 
     @property
     def busy(self) -> bool:
+        """Whether a skill or walk is running or queued."""
         return self.runs or super().busy or bool(self.queue)
 
     @property
     def floor(self) -> FreeSpace:
+        """Free floor on which the agent moves now."""
         return self.session.play.actors[self.number].free  # type: ignore[attr-defined]
 
     @property
@@ -317,11 +327,12 @@ class PersonDriver(SkillDriver):
         self.head: tuple[float, float] | None = None
 
     def follow(self, message: Act) -> str:
+        """Carries out a message; those about hands and head set their targets."""
         if isinstance(message, Hand):
             if message.p is None:
                 self.hands.pop(message.side, None)
             elif message.q is not None and np.linalg.norm(message.q) < 1e-3:
-                raise InputError("Expected a quaternion other than zero for a hand.")
+                raise InputError("Expected a quaternion other than zero for a hand.", code="H3-PLAY-019")
             else:
                 self.hands[message.side] = HandTarget(message.p, message.q)
             return ""
@@ -331,9 +342,11 @@ class PersonDriver(SkillDriver):
         return super().follow(message)
 
     def walking(self, forward: float, turn: float) -> PersonCommand:
+        """Command of a velocity with the targets of hands and head."""
         return PersonCommand(forward, turn, self.hands.get("left"), self.hands.get("right"), self.head)
 
     def put_at(self, point: Array, lead: bool) -> str:
+        """Puts the object in hand at a world point [3]; with ``lead`` the person first walks to where they reach it."""
         place = PlaceSkill(tuple(point.tolist()))
         if not lead:
             return self.do([place])
@@ -346,12 +359,15 @@ class PersonDriver(SkillDriver):
         return self.go(stand[:2], float(stand[2]))
 
     def drop(self) -> Any:
+        """Skill that drops the object in hand."""
         return DropSkill()
 
     def give(self, agent: int) -> Any:
+        """Skill that gives the object in hand to another agent."""
         return HandOver(agent)
 
     def can_place(self, point: Any) -> str:
+        """Reason why the object in hand cannot be placed at a world point, as a sentence; empty if it can."""
         return self.session.refusal(self.name, PlaceSkill(tuple(point))) or ""
 
     @property
@@ -377,5 +393,5 @@ def driving_base(session: Session, number: int) -> BaseSpec:
     spec = episode.spec
     return BaseSpec(
         max_speed_mps=spec.human.speed_mps, max_turn_rad_s=spec.human.turn_rad_s, disc_offsets_m=(0.0,),
-        disc_radius_m=spec.agent_radius_m, allow_back=isinstance(session.play, RearrangePlay),
+        disc_radius_m=spec.agent_radius_m, allow_back=isinstance(session.play, RearrangeRollout),
     )  # fmt: skip

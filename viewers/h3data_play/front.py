@@ -31,7 +31,7 @@ from h3data_play.connections import (
 )
 from h3data_play.messages import MOST_BYTES, Can, Ping, decode, read_json
 from h3data_play.plan import GameOrder, PlayPlan, recording_name
-from h3data_play.seats import Game, Journal, Seat, new_token, uptime
+from h3data_play.seats import Game, Seat, SeatLog, new_token, uptime
 from h3data_play.workers import Preparer, WorkerProcess, Workers
 
 PAGE = Path(__file__).parent / "web" / "dist"
@@ -77,7 +77,7 @@ def _sent(request: web.Request, task: asyncio.Task[None]) -> None:
         request.transport.abort()
 
 
-class Front:
+class WebServer:
     """All seats and games of one plan."""
 
     seat_s = SEAT_S
@@ -85,28 +85,30 @@ class Front:
     def __init__(
         self, plan: PlayPlan, *, workers: int = 1, tables: int = 1, open_door: bool = True, secure: bool = False,
         report: Callable[[dict[str, Any]], None] = lambda _: None, plans: Sequence[PlayPlan] = (),
-        journal: Journal | None = None, seats_per_address: int = SEATS_PER_ADDRESS, behind_proxy: bool = False,
+        journal: SeatLog | None = None, seats_per_address: int = SEATS_PER_ADDRESS, behind_proxy: bool = False,
         hosts: Sequence[str] = (), clock: Callable[[], float] = uptime,
     ) -> None:  # fmt: skip
-        """
+        """Sets up the server; it starts with its web application.
+
         Args:
-            plan: What is played.
-            workers: Processes beside the spare one.
-            tables: Games at once, of plans with one player.
-            open_door: Whether ``/`` leads to the seat of the only player, else every seat has a link with a secret.
-            secure: Whether browsers come through TLS: cookies are then for TLS only.
-            report: Called with what the command line tells its user.
-            plans: What orders of games refer to by number (default: ``plan`` alone).
-            journal: Seats and games (default: those of the plan's folder).
-            seats_per_address: Seats at once of one network address.
-            behind_proxy: Whether the address is the one that the proxy names (``X-Forwarded-For``).
-            hosts: Names by which browsers may reach it beside loopback and addresses; ``*.example.org`` has any first label.
-            clock: Seconds since some moment, by which it is told who has been away for long.
+            plan: session that is played.
+            workers: number of worker processes, besides the spare one.
+            tables: number of simultaneous games, for plans with one player.
+            open_door: whether ``/`` leads to the seat of the only player; otherwise every seat has a secret link.
+            secure: whether browsers connect through TLS: cookies are then for TLS only.
+            report: called with messages for the user of the command line.
+            plans: plans to which orders of games refer by number (default: ``plan`` alone).
+            journal: journal of seats and games (default: the one in the plan's folder).
+            seats_per_address: number of simultaneous seats for one network address.
+            behind_proxy: whether the address is the one that a proxy names (``X-Forwarded-For``).
+            hosts: names by which browsers may reach the server, besides loopback and addresses; ``*.example.org`` has any first
+                label.
+            clock: clock in seconds by which long absences are measured.
         """
         self.plan, self.secure, self.report, self.clock = plan, secure, report, clock
         self.tables = tables if len(plan.players) == 1 else 1
         self.open_door = open_door and len(plan.players) == 1
-        self.journal = Journal(Path(plan.out)) if journal is None else journal
+        self.journal = SeatLog(Path(plan.out)) if journal is None else journal
         self.journal.make_links(len(plan.seats))
         self.workers = Workers(plans or (plan,), workers, self.heard, self.lost)
         self.lives: dict[str, Live] = {}
@@ -134,7 +136,7 @@ class Front:
 
     # --- the application ----------------------------------------------------------------------------------------------
     def application(self) -> web.Application:
-        """What aiohttp serves."""
+        """Web application that aiohttp serves."""
         app = web.Application(
             client_max_size=POST_BYTES, middlewares=[strict, require_known_host(self.hosts), self._with_room]
         )
@@ -389,7 +391,7 @@ class Front:
 
     @web.middleware
     async def _with_room(self, request: web.Request, handler: Any) -> web.StreamResponse:
-        """What cannot be written down has not happened (`Journal`), and whoever asked for it is told so."""
+        """What cannot be written down has not happened (`SeatLog`), and whoever asked for it is told so."""
         try:
             return await handler(request)
         except sqlite3.OperationalError as fault:

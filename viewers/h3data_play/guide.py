@@ -36,8 +36,10 @@ NEAR_M = 2.0
 
 @dataclass
 class Guide:
-    """The path of one body to one place. Where only its middle could pass, a base that maneuvers does so
-    (`sim_kinematic.avoidance.maneuvers`)."""
+    """Path of one body to one place, followed by velocity commands.
+
+    Where only the middle of a base could pass, a base that maneuvers does so (`sim_kinematic.avoidance.maneuvers`).
+    """
 
     free: FreeSpace
     base: BaseSpec
@@ -69,7 +71,7 @@ class Guide:
         if len(path) == 0:  # what was clicked on lies on an island of the floor, or in the middle of something large
             path = free.path(xz, _nearest_reachable(free, xz, goal))
         if len(path) == 0:
-            raise InputError("No path leads there.")
+            raise InputError("No path leads there.", code="H3-PLAY-020")
         return cls(free, base, path[-1], list(path[1:]), heading)
 
     def velocity(self, xz: Array, heading: float) -> tuple[float, float] | None:
@@ -108,8 +110,10 @@ class Guide:
         self._idle += 1
 
     def _plans_maneuver(self, xz: Array, heading: float) -> bool:
-        """Plans commands that bring the base on, and the path from where they end; False if it does not maneuver, if there is
-        no maneuver, or if it has not got on since the last one."""
+        """Plans a maneuver and the path from its end; returns whether there is one.
+
+        It returns False if the base does not maneuver, or has made no progress since its last maneuver.
+        """
         if not self.base.maneuvers:
             return False
         left = float(self.free.geodesic(xz, self.goal, max_snap_m=FLOOR_SNAP_M))

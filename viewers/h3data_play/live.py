@@ -1,5 +1,7 @@
-"""An episode that people play: one `Session`, a driver for each player, and everything that they send, recorded to the
-letter."""
+"""A live episode: one `Session`, a driver for each player, and a recording of all their messages.
+
+Messages are recorded as they were sent.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,7 @@ from h3data_play.messages import Act, decode
 from h3data_play.plan import VERSION, GameOrder, PlayPlan
 from h3data_play.wire import BUSY, ENDED, TOUCH, WALL, Columns, PackedStep, StatePacker
 from sim_kinematic.agents.roster import HUMAN_BODY
-from sim_kinematic.policies.assignment import AssignedPolicy, make_policy
+from sim_kinematic.policies.assignment import AssignedPolicy, make_policy, resolve_policy
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.episode import Episode, with_options
 from sim_kinematic.tasks.registry import find_task
@@ -62,22 +64,28 @@ class PatientSink:
         self._info: dict[str, Any] | None = None
 
     def append(self, rows: dict[str, Any]) -> None:
+        """Appends steps; if the disk does not accept them, they stay in the writer."""
         self._try(partial(self.writer.append, rows))
 
     def event(self, event: Event) -> None:
+        """Appends an event."""
         self.writer.event(event)
 
     def skill(self, span: SkillSpan) -> int:
+        """Appends a skill and returns its number."""
         return self.writer.skill(span)
 
     def input(self, event: InputEvent) -> None:
+        """Appends raw input."""
         self.writer.input(event)
 
     def close(self, *, info: dict[str, Any]) -> None:
+        """Completes the recording, as soon as the disk accepts it."""
         self._info = info
         self.retry()
 
     def abort(self) -> None:
+        """Ends the recording early."""
         self.writer.abort()
 
     def retry(self) -> None:
@@ -95,11 +103,12 @@ class PatientSink:
             self.fault = fault.__cause__.strerror or str(fault.__cause__)
 
 
-class Table:
+class EpisodeFactory:
     """Where episodes of a plan come from, in one process."""
 
     def __init__(self, plan: PlayPlan) -> None:
-        """
+        """Loads the app, task and scenes of a plan.
+
         Raises:
             InputError: there is no such app, task, scene, agent or policy.
         """
@@ -108,7 +117,8 @@ class Table:
             plan = msgspec.structs.replace(plan, partner=self.app.partner)
         self.plan = plan
         self.task = find_task(self.app.task)
-        self.spec = with_options(self.task.Spec(), **{**self.app.rules, **plan.rules})
+        rules = {name: tuple(value) if isinstance(value, list) else value for name, value in plan.rules.items()}
+        self.spec = with_options(self.task.Spec(), **{**self.app.rules, **rules})
         self.roster = plan.roster(tuple(self.task.agents))
         human = HUMAN_BODY if plan.motion is None else f"{HUMAN_BODY}+{plan.motion}"
         self.source = EpisodeSource(self.task, plan.scenes, spec=self.spec, agents=self.roster, human=human)
@@ -116,7 +126,7 @@ class Table:
         """Agent of each player, in the order of `PlayPlan.players`."""
         if plan.partner not in (None, "solo"):
             for kind in {kind for k, kind in enumerate(self.roster) if k not in self.numbers}:
-                self.task.check_policy(kind, plan.partner_here or plan.partner, self.spec)
+                resolve_policy(self.task, kind, plan.partner_here or plan.partner, self.spec)
 
     def _numbers(self) -> tuple[int, ...]:
         numbers = []
@@ -125,7 +135,9 @@ class Table:
             nth = self.plan.players[:k].count(seat)
             agents = [number for number, member in enumerate(self.roster) if member == kind]
             if nth >= len(agents):
-                raise InputError(f"Nobody can play as the {seat}: {self.plan.app} has {', '.join(self.roster)}.")
+                raise InputError(
+                    f"Nobody can play as the {seat}: {self.plan.app} has {', '.join(self.roster)}.", code="H3-PLAY-022"
+                )
             numbers.append(agents[nth])
         return tuple(numbers)
 
@@ -134,6 +146,7 @@ class Table:
         plan = self.plan
         if plan.partner_here == plan.partner:
             return plan.partner
+        assert plan.partner_here is not None
         return make_policy(self.task, episode, number, plan.partner_here)._replace(name=plan.partner)
 
     def episode(self, index: int) -> Episode:
@@ -167,11 +180,12 @@ class Table:
 
 
 def _unfinished(part: Path, saved: Path) -> Recording | None:
-    """What has been played of an episode that was not finished, kept in ``saved`` until it is in the log again: from the log,
-    or from an earlier attempt that did not come to its end.
+    """Steps that were played of an unfinished episode, from its log or from an earlier attempt to restore it.
+
+    They are stored in ``saved`` until they are in the log again.
 
     Raises:
-        InputError: there is no room to save it.
+        InputError: there is no room to save them.
     """
     found, again = _read(saved), saved.with_name(f"{saved.stem}.again.mcap")
     if part.exists():
@@ -201,7 +215,9 @@ def _read(path: Path) -> Recording | None:
 class LiveGame:
     """One episode under way."""
 
-    def __init__(self, table: Table, index: int, path: Path | None = None, order: GameOrder | None = None) -> None:
+    def __init__(
+        self, table: EpisodeFactory, index: int, path: Path | None = None, order: GameOrder | None = None
+    ) -> None:
         plan, episode = table.plan, table.episode(index)
         names = {episode.roster[k].name: External(interrupts_when_close=False) for k in table.numbers}
         policies: dict[str, Any] = dict(names)
@@ -226,7 +242,7 @@ class LiveGame:
             info = {**order.info, "hitl": {**info["hitl"], **order.hitl}}
         self.index, self.path, self.share_in, self.slipped = index, path, plan.out, 0
         if order is not None and order.facts:
-            table.task.recall(episode, order.facts)
+            table.task.load_precomputed(episode, order.facts)
         self.session = Session(
             table.task, episode, policies, sink=None if path is None else sink, episode_id=str(index), info=info
         )
@@ -268,11 +284,13 @@ class LiveGame:
 
     # --- from players -------------------------------------------------------------------------------------------------
     def take(self, number: int, message: Act, text: str, server_ms: float) -> str:
-        """A message acts on the next step, and is recorded to the letter; returns a sentence for the player where it cannot
-        be done.
+        """Takes a message of a player, which acts on the next step and is recorded as it was sent.
+
+        Returns:
+            A sentence for the player if the message cannot be carried out.
 
         Raises:
-            InputError: it is no command; nothing is recorded.
+            InputError: the message is no command; nothing is recorded.
         """
         why = self.drivers[number].take(message, self.app.refusal(number, message))
         self.app.on_input(number, message)
@@ -327,9 +345,12 @@ class LiveGame:
         return self.packed.state(flags, len(self.session.recorder), ack, clock_ms, whole=whole)
 
     def barriers(self, number: int) -> list[list[int]]:
-        """The door or drawer that the player of agent ``number`` has to open first to take each object, and to put it at its
-        goal: what shuts it in, or a door between rooms that leaves no path to it; -1: none. Empty where nothing opens, and
-        for spectators."""
+        """Doors and drawers that the player of agent ``number`` has to open first, for each object.
+
+        For each object there are two numbers: the part to open before taking it, and before putting it at its goal. It
+        is what encloses the object, or a door between rooms that leaves no path to it; -1 if there is none. The list is
+        empty in homes without such parts, and for spectators.
+        """
         play: Any = self.session.play
         openables = getattr(play, "openables", None)
         if openables is None or number not in self.drivers:
@@ -351,8 +372,10 @@ class LiveGame:
 
     # --- the end ------------------------------------------------------------------------------------------------------
     def close(self, info: Mapping[str, Any] | None = None) -> Recording | None:
-        """Finishes the recording; None, and no file, where no step was played. It has its final name once there is no
-        `fault`."""
+        """Finishes the recording; it has its final name once there is no `fault`.
+
+        Returns None, and leaves no file, if no step was played.
+        """
         session = self.session
         if len(session.recorder) == 0:
             session.recorder.abort()
@@ -381,7 +404,8 @@ class LiveGame:
         rows = self.session.recorder.columns()["state_hash"] if len(recording) else np.zeros(0)
         if len(recording) and not np.array_equal(rows, recording.columns["state_hash"]):
             raise H3DataError(
-                "What was played does not come out again from its raw input: was h3data updated meanwhile?"
+                "What was played does not come out again from its raw input: was h3data updated meanwhile?",
+                code="H3-PLAY-021",
             )
 
     def _take_again(self, event: InputEvent) -> None:

@@ -20,7 +20,7 @@ Angle = Annotated[float, Meta(ge=-10, le=10)]
 Component = Annotated[float, Meta(ge=-10, le=10)]
 Index = Annotated[int, Meta(ge=0, le=65535)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
-"""In the world [m]."""
+"""Point in the world [m]."""
 Rotation = tuple[Component, Component, Component, Component]
 """Quaternion xyzw."""
 

@@ -10,7 +10,7 @@ import msgspec
 SEATS = ("person", "robot", "spectator")
 """What somebody can sit down as."""
 VERSION = 1
-"""Of the protocol between page and server; the page refuses others."""
+"""Version of the protocol between page and server; the page refuses others."""
 
 
 class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
@@ -21,10 +21,10 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
     out: str
     """Folder of the recordings."""
     seats: tuple[str, ...] = ("person",)
-    """Who plays what, from `SEATS`; players first."""
+    """Roles of the seats, from `SEATS`; players first."""
     partner: str | None = None
     """Policy of everybody whom nobody plays; None: the task's default."""
-    scenes: str = "small"
+    scenes: str | tuple[str, ...] = "small"
     seed: int = 0
     episodes: int = 1
     speed: float = 1.0
@@ -51,8 +51,10 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
         return tuple(seat for seat in self.seats if seat != "spectator")
 
     def roster(self, usual: tuple[str, ...]) -> tuple[str, ...]:
-        """Kinds of the agents, robots first: ``usual``, and more where more are played. Nobody is added to people who play
-        alone or among themselves (partner ``solo``, or two people and no partner)."""
+        """Kinds of the agents, robots first: ``usual``, with further ones if more are played.
+
+        No agent is added to people who play alone or among themselves (partner ``solo``, or two people and no partner).
+        """
         people, robots = (self.players.count(kind) for kind in ("person", "robot"))
         among_themselves = self.partner == "solo" or (people > 1 and self.partner is None)
         robots = max(robots, 0 if among_themselves else usual.count("robot"))
@@ -64,7 +66,7 @@ class GameOrder(msgspec.Struct, frozen=True, kw_only=True):
     """One game, as the front orders it from a worker."""
 
     index: int
-    """Of the episode in the run of the plan's seed."""
+    """Number of the episode in the run of the plan's seed."""
     name: str
     """Path of its recording in the plan's folder, without the ending."""
     plan: int = 0
@@ -76,7 +78,7 @@ class GameOrder(msgspec.Struct, frozen=True, kw_only=True):
     resumes: bool = False
     """Whether another process may have played some of it, or all."""
     facts: dict[str, Any] | None = None
-    """What the process that has prepared the episode found out about it (`Task.foresight`); None: nobody has prepared it."""
+    """What the process that has prepared the episode found out about it (`Task.precompute`); None: nobody has prepared it."""
 
 
 def prepared_key(order: GameOrder) -> str:

@@ -1,5 +1,7 @@
-"""Who sits where: places at tables, the tokens by which browsers own them, and a journal of both on the disk, so that nobody
-loses a place when the front is killed."""
+"""Seats of players, the tokens by which browsers own them, and a journal of both on the disk.
+
+With the journal, nobody loses their seat when the server is killed.
+"""
 
 from __future__ import annotations
 
@@ -66,12 +68,12 @@ def token_digest(token: str) -> str:
 
 
 @dataclass
-class Journal:
+class SeatLog:
     """Seats and games of a folder, in memory and in its SQLite file. What the disk does not take is not in memory either."""
 
     folder: Path
     name: str = JOURNAL
-    """Of the file."""
+    """Name of the file."""
     read_only: bool = False
     """Works on a copy in memory: the file may be another process's."""
     seats: dict[str, Seat] = field(default_factory=dict)
@@ -145,7 +147,7 @@ class Journal:
         return next((s for s in self.seats.values() if s.token == digest and s.number == number), None)
 
     def taken(self, place: int, number: int) -> Seat | None:
-        """Who has seat ``number`` at a table."""
+        """Holder of seat ``number`` at a table."""
         return next((s for s in self.seats.values() if (s.place, s.number) == (place, number)), None)
 
     def close(self, *, done: bool) -> None:

@@ -1,5 +1,7 @@
-"""The front as a process: ``python -m h3data_play.serve`` reads one JSON object from stdin and reports JSON lines on
-stdout. ``h3data play`` starts it."""
+"""The web server as a process, started by ``h3data play``.
+
+``python -m h3data_play.serve`` reads one JSON object from stdin and reports JSON lines on stdout.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ import msgspec
 from aiohttp import web
 
 from h3data_play.connections import runner_of
-from h3data_play.front import SEATS_PER_ADDRESS, Front
+from h3data_play.front import SEATS_PER_ADDRESS, WebServer
 from h3data_play.plan import PlayPlan
 from h3data_play.workers import Refused
 
@@ -45,7 +47,7 @@ class ServeOptions(msgspec.Struct, frozen=True, kw_only=True):
     stays: bool = False
     """Whether it goes on after the last episode."""
 
-    def front(self, **given: Any) -> Front:
+    def front(self, **given: Any) -> WebServer:
         """The front of what is played; `given` are the options that all fronts have."""
         raise NotImplementedError
 
@@ -56,12 +58,14 @@ class PlayServeOptions(ServeOptions, frozen=True, kw_only=True):
     plan: PlayPlan
     tables: int = 1
 
-    def front(self, **given: Any) -> Front:
-        return Front(self.plan, tables=self.tables, **given)
+    def front(self, **given: Any) -> WebServer:
+        """Server of the session."""
+        return WebServer(self.plan, tables=self.tables, **given)
 
 
 def require_safe(options: ServeOptions) -> None:
-    """
+    """Checks that a server that others can reach uses TLS or a proxy.
+
     Raises:
         Refused: others could listen on the network.
     """
@@ -69,7 +73,8 @@ def require_safe(options: ServeOptions) -> None:
         return
     raise Refused(
         f"On the address {options.host} others on the network could listen in. Give --cert and --key (TLS), or "
-        "--behind-proxy if a proxy in front of this server does TLS; without --host only this machine is served."
+        "--behind-proxy if a proxy in front of this server does TLS; without --host only this machine is served.",
+        code="H3-PLAY-023",
     )
 
 
@@ -83,7 +88,7 @@ def certificate_names(cert: str) -> list[str]:
         # what the ssl module shows of a certificate that it has not verified; it has no public name
         found = ssl._ssl._test_decode_cert(cert)  # type: ignore[attr-defined]
     except (ssl.SSLError, OSError) as fault:
-        raise Refused(f"Expected a certificate in PEM format, got {cert} ({fault}).") from None
+        raise Refused(f"Expected a certificate in PEM format, got {cert} ({fault}).", code="H3-PLAY-024") from None
     return [name for kind, name in found.get("subjectAltName", ()) if kind == "DNS"]
 
 
@@ -131,7 +136,7 @@ def _hear(stops: asyncio.Event) -> None:
         stops.set()
 
 
-async def _listen(front: Front, runner: web.AppRunner, options: ServeOptions, report: Any) -> None:
+async def _listen(front: WebServer, runner: web.AppRunner, options: ServeOptions, report: Any) -> None:
     await runner.setup()
     tls = None
     if options.cert:
@@ -141,7 +146,9 @@ async def _listen(front: Front, runner: web.AppRunner, options: ServeOptions, re
     try:
         await site.start()
     except OSError as fault:
-        raise Refused(f"Port {options.port} cannot be used ({fault.strerror}). Choose another with --port.") from None
+        raise Refused(
+            f"Port {options.port} cannot be used ({fault.strerror}). Choose another with --port.", code="H3-PLAY-025"
+        ) from None
     port = runner.addresses[0][1]
     host = f"[{options.host}]" if ":" in options.host else options.host
     base = f"{'https' if tls else 'http'}://{host}:{port}"
@@ -160,11 +167,12 @@ def main(kind: type[ServeOptions]) -> int:
     options = msgspec.json.decode(sys.stdin.readline(), type=kind)
     try:
         return asyncio.run(serve(options, report))
-    except Refused as fault:
-        report({"refused": str(fault)})
-        return 2
-    except sqlite3.OperationalError as fault:
-        report({"refused": f"The folder of the session cannot be written ({fault}). Is its disk full?"})
+    except (Refused, sqlite3.OperationalError) as fault:
+        if not isinstance(fault, Refused):
+            fault = Refused(
+                f"The folder of the session cannot be written ({fault}). Is its disk full?", code="H3-PLAY-029"
+            )
+        report({"refused": str(fault), "code": fault.code})
         return 2
     except KeyboardInterrupt:
         return 130

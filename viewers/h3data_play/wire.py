@@ -1,5 +1,6 @@
-"""A step of the world as clients get it: little-endian, laid out by the manifest; 256 bytes for a robot, a person and two
-objects.
+"""Binary message with one step of the world, as clients receive it.
+
+It is little-endian, laid out by the manifest, and has 256 bytes for a robot, a person and two objects.
 
 ```
  0 u8 kind = 1 | 1 u8 flags | 2 u8 agents | 3 u8 objects in this state
@@ -37,7 +38,7 @@ the server leads."""
 BODY_JOINTS = 21
 """SMPL-X joints 1 to 21 move; fingers, jaw and eyes keep the pose that the GLB has."""
 JOINT_UNIT = 2e-4
-"""Of a robot's joints [rad or m]."""
+"""Unit of a robot's joint positions [rad or m]."""
 _HEAD = struct.Struct("<BBBBIif")
 _OBJECT = np.dtype([("index", "<u2"), ("held", "<i2"), ("pose", "<f4", 7)])
 _JOINT = np.dtype([("index", "<u2"), ("position", "<f4")])
@@ -96,7 +97,7 @@ class StatePacker:
 
     header: RecordingHeader
     bodies: tuple[Robot | Humanoid, ...]
-    """Of the agents."""
+    """Bodies of the agents."""
     heights: Array = field(default_factory=LEVEL.copy)
     """How high the floor is at a place (`h3data.scene.floor_heights`): feet stand on the treads of its stairs."""
     _walks: dict[int, PlantedWalk] = field(default_factory=dict)

@@ -1,5 +1,7 @@
-"""A process that plays many games, each at its own phase of the 30 steps a second. Run by the front:
-``python -m h3data_play.worker FD``."""
+"""Process that plays many games, each at its own phase of the 30 steps per second.
+
+The web server runs it as ``python -m h3data_play.worker FD``.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +24,12 @@ from typing import Any
 
 import msgspec
 
-from h3data.errors import H3DataError, InputError
+from h3data.errors import H3DataError, InputError, with_code
 from h3data.recording import Recording, pack_mcap, write_mcap
 from h3data.scene.articulation import joints_of
 from h3data_play import assets
 from h3data_play.channel import Channel, Closed
-from h3data_play.live import LiveGame, Table, disk_fault
+from h3data_play.live import EpisodeFactory, LiveGame, disk_fault
 from h3data_play.messages import (
     PERIOD_S,
     Act,
@@ -102,6 +104,7 @@ class Running:
 
     @property
     def clock_ms(self) -> float:
+        """Time since the game began [ms]."""
         return (time.monotonic() - self.began) * 1e3
 
     @property
@@ -115,7 +118,7 @@ class Worker:
 
     def __init__(self, channel: Channel, plans: Sequence[PlayPlan]) -> None:
         self.channel = channel
-        self.plans, self.tables = plans, {0: Table(plans[0])}
+        self.plans, self.tables = plans, {0: EpisodeFactory(plans[0])}
         self.period = PERIOD_S / plans[0].speed if plans[0].speed else 0.0
         self.games: dict[str, Running] = {}
         self.stops, self.finishes = False, True
@@ -128,10 +131,10 @@ class Worker:
         """Orders of games for whose beginning the disk has no room."""
         self._tried = time.monotonic()
 
-    def table(self, number: int) -> Table:
+    def table(self, number: int) -> EpisodeFactory:
         """The table of plan ``number``."""
         if number not in self.tables:
-            self.tables[number] = Table(self.plans[number])
+            self.tables[number] = EpisodeFactory(self.plans[number])
         return self.tables[number]
 
     def made(self, plan: int, index: int) -> dict[str, Any]:
@@ -146,7 +149,7 @@ class Worker:
                 "glb": [f"{assets.digest(glb)}.glb", gzip.compress(glb, 6, mtime=0)],
                 "grid": [entry["url"].rpartition("/")[2], gzip.compress(grid, 6, mtime=0)],
                 "agents": list(table.numbers),
-                "facts": table.task.foresight(game.session.episode),
+                "facts": table.task.precompute(game.session.episode),
             }
             game.session.abort()
             self._prepared = {(plan, index): prepared} | dict(list(self._prepared.items())[:7])
@@ -203,8 +206,10 @@ class Worker:
         self._waiting += [(key, body, now) for key, body in self._no_room.items() if key not in waiting]
 
     def begin_next(self) -> None:
-        """Begins the game that has waited longest, if no other is late: it takes three steps' time, and several at once would
-        stop those that go on."""
+        """Begins the game that has waited longest, if no other game is late.
+
+        Beginning takes as long as three steps, and several at once would stop the games that are running.
+        """
         now = time.monotonic()
         key, body, since = self._waiting[0]
         if now - since > BEGIN_S or all(not running.runs or running.due > now for running in self.games.values()):
@@ -212,8 +217,10 @@ class Worker:
             self.guarded(key, Worker.begin, body)
 
     def homes_ahead(self) -> Iterator[None]:
-        """Makes the homes of each plan's first episodes, one at a time: each takes half a second, which is free while nobody
-        plays."""
+        """Makes the homes of each plan's first episodes, one at a time.
+
+        Each takes half a second, which is available while nobody plays.
+        """
         for number, plan in enumerate(self.plans):
             source = self.table(number).source
             for index in range(min(plan.episodes, MOST_AHEAD)):
@@ -235,12 +242,15 @@ class Worker:
             self._no_room.pop(key, None)
             if running is not None:
                 running.game.session.abort()
-            text = str(fault) if isinstance(fault, H3DataError) else f"{type(fault).__name__}: {fault}"
+            text = with_code(fault) if isinstance(fault, H3DataError) else f"{type(fault).__name__}: {fault}"
             self.channel.send("failed", key, text)
 
     def _free_time(self, newcomer: Running) -> float:
-        """When a game should take its first step: in the middle of the longest time in which no other game takes one, so that a
-        long step of one delays few others."""
+        """Time at which a new game should take its first step.
+
+        It is the middle of the longest interval in which no other game takes a step, so that a long step of one game
+        delays few others.
+        """
         now, period = time.monotonic(), self.period
         taken = sorted((r.due - now) % period for r in self.games.values() if period and r.runs and r is not newcomer)
         if not taken:
@@ -250,8 +260,11 @@ class Worker:
         return now + period + (taken[longest] + gaps[longest] / 2) % period
 
     def report(self) -> None:
-        """Tells the front once a second which share of a core the games take. It is CPU time, and of each game the median step:
-        neither what else the machine does nor a single plan should turn people away."""
+        """Reports once a second which share of a core the games use.
+
+        It is CPU time, with the median step of each game: neither other programs on the machine nor a single planning
+        step should turn players away.
+        """
         now = time.monotonic()
         if now - self._reported < REPORT_S:
             return
@@ -287,6 +300,7 @@ class Worker:
         self.channel.send("prepared", key, self.made(int(body["plan"]), int(body["index"])))
 
     def begin(self, key: str, body: dict[str, Any]) -> None:
+        """Begins a game, continues one, or reports the end of one that had ended when the server was killed."""
         order = msgspec.convert(body, GameOrder)
         if order.facts is None and key not in self._no_room:
             self.prepare(prepared_key(order), {"plan": order.plan, "index": order.index})
@@ -380,10 +394,10 @@ class Worker:
         if running is None or running.over or number not in running.game.drivers:
             return
         try:
-            why = running.game.drivers[number].can_place(point)
+            reply = {"why": running.game.drivers[number].can_place(point)}
         except InputError as fault:
-            why = str(fault)
-        self.channel.send("told", key, [number, {"can": {"p": point, "why": why}}])
+            reply = {"why": str(fault), "code": fault.code}
+        self.channel.send("told", key, [number, {"can": {"p": point, **reply}}])
 
     def pack(self, key: str, body: dict[str, str]) -> None:
         """Packs a finished recording, which takes a tenth of a second: the front has a process do it in which nobody plays."""
@@ -398,6 +412,7 @@ class Worker:
 
     # --- steps --------------------------------------------------------------------------------------------------------
     def step(self, key: str, body: Any) -> None:
+        """Plays one step of a game with the messages that have arrived for it."""
         del body
         running = self.games[key]
         game, cpu = running.game, time.process_time()
@@ -433,11 +448,11 @@ class Worker:
                 return
             running.planned[number] = now
         try:
-            why = running.game.take(number, message, text, arrived)
+            reply = {"why": running.game.take(number, message, text, arrived)}
         except InputError as fault:  # no command: it has not been recorded
-            why = str(fault)
-        if why:
-            self.channel.send("told", running.key, [number, {"why": why}])
+            reply = {"why": str(fault), "code": fault.code}
+        if reply["why"]:
+            self.channel.send("told", running.key, [number, reply])
 
     def _send_states(self, running: Running) -> None:
         game, clock = running.game, running.clock_ms
@@ -508,9 +523,12 @@ _HANDLERS = {
 }
 
 
-def rehearse(table: Table) -> None:
-    """Plays an episode that nobody sees: kernels that are compiled or loaded only when somebody first walks, takes something or
-    gives way would stop a live world for a second each."""
+def rehearse(table: EpisodeFactory) -> None:
+    """Plays an episode that nobody sees, to compile and load all kernels.
+
+    Kernels that are loaded only when somebody first walks, takes something or gives way would stop a live world for a
+    second each.
+    """
     game = LiveGame(table, 0)
     for message, steps in (
         (Move(f=1.0, t=0.3), 20),
@@ -552,7 +570,7 @@ def main(descriptor: int) -> None:
             worker = Worker(channel, plans)
             worker.warm_up()
         except H3DataError as fault:
-            channel.send("refused", "", str(fault))
+            channel.send("refused", "", {"text": str(fault), "code": fault.code})
             return
         channel.send("ready", "", {})
     except Closed:

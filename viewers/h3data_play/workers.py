@@ -31,7 +31,14 @@ Heard = Callable[["WorkerProcess", str, str, Any], None]
 
 
 class Refused(Exception):
-    """The plan cannot be played; the text says why."""
+    """The plan cannot be played; the text says why.
+
+    It is no `H3DataError`, because the front imports nothing of h3data; the command raises one with the same text and code.
+    """
+
+    def __init__(self, text: str, *, code: str = "") -> None:
+        super().__init__(text)
+        self.code = code
 
 
 class WorkerProcess:
@@ -72,13 +79,15 @@ class WorkerProcess:
                 if kind == "ready":
                     self.ready.set_result(None)
                 elif kind == "refused":
-                    self.ready.set_exception(Refused(body))
+                    self.ready.set_exception(Refused(body["text"], code=body["code"]))
                 elif kind == "load":
                     self.busy, self.measured = float(body["busy"]), int(body["games"])
                 else:
                     self._heard(self, kind, key, body)
         if not self.ready.done():
-            self.ready.set_exception(Refused("A worker process ended while it started; its message is above."))
+            self.ready.set_exception(
+                Refused("A worker process ended while it started; its message is above.", code="H3-PLAY-026")
+            )
         self._lost(self)
 
     def send(self, kind: str, key: str, body: Any) -> None:
@@ -113,7 +122,7 @@ class WorkerProcess:
 
 
 class Workers:
-    """So many processes, and one more that is warm and takes over when one dies."""
+    """Worker processes, with a warm spare one that takes over when one dies."""
 
     def __init__(
         self, plans: Sequence[PlayPlan], count: int, heard: Heard, lost: Callable[[WorkerProcess], None]
@@ -180,14 +189,16 @@ class Workers:
 
 
 class Preparer:
-    """What pages need of episodes, made by the spare worker before they begin: files of a home and a look ahead take a second,
-    for which all games of the worker that plays would stand still. A game that begins beside others waits until the spare is
-    warm."""
+    """Parts of episodes that pages need, made by the spare worker before the episodes begin.
+
+    Files of a home and precomputed facts take a second, during which all games of the worker that plays would stand
+    still. A game that begins next to others waits until the spare worker is warm.
+    """
 
     def __init__(self, workers: Workers) -> None:
         self._workers = workers
         self.files: dict[str, tuple[bytes, str]] = {}
-        """By name: content, gzip-compressed, and its type."""
+        """Files by name: content, gzip-compressed, and its type."""
         self._made: dict[str, dict[str, Any]] = {}
         self._asked: dict[str, tuple[WorkerProcess, asyncio.Future[None]]] = {}
 

@@ -41,7 +41,7 @@ class FormDifference:
     low: float
     high: float
     p: float
-    """Of a paired permutation test, adjusted by Holm's method for the pairs of its form."""
+    """The p-value of a paired permutation test, adjusted by Holm's method for the pairs of its form."""
     people: int
 
 
@@ -52,7 +52,7 @@ def filled(person: Participant) -> Iterator[tuple[Form, str, Answers]]:
 
 
 def filled_stages(person: Participant) -> Iterator[tuple[Stage, Form, str, Answers]]:
-    """As `filled`, with the stage in which each form was asked."""
+    """Forms that were filled in, with the stage in which each was asked."""
     progress = person.progress
     for stage in progress.stages:
         if stage.kind == "form" and stage.key in progress.rows:

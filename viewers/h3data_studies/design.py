@@ -22,7 +22,7 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class Condition(Record, frozen=True):
-    """What participants play in one block of episodes."""
+    """Condition of one block of episodes."""
 
     name: Name
     app: str = "rearrange"
@@ -41,7 +41,7 @@ class Condition(Record, frozen=True):
 
 
 class Consent(Record, frozen=True):
-    """What participants agree to."""
+    """Text and questions to which participants consent."""
 
     version: Name
     text: Text = ""
@@ -55,7 +55,7 @@ class Device(Record, frozen=True):
     max_ping_ms: Annotated[float, Meta(gt=0)] = 250.0
     """Median round trip."""
     min_width: Annotated[int, Meta(ge=0)] = 640
-    """Of the window [px]."""
+    """Least width of the window [px]."""
     min_fps: Annotated[float, Meta(ge=0)] = 15.0
     """Pictures per second of a blank scene."""
     touch: bool = True
@@ -68,7 +68,7 @@ class Tutorial(Record, frozen=True):
     app: str = "tutorial"
     rules: dict[str, Any] = {}
     attempts: Count = 5
-    """Who has not passed after so many is screened out."""
+    """Number of attempts after which a participant who has not passed is screened out."""
     skip: bool = False
     text: Text = ""
 
@@ -79,7 +79,7 @@ class DropOut(Record, frozen=True):
     idle_minutes: Minutes = 20.0
     """Nothing pressed, clicked or answered for so long; pauses count."""
     total_minutes: Minutes = 240.0
-    """From consent to the end."""
+    """Time limit from consent to the end [min]."""
     max_slip: Annotated[float, Meta(ge=0, le=1)] = 0.01
     """Episodes of which a larger share of steps came late are left out of the report."""
 
@@ -113,11 +113,11 @@ class Exclude(Record, frozen=True):
 
 
 class Bonus(Record, frozen=True):
-    """What participants who finish are paid beyond the fixed reward."""
+    """Payment for participants who finish, beyond the fixed reward."""
 
     base: Annotated[float, Meta(ge=0)] = 0.0
     per_success: Annotated[float, Meta(ge=0)] = 0.0
-    """For each episode that ended with success."""
+    """Bonus for each episode that ended with success."""
     most: Annotated[float, Meta(ge=0)] | None = None
 
 
@@ -134,7 +134,7 @@ class Item(Record, frozen=True):
     max: float = 7
     step: Annotated[float, Meta(gt=0)] = 1
     options: list[Text] = []
-    """Of a choice; the answer is the number of an option, from 0."""
+    """Options of a choice; the answer is the number of an option, from 0."""
     required: bool = True
     reversed: bool = False
     """A high answer counts as a low one in the mean of the form."""
@@ -236,7 +236,7 @@ class Block(msgspec.Struct, frozen=True):
 
 
 class Place(msgspec.Struct, frozen=True):
-    """What one participant plays: a practice episode of the first block's scene, then the blocks."""
+    """Episodes of one participant: a practice episode in the first block's scene, then the blocks."""
 
     practice: tuple[int, ...]
     blocks: tuple[Block, ...]
@@ -249,13 +249,13 @@ class StudyPlan(msgspec.Struct, frozen=True, kw_only=True):
     out: str
     """Folder of the study."""
     places: tuple[Place, ...]
-    """In the order in which participants get them."""
+    """Places in the order in which participants get them."""
     plans: tuple[PlayPlan, ...]
-    """Of every condition (``""``: the tutorial) in every scene."""
+    """Plans of every condition (``""``: the tutorial) in every scene."""
     numbers: dict[str, int]
     """Number of the plan of ``condition|scene``."""
     key_file: str
-    """Of the secret that makes pseudonyms."""
+    """File of the secret that makes pseudonyms."""
 
     def number(self, condition: str, scene: str) -> int:
         """Number of the plan of a condition, or of the tutorial (empty name), in a scene."""

@@ -1,5 +1,7 @@
-"""Rules that are written into the study file before anybody takes part, and by which the report leaves out participants and
-episodes. What they ask for are measures of what participants have done."""
+"""Rules by which the report leaves out participants and episodes.
+
+They are written into the study file before anybody takes part, and refer to measures of what participants have done.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +62,7 @@ def trial_measures(person: Participant, episode: PlayedEpisode) -> dict[str, flo
 
 @dataclass(frozen=True)
 class Exclusions:
-    """Who and what the rules of a study leave out."""
+    """Participants and episodes that the rules of a study leave out."""
 
     people: dict[str, str]
     """Why, by participant."""

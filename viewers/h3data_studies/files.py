@@ -11,9 +11,9 @@ from pathlib import Path
 import msgspec
 
 from h3data.errors import InputError, did_you_mean
-from h3data.habitat.scene_names import named_scenes
 from h3data.metrics import plan_sessions
-from h3data_play.live import Table
+from h3data.scene.open import named_scenes
+from h3data_play.live import EpisodeFactory
 from h3data_play.plan import PlayPlan
 from h3data_studies.design import Block, Condition, Consent, Design, Exclude, Form, Place, StudyPlan, Text
 from h3data_studies.exclusions import PARTICIPANT_MEASURES, TRIAL_MEASURES
@@ -40,20 +40,20 @@ def read_design(path: Path) -> Design:
         data = tomllib.loads(text.decode())
     except OSError as fault:
         raise InputError(
-            f"Cannot read the study file ({fault.strerror}): {path}. Hint: h3data study new {path}"
+            f"Cannot read the study file ({fault.strerror}): {path}. Hint: h3data study new {path}", code="H3-STUDY-030"
         ) from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
-        raise InputError(f"The study file is not valid TOML: {fault}. File: {path}") from None
+        raise InputError(f"The study file is not valid TOML: {fault}. File: {path}", code="H3-STUDY-031") from None
     try:
         design = msgspec.convert(data, Design)
     except msgspec.ValidationError as fault:
-        raise InputError(f"{_in_words(str(fault))} File: {path}") from None
+        raise InputError(f"{_in_words(str(fault))} File: {path}", code="H3-STUDY-032") from None
     design = _with_consent(design, path)
     try:
         _check(design)
         design = _with_weights(design, path)
     except InputError as fault:
-        raise InputError(f"{fault} File: {path}") from None
+        raise InputError(f"{fault} File: {path}", code=fault.code) from None
     return design
 
 
@@ -74,16 +74,16 @@ def _in_words(fault: str) -> str:
 def _with_consent(design: Design, path: Path) -> Design:
     consent = design.consent
     if consent.file and consent.text:
-        raise InputError(f"Give the consent's text or its file, not both. File: {path}")
+        raise InputError(f"Give the consent's text or its file, not both. File: {path}", code="H3-STUDY-015")
     if consent.file:
         file = path.parent / consent.file
         try:
             text = file.read_text("utf-8")
         except (OSError, UnicodeDecodeError) as fault:
-            raise InputError(f"Cannot read the text of the consent ({fault}): {file}") from None
+            raise InputError(f"Cannot read the text of the consent ({fault}): {file}", code="H3-STUDY-045") from None
         design = msgspec.structs.replace(design, consent=Consent(version=consent.version, text=text))
     if not design.consent.text:
-        raise InputError(f"The consent has no text: set text or file in [consent]. File: {path}")
+        raise InputError(f"The consent has no text: set text or file in [consent]. File: {path}", code="H3-STUDY-016")
     return design
 
 
@@ -112,21 +112,22 @@ def _with_relative(design: Design, base: Path) -> Design:
 def _check(design: Design) -> None:
     _distinct("conditions", [c.name for c in design.conditions])
     if not design.conditions:
-        raise InputError("Expected at least one [[conditions]].")
+        raise InputError("Expected at least one [[conditions]].", code="H3-STUDY-017")
     if not design.scenes:
-        raise InputError('Expected at least one of scenes, such as scenes = ["small:1"].')
+        raise InputError('Expected at least one of scenes, such as scenes = ["small:1"].', code="H3-STUDY-018")
     if not design.languages:
-        raise InputError('Expected at least one of languages, such as languages = ["en"].')
+        raise InputError('Expected at least one of languages, such as languages = ["en"].', code="H3-STUDY-019")
     if not re.search(r"\S", design.contact):
-        raise InputError("Expected whom participants ask (contact), such as an e-mail address.")
+        raise InputError("Expected whom participants ask (contact), such as an e-mail address.", code="H3-STUDY-020")
     for language, words in design.texts.items():
         if language not in design.languages:
-            raise InputError(f"[texts.{language}] is of a language that languages does not name.")
+            raise InputError(f"[texts.{language}] is of a language that languages does not name.", code="H3-STUDY-033")
         known = [*ENGLISH, *(f"live_{name}" for name in LIVE)]
         if unknown := [name for name in words if name not in known]:
             raise InputError(
                 f"There is no text {unknown[0]!r} in [texts.{language}].{did_you_mean(unknown[0], known)} Expected some of: "
-                f"{', '.join(known)}."
+                f"{', '.join(known)}.",
+                code="H3-STUDY-034",
             )
     for language in design.languages:
         _check_language(design, language)
@@ -135,30 +136,42 @@ def _check(design: Design) -> None:
     forms = [resolved(_known(form)) for form in design.forms]
     for form in forms:
         if not form.id or not form.items:
-            raise InputError('Every one of [[forms]] needs a builtin, or an id and items: builtin = "nasa_tlx".')
+            raise InputError(
+                'Every one of [[forms]] needs a builtin, or an id and items: builtin = "nasa_tlx".', code="H3-STUDY-035"
+            )
         if strangers := set(form.conditions) - names:
-            raise InputError(f"The form {form.id} names a condition that is not there: {sorted(strangers)[0]}.")
+            raise InputError(
+                f"The form {form.id} names a condition that is not there: {sorted(strangers)[0]}.", code="H3-STUDY-036"
+            )
         if form.conditions and form.after not in ("condition", "trial"):
-            raise InputError(f'The form {form.id} names conditions, so it needs after = "condition" or "trial".')
+            raise InputError(
+                f'The form {form.id} names conditions, so it needs after = "condition" or "trial".', code="H3-STUDY-037"
+            )
         _distinct(f"items of the form {form.id}", [item.id for item in form.items])
         _check_answers(form)
         for item in form.items:
             if item.kind == "choice" and len(item.options) < 2:
-                raise InputError(f"The choice {item.id} of the form {form.id} needs two options or more.")
+                raise InputError(
+                    f"The choice {item.id} of the form {form.id} needs two options or more.", code="H3-STUDY-046"
+                )
             if not item.min < item.max:
-                raise InputError(f"The item {item.id} of the form {form.id} needs a min below its max.")
+                raise InputError(
+                    f"The item {item.id} of the form {form.id} needs a min below its max.", code="H3-STUDY-047"
+                )
     # practice has no number by which a page could tell the two apart
     _distinct("forms", [f"{form.id} after the {form.after}".replace("tutorial", "consent") for form in forms])
     _distinct("rules of [[exclude]]", [rule.name for rule in design.exclude])
     for rule in design.exclude:
         _check_rule(rule)
     if design.recruiting.unique_codes and design.recruiting.completion_code:
-        raise InputError("Give completion_code, or unique_codes = true, not both.")
+        raise InputError("Give completion_code, or unique_codes = true, not both.", code="H3-STUDY-021")
     for text in _texts(design):
         if isinstance(text, dict) and (strange := set(text) - set(design.languages)):
-            raise InputError(f"A text is in the language {sorted(strange)[0]!r}, which languages does not name.")
+            raise InputError(
+                f"A text is in the language {sorted(strange)[0]!r}, which languages does not name.", code="H3-STUDY-038"
+            )
         if isinstance(text, dict) and (lacks := [language for language in design.languages if language not in text]):
-            raise InputError(f"A text lacks the study's language {lacks[0]!r}: {text}")
+            raise InputError(f"A text lacks the study's language {lacks[0]!r}: {text}", code="H3-STUDY-039")
 
 
 def _check_language(design: Design, language: str) -> None:
@@ -168,12 +181,14 @@ def _check_language(design: Design, language: str) -> None:
         shown = ", ".join(lacks[:8]) + (f" and {len(lacks) - 8} more" if len(lacks) > 8 else "")
         raise InputError(
             f"There are no texts in the language {language!r}: the package has {', '.join(SHIPPED)}. Expected in "
-            f"[texts.{language}] also: {shown}."
+            f"[texts.{language}] also: {shown}.",
+            code="H3-STUDY-022",
         )
     if shipped(language) is None and (builtin := [form.builtin for form in design.forms if form.builtin]):
         raise InputError(
             f"The built-in form {builtin[0]} has no texts in the language {language!r}, only in {', '.join(SHIPPED)}. Expected "
-            "a form with items of its own."
+            "a form with items of its own.",
+            code="H3-STUDY-023",
         )
 
 
@@ -185,14 +200,21 @@ def _check_answers(form: Form) -> None:
             continue
         if item.kind == "text" or not right:
             raise InputError(
-                f"The item {item.id} of the form {form.id} needs numbers as right answers, and is no text."
+                f"The item {item.id} of the form {form.id} needs numbers as right answers, and is no text.",
+                code="H3-STUDY-040",
             )
         for value in right:
             why = checked_answers(Form(id=form.id, items=[item]), {item.id: value})[1]
             if why:
-                raise InputError(f"The right answer of the item {item.id} of the form {form.id} cannot be given. {why}")
+                raise InputError(
+                    f"The right answer of the item {item.id} of the form {form.id} cannot be given. {why}",
+                    code="H3-STUDY-048",
+                )
     if not form.has_checks and (form.attempts != 1 or form.fail != "screen_out" or form.again):
-        raise InputError(f"The form {form.id} has attempts, fail or again, so one of its items needs a right answer.")
+        raise InputError(
+            f"The form {form.id} has attempts, fail or again, so one of its items needs a right answer.",
+            code="H3-STUDY-024",
+        )
 
 
 def _check_rule(rule: Exclude) -> None:
@@ -200,10 +222,11 @@ def _check_rule(rule: Exclude) -> None:
     if rule.what not in measures:
         raise InputError(
             f"The rule {rule.name} of [[exclude]] asks for {rule.what!r}.{did_you_mean(rule.what, measures)} Expected for "
-            f'of = "{rule.of}" one of: {", ".join(measures)}.'
+            f'of = "{rule.of}" one of: {", ".join(measures)}.',
+            code="H3-STUDY-025",
         )
     if rule.above is None and rule.below is None:
-        raise InputError(f"The rule {rule.name} of [[exclude]] needs above or below.")
+        raise InputError(f"The rule {rule.name} of [[exclude]] needs above or below.", code="H3-STUDY-026")
 
 
 def with_id_pattern(design: Design, pattern: str | dict[str, str] | None) -> Design:
@@ -216,18 +239,24 @@ def _check_patterns(given: str | dict[str, str] | None) -> None:
     patterns = {"PROLIFIC_PID": given} if isinstance(given, str) else given or {}
     for name, pattern in patterns.items():
         if name not in IDS:
-            raise InputError(f"Unknown id {name!r} in id_pattern.{did_you_mean(name, IDS)} Expected: {', '.join(IDS)}.")
+            raise InputError(
+                f"Unknown id {name!r} in id_pattern.{did_you_mean(name, IDS)} Expected: {', '.join(IDS)}.",
+                code="H3-STUDY-041",
+            )
         try:
             re.compile(pattern)
         except re.error as fault:
-            raise InputError(f"The id_pattern of {name} is not a regular expression ({fault}): {pattern!r}.") from None
+            raise InputError(
+                f"The id_pattern of {name} is not a regular expression ({fault}): {pattern!r}.", code="H3-STUDY-049"
+            ) from None
 
 
 def _known(form: Form) -> Form:
     name = form.builtin
     if name and name not in BUILTIN:
         raise InputError(
-            f"Unknown built-in form {name!r}.{did_you_mean(name, BUILTIN)} Expected one of: {', '.join(BUILTIN)}."
+            f"Unknown built-in form {name!r}.{did_you_mean(name, BUILTIN)} Expected one of: {', '.join(BUILTIN)}.",
+            code="H3-STUDY-027",
         )
     return form
 
@@ -245,7 +274,7 @@ def _texts(design: Design) -> list[Text]:
 def _distinct(what: str, names: list[str]) -> None:
     if len(set(names)) != len(names):
         twice = next(name for name in names if names.count(name) > 1)
-        raise InputError(f"Expected different {what}, got {twice!r} twice.")
+        raise InputError(f"Expected different {what}, got {twice!r} twice.", code="H3-STUDY-028")
 
 
 def study_folder(path: Path, design: Design) -> Path:
@@ -317,10 +346,12 @@ def key_file(folder: Path) -> Path:
 
 def _check_playable(name: str, plan: PlayPlan) -> None:
     try:
-        Table(plan)
+        EpisodeFactory(plan)
     except (InputError, TypeError) as fault:  # TypeError: rules that the task does not have
         where = f"condition {name}" if name else "tutorial"
-        raise InputError(f"The {where} cannot be played: {str(fault).replace('replace() got', 'rules have')}") from None
+        raise InputError(
+            f"The {where} cannot be played: {str(fault).replace('replace() got', 'rules have')}", code="H3-STUDY-042"
+        ) from None
 
 
 def _tutorial(design: Design) -> Condition:
@@ -345,11 +376,13 @@ def open_study(path: Path) -> tuple[Path, Design]:
     except FileNotFoundError:
         raise InputError(
             f"Expected a study file or the folder of a study, in which there is a {DESIGN_FILE}: {folder}. Hint: h3data study "
-            "run begins a study."
+            "run begins a study.",
+            code="H3-STUDY-043",
         ) from None
     except msgspec.MsgspecError as fault:
         raise InputError(
-            f"The study's {DESIGN_FILE} is damaged or of another version: {fault}. Folder: {folder}"
+            f"The study's {DESIGN_FILE} is damaged or of another version: {fault}. Folder: {folder}",
+            code="H3-STUDY-044",
         ) from None
     return folder, _with_relative(design, folder.resolve().parent)  # versions before 0.3 kept the whole path
 
@@ -363,5 +396,5 @@ def open_store(folder: Path, design: Design, *, read_only: bool = True) -> Study
     if not (folder / DATABASE).is_file():
         bots = bots_folder(folder)
         hint = f"bots have: {bots}" if (bots / DATABASE).is_file() else "h3data study run begins it."
-        raise InputError(f"Nobody has taken part in this study yet: {folder}. Hint: {hint}")
+        raise InputError(f"Nobody has taken part in this study yet: {folder}. Hint: {hint}", code="H3-STUDY-029")
     return StudyStore(design, deal(design), folder, read_only=read_only)

@@ -101,14 +101,15 @@ class Progress:
 
     # --- what participants do -----------------------------------------------------------------------------------------
     def device(self, report: dict[str, Any]) -> dict[str, dict[str, Any]]:
-        """Notes what is known about the device; where it is not good enough, that is the end. A window that is too small can
-        be enlarged, and the check is made again, unless the report is the ``final`` one.
+        """Stores what is known about the participant's device, which ends the participation if it is not suitable.
+
+        A window that is too small can be enlarged and is checked again, unless the report is the ``final`` one.
 
         Returns:
             The new rows.
 
         Raises:
-            NotNow: it has been checked.
+            NotNow: the device has been checked already.
         """
         self._require("device")
         limits = self.design.device
@@ -129,20 +130,22 @@ class Progress:
     def answer(
         self, form_id: str, answers: dict[str, Any], block: int | None = None, trial: int | None = None
     ) -> dict[str, dict[str, Any]]:
-        """Takes the answers of the form that is next. Where they do not pass its checks, it is asked again, or, after the last
-        attempt, noted and perhaps the end.
+        """Stores the answers of the form that is next.
+
+        A form whose checks are not passed is asked again; after the last attempt the answers are stored, and the
+        participation may end.
 
         Args:
-            form_id: The form that was filled in.
-            answers: By item.
-            block: The block that it was filled in for (`Stage.block`); None: the present one.
-            trial: The episode of the block, likewise.
+            form_id: form that was filled in.
+            answers: answers by item.
+            block: block for which it was filled in (`Stage.block`); None is the present one.
+            trial: episode of the block, likewise.
 
         Returns:
             The new rows.
 
         Raises:
-            NotNow: another form is next, or an answer is missing or impossible.
+            NotNow: another form is next, or an answer is missing or invalid.
         """
         stage = self._require("form")
         if stage.form != form_id or block not in (None, stage.block) or trial not in (None, stage.trial):
@@ -165,9 +168,10 @@ class Progress:
         return sum(key.startswith(f"{CHECK}/{self.stage.key}/") for key in self.rows)
 
     def require_here(self, block: int | None, trial: int | None) -> None:
-        """
+        """Checks that a page refers to the present episode.
+
         Raises:
-            NotNow: a page names an episode (`Stage.block`, `Stage.trial`) that is not the present one.
+            NotNow: it names another episode (`Stage.block`, `Stage.trial`).
         """
         stage = self.stage
         if block not in (None, stage.block) or (stage.block and trial not in (None, stage.trial)):

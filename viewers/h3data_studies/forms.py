@@ -86,8 +86,10 @@ ABOUT_ROBOT = ("fluency", "trust")
 
 
 def resolved(form: Form) -> Form:
-    """A form with its items: those of the built-in one that it names, then its own, such as a check, under its own title and
-    text, if it has them."""
+    """Form with all its items: those of the built-in form that it names, then its own, such as a check.
+
+    Its own title and text replace those of the built-in form.
+    """
     if not form.builtin:
         return form
     base = BUILTIN[form.builtin]

@@ -16,7 +16,7 @@ from aiohttp import web
 from msgspec import Meta
 
 from h3data_play.connections import Failed, Live
-from h3data_play.front import ELSEWHERE, PAGE, SEATS_PER_ADDRESS, Front
+from h3data_play.front import ELSEWHERE, PAGE, SEATS_PER_ADDRESS, WebServer
 from h3data_play.plan import GameOrder
 from h3data_play.seats import Game, Seat, new_token, uptime
 from h3data_studies.design import StudyPlan
@@ -36,7 +36,7 @@ JOINS_S = 600.0
 """An address may send as many new participants in this time as may take part from it at once."""
 TOKEN_LENGTH = len(new_token())
 WATCH_S = 5.0
-"""Who has dropped out is looked for this often."""
+"""Interval of checks for participants who have dropped out [s]."""
 MOST_PAUSES = 200
 MOST_FOCUS = 1000
 Short = Annotated[str, Meta(max_length=80)]
@@ -84,7 +84,7 @@ class Filled(msgspec.Struct, frozen=True):
     form: Short
     answers: dict[Short, Any]
     block: int | None = None
-    """As the view named it."""
+    """Number of the block, as the view named it."""
     trial: int | None = None
 
 
@@ -113,7 +113,7 @@ class Episode(msgspec.Struct, frozen=True):
     trial: int | None = None
 
 
-class StudyFront(Front):
+class StudyServer(WebServer):
     """All participants of one study."""
 
     journal: StudyStore
@@ -124,17 +124,18 @@ class StudyFront(Front):
         report: Callable[[dict[str, Any]], None] = lambda _: None, seats_per_address: int = SEATS_PER_ADDRESS,
         behind_proxy: bool = False, hosts: Sequence[str] = (), clock: Callable[[], float] = uptime,
     ) -> None:  # fmt: skip
-        """
+        """Sets up the server; it starts with its web application.
+
         Args:
-            study: What is played, by whom.
-            workers: Processes beside the spare one.
-            open_door: Whether ``/`` is the study's page, else its link has a secret.
-            secure: Whether browsers come through TLS.
-            report: Called with what the command line tells its user.
-            seats_per_address: Participants at once of one network address.
-            behind_proxy: As of `Front`.
-            hosts: As of `Front`.
-            clock: As of `Front`.
+            study: design and plan of the study.
+            workers: number of worker processes, besides the spare one.
+            open_door: whether ``/`` is the study's page; otherwise its link has a secret.
+            secure: whether browsers connect through TLS.
+            report: called with messages for the user of the command line.
+            seats_per_address: number of simultaneous participants for one network address.
+            behind_proxy: as for `WebServer`.
+            hosts: as for `WebServer`.
+            clock: as for `WebServer`.
         """
         self.study, self.design = study, study.design
         super().__init__(
@@ -156,6 +157,7 @@ class StudyFront(Front):
 
     # --- the application ----------------------------------------------------------------------------------------------
     def application(self) -> web.Application:
+        """Web application with the study's pages besides those of live play."""
         app = super().application()
         for prefix in ("", "/s/{key}"):
             app.router.add_post(prefix + "/api/study", self.hello)
@@ -457,7 +459,7 @@ class StudyFront(Front):
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     async def sit(self, request: web.Request) -> web.Response:
-        """As of `Front`, if the page is about the episode that is next."""
+        """Gives a seat to a browser whose page is about the episode that is next."""
         body = await self._read(request, Episode)
         participant = self._participant(request)
         if participant is not None and participant.is_active:

@@ -7,7 +7,7 @@ from typing import Any
 
 from h3data_play.serve import ServeOptions, main
 from h3data_studies.design import StudyPlan
-from h3data_studies.front import StudyFront
+from h3data_studies.front import StudyServer
 
 
 class StudyServeOptions(ServeOptions, frozen=True, kw_only=True):
@@ -15,8 +15,9 @@ class StudyServeOptions(ServeOptions, frozen=True, kw_only=True):
 
     study: StudyPlan
 
-    def front(self, **given: Any) -> StudyFront:
-        return StudyFront(self.study, **given)
+    def front(self, **given: Any) -> StudyServer:
+        """Server of the study."""
+        return StudyServer(self.study, **given)
 
 
 if __name__ == "__main__":

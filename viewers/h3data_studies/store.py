@@ -1,5 +1,7 @@
-"""Participants on the disk: who has consented, what they have done, where they sit. One SQLite file per study, of which every
-commit is on the disk before a browser hears of it."""
+"""Participants on the disk: their consent, progress and seats.
+
+There is one SQLite file per study. Every commit is on the disk before a browser learns of it.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-from h3data_play.seats import Game, Journal, Seat, uptime
+from h3data_play.seats import Game, Seat, SeatLog, uptime
 from h3data_studies.design import Design, Place
 from h3data_studies.flow import ACTIVE, COMPLETE, Progress
 
@@ -47,7 +49,7 @@ class Participant:
     used: float
     """Time since they agreed during which the study was served [s]."""
     idle: float
-    """As ``used``, since they last did something."""
+    """Time since the participant last did something [s], counted like ``used``."""
     language: str
     consent: dict[str, str]
     """Version and SHA-256 of the text that they agreed to."""
@@ -61,23 +63,25 @@ class Participant:
 
     @property
     def is_active(self) -> bool:
+        """Whether the participant is taking part, and has neither finished nor left."""
         return self.progress.status == ACTIVE
 
 
-class StudyStore(Journal):
+class StudyStore(SeatLog):
     """The journal of seats and games of a study, and its participants."""
 
     def __init__(
         self, design: Design, places: Sequence[Place], folder: Path, *, read_only: bool = False,
         clock: Callable[[], float] = uptime,
     ) -> None:  # fmt: skip
-        """
+        """Opens or creates the store of a study.
+
         Args:
-            design: The study file.
-            places: What each participant plays.
-            folder: Of the study.
-            read_only: Works on a copy in memory: the file may be another process's.
-            clock: Seconds since some moment, by which participants' time is counted.
+            design: study file.
+            places: conditions and episodes of each participant.
+            folder: folder of the study.
+            read_only: whether to work on a copy in memory, because the file may belong to another process.
+            clock: clock in seconds by which participants' time is counted.
         """
         self.design, self.places = design, places
         self.participants: dict[int, Participant] = {}
@@ -95,9 +99,11 @@ class StudyStore(Journal):
                 self._count_from_stamps()
 
     def _count_from_stamps(self) -> None:
-        """Before 0.3 there was the date of a participant's last act in place of seconds. What they had used is the time between
-        their rows; a gap in which they would have dropped out had the study been served was the server's, as is a step of the
-        clock."""
+        """Computes the time that participants have used from dates, as versions before 0.3 stored them.
+
+        It is the time between a participant's rows. A gap in which they would have dropped out, had the study been
+        served, is the server's and does not count, nor does a step of the clock.
+        """
         times: dict[int, list[float]] = {}
         for number, at in self._db.execute("select participant, at from rows"):
             times.setdefault(number, []).append(at)
@@ -203,8 +209,10 @@ class StudyStore(Journal):
             )
 
     def count_time(self) -> None:
-        """Adds the time since the last call to what everybody who is under way has used; to be called every few seconds.
-        `keep_time` puts it on the disk."""
+        """Adds the time since the last call to the time used by all active participants; called every few seconds.
+
+        `keep_time` writes it to the disk.
+        """
         now = self._clock()
         passed, self._counted = now - self._counted, now
         if 0 < passed <= GAP_S:
@@ -273,7 +281,7 @@ class StudyStore(Journal):
         return removed
 
     def remove(self, participant: Participant) -> dict[str, int]:
-        """As `forget`, but leaves the file as long as it is, which does not stop those who play."""
+        """Deletes a participant's data as `forget`, without shrinking the file, so that games are not interrupted."""
         number = participant.number
         removed: dict[str, int] = {}
         with self._transaction():

@@ -1,5 +1,8 @@
-"""Words for participants, by language: those of the package (``texts/*.json``), which a study file may replace (``[texts.de]``)
-or, for a further language, has to give (``[texts.fr]``)."""
+"""Texts for participants, by language.
+
+Those of the package (``texts/*.json``) can be replaced by a study file (``[texts.de]``), which has to give all of them
+for a further language (``[texts.fr]``).
+"""
 
 from __future__ import annotations
 
@@ -64,8 +67,11 @@ def words(design: Design, language: str) -> dict[str, str]:
 
 
 def page_words(design: Design, language: str) -> dict[str, str]:
-    """Everything that the page says in a language: `words`, those of episodes as ``live_NAME``, and for sentences of the server
-    and words for things the English ones as ``said.TEXT``, ``things.TEXT``."""
+    """All texts of the page in a language.
+
+    They are `words`, those of episodes as ``live_NAME``, and translations of the server's English sentences and words
+    for things as ``said.TEXT`` and ``things.TEXT``.
+    """
     found = shipped(language)
     if found is None:
         return words(design, language)

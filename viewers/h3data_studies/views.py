@@ -73,7 +73,7 @@ def end_view(
 
 
 def stage_view(design: Design, participant: Participant, *, own_code: str = "") -> dict[str, Any]:
-    """What a participant does next; ``own_code`` as of `end_view`."""
+    """View of a participant's next stage; ``own_code`` is that of `end_view`."""
     progress, language = participant.progress, participant.language
     stage, said = progress.stage, words(design, language)
     more = {"participant": participant.id, "progress": {"done": progress.done, "of": len(progress.stages)}}

@@ -86,11 +86,12 @@ def show(
         MissingExtraError: the Rerun viewer is not installed.
     """
     if viewer not in (None, "rerun", "video"):
-        raise InputError(f"Expected 'rerun' or 'video' as viewer, got {viewer!r}.")
+        raise InputError(f"Expected 'rerun' or 'video' as viewer, got {viewer!r}.", code="H3-VIEW-013")
     installed = importlib.util.find_spec("rerun_notebook") is not None
     if viewer == "rerun" and not installed:
         raise MissingExtraError(
-            'The Rerun viewer for notebooks is not installed. Hint: pip install "h3data[notebook]", or show("video")'
+            'The Rerun viewer for notebooks is not installed. Hint: pip install "h3data[notebook]", or show("video")',
+            code="H3-VIEW-014",
         )
     if viewer == "rerun" or (viewer is None and installed):
         return _rerun(recording, width=width, assets=assets)

@@ -45,14 +45,16 @@ def is_amass(names: tuple[str, ...]) -> bool:
 
 
 def read_amass(path: str | Path, *, up: Up = "z", fps: float | None = None, source: str = "") -> Motion:
-    """The motion in a file of AMASS or of the same layout: ``poses`` [T, 3n] of 55, 52, 24 or 22 joints, or
-    ``root_orient`` with ``pose_body`` (and ``pose_hand``, ``pose_jaw``, ``pose_eye``), ``trans``, and the frame rate.
+    """Reads motion from an npz file in the layout of AMASS.
+
+    The file has ``poses`` [T, 3n] of 55, 52, 24 or 22 joints, or ``root_orient`` with ``pose_body`` (and ``pose_hand``,
+    ``pose_jaw``, ``pose_eye``); further ``trans`` and the frame rate.
 
     Args:
-        path: The npz file; of pickled members nothing is read.
-        up: Axis of the file's world that points up: z in AMASS, y in some other sets.
-        fps: Frames per second, if the file does not say.
-        source: Origin and licence; AMASS' own terms are named if empty.
+        path: npz file; pickled members are not read.
+        up: axis of the file's world that points up: z in AMASS, y in some other sets.
+        fps: frames per second, if the file does not say.
+        source: origin and licence; AMASS' own terms are named if empty.
 
     Raises:
         FormatError: an array is missing or of the wrong shape, or a number is not finite; the message names its key.
@@ -63,7 +65,9 @@ def read_amass(path: str | Path, *, up: Up = "z", fps: float | None = None, sour
     where = str(path)
     if not is_amass(tuple(data)):
         held = ", ".join(npz_names(path)[:12]) or "nothing"
-        raise FormatError(f"Expected poses, or root_orient with pose_body; the file has {held}: {where}")
+        raise FormatError(
+            f"Expected poses, or root_orient with pose_body; the file has {held}: {where}", code="H3-BODY-003"
+        )
     rotvecs = _joint_rotvecs(data, where)
     trans = _numbers(data, _key(data, TRANS_KEYS, where), (len(rotvecs), 3), where)
     quats = np.tile([0.0, 0, 0, 1], (len(rotvecs), JOINT_COUNT, 1))
@@ -86,7 +90,8 @@ def _joint_rotvecs(data: Mapping[str, NDArray[Any]], where: str) -> Array:
         body = _flat(data, body_key, where)
         if body.shape[1] not in (63, 69):
             raise FormatError(
-                f"{body_key}: Expected 21 (or SMPL's 23) joints times 3, got {body.shape[1]} columns: {where}"
+                f"{body_key}: Expected 21 (or SMPL's 23) joints times 3, got {body.shape[1]} columns: {where}",
+                code="H3-BODY-010",
             )
         parts = [_numbers(data, _key(data, ROOT_KEYS, where), (len(body), 3), where), body[:, :63]]
         extra = (JAW_KEY, 3), (EYE_KEY, 6), (HAND_KEY, 90)
@@ -99,7 +104,9 @@ def _joint_rotvecs(data: Mapping[str, NDArray[Any]], where: str) -> Array:
     poses = _flat(data, POSES_KEY, where)
     if poses.shape[1] % 3 or poses.shape[1] // 3 not in LAYOUTS:
         known = ", ".join(f"{3 * n} ({n} joints)" for n in LAYOUTS)
-        raise FormatError(f"{POSES_KEY}: Expected columns for one of {known}, got {poses.shape[1]}: {where}")
+        raise FormatError(
+            f"{POSES_KEY}: Expected columns for one of {known}, got {poses.shape[1]}: {where}", code="H3-BODY-004"
+        )
     return poses.reshape(len(poses), -1, 3)
 
 
@@ -107,33 +114,43 @@ def _key(data: Mapping[str, NDArray[Any]], keys: tuple[str, ...], where: str) ->
     for key in keys:
         if key in data:
             return key
-    raise FormatError(f"Expected {' or '.join(keys)}, found only {', '.join(data) or 'nothing known'}: {where}")
+    raise FormatError(
+        f"Expected {' or '.join(keys)}, found only {', '.join(data) or 'nothing known'}: {where}", code="H3-BODY-001"
+    )
 
 
 def _flat(data: Mapping[str, NDArray[Any]], key: str, where: str) -> Array:
     """An array [T, ...] as [T, n], with at least one frame; rotations in radians."""
     array = data[key]
     if array.ndim < 2 or not array.size:
-        raise FormatError(f"{key}: Expected one row per frame, got shape {list(array.shape)}: {where}")
+        raise FormatError(
+            f"{key}: Expected one row per frame, got shape {list(array.shape)}: {where}", code="H3-BODY-005"
+        )
     flat = _numbers(data, key, (len(array), -1), where)
     if np.abs(flat).max() > MAX_ANGLE_RAD:
-        raise FormatError(f"{key}: Expected axis-angle vectors in radians, got {np.abs(flat).max():.1f}: {where}")
+        raise FormatError(
+            f"{key}: Expected axis-angle vectors in radians, got {np.abs(flat).max():.1f}: {where}", code="H3-BODY-006"
+        )
     return flat
 
 
 def _numbers(data: Mapping[str, NDArray[Any]], key: str, shape: tuple[int, ...], where: str) -> Array:
     array = data[key]
     if array.dtype.kind not in "fiu":
-        raise FormatError(f"{key}: Expected numbers, got {array.dtype}: {where}")
+        raise FormatError(f"{key}: Expected numbers, got {array.dtype}: {where}", code="H3-BODY-007")
     try:
         out = array.astype(np.float64).reshape(shape)
     except ValueError:
-        raise FormatError(f"{key}: Expected shape {list(shape)}, got {list(array.shape)}: {where}") from None
+        raise FormatError(
+            f"{key}: Expected shape {list(shape)}, got {list(array.shape)}: {where}", code="H3-BODY-011"
+        ) from None
     if not np.isfinite(out).all():
         frame = int(np.nonzero(~np.isfinite(out).all(axis=1))[0][0])
-        raise FormatError(f"{key}: Expected finite numbers, frame {frame} has others: {where}")
+        raise FormatError(f"{key}: Expected finite numbers, frame {frame} has others: {where}", code="H3-BODY-008")
     if np.abs(out).max(initial=0) > 1e6:
-        raise FormatError(f"{key}: Expected metres or radians, got {np.abs(out).max():.3g}: {where}")
+        raise FormatError(
+            f"{key}: Expected metres or radians, got {np.abs(out).max():.3g}: {where}", code="H3-BODY-009"
+        )
     return out
 
 
@@ -142,9 +159,10 @@ def _fps(data: Mapping[str, NDArray[Any]], where: str) -> float:
         if key in data:
             array = data[key]
             if array.size != 1 or array.dtype.kind not in "fiu" or not 0 < float(array.reshape(())) < 1e4:
-                raise FormatError(f"{key}: Expected frames per second, got {array!r}: {where}")
+                raise FormatError(f"{key}: Expected frames per second, got {array!r}: {where}", code="H3-BODY-012")
             return float(array.reshape(()))
     raise FormatError(
         f"No frame rate: expected one of {', '.join(FPS_KEYS)}. Hint: give it yourself, h3data motion import --fps 120. "
-        f"File: {where}"
+        f"File: {where}",
+        code="H3-BODY-002",
     )

@@ -31,7 +31,7 @@ class BvhJoint:
     parent: int
     """-1 = a root."""
     offset: tuple[float, float, float]
-    """In the parent's frame, in the units of the file."""
+    """Position of the joint in its parent's frame, in the units of the file."""
     channels: tuple[str, ...]
     """Lower case, in the order of the file: that of the values, and that in which rotations apply."""
     end_site: bool = False
@@ -93,11 +93,12 @@ def read_bvh_file(path: str | Path) -> Bvh:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise FormatError(
-                f"A BVH file of {path.stat().st_size >> 20} MiB is more than the {MAX_BYTES >> 20} admitted: {path}"
+                f"A BVH file of {path.stat().st_size >> 20} MiB is more than the {MAX_BYTES >> 20} admitted: {path}",
+                code="H3-BODY-015",
             )
         text = path.read_bytes().decode("utf-8-sig", errors="replace")
     except OSError as error:
-        raise InputError(f"Cannot read a BVH file ({error.strerror or error}): {path}") from None
+        raise InputError(f"Cannot read a BVH file ({error.strerror or error}): {path}", code="H3-BODY-016") from None
     return parse_bvh(text, str(path))
 
 
@@ -176,12 +177,12 @@ class _Reader:
         return text
 
     def fault(self, text: str) -> FormatError:
-        return FormatError(f"BVH line {self.row}: {text}: {self.where}")
+        return FormatError(f"BVH line {self.row}: {text}: {self.where}", code="H3-BODY-013")
 
 
 def _hierarchy(reader: _Reader) -> tuple[BvhJoint, ...]:
     if not reader.peek():
-        raise FormatError(f"Expected a BVH file, this one is empty: {reader.where}")
+        raise FormatError(f"Expected a BVH file, this one is empty: {reader.where}", code="H3-BODY-014")
     reader.expect("HIERARCHY")
     joints: list[BvhJoint] = []
     names: set[str] = set()

@@ -55,8 +55,10 @@ TILT_DEG, BEND_DEG = 30.0, 100.0
 
 
 class NameTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Which joint of a file is which of ours, in TOML. ``{side}``, ``{Side}`` and ``{s}`` stand for left, Left and l, or for
-    right, Right and r."""
+    """Table of which joint of a BVH file is which of ours, in TOML.
+
+    ``{side}``, ``{Side}`` and ``{s}`` stand for left, Left and l, or for right, Right and r.
+    """
 
     joints: dict[str, str]
     """Our name: theirs, of which only letters and digits count. Those of `REQUIRED` must be there."""
@@ -89,11 +91,14 @@ def load_name_table(name: str | Path) -> NameTable:
     """
     path = builtin_path(f"motion_names/{name}.toml") if str(name) in BUILTIN_TABLES else Path(name)
     if not path.is_file():
-        raise InputError(f"No table of joint names there. Expected {', '.join(BUILTIN_TABLES)} or a TOML file: {path}")
+        raise InputError(
+            f"No table of joint names there. Expected {', '.join(BUILTIN_TABLES)} or a TOML file: {path}",
+            code="H3-BODY-018",
+        )
     try:
         table = msgspec.toml.decode(path.read_bytes(), type=NameTable)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"Not a table of joint names: {error}: {path}") from None
+        raise InputError(f"Not a table of joint names: {error}: {path}", code="H3-BODY-023") from None
     joints, axes = _both_sides(table.joints), _both_sides(table.axes)
     unknown = [j for j in (*joints, *axes) if j not in JOINT_INDEX]
     missing = [j for j in REQUIRED if j not in joints]
@@ -102,7 +107,7 @@ def load_name_table(name: str | Path) -> NameTable:
         faults = [f"unknown joint {unknown[0]!r}, ours are SMPL-X names such as left_hip"] if unknown else []
         faults += [f"no entry for {', '.join(missing)}"] if missing else []
         faults += [f"axes {wrong[0]!r}, expected three of {', '.join(DIRECTIONS)}, right-handed"] if wrong else []
-        raise InputError(f"The table of joint names has {'; '.join(faults)}: {path}")
+        raise InputError(f"The table of joint names has {'; '.join(faults)}: {path}", code="H3-BODY-019")
     return msgspec.structs.replace(table, joints=joints, axes=axes)
 
 
@@ -173,8 +178,11 @@ def _bare(name: str) -> str:
 
 
 def _numbers(bvh: Bvh) -> dict[str, int]:
-    """Joints by their bare names, and by what is left of these without the beginning that all of them share: exporters put
-    the name of the character there (``mixamorig:Hips``, ``mixamorig_Hips``, ``Character1_Hips``)."""
+    """Numbers of joints by their bare names.
+
+    They can also be looked up without the prefix that all names share: exporters put the name of the character there
+    (``mixamorig:Hips``, ``mixamorig_Hips``, ``Character1_Hips``).
+    """
     bare = {_bare(joint.name): k for k, joint in enumerate(bvh.joints) if not joint.end_site}
     first, last = min(bare), max(bare)
     shared = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(first, last, strict=False)))
@@ -197,12 +205,15 @@ def _fitting_table(bvh: Bvh, names: str | Path | None, where: str) -> _Mapped:
         some = ", ".join(j.name for j in bvh.joints if not j.end_site)
         raise FormatError(
             f"The joints of this BVH fit no table: {', '.join(nearest or [])} not found. Hint: give your own names in a TOML "
-            f"file, h3data motion import --names FILE (h3data docs motion). The file has {some[:300]}: {where}"
+            f"file, h3data motion import --names FILE (h3data docs motion). The file has {some[:300]}: {where}",
+            code="H3-BODY-020",
         )
     best = max(fits, key=lambda fit: fit[0])[1]
     faults = _order_faults(bvh, best.index)
     if faults:
-        raise FormatError(f"The joints hang on each other in another way than a person's: {faults[0]}: {where}")
+        raise FormatError(
+            f"The joints hang on each other in another way than a person's: {faults[0]}: {where}", code="H3-BODY-021"
+        )
     return best
 
 
@@ -235,7 +246,8 @@ def _unit(leg: float, stated: float | None, where: str) -> float:
             return unit
     raise FormatError(
         f"Legs of {leg:g} units are those of a person in no unit known (metre, centimetre, inch, CMU, millimetre). "
-        f"Hint: h3data motion import --unit-m 0.01. File: {where}"
+        f"Hint: h3data motion import --unit-m 0.01. File: {where}",
+        code="H3-BODY-017",
     )
 
 
@@ -250,7 +262,8 @@ def _upright(places: Array, index: Mapping[str, int], where: str) -> Array:
     if any(a is None for a in axes) or abs(np.dot(*axes)) > 0.5:  # type: ignore[arg-type]
         raise FormatError(
             "Without rotations this figure does not stand upright (its joint frames follow its bones). Hint: say in a table "
-            f"where the axes point, names=FILE with [axes] (h3data docs motion): {where}"
+            f"where the axes point, names=FILE with [axes] (h3data docs motion): {where}",
+            code="H3-BODY-022",
         )
     return np.stack([axes[0], axes[1], np.cross(axes[0], axes[1])], axis=1)  # type: ignore[arg-type]
 
@@ -285,7 +298,8 @@ def _corrections(found: _Mapped, places: Array, upright: Array, where: str) -> d
             if np.dot(bone, straight) < np.cos(np.radians(BEND_DEG)):
                 raise FormatError(
                     f"Without rotations, {name} points away from a T-pose by more than {BEND_DEG:g} degrees. Hint: say in "
-                    f"a table where the axes point, names=FILE with [axes] (h3data docs motion): {where}"
+                    f"a table where the axes point, names=FILE with [axes] (h3data docs motion): {where}",
+                    code="H3-BODY-024",
                 )
             turn = _shortest_turn(np.array(straight), bone)
         elif name.startswith(SIDES) and not name.endswith(_OWN_TURN[found.table.feet_follow_shanks]):

@@ -142,10 +142,14 @@ class HabitatHumanoid:
         and turns 20 degrees a step."""
         walk = motion.walk
         if walk.displacement is None:
-            raise InputError("A walking clip needs its displacement. Hint: this file holds a sequence, not a walk.")
+            raise InputError(
+                "A walking clip needs its displacement. Hint: this file holds a sequence, not a walk.",
+                code="H3-BODY-025",
+            )
         if sorted(joint_names) != sorted(HABITAT_JOINTS):
             raise InputError(
-                f"Expected the 54 SMPL-X joints without the pelvis, in any order, got {len(joint_names)} names."
+                f"Expected the 54 SMPL-X joints without the pelvis, in any order, got {len(joint_names)} names.",
+                code="H3-BODY-026",
             )
         self._order = [list(joint_names).index(name) for name in JOINT_NAMES[1:]]
         self.motion = motion
@@ -281,7 +285,9 @@ class HabitatHumanoid:
         """
         if hand not in self.motion.hands:
             known = ", ".join(self.motion.hands) or "none"
-            raise InputError(f"This motion file has no reaching poses of the {hand} hand. It has: {known}.")
+            raise InputError(
+                f"This motion file has no reaching poses of the {hand} hand. It has: {known}.", code="H3-BODY-027"
+            )
         grid = self.motion.hands[hand]
         layout = list(self.motion.hands.values())[-1]  # habitat-lab's slip: the last loaded grid serves both hands
         place = reach_coordinates(self.base, position)

@@ -28,7 +28,9 @@ def read_habitat_motion(path: str | Path) -> HabitatMotion:
     where = str(path)
     walk = _clip(_part(content, "walk_motion", where), "walk_motion", where)
     if walk.displacement is None:
-        raise FormatError(f"walk_motion.displacement: Expected the way per frame, got none: {where}")
+        raise FormatError(
+            f"walk_motion.displacement: Expected the way per frame, got none: {where}", code="H3-BODY-028"
+        )
     stop = _part(content, "stop_pose", where)
     hands: dict[Hand, ReachGrid] = {}
     for key in content:  # the file's order: the last hand's grid is the one that Habitat uses
@@ -59,14 +61,19 @@ def _content(path: Path) -> dict[str, Any]:
         size = path.stat().st_size
         if size > MAX_BYTES:
             raise FormatError(
-                f"A motion file of {size / 2**20:.0f} MiB is more than the {MAX_BYTES >> 20} admitted: {path}"
+                f"A motion file of {size / 2**20:.0f} MiB is more than the {MAX_BYTES >> 20} admitted: {path}",
+                code="H3-BODY-035",
             )
         data = path.read_bytes()
     except OSError as error:
-        raise InputError(f"Cannot read a motion file: {error.strerror or error}. Path: {path}") from None
+        raise InputError(
+            f"Cannot read a motion file: {error.strerror or error}. Path: {path}", code="H3-BODY-036"
+        ) from None
     content = load_pickle(data, path) if is_pickle(data) else npz_members(path)
     if not isinstance(content, dict):
-        raise FormatError(f"Expected a motion file with its parts by name, got {type(content).__name__}: {path}")
+        raise FormatError(
+            f"Expected a motion file with its parts by name, got {type(content).__name__}: {path}", code="H3-BODY-029"
+        )
     return content
 
 
@@ -75,7 +82,8 @@ def _part(content: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any
     value = _plain(content.get(name))
     if not isinstance(value, dict):
         raise FormatError(
-            f"Expected {name!r} in the motion file, it has {', '.join(map(str, content)) or 'nothing'}: {where}"
+            f"Expected {name!r} in the motion file, it has {', '.join(map(str, content)) or 'nothing'}: {where}",
+            code="H3-BODY-030",
         )
     return value
 
@@ -93,12 +101,13 @@ def _clip(part: Mapping[str, Any], name: str, where: str) -> HabitatClip:
         displacement = _floats(part, "displacement", name, where, (len(roots),))
         if not displacement[-1] > 0:
             raise FormatError(
-                f"{name}.displacement: Expected a way that ends beyond 0, got {displacement[-1]:g}: {where}"
+                f"{name}.displacement: Expected a way that ends beyond 0, got {displacement[-1]:g}: {where}",
+                code="H3-BODY-037",
             )
     fps = part.get("fps")
     fps = fps.item() if isinstance(fps, np.ndarray) and fps.size == 1 else fps
     if isinstance(fps, bool) or not isinstance(fps, (int, float)) or not 0 < fps < 1e6:
-        raise FormatError(f"{name}.fps: Expected frames per second above 0, got {fps!r}: {where}")
+        raise FormatError(f"{name}.fps: Expected frames per second above 0, got {fps!r}: {where}", code="H3-BODY-031")
     return HabitatClip(joints=joints, roots=roots, fps=float(fps), displacement=displacement)
 
 
@@ -108,7 +117,8 @@ def _grid(part: Mapping[str, Any], name: str, where: str) -> ReachGrid:
     if not (high > low).all() or not (bins >= 2).all() or (bins != bins.astype(int)).any():
         raise FormatError(
             f"{name}.coord_info: Expected min < max and at least 2 bins per axis, "
-            f"got {low.tolist()}, {high.tolist()}, {bins.tolist()}: {where}"
+            f"got {low.tolist()}, {high.tolist()}, {bins.tolist()}: {where}",
+            code="H3-BODY-032",
         )
     counts = (int(bins[0]), int(bins[1]), int(bins[2]))
     points = counts[0] * counts[1] * counts[2]
@@ -129,11 +139,16 @@ def _floats(part: Mapping[str, Any], key: str, name: str, where: str, shape: tup
         numbers = numbers.reshape(shape)
     except (TypeError, ValueError, OverflowError):
         got = "nothing" if array is None else f"{type(array).__name__} {list(np.shape(array))}"
-        raise FormatError(f"{name}.{key}: Expected numbers that fill {list(shape)}, got {got}: {where}") from None
+        raise FormatError(
+            f"{name}.{key}: Expected numbers that fill {list(shape)}, got {got}: {where}", code="H3-BODY-038"
+        ) from None
     if not numbers.size or not np.isfinite(numbers).all():
         raise FormatError(
-            f"{name}.{key}: Expected finite numbers, got {'none' if not numbers.size else 'NaN'}: {where}"
+            f"{name}.{key}: Expected finite numbers, got {'none' if not numbers.size else 'NaN'}: {where}",
+            code="H3-BODY-033",
         )
     if key in ("joints_array", "joints") and not np.allclose(np.linalg.norm(numbers, axis=-1), 1, atol=1e-2):
-        raise FormatError(f"{name}.{key}: Expected unit quaternions xyzw, some are not of length 1: {where}")
+        raise FormatError(
+            f"{name}.{key}: Expected unit quaternions xyzw, some are not of length 1: {where}", code="H3-BODY-034"
+        )
     return numbers

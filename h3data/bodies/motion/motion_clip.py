@@ -47,19 +47,19 @@ class Motion:
     body: str = ""
     """Body that it was fitted to; empty: as recorded."""
     source: str = ""
-    """Where it comes from and under which licence."""
+    """Origin and licence of the motion."""
 
     def __post_init__(self) -> None:
         faults = _faults(self)
         if faults:
-            raise FormatError(f"Motion {self.name!r}: {'; '.join(faults)}.")
+            raise FormatError(f"Motion {self.name!r}: {'; '.join(faults)}.", code="H3-BODY-039")
 
     def __len__(self) -> int:
         return len(self.quats)
 
     @property
     def duration_s(self) -> float:
-        """From the first to the last frame."""
+        """Time from the first to the last frame [s]."""
         return (len(self) - 1) / self.fps
 
     @property
@@ -75,7 +75,7 @@ class Motion:
         """
         place = np.clip(np.atleast_1d(np.asarray(time_s, np.float64)) * self.fps, 0, len(self) - 1)
         if not np.isfinite(place).all():
-            raise InputError("Expected finite times [s], got NaN.")
+            raise InputError("Expected finite times [s], got NaN.", code="H3-BODY-040")
         nearest = np.rint(place)
         place = np.where(np.abs(place - nearest) < 1e-9 * len(self), nearest, place)
         lower = np.minimum(place.astype(np.intp), max(len(self) - 2, 0))
@@ -85,9 +85,9 @@ class Motion:
         return normalized(mixed), self.pelvis[lower] + share[:, None] * (self.pelvis[upper] - self.pelvis[lower])
 
     def resampled(self, fps: float) -> Motion:
-        """The same with another number of frames per second."""
+        """Motion with another number of frames per second."""
         if not 0 < fps < 1e4:
-            raise InputError(f"Expected frames per second above 0 and below 10000, got {fps}.")
+            raise InputError(f"Expected frames per second above 0 and below 10000, got {fps}.", code="H3-BODY-041")
         quats, pelvis = self.pose(np.arange(int(self.duration_s * fps + 1e-6) + 1) / fps)
         return replace(self, fps=float(fps), quats=quats, pelvis=pelvis)
 
@@ -96,7 +96,8 @@ class Motion:
         first, last = (round(float(np.clip(t, 0, self.duration_s)) * self.fps) for t in (start_s, end_s))
         if last <= first:
             raise InputError(
-                f"Expected a start before the end within 0..{self.duration_s:.2f} s, got {start_s}..{end_s}."
+                f"Expected a start before the end within 0..{self.duration_s:.2f} s, got {start_s}..{end_s}.",
+                code="H3-BODY-042",
             )
         return in_start_frame(replace(self, quats=self.quats[first : last + 1], pelvis=self.pelvis[first : last + 1]))
 
@@ -126,7 +127,7 @@ def _faults(motion: Motion) -> list[str]:
 
 
 def in_start_frame(motion: Motion) -> Motion:
-    """The same turned and shifted along the floor into its start frame, with rotations of continuous sign."""
+    """Motion turned and shifted along the floor into its start frame, with rotations of continuous sign."""
     heading = float(pelvis_heading(motion.quats[:1, 0])[0])
     turn = quat_from_heading(-heading)
     origin = motion.pelvis[0] * (1, 0, 1)

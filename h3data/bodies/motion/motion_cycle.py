@@ -60,16 +60,20 @@ class Loop:
 
 
 def find_loop(motion: Motion, body: Humanoid, *, min_s: float = 0.5, max_s: float = 2.5) -> Loop:
-    """The best loop of between ``min_s`` and ``max_s``: where all joints, seen from the pelvis, are where they were and move
-    as they moved.
+    """Finds the best loop between ``min_s`` and ``max_s`` long in a motion.
+
+    At its two ends all joints, seen from the pelvis, have nearly the same positions and velocities.
 
     Raises:
         InputError: the motion is shorter than ``min_s``.
     """
     if not 0 < min_s < max_s:
-        raise InputError(f"Expected 0 < min_s < max_s, got {min_s} and {max_s}.")
+        raise InputError(f"Expected 0 < min_s < max_s, got {min_s} and {max_s}.", code="H3-BODY-043")
     if motion.duration_s < min_s:
-        raise InputError(f"Motion {motion.name!r} lasts {motion.duration_s:.2f} s; a cycle needs at least {min_s} s.")
+        raise InputError(
+            f"Motion {motion.name!r} lasts {motion.duration_s:.2f} s; a cycle needs at least {min_s} s.",
+            code="H3-BODY-044",
+        )
     searched = motion if motion.fps <= SEARCH_FPS else motion.resampled(SEARCH_FPS)
     features = _features(searched, body)
     first, last = max(2, round(min_s * searched.fps)), min(round(max_s * searched.fps), len(searched) - 1)

@@ -28,7 +28,7 @@ SUFFIXES = (".npz", ".pkl", ".bvh")
 
 @dataclass(frozen=True, kw_only=True)
 class ReadOptions:
-    """What a file may not say about itself."""
+    """Facts that a motion file may not contain."""
 
     up: Up = "z"
     """AMASS: axis of the file's world that points up."""
@@ -43,7 +43,7 @@ class ReadOptions:
 
 
 def motion_kind(path: str | Path) -> MotionKind:
-    """What a motion file is, told from its content.
+    """Format of a motion file, detected by its content.
 
     Raises:
         FormatError: it holds no motion that is read; the message says what it looks like.
@@ -54,15 +54,17 @@ def motion_kind(path: str | Path) -> MotionKind:
         with path.open("rb") as stream:
             start = stream.read(256)
     except OSError as error:
-        raise InputError(f"Cannot read a motion file ({error.strerror or error}): {path}") from None
+        raise InputError(f"Cannot read a motion file ({error.strerror or error}): {path}", code="H3-BODY-052") from None
     if not start:
-        raise FormatError(f"Expected a motion file, this one is empty: {path}")
+        raise FormatError(f"Expected a motion file, this one is empty: {path}", code="H3-BODY-046")
     if start.removeprefix(b"\xef\xbb\xbf").lstrip()[:9].upper() == b"HIERARCHY":
         return "bvh"
     if is_pickle(start):
         return "habitat"
     if not start.startswith(b"PK"):
-        raise FormatError(f"Expected a motion file (npz, pickle or BVH), this is something else: {path}")
+        raise FormatError(
+            f"Expected a motion file (npz, pickle or BVH), this is something else: {path}", code="H3-BODY-047"
+        )
     names = npz_names(path)
     if {"format", "quats", "pelvis"} <= set(names):
         return "motion"
@@ -72,7 +74,7 @@ def motion_kind(path: str | Path) -> MotionKind:
         return "amass"
     shape_only = "betas" in names
     what = "the shape of a person, without motion" if shape_only else "no motion that is known"
-    raise FormatError(f"This npz holds {what}: {', '.join(names[:12]) or 'no arrays'}: {path}")
+    raise FormatError(f"This npz holds {what}: {', '.join(names[:12]) or 'no arrays'}: {path}", code="H3-BODY-045")
 
 
 def read_motion(
@@ -114,7 +116,10 @@ def habitat_clip_motion(clip: HabitatClip, *, name: str, source: str = "") -> Mo
     """
     rotation = clip.roots[:, :3, :3]
     if np.abs(rotation @ np.swapaxes(rotation, 1, 2) - np.eye(3)).max() > 1e-2 or np.linalg.det(rotation).min() < 0:
-        raise FormatError(f"transform_array: Expected rotations and places, one is sheared, scaled or mirrored: {name}")
+        raise FormatError(
+            f"transform_array: Expected rotations and places, one is sheared, scaled or mirrored: {name}",
+            code="H3-BODY-048",
+        )
     quats = np.empty((len(clip.joints), JOINT_COUNT, 4))
     quats[:, 0] = quat_from_matrix(rotation)
     quats[:, [JOINT_INDEX[joint] for joint in HABITAT_JOINTS]] = clip.joints
@@ -131,7 +136,7 @@ def save_motion(motion: Motion, path: str | Path) -> None:
 
 
 def motion_bytes(motion: Motion) -> bytes:
-    """What `save_motion` writes."""
+    """Content of the file that `save_motion` writes."""
     stream = io.BytesIO()
     np.savez_compressed(
         stream, format=np.array(FORMAT), name=np.array(motion.name), fps=np.float64(motion.fps),
@@ -153,15 +158,17 @@ def load_motion(path: str | Path | io.BytesIO) -> Motion:
     data = npz_arrays(path)
     found = str(data.get("format", "another npz file"))
     if found != FORMAT:
-        raise FormatError(f"Expected motion ({FORMAT}), got {found[:40]}: {path}")
+        raise FormatError(f"Expected motion ({FORMAT}), got {found[:40]}: {path}", code="H3-BODY-049")
     missing = [k for k in ("name", "fps", "joint_names", "quats", "pelvis", "leg_m", "body", "source") if k not in data]
     if missing:
-        raise FormatError(f"The motion file lacks {', '.join(missing)}: {path}")
+        raise FormatError(f"The motion file lacks {', '.join(missing)}: {path}", code="H3-BODY-050")
     if tuple(map(str, data["joint_names"].ravel())) != JOINT_NAMES:
-        raise FormatError(f"joint_names: Expected the 55 SMPL-X joints in their order: {path}")
+        raise FormatError(f"joint_names: Expected the 55 SMPL-X joints in their order: {path}", code="H3-BODY-051")
     for key in ("fps", "leg_m", "quats", "pelvis"):
         if data[key].dtype.kind != "f" or (key in ("fps", "leg_m") and data[key].size != 1):
-            raise FormatError(f"{key}: Expected numbers, got {data[key].dtype} {list(data[key].shape)}: {path}")
+            raise FormatError(
+                f"{key}: Expected numbers, got {data[key].dtype} {list(data[key].shape)}: {path}", code="H3-BODY-053"
+            )
     leg = float(data["leg_m"].reshape(()))
     try:
         return Motion(
@@ -170,4 +177,4 @@ def load_motion(path: str | Path | io.BytesIO) -> Motion:
             source=str(data["source"]),
         )  # fmt: skip
     except FormatError as error:
-        raise FormatError(f"{error} File: {path}") from None
+        raise FormatError(f"{error} File: {path}", code=error.code) from None

@@ -25,7 +25,7 @@ from h3data.geometry import Array, quat_conjugate, quat_multiply, quat_nlerp, qu
 
 SPEEDS_MPS = (0.3, 4.0)
 LEAST_STRIDE_M = 0.35
-"""Who gets no farther in a cycle of two steps stands, or treads on the spot."""
+"""Least distance covered in a cycle of two steps [m]; below it the person stands, or steps on the spot."""
 HALF = (0.3, 0.7)
 """Where in the cycle the right foot may strike: beyond it the right step is no step."""
 STANCES = {False: (0.58, 0.70), True: (0.25, 0.5)}
@@ -47,21 +47,23 @@ _SEEN = [JOINT_INDEX[name] for name in list(JOINT_INDEX)[1:22] if name not in _L
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cycle:
-    """One captured cycle on one body, in the body frame (+Z forward, +Y up, +X left); phase 0 is the strike of the left foot,
-    0.5 that of the right one."""
+    """One captured cycle of walking on one body, in the body frame (+Z forward, +Y up, +X left).
+
+    Phase 0 is the strike of the left foot, 0.5 that of the right one.
+    """
 
     speed_mps: float
     stride_m: float
     stance: float
     """Share of the cycle that a foot is on the floor."""
     strike: float
-    """How far ahead of the pelvis a foot strikes, in strides."""
+    """Distance ahead of the pelvis at which a foot strikes, in strides."""
     quats: Array
     """Local rotations [F, 55, 4]; those of the legs are not used."""
     pelvis: Array
     """[F, 3] [m]."""
     pitch: Array
-    """Of a foot over its own phase, toes up, [F] [deg]."""
+    """Pitch of a foot over its own phase, toes up, [F] [deg]."""
     flight: Array
     """What the ankle of a swinging foot is forward of and above the line between its places, at even shares of the swing, 0 at
     both ends, [S, 2] [m]."""
@@ -78,18 +80,22 @@ class MotionGaits(Gaits):
         return bool(np.all((np.asarray(speed_mps) > JOG_ABOVE_MPS) == (self.cycle.speed_mps > JOG_ABOVE_MPS)))
 
     def stride_m(self, speed_mps: ArrayLike) -> Array:
+        """Length of a cycle at given speeds [...] [m], scaled from the captured one where the body moves like it."""
         speed = np.abs(np.asarray(speed_mps, np.float64))
         jogs = self.cycle.speed_mps > JOG_ABOVE_MPS
         captured = self.cycle.stride_m * np.sqrt((speed if jogs else np.minimum(speed, 2.0)) / self.cycle.speed_mps)
         return np.where((speed > JOG_ABOVE_MPS) == jogs, captured, Gaits.stride_m(self, speed))
 
     def stance(self, speed_mps: float) -> float:
+        """Share of a cycle in which a foot is on the floor, as captured where the body moves like that."""
         return self.cycle.stance if self.plays(speed_mps) else Gaits.stance(self, speed_mps)
 
     def strike(self, speed_mps: float) -> float:
+        """Place of a foot at its strike, as captured where the body moves like that."""
         return self.cycle.strike if self.plays(speed_mps) else Gaits.strike(self, speed_mps)
 
     def posture(self, speed_mps: Array, phase: Array) -> Posture:
+        """Posture at phases of a cycle, as captured where the body moves like that."""
         if not self.plays(speed_mps):
             return Gaits.posture(self, speed_mps, phase)
         return cycle_posture(self.cycle, self.legs, self.stride_m(speed_mps), np.asarray(phase, np.float64))
@@ -116,18 +122,22 @@ def cycle_of(clip: Clip, body: Humanoid) -> Cycle:
     """
     if clip.speed_mps <= 0 or clip.stride_m < LEAST_STRIDE_M:
         gets = f"{clip.stride_m if clip.speed_mps > 0 else 0:.2f} m in its best cycle of {clip.period_s:.2f} s"
-        raise InputError(f"Motion {clip.name!r}: expected somebody who walks, this one gets {gets}.")
+        raise InputError(
+            f"Motion {clip.name!r}: expected somebody who walks, this one gets {gets}.", code="H3-BODY-054"
+        )
     if not SPEEDS_MPS[0] <= clip.speed_mps <= SPEEDS_MPS[1]:
         raise InputError(
             f"Motion {clip.name!r}: expected a walk of {SPEEDS_MPS[0]} to {SPEEDS_MPS[1]} m/s, this is one of "
-            f"{clip.speed_mps:.2f} m/s. Hint: is the unit of the file right (--unit-m of h3data motion import)?"
+            f"{clip.speed_mps:.2f} m/s. Hint: is the unit of the file right (--unit-m of h3data motion import)?",
+            code="H3-BODY-055",
         )
     quats, pelvis, ankle = _in_body_frame(clip)
     front = quat_rotate(quats[:, 0], np.array([0.0, 0, 1])).mean(axis=0)
     if front[2] < 0.8 * np.hypot(front[0], front[2]):
         raise InputError(
             f"Motion {clip.name!r}: expected somebody who walks where they face, this one goes "
-            f"{np.degrees(np.arctan2(abs(front[0]), front[2])):.0f} degrees off it."
+            f"{np.degrees(np.arctan2(abs(front[0]), front[2])):.0f} degrees off it.",
+            code="H3-BODY-056",
         )
     half = _right_strike(ankle, clip.name)
     quats, pelvis, ankle, pitch = (_warped(a, half) for a in (quats, pelvis, ankle, clip.foot[:, :, 0]))
@@ -140,7 +150,8 @@ def cycle_of(clip: Clip, body: Humanoid) -> Cycle:
     tilt = float(np.median(pitch[flat]))
     if abs(tilt) > TILT_DEG:
         raise InputError(
-            f"Motion {clip.name!r}: expected feet that lie flat in mid-stance, they are tilted by {tilt:.0f} degrees."
+            f"Motion {clip.name!r}: expected feet that lie flat in mid-stance, they are tilted by {tilt:.0f} degrees.",
+            code="H3-BODY-057",
         )
     pitch = _smoothed(pitch - tilt)
     pitch = np.sign(pitch) * np.maximum(np.abs(pitch) - LEVEL_DEG, 0)
@@ -204,7 +215,8 @@ def _right_strike(ankle: Array, name: str) -> float:
     if not HALF[0] <= half <= HALF[1] or max(alike) < 0.7 * float(np.dot(left, left)):
         raise InputError(
             f"Motion {name!r}: expected left and right steps in turn, the right foot does what the left one does "
-            f"{half:.2f} cycles later."
+            f"{half:.2f} cycles later.",
+            code="H3-BODY-058",
         )
     return half
 
@@ -287,5 +299,6 @@ def _refuse_twitches(body: Humanoid, name: str) -> None:
         joint = list(JOINT_INDEX)[_SEEN[int(moved.max(axis=0).argmax())]]
         raise InputError(
             f"Motion {name!r}: expected joints that move smoothly, {joint} jumps by {100 * moved.max():.0f} cm in 1/30 s. "
-            "Hint: clean the capture, or take another part of it."
+            "Hint: clean the capture, or take another part of it.",
+            code="H3-BODY-059",
         )

@@ -83,7 +83,8 @@ def _kept(name: str) -> bytes:
     if name not in _files:
         raise InputError(
             f"The motion {name} is not at hand: it is an attachment of the recording that names it. Hint: open that recording "
-            "first, or name the file that the motion was imported from."
+            "first, or name the file that the motion was imported from.",
+            code="H3-BODY-060",
         )
     return _files[name]
 
@@ -103,7 +104,7 @@ def walk_file(path: str) -> bytes:
         FormatError: it is no motion file.
     """
     if not Path(path).is_file():
-        raise InputError(f"Expected a motion file (.npz, .pkl, .bvh), there is none there: {path}")
+        raise InputError(f"Expected a motion file (.npz, .pkl, .bvh), there is none there: {path}", code="H3-BODY-061")
     return motion_bytes(walk_of(read_motion(path)))
 
 
@@ -116,11 +117,13 @@ def walk_of(motion: Motion) -> Motion:
     if motion.fps < LEAST_FPS:
         raise InputError(
             f"Motion {motion.name!r}: expected at least {LEAST_FPS:g} frames per second, got {motion.fps:g}: a swinging foot "
-            "has too few."
+            "has too few.",
+            code="H3-BODY-062",
         )
     if motion.duration_s < CYCLE_S[0] + 0.1:
         raise InputError(
-            f"Motion {motion.name!r} lasts {motion.duration_s:.2f} s; a cycle of two steps needs {CYCLE_S[0] + 0.1:.1f} s."
+            f"Motion {motion.name!r} lasts {motion.duration_s:.2f} s; a cycle of two steps needs {CYCLE_S[0] + 0.1:.1f} s.",
+            code="H3-BODY-063",
         )
     if motion.fps > KEPT_FPS:
         motion = motion.resampled(KEPT_FPS)
@@ -131,7 +134,8 @@ def walk_of(motion: Motion) -> Motion:
     if loop.gap_m > GAP_SHARE * loop.spread_m:
         raise InputError(
             f"Motion {motion.name!r}: expected steps that repeat, the best cycle ends {100 * loop.gap_m:.0f} cm from where it "
-            f"starts. Hint: take a part with some steps straight ahead."
+            f"starts. Hint: take a part with some steps straight ahead.",
+            code="H3-BODY-064",
         )
     kept = part.part(max(loop.start_s - MARGIN_S, 0.0), loop.end_s + MARGIN_S)
     walks_as(body, kept)  # refuses what cannot be played
@@ -146,7 +150,8 @@ def _walked(motion: Motion) -> Motion:
     if fastest < LEAST_MPS:
         raise InputError(
             f"Motion {motion.name!r}: expected somebody who walks, this one gets on by {fastest:.2f} m/s at most. Hint: is the "
-            "unit of the file right (--unit-m of h3data motion import)?"
+            "unit of the file right (--unit-m of h3data motion import)?",
+            code="H3-BODY-065",
         )
     start, end = max(_runs(pace > WALKS_SHARE * fastest), key=lambda run: run[1] - run[0])
     return motion.part(start / motion.fps, (end - 1 + count) / motion.fps)
@@ -164,7 +169,8 @@ def _uncut(motion: Motion, body: Humanoid) -> list[Motion]:
     if not runs:
         raise InputError(
             f"Motion {motion.name!r}: expected {CYCLE_S[0] + 0.1:.1f} s without a jump, there are none. Hint: is it cut "
-            "together, or are joints missing in some frames?"
+            "together, or are joints missing in some frames?",
+            code="H3-BODY-066",
         )
     return [motion.part(start / motion.fps, (end - 1) / motion.fps) for start, end in runs]
 

@@ -55,7 +55,7 @@ CARRY_CLOSE = np.stack(
     ],
     axis=1,
 )
-"""Their rotations where an arm holds something close to the body, [2, 4, 4]."""
+"""Rotations of the arm joints where an arm holds something close to the body, [2, 4, 4]."""
 
 
 def draw_in(quats: Array, arms: ArrayLike, *, shoulders_forward: bool = False) -> None:
@@ -77,7 +77,8 @@ def draw_in(quats: Array, arms: ArrayLike, *, shoulders_forward: bool = False) -
     close = _CLOSE if shoulders_forward else _IN
     if every.shape != (len(quats), 2) or not tuck_all(quats, every, _SHOULDERS, close):
         raise InputError(
-            f"Expected how far two arms are drawn in, [{len(quats)}, 2] finite numbers, got shape {list(shares.shape)}."
+            f"Expected how far two arms are drawn in, [{len(quats)}, 2] finite numbers, got shape {list(shares.shape)}.",
+            code="H3-BODY-067",
         )
     if shoulders_forward:
         tuck_all(quats, every, _COLLARS, _COLLARS_IN)

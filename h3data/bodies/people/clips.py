@@ -174,7 +174,7 @@ def pose_at_speed(
         for a in np.broadcast_arrays(np.atleast_1d(speed_mps), np.atleast_1d(phase), np.atleast_1d(blend))
     )
     if not np.isfinite(speed).all() or (speed.size and speed.min() < 0):
-        raise InputError(f"Expected speeds of 0 m/s or more, got {speed.min()} to {speed.max()}.")
+        raise InputError(f"Expected speeds of 0 m/s or more, got {speed.min()} to {speed.max()}.", code="H3-BODY-068")
     quats, pelvis = np.empty((len(speed), 55, 4)), np.empty((len(speed), 3))
     jogs = speed > JOG_ABOVE_MPS
     for rows in (np.nonzero(jogs)[0], np.nonzero(~jogs)[0]):
@@ -226,7 +226,7 @@ class ClipTable:
 
     @cached_property
     def arrays(self) -> ClipArrays:
-        """For `h3data.bodies.people.kernels.clips`."""
+        """Arrays that `h3data.bodies.people.kernels.clips` takes."""
         from h3data.bodies.people.kernels.clips import ClipArrays
 
         return ClipArrays(
@@ -267,7 +267,7 @@ def sample_clips(
         motion, phase, blend = (np.ascontiguousarray(a) for a in np.broadcast_arrays(motion, phase, blend))
     low, high = (motion[0], motion[0]) if len(motion) == 1 else (motion.min(initial=0), motion.max(initial=0))
     if low < 0 or high >= len(table.frames):
-        raise InputError(f"Expected motion ids 0..{len(table.frames) - 1}, got {low}..{high}.")
+        raise InputError(f"Expected motion ids 0..{len(table.frames) - 1}, got {low}..{high}.", code="H3-BODY-069")
     quats, pelvis = np.empty((len(motion), 55, 4)), np.empty((len(motion), 3))
     floor = _FLAT if ground is None else _floor_heights(ground, len(motion))
     sample_all(table.arrays, motion, phase, blend, floor, quats, pelvis)

@@ -182,8 +182,11 @@ def _sinking(body: Humanoid, frames: Array, ankles: Array, fps: float) -> Array:
 
 
 def legs_to(body: Humanoid, quats: Array, pelvis: Array, ankles: Array) -> Array:
-    """Rotations [T, 55, 4] with hips and knees turned as little as brings the ankles to ``ankles`` [T, 2, 3]; the feet keep
-    their rotations in the world. Two bones in closed form: the knee bends about its own axis, then the leg swings."""
+    """Rotations [T, 55, 4] with hips and knees turned so that the ankles are at ``ankles`` [T, 2, 3].
+
+    They turn as little as possible, and the feet keep their rotations in the world. The solution is that of two bones
+    in closed form: the knee bends about its own axis, then the leg swings.
+    """
     out = np.array(quats, np.float64)
     frames = leg_frames(body, quats, pelvis)
     legs = body.gaits.legs

@@ -28,7 +28,7 @@ _TURN_STANCE, _TURN_LIFT_M = 0.56, 0.05
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GaitStyle:
-    """What distinguishes walking from jogging. Angles in degrees, phases as shares of the cycle."""
+    """Parameters that distinguish walking from jogging. Angles are in degrees, phases are shares of the cycle."""
 
     stance: float
     pitch: tuple[tuple[float, float], ...]
@@ -71,8 +71,11 @@ PARAMETERS = ("height", "cos2", "sin2", "cos4", "sin4", "shift", "lift", "lift_s
 
 
 def walk_stride(legs: Legs, speed_mps: ArrayLike) -> Array:
-    """Way per cycle [...] [m]: step = sqrt(WR 60 v), walk ratio WR = 0.0062 m per step/min at 0.86 m of leg (Sekiya et al.:
-    0.0065)."""
+    """Distance walked in a cycle [...] [m].
+
+    A step is sqrt(WR 60 v), with the walk ratio WR = 0.0062 m per step/min at a leg length of 0.86 m (Sekiya et al.:
+    0.0065).
+    """
     ratio = 0.0062 * legs.length / 0.86
     return 2 * np.sqrt(ratio * 60 * np.asarray(speed_mps, np.float64))
 
@@ -133,8 +136,10 @@ def strike_ahead(style: GaitStyle, shift: Array | float) -> Array | float:
 
 
 def _pitch_curve(style: GaitStyle, loose: Array, phase: Array, scale: Array) -> Array:
-    """Foot pitch [T] [deg] at phases [T] through the knots, the loose ones moved by [T, L]: monotone between knots, without
-    the overshoot of a cubic spline, which would lift a flat foot's toes by 5 mm."""
+    """Foot pitch [T] [deg] at phases [T], from a curve through knots, some of which are moved by ``loose`` [T, L].
+
+    The curve is monotone between knots. A cubic spline would overshoot, which would lift a flat foot's toes by 5 mm.
+    """
     x = np.array([knot[0] for knot in style.pitch])
     y = np.tile(np.array([knot[1] for knot in style.pitch], np.float64), (len(phase), 1))
     rows = list(style.loose)
@@ -143,8 +148,10 @@ def _pitch_curve(style: GaitStyle, loose: Array, phase: Array, scale: Array) -> 
 
 
 def _periodic_pchip(x: Array, y: Array, phase: Array) -> Array:
-    """Monotone cubic through knots x [K] in [0, 1), y [T, K], repeated with period 1, at one phase [T] per row
-    (Fritsch and Butland's slopes)."""
+    """Monotone cubic through knots x [K] in [0, 1), y [T, K], with period 1, at one phase [T] per row.
+
+    Its slopes are those of Fritsch and Butland.
+    """
     width = np.diff(x, append=x[0] + 1)
     slope = (np.roll(y, -1, axis=1) - y) / width
     before, w0 = np.roll(slope, 1, axis=1), np.roll(width, 1)

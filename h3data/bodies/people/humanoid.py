@@ -1,8 +1,10 @@
-"""People: a skinned mesh on the 55-joint skeleton, its walk, its collision shapes. `h3data.bodies.people.humanoid_file`
-reads them.
+"""People: a skinned mesh on the 55-joint skeleton, with gait and collision shapes.
 
-Frames. The body frame has +Z forward, +Y up, +X left (SMPL-X). The agent root frame has x forward, y up, z right and lies
-on the floor below the pelvis; the body frame is turned into it by R_y(+90 deg), which the clips' pelvis rotation contains.
+`h3data.bodies.people.humanoid_file` reads them.
+
+Frames. The body frame has +Z forward, +Y up, +X left (SMPL-X). The agent root frame has x forward, y up, z right and
+lies on the floor below the pelvis; the body frame is turned into it by R_y(+90 deg), which the clips' pelvis rotation
+contains.
 """
 
 from __future__ import annotations
@@ -77,9 +79,9 @@ class BodyCapsule:
     name: str
     joint: int
     start: Array
-    """In the joint frame, shape [3] [m]."""
+    """Start of the axis in the joint frame, shape [3] [m]."""
     end: Array
-    """In the joint frame, shape [3] [m]."""
+    """End of the axis in the joint frame, shape [3] [m]."""
     radius: float
 
 
@@ -134,7 +136,7 @@ class Humanoid:
 
     @cached_property
     def gait_tables(self) -> GaitTables:
-        """For `h3data.bodies.people.planted_gait`; made at first use (40 ms)."""
+        """Tables for `h3data.bodies.people.planted_gait`; made at first use (40 ms)."""
         from h3data.bodies.people.planted_gait import gait_tables
 
         return gait_tables(self.gaits)
@@ -188,8 +190,12 @@ class Humanoid:
         return frames
 
     def joint_matrices_free(self, root_pose: ArrayLike, joint_quat: ArrayLike) -> Array:
-        """World matrices [T, 55, 4, 4] of a free-form pose: pelvis frames [T, 7] in the world (body axes: +Z forward) and
-        the local rotations of the other joints [T, 54, 4], SMPL-X order."""
+        """World matrices [T, 55, 4, 4] of the joints in a free-form pose.
+
+        Args:
+            root_pose: frames of the pelvis in the world [T, 7] (body axes: +Z forward).
+            joint_quat: local rotations of the other joints [T, 54, 4], in SMPL-X order.
+        """
         from h3data.bodies.people.kernels.clips import free_joint_frames
 
         quats = _doubles(joint_quat)
@@ -198,8 +204,10 @@ class Humanoid:
         return frames
 
     def skin(self, joint_matrices: Array, *, lod: bool = True) -> NDArray[np.float32]:
-        """World vertices, float32 [..., V, 3], of joint frames [..., 55, 4, 4]: frames, worlds, or worlds and frames (one
-        sparse matrix product)."""
+        """World vertices, float32 [..., V, 3], for joint frames [..., 55, 4, 4].
+
+        Leading axes are frames, worlds, or both. The computation is one sparse matrix product.
+        """
         skin, matrices = (self.lod if lod else self.full).skin, joint_matrices @ self.inverse_bind
         if matrices.ndim == 4 and len(matrices) <= FEW_FRAMES:
             return apply_skin_frames(skin.frame, matrices)

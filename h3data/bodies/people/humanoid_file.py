@@ -56,8 +56,11 @@ def _builtin_arrays(name: str) -> dict[str, Any]:
 
 @lru_cache(maxsize=64)
 def load_humanoid(name: str | Path) -> Humanoid:
-    """A built-in body by name (``female_0``), ``random:SEED`` (`h3data.bodies.people.random_humanoid`), or one from a file
-    that ends in ``.npz``; with a colon and an outfit (``female_0:dress``) they wear that. Loaded once, then shared."""
+    """Loads a body by name, once; later calls return the same object.
+
+    The name is a built-in body (``female_0``), ``random:SEED`` (`h3data.bodies.people.random_humanoid`), or a file that
+    ends in ``.npz``; a colon and an outfit may follow (``female_0:dress``).
+    """
     body, outfit = split_outfit(str(name))
     if is_random(body):
         planes = to_planes, from_planes
@@ -69,21 +72,26 @@ def load_humanoid(name: str | Path) -> Humanoid:
     else:
         before, _, after = body.partition(SEPARATOR)
         if before in humanoid_names() or is_random(before) or before.endswith(".npz"):
-            raise InputError(f"No outfit {after!r}.{suggest(after, OUTFITS, lead='There are')}")
+            raise InputError(f"No outfit {after!r}.{suggest(after, OUTFITS, lead='There are')}", code="H3-BODY-079")
         near = suggest(body, humanoid_names(), lead="There are", more=", and random:SEED")
-        raise InputError(f"No built-in humanoid {body!r}.{near}")
+        raise InputError(f"No built-in humanoid {body!r}.{near}", code="H3-BODY-072")
     data = read_arrays(path, FILE_FORMAT)
     try:
         if "full_faces" not in data and str(data["common"]) != builtin_common().name:
             raise FormatError(
                 f"The humanoid was baked on another topology ({data['common']}) than the built-in one "
-                f"({builtin_common().name}). Hint: bake it again. File: {path}"
+                f"({builtin_common().name}). Hint: bake it again. File: {path}",
+                code="H3-BODY-073",
             )
         return _humanoid(data, outfit)
     except KeyError as error:
-        raise FormatError(f"The humanoid file lacks the array {error}. Hint: bake it again. File: {path}") from error
+        raise FormatError(
+            f"The humanoid file lacks the array {error}. Hint: bake it again. File: {path}", code="H3-BODY-074"
+        ) from error
     except (ValueError, IndexError, TypeError) as error:
-        raise FormatError(f"The humanoid file is damaged ({error}). Hint: bake it again. File: {path}") from error
+        raise FormatError(
+            f"The humanoid file is damaged ({error}). Hint: bake it again. File: {path}", code="H3-BODY-075"
+        ) from error
 
 
 def read_arrays(path: Path, expected: str) -> dict[str, NDArray[Any]]:
@@ -92,12 +100,16 @@ def read_arrays(path: Path, expected: str) -> dict[str, NDArray[Any]]:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             data = {key: file[key] for key in file.files}
     except FileNotFoundError:
-        raise InputError(f"Expected a humanoid file, found none there: {path}") from None
+        raise InputError(f"Expected a humanoid file, found none there: {path}", code="H3-BODY-076") from None
     except (ValueError, OSError, zipfile.BadZipFile) as error:
-        raise FormatError(f"Expected a humanoid file ({expected}), this is none ({error}): {path}") from error
+        raise FormatError(
+            f"Expected a humanoid file ({expected}), this is none ({error}): {path}", code="H3-BODY-077"
+        ) from error
     found = str(data.get("format", "another npz file"))
     if found != expected:
-        raise FormatError(f"Expected a humanoid file ({expected}), got {found}. Hint: bake it again. File: {path}")
+        raise FormatError(
+            f"Expected a humanoid file ({expected}), got {found}. Hint: bake it again. File: {path}", code="H3-BODY-070"
+        )
     return data
 
 
@@ -123,7 +135,10 @@ def builtin_common() -> _Common:
 def _capsule_places(data: Arrays) -> dict[str, Any]:
     names = tuple(str(n) for n in data["joint_names"])
     if names != JOINT_NAMES:
-        raise FormatError(f"Expected the {len(JOINT_NAMES)} SMPL-X joints in their order, got {len(names)} others.")
+        raise FormatError(
+            f"Expected the {len(JOINT_NAMES)} SMPL-X joints in their order, got {len(names)} others.",
+            code="H3-BODY-071",
+        )
     return {
         "capsule_names": tuple(str(n) for n in data["capsule_names"]),
         "capsule_joints": tuple(int(j) for j in data["capsule_joints"]),
@@ -149,7 +164,9 @@ def _humanoid(data: Arrays, outfit: str) -> Humanoid:
     height = float(data["height_m"])
     if "full_faces" in data:
         if outfit:
-            raise InputError(f"The body {data['name']} has a mesh of its own, which wears nothing else.")
+            raise InputError(
+                f"The body {data['name']} has a mesh of its own, which wears nothing else.", code="H3-BODY-078"
+            )
         places = _capsule_places(data)
         drawn: dict[str, Any] = {part: _own_mesh(data, part) for part in ("full", "lod")}
         drawn |= {"region_names": tuple(str(n) for n in data["region_names"])}

@@ -35,14 +35,14 @@ class Legs:
     thigh: float
     shank: float
     ankle_height: float
-    """Of the ankle joint above the sole [m]."""
+    """Height of the ankle joint above the sole [m]."""
     feet: Array
     """Heel, ball and toe tip from the ankle joint with the foot flat, shape [2, 3, 3] [m]. The ball is the toe joint itself:
     toes held flat rest while the heel rises."""
 
     @cached_property
     def measures(self) -> LegMeasures:
-        """For `h3data.bodies.people.kernels.legs`."""
+        """Measures that `h3data.bodies.people.kernels.legs` takes."""
         from h3data.bodies.people.kernels.legs import LegMeasures
 
         return LegMeasures(
@@ -57,13 +57,13 @@ class Legs:
 
     @property
     def half_width(self) -> float:
-        """Of the steps [m]."""
+        """Half of the distance between the feet [m]."""
         return HALF_WIDTH * float(abs(self.hips[0, 0]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Posture:
-    """What a pose is solved from: everything but the legs, and where the feet are."""
+    """Input from which a pose is solved: everything but the legs, and the places of the feet."""
 
     quats: Array
     """Local rotations xyzw, shape [T, 55, 4]; those of the legs are solved."""
@@ -87,11 +87,11 @@ class SolvedLegs:
     quats: Array
     """All local rotations, shape [T, 55, 4]."""
     thigh_deg: Array
-    """To the vertical, forward positive, shape [T, 2]."""
+    """Angle of each thigh to the vertical, forward positive, shape [T, 2]."""
     knee_deg: Array
     """Flexion, shape [T, 2]."""
     overreach: Array
-    """How far each leg would have to be stretched, as a share of its length, shape [T, 2]."""
+    """Missing length of each leg, as a share of its length, shape [T, 2]."""
 
 
 def solve_legs(legs: Legs, posture: Posture) -> SolvedLegs:

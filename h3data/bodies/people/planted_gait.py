@@ -184,8 +184,10 @@ class PlantedWalk:
         return quats[0], pelvis[0]
 
     def plant(self, quats: Array, pelvis: Array) -> None:
-        """Rewrites the legs of any pose, [55, 4] and [3] in the agent root frame, in place, so that its feet are these; the
-        pelvis sinks where a leg would be too short."""
+        """Moves the legs of any pose, in place, so that its feet are where the walk has planted them.
+
+        The pose is [55, 4] and [3] in the agent root frame. The pelvis is lowered where a leg would be too short.
+        """
         from h3data.bodies.people.kernels.planted import plant_legs
 
         plant_legs(self.tables, self.state, quats, pelvis)

@@ -37,7 +37,7 @@ Hand = Literal["left", "right"]
 ReachStatus = Literal["reached", "outside_box", "invalid_posture", "too_far"]
 HANDS: tuple[Hand, Hand] = ("right", "left")
 STATUSES: tuple[ReachStatus, ...] = ("reached", "outside_box", "invalid_posture", "too_far")
-"""In the order of the kernel's codes."""
+"""Results of reaching, in the order of the kernel's codes."""
 TABLE_FILE, TABLE_FORMAT = "bodies/reach/table.npz", "h3data.reach/1"
 """In a folder of its own: beside the bodies it would count as one."""
 ROOT_OF_BODY = quat_from_axis_angle(np.array([0.0, 1.0, 0.0]), np.pi / 2)
@@ -61,7 +61,7 @@ class BaseMotion(NamedTuple):
     forward_m: float
     right_m: float
     turn_rad: float
-    """To the left, after the move."""
+    """Turn to the left, after the move [rad]."""
 
     def of(self, base_pose: ArrayLike) -> Array:
         """The pose7 of a root at ``base_pose`` after this move."""
@@ -71,7 +71,7 @@ class BaseMotion(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReachResult:
-    """What comes of reaching for one point."""
+    """Result of reaching for one point."""
 
     status: ReachStatus
     """``reached``; ``outside_box``: beyond what postures were solved for; ``too_far``: inside, but the arm is too short (or
@@ -80,9 +80,9 @@ class ReachResult:
     quats: Array
     """Local rotations, shape [55, 4], as one row of `Humanoid.clip_pose`."""
     pelvis: Array
-    """In the agent root frame, shape [3] [m]. When not reached, the pose is the one for `nearest_valid`."""
+    """Position of the pelvis in the agent root frame, shape [3] [m]; that for `nearest_valid` if the target is not reached."""
     hand_error_m: float
-    """From the target to the palm of this pose."""
+    """Distance from the target to the palm in this pose [m]."""
     nearest_valid: Array
     """The target itself when reached, else a valid point near it, shape [3] [m]: exact to about 2 cm."""
     base_motion: BaseMotion | None
@@ -91,6 +91,7 @@ class ReachResult:
 
     @property
     def reached(self) -> bool:
+        """Whether the point can be reached."""
         return self.status == "reached"
 
 
@@ -116,7 +117,10 @@ def reach(body: Humanoid, target: ArrayLike, hand: Hand = "right") -> ReachResul
     solver = reacher(body, hand)
     point = _points(target)
     if point.shape != (3,):
-        raise InputError(f"Expected one target of shape [3], got {list(point.shape)}. Hint: reach_poses takes many.")
+        raise InputError(
+            f"Expected one target of shape [3], got {list(point.shape)}. Hint: reach_poses takes many.",
+            code="H3-BODY-080",
+        )
     poses = solver.poses(point[None])
     if poses.status[0] == kernel.REACHED:
         return ReachResult(
@@ -156,11 +160,11 @@ def grasp_point(body: Humanoid, hand: Hand) -> Array:
 
 
 @lru_cache(maxsize=64)
-def reacher(body: Humanoid, hand: Hand = "right") -> Reacher:
+def reacher(body: Humanoid, hand: Hand = "right") -> ReachSolver:
     """The solver of one hand, made once per body (5 ms)."""
     if hand not in HANDS:
-        raise InputError(f"Expected the left or the right hand, got {hand!r}.")
-    return Reacher(body, hand)
+        raise InputError(f"Expected the left or the right hand, got {hand!r}.", code="H3-BODY-081")
+    return ReachSolver(body, hand)
 
 
 class Table(NamedTuple):
@@ -186,12 +190,13 @@ def reach_table() -> Table:
     values = (data["values"] * data["unit"]).astype(np.float32)
     if values.ndim != 4 or values.shape[3] != kernel.PARAMETER_COUNT:
         raise FormatError(
-            f"The table of reaching postures has the shape {list(values.shape)}. Hint: bake it. File: {path}"
+            f"The table of reaching postures has the shape {list(values.shape)}. Hint: bake it. File: {path}",
+            code="H3-BODY-082",
         )
     return Table(values, data["low"].astype(np.float64), data["step"].astype(np.float64))
 
 
-class Reacher:
+class ReachSolver:
     """Reaches with one hand of one body."""
 
     def __init__(self, body: Humanoid, hand: Hand, table: Table | None = None) -> None:
@@ -202,7 +207,7 @@ class Reacher:
         quats, pelvis = body.clip_pose([0], [0.0])
         root = np.array([[0, 0, 0, 0, 0, 0, 1.0]])
         self.rest = hand_points(body.joint_matrices(root, quats, pelvis), body, hand)[0]
-        """Where the palm is when standing, shape [3] [m]."""
+        """Position of the palm of a standing person, shape [3] [m]."""
 
     def poses(self, targets: Array, trunk: ArrayLike = 1.0, arm: ArrayLike = 1.0) -> ReachPoses:
         """As `reach_poses`."""
@@ -229,7 +234,10 @@ class Reacher:
             points = np.stack([points[:, 2], points[:, 1], -points[:, 0]], axis=1)
             self._valid = points[self.reachable(points)]
             if not len(self._valid):
-                raise InputError("This body reaches nothing with this hand. Hint: are its joint offsets in metres?")
+                raise InputError(
+                    "This body reaches nothing with this hand. Hint: are its joint offsets in metres?",
+                    code="H3-BODY-084",
+                )
         return self._valid
 
     def nearest_valid(self, target: Array) -> Array:
@@ -278,7 +286,10 @@ def _each(share: ArrayLike, count: int) -> Array:
 def _points(targets: ArrayLike) -> Array:
     points = np.asarray(targets, np.float64)
     if points.ndim not in (1, 2) or points.shape[-1] != 3 or not np.isfinite(points).all():
-        raise InputError(f"Expected finite points of shape [3] or [T, 3], got shape {list(points.shape)}: {targets!r}")
+        raise InputError(
+            f"Expected finite points of shape [3] or [T, 3], got shape {list(points.shape)}: {targets!r}",
+            code="H3-BODY-083",
+        )
     return points
 
 

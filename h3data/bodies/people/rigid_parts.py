@@ -15,7 +15,7 @@ from h3data.mesh.mesh import Mesh
 from h3data.mesh.primitives import capsule_mesh
 
 PeopleStyle = Literal["skin", "capsules", "bones"]
-"""How people are shown: as their skinned meshes, as collision capsules, or as bones."""
+"""Rendering style of people: their skinned meshes, collision capsules, or bones."""
 CAPSULE_COLOR, BONE_COLOR = (118, 156, 172), (206, 190, 152)
 BONE_RADIUS_M, SHORTEST_BONE_M = 0.022, 0.01
 SKULL_RADIUS_M, SKULL_M = 0.08, np.array([0.06, 0.12])
@@ -27,7 +27,7 @@ class RigidPart(NamedTuple):
     name: str
     joint: int
     mesh: Mesh
-    """In the joint's frame [m]."""
+    """Mesh in the joint's frame [m]."""
 
 
 @lru_cache(maxsize=64)

@@ -1,5 +1,7 @@
-"""Skinning with torch, on the CPU or a GPU: the sparse product of `h3data.bodies.people.skinning` with everything on the
-device."""
+"""Skinning with torch, on the CPU or a GPU.
+
+It is the sparse product of `h3data.bodies.people.skinning` with everything on the device.
+"""
 
 from __future__ import annotations
 

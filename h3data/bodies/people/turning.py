@@ -92,8 +92,10 @@ def turning_feet(base: ArrayLike, phase: ArrayLike, blend: ArrayLike) -> Turning
 
 
 def _settling(phase: Array, blend: Array, before: int, last: int) -> list[_Swing]:
-    """The swings by which the person comes from walking to standing between two steps, as
-    `h3data.bodies.people.kernels.legs.settle` has them."""
+    """Swings of the feet between two steps while the person changes from walking to standing.
+
+    They are those of `h3data.bodies.people.kernels.legs.settle`.
+    """
     b = blend[before : last + 1]
     swings = []
     for foot, (_, _, start) in enumerate(SIDES):
@@ -128,8 +130,11 @@ def _stepping(start: int, end: int, free: int, last_foot: int) -> list[_Swing]:
 
 
 def _stance_heading(heading: Array, turns: list[tuple[int, int]], lands: int, leaves: int) -> float:
-    """Where a foot points that stands from ``lands`` to ``leaves``: as the root in the middle of its turn meanwhile, or
-    wholly as it will if it does not turn on after that."""
+    """Heading of a foot that stands from step ``lands`` to ``leaves``.
+
+    It is the heading of the root in the middle of its turn, or at its end if the root does not turn any further after
+    that.
+    """
     ends = [end for start, end in turns if start < leaves]
     if ends and ends[-1] <= leaves:
         return float(heading[leaves])

@@ -134,8 +134,10 @@ def _wide_enough(robot: Robot, places: Sequence[float], radius: float, resting: 
 
 # --- hand -------------------------------------------------------------------------------------------------------------
 def guess_hand(robot: Robot) -> Hand | None:
-    """Returns the hand at the end of the longest chain of joints: of links that are named like one, else of any link with
-    `LEAST_ARM_JOINTS` joints before it; None if there is none."""
+    """Returns the hand at the end of the longest chain of joints; None if there is none.
+
+    Links that are named like a hand come first, then any link after at least `LEAST_ARM_JOINTS` joints.
+    """
     chains = [_chain(robot, k) for k in range(len(robot.links))]
     joints = [len({int(robot.columns[k]) for k in chain if robot.kinds[k] in (1, 2)}) for chain in chains]
     names = [link.name.lower() for link in robot.links]
@@ -211,8 +213,10 @@ def _cameras(robot: Robot, hand: Hand | None, frames: Array, resting: Array) -> 
 
 
 def _free_ahead(robot: Robot, frames: Array, link: int, forward: Array) -> float:
-    """How far ahead of the origin of a link [m] nothing of the robot is around a camera any more: with boxes instead of
-    meshes the robot's own camera is often inside its head."""
+    """Distance ahead of a link's origin beyond which no part of the robot is in front of a camera [m].
+
+    With boxes instead of meshes, a robot's own camera is often inside its head.
+    """
     eye, ahead, moved = frames[link][:3, 3], frames[link][:3, :3] @ forward, 0.0
     for _ in range(SHELLS):
         exits = []

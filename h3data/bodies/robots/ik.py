@@ -24,7 +24,7 @@ ROTATION_WEIGHT_M = 0.25
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IkResult:
-    """What `solve_ik` found; arrays have the batch shape of the question."""
+    """Result of `solve_ik`; arrays have the batch shape of its targets."""
 
     joint_pos: NDArray[np.float64]
     """All joints of the robot, inside their limits, shape [*batch, J] [rad or m]."""
@@ -74,12 +74,16 @@ def solve_ik(
     try:
         start = np.broadcast_to(start, (*batch, start.shape[-1])).reshape(-1, start.shape[-1]).copy()
     except ValueError:
-        raise InputError(f"Expected q0 for {list(batch)} targets, got {list(start.shape[:-1])}.") from None
+        raise InputError(
+            f"Expected q0 for {list(batch)} targets, got {list(start.shape[:-1])}.", code="H3-BODY-090"
+        ) from None
     point = np.asarray(offset, np.float64)
     if point.shape != (3,) or not np.isfinite(point).all():
-        raise InputError(f"Expected an offset of 3 finite numbers, got {offset!r}.")
+        raise InputError(f"Expected an offset of 3 finite numbers, got {offset!r}.", code="H3-BODY-085")
     if not (tolerance_m > 0 and tolerance_rad > 0 and iterations >= 1 and restarts >= 0):
-        raise InputError("Expected tolerances above 0, at least one iteration, and no fewer restarts than 0.")
+        raise InputError(
+            "Expected tolerances above 0, at least one iteration, and no fewer restarts than 0.", code="H3-BODY-086"
+        )
     chain = _chain(robot, robot.link_index(link))
     free = _free(robot, chain, joints)
     out = start.copy()
@@ -104,7 +108,10 @@ def _targets(robot: Robot, target: ArrayLike, base_pose: ArrayLike | None) -> tu
     """Targets [N, 4, 4] in the URDF base frame, whether their orientation counts, and their batch shape."""
     wanted = np.asarray(target, np.float64)
     if wanted.shape[-1:] not in ((3,), (7,)) or not np.isfinite(wanted).all():
-        raise InputError(f"Expected finite targets [..., 3] or [..., 7], got an array {list(wanted.shape)} or NaN.")
+        raise InputError(
+            f"Expected finite targets [..., 3] or [..., 7], got an array {list(wanted.shape)} or NaN.",
+            code="H3-BODY-087",
+        )
     oriented = wanted.shape[-1] == 7
     poses = (
         np.concatenate([wanted, np.broadcast_to([0, 0, 0, 1.0], (*wanted.shape[:-1], 4))], -1)
@@ -113,16 +120,20 @@ def _targets(robot: Robot, target: ArrayLike, base_pose: ArrayLike | None) -> tu
     )
     length = np.linalg.norm(poses[..., 3:], axis=-1, keepdims=True)
     if (length < 1e-9).any():
-        raise InputError("Expected target poses with quaternions, got one of length 0.")
+        raise InputError("Expected target poses with quaternions, got one of length 0.", code="H3-BODY-088")
     poses = np.concatenate([poses[..., :3], poses[..., 3:] / length], -1)
     if base_pose is not None:
         base = np.asarray(base_pose, np.float64)
         if base.shape[-1:] != (7,) or not np.isfinite(base).all():
-            raise InputError(f"Expected finite base poses [..., 7], got an array {list(base.shape)} or NaN.")
+            raise InputError(
+                f"Expected finite base poses [..., 7], got an array {list(base.shape)} or NaN.", code="H3-BODY-091"
+            )
         try:
             poses = pose_multiply(pose_inverse(np.broadcast_to(base, poses.shape)), poses)
         except ValueError:
-            raise InputError(f"Expected base poses for targets {list(wanted.shape)}, got {list(base.shape)}.") from None
+            raise InputError(
+                f"Expected base poses for targets {list(wanted.shape)}, got {list(base.shape)}.", code="H3-BODY-092"
+            ) from None
     matrices = np.linalg.inv(robot.to_base) @ pose_to_matrix(poses)
     return np.ascontiguousarray(matrices.reshape(-1, 4, 4)), oriented, wanted.shape[:-1]
 
@@ -146,6 +157,7 @@ def _free(robot: Robot, chain: NDArray[np.int64], joints: Sequence[str] | None) 
     if strangers or not columns or (robot.kinds[moving] == BALL).any():
         raise InputError(
             f"Expected joints that move {robot.links[chain[-1]].name} of {robot.name} and are not spherical "
-            f"({', '.join(names) or 'none'}), got {', '.join(strangers) or 'all'}."
+            f"({', '.join(names) or 'none'}), got {', '.join(strangers) or 'all'}.",
+            code="H3-BODY-089",
         )
     return np.array([c for name, c in names.items() if joints is None or name in joints], np.int64)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 FIXED, TURNS, SLIDES, BALL = 0, 1, 2, 3
-"""How a link moves in its joint frame."""
+"""Types of motion of a link in its joint frame."""
 
 
 class JointTree(NamedTuple):
@@ -98,13 +98,14 @@ def link_frames(
 
 
 def link_frames_torch(tree: JointTree, root: Tensor, positions: Tensor) -> Tensor:
-    """Link frames [*batch, L, 4, 4] in torch: on the device and in the precision of ``positions``, and
-    differentiable in both arguments.
+    """Link frames [*batch, L, 4, 4] as torch tensors, differentiable in both arguments.
+
+    They have the device and precision of ``positions``.
 
     Args:
-        tree: Links and joints.
-        root: Frames in which the base link lies, as 4x4 matrices, shape [*batch, 4, 4] [m].
-        positions: Joint positions, shape [*batch, J] [rad or m].
+        tree: links and joints.
+        root: frames of the base link as 4x4 matrices, shape [*batch, 4, 4] [m].
+        positions: joint positions, shape [*batch, J] [rad or m].
     """
     import torch
 

@@ -58,7 +58,7 @@ class RobotLeg:
     """A leg with hip roll, hip pitch and knee."""
 
     columns: tuple[int, int, int]
-    """Their columns in the joint positions."""
+    """Columns of these joints in the joint positions."""
     foot: Array
     """Middle of the foot in the frame of the link that the knee moves, shape [3] [m]."""
 
@@ -69,7 +69,7 @@ class JointTargets(NamedTuple):
     positions: NDArray[np.float64]
     """Inside the limits, shape [..., J] [rad or m]."""
     clamped: NDArray[np.bool_]
-    """Which of them were asked for beyond a limit, shape [..., J]."""
+    """Whether each requested position was beyond a limit, shape [..., J]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,7 +109,7 @@ class Robot:
     hand_link: int = -1
     """The link that grasps; -1 = none."""
     hand_position: Array = field(default_factory=lambda: np.zeros(3))
-    """Where it holds things, in the frame of that link, shape [3] [m]."""
+    """Position at which the hand holds things, in the frame of that link, shape [3] [m]."""
     hand_axes: Array = field(default_factory=lambda: np.eye(3))
     """Forward, left and upward directions of the hand in the frame of that link, as columns [3, 3]."""
     reach_bearing: float | None = None
@@ -145,6 +145,7 @@ class Robot:
 
     @property
     def link_names(self) -> tuple[str, ...]:
+        """Names of all links, in the order of `links`."""
         return tuple(link.name for link in self.links)
 
     @cached_property
@@ -156,7 +157,7 @@ class Robot:
         """Upright cylinders over the discs of a profile (``base_profiles``; empty = ``base_discs``), agent root frame."""
         if profile and profile not in self.base_profiles:
             known = ", ".join(self.base_profiles) or "none"
-            raise InputError(f"Robot {self.name} has no base profile {profile!r}. It has: {known}.")
+            raise InputError(f"Robot {self.name} has no base profile {profile!r}. It has: {known}.", code="H3-BODY-094")
         half = self.body_height_m / 2
         return tuple(
             Cylinder(pose=np.array([x, half, 0, 0, 0, 0, 1.0]), radius=self.base_radius_m, half_height=half)
@@ -165,8 +166,10 @@ class Robot:
 
     @cached_property
     def arm_columns(self) -> tuple[int, ...]:
-        """Columns of ``joint_pos`` that move the hand, in the order of the URDF: those of the seven arm joints of ``quad_arm``,
-        not its gripper. Empty without a hand."""
+        """Columns of ``joint_pos`` that move the hand, in the order of the URDF.
+
+        For ``quad_arm`` they are the seven joints of the arm, without the gripper. Empty without a hand.
+        """
         chain: list[int] = []
         link = self.hand_link
         while link >= 0:
@@ -186,7 +189,8 @@ class Robot:
             why = "has no hand" if self.hand_link < 0 else f"has no joint that moves its hand {self.hand_name}"
             raise InputError(
                 f"Robot {self.name} {why}, so it has no arm to move. Hint: name its hand_link in robot.toml (h3data robots "
-                f"init writes one). File: {self.file}"
+                f"init writes one). File: {self.file}",
+                code="H3-BODY-095",
             )
         return self.arm_columns
 
@@ -197,6 +201,7 @@ class Robot:
 
     @cached_property
     def joint_tree(self) -> JointTree:
+        """Links and joints in the form that forward kinematics takes."""
         from h3data.bodies.robots.kinematics import JointTree
 
         parents = np.array([link.parent for link in self.links], np.int64)
@@ -205,7 +210,10 @@ class Robot:
     def link_index(self, name: str) -> int:
         """The place of a link in ``links``."""
         if name not in self.link_names:
-            raise InputError(f"Robot {self.name} has no link {name!r}. It has: {', '.join(self.link_names[:40])}.")
+            raise InputError(
+                f"Robot {self.name} has no link {name!r}. It has: {', '.join(self.link_names[:40])}.",
+                code="H3-BODY-096",
+            )
         return self.link_names.index(name)
 
     def clamp(self, joint_pos: ArrayLike) -> JointTargets:
@@ -218,7 +226,8 @@ class Robot:
         if not np.isfinite(wanted).all():
             bad = sorted({self.joint_names[j] for j in np.argwhere(~np.isfinite(wanted))[:, -1]})
             raise InputError(
-                f"Expected finite joint positions of {self.name}, got NaN or infinity for {', '.join(bad)}."
+                f"Expected finite joint positions of {self.name}, got NaN or infinity for {', '.join(bad)}.",
+                code="H3-BODY-097",
             )
         return JointTargets(np.clip(wanted, self.lower, self.upper), (wanted < self.lower) | (wanted > self.upper))
 
@@ -232,21 +241,26 @@ class Robot:
         positions = np.ascontiguousarray(joint_pos, np.float64)
         if positions.shape != (len(roots), len(self.joint_names)):
             raise InputError(
-                f"Expected joint positions [{len(roots)}, {len(self.joint_names)}] of {self.name}, got {list(positions.shape)}."
+                f"Expected joint positions [{len(roots)}, {len(self.joint_names)}] of {self.name}, "
+                f"got {list(positions.shape)}.",
+                code="H3-BODY-098",
             )
         out = np.empty((len(roots), len(self.links), 4, 4))
         link_frames(roots, positions, *self.joint_tree, out)
         return out
 
     def link_matrices_torch(self, base: Tensor, joint_pos: Tensor) -> Tensor:
-        """The same in torch, on the device of ``joint_pos`` and differentiable: link frames [*batch, L, 4, 4] from agent
-        roots [*batch, 4, 4] and joint positions [*batch, J]."""
+        """Link frames [*batch, L, 4, 4] as torch tensors, differentiable in both arguments.
+
+        ``base`` are agent roots [*batch, 4, 4], ``joint_pos`` joint positions [*batch, J], whose device the result has.
+        """
         from h3data.bodies.robots.kinematics import link_frames_torch
 
         if joint_pos.shape[-1:] != (len(self.joint_names),) or base.shape[-2:] != (4, 4):
             raise InputError(
                 f"Expected roots [..., 4, 4] and joint positions [..., {len(self.joint_names)}] of {self.name}, got "
-                f"{list(base.shape)} and {list(joint_pos.shape)}."
+                f"{list(base.shape)} and {list(joint_pos.shape)}.",
+                code="H3-BODY-099",
             )
         to_base = joint_pos.new_tensor(self.to_base)
         return link_frames_torch(self.joint_tree, base.to(joint_pos) @ to_base, joint_pos)
@@ -255,10 +269,13 @@ class Robot:
         try:
             positions = np.asarray(joint_pos, np.float64)
         except (TypeError, ValueError) as error:
-            raise InputError(f"Expected joint positions of {self.name}, got something else ({error}).") from None
+            raise InputError(
+                f"Expected joint positions of {self.name}, got something else ({error}).", code="H3-BODY-101"
+            ) from None
         if positions.shape[-1:] != (len(self.joint_names),):
             raise InputError(
-                f"Expected joint positions [..., {len(self.joint_names)}] of {self.name}, got {list(positions.shape)}."
+                f"Expected joint positions [..., {len(self.joint_names)}] of {self.name}, got {list(positions.shape)}.",
+                code="H3-BODY-100",
             )
         return positions
 
@@ -268,7 +285,7 @@ class Robot:
             if camera.name == name:
                 return camera
         known = ", ".join(c.name for c in self.cameras) or "none"
-        raise InputError(f"Robot {self.name} has no camera {name!r}. It has: {known}.")
+        raise InputError(f"Robot {self.name} has no camera {name!r}. It has: {known}.", code="H3-BODY-093")
 
     def camera_poses(self, name: str, link_matrices: Array) -> Array:
         """Camera (OpenCV) to world, [T, 4, 4], of what `link_matrices` returned."""

@@ -17,9 +17,14 @@ SETTINGS_NAME = "robot.toml"
 
 def _check(loaded: Any) -> None:
     if not isinstance(loaded, str | os.PathLike) or not is_robot_file(Path(loaded)):
-        raise InputError(f"expected the path of a .urdf, of a robot.toml, or of a folder with one, got {loaded!r}")
+        raise InputError(
+            f"expected the path of a .urdf, of a robot.toml, or of a folder with one, got {loaded!r}",
+            code="H3-BODY-103",
+        )
     if not Path(loaded).exists():
-        raise InputError(f"expected a .urdf, a robot.toml, or a folder with one, found none there: {loaded}")
+        raise InputError(
+            f"expected a .urdf, a robot.toml, or a folder with one, found none there: {loaded}", code="H3-BODY-104"
+        )
 
 
 @cache
@@ -39,7 +44,7 @@ class RobotFiles(NamedTuple):
 
     urdf: Path
     settings: Path | None
-    """Its ``robot.toml``; None if it has none."""
+    """File ``robot.toml`` of the robot; None if it has none."""
 
 
 def robot_names() -> tuple[str, ...]:
@@ -87,12 +92,12 @@ def find_robot(name_or_path: str | Path) -> RobotFiles:
         return RobotFiles(path, _settings_beside(path))
     if path.name == SETTINGS_NAME and not path.is_dir():
         if not path.is_file():
-            raise InputError(f"Expected a robot.toml, found none there: {path}")
+            raise InputError(f"Expected a robot.toml, found none there: {path}", code="H3-BODY-106")
         return _in_folder(path.parent)
     if is_robot_file(path):
         return _in_folder(path)
     paths = "; or the path of a .urdf, of a robot.toml, or of a folder with one"
-    raise InputError(f"Unknown robot {text!r}.{suggest(text, robot_names(), more=paths)}")
+    raise InputError(f"Unknown robot {text!r}.{suggest(text, robot_names(), more=paths)}", code="H3-BODY-102")
 
 
 def _in_folder(folder: Path) -> RobotFiles:
@@ -104,7 +109,10 @@ def _in_folder(folder: Path) -> RobotFiles:
         urdfs = [folder / "robot.urdf"]
     if len(urdfs) != 1:
         listed = ", ".join(path.name for path in urdfs) or "none"
-        raise InputError(f'Expected one URDF beside robot.toml, or urdf = "FILE" in it, got {listed}. Folder: {folder}')
+        raise InputError(
+            f'Expected one URDF beside robot.toml, or urdf = "FILE" in it, got {listed}. Folder: {folder}',
+            code="H3-BODY-105",
+        )
     return RobotFiles(urdfs[0], settings)
 
 

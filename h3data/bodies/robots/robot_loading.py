@@ -48,6 +48,13 @@ def load_robot(name_or_path: str | Path, *, up: Literal["z", "y"] = "z", fill_in
     return _loaded(files, up, fill_in, *map(_version, files))
 
 
+def robot_name(robot: str | Path | Robot) -> str:
+    """The name or path by which `load_robot` finds a robot again."""
+    if not isinstance(robot, Robot):
+        return str(robot)
+    return robot.name if is_built_in(robot.name) and load_robot(robot.name).file == robot.file else str(robot.file)
+
+
 def guess_robot_settings(urdf: str | Path, *, up: Literal["z", "y"] = "z") -> RobotSettings:
     """Returns the settings that `load_robot` guesses for a URDF without a ``robot.toml``.
 
@@ -105,13 +112,15 @@ def check_robot(name_or_path: str | Path, sha256: str, *, agent: str) -> None:
     except H3DataError as error:
         raise InputError(
             f"Agent {agent!r} was recorded with the robot {str(name_or_path)!r} (SHA-256 {sha256}), which cannot be read "
-            f"from here: put its folder back at that path, or run from the folder that the path starts from. Cause: {error}"
+            f"from here: put its folder back at that path, or run from the folder that the path starts from. Cause: {error}",
+            code="H3-BODY-108",
         ) from error
     if found != sha256:
         raise InputError(
             f"The robot {str(name_or_path)!r} of agent {agent!r} has changed since it was recorded: expected SHA-256 "
             f"{sha256}, got {found or 'a built-in robot'}. Hint: put back its URDF, robot.toml and meshes of then, or record "
-            "the episode again."
+            "the episode again.",
+            code="H3-BODY-107",
         )
 
 

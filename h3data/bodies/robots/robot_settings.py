@@ -21,7 +21,7 @@ class CameraSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     name: str
     link: str
     position: tuple[float, float, float]
-    """In the link frame [m]."""
+    """Position in the link frame [m]."""
     forward: tuple[float, float, float]
     """Viewing direction in the link frame."""
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -63,7 +63,7 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     hand_link: str = ""
     """Link that grasps; empty = the robot has no hand."""
     hand_position: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Where things are held, in the frame of that link [m]."""
+    """Position at which the hand holds things, in the frame of that link [m]."""
     hand_forward: tuple[float, float, float] = (1.0, 0.0, 0.0)
     """Direction in which the hand reaches for things, in the frame of that link."""
     hand_up: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -93,11 +93,12 @@ def _decoded(path: Path, *version: int) -> RobotSettings:
     try:
         settings = msgspec.toml.decode(path.read_bytes(), type=RobotSettings)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise FormatError(f"Not a robot description: {error}. File: {path}") from error
+        raise FormatError(f"Not a robot description: {error}. File: {path}", code="H3-BODY-111") from error
     broken = [name for name, value in msgspec.to_builtins(settings).items() if not _finite(value)]
     if broken:
         raise FormatError(
-            f"Expected finite numbers in a robot description, got nan or inf in {', '.join(broken)}. File: {path}"
+            f"Expected finite numbers in a robot description, got nan or inf in {', '.join(broken)}. File: {path}",
+            code="H3-BODY-109",
         )
     return settings
 
@@ -131,7 +132,9 @@ def read_settings(path: Path | None, urdf: Urdf) -> RobotSettings:
     if not settings.base_discs_m or settings.base_radius_m <= 0 or not all(settings.base_profiles.values()):
         faults.append("the base has no discs")
     if faults:
-        raise FormatError(f"The robot description does not fit its URDF: {'; '.join(faults[:8])}. File: {path}")
+        raise FormatError(
+            f"The robot description does not fit its URDF: {'; '.join(faults[:8])}. File: {path}", code="H3-BODY-110"
+        )
     return settings
 
 

@@ -69,7 +69,8 @@ def trot(
     if bases.ndim != 2 or bases.shape[1] != 7 or out.shape != (len(bases), len(robot.joint_names)):
         raise InputError(
             f"Expected a base track [T, 7] and joint positions [T, {len(robot.joint_names)}] of {robot.name}, got "
-            f"{list(bases.shape)} and {list(out.shape)}."
+            f"{list(bases.shape)} and {list(out.shape)}.",
+            code="H3-BODY-112",
         )
     if not robot.legs:
         return out
@@ -145,8 +146,10 @@ def _feet(
     heights: NDArray[np.float64],
     lean: Array,
 ) -> Array:
-    """Places of the feet in the world at some rows of a base track, [len(rows), L, 3], from their places at rest [L, 3], which
-    are ``lean`` [T] ahead of the root on stairs."""
+    """World positions of the feet at some rows of a base track, [len(rows), L, 3].
+
+    ``feet`` [L, 3] are their places at rest, which on stairs are ``lean`` [T] ahead of the root.
+    """
     edges = np.clip(rows[:, None] + [-SETTLE_STEPS, SETTLE_STEPS], 0, len(way) - 1)
     lift = most * np.clip(np.diff(way[edges], axis=1)[:, 0] / SETTLE_M, 0, 1)
     out = np.empty((len(rows), len(feet), 3))

@@ -70,7 +70,7 @@ class UrdfMimic:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class UrdfJoint:
-    """What holds ``child`` to ``parent``."""
+    """Joint that connects ``child`` to ``parent``."""
 
     name: str
     kind: JointKind
@@ -128,13 +128,15 @@ def read_urdf(path: str | Path, *, allow_missing: bool = False, warn: bool = Tru
     _warn_of_skipped(robot, issues)
     count = len(robot.findall("link"))
     if count > MAX_LINKS:
-        raise FormatError(f"Expected a URDF of at most {MAX_LINKS} links, got {count}. File: {path}")
+        raise FormatError(
+            f"Expected a URDF of at most {MAX_LINKS} links, got {count}. File: {path}", code="H3-BODY-113"
+        )
     links = tuple(_link(e, path.parent, materials, issues) for e in robot.findall("link"))
     joints = tuple(j for e in robot.findall("joint") if (j := _joint(e, issues)) is not None)
     joints = _followers(joints, issues)
     root = _tree_root(links, joints, issues)
     if issues.faults:
-        raise FormatError(f"Not a usable URDF: {'; '.join(issues.faults[:8])}. File: {path}")
+        raise FormatError(f"Not a usable URDF: {'; '.join(issues.faults[:8])}. File: {path}", code="H3-BODY-114")
     if issues.warnings and warn:
         rest = f" and {len(issues.warnings) - 6} more" if len(issues.warnings) > 6 else ""
         _log.warning("%s: %s%s. File: %s", path.stem, "; ".join(issues.warnings[:6]), rest, path)
@@ -142,7 +144,8 @@ def read_urdf(path: str | Path, *, allow_missing: bool = False, warn: bool = Tru
     if missing and not allow_missing:
         raise MissingAssetError(
             f"The URDF names {len(missing)} mesh file(s) that do not exist. Hint: keep the folder of the URDF whole. "
-            f"Missing: {', '.join(map(str, missing[:4]))}"
+            f"Missing: {', '.join(map(str, missing[:4]))}",
+            code="H3-BODY-115",
         )
     return Urdf(name=robot.get("name", path.stem), path=path, root=root, links=links, joints=joints)
 
@@ -172,10 +175,11 @@ def _warn_of_skipped(robot: ElementTree.Element, issues: UrdfIssues) -> None:
 
 def _parse(path: Path) -> ElementTree.Element:
     if not path.is_file():
-        raise InputError(f"Expected a URDF file, found none there: {path}")
+        raise InputError(f"Expected a URDF file, found none there: {path}", code="H3-BODY-116")
     if path.stat().st_size > MAX_BYTES:
         raise FormatError(
-            f"Expected a URDF of at most {MAX_BYTES >> 20} MiB, got {path.stat().st_size >> 20}. File: {path}"
+            f"Expected a URDF of at most {MAX_BYTES >> 20} MiB, got {path.stat().st_size >> 20}. File: {path}",
+            code="H3-BODY-117",
         )
     text = path.read_bytes().strip(b"\0 \t\r\n")  # Bullet's own robots have blank lines before and a NUL at the end
     # As tinyxml does: comments may stand before the declaration and hold two dashes. No "<!--" of the head is left open.
@@ -183,23 +187,31 @@ def _parse(path: Path) -> ElementTree.Element:
     text = (re.sub(rb"<!--.*?-->", b" ", head + close, flags=re.DOTALL) + tail).strip()
     if re.search(rb"<!(DOCTYPE|ENTITY)", text, re.IGNORECASE) or b"\0" in text:
         raise FormatError(
-            f"A URDF with a DOCTYPE, entities or UTF-16 is refused. Hint: save it as plain UTF-8. File: {path}"
+            f"A URDF with a DOCTYPE, entities or UTF-16 is refused. Hint: save it as plain UTF-8. File: {path}",
+            code="H3-BODY-118",
         )
     try:
         robot = _elements(text)
     except (expat.ExpatError, ValueError, LookupError) as error:
-        raise FormatError(f"Expected URDF, this is not well-formed XML ({error}). File: {path}") from error
+        raise FormatError(
+            f"Expected URDF, this is not well-formed XML ({error}). File: {path}", code="H3-BODY-121"
+        ) from error
     bound = (item for e in robot.iter() for item in e.attrib.items())
     xacro = {"xacro", *(key.partition(":")[2] for key, value in bound if key.startswith("xmlns") and "xacro" in value)}
     names = [e.tag.rpartition(":") for e in robot.iter()]
     if any(prefix in xacro and name in _XACRO for prefix, _, name in names):
-        raise FormatError(f"This is xacro, not URDF. Hint: expand it first (xacro in.xacro > out.urdf). File: {path}")
+        raise FormatError(
+            f"This is xacro, not URDF. Hint: expand it first (xacro in.xacro > out.urdf). File: {path}",
+            code="H3-BODY-119",
+        )
     common = robot.tag.rpartition(":")[0]  # some exporters give one prefix to all elements; others are extensions
     for element in robot.iter():
         prefix, _, name = element.tag.rpartition(":")
         element.tag = name if prefix == common else element.tag
     if robot.tag != "robot":
-        raise FormatError(f"Expected URDF with the root element <robot>, got <{robot.tag}>. File: {path}")
+        raise FormatError(
+            f"Expected URDF with the root element <robot>, got <{robot.tag}>. File: {path}", code="H3-BODY-120"
+        )
     return robot
 
 

@@ -40,9 +40,12 @@ class UrdfIssues:
 
 @dataclass(frozen=True, kw_only=True)
 class UrdfGeometry:
-    """One shape. ``box`` uses ``size``; ``cylinder`` and ``capsule`` lie along z with ``radius`` and ``length`` (a capsule's
-    caps come on top of its length, as in Bullet); ``sphere`` has a ``radius``; ``mesh`` a ``file`` and a ``scale``. Bullet's
-    endless ``plane`` is read as a ``box`` of `PLANE_SIDE_M` whose top it is."""
+    """One shape of a URDF.
+
+    ``box`` uses ``size``; ``cylinder`` and ``capsule`` lie along z with ``radius`` and ``length`` (the caps of a
+    capsule are added to its length, as in Bullet); ``sphere`` has a ``radius``; ``mesh`` a ``file`` and a ``scale``.
+    Bullet's infinite ``plane`` is read as a ``box`` of `PLANE_SIDE_M` with the plane as its top.
+    """
 
     kind: Literal["box", "cylinder", "capsule", "sphere", "mesh"]
     size: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -106,10 +109,10 @@ def read_origin(element: ElementTree.Element | None, where: str, issues: UrdfIss
 
 
 def read_inertia(element: ElementTree.Element | None) -> NDArray[np.float64] | None:
-    """Returns half the sides [3] [m] of the solid box with the mass and the moments of inertia of ``<inertial>``, in its own
-    frame; None without them, or if they cannot be read: they only help to guess sizes.
+    """Returns half the sides [3] [m] of the solid box with the mass and the moments of inertia of ``<inertial>``.
 
-    From I_x = m (b^2 + c^2) / 12, and so on, for a box of sides a, b, c.
+    The box is in the element's own frame, with I_x = m (b^2 + c^2) / 12, and so on, for a box of sides a, b, c. Returns
+    None if mass or moments are missing or cannot be read: they only help to guess sizes.
     """
     ignored = UrdfIssues()
     mass_element = None if element is None else element.find("mass")
@@ -125,6 +128,7 @@ def read_inertia(element: ElementTree.Element | None) -> NDArray[np.float64] | N
 
 
 def read_color(element: ElementTree.Element | None, issues: UrdfIssues) -> tuple[int, int, int] | None:
+    """Colour of a ``<color>`` element as (red, green, blue) of 0..255; None without an element."""
     if element is None:
         return None
     text = element.get("rgba")
@@ -139,6 +143,7 @@ def read_color(element: ElementTree.Element | None, issues: UrdfIssues) -> tuple
 def read_parts(
     link: ElementTree.Element, tag: str, folder: Path, materials: dict[str, tuple[int, int, int]], issues: UrdfIssues
 ) -> Iterator[UrdfPart]:
+    """Yields the visual or collision shapes of a link, as ``tag`` says; faults are added to ``issues``."""
     for element in link.findall(tag):
         where = f"link {link.get('name')}, {tag}"
         geometry = _geometry(element.find("geometry"), folder, where, issues)
@@ -208,12 +213,14 @@ def _plane_frame(element: ElementTree.Element, where: str, issues: UrdfIssues) -
 
 
 def _mesh_path(filename: str, folder: Path, where: str, issues: UrdfIssues) -> Path | None:
-    """Where a mesh lies: relative to the URDF, or in the package of that name (`_packages`, or else
-    `_folders_called`); None with a fault or a warning.
+    """Path of a mesh file: relative to the URDF, or in the package of that name.
 
-    Backslashes, percent signs that stand for characters, and other case on disk are read as meant. A relative path climbs at
-    most two folders above the URDF, and one in a package stays inside it. An absolute path of another machine is looked
-    for by its tail, the longest first, in the folders above the URDF.
+    Packages are searched by `_packages`, or else `_folders_called`. Returns None, with a fault or a warning, if there
+    is no such file.
+
+    Backslashes, percent-encoded characters, and other case on disk are accepted. A relative path climbs at most two
+    folders above the URDF, and one in a package stays inside it. An absolute path of another machine is searched by its
+    tail, the longest first, in the folders above the URDF.
     """
     if not filename.strip():
         issues.warnings.append(f"{where}: its mesh has no file name, it is left out")

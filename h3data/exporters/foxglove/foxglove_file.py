@@ -50,7 +50,7 @@ class FoxgloveCamera:
 
 @dataclass(frozen=True)
 class FoxgloveFile:
-    """What was written."""
+    """Result of writing a Foxglove file."""
 
     path: Path
     topics: tuple[str, ...]
@@ -83,12 +83,15 @@ def write_foxglove(
     """
     path = Path(path)
     if not path.name.endswith(FOXGLOVE_SUFFIX):
-        raise InputError(f"Expected a file name that ends in {FOXGLOVE_SUFFIX}, as no recording's does, got: {path}")
+        raise InputError(
+            f"Expected a file name that ends in {FOXGLOVE_SUFFIX}, as no recording's does, got: {path}",
+            code="H3-EXPORT-003",
+        )
     names = [view.camera.name for view in cameras]
     if len(set(names)) < len(names):
-        raise InputError(f"Each camera is shown once, got: {', '.join(names)}.")
+        raise InputError(f"Each camera is shown once, got: {', '.join(names)}.", code="H3-EXPORT-004")
     if not len(recording):
-        raise InputError("A recording without steps has nothing to show.")
+        raise InputError("A recording without steps has nothing to show.", code="H3-EXPORT-005")
     writer_class = _import_writer()
     with part_file(path) as part, part.open("wb") as stream, writer_class(stream) as mcap:
         mcap.add_metadata("h3.episode", episode_metadata(recording.episode))
@@ -162,7 +165,10 @@ class _Export:
                     picture = next(seen, None)
         self._tell_until(None)
         if picture is not None:
-            raise InputError(f"Pictures must come in the order of their steps; that of step {picture[0]} fits nowhere.")
+            raise InputError(
+                f"Pictures must come in the order of their steps; that of step {picture[0]} fits nowhere.",
+                code="H3-EXPORT-006",
+            )
         return FoxgloveFile(path, tuple(sorted(self._topics)), self._count, len(self._scene.frames.names))
 
     def _world_poses(self, steps: NDArray[np.intp]) -> Array:
@@ -252,5 +258,7 @@ def _import_writer() -> type[Writer]:
         import foxglove_schemas_protobuf  # noqa: F401
         from mcap_protobuf.writer import Writer
     except ImportError:
-        raise MissingExtraError('Files for Foxglove need its schemas. Hint: pip install "h3data[foxglove]"') from None
+        raise MissingExtraError(
+            'Files for Foxglove need its schemas. Hint: pip install "h3data[foxglove]"', code="H3-EXPORT-007"
+        ) from None
     return Writer

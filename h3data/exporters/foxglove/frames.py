@@ -42,8 +42,18 @@ class FrameTree:
         return out
 
     def news(self, time_ns: int, local: Array) -> tuple[list[tuple[str, str, Array]], bool]:
-        """``(parent, child, pose7)`` of the frames that have moved, out of their poses [F, 7]; of all that are there at
-        the first call and once a second, and whether this is such a call."""
+        """Frames to publish at a step, and whether all of them are published.
+
+        All frames that exist are published at the first call and once a second; otherwise only those that have moved
+        since they were last published.
+
+        Args:
+            time_ns: time of the step.
+            local: poses of all frames in their parents [F, 7].
+
+        Returns:
+            ``(parent, child, pose7)`` of each frame to publish, and whether this is a full set.
+        """
         there = np.isfinite(local).all(1)
         whole = self._whole_ns is None or time_ns - self._whole_ns >= _WHOLE_NS
         if whole:

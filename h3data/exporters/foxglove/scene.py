@@ -23,8 +23,11 @@ _TAG_HEIGHT_M = {"human": 1.95, "robot": 0.95}
 
 @dataclass(eq=False)
 class Group:
-    """Things that come and go together; viewers switch topics on and off, and when someone jumps in time they show the
-    last message of each. So who leaves the world at times has a topic, each of whose messages says all of it."""
+    """Entities of a scene that appear and disappear together, published on one topic.
+
+    Viewers switch topics on and off, and show the last message of each topic after a jump in time. Agents that leave
+    the world at times therefore have a topic of their own, each of whose messages describes the whole group.
+    """
 
     topic: str
     there: NDArray[np.bool_] | None
@@ -36,7 +39,7 @@ class Group:
         return step == 0 or (self.there is not None and self.there[step] != self.there[step - 1])
 
     def update(self, step: int, time_ns: int) -> messages.SceneUpdate:
-        """What to say."""
+        """Message to publish at a step."""
         if self.there is None or self.there[step]:
             for entity in self.entities:
                 entity.timestamp.CopyFrom(messages.stamp(time_ns))

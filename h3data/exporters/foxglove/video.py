@@ -38,7 +38,9 @@ class PictureStream:
 
         if rgb.shape != (*self._size, 3) or rgb.dtype != np.uint8:
             expected = f"uint8 {[*self._size, 3]}"
-            raise InputError(f"Expected a picture of {expected}, got {rgb.dtype} {list(rgb.shape)}.")
+            raise InputError(
+                f"Expected a picture of {expected}, got {rgb.dtype} {list(rgb.shape)}.", code="H3-EXPORT-008"
+            )
         even = np.pad(rgb, ((0, self._size[0] % 2), (0, self._size[1] % 2), (0, 0)), mode="edge")
         frame = av.VideoFrame.from_ndarray(even, format="rgb24").reformat(format="yuv420p")
         frame.pts = self._count

@@ -44,8 +44,12 @@ class ArticulatedExport:
         return found | {name for name in moved if by_name[name].motion == "static"}
 
     def add(self, scene: Scene, thing: Articulation, kind: str, semantic_id: int) -> tuple[str, dict[str, str]]:
-        """Writes a thing of a scene; returns the handle of its template and, by our names of its receptacles, Habitat's
-        without the name of the object."""
+        """Writes the files of an articulated object of a scene, with its template.
+
+        Returns:
+            The handle of the template, and Habitat's names of its receptacles by ours. Habitat's names lack the name of the
+            object.
+        """
         joints = joints_of(scene)
         closed = posed(scene, np.zeros(len(joints)))
         at_zero = next(other for other in closed.articulations if other.name == thing.name)

@@ -18,14 +18,14 @@ from h3data.exporters.habitat.scenes import DatasetExport
 from h3data.formats import Exported, ExportRequest
 from h3data.geometry import pose_to_matrix
 from h3data.habitat.episodes.episode_files import write_episodes
-from h3data.habitat.episodes.rearrange_episode import EpisodeSet, RearrangeEpisode, RigidObject, handles_of
-from h3data.habitat.episodes.stored_rearrangements import (
+from h3data.recording.records import Recording
+from h3data.recording.task_episodes.rearrange_episode import EpisodeSet, RearrangeEpisode, RigidObject, handles_of
+from h3data.recording.task_episodes.stored_rearrangements import (
     EpisodeObject,
     StoredRearrangement,
     rearrangement_entry,
     rearrangement_of,
 )
-from h3data.recording.records import Recording
 from h3data.scene import load_scene, scene_digest
 from h3data.scene.records import Instance, Scene
 
@@ -49,7 +49,7 @@ def export_habitat_episodes(recordings: Iterable[Recording], request: ExportRequ
 
 @dataclass(frozen=True, kw_only=True)
 class WrittenEpisodes:
-    """What was written."""
+    """Result of writing an episode file."""
 
     config: Path
     """The scene dataset."""
@@ -87,7 +87,10 @@ def write_habitat_episodes(
             continue
         record = rearrangement_of(recording)
         if "scene.glb" not in recording.attachments:
-            raise InputError(f"The recording {recording.episode.episode_id!r} does not hold its scene (scene.glb).")
+            raise InputError(
+                f"The recording {recording.episode.episode_id!r} does not hold its scene (scene.glb).",
+                code="H3-EXPORT-016",
+            )
         scene = load_scene(recording.attachments["scene.glb"])
         furniture = _furniture(scene)
         digest = scene_digest(furniture)
@@ -96,7 +99,7 @@ def write_habitat_episodes(
             scenes[digest] = dataset.add_scene(named)
         entries.append(_entry(record, scene, dataset, *scenes[digest], number=len(entries)))
     if not entries:
-        raise InputError("There is no recording with steps to export.")
+        raise InputError("There is no recording with steps to export.", code="H3-EXPORT-014")
     config = dataset.write()
     file = Path(folder) / EPISODES
     file.parent.mkdir(exist_ok=True)
@@ -124,7 +127,10 @@ def _entry(
     )
     lost = sorted(starts.keys() - handles.keys())
     if lost:
-        raise InputError(f"The recorded scene has no movable thing {lost[0]!r}, which is a goal of its episode.")
+        raise InputError(
+            f"The recorded scene has no movable thing {lost[0]!r}, which is a goal of its episode.",
+            code="H3-EXPORT-015",
+        )
     poses = {thing.name: starts.get(thing.name, thing.pose) for _, thing in movable}
     objects = tuple(
         EpisodeObject(name=thing.name, config=config, pose=tuple(thing.pose.tolist())) for config, thing in movable

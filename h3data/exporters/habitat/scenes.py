@@ -21,13 +21,13 @@ from h3data.exporters.habitat.articulated import ArticulatedExport, articulated_
 from h3data.exporters.habitat.building import building_parts, parts_by_class, speck
 from h3data.exporters.habitat.lights import SHADER, light_setup
 from h3data.geometry import IDENTITY_POSE, normalized
-from h3data.habitat.navmesh.navmesh import NavMeshSettings, navmesh_from_free_space
-from h3data.habitat.navmesh.navmesh_file import navmesh_bytes
+from h3data.habitat.navmesh_file import navmesh_bytes
 from h3data.habitat.scenes.colliders import part_mesh, scaled_asset
 from h3data.habitat.scenes.scene_dataset import DATASET_ENDING
 from h3data.mesh.glb_write import GlbNode, glb_bytes
 from h3data.mesh.mesh import Mesh
 from h3data.scene.freespace.free_space import FreeSpace
+from h3data.scene.navmesh.navmesh import NavMeshSettings, navmesh_from_free_space
 from h3data.scene.records import Asset, Instance, Receptacle, Room, Scene, instance_matrix
 from h3data.scene.scene_json import asset_record
 
@@ -99,10 +99,12 @@ def export_habitat_dataset(
         force: Replace a folder that an earlier export made; any other is refused still.
     """
     if not scenes:
-        raise InputError("Expected at least one scene to export.")
+        raise InputError("Expected at least one scene to export.", code="H3-EXPORT-017")
     handles = [_file_name(s.name) for s in scenes]
     if len(set(handles)) < len(handles):
-        raise InputError(f"Scenes of one dataset need different names, got {', '.join(sorted(handles))}.")
+        raise InputError(
+            f"Scenes of one dataset need different names, got {', '.join(sorted(handles))}.", code="H3-EXPORT-018"
+        )
     name = name or (handles[0] if len(scenes) == 1 else Path(folder).name)
     dataset = DatasetExport(folder, name, split_building=split_building, force=force)
     for scene in scenes:
@@ -198,7 +200,10 @@ def _add_scene(files: _Files, handle: str, scene: Scene) -> Mapping[str, str]:
     """Adds the files of a scene; returns Habitat's names of its receptacles by ours."""
     for instance in scene.instances:
         if not (np.isfinite(instance.pose).all() and np.isfinite(instance.scale).all() and np.all(instance.scale)):
-            raise SceneError(f"Scene {scene.name!r}: {instance.name!r} has a pose or scale that cannot be written.")
+            raise SceneError(
+                f"Scene {scene.name!r}: {instance.name!r} has a pose or scale that cannot be written.",
+                code="H3-EXPORT-021",
+            )
     stage = tuple(
         i for i in scene.static_instances
         if scene.assets[i.asset].category in STAGE_CATEGORIES and len(scene.assets[i.asset].mesh.faces)
@@ -206,7 +211,8 @@ def _add_scene(files: _Files, handle: str, scene: Scene) -> Mapping[str, str]:
     if not stage:
         raise SceneError(
             f"Scene {scene.name!r} has no building, so there is no stage to write. Expected static instances of a "
-            f"category among: {', '.join(sorted(STAGE_CATEGORIES))}."
+            f"category among: {', '.join(sorted(STAGE_CATEGORIES))}.",
+            code="H3-EXPORT-019",
         )
     objects = _add_stage(files, handle, scene, stage, split=files.split_building)
     articulated = ArticulatedExport(files.content, _receptacle, _receptacle_key)
@@ -258,7 +264,7 @@ def _add_navmesh(files: _Files, handle: str, scene: Scene) -> bool:
     try:
         free = FreeSpace.from_scene(scene, radius_m=_AGENT_RADIUS_M, height_m=_AGENT_HEIGHT_M)
         if free.polygon.is_empty:
-            raise SceneError("no floor is free")
+            raise SceneError("no floor is free", code="H3-EXPORT-022")
         settings = NavMeshSettings(
             agent_height=_AGENT_HEIGHT_M, agent_radius=_AGENT_RADIUS_M, include_static_objects=True
         )  # else equal to the defaults: whoever asks habitat-sim for these settings gets this navmesh, not a new one
@@ -449,16 +455,21 @@ def _refuse(folder: Path, *, force: bool) -> None:
         if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
             return
         if not folder.is_dir():
-            raise InputError(f"Expected a folder to export to, this is a file: {folder}")
+            raise InputError(f"Expected a folder to export to, this is a file: {folder}", code="H3-EXPORT-023")
         if not force:
             raise InputError(
-                f"The folder to export to is not empty. Replace it with force=True, or choose another: {folder}"
+                f"The folder to export to is not empty. Replace it with force=True, or choose another: {folder}",
+                code="H3-EXPORT-024",
             )
         configs = [p.read_text(errors="replace") for p in folder.glob("*" + DATASET_ENDING)]
     except OSError as error:
-        raise InputError(f"Cannot look into the folder to export to ({error.strerror}): {folder}") from None
+        raise InputError(
+            f"Cannot look into the folder to export to ({error.strerror}): {folder}", code="H3-EXPORT-025"
+        ) from None
     if not any(_MARK in text for text in configs):
-        raise InputError(f"force would delete this, but h3data did not export it. Remove it yourself: {folder}")
+        raise InputError(
+            f"force would delete this, but h3data did not export it. Remove it yourself: {folder}", code="H3-EXPORT-020"
+        )
 
 
 def _write(folder: Path, content: Mapping[str, bytes], *, force: bool) -> None:
@@ -480,5 +491,7 @@ def _write(folder: Path, content: Mapping[str, bytes], *, force: bool) -> None:
     except OSError as error:
         with suppress(OSError):
             shutil.rmtree(part)
-        raise InputError(f"Cannot write the Habitat dataset ({error.strerror or error}): {folder}") from None
+        raise InputError(
+            f"Cannot write the Habitat dataset ({error.strerror or error}): {folder}", code="H3-EXPORT-026"
+        ) from None
     shutil.rmtree(old, ignore_errors=True)

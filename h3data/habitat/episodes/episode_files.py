@@ -20,7 +20,7 @@ from h3data.formats import SourceFile, json_format
 from h3data.formats.json_files import not_json
 from h3data.habitat.episodes.episode_json import Notes, decode_episodes, encode_episode, encode_json
 from h3data.habitat.episodes.episode_pickle import unpickle_episodes
-from h3data.habitat.episodes.rearrange_episode import ContentFile, EpisodeSet, RearrangeEpisode
+from h3data.recording.task_episodes.rearrange_episode import ContentFile, EpisodeSet, RearrangeEpisode
 from h3data.safe_pickle import is_pickle
 
 _OBJECT = msgspec.json.Decoder(dict[str, msgspec.Raw])
@@ -99,12 +99,19 @@ def _other_kind(path: Path, data: bytes) -> FormatError:
     other = json_format(content, name=path.name)
     if other.name == "rearrange_episodes":
         got = type(content["episodes"]).__name__
-        return FormatError(f"Expected a list under 'episodes', got {_JSON_WORDS.get(got, got)}: {path}")
+        return FormatError(
+            f"Expected a list under 'episodes', got {_JSON_WORDS.get(got, got)}: {path}", code="H3-HABITAT-004"
+        )
     if not isinstance(content, dict):
         word = _JSON_WORDS.get(type(content).__name__, "a value")
-        return FormatError(f"Expected an episode dataset, an object with the key 'episodes'; this is {word}: {path}")
+        return FormatError(
+            f"Expected an episode dataset, an object with the key 'episodes'; this is {word}: {path}",
+            code="H3-HABITAT-005",
+        )
     keys = ", ".join(list(content)[:5]) or "no keys"
-    return FormatError(f"Expected an episode dataset, this is {other.title} (it has {keys}): {path}")
+    return FormatError(
+        f"Expected an episode dataset, this is {other.title} (it has {keys}): {path}", code="H3-HABITAT-002"
+    )
 
 
 _JSON_WORDS = {"dict": "an object", "list": "a list", "str": "a string", "int": "a number", "float": "a number",
@@ -120,7 +127,10 @@ def _not_json(path: Path, data: bytes, fault: Exception) -> FormatError:
         except (ValueError, RecursionError):
             where = None
         if where is not None:
-            return FormatError(f"Expected finite numbers, {where[0]} is {where[1]}. Hint: leave that out. {path}")
+            return FormatError(
+                f"Expected finite numbers, {where[0]} is {where[1]}. Hint: leave that out. {path}",
+                code="H3-HABITAT-010",
+            )
     return not_json(path, data, fault)
 
 
@@ -143,17 +153,23 @@ def _joined(where: str, key: str) -> str:
 
 
 def _too_deep(path: Path) -> FormatError:
-    return FormatError(f"Expected an episode dataset, this is JSON nested deeper than any of them: {path}")
+    return FormatError(
+        f"Expected an episode dataset, this is JSON nested deeper than any of them: {path}", code="H3-HABITAT-003"
+    )
 
 
 def _content_files(path: Path, extra: Mapping[str, Any]) -> list[tuple[str, Path]]:
     """Names and paths of the files that a split dataset consists of, by name."""
     pattern = extra.get("content_scenes_path", _CONTENT_PATH)
     if not isinstance(pattern, str) or pattern.count("{scene}") != 1 or not pattern.startswith("{data_path}/"):
-        raise FormatError(f"Expected content_scenes_path like {_CONTENT_PATH!r}, got {pattern!r}: {path}")
+        raise FormatError(
+            f"Expected content_scenes_path like {_CONTENT_PATH!r}, got {pattern!r}: {path}", code="H3-HABITAT-006"
+        )
     before, after = pattern.removeprefix("{data_path}/").split("{scene}")
     if ".." in Path(before + after).parts or Path(before).is_absolute() or "/" in after:
-        raise FormatError(f"content_scenes_path must stay in the folder of the dataset, is {pattern!r}: {path}")
+        raise FormatError(
+            f"content_scenes_path must stay in the folder of the dataset, is {pattern!r}: {path}", code="H3-HABITAT-007"
+        )
     folder = path.parent / before
     if not folder.is_dir():
         return []
@@ -173,7 +189,7 @@ def write_episodes(episode_set: EpisodeSet, path: str | Path) -> None:
     """
     path = Path(path)
     if not path.name.endswith((".json", ".json.gz")):
-        raise InputError(f"Expected a name that ends in .json.gz or .json: {path}")
+        raise InputError(f"Expected a name that ends in .json.gz or .json: {path}", code="H3-HABITAT-008")
     episodes, contents = episode_set.episodes, episode_set.contents
     if not contents:
         _write(path, episodes, 0, episode_set.extra)
@@ -181,14 +197,18 @@ def write_episodes(episode_set: EpisodeSet, path: str | Path) -> None:
     total = sum(part.episodes for part in contents)
     if total != len(episodes):
         raise InputError(
-            f"contents accounts for {total} episodes, the set has {len(episodes)}. Hint: contents=() writes one file."
+            f"contents accounts for {total} episodes, the set has {len(episodes)}. Hint: contents=() writes one file.",
+            code="H3-HABITAT-009",
         )
     pattern = str(episode_set.extra.get("content_scenes_path", _CONTENT_PATH))
     at = 0
     for part in contents:
         file = path.parent / pattern.removeprefix("{data_path}/").replace("{scene}", part.name)
         if path.parent.resolve() not in file.resolve().parents:
-            raise InputError(f"The content file {part.name!r} would lie outside the folder of the dataset: {file}")
+            raise InputError(
+                f"The content file {part.name!r} would lie outside the folder of the dataset: {file}",
+                code="H3-HABITAT-011",
+            )
         file.parent.mkdir(parents=True, exist_ok=True)
         _write(file, episodes[at : at + part.episodes], at, part.extra)
         at += part.episodes
@@ -214,7 +234,7 @@ def _pieces(episodes: Sequence[RearrangeEpisode], first: int, extra: Mapping[str
     yield b"{"
     for key, value in extra.items():
         if key == "episodes":
-            raise InputError("extra must not hold 'episodes': they are in EpisodeSet.episodes")
+            raise InputError("extra must not hold 'episodes': they are in EpisodeSet.episodes", code="H3-HABITAT-012")
         yield encode_json(key, "extra") + b":" + encode_json(value, f"extra.{key}") + b","
     yield b'"episodes":['
     for k, episode in enumerate(episodes):

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
-from h3data.habitat.episodes.rearrange_episode import (
+from h3data.recording.task_episodes.rearrange_episode import (
     RIGID_TOLERANCE,
     Marker,
     Matrix,
@@ -69,12 +69,14 @@ class Notes:
     found: dict[str, tuple[int, str]] = field(default_factory=dict)
 
     def add(self, what: str, where: str) -> None:
+        """Counts an oddity, with the first place where it occurs; with ``strict`` it is a `FormatError`."""
         if self.strict:
-            raise FormatError(f"{where}: {what}: {self.path}")
+            raise FormatError(f"{where}: {what}: {self.path}", code="H3-HABITAT-018")
         count, first = self.found.get(what, (0, f"{where} in {self.path.name}"))
         self.found[what] = (count + 1, first)
 
     def texts(self) -> tuple[str, ...]:
+        """One line for each kind of oddity, with its count and its first place."""
         return tuple(f"{what}: {count} times, first at {first}" for what, (count, first) in self.found.items())
 
 
@@ -88,6 +90,11 @@ class _Draft:
 
 
 def decode_episodes(raws: Sequence[msgspec.Raw], notes: Notes) -> list[RearrangeEpisode]:
+    """Decodes episodes from JSON; oddities are added to ``notes``.
+
+    Raises:
+        FormatError: an episode is malformed; the message names its key.
+    """
     episodes: list[RearrangeEpisode] = []
     for start in range(0, len(raws), _BLOCK):
         rows: list[_Rows] = []
@@ -111,10 +118,10 @@ def _draft(raw: msgspec.Raw, index: int, rows: list[_Rows], path: Path) -> _Draf
     try:
         found = _OBJECT.decode(raw)
     except (msgspec.DecodeError, UnicodeDecodeError) as fault:
-        raise FormatError(f"{where}: {_reworded(fault)}: {path}") from None
+        raise FormatError(f"{where}: {_reworded(fault)}: {path}", code="H3-HABITAT-019") from None
     missing = [key for key in ("episode_id", "scene_id") if key not in found]
     if missing:
-        raise FormatError(f"{where} lacks {' and '.join(missing)}: {path}")
+        raise FormatError(f"{where} lacks {' and '.join(missing)}: {path}", code="H3-HABITAT-013")
     values: dict[str, Any] = {}
     extra: dict[str, Any] = {}
     for key, text in found.items():
@@ -125,9 +132,9 @@ def _draft(raw: msgspec.Raw, index: int, rows: list[_Rows], path: Path) -> _Draf
             else:
                 values[key] = decoder.decode(text)
         except (msgspec.DecodeError, UnicodeDecodeError) as fault:
-            raise FormatError(f"{_located(where, key, fault, text)}: {path}") from None
+            raise FormatError(f"{_located(where, key, fault, text)}: {path}", code="H3-HABITAT-023") from None
         except RecursionError:
-            raise FormatError(f"{where}.{key} is nested too deeply: {path}") from None
+            raise FormatError(f"{where}.{key} is nested too deeply: {path}", code="H3-HABITAT-024") from None
     absent = _shared(frozenset(KEYS.keys() - values.keys()))
     objects = values.pop("rigid_objs", ())
     targets = values.pop("targets", {})
@@ -186,20 +193,24 @@ def _no_twins(text: msgspec.Raw, targets: dict[str, Any], where: str, path: Path
     pairs = json.loads(raw, object_pairs_hook=lambda pairs: pairs)
     twins = [handle for handle, count in Counter(handle for handle, _ in pairs).items() if count > 1]
     if twins:
-        raise FormatError(f"{where} has the handle {twins[0]!r} twice. Hint: which goal is right? {path}")
+        raise FormatError(
+            f"{where} has the handle {twins[0]!r} twice. Hint: which goal is right? {path}", code="H3-HABITAT-014"
+        )
 
 
 def _check_labels(labels: Any, where: str, path: Path) -> None:
     if labels is None:
         return
     if not isinstance(labels, dict) or not all(isinstance(label, str) for label in labels.values()):
-        raise FormatError(f"{where}: Expected an object of names by handle: {path}")
+        raise FormatError(f"{where}: Expected an object of names by handle: {path}", code="H3-HABITAT-015")
 
 
 def _marker(content: dict[str, Any], where: str, path: Path) -> Marker:
     params = content.get("params")
     if not isinstance(params, dict):
-        raise FormatError(f"{where}.params: Expected an object with offset, link and object: {path}")
+        raise FormatError(
+            f"{where}.params: Expected an object with offset, link and object: {path}", code="H3-HABITAT-016"
+        )
     extra = {key: value for key, value in content.items() if key not in ("name", "type", "params")}
     unknown = {key: value for key, value in params.items() if key not in ("offset", "link", "object")}
     if unknown:
@@ -208,7 +219,7 @@ def _marker(content: dict[str, Any], where: str, path: Path) -> Marker:
     try:
         return msgspec.convert({**known, **{key: params.get(key) for key in ("offset", "link", "object")}}, Marker)
     except msgspec.ValidationError as fault:
-        raise FormatError(f"{_located(where, '', fault)}: {path}") from None
+        raise FormatError(f"{_located(where, '', fault)}: {path}", code="H3-HABITAT-020") from None
 
 
 def _located(where: str, key: str, fault: Exception, text: msgspec.Raw | None = None) -> str:
@@ -243,11 +254,13 @@ def encode_episode(episode: RearrangeEpisode, *, where: str = "episode") -> byte
     names = [key for key in KEYS if key not in episode.absent]
     clash = set(names) & set(episode.extra)
     if clash:
-        raise InputError(f"{where}: extra must not hold {sorted(clash)}, which are fields of the record")
+        raise InputError(
+            f"{where}: extra must not hold {sorted(clash)}, which are fields of the record", code="H3-HABITAT-017"
+        )
     matrices = [thing.matrix for thing in episode.rigid_objects] + list(episode.targets.values())
     for matrix in matrices:
         if np.shape(matrix) != (4, 4) or not np.isfinite(matrix).all():
-            raise InputError(f"{where}: Expected finite matrices of shape [4, 4], got\n{matrix}")
+            raise InputError(f"{where}: Expected finite matrices of shape [4, 4], got\n{matrix}", code="H3-HABITAT-021")
     content = {key: getattr(episode, _FIELDS.get(key, key)) for key in names}
     content |= {
         key: made(content[key])
@@ -274,7 +287,12 @@ def _markers_json(markers: Sequence[Marker]) -> list[Any]:
 
 
 def encode_json(content: Any, where: str) -> bytes:
+    """Compact JSON of a value.
+
+    Raises:
+        InputError: it holds a number that is not finite, or a value that JSON does not know; the message names ``where``.
+    """
     try:
         return json.dumps(content, allow_nan=False, separators=(",", ":")).encode()
     except (ValueError, TypeError, RecursionError) as fault:
-        raise InputError(f"{where} cannot be written as JSON: {fault}") from None
+        raise InputError(f"{where} cannot be written as JSON: {fault}", code="H3-HABITAT-022") from None

@@ -14,20 +14,20 @@ from numpy.typing import NDArray
 
 from h3data.errors import H3DataError
 from h3data.geometry import quat_rotate
-from h3data.habitat.episodes.rearrange_episode import template_name
-from h3data.habitat.episodes.stored_rearrangements import EpisodeObject
-from h3data.habitat.placeholders import placeholder_mesh
 from h3data.habitat.scene_files import dataset_at, folders_of
 from h3data.habitat.scenes.collision_geometry import box_shape
 from h3data.habitat.scenes.config_keys import KeyNotes
-from h3data.habitat.scenes.object_handles import HANDLE, file_of_template
 from h3data.habitat.scenes.referenced_files import ReferencedFiles
 from h3data.habitat.scenes.scene_dataset import DATASET_ENDING, Template, dataset_above
 from h3data.habitat.scenes.scene_instance import INSTANCE_ENDING
 from h3data.habitat.scenes.templates import TemplateReader
 from h3data.mesh.loading import is_file
+from h3data.recording.assets.handles import HANDLE, file_of_template
+from h3data.recording.assets.placeholders import placeholder_mesh
+from h3data.recording.task_episodes.rearrange_episode import template_name
+from h3data.recording.task_episodes.stored_rearrangements import EpisodeObject
 from h3data.scene.records import Asset, Instance, Scene
-from h3data.scene.scene_sets import SceneFile, SceneSource
+from h3data.scene.sources import SceneFile, SceneSource
 
 
 class ObjectSearch(NamedTuple):

@@ -23,13 +23,15 @@ def unpickle_episodes(data: bytes, path: Path) -> Sequence[msgspec.Raw]:
     content = load_pickle(data, path)
     if not isinstance(content, dict) or not {"all_transforms", "idx_to_name", "all_eps"} <= set(content):
         keys = list(map(str, content))[:5] if isinstance(content, dict) else type(content).__name__
-        raise FormatError(f"Expected a pickle with all_transforms, idx_to_name and all_eps, got {keys}: {path}")
+        raise FormatError(
+            f"Expected a pickle with all_transforms, idx_to_name and all_eps, got {keys}: {path}", code="H3-HABITAT-025"
+        )
     names, transforms, episodes = (content[key] for key in ("idx_to_name", "all_transforms", "all_eps"))
     transforms = _transforms(transforms, path)
     if not isinstance(names, dict) or not all(isinstance(name, str) for name in names.values()):
-        raise FormatError(f"idx_to_name: Expected names by index: {path}")
+        raise FormatError(f"idx_to_name: Expected names by index: {path}", code="H3-HABITAT-026")
     if not isinstance(episodes, list) or not all(isinstance(episode, dict) for episode in episodes):
-        raise FormatError(f"all_eps: Expected a list of objects: {path}")
+        raise FormatError(f"all_eps: Expected a list of objects: {path}", code="H3-HABITAT-027")
     return [_resolved(episode, k, names, transforms, path) for k, episode in enumerate(episodes)]
 
 
@@ -39,10 +41,12 @@ def _transforms(value: Any, path: Path) -> NDArray[Any]:
         array = np.zeros((0, 4, 4))
     if array is None or array.dtype.kind != "f" or array.ndim != 3 or array.shape[1:] != (4, 4):
         got = type(value).__name__ if array is None else f"{array.dtype} {list(array.shape)}"
-        raise FormatError(f"all_transforms: Expected a float array [N, 4, 4], got {got}: {path}")
+        raise FormatError(f"all_transforms: Expected a float array [N, 4, 4], got {got}: {path}", code="H3-HABITAT-028")
     finite = np.isfinite(array).all(axis=(1, 2))
     if not finite.all():
-        raise FormatError(f"all_transforms[{int(np.argmin(finite))}]: Expected finite numbers: {path}")
+        raise FormatError(
+            f"all_transforms[{int(np.argmin(finite))}]: Expected finite numbers: {path}", code="H3-HABITAT-029"
+        )
     return array
 
 
@@ -69,9 +73,11 @@ def _resolved(
             ]
         return msgspec.Raw(_json(content))
     except KeyError as fault:
-        raise FormatError(f"{where}: index {fault} is not in idx_to_name: {path}") from None
+        raise FormatError(f"{where}: index {fault} is not in idx_to_name: {path}", code="H3-HABITAT-030") from None
     except (TypeError, ValueError, AttributeError, IndexError, OverflowError) as fault:
-        raise FormatError(f"{where} does not have the layout of a pickled episode ({fault}): {path}") from None
+        raise FormatError(
+            f"{where} does not have the layout of a pickled episode ({fault}): {path}", code="H3-HABITAT-031"
+        ) from None
 
 
 def _json(content: Any) -> bytes:

@@ -1,4 +1,4 @@
-"""Where the scene of a stored episode is: a home that can be built again, or a file beside the episodes."""
+"""Where the scene of a stored episode is: a scene that can be generated again, or a file beside the episodes."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from h3data.errors import H3DataError, SceneError
-from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode
-from h3data.habitat.episodes.stored_episodes import StoredEpisode
 from h3data.habitat.scene_files import dataset_at, find_scene_file, folders_of
-from h3data.habitat.scene_names import open_scene
 from h3data.habitat.scenes.scene_dataset import DATASET_ENDING
-from h3data.scene import HomeSpec, scene_digest
-from h3data.scene.scene_sets import SceneFile, SceneSource
+from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode
+from h3data.recording.task_episodes.stored_episodes import StoredEpisode
+from h3data.scene import scene_digest
+from h3data.scene.open import open_scene
+from h3data.scene.sources import SceneFile, SceneSource, SceneSpec, recorded_spec
 
 
 def scene_of_episode(
@@ -55,7 +55,8 @@ def scene_of_episode(
     )
     raise SceneError(
         f"Cannot find the scene {episode.scene_id!r} of episode {episode.episode_id!r}: {why}there is no file {named} in "
-        f"{folder} or above it, in the working directory, or below the folders of assets= and H3DATA_ASSETS."
+        f"{folder} or above it, in the working directory, or below the folders of assets= and H3DATA_ASSETS.",
+        code="H3-HABITAT-032",
     )
 
 
@@ -85,15 +86,13 @@ def _has_scene(config: Path, scene: str) -> bool:
     return found is not None and found.handle == scene
 
 
-def _home(source: Mapping[str, Any]) -> HomeSpec | None:
-    if source.get("kind") != "home":
-        return None
+def _home(source: Mapping[str, Any]) -> SceneSpec | None:
     try:
-        return HomeSpec(**{name: value for name, value in source.items() if name != "kind"})
+        return recorded_spec(source)
     except (TypeError, H3DataError):
         return None
 
 
 @lru_cache(maxsize=128)
-def _digest(home: HomeSpec) -> str:
+def _digest(home: SceneSpec) -> str:
     return scene_digest(open_scene(home))

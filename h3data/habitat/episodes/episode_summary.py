@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from h3data.errors import H3DataError
-from h3data.habitat.episodes.partnr_goals import PROPOSITIONS, predicates_of
-from h3data.habitat.episodes.rearrange_episode import EpisodeSet, RearrangeEpisode, template_name
-from h3data.habitat.episodes.social_nav_episodes import read_social_nav
-from h3data.habitat.episodes.stored_episodes import task_of
-from h3data.habitat.episodes.stored_rearrangements import StoredRearrangement, read_rearrangement
+from h3data.recording.task_episodes.partnr_goals import PROPOSITIONS, predicates_of
+from h3data.recording.task_episodes.rearrange_episode import EpisodeSet, RearrangeEpisode, template_name
+from h3data.recording.task_episodes.social_nav_episodes import read_social_nav
+from h3data.recording.task_episodes.stored_episodes import task_of
+from h3data.recording.task_episodes.stored_rearrangements import StoredRearrangement, read_rearrangement
 
 _LISTED = 6
 _LONGEST = 48

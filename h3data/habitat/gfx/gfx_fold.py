@@ -48,8 +48,10 @@ class Updates:
             self._values.extend(bone.r)
 
     def poses(self, bones: int = 1) -> NDArray[np.float32]:
-        """pose7 [U, bones, 7], quaternions sign-continuous on axis 0 and of unit length (files round to 4 decimals), NaN
-        where theirs is 0. A view: updates can neither be added nor removed while it is held.
+        """pose7 [U, bones, 7] of all updates, with sign-continuous unit quaternions on axis 0.
+
+        Files round to 4 decimals. A quaternion of 0 gives NaN. The result is a view: updates can neither be added nor
+        removed while it is held.
         """
         if not self.steps:
             return np.zeros((0, bones, 7), np.float32)
@@ -110,6 +112,7 @@ class Loaded:
     """Whether every one of them overrides the material."""
 
     def add(self, load: Load) -> None:
+        """Adds a load entry."""
         phong = load.overridePhongMaterial
         self.last = load
         self.always_painted &= phong is not None and phong.diffuse is not None
@@ -139,6 +142,7 @@ class Fold:
     """Counts of oddities, by description."""
 
     def note(self, what: str) -> None:
+        """Counts an oddity."""
         self.counts[what] = self.counts.get(what, 0) + 1
 
 
@@ -208,8 +212,9 @@ def _rows(life: Life, start: int, stop: int) -> NDArray[np.float32]:
 
 
 def filled(updates: Updates, start: int, stop: int, *, bones: int = 1, end: int = -1) -> NDArray[np.float32]:
-    """The latest poses at the keyframes from ``start`` to ``stop``, pose7 [stop - start, bones, 7]; NaN before the first
-    update, and from the keyframe ``end`` on unless that is -1.
+    """Latest poses at the keyframes from ``start`` to ``stop``, pose7 [stop - start, bones, 7].
+
+    They are NaN before the first update, and from the keyframe ``end`` on unless that is -1.
     """
     at = np.arange(start, stop, dtype=np.int32)
     latest = np.searchsorted(np.array(updates.steps, np.int32), at, side="right") - 1
@@ -224,7 +229,8 @@ def _pose_rig(rig: Rig, step: int, number: int, pose: list[BonePose], path: Path
     if len(pose) != rig.bones:
         raise FormatError(
             f"Not a valid gfx-replay: rig {number} has {rig.bones} bones, {len(pose)} came at keyframe {step}, "
-            f"rigUpdates: {path}"
+            f"rigUpdates: {path}",
+            code="H3-HABITAT-056",
         )
     rig.updates.add_bones(step, pose)
 
@@ -233,7 +239,9 @@ def _lights(text: bytes, step: int, path: Path) -> list[dict[str, Any]]:
     try:
         return decode_json(text or b"[]", list[dict[str, Any]])
     except msgspec.DecodeError as fault:
-        raise FormatError(f"Not a valid gfx-replay: {fault}, keyframe {step}, lights: {path}") from None
+        raise FormatError(
+            f"Not a valid gfx-replay: {fault}, keyframe {step}, lights: {path}", code="H3-HABITAT-057"
+        ) from None
 
 
 def _create_and_delete(fold: Fold, live: dict[int, Life], step: int, keyframe: Keyframe) -> None:

@@ -36,15 +36,21 @@ class Transform(msgspec.Struct):
 
 
 class Frame(msgspec.Struct):
+    """Axes of an asset's file that point up and to the front."""
+
     up: Vec3 = (0.0, 1.0, 0.0)
     front: Vec3 = (0.0, 0.0, -1.0)
 
 
 class Phong(msgspec.Struct):
+    """Material that replaces the one in an asset's file."""
+
     diffuse: Annotated[list[Number], msgspec.Meta(min_length=3)] | None = None
 
 
 class Load(msgspec.Struct):
+    """Asset that is loaded from a file."""
+
     filepath: str
     frame: Frame = msgspec.field(default_factory=Frame)
     virtualUnitToMeters: Annotated[float, msgspec.Meta(gt=0, le=1e9)] = 1.0
@@ -52,6 +58,8 @@ class Load(msgspec.Struct):
 
 
 class Creation(msgspec.Struct):
+    """Properties of an instance of an asset."""
+
     filepath: str
     scale: Vec3 = (1.0, 1.0, 1.0)
     isStatic: bool = False
@@ -59,51 +67,71 @@ class Creation(msgspec.Struct):
 
 
 class CreationItem(msgspec.Struct):
+    """Instance that is created in a keyframe."""
+
     instanceKey: Key
     creation: Creation
 
 
 class State(msgspec.Struct):
+    """Pose of an instance."""
+
     absTransform: Transform
     semanticId: int | None = None
 
 
 class StateItem(msgspec.Struct):
+    """Change of an instance's pose in a keyframe."""
+
     instanceKey: Key
     state: State
 
 
 class Metadata(msgspec.Struct):
+    """Semantic and object ids of an instance."""
+
     semanticId: int | None = None
     objectId: int | None = None
 
 
 class MetadataItem(msgspec.Struct):
+    """Ids of an instance in a keyframe."""
+
     instanceKey: Key
     metadata: Metadata
 
 
 class BonePose(msgspec.Struct):
+    """Pose of a bone: translation and rotation."""
+
     t: Vec3
     r: Quat
 
 
 class RigCreation(msgspec.Struct):
+    """Skeleton that is created in a keyframe."""
+
     id: int
     boneNames: list[str] = []
 
 
 class RigUpdate(msgspec.Struct):
+    """Poses of the bones of a skeleton in a keyframe."""
+
     id: int
     pose: list[BonePose]
 
 
 class UserTransform(msgspec.Struct):
+    """Named transform that the recording program added, such as a camera's."""
+
     name: str
     transform: Transform
 
 
 class Keyframe(msgspec.Struct):
+    """Changes of the scene between two frames."""
+
     loads: list[Load] = []
     rigCreations: list[RigCreation] = []
     creations: list[CreationItem] = []
@@ -156,10 +184,13 @@ def read_keyframes(file: SourceFile, digest: Callable[[bytes], object]) -> Itera
             strange = strange or members
         yield keyframe
     if number < 0:
-        raise FormatError(f"A gfx-replay without keyframes: there is nothing to import. {path}")
+        raise FormatError(f"A gfx-replay without keyframes: there is nothing to import. {path}", code="H3-HABITAT-060")
     if strange and not known:
         held = ", ".join(strange[:8])
-        raise FormatError(f"Expected a gfx-replay, but its keyframes hold nothing of one; the first has {held}. {path}")
+        raise FormatError(
+            f"Expected a gfx-replay, but its keyframes hold nothing of one; the first has {held}. {path}",
+            code="H3-HABITAT-061",
+        )
 
 
 def _digested(chunks: Iterator[bytes], digest: Callable[[bytes], object]) -> Iterator[bytes]:
@@ -182,7 +213,7 @@ def _streamed(path: Path, head: bytes, start: int, chunks: Iterator[bytes]) -> I
         if str(fault) == "truncated":
             raise truncated(path, fault.at) from None
         raise FormatError(
-            f"Not a valid gfx-replay: {fault} in its list of keyframes (byte {fault.at}): {path}"
+            f"Not a valid gfx-replay: {fault} in its list of keyframes (byte {fault.at}): {path}", code="H3-HABITAT-063"
         ) from None
     rest = _limited(path, elements.rest, chunks, KEYFRAME_BYTES, "the part after the keyframes")
     stand_in = b'{"keyframes":[]'
@@ -191,7 +222,7 @@ def _streamed(path: Path, head: bytes, start: int, chunks: Iterator[bytes]) -> I
     except msgspec.DecodeError as fault:
         raise not_json(path, stand_in + rest, fault, start=elements.rest_at - len(stand_in)) from None
     if again != []:
-        raise FormatError(f"Not a valid gfx-replay: it has two lists of keyframes: {path}")
+        raise FormatError(f"Not a valid gfx-replay: it has two lists of keyframes: {path}", code="H3-HABITAT-062")
 
 
 def _whole(path: Path, head: bytes, chunks: Iterator[bytes]) -> Iterator[tuple[int, bytes]]:
@@ -217,7 +248,9 @@ def _limited(path: Path, head: bytes, chunks: Iterator[bytes], most: int, what: 
         parts.append(chunk)
         size += len(chunk)
         if size > most:
-            raise FormatError(f"Not a valid gfx-replay: {what} is longer than {most >> 20} MiB: {path}")
+            raise FormatError(
+                f"Not a valid gfx-replay: {what} is longer than {most >> 20} MiB: {path}", code="H3-HABITAT-064"
+            )
     return b"".join(parts)
 
 
@@ -243,7 +276,7 @@ def _other_kind(path: Path, content: Any) -> FormatError:
         shape = f"Its top-level keys are: {keys}; it looks like {json_format(content, name=path.name).title}."
     else:
         shape = f"It holds a JSON {type(content).__name__}."
-    return FormatError(f"Expected a gfx-replay (JSON with the key 'keyframes'). {shape} {path}")
+    return FormatError(f"Expected a gfx-replay (JSON with the key 'keyframes'). {shape} {path}", code="H3-HABITAT-058")
 
 
 def _explain(path: Path, number: int, text: bytes, message: str) -> FormatError:
@@ -274,4 +307,6 @@ def _item(text: bytes, group: str, index: int) -> Any:
 def _invalid(path: Path, message: str) -> FormatError:
     reason, _, where = message.partition(" - at `")
     place = where.rstrip("`").removeprefix("$.") or "its top level"
-    return FormatError(f"Not a valid gfx-replay: {reason[:1].lower() + reason[1:]} at {place}: {path}")
+    return FormatError(
+        f"Not a valid gfx-replay: {reason[:1].lower() + reason[1:]} at {place}: {path}", code="H3-HABITAT-059"
+    )

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError, SceneError
 from h3data.formats import SourceFile
-from h3data.habitat.asset_folders import clean_path
-from h3data.habitat.asset_library import EMPTY_URI, OWN_FOLDER_ENDING
 from h3data.habitat.gfx.gfx_agents import PERSON_ROOT_PREFIX, add_agents
 from h3data.habitat.gfx.gfx_fold import Fold, Life, Loaded, Updates, filled, fold_keyframes, fold_tracks
 from h3data.habitat.gfx.gfx_keyframes import Load, read_keyframes
 from h3data.limits import check_size
 from h3data.mesh.loading import frame_rotation
 from h3data.mesh.primitives import is_primitive
+from h3data.recording.assets.folders import clean_path
+from h3data.recording.assets.library import EMPTY_URI, OWN_FOLDER_ENDING
 from h3data.recording.records import STEP_NS, AssetRef, Body, Episode, Recording
 from h3data.srgb import linear_to_bytes
 
@@ -44,7 +44,7 @@ def read_gfx_replay(path: str | os.PathLike[str], *, fps: float | None = None) -
     - User transforms become columns ``user.<name>`` [T, 7], pose7 in the world, NaN where absent. Those that are
       cameras keep Habitat's camera frame: x right, y up, looking along -z.
     - Bones become columns ``rig.<id>`` [T, bones, 7], pose7 in the world; ``episode.info["rigs"]`` names the bones and the
-      body that they deform (`h3data.habitat.skinned_meshes`).
+      body that they deform (`h3data.recording.assets.skinned_meshes`).
     - Robots and people are recognised by their file names, see `h3data.habitat.gfx.gfx_agents`.
 
     ``episode.info`` holds the lights, the rigs, how each agent's floor position was found, and ``warnings``.
@@ -106,7 +106,7 @@ def read_gfx_replay(path: str | os.PathLike[str], *, fps: float | None = None) -
 
 def _step_ns(fps: float) -> int:
     if not (np.isfinite(fps) and fps > 0):
-        raise InputError(f"fps must be a positive number of keyframes per second. Got {fps}.")
+        raise InputError(f"fps must be a positive number of keyframes per second. Got {fps}.", code="H3-HABITAT-065")
     return STEP_NS if fps == 30 else round(1e9 / fps)
 
 
@@ -134,7 +134,9 @@ def _assets(fold: Fold, path: Path) -> tuple[list[AssetRef], list[str], list[str
             try:
                 frame_rotation(load.frame.up, load.frame.front)
             except SceneError as fault:
-                raise FormatError(f"Not a valid gfx-replay: asset {plain!r}: {fault} {path}") from None
+                raise FormatError(
+                    f"Not a valid gfx-replay: asset {plain!r}: {fault} {path}", code="H3-HABITAT-067"
+                ) from None
             key = tuple(values.values())
         if key not in refs:
             refs[key] = AssetRef(name=_unique(_short_name(values["uri"]), used), **values)
@@ -229,7 +231,8 @@ def _check_rotations(updates: Updates, bones: int, where: str, path: Path) -> No
     if bad.any():
         step = updates.steps[int(np.argmax(bad))]
         raise FormatError(
-            f"Not a valid gfx-replay: the rotation is not a quaternion (length 0) at keyframe {step}, {where}: {path}"
+            f"Not a valid gfx-replay: the rotation is not a quaternion (length 0) at keyframe {step}, {where}: {path}",
+            code="H3-HABITAT-066",
         )
 
 

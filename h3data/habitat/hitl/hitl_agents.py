@@ -187,8 +187,9 @@ def _walking_person(
 
 
 def floor_below(height: Array, robot_floor: Array | None, window: int = 31) -> Array:
-    """Height of the floor [T] under roots at heights [T] [m]: the bobbing of the walk is filtered out, and on the
-    robot's storey it is the robot's floor.
+    """Height of the floor [T] under roots at heights [T] [m].
+
+    The up and down of walking is filtered out; on the robot's storey the result is the robot's floor.
     """
     if not len(height):
         return height

@@ -21,8 +21,8 @@ from h3data.formats.source_file import decode_json
 from h3data.geometry import quat_sign_continuous
 from h3data.habitat.hitl.hitl_agents import AgentKind, AgentTrack, JointOrder, add_agents, agent_kinds, root_height_m
 from h3data.habitat.hitl.hitl_scenes import Place
-from h3data.habitat.scenes.object_handles import HANDLE, template_of
 from h3data.limits import check_size
+from h3data.recording.assets.handles import HANDLE, template_of
 from h3data.recording.records import AssetRef, Body, Episode, Event, Recording
 
 Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
@@ -49,8 +49,8 @@ def decoded(data: bytes, kind: type[T], path: Path, *, expected: str) -> T:
         except msgspec.DecodeError:  # such as a number that msgspec takes for text only
             other = JSON
         if other is not JSON and other.name != expected:
-            raise FormatError(f"Expected {title}, this is {other.title}: {path}") from None
-        raise FormatError(f"Not {title}: {fault}: {path}") from None
+            raise FormatError(f"Expected {title}, this is {other.title}: {path}", code="H3-HABITAT-070") from None
+        raise FormatError(f"Not {title}: {fault}: {path}", code="H3-HABITAT-069") from None
     except msgspec.DecodeError as fault:
         raise not_json(path, data, fault) from None
 
@@ -88,7 +88,9 @@ def unit_rotations(track: NDArray[np.float64], name: str, path: Path) -> NDArray
     length = np.linalg.norm(track[:, 3:], axis=1)
     bad = np.flatnonzero(length < 1e-3)
     if len(bad):
-        raise FormatError(f"The rotation of {name!r} at step {bad[0]} is not a quaternion (length 0): {path}")
+        raise FormatError(
+            f"The rotation of {name!r} at step {bad[0]} is not a quaternion (length 0): {path}", code="H3-HABITAT-068"
+        )
     track[:, 3:] /= length[:, None]
     return track
 

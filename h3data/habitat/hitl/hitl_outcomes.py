@@ -25,8 +25,10 @@ Columns = Mapping[str, NDArray[Any]]
 
 
 def logged_outcomes(columns: Columns) -> dict[str, NDArray[np.bool_]]:
-    """Returns ``metrics.success`` and ``metrics.collision`` [T], as far as the logged columns tell; unlogged steps are
-    False."""
+    """Returns ``metrics.success`` and ``metrics.collision`` [T], where the logged columns contain them.
+
+    They are False at steps that were not logged.
+    """
     outcomes: dict[str, NDArray[np.bool_]] = {}
     if "metrics.pddl_success" in columns:
         outcomes["metrics.success"] = columns["metrics.pddl_success"] > 0

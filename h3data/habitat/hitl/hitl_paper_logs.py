@@ -16,7 +16,6 @@ from h3data.bodies.motion.habitat_humanoid import BASE_HEIGHT_M, HABITAT_JOINTS
 from h3data.errors import FormatError
 from h3data.formats import SourceFile
 from h3data.geometry import Array, ground_pose
-from h3data.habitat.asset_library import AssetLibrary
 from h3data.habitat.hitl.hitl_agents import AgentTrack, JointOrder, robot_named_in, tilt_rad
 from h3data.habitat.hitl.hitl_episode import (
     MAX_FLOAT,
@@ -34,6 +33,7 @@ from h3data.habitat.hitl.hitl_outcomes import AT_GOAL_M, at_goal, logged_outcome
 from h3data.habitat.hitl.hitl_pickled_logs import json_of_pickled_log
 from h3data.habitat.hitl.hitl_scenes import find_place
 from h3data.limits import MAX_TRACK_VALUES, check_size
+from h3data.recording.assets.library import AssetLibrary
 from h3data.recording.records import STEP_NS, Event, Recording
 from h3data.safe_pickle import is_pickle
 
@@ -43,12 +43,16 @@ PERSON_VALUES = JOINT_VALUES + 32
 
 
 class AgentState(msgspec.Struct):
+    """Pose of an agent's root, and the object that it holds."""
+
     position: Vec3
     rotation_xyzw: Quat
     grasp_mgr_snap_idx: Id | None = None
 
 
 class Step(msgspec.Struct):
+    """One step of a log."""
+
     agent_states: list[AgentState] = []
     action: Any = None
     gui_humanoid: dict[str, Any] | None = None
@@ -57,6 +61,8 @@ class Step(msgspec.Struct):
 
 
 class Log(msgspec.Struct):
+    """Log of one episode."""
+
     steps: list[Step]
     episode_id: str | int | None = None
     scene_id: str | None = None
@@ -90,7 +96,7 @@ def read_hitl_log(
     path, data = file.path, file.data
     log = _log(data, path)
     if not log.steps:
-        raise FormatError(f"A log without steps: {path}")
+        raise FormatError(f"A log without steps: {path}", code="H3-HABITAT-071")
     steps = log.steps
     check_size(len(steps), max(len(s.agent_states) for s in steps), path)
     tracks, warnings = _tracks(steps, path)
@@ -168,7 +174,10 @@ def _actions(steps: Sequence[Step], path: Path) -> tuple[NDArray[np.float64], li
     width = max(set(lengths), key=lengths.count, default=0) if lengths else 0
     out = np.full((len(steps), width), np.nan)
     if len(steps) * width > MAX_TRACK_VALUES:
-        raise FormatError(f"Actions of {width} values over {len(steps)} steps are more than can be read: {path}")
+        raise FormatError(
+            f"Actions of {width} values over {len(steps)} steps are more than can be read: {path}",
+            code="H3-HABITAT-072",
+        )
     for k, vector in enumerate(vectors):
         if vector is not None and len(vector) == width:
             out[k] = np.clip(vector, -1e9, 1e9)

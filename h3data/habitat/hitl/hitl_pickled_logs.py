@@ -92,4 +92,4 @@ def json_of_pickled_log(data: bytes, path: Path) -> bytes:
     try:
         return msgspec.json.encode(content, enc_hook=builtin)
     except (TypeError, ValueError, OverflowError) as fault:
-        raise FormatError(f"The pickle does not hold a log ({fault}): {path}") from None
+        raise FormatError(f"The pickle does not hold a log ({fault}): {path}", code="H3-HABITAT-073") from None

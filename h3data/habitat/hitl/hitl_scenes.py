@@ -9,10 +9,10 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from h3data.errors import H3DataError
-from h3data.habitat.asset_folders import clean_path
-from h3data.habitat.asset_library import AssetLibrary
 from h3data.habitat.scene_files import find_scene_file
 from h3data.habitat.scenes.scene_instance import load_habitat_scene
+from h3data.recording.assets.folders import clean_path
+from h3data.recording.assets.library import AssetLibrary
 from h3data.recording.records import AssetRef, Body
 from h3data.scene.scene_file import scene_bytes
 
@@ -29,8 +29,10 @@ class Place:
 
 
 def find_place(scene_id: str, library: AssetLibrary | None, *, floor_y: float) -> Place:
-    """The scene that a log names by ``scene_id``: attached, if its file is found below a root of the library; else a
-    striped floor at the height ``floor_y`` [m] under the agents' feet.
+    """Scene that a log names by ``scene_id``.
+
+    It is attached if its file is in a root of the library; otherwise a striped floor at the height ``floor_y`` [m]
+    under the agents' feet replaces it.
     """
     path = clean_path(scene_id) if scene_id else ""
     name = PurePosixPath(path).name.split(".")[0] or "unknown"

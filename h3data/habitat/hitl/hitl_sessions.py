@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError
 from h3data.formats import SourceFile
 from h3data.geometry import normalized, pose_from_matrix, quat_rotate, quat_sign_continuous
-from h3data.habitat.asset_library import AssetLibrary
 from h3data.habitat.episodes.partnr import partnr_result
 from h3data.habitat.hitl.hitl_agents import AgentTrack, agent_kinds, robot_named_in
 from h3data.habitat.hitl.hitl_episode import (
@@ -34,6 +33,7 @@ from h3data.habitat.hitl.hitl_outcomes import logged_outcomes, max_steps
 from h3data.habitat.hitl.hitl_scenes import find_place
 from h3data.habitat.hitl.hitl_users import participation, without_user_ids
 from h3data.limits import MAX_TRACK_VALUES, check_size
+from h3data.recording.assets.library import AssetLibrary
 from h3data.recording.records import STEP_NS, Event, Recording
 
 Order = Literal["xyzw", "wxyz"]
@@ -51,6 +51,8 @@ class CameraTransform(msgspec.Struct):
 
 
 class User(msgspec.Struct):
+    """State of a user: camera, selected and held objects, and events."""
+
     camera_transform: CameraTransform | None = None
     finished_episode: bool | None = None
     held_object: Id | None = None
@@ -60,6 +62,8 @@ class User(msgspec.Struct):
 
 
 class ObjectState(msgspec.Struct):
+    """Pose of an object."""
+
     object_handle: str
     position: Vec3
     rotation: Quat
@@ -68,12 +72,16 @@ class ObjectState(msgspec.Struct):
 
 
 class AgentState(msgspec.Struct):
+    """Pose of an agent's root, and the object that it holds."""
+
     position: Vec3
     rotation: Quat
     grasp_mgr_snap_idx: Id | None = None
 
 
 class Frame(msgspec.Struct):
+    """One frame of a session."""
+
     t: Number | None = None
     users: list[User] = []
     object_states: list[ObjectState] = []
@@ -82,6 +90,8 @@ class Frame(msgspec.Struct):
 
 
 class File(msgspec.Struct):
+    """Content of a session file."""
+
     frames: list[Frame]
     episode: dict[str, Any] = {}
     session: dict[str, Any] = {}
@@ -122,7 +132,7 @@ def read_hitl_episode(
     path, data = source.path, source.data
     file = decoded(data, File, path, expected="hitl_episode")
     if not file.frames:
-        raise FormatError(f"An episode without frames: {path}")
+        raise FormatError(f"An episode without frames: {path}", code="H3-HABITAT-074")
     frames, steps = file.frames, len(file.frames)
     check_size(steps, max(len(f.agent_states) for f in frames) + max(len(f.users) for f in frames), path)
     known = np.array([bool(f.agent_states or f.object_states or f.users or f.t is not None) for f in frames])
@@ -260,7 +270,9 @@ def _columns(
         {s for f in frames for o in f.object_states for s, v in (o.states or {}).items() if type(v) is bool}
     )
     if steps * len(states) * len(names) > MAX_TRACK_VALUES:
-        raise FormatError(f"{len(states)} states of {len(names)} objects are more than can be read: {path}")
+        raise FormatError(
+            f"{len(states)} states of {len(names)} objects are more than can be read: {path}", code="H3-HABITAT-075"
+        )
     for state in states:
         values = np.full((steps, len(names)), -1, np.int8)
         for step, frame in enumerate(frames):

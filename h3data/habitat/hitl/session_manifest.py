@@ -97,12 +97,12 @@ def read_manifest(path: Path) -> SessionManifest:
     """
     try:
         if path.stat().st_size > _MOST_BYTES:
-            raise FormatError(f"Expected a manifest of at most 64 MiB: {path}")
+            raise FormatError(f"Expected a manifest of at most 64 MiB: {path}", code="H3-HABITAT-078")
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
-        raise InputError(f"The manifest cannot be read ({error.strerror}): {path}") from None
+        raise InputError(f"The manifest cannot be read ({error.strerror}): {path}", code="H3-HABITAT-079") from None
     except UnicodeDecodeError:
-        raise FormatError(f"Expected a manifest as CSV in UTF-8: {path}") from None
+        raise FormatError(f"Expected a manifest as CSV in UTF-8: {path}", code="H3-HABITAT-080") from None
     lines = csv.DictReader(text.splitlines(), skipinitialspace=True)
     names = [name.strip() for name in lines.fieldnames or () if name]
     lines.fieldnames = [(name or "").strip() for name in lines.fieldnames or ()]
@@ -111,7 +111,8 @@ def read_manifest(path: Path) -> SessionManifest:
             near = next((hint for name in names if (hint := did_you_mean(name, some))), "")
             raise FormatError(
                 f"Expected a column that {kind} ({', '.join(some)}), got {', '.join(names) or 'none'}.{near} "
-                f"Hint: a manifest begins with a line such as file,participant,condition ({example} is missing): {path}"
+                f"Hint: a manifest begins with a line such as file,participant,condition ({example} is missing): {path}",
+                code="H3-HABITAT-081",
             )
     rows = []
     for cells in lines:
@@ -119,7 +120,7 @@ def read_manifest(path: Path) -> SessionManifest:
         if given:
             rows.append(_row(lines.line_num, given, path))
     if not rows:
-        raise FormatError(f"The manifest has no rows: {path}")
+        raise FormatError(f"The manifest has no rows: {path}", code="H3-HABITAT-076")
     ignored = tuple(name for name in names if name not in (*CHOOSING, *SAYING))
     return SessionManifest(path=path, rows=tuple(rows), ignored=ignored)
 
@@ -128,11 +129,16 @@ def _row(line: int, given: Mapping[str, str], path: Path) -> ManifestRow:
     choose = {name: given[name] for name in CHOOSING if name in given}
     say: dict[str, str | int] = {name: given[name] for name in SAYING if name in given}
     if not choose:
-        raise FormatError(f"Line {line} chooses no recording: fill in one of {', '.join(CHOOSING)}: {path}")
+        raise FormatError(
+            f"Line {line} chooses no recording: fill in one of {', '.join(CHOOSING)}: {path}", code="H3-HABITAT-077"
+        )
     for name in _NUMBERS:
         if name in say:
             if not given[name].isdecimal() or not 0 < int(given[name]) < 10**9:
-                raise FormatError(f"Expected a number of steps in {name} of line {line}, got {given[name]!r}: {path}")
+                raise FormatError(
+                    f"Expected a number of steps in {name} of line {line}, got {given[name]!r}: {path}",
+                    code="H3-HABITAT-082",
+                )
             say[name] = int(given[name])
     return ManifestRow(line=line, choose=choose, say=say)
 

@@ -85,8 +85,11 @@ def link_frames(robot: Robot, positions: NDArray[np.float64], *, scale: float = 
 def pose_of_links(
     robot: Robot, base: NDArray[np.float64], frames: NDArray[np.float64], *, scale: float
 ) -> NDArray[np.float64]:
-    """World matrices of URDF link frames, [L, 4, 4]; ``base`` [4, 4] is the centre of mass of the base link, as Habitat
-    gives the pose of an articulated object (habitat-findings, "what habitat-sim itself does" 2)."""
+    """World matrices [L, 4, 4] of URDF link frames.
+
+    ``base`` [4, 4] is the centre of mass of the base link, as Habitat gives the pose of an articulated object
+    (habitat-findings, "what habitat-sim itself does" 2).
+    """
     inertial = np.array(robot.links[0].inertial, np.float64)
     inertial[:3, 3] *= scale
     return base @ np.linalg.inv(inertial) @ frames
@@ -156,7 +159,8 @@ def _values(given: Any, where: Path) -> list[float]:
     fine = isinstance(values, list) and all(isinstance(v, int | float) and abs(v) < 1e6 for v in values)
     if not fine:
         raise FormatError(
-            f"Expected numbers, in a list or by name, under 'initial_joint_pose', got {str(given)[:60]}: {where}"
+            f"Expected numbers, in a list or by name, under 'initial_joint_pose', got {str(given)[:60]}: {where}",
+            code="H3-HABITAT-110",
         )
     return [float(v) for v in values]
 

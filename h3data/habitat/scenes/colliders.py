@@ -26,7 +26,9 @@ def part_mesh(shape: Shape) -> Mesh:
     try:
         hull = ConvexHull(points)
     except (QhullError, ValueError) as fault:
-        raise SceneError(f"A collision part of {len(points)} points has no volume, so it cannot be written.") from fault
+        raise SceneError(
+            f"A collision part of {len(points)} points has no volume, so it cannot be written.", code="H3-HABITAT-111"
+        ) from fault
     used = np.unique(hull.simplices)
     vertices, faces = points[used], np.searchsorted(used, hull.simplices)
     a, b, c = (vertices[faces[:, k]] for k in range(3))

@@ -144,6 +144,7 @@ class KeyNotes:
         """``object_config.colour``: neither read nor known."""
 
     def note(self, kind: ConfigKind, content: Mapping[str, Any]) -> None:
+        """Collects the keys of a file that are ignored or unknown."""
         for key in content:
             if key in IGNORED[kind]:
                 self.ignored.add(f"{kind}.{key}")

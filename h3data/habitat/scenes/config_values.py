@@ -15,7 +15,7 @@ def read_object(path: Path) -> dict[str, Any]:
     """The content of a JSON file that must hold an object."""
     content = read_json(path)
     if not isinstance(content, dict):
-        raise FormatError(f"Expected a JSON object, got {type(content).__name__}: {path}")
+        raise FormatError(f"Expected a JSON object, got {type(content).__name__}: {path}", code="H3-HABITAT-113")
     return content
 
 
@@ -110,4 +110,4 @@ def _is_number(value: Any) -> bool:
 
 
 def _unexpected(expected: str, key: str, value: Any, where: Path) -> FormatError:
-    return FormatError(f"Expected {expected} under {key!r}, got {str(value)[:60]}: {where}")
+    return FormatError(f"Expected {expected} under {key!r}, got {str(value)[:60]}: {where}", code="H3-HABITAT-112")

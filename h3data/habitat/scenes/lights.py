@@ -33,7 +33,8 @@ def _light(name: str, entry: Mapping[str, Any], scales: list[float], keys: KeyNo
     for key, value, known in (("type", kind, LightKind), ("position_model", frame, LightFrame)):
         if value not in get_args(known):
             raise FormatError(
-                f"Expected {', '.join(get_args(known))} under {key!r} of light {name!r}, got {value[:60]!r}: {where}"
+                f"Expected {', '.join(get_args(known))} under {key!r} of light {name!r}, got {value[:60]!r}: {where}",
+                code="H3-HABITAT-114",
             )
     key, default = ("direction", (0, -1, 0)) if kind == "directional" else ("position", (0, 0, 0))
     intensity = number(entry, "intensity", 1.0, where=where)

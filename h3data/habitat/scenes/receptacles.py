@@ -98,7 +98,7 @@ def _from_mesh(
     name = text(entry, "mesh_filepath", where=where) or ""
     file = find(name) if name else None
     if file is None:
-        raise MissingAssetError(f"There is no such mesh: {name!r}: {where}")
+        raise MissingAssetError(f"There is no such mesh: {name!r}: {where}", code="H3-HABITAT-117")
     mesh = load_mesh(file)
     vertices = mesh.vertices.astype(np.float64) * numbers(entry, "scale", (1, 1, 1), where=where) @ frame.T
     covered = largest_rectangle(vertices, mesh)

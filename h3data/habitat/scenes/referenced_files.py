@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from h3data.errors import SceneError
-from h3data.habitat.asset_folders import AssetFolders
 from h3data.habitat.scenes.scene_dataset import DATASET_ENDING
 from h3data.mesh.loading import is_file
+from h3data.recording.assets.folders import AssetFolders
 
 _LEVELS = 4
 """How far above a config its dataset's config is looked for."""
@@ -49,7 +49,8 @@ class ReferencedFiles:
         if outside is not None:
             raise SceneError(
                 f"{name!r} leads out of the dataset, so it is not opened. Hint: give the folder that holds it as an asset "
-                f"folder (assets=[DIR] or H3DATA_ASSETS). {outside}"
+                f"folder (assets=[DIR] or H3DATA_ASSETS). {outside}",
+                code="H3-HABITAT-118",
             )
         self.missing[name] = (*tried, *self._folders.roots)
         return None

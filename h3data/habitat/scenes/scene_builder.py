@@ -43,6 +43,7 @@ class SceneBuilder:
     _counts: dict[str, int] = field(default_factory=dict)
 
     def warn(self, warning: str) -> None:
+        """Adds a warning unless it was given before."""
         if warning not in self.templates.warnings:
             self.templates.warnings.append(warning)
 
@@ -55,6 +56,7 @@ class SceneBuilder:
 
     # --- placing ------------------------------------------------------------------------------------------------------
     def add_stage(self, template: Template) -> None:
+        """Adds the stage of a scene, and its navmesh if the template names one."""
         read = self.templates.stage(template)
         if read is None:
             return
@@ -173,7 +175,8 @@ class SceneBuilder:
             raise MissingAssetError(
                 f"{len(missing)} assets of scene {name!r} do not exist. Hint: download the dataset completely, give its "
                 "folders as assets=[DIR] or in H3DATA_ASSETS, or leave them out with allow_missing=True. "
-                f"The first: {missing[0]}"
+                f"The first: {missing[0]}",
+                code="H3-HABITAT-119",
             )
         if missing:
             self.warn(f"{len(missing)} assets do not exist, their instances are left out: {missing[0]}")
@@ -183,7 +186,8 @@ class SceneBuilder:
         if self.strict and warnings:
             raise SceneError(
                 f"Scene {name!r} has {len(warnings)} warnings, and strict makes them errors: {'; '.join(warnings[:5])}. "
-                f"{config}"
+                f"{config}",
+                code="H3-HABITAT-120",
             )
         source = {
             "kind": "habitat", "config": str(config), "scene": scene, "warnings": warnings,
@@ -205,8 +209,10 @@ class SceneBuilder:
         return f"{template.handle}_:{count:04d}"
 
     def _add(self, instance: Instance, where: Path) -> bool:
-        """Adds it, unless it is so far away or so large that nothing else in the scene could be told from a point; returns
-        whether it did."""
+        """Adds an instance unless it is too far away or too large; returns whether it did.
+
+        Next to such an instance nothing else in the scene would be larger than a point.
+        """
         mesh = self.templates.assets[instance.asset].mesh
         with np.errstate(over="ignore", invalid="ignore"):
             size = np.abs(instance.scale).max() * np.abs(mesh.vertices).max(initial=0).astype(np.float64)

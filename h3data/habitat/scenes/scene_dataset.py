@@ -44,6 +44,7 @@ class Template:
 
     @property
     def is_config(self) -> bool:
+        """Whether the template is a JSON file of its own."""
         return self.path.name.endswith(".json") and not self.inline
 
     def attributes(self) -> dict[str, Any]:
@@ -142,7 +143,9 @@ def load_scene_dataset(path: Path) -> SceneDataset:
             keys.note("dataset_override", item)
         sections[section] = tuple(_templates(path, entry, ending, empty))
     if not any(sections.values()):
-        raise FormatError(f"This dataset configuration lists no stages, objects or scenes that exist: {path}")
+        raise FormatError(
+            f"This dataset configuration lists no stages, objects or scenes that exist: {path}", code="H3-HABITAT-122"
+        )
     navmeshes = mapping(content, "navmesh_instances", where=path)
     descriptors = mapping(content, "semantic_scene_descriptor_instances", where=path)
     return SceneDataset(
@@ -170,7 +173,8 @@ def dataset_above(path: Path) -> SceneDataset:
     found = f" These do not list it: {', '.join(str(t) for t in tried[:3])}." if tried else ""
     raise SceneError(
         f"No *{DATASET_ENDING} above this scene lists it, so its templates cannot be found.{found} "
-        f"Hint: pass the dataset config and the scene's name instead. {path}"
+        f"Hint: pass the dataset config and the scene's name instead. {path}",
+        code="H3-HABITAT-121",
     )
 
 
@@ -211,7 +215,9 @@ def _matching(root: Path, pattern: str, ending: str) -> list[Path]:
     try:
         places = sorted(root.glob(pattern)) if pattern not in ("", ".") else [root]
     except (ValueError, NotImplementedError, OSError) as fault:
-        raise FormatError(f"Not a path pattern of a dataset: {pattern[:200]!r} ({fault}): {root}") from None
+        raise FormatError(
+            f"Not a path pattern of a dataset: {pattern[:200]!r} ({fault}): {root}", code="H3-HABITAT-123"
+        ) from None
     files: list[Path] = []
     for place in places:
         if place.is_dir():

@@ -67,20 +67,25 @@ def load_habitat_scene(
     if config is not None and scene is None:
         path, scene = config, named
     if not path.exists():
-        raise SceneError(f"There is no such scene file: {path}")
+        raise SceneError(f"There is no such scene file: {path}", code="H3-HABITAT-125")
     if path.name.endswith(DATASET_ENDING):
         dataset = load_scene_dataset(path)
         template = _chosen(dataset, scene)
         return _from_instance(_builder(path, dataset.keys, allow_missing, strict, assets), dataset, template)
     if scene is not None:
-        raise SceneError(f"A scene name ({scene!r}) can only be given with a *{DATASET_ENDING}, not with: {path}")
+        raise SceneError(
+            f"A scene name ({scene!r}) can only be given with a *{DATASET_ENDING}, not with: {path}",
+            code="H3-HABITAT-126",
+        )
     if path.name.endswith(INSTANCE_ENDING):
         dataset = dataset_above(path)
         template = next(t for t in dataset.sections["scene_instances"] if t.path.resolve() == path.resolve())
         return _from_instance(_builder(dataset.path, dataset.keys, allow_missing, strict, assets), dataset, template)
     if path.name.lower().endswith(_SINGLE_ENDINGS):
         return _alone(_builder(path, KeyNotes(), allow_missing, strict, assets), path)
-    raise FormatError(f"Expected a Habitat scene ({', '.join('*' + e for e in HABITAT_ENDINGS)}): {path}")
+    raise FormatError(
+        f"Expected a Habitat scene ({', '.join('*' + e for e in HABITAT_ENDINGS)}): {path}", code="H3-HABITAT-124"
+    )
 
 
 def dataset_and_scene(path: str | os.PathLike[str]) -> tuple[Path | None, str | None]:
@@ -107,7 +112,9 @@ def _alone(builder: SceneBuilder, path: Path) -> Scene:
         builder.add_stage(template)
     scene = builder.scene(template.handle, config=path, scene="")
     if not scene.instances and not builder.allow_missing:  # there is nothing else in this scene
-        raise SceneError("; ".join(scene.source["warnings"]) or f"There is nothing to be seen in: {path}")
+        raise SceneError(
+            "; ".join(scene.source["warnings"]) or f"There is nothing to be seen in: {path}", code="H3-HABITAT-127"
+        )
     return scene
 
 
@@ -117,12 +124,19 @@ def _chosen(dataset: SceneDataset, scene: str | None) -> Template:
         scene = names[0]
     shown = ", ".join(names[:12]) + (f", ... ({len(names)} in all)" if len(names) > 12 else "") or "none"
     if scene is None:
-        raise SceneError(f"Which scene? Give it as path#scene. This dataset has: {shown}. {dataset.path}")
+        raise SceneError(
+            f"Which scene? Give it as path#scene. This dataset has: {shown}. {dataset.path}", code="H3-HABITAT-128"
+        )
     template, others = dataset.find("scene_instances", scene)
     if template is None:
-        raise SceneError(f"No scene matches {scene!r}. This dataset has: {shown}. {dataset.path}")
+        raise SceneError(
+            f"No scene matches {scene!r}. This dataset has: {shown}. {dataset.path}", code="H3-HABITAT-129"
+        )
     if others:
-        raise SceneError(f"{others + 1} scenes match {scene!r}: say more. This dataset has: {shown}. {dataset.path}")
+        raise SceneError(
+            f"{others + 1} scenes match {scene!r}: say more. This dataset has: {shown}. {dataset.path}",
+            code="H3-HABITAT-130",
+        )
     return template
 
 
@@ -150,7 +164,7 @@ def _from_instance(builder: SceneBuilder, dataset: SceneDataset, template: Templ
         if dataset.empty_paths:
             fault += f"; nothing is found below its paths {', '.join(map(repr, dataset.empty_paths[:5]))}"
         if not builder.allow_missing:
-            raise SceneError(f"{fault}. Hint: allow_missing=True leaves them out. {where}")
+            raise SceneError(f"{fault}. Hint: allow_missing=True leaves them out. {where}", code="H3-HABITAT-133")
         builder.warn(fault)
     _add_lights(builder, dataset, content, where)
     _add_navmesh(builder, dataset, content, where)
@@ -169,7 +183,10 @@ def _add_stage(builder: SceneBuilder, dataset: SceneDataset, content: Mapping[st
         return
     found = builder.find(dataset, "stages", name)
     if found is None:
-        raise SceneError(f"The stage {name!r} of this scene is not in the dataset {dataset.path.name}: {where}")
+        raise SceneError(
+            f"The stage {name!r} of this scene is not in the dataset {dataset.path.name}: {where}",
+            code="H3-HABITAT-131",
+        )
     if entry.get("translation") or entry.get("rotation"):
         builder.warn("the stage instance's own translation and rotation are ignored, as in habitat-sim")
     builder.add_stage(found)
@@ -236,5 +253,5 @@ def _use_filter(builder: SceneBuilder, dataset: SceneDataset, content: Mapping[s
 def _template_name(entry: Mapping[str, Any], where: Path) -> str:
     name = text(entry, "template_name", where=where)
     if not name:
-        raise FormatError(f"An instance without a template_name: {where}")
+        raise FormatError(f"An instance without a template_name: {where}", code="H3-HABITAT-132")
     return name

@@ -43,7 +43,10 @@ def read_rooms(content: Mapping[str, Any], keys: KeyNotes, *, where: Path) -> tu
                 ]
             )
         if len(loop) > _MAX_CORNERS:
-            raise FormatError(f"Expected at most {_MAX_CORNERS} corners in region {name!r}, got {len(loop)}: {where}")
+            raise FormatError(
+                f"Expected at most {_MAX_CORNERS} corners in region {name!r}, got {len(loop)}: {where}",
+                code="H3-HABITAT-134",
+            )
         rectangles = polygon_rectangles(loop[:, [0, 2]])
         if not len(rectangles):
             warnings.append(f"region {name!r} is left out: it has no area")
@@ -62,14 +65,19 @@ def read_lexicon(content: Mapping[str, Any], *, where: Path) -> dict[int, str]:
     for entry in objects(content, "classes", where=where):
         name = text(entry, "name", where=where)
         if name is None or "id" not in entry:
-            raise FormatError(f"Expected 'id' and 'name' in every class of a lexicon, got {str(entry)[:60]}: {where}")
+            raise FormatError(
+                f"Expected 'id' and 'name' in every class of a lexicon, got {str(entry)[:60]}: {where}",
+                code="H3-HABITAT-135",
+            )
         classes[int(number(entry, "id", 0, where=where))] = name
     return classes
 
 
 def polygon_rectangles(loop: NDArray[np.float64] | Sequence[Sequence[float]]) -> NDArray[np.float64]:
-    """Disjoint rectangles ``x0 z0 x1 z1`` [R, 4] with the area of a polygon [N, 2] (even-odd); empty for fewer corners
-    than three, or no area."""
+    """Disjoint rectangles ``x0 z0 x1 z1`` [R, 4] with the area of a polygon [N, 2] (even-odd rule).
+
+    The result is empty for fewer than three corners, or no area.
+    """
     corners = np.asarray(loop, np.float64).reshape(-1, 2)
     if len(corners) < 3:
         return np.zeros((0, 4))

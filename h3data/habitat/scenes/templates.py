@@ -119,7 +119,7 @@ class TemplateReader:
         frame = _frame(template, attributes, stage=stage)
         asset = text(attributes, "render_asset", where=where) or text(attributes, "collision_asset", where=where)
         if not asset:
-            raise FormatError(f"The template {template.handle!r} names no render_asset: {where}")
+            raise FormatError(f"The template {template.handle!r} names no render_asset: {where}", code="H3-HABITAT-137")
         file = None if is_primitive(asset) else self._file(asset, where)
         if file is None and not is_primitive(asset):
             return None
@@ -187,7 +187,7 @@ class TemplateReader:
             self.missing.append(str(fault))
             return None
         except FormatError as fault:  # of the URDF, not of a config: the rest of the scene stays usable
-            raise SceneError(str(fault)) from None
+            raise SceneError(str(fault), code=fault.code) from None
         semantic = int(number(attributes, "semantic_id", 0, where=where))
         on_links = receptacles_by_link(mapping(attributes, "user_defined", where=where), where=where)
         for lost in sorted(set(on_links) - {link.name for link in links}):
@@ -261,9 +261,11 @@ def _frame(template: Template, attributes: Mapping[str, Any], *, stage: bool) ->
         units_m=number(attributes, "units_to_meters", 1.0, where=where),
     )
     if frame.units_m <= 0:
-        raise FormatError(f"Expected a number above 0 under 'units_to_meters', got {frame.units_m:g}: {where}")
+        raise FormatError(
+            f"Expected a number above 0 under 'units_to_meters', got {frame.units_m:g}: {where}", code="H3-HABITAT-136"
+        )
     try:
         frame_rotation(frame.up, frame.front)
     except SceneError as fault:
-        raise SceneError(f"{fault} Hint: give both up and front. {where}") from None
+        raise SceneError(f"{fault} Hint: give both up and front. {where}", code=fault.code) from None
     return frame

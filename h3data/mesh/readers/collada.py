@@ -46,9 +46,9 @@ class ColladaPart:
     """The triangles of one primitive, every corner on its own, where one node puts it."""
 
     mesh: Mesh
-    """In the geometry's own frame and units."""
+    """Mesh in the geometry's own frame and units."""
     matrix: Array
-    """To metres and +Z up, 4x4."""
+    """Matrix to metres and +Z up, 4x4."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,7 +59,7 @@ class _Primitive:
     positions: Array
     normals: Array | None
     uv: dict[int, Array]
-    """By their set."""
+    """Texture coordinates by the number of their set."""
     colors: Array | None
 
 
@@ -92,7 +92,7 @@ class _Collada:
     def root(self) -> Element:
         data = self.path.read_bytes().strip(b"\0 \t\r\n")
         if re.search(rb"<!(DOCTYPE|ENTITY)", data, re.IGNORECASE):
-            raise SceneError("Collada with a DOCTYPE or entities is refused")
+            raise SceneError("Collada with a DOCTYPE or entities is refused", code="H3-MESH-030")
         root = ElementTree.fromstring(data)
         for element in root.iter():
             element.tag = str(element.tag).rpartition("}")[2]

@@ -51,6 +51,14 @@ class FilesBeside:
         self.missing: list[str] = []
 
     def get(self, name: Any) -> bytes:
+        """Content of a file that the mesh file names, relative to the mesh file's folder.
+
+        MTL files come back with plain names of materials.
+
+        Raises:
+            FileNotFoundError: the name leads outside the folder.
+            OSError: the file is missing or cannot be read.
+        """
         text = (name.decode(errors="replace") if isinstance(name, bytes) else str(name)).strip()
         clean = path_inside(text)
         if clean is None:
@@ -82,7 +90,7 @@ def _mesh(geometry: Any, path: Path) -> Mesh:
     vertices = np.asarray(geometry.vertices, np.float32)
     faces = np.asarray(geometry.faces, np.int32).reshape(-1, 3)
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise SceneError("triangles between vertices that do not exist")
+        raise SceneError("triangles between vertices that do not exist", code="H3-MESH-031")
     normals = None
     if "vertex_normals" in geometry._cache:  # set by trimesh's readers only if the file has normals
         normals = np.asarray(geometry.vertex_normals, np.float32)

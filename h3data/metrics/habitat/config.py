@@ -79,7 +79,10 @@ class HabitatConfig:
         """
         config = info.get("habitat_config") or {}
         if not isinstance(config, Mapping):
-            raise InputError(f"Expected info habitat_config to be a mapping of Habitat's settings, got {config!r}.")
+            raise InputError(
+                f"Expected info habitat_config to be a mapping of Habitat's settings, got {config!r}.",
+                code="H3-METRIC-012",
+            )
         return cls(
             stats=_read(StatsConfig, config, "social_nav_stats"),
             reward=_read(RewardConfig, config, "social_nav_reward"),
@@ -92,10 +95,14 @@ class HabitatConfig:
 def _read(kind: type, config: Mapping[str, Any], section: str) -> Any:
     given = config.get(section) or {}
     if not isinstance(given, Mapping):
-        raise InputError(f"Expected info habitat_config: {section} to be a mapping of settings, got {given!r}.")
+        raise InputError(
+            f"Expected info habitat_config: {section} to be a mapping of settings, got {given!r}.", code="H3-METRIC-010"
+        )
     defaults = {f.name: f.default for f in fields(kind)}
     values = {name: value for name, value in given.items() if name in defaults}
     faults = [f"{n} = {v!r}" for n, v in values.items() if not isinstance(v, int | float)]
     if faults:
-        raise InputError(f"Expected numbers in info habitat_config: {section}, got {', '.join(faults)}.")
+        raise InputError(
+            f"Expected numbers in info habitat_config: {section}, got {', '.join(faults)}.", code="H3-METRIC-011"
+        )
     return kind(**{n: type(defaults[n])(v) for n, v in values.items()})

@@ -9,11 +9,19 @@ from h3data.kernels import kernel
 
 @kernel(error_model="numpy", boundscheck=False)
 def fill_series(robot_pose, human_pose, reach_m, time_ns, starts, limits, quantities, flags):
-    """Fills ``quantities`` [4, T] (dist_m, reach_m, facing_dot, speed_m_s) and ``flags`` [6, T] (in_reach, facing, found, near,
-    backs_up, yields).
+    """Computes the series of `h3data.metrics.paper.encounter` for many episodes in one pass.
 
-    Poses are float32 [T, 7], ``starts`` the first rows of episodes, and ``limits`` those of `Thresholds` in their order. The
-    operations are those of `h3data.metrics.paper.encounter` in its order.
+    The operations and their order are those of `encounter_series`, so that the results are equal to the last bit.
+
+    Args:
+        robot_pose: poses of the robots, float32 [T, 7], the rows of all episodes after each other.
+        human_pose: poses of the people, likewise.
+        reach_m: distance between the two agents that counts for following, measured along free paths [T] [m].
+        time_ns: times of the rows [T].
+        starts: first row of each episode.
+        limits: values of `Thresholds` in the order of its fields.
+        quantities: filled with dist_m, reach_m, facing_dot and speed_m_s, [4, T].
+        flags: filled with in_reach, facing, found, near, backs_up and yields, [6, T].
     """
     near_m, far_m, least_facing, avoid_m, yield_m_s, still_m_s = limits
     last_x = last_z = last_forward_x = last_forward_z = np.nan  # the first row has no velocity

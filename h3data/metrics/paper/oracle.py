@@ -30,7 +30,7 @@ LONGEST = 1501
 
 
 class Paths(Protocol):
-    """A shortest-path planner: `h3data.habitat.navmesh.pathfinder.PathFinder` or habitat-sim's own."""
+    """A shortest-path planner: `h3data.scene.navmesh.pathfinder.PathFinder` or habitat-sim's own."""
 
     def path(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
         """Returns waypoints [k, 3] from start to end; k = 0 if there is no path."""
@@ -45,7 +45,7 @@ def steps_to_find(
     ``speed`` is in Habitat's units, for driving [m] and turning [rad], integrated over 1 / ``hz`` seconds per step.
     """
     if hz <= 0 or speed <= 0:
-        raise InputError(f"Expected a rate and a speed above 0, got {hz} Hz and {speed}.")
+        raise InputError(f"Expected a rate and a speed above 0, got {hz} Hz and {speed}.", code="H3-METRIC-013")
     pose = np.asarray(robot_pose, np.float64)
     human = np.asarray(human_pos, np.float64)
     x, z = float(pose[0]), float(pose[2])
@@ -92,7 +92,7 @@ def oracle_min_steps(
         every: Tests every n-th step only (the paper's waypoints are equally spaced).
     """
     if every < 1:
-        raise InputError(f"Expected every >= 1, got {every}.")
+        raise InputError(f"Expected every >= 1, got {every}.", code="H3-METRIC-014")
     for i, position in enumerate(np.asarray(human_pos, np.float64), start=1):
         if (i - 1) % every:
             continue

@@ -195,7 +195,8 @@ def _robot_share(recording: Recording, notes: Notes) -> float:
     if len(objects) != at_goal.shape[1]:
         raise InputError(
             f"Episode {recording.episode.episode_id!r}: {AT_GOAL} has {at_goal.shape[1]} objects, info goal_objects "
-            f"names {len(objects)}."
+            f"names {len(objects)}.",
+            code="H3-METRIC-015",
         )
     if all(agent.kind != "robot" for agent in recording.agents):
         notes.add(("RC",), "there is no robot")

@@ -53,9 +53,13 @@ class StudyModel:
     def __post_init__(self) -> None:
         for name, value, choices in (("steps", self.steps, StepsModel), ("failed", self.failed, Failed)):
             if value not in get_args(choices):
-                raise InputError(f"Expected {name} to be one of {', '.join(get_args(choices))}, got {value!r}.")
+                raise InputError(
+                    f"Expected {name} to be one of {', '.join(get_args(choices))}, got {value!r}.", code="H3-METRIC-032"
+                )
         if strangers := [name for name in self.random if name not in GROUPS]:
-            raise InputError(f"Expected random intercepts of {' and '.join(GROUPS)}, got {strangers[0]!r}.")
+            raise InputError(
+                f"Expected random intercepts of {' and '.join(GROUPS)}, got {strangers[0]!r}.", code="H3-METRIC-031"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +83,7 @@ class FittedMeans:
     fit: GlmmFit
     means: MarginalMeans
     differences: tuple[Contrast, ...]
-    """On the response scale, p adjusted by Tukey's method."""
+    """Pairwise differences on the response scale, with p adjusted by Tukey's method."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,7 +97,7 @@ class StudyAnalysis:
     """Number of episodes by condition."""
     metrics: tuple[Metric, ...]
     estimates: Mapping[str, Mapping[str, Estimate]]
-    """By metric and condition."""
+    """Estimates by metric and condition."""
     compared: str
     """Name of the metric whose means are contrasted; empty: none could be."""
     models: tuple[FittedMeans, ...]
@@ -177,7 +181,8 @@ def analyse_study(
     if len(conditions) < 2 or people < 2:
         raise InputError(
             f"The study needs two conditions and two participants or more, got {len(conditions)} and {people}. Hint: name "
-            "them when importing: h3data import ... --manifest sessions.csv (h3data docs import)."
+            "them when importing: h3data import ... --manifest sessions.csv (h3data docs import).",
+            code="H3-METRIC-030",
         )
     layout = study_layout(profile)
     metrics = tuple(m for name in layout.columns for m in profile.metrics if m.name == name)

@@ -46,7 +46,7 @@ def latin_square(conditions: Sequence[str]) -> tuple[tuple[str, ...], ...]:
     """
     count = len(conditions)
     if count < 2 or len(set(conditions)) != count:
-        raise InputError(f"Expected two or more different conditions, got {list(conditions)}.")
+        raise InputError(f"Expected two or more different conditions, got {list(conditions)}.", code="H3-METRIC-033")
     zigzag = [(k + 1) // 2 if k % 2 else (count - k // 2) % count for k in range(count)]  # 0 1 n-1 2 n-2 ...
     rows = [[(k + shift) % count for k in zigzag] for shift in range(count)]
     if count % 2:
@@ -88,14 +88,15 @@ def plan_sessions(
     else:
         people = list(participants)
     if not people or len(set(people)) != len(people):
-        raise InputError(f"Expected different participants, one or more, got {people}.")
+        raise InputError(f"Expected different participants, one or more, got {people}.", code="H3-METRIC-034")
     if not episodes or episodes_per_condition < 1 or training_episodes < 0:
         raise InputError(
-            "Expected at least one scene, one episode per condition, and no negative number of training episodes."
+            "Expected at least one scene, one episode per condition, and no negative number of training episodes.",
+            code="H3-METRIC-035",
         )
     for scene, ids in episodes.items():
         if len(set(ids)) != len(ids):
-            raise InputError(f"Scene {scene!r} holds the same episode id twice.")
+            raise InputError(f"Scene {scene!r} holds the same episode id twice.", code="H3-METRIC-038")
     # a single condition has one order, which is no Latin square
     orders = latin_square(conditions) if len(conditions) != 1 else (tuple(conditions),)
     scenes = list(episodes)
@@ -140,7 +141,10 @@ def write_sessions(sessions: Sequence[Session], folder: str | os.PathLike[str]) 
     paths = [Path(folder) / f"{s.participant}.json" for s in sessions]
     bad = [s.participant for s in sessions if Path(s.participant).name != s.participant]
     if bad:
-        raise InputError(f"A participant's id becomes a file name, which {bad[0]!r} cannot. Hint: use anonymous_id.")
+        raise InputError(
+            f"A participant's id becomes a file name, which {bad[0]!r} cannot. Hint: use anonymous_id.",
+            code="H3-METRIC-036",
+        )
     Path(folder).mkdir(parents=True, exist_ok=True)
     for session, path in zip(sessions, paths, strict=True):
         with part_file(path) as part:
@@ -155,16 +159,21 @@ def read_session(path: str | os.PathLike[str]) -> Session:
     try:
         return msgspec.json.decode(Path(path).read_bytes(), type=Session)
     except OSError as error:
-        raise InputError(f"Cannot read the session manifest: {error.strerror}. File: {path}") from error
+        raise InputError(
+            f"Cannot read the session manifest: {error.strerror}. File: {path}", code="H3-METRIC-039"
+        ) from error
     except msgspec.DecodeError as error:
-        raise FormatError(f"Expected a session manifest (h3data/session@1): {error}. File: {path}") from error
+        raise FormatError(
+            f"Expected a session manifest (h3data/session@1): {error}. File: {path}", code="H3-METRIC-040"
+        ) from error
 
 
 def _take(left: dict[str, list[str]], scene: str, count: int) -> tuple[str, ...]:
     if len(left[scene]) < count:
         raise InputError(
             f"Scene {scene!r} has too few episodes: nobody may get one twice. Hint: add episodes or scenes, or use fewer "
-            "episodes per condition or for training."
+            "episodes per condition or for training.",
+            code="H3-METRIC-037",
         )
     taken, left[scene] = left[scene][:count], left[scene][count:]
     return tuple(taken)

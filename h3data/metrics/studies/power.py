@@ -52,13 +52,21 @@ def simulate_study(
     table: dict[str, NDArray[Any]] = {name: np.array(column) for name, column in study_rows(sessions).items()}
     unknown = [name for name in deviations if name not in _GROUPS]
     if unknown or any(not value >= 0 for value in deviations.values()):
-        raise InputError(f"Expected deviations >= 0 of {', '.join(_GROUPS)}, got {dict(deviations)}.")
+        raise InputError(
+            f"Expected deviations >= 0 of {', '.join(_GROUPS)}, got {dict(deviations)}.", code="H3-METRIC-041"
+        )
     wanted = sorted(set(table["condition"].tolist()))
     if sorted(means) != wanted:
-        raise InputError(f"Expected a mean of each condition ({', '.join(wanted)}), got {', '.join(sorted(means))}.")
+        raise InputError(
+            f"Expected a mean of each condition ({', '.join(wanted)}), got {', '.join(sorted(means))}.",
+            code="H3-METRIC-042",
+        )
     ends = (0, np.inf) if family == "poisson" else (0, 1)
     if not all(ends[0] < m < ends[1] for m in means.values()):
-        raise InputError(f"Expected means between {ends[0]} and {ends[1]} for the {family} family, got {dict(means)}.")
+        raise InputError(
+            f"Expected means between {ends[0]} and {ends[1]} for the {family} family, got {dict(means)}.",
+            code="H3-METRIC-043",
+        )
     random = np.random.default_rng(seed)
     mean = np.array([means[c] for c in table["condition"]])
     eta = np.log(mean) if family == "poisson" else np.log(mean / (1 - mean))
@@ -89,7 +97,9 @@ def simulate_power(
     Poisson models get the observation-level effect if the simulation has one. Takes 0.1 to 0.3 s per run.
     """
     if runs < 1 or not 0 < alpha < 1:
-        raise InputError(f"Expected one run or more and 0 < alpha < 1, got {runs} runs and alpha {alpha}.")
+        raise InputError(
+            f"Expected one run or more and 0 < alpha < 1, got {runs} runs and alpha {alpha}.", code="H3-METRIC-044"
+        )
     observation = family == "poisson" and deviations.get("observation", 0.0) > 0
     levels = sorted(means)
     detections = {(a, b): 0 for k, a in enumerate(levels) for b in levels[k + 1 :]}

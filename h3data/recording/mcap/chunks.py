@@ -27,6 +27,7 @@ def slices(times_ns: NDArray[np.int64]) -> list[tuple[int, int]]:
     if not len(times_ns):
         return [(0, 0)]
     since = times_ns.astype(np.float64) - float(times_ns[0])  # differences of int64 may overflow
+    # counted from the first row: a recording cut out of another does not begin at time 0
     starts = np.flatnonzero(np.diff(since // (CHUNK_S * 1e9), prepend=-1.0))
     return list(pairwise([*starts.tolist(), len(times_ns)]))
 
@@ -44,6 +45,7 @@ def repeats(columns: Mapping[str, NDArray[Any]]) -> bool:
     poses = [column for name, column in columns.items() if name.rpartition(".")[2] in _COMPARED and column.size]
     if len(bounds) < 2 or not poses:
         return False
+    # two chunks are enough to tell: a clip that repeats does so from the beginning
     (start, middle), (_, stop) = bounds[:2]
     rows = np.concatenate([np.ascontiguousarray(c[:stop]).reshape(stop, -1).view(np.uint8) for c in poses], axis=1)
     first, second, both = (

@@ -22,7 +22,7 @@ def start_time(header: RecordingHeader | Recording, t0_unix_ns: int | None) -> i
     try:
         return int(t0)
     except (TypeError, ValueError):
-        raise InputError(f"t0_unix_ns must be whole nanoseconds, got {t0!r}.") from None
+        raise InputError(f"t0_unix_ns must be whole nanoseconds, got {t0!r}.", code="H3-RECORDING-008") from None
 
 
 def log_time(t0_unix_ns: int, time_ns: int) -> int:
@@ -34,15 +34,19 @@ def header_metadata(header: RecordingHeader | Recording) -> dict[str, dict[str, 
     """Metadata records that open a log, by name."""
     episode = episode_metadata(header.episode)
     try:
+        # names with lone surrogates come from file systems, and would fail in the middle of the file
         for text in [*episode.values(), *header.attachments]:
             text.encode()
     except UnicodeEncodeError as error:
-        raise InputError(f"Names must be valid Unicode, this one is not: {error.object!r}.") from None
+        raise InputError(
+            f"Names must be valid Unicode, this one is not: {error.object!r}.", code="H3-RECORDING-009"
+        ) from None
     return {"h3.schema": {"version": SCHEMA_VERSION, **CONVENTIONS}, "h3.episode": episode}
 
 
 def episode_metadata(episode: Episode) -> dict[str, str]:
     """The episode as a metadata record, all values as text."""
+    # MCAP allows nothing but text in metadata
     return {k: str(v) for k, v in episode_to_dict(episode).items()}
 
 
@@ -56,4 +60,4 @@ def encode_record(message: str, values: Mapping[str, Any]) -> bytes:
     try:
         return message_class(struct_descriptor(), message)(**values).SerializeToString(deterministic=True)
     except (ValueError, TypeError, OverflowError) as error:
-        raise InputError(f"{message} cannot hold this value: {error}.") from error
+        raise InputError(f"{message} cannot hold this value: {error}.", code="H3-RECORDING-010") from error

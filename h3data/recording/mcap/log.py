@@ -104,6 +104,7 @@ class LogWriter:
         self._spans = 0
         self._input_channel: int | None = None
         self._flushed_at = time.monotonic()
+        # made before the file is: a header that cannot be stored leaves nothing behind
         metadata = header_metadata(header)
         scene = encode_record("h3.Scene", scene_dict(header))
         self._file = PartFile(self.path, overwrite=overwrite)
@@ -148,15 +149,17 @@ class LogWriter:
         assert self._rows is not None
         due = self._rows.steps - self._rows.taken >= self._flush_rows
         late = time.monotonic() - self._flushed_at >= self._flush_s
+        # rows wait for each other, because a block is encoded at once by numpy; not long, because a crash loses
+        # them
         if added and (due or late):
             self.flush()
 
     def append_recording(self, recording: Recording) -> None:
-        """Writes all steps, skills, events and inputs of a recording in chunks of at most `chunks.CHUNK_S` (`chunks.repeats`
-        names the exception).
+        """Writes all steps, skills, events and inputs of a recording.
 
-        Events, inputs and skills follow the steps at which they are known, a skill as ``running`` until it has ended. A file
-        that is cut off thus loses only the chunks behind the cut.
+        Chunks span at most `chunks.CHUNK_S` (`chunks.repeats` names the exception). Events, inputs and skills follow
+        the steps at which they become known; a skill is written as ``running`` until it has ended. A file that is cut
+        off thus loses only the chunks after the cut.
         """
         parts, long_chunks = CutRecording(recording), repeats(recording.columns)
         for start, stop in slices(recording.columns["time_ns"]):
@@ -199,7 +202,10 @@ class LogWriter:
         """
         self._require_open()
         if replaces is not None and not 0 <= replaces < self._spans:
-            raise InputError(f"replaces={replaces}: {self._spans} skill spans were written, numbered from 0.")
+            raise InputError(
+                f"replaces={replaces}: {self._spans} skill spans were written, numbered from 0.",
+                code="H3-RECORDING-011",
+            )
         number = self._spans if replaces is None else replaces
         self._write_skill(span, number)
         return number
@@ -224,6 +230,7 @@ class LogWriter:
         if self.closed:
             return self.path
         if self._rows is None:
+            # no step was ever written: the columns are announced all the same, so that the file can be read
             self._rows = self._fix_layout({c.name: c.empty() for c in default_layout(self.header)})
         with self._file.writing():
             if not self._finished:
@@ -235,6 +242,7 @@ class LogWriter:
                 self._mcap.add_metadata("h3.end", {"steps": str(self.steps), "skills": str(self._spans)})
                 self._mcap.finish()
                 self._finished = True
+            # apart from the records above: where only this fails, a second call must not write them again
             self._file.complete()
         self._shut()
         return self.path
@@ -289,7 +297,9 @@ class LogWriter:
 
     def _require_open(self) -> None:
         if self.closed or self._finished:
-            raise InputError(f"This recording is closed; nothing can be added to it: {self.path}")
+            raise InputError(
+                f"This recording is closed; nothing can be added to it: {self.path}", code="H3-RECORDING-012"
+            )
 
     def _open_channels(self) -> None:
         channels = [self._struct_channel(name) for name in ("Scene", "Event", "Skill")]
@@ -304,12 +314,14 @@ class LogWriter:
         t = self._log_time(self._time_of(span.end_step))
         with self._file.writing():
             self._mcap.add_message(self._skill_channel, t, data, t)
+        # a span that is written again keeps its number
         self._spans = max(self._spans, number + 1)
 
     def _fix_layout(self, empty: Mapping[str, NDArray[Any]]) -> PendingRows:
         """Takes the columns from arrays without rows, checks them against the header and announces them in the file."""
         layout = layout_of(empty)
         h = self.header
+        # only for its checks, which refuse columns that do not fit the header before anything is written
         Recording(episode=h.episode, assets=h.assets, bodies=h.bodies, agents=h.agents, columns=empty)
         with self._file.writing():
             self._mcap.add_metadata("h3.layout", {"columns": layout_to_json(layout), "hash": layout_hash(layout)})
@@ -332,6 +344,7 @@ class LogWriter:
             block = encode_block(fields, rows, first_step=first)
             messages.append((channel, block.tobytes(), block.shape[1]))
         self._blocks += 1
+        # looked up once: this loop runs for every step of every topic
         add = self._mcap.add_message
         for k, time_ns in enumerate(rows["time_ns"].tolist()):
             t = self._log_time(time_ns)

@@ -25,25 +25,33 @@ def open_part(part: Path, *, overwrite: bool) -> IO[bytes]:
 
 
 class Backlog:
-    """A stream to a file that keeps what the disk does not take. `write` never fails; `flush` hands over what there is, and
-    goes on where it stopped when it is called again. What is in the file is always the beginning of what was written."""
+    """Stream to a file that buffers whatever the disk does not accept.
+
+    `write` never fails. `flush` writes what is in the buffer, and continues where it stopped when it is called again.
+    The file always holds the beginning of everything written to the stream.
+    """
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file, self._left, self._end = file, bytearray(), 0
 
     def write(self, data: bytes) -> int:
+        """Appends bytes to the buffer, writes the buffer to the file once it is large, and returns the number of bytes."""
         self._left += data
         self._end += len(data)
+        # not left to the next flush where the disk takes it: without one for long, all of it would gather in
+        # memory
         if len(self._left) >= MOST_HELD:
             with contextlib.suppress(OSError):  # `flush` says so
                 self._hand_over()
         return len(data)
 
     def tell(self) -> int:
+        """Number of bytes written to the stream, including those still in the buffer."""
         return self._end
 
     def flush(self) -> None:
-        """
+        """Writes the whole buffer to the file.
+
         Raises:
             OSError: the disk is full or fails.
         """
@@ -51,17 +59,21 @@ class Backlog:
         self._file.flush()
 
     def fileno(self) -> int:
+        """File descriptor of the underlying file."""
         return self._file.fileno()
 
     def close(self) -> None:
+        """Closes the underlying file; bytes still in the buffer are lost."""
         self._file.close()
 
     @property
     def closed(self) -> bool:
+        """Whether the underlying file is closed."""
         return self._file.closed
 
     def _hand_over(self) -> None:
         while self._left:
+            # a disk that fills up takes a part; the rest stays for the next call
             taken = self._file.write(self._left)
             del self._left[:taken]
 
@@ -69,6 +81,7 @@ class Backlog:
 def publish(part: Path, final: Path) -> None:
     """Gives a finished, synced file its final name; the rename itself is synced too."""
     os.replace(part, final)
+    # the name is in the folder, which has to reach the disk as well: else the file is there and cannot be found
     folder = os.open(final.parent, os.O_RDONLY)
     try:
         os.fsync(folder)
@@ -98,15 +111,17 @@ class PartFile:
         try:
             yield
         except FileExistsError:
-            raise InputError(f"Another process is writing this file: {self.path}") from None
+            raise InputError(f"Another process is writing this file: {self.path}", code="H3-RECORDING-016") from None
         except OSError as error:
             raise InputError(
                 f"Could not write the recording: {error.strerror or error}. What was flushed before stays "
-                f"(`h3data recover`): {self.path}"
+                f"(`h3data recover`): {self.path}",
+                code="H3-RECORDING-017",
             ) from error
 
     def complete(self) -> None:
         """Syncs everything to the disk and gives the file its final name. After an `OSError` it can be called again."""
+        # a second call after a failed rename must not write to a closed file
         if not self.stream.closed:
             self.stream.flush()
             os.fsync(self.stream.fileno())
@@ -126,11 +141,14 @@ class PartFile:
         if overwrite:
             return
         if self.final.exists():
-            raise InputError(f"The file exists; choose another name or pass overwrite=True: {self.final}")
+            raise InputError(
+                f"The file exists; choose another name or pass overwrite=True: {self.final}", code="H3-RECORDING-013"
+            )
         if self.path.exists():
             raise InputError(
                 "An unfinished recording of this name exists. Save it with `h3data recover`, delete it, or pass "
-                f"overwrite=True: {self.path}"
+                f"overwrite=True: {self.path}",
+                code="H3-RECORDING-014",
             )
 
 
@@ -138,4 +156,6 @@ def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"The folder cannot be created ({error.strerror or error}): {folder}") from None
+        raise InputError(
+            f"The folder cannot be created ({error.strerror or error}): {folder}", code="H3-RECORDING-015"
+        ) from None

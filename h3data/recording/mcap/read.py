@@ -49,20 +49,22 @@ def read_mcap(path: str | os.PathLike[str] | RemotePath, *, columns: Sequence[st
     if lacks_records(log):
         reconstruct_all(log, path)
     elif log.fault is None and "h3.end" not in log.metadata:
+        # every record may be sound although steps are missing: the writer was killed between two flushes
         log.fault = "the recording was never finished"
     if log.fault is not None:
         raise FormatError(
             f"Damaged or unfinished MCAP log: {log.fault}. {log.readable_bytes} of {log.size} bytes are sound, "
-            f"{_recoverable_steps(log, path)} complete steps can be saved with `h3data recover {path} -o OUT`: {path}"
+            f"{_recoverable_steps(log, path)} complete steps can be saved with `h3data recover {path} -o OUT`: {path}",
+            code="H3-RECORDING-018",
         )
     log.attachments |= shared_files(log.metadata.get(RECORD, {}), path)
     try:
         steps = int(log.metadata["h3.end"]["steps"])
         return assemble(log, path, steps=steps, wanted=columns)
     except FormatError as error:
-        raise FormatError(f"{error} File: {path}") from error
+        raise FormatError(f"{error} File: {path}", code=error.code) from error
     except (KeyError, *decoding_errors()) as error:
-        raise FormatError(f"Not a log that h3data can read ({error!r}): {path}") from error
+        raise FormatError(f"Not a log that h3data can read ({error!r}): {path}", code="H3-RECORDING-024") from error
 
 
 # --- kinds of files --------------------------------------------------------------------------------------------------
@@ -71,22 +73,28 @@ def load(path: AnyPath) -> bytes:
     try:
         return path.read_bytes()
     except FileNotFoundError:
-        raise InputError(f"There is no such file: {path}") from None
+        raise InputError(f"There is no such file: {path}", code="H3-FORMAT-013") from None
     except IsADirectoryError:
-        raise FormatError(f"Expected an MCAP file, this is a folder: {path}") from None
+        raise FormatError(f"Expected an MCAP file, this is a folder: {path}", code="H3-RECORDING-025") from None
     except OSError as error:
-        raise InputError(f"The file cannot be read ({error.strerror or error}): {path}") from error
+        raise InputError(
+            f"The file cannot be read ({error.strerror or error}): {path}", code="H3-RECORDING-026"
+        ) from error
 
 
 def check_kind(log: McapRecords, path: AnyPath) -> None:
     """Raises a `FormatError` unless the records are those of an h3data log of a version we read."""
     if not log.readable_bytes:
-        raise FormatError(f"Expected an MCAP log, the file does not begin like one ({log.fault}): {path}")
+        raise FormatError(
+            f"Expected an MCAP log, the file does not begin like one ({log.fault}): {path}", code="H3-RECORDING-019"
+        )
+    # the schema too, because tools that copy logs leave out the profile
     ours = log.profile == PROFILE or "h3.Scene" in {name for name, _ in log.schemas.values()}
     if not ours and (log.profile or log.fault is None):
         raise FormatError(
             f"An MCAP log, but of profile {log.profile!r}; h3data reads profile {PROFILE!r}. "
-            f"Hint: open it with Rerun or Foxglove: {path}"
+            f"Hint: open it with Rerun or Foxglove: {path}",
+            code="H3-RECORDING-020",
         )
     if "h3.schema" in log.metadata:
         check_version(log.metadata["h3.schema"].get("version", ""), path=path)
@@ -104,7 +112,7 @@ def reconstruct_all(log: McapRecords, path: AnyPath) -> None:
     try:
         reconstruct(log, path)
     except (KeyError, *decoding_errors()) as error:
-        raise FormatError(f"Not a log that h3data can read ({error!r}): {path}") from error
+        raise FormatError(f"Not a log that h3data can read ({error!r}): {path}", code="H3-RECORDING-024") from error
 
 
 def reconstruct(
@@ -146,13 +154,14 @@ def _step_ns(log: McapRecords, channel: int | None, first: Sequence[memoryview])
     rows = decode_messages(
         fields, first, wanted={"time_ns"}, descriptor=log.schemas[schema][1], message=f"h3.{TOPIC_MESSAGES['state']}"
     )
+    # never zero: everything that computes speeds divides by it
     return max(int(rows["time_ns"][1]) - int(rows["time_ns"][0]), 1)
 
 
 # --- from records to a recording --------------------------------------------------------------------------------------
 def _episode(log: McapRecords, path: AnyPath) -> Episode:
     if "h3.episode" not in log.metadata:
-        raise FormatError("it ends before the episode record")
+        raise FormatError("it ends before the episode record", code="H3-RECORDING-021")
     return episode_from_dict(log.metadata["h3.episode"], path=path)
 
 
@@ -177,6 +186,7 @@ def _plain(message: Any) -> dict[str, Any]:
 
 def _skills(log: McapRecords) -> tuple[SkillSpan, ...]:
     spans: dict[int, SkillSpan] = {}
+    # a later message with the same number replaces the earlier one, which said that the skill was running
     for message in _messages(log, "/h3/skill"):
         spans[message.span] = struct_from_dict("Skill", _plain(message))
     return tuple(spans[k] for k in sorted(spans))
@@ -203,13 +213,16 @@ def columns_of(
             )
         )
         numbers = parts[-1].pop("")
+        # row numbers, not times, tell whether steps are missing: times may jump in recordings of real sessions
         broken = np.flatnonzero(numbers != np.arange(first, first + len(numbers)))
         sound = int(broken[0]) if len(broken) else len(numbers)
         if steps is not None and (len(numbers) != steps or sound != steps):
             raise FormatError(
-                f"Expected steps {first}..{first + steps - 1} in /h3/{topic}, got {len(numbers)}, {sound} in order."
+                f"Expected steps {first}..{first + steps - 1} in /h3/{topic}, got {len(numbers)}, {sound} in order.",
+                code="H3-RECORDING-027",
             )
         parts[-1] = {name: array[:sound] for name, array in parts[-1].items()}
+    # topics are flushed one after the other, so a log that was cut off may have a step in one of them only
     rows = min((len(a) for part in parts for a in part.values()), default=0)
     return {name: array[:rows] for part in parts for name, array in part.items()}
 
@@ -218,8 +231,11 @@ def _layout(log: McapRecords) -> Layout | None:
     if "h3.layout" not in log.metadata:
         return None
     layout = layout_from_json(log.metadata["h3.layout"]["columns"])
+    # columns are found by this record; where it is damaged, numbers would land in other columns without an error
     if log.metadata["h3.layout"].get("hash") != layout_hash(layout):
-        raise FormatError("The record of the column layout is damaged: its hash does not match.")
+        raise FormatError(
+            "The record of the column layout is damaged: its hash does not match.", code="H3-RECORDING-022"
+        )
     return layout
 
 
@@ -230,7 +246,7 @@ def assemble(
     episode = _episode(log, path)
     scenes = _messages(log, "/h3/scene")
     if not scenes:
-        raise FormatError("it has no message on /h3/scene")
+        raise FormatError("it has no message on /h3/scene", code="H3-RECORDING-023")
     scene: dict[str, Any] = {
         kind: tuple(struct_from_dict(struct, _plain(m)) for m in getattr(scenes[0], kind))
         for kind, struct in (("assets", "Asset"), ("bodies", "Body"), ("agents", "Agent"))
@@ -242,18 +258,21 @@ def assemble(
         unknown = sorted(set(wanted) - set(existing))
         if unknown:
             near = suggest(unknown[0], existing, lead="It has")
-            raise InputError(f"No columns {unknown} in this log.{near} File: {path}")
+            raise InputError(f"No columns {unknown} in this log.{near} File: {path}", code="H3-RECORDING-028")
         names = set(wanted) | required_columns(len(scene["agents"]))
     columns = columns_of(log, steps=steps, wanted=names, first=first)
     if not columns:
         if steps:
-            raise FormatError(f"Expected {steps} steps, got none.")
+            raise FormatError(f"Expected {steps} steps, got none.", code="H3-RECORDING-029")
+        # an episode that failed before its first step has none, but the columns that its reader expects
         layout = layout or default_layout(RecordingHeader(episode=episode, **scene))
         columns = {c.name: c.empty() for c in layout}
     if layout is not None:
         lost = [c.name for c in layout if c.name not in columns and (names is None or c.name in names)]
         if lost:
-            raise FormatError(f"The topics lack columns that the layout announces: {', '.join(lost)}.")
+            raise FormatError(
+                f"The topics lack columns that the layout announces: {', '.join(lost)}.", code="H3-RECORDING-030"
+            )
         columns = ordered(columns, [c.name for c in layout])
     return Recording(
         episode=episode,

@@ -24,7 +24,7 @@ class Recovery:
     bytes_read: int
     bytes_total: int
     reason: str
-    """Why the whole original could not be read."""
+    """Reason why the whole original could not be read."""
 
 
 def recover_mcap(
@@ -41,7 +41,7 @@ def recover_mcap(
     """
     path, out = place(path), local(out)
     if os.path.exists(out) and not overwrite:
-        raise InputError(f"The file exists; choose another name or pass overwrite=True: {out}")
+        raise InputError(f"The file exists; choose another name or pass overwrite=True: {out}", code="H3-RECORDING-031")
     log = scan_records(load(path))
     check_kind(log, path)
     if bare := lacks_records(log):
@@ -56,7 +56,7 @@ def recover_mcap(
     try:
         recording = assemble(log, path, steps=None, wanted=None)
     except (KeyError, FormatError, *decoding_errors()) as error:
-        raise FormatError(f"Nothing can be recovered ({error}): {path}") from error
+        raise FormatError(f"Nothing can be recovered ({error}): {path}", code="H3-RECORDING-032") from error
     if bare:
         missing = "; ".join(filter(None, [missing, recording.episode.info["recovered"]["reason"]]))
     if missing:

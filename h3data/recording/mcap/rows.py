@@ -17,6 +17,7 @@ Rows = dict[str, NDArray[Any]]
 def native_rows(rows: Mapping[str, ArrayLike]) -> Rows:
     """Rows as arrays in this machine's byte order."""
     arrays = {name: np.asarray(values) for name, values in rows.items()}
+    # numpy keeps the byte order of files that were read, but the wire has only one
     return {n: a if a.dtype.isnative else a.astype(a.dtype.newbyteorder("=")) for n, a in arrays.items()}
 
 
@@ -64,6 +65,7 @@ class PendingRows:
         if not self._times:
             return 0
         if len(self._times) > 1:
+            # joined when somebody asks, not at each flush, which would copy all times again and again
             self._times = [np.concatenate(self._times)]
         return int(self._times[0][max(step, 0)])
 
@@ -81,8 +83,11 @@ class PendingRows:
         if len(arrays) - len(faults) < len(self._kinds):
             faults += [f"{name} is missing" for name in self._kinds if name not in arrays]
         if faults:
-            raise InputError(f"Rows do not fit this recording: {'; '.join(faults[:8])}.")
+            raise InputError(f"Rows do not fit this recording: {'; '.join(faults[:8])}.", code="H3-RECORDING-033")
         first_is_late = self._last_time is None or count == 0 or int(arrays["time_ns"][0]) > self._last_time
         if not first_is_late or (count > 1 and np.any(np.diff(arrays["time_ns"]) <= 0)):
-            raise InputError("time_ns must increase strictly from row to row, also from one append to the next.")
+            raise InputError(
+                "time_ns must increase strictly from row to row, also from one append to the next.",
+                code="H3-RECORDING-034",
+            )
         return count

@@ -45,7 +45,7 @@ class McapRecords:
         used = [c for c, (name, _, _) in self.channels.items() if name == topic]
         used = [c for c in used if self.messages.get(c)] or used[:1]
         if len(used) > 1:
-            raise FormatError(f"Expected one channel {topic}, got {len(used)}.")
+            raise FormatError(f"Expected one channel {topic}, got {len(used)}.", code="H3-RECORDING-035")
         return used[0] if used else None
 
 

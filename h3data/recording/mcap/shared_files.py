@@ -26,8 +26,11 @@ def share_files(attachments: Mapping[str, bytes], folder: Path, log: Path) -> di
     Raises:
         InputError: ``log`` does not lie in ``folder``, where its readers search.
     """
+    # readers search upwards from the log, so a folder elsewhere would never be found again
     if folder.absolute() not in log.absolute().parents[:_LEVELS]:
-        raise InputError(f"Expected a recording in the folder of the shared files, {folder}, got: {log}")
+        raise InputError(
+            f"Expected a recording in the folder of the shared files, {folder}, got: {log}", code="H3-RECORDING-036"
+        )
     store = FileStore(folder / _BELOW)
     return {name: store.put(name, bytes(data)) for name, data in attachments.items()}
 
@@ -43,10 +46,14 @@ def shared_files(record: Mapping[str, str], log: AnyPath) -> dict[str, bytes]:
 
 def _read(stored: str, what: str, log: AnyPath) -> bytes:
     folders = [folder / _BELOW for folder in [*_absolute(log).parents][:_LEVELS]]
+    # the name alone: a log from elsewhere must not lead out of the folder of shared files
     name = Path(stored).name
     path = next((folder / name for folder in folders if (folder / name).is_file()), None)
     if path is None:
-        raise FormatError(f"{what} is missing: expected it as h3/files/{name}. Hint: {_RESTORE}. Recording: {log}")
+        raise FormatError(
+            f"{what} is missing: expected it as h3/files/{name}. Hint: {_RESTORE}. Recording: {log}",
+            code="H3-RECORDING-037",
+        )
     if isinstance(path, Path):
         status = path.stat()
         return _cached(path, status.st_size, status.st_mtime_ns)

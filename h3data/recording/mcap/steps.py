@@ -42,9 +42,12 @@ class McapSteps(Steps):
         try:
             self._file = open_binary(path)
         except OSError as error:
-            raise InputError(f"The file cannot be read ({error.strerror or error}): {path}") from error
+            raise InputError(
+                f"The file cannot be read ({error.strerror or error}): {path}", code="H3-RECORDING-026"
+            ) from error
         try:
             self._reported(self._open, "it")
+        # also after Ctrl-C: a file that is left open would be held until the process ends
         except BaseException:
             self.close()
             raise
@@ -53,6 +56,7 @@ class McapSteps(Steps):
         return self._steps
 
     def close(self) -> None:
+        """Closes the log and drops the decompressed chunks from memory."""
         self._file.close()
         self._kept.clear()
 
@@ -62,13 +66,14 @@ class McapSteps(Steps):
         self._chunks: list[Any] = []
         self._attachments: list[int] = []
         self._metadata_records: int | None = None
-        """How many the log has, if its summary says so."""
+        """Number of metadata records in the log, if its summary says so."""
         self._read_summary()
         self._places = {
             channel: self._places_of(channel)
             for topic in (*(f"/h3/{t}" for t in TOPIC_MESSAGES), *_ONCE)
             if (channel := self._log.channel_of(topic)) is not None
         }
+        # only now, because what is made up for the records needs the places of the messages
         if lacks_records(self._log):
             self._reconstruct()
         if "h3.end" not in self._log.metadata:
@@ -77,9 +82,12 @@ class McapSteps(Steps):
             raise ValueError("the record h3.layout is missing")
         self._steps = int(self._log.metadata["h3.end"]["steps"])
         self._per_step = [c for c in self._places if self._log.channels[c][0] not in _ONCE]
+        # steps are found by counting, so a topic with another number of messages would give the rows of other
+        # steps
         for channel in self._per_step:
             if (count := self._places[channel][-1]) != self._steps:
                 raise ValueError(f"{self._steps} steps, but {count} on {self._log.channels[channel][0]}")
+        # the columns as they come out of reading, without any row: no second rule for their shapes
         self.layout = layout_of(self._whole(0, 0, "/h3/scene").columns)
 
     def _rows(self, start: int, stop: int, names: list[str]) -> dict[str, NDArray[Any]]:
@@ -90,10 +98,12 @@ class McapSteps(Steps):
             return columns_of(self._with_steps(start, stop), steps=stop - start, wanted=set(names), first=start)
 
         columns = self._reported(read, f"steps {start} to {stop - 1}")
+        # in the order asked for, whatever the order in the log
         return {name: columns[name] for name in names}
 
     def _recording(self, start: int, stop: int) -> Recording:
         def read() -> Recording:
+            # read only with a whole recording: the scene may be larger than all steps
             for offset in self._attachments:
                 take(self._log, *self._record(offset))
             self._log.attachments |= shared_files(self._log.metadata.get(RECORD, {}), self.path)
@@ -107,11 +117,12 @@ class McapSteps(Steps):
         try:
             return read()
         except FormatError as error:
-            raise FormatError(f"{error} File: {self.path}") from error
+            raise FormatError(f"{error} File: {self.path}", code=error.code) from error
         except (OSError, KeyError, *decoding_errors()) as error:
             raise FormatError(
                 f"Damaged or unfinished MCAP log, {what} cannot be read ({error or type(error).__name__}). "
-                f"Hint: `h3data recover {self.path} -o OUT` saves what can be saved. File: {self.path}"
+                f"Hint: `h3data recover {self.path} -o OUT` saves what can be saved. File: {self.path}",
+                code="H3-RECORDING-041",
             ) from error
 
     def _bytes(self, offset: int, size: int) -> bytes:
@@ -131,14 +142,17 @@ class McapSteps(Steps):
 
         log = self._log
         if self._bytes(0, len(MAGIC)) != MAGIC:
-            raise FormatError("Expected an MCAP log, the file does not begin like one.")
+            raise FormatError("Expected an MCAP log, the file does not begin like one.", code="H3-RECORDING-038")
         take(log, *self._record(len(MAGIC)))
         footer = log.size - _FOOTER_BYTES
         if self._bytes(log.size - len(MAGIC), len(MAGIC)) != MAGIC:
             raise EOFError("the closing magic bytes are missing")
         start, _, crc = struct.unpack("<QQI", self._record(footer)[1])
         if not start:
-            raise FormatError("This log has no summary, so its steps cannot be found. Hint: `h3data convert` adds one.")
+            raise FormatError(
+                "This log has no summary, so its steps cannot be found. Hint: `h3data convert` adds one.",
+                code="H3-RECORDING-039",
+            )
         log.readable_bytes = log.size
         summary = memoryview(self._bytes(start, footer + _RECORD.size + 16 - start))
         check_crc(crc, summary, "summary")
@@ -155,7 +169,9 @@ class McapSteps(Steps):
                 self._attachments.append(AttachmentIndex.read(stream).offset)
             else:
                 take(log, opcode, body)
+        # a summary need not list chunks in the order of the file, and steps are counted through them
         self._chunks.sort(key=lambda chunk: chunk.chunk_start_offset)
+        # in the order of the file: of two records with one name the later one counts
         for offset in sorted(metadata):
             take(log, *self._record(offset))
         check_kind(log, self.path)
@@ -164,7 +180,8 @@ class McapSteps(Steps):
         """Adds the metadata records that another program has left out; a `FormatError` if there are some out of reach."""
         if self._metadata_records != 0:
             raise FormatError(
-                "The summary of this log does not tell where its metadata records are. Hint: `h3data convert` adds that."
+                "The summary of this log does not tell where its metadata records are. Hint: `h3data convert` adds that.",
+                code="H3-RECORDING-040",
             )
         state = self._log.channel_of("/h3/state")
         steps = 0 if state is None else self._places[state][-1]
@@ -176,6 +193,7 @@ class McapSteps(Steps):
         counts = []
         for chunk in self._chunks:
             offset = chunk.message_index_offsets.get(channel)
+            # the length of the index tells the number of messages, without reading or unpacking the chunk
             size = 0 if offset is None else struct.unpack("<BQHI", self._bytes(offset, 15))[3]
             counts.append(size // 16)
         return [0, *accumulate(counts)]
@@ -190,6 +208,7 @@ class McapSteps(Steps):
             for opcode, index in indexes:
                 if opcode == _MESSAGE_INDEX:
                     begins[struct.unpack_from("<H", index)[0]] = np.frombuffer(index[6:], "<u8")[1::2]
+            # steps are mostly read one after the other, and a chunk may take 4 MiB
             while len(self._kept) >= _CHUNKS_KEPT:
                 self._kept.pop(next(iter(self._kept)))
             self._kept[number] = (memoryview(decompress(body)), begins)

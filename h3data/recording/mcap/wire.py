@@ -52,14 +52,17 @@ class WireField:
 
     @property
     def proto_type(self) -> str:
+        """Name of the field's protobuf type."""
         return "bytes" if self._as_bytes else _WIRE[self.column.dtype][0]
 
     @property
     def repeated(self) -> bool:
+        """Whether the field holds several numbers, written as a packed repeated field."""
         return bool(self.column.shape) and not self._as_bytes
 
     @property
     def wire_dtype(self) -> np.dtype[Any]:
+        """Type of the field's numbers as they lie in the message."""
         return np.dtype("u1" if self._as_bytes else _WIRE[self.column.dtype][1])
 
     @property
@@ -105,6 +108,7 @@ def _number(columns: Sequence[Column]) -> WireLayout:
     for column in columns:
         if column.name == "time_ns":
             fields.insert(0, WireField(column, "time_ns", 1))
+            # time comes first and is always field 1, so that any viewer finds it
             taken.add("timens")
             continue
         name = _proto_name(column.name, taken)
@@ -118,6 +122,7 @@ def _proto_name(name: str, taken: set[str]) -> str:
     plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in name).lower()
     plain = plain if plain[:1].isalpha() else f"c_{plain}"
     candidate, n = plain, 2
+    # names that differ by underscores only are the same in JSON, and protobuf refuses them
     while candidate.replace("_", "") in taken:
         candidate, n = f"{plain}_n{n}", n + 1
     taken.add(candidate.replace("_", ""))
@@ -138,6 +143,7 @@ def _template(fields: WireLayout) -> tuple[NDArray[np.uint8], list[int], NDArray
 
 def encode_block(fields: WireLayout, columns: Mapping[str, NDArray[Any]], *, first_step: int) -> NDArray[np.uint8]:
     """Messages of consecutive rows, one per row of the result, shape [n, L]."""
+    # tags and lengths are the same in all messages, so they are copied and only values are filled in
     template, starts, _ = _template(fields)
     arrays = [columns[f.column.name] for f in fields if f.column is not STEP]
     rows = len(arrays[0]) if arrays else 0
@@ -172,6 +178,7 @@ def decode_messages(
     template, starts, fixed = _template(fields)
     chosen = [(f, s) for f, s in zip(fields, starts, strict=True) if wanted is None or f.column.name in {"", *wanted}]
     rows = len(messages)
+    # equal lengths alone could be chance, so the tags are compared too before values are read by their place
     if all(len(m) == len(template) for m in messages):
         block = np.frombuffer(b"".join(messages), np.uint8).reshape(rows, len(template))
         if np.all(block[:, fixed] == template[fixed]):
@@ -199,7 +206,8 @@ def _decode_objects(fields: Sequence[WireField], messages: Sequence[memoryview],
             if len(value) != field.column.width:
                 raise FormatError(
                     f"Message {k} of {cls.DESCRIPTOR.full_name}: expected {field.column.width} values in field "
-                    f"{field.name}, got {len(value)}."
+                    f"{field.name}, got {len(value)}.",
+                    code="H3-RECORDING-045",
                 )
             out[field.column.name][k] = value
     return {f.column.name: _narrow(out[f.column.name], f) for f in fields}
@@ -208,8 +216,9 @@ def _decode_objects(fields: Sequence[WireField], messages: Sequence[memoryview],
 def _narrow(values: NDArray[Any], field: WireField) -> NDArray[Any]:
     """Values in the dtype of their column; a `FormatError` if they do not fit."""
     narrow = values.astype(field.column.dtype, copy=False)
+    # protobuf has no integers of 8 and 16 bits, so another writer may have sent larger numbers
     if field.column.dtype in ("int8", "int16", "uint8", "uint16") and not np.array_equal(narrow, values):
-        raise FormatError(f"Column {field.column.name}: values exceed {field.column.dtype}.")
+        raise FormatError(f"Column {field.column.name}: values exceed {field.column.dtype}.", code="H3-RECORDING-042")
     return narrow.reshape(len(values), *field.column.shape)
 
 
@@ -230,7 +239,9 @@ def fields_from_metadata(metadata: Mapping[str, str], *, topic: str) -> WireLayo
         named = json.loads(metadata["h3.fields"])
         fields = [WireField(c, str(n), int(k)) for c, (n, k) in zip(layout, named, strict=True)]
     except (KeyError, ValueError, TypeError) as error:
-        raise FormatError(f"The channel {topic} has no usable column layout ({error!r}).") from error
+        raise FormatError(
+            f"The channel {topic} has no usable column layout ({error!r}).", code="H3-RECORDING-043"
+        ) from error
     return tuple(sorted([*fields, WireField(STEP, "step", 2)], key=lambda f: f.number))
 
 
@@ -248,6 +259,7 @@ def struct_descriptor() -> bytes:
         struct: [(name, k + 1, kind.rstrip("*"), kind.endswith("*")) for k, (name, kind) in enumerate(fields.items())]
         for struct, fields in STRUCTS.items()
     }
+    # numbered far above the fields of the record, which may grow
     messages["Skill"].append(("span", 100, "int64", False))
     messages["Scene"] = [("assets", 1, "Asset", True), ("bodies", 2, "Body", True), ("agents", 3, "Agent", True)]
     return _descriptor_set("h3/records.proto", messages)
@@ -267,6 +279,7 @@ def _descriptor_set(filename: str, messages: Mapping[str, Sequence[tuple[str, in
                 proto.field.add(name=name, number=number, label=label, type=kinds.TYPE_MESSAGE, type_name=f".h3.{kind}")
             else:
                 proto.field.add(name=name, number=number, label=label, type=kinds.Type.Value(f"TYPE_{kind.upper()}"))
+    # equal recordings have equal files, byte for byte
     return files.SerializeToString(deterministic=True)
 
 
@@ -275,13 +288,15 @@ def message_class(descriptor_set: bytes, name: str) -> Any:
     """google.protobuf class of message ``name`` of a serialised FileDescriptorSet."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
+    # a pool of its own: two logs may define the same message names with other fields
     pool = descriptor_pool.DescriptorPool()
     waiting = list(descriptor_pb2.FileDescriptorSet.FromString(descriptor_set).file)
     added: set[str] = set()
     while waiting:
+        # other writers list files in any order, and the pool wants those first on which others depend
         ready = [f for f in waiting if set(f.dependency) <= added]
         if not ready:
-            raise FormatError(f"The descriptor of {name} lacks files that it depends on.")
+            raise FormatError(f"The descriptor of {name} lacks files that it depends on.", code="H3-RECORDING-044")
         for file in ready:
             pool.Add(file)
             added.add(file.name)

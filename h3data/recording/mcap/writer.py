@@ -59,8 +59,10 @@ class RecordingWriter(LogWriter):
             InputError: as of `LogWriter.close`.
             FormatError: reading back shows that the storage did not keep what was written.
         """
+        # asked before the file is closed: a second call must not pack it again
         due = self._compact and not self.closed
         path = super().close(info=info)
+        # a file of one block is packed already
         if due and self._blocks > 1:
             pack_mcap(path, t0_unix_ns=self._t0, share_in=self._share_in, chunk_bytes=self._chunk_bytes)
         return path
@@ -81,10 +83,13 @@ def write_mcap(
     target = place(path)
     if isinstance(target, RemotePath):
         if share_in is not None:
-            raise InputError(f"Files can be shared by recordings in a local folder only, not by: {target}")
+            raise InputError(
+                f"Files can be shared by recordings in a local folder only, not by: {target}", code="H3-RECORDING-046"
+            )
         if target.exists() and not overwrite:
-            raise InputError(f"The file exists; pass overwrite=True to replace it: {target}")
+            raise InputError(f"The file exists; pass overwrite=True to replace it: {target}", code="H3-RECORDING-047")
         with tempfile.TemporaryDirectory(prefix="h3data-") as folder:
+            # locally first: a log grows record by record, and an object store takes a file as a whole
             written = write_mcap(recording, Path(folder) / target.name)
             with open_binary(written) as stream:
                 target.put(stream)
@@ -105,6 +110,7 @@ def pack_mcap(
 
     Whoever must not lose a tenth of a second when an episode ends writes with ``compact=False`` and does this elsewhere.
     """
+    # a hidden name in the same folder, so that the rename stays within one disk
     packed = path.with_name(f".{path.name}.compact")
     try:
         recording = read_mcap(path)
@@ -116,6 +122,7 @@ def pack_mcap(
     except BaseException as error:
         for leftover in (packed, part_path(packed)):
             leftover.unlink(missing_ok=True)
+        # the finished log is whole, so packing may fail for lack of room without any loss
         no_room = isinstance(error, OSError | MemoryError) or isinstance(error.__cause__, OSError)
         if not no_room:
             raise

@@ -93,5 +93,7 @@ def _evict(folder: Path, *, keep: Path) -> None:
     try:
         room = float(text) * 1e9
     except ValueError:
-        raise InputError(f"H3DATA_CACHE_GB must be a number of gigabytes, got {text!r}.") from None
+        raise InputError(
+            f"H3DATA_CACHE_GB must be a number of gigabytes, got {text!r}.", code="H3-RECORDING-056"
+        ) from None
     evict(folder, room, keep=keep)

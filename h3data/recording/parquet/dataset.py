@@ -46,7 +46,9 @@ class Dataset(DatasetFolder):
         if isinstance(index, slice):
             return self.all()[index]
         if not hasattr(index, "__index__"):
-            raise InputError(f"Expected the number of an episode or a slice, got {index!r:.60}.")
+            raise InputError(
+                f"Expected the number of an episode or a slice, got {index!r:.60}.", code="H3-RECORDING-057"
+            )
         if not -len(self) <= index < len(self):
             raise IndexError(f"The dataset has {len(self)} episodes, there is no {index}.")  # also ends a for loop
         return self.recording(index % len(self))
@@ -74,11 +76,11 @@ class Dataset(DatasetFolder):
         return self.all().filter(keep, **equal)
 
     def split(self, *shares: float, seed: int = 0, by: str = "uid") -> tuple[Episodes, ...]:
-        """As `Episodes.split`: ``train, test = ds.split(0.8, by="scene")``."""
+        """Splits the episodes as `Episodes.split`: ``train, test = ds.split(0.8, by="scene")``."""
         return self.all().split(*shares, seed=seed, by=by)
 
     def merge(self, *others: HasEpisodes) -> Episodes:
-        """As `Episodes.merge`: ``ds.merge(other).save("both/")``."""
+        """Combines episodes as `Episodes.merge`: ``ds.merge(other).save("both/")``."""
         return self.all().merge(*others)
 
     def recording(
@@ -101,6 +103,7 @@ class Dataset(DatasetFolder):
         """
         kinds = [kind for kind in SIDECARS if records is None or kind in records]
         self._require_columns(columns or ())
+        # one read for all episodes of a shard, instead of one for each
         for group in self._groups(indices):
             rows = [self.row(index) for index in group]
             shard = self.shard_of(rows[0])
@@ -108,8 +111,11 @@ class Dataset(DatasetFolder):
             names = None
             if columns is not None or records is not None:
                 agents = max(map(len, sidecars.get("agents", [()])))
+                # without all records the columns must be named, because those that a record describes are
+                # left out with it
                 names = {*(self._declared if columns is None else columns), *required_columns(agents)}
                 if "bodies" not in kinds:
+                    # poses of bodies that were not read would fit no body
                     names.discard("object_pose")
             for k, (row, arrays) in enumerate(zip(rows, self._read(group, names), strict=True)):
                 yield Recording(
@@ -146,7 +152,7 @@ class Dataset(DatasetFolder):
         return tuple(video.camera for video in self.schema.videos)
 
     def video(self, index: int, camera: str) -> EpisodeVideo:
-        """What a camera saw in episode ``index``, one frame for each step; `EpisodeVideo.frames` decodes it.
+        """Video of a camera in episode ``index``, with one frame for each step; `EpisodeVideo.frames` decodes it.
 
         Raises:
             InputError: there is no such episode or camera, or the episode has no steps.
@@ -157,7 +163,9 @@ class Dataset(DatasetFolder):
         if feature is None or not row["length"]:
             has = ", ".join(self.cameras) or "none"
             what = f"no video of camera {camera!r}" if feature is None else "no steps"
-            raise InputError(f"Episode {index} has {what}. The dataset has videos of: {has}: {self.root}")
+            raise InputError(
+                f"Episode {index} has {what}. The dataset has videos of: {has}: {self.root}", code="H3-RECORDING-058"
+            )
         return episode_video(self.root, row, feature, fps=self.schema.fps)
 
     def videos(self, index: int) -> list[EpisodeVideo]:
@@ -229,7 +237,9 @@ class Dataset(DatasetFolder):
         unknown = sorted(set(columns) - set(self._declared))
         if unknown:
             near = suggest(unknown[0], self._declared, lead="It has")
-            raise InputError(f"No columns {unknown} in this dataset.{near} Dataset: {self.root}")
+            raise InputError(
+                f"No columns {unknown} in this dataset.{near} Dataset: {self.root}", code="H3-RECORDING-059"
+            )
 
     def _groups(self, indices: range) -> Iterator[range]:
         """Runs of episodes of one shard with the same columns, which one read can return."""
@@ -249,6 +259,7 @@ class Dataset(DatasetFolder):
         layout = [c for c in self.layout(group[0]) if wanted is None or c.name in wanted]
         ends = np.cumsum([row["length"] for row in rows])
         steps, stored = int(ends[-1]), [c.name for c in layout if c.width]
+        # episodes without steps have no row group
         if not steps or not stored:
             return [{c.name: c.empty(row["length"]) for c in layout} for row in rows]
         try:
@@ -259,6 +270,7 @@ class Dataset(DatasetFolder):
         except DAMAGE as error:
             raise self._damage(group, error) from error
         return [
+            # views of one array: to copy each episode would double what is held
             {name: array[end - row["length"] : end] for name, array in whole.items()}
             for row, end in zip(rows, ends, strict=True)
         ]

@@ -38,8 +38,10 @@ def is_dataset(root: AnyPath) -> bool:
 
 
 def is_begun(root: AnyPath) -> bool:
-    """Whether a folder holds what a process leaves that was killed before a dataset had its schema: ``h3`` with no file that
-    is complete."""
+    """Whether a process was killed in this folder before its dataset had a schema.
+
+    Such a folder has a subfolder ``h3`` without any complete file.
+    """
     here = list(root.iterdir()) if root.is_dir() else []
     if [path.name for path in here] != ["h3"] or not here[0].is_dir():
         return False

@@ -80,15 +80,18 @@ class DatasetFolder:
         try:
             exists, dataset = self.root.exists(), is_dataset(self.root)
         except OSError as error:
-            raise InputError(f"The folder cannot be read ({error.strerror or error}): {self.root}") from error
+            raise InputError(
+                f"The folder cannot be read ({error.strerror or error}): {self.root}", code="H3-RECORDING-066"
+            ) from error
         if not exists:
-            raise InputError(f"There is no such folder: {self.root}")
+            raise InputError(f"There is no such folder: {self.root}", code="H3-RECORDING-061")
         if not dataset:
-            raise FormatError(f"Expected a dataset folder (with meta/info.json): {self.root}")
+            raise FormatError(f"Expected a dataset folder (with meta/info.json): {self.root}", code="H3-RECORDING-062")
         if not (self.root / "h3" / "schema.json").exists():
             raise FormatError(
                 f"A LeRobot dataset, but not written by h3data: it lacks h3/schema.json and with it bodies and agents. "
-                f"Hint: open it with lerobot or Rerun: {self.root}"
+                f"Hint: open it with lerobot or Rerun: {self.root}",
+                code="H3-RECORDING-063",
             )
         self._promised = self._promised_episodes()
         self.schema = DatasetSchema.load(self.root)
@@ -97,11 +100,13 @@ class DatasetFolder:
 
     @cached_property
     def episodes(self) -> pa.Table:
-        """One row per episode: LeRobot's columns (place, length) and ours (uid, task, scene, seed, info as JSON, ...), without
-        LeRobot's statistics of what is no video.
+        """Table of the committed episodes, one row each.
+
+        It has LeRobot's columns (location, length), ours (uid, task, scene, seed, info as JSON, ...), and of LeRobot's
+        statistics only those of videos.
 
         Raises:
-            FormatError: a table is damaged, or tables are missing.
+            FormatError: a table is damaged or missing.
         """
         paths = shard_files(self.root, "meta/episodes")
         kept = tuple(f"stats/{video.key}/" for video in self.schema.videos)
@@ -118,11 +123,16 @@ class DatasetFolder:
                 raise ValueError(f"it lacks {', '.join(lacking)}")
             faults = _chain_faults(table) if tables else []
         except DAMAGE as error:
-            raise FormatError(f"An episode table is damaged ({error}): {self.root / 'meta' / 'episodes'}") from error
+            raise FormatError(
+                f"An episode table is damaged ({error}): {self.root / 'meta' / 'episodes'}", code="H3-RECORDING-067"
+            ) from error
+        # fewer than promised are a loss; more are not, as info.json is written after the tables
         if len(table) < self._promised:
             faults.append(f"info.json counts {self._promised} episodes, there are {len(table)}: files are missing")
         if faults:
-            raise FormatError(f"The episode table is not consistent: {'; '.join(faults)}: {self.root}")
+            raise FormatError(
+                f"The episode table is not consistent: {'; '.join(faults)}: {self.root}", code="H3-RECORDING-064"
+            )
         return table
 
     @cached_property
@@ -141,7 +151,9 @@ class DatasetFolder:
         """
         rows = self.rows
         if not 0 <= index < len(rows):
-            raise InputError(f"Episode {index}: the dataset has episodes 0..{len(rows) - 1}: {self.root}")
+            raise InputError(
+                f"Episode {index}: the dataset has episodes 0..{len(rows) - 1}: {self.root}", code="H3-RECORDING-065"
+            )
         return rows[index]
 
     def shard_of(self, row: Mapping[str, Any]) -> int:
@@ -158,6 +170,8 @@ class DatasetFolder:
         try:
             row_groups = [row["row_group"] for row in rows if row["length"]]
             file = self._file(self.shard_of(rows[0]))
+            # in one thread, because who reads many episodes has several of them already; Parquet gives
+            # columns in its own order
             table = file.read_row_groups(row_groups, columns=list(names), use_threads=False).select(names)
             if len(table) != (steps := sum(row["length"] for row in rows)):
                 raise ValueError(f"expected {steps} rows, got {len(table)}")
@@ -184,7 +198,8 @@ class DatasetFolder:
             version, episodes = info["h3data"]["schema_version"], int(info["total_episodes"])
         except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
             raise FormatError(
-                f"info.json is damaged ({error!r}). Hint: h3data.recording.rebuild_meta makes it again: {path}"
+                f"info.json is damaged ({error!r}). Hint: h3data.recording.rebuild_meta makes it again: {path}",
+                code="H3-RECORDING-068",
             ) from error
         check_version(version, path=path)
         return episodes
@@ -192,13 +207,15 @@ class DatasetFolder:
     def _damage(self, group: Sequence[int], error: Exception) -> FormatError:
         path = shard_path(self.root, "data", self.shard_of(self.row(group[0])))
         which = f"Episode {group[0]}" if len(group) == 1 else f"One of the episodes {group[0]} to {group[-1]}"
-        return FormatError(f"{which} cannot be read, its data are damaged ({error}): {path}")
+        return FormatError(f"{which} cannot be read, its data are damaged ({error}): {path}", code="H3-RECORDING-060")
 
     def _file(self, shard: int) -> pq.ParquetFile:
         if shard not in self._files:
+            # files are read one after the other; each open one holds its footer, of some hundred columns
             if len(self._files) >= _OPEN_FILES:
                 self._files.pop(next(iter(self._files))).close()
             path = shard_path(self.root, "data", shard)
+            # mapped where it lies on a disk; elsewhere many small ranges are joined into few requests
             local = isinstance(path, Path)
             self._files[shard] = pq.ParquetFile(
                 readable(path), memory_map=local, pre_buffer=not local, page_checksum_verification=True
@@ -214,6 +231,7 @@ def _chain_faults(table: pa.Table) -> list[str]:
     faults = []
     if not np.array_equal(index, np.arange(len(index))):
         faults.append(f"expected episodes 0..{len(index) - 1} in order, got {index[:5].tolist()}...")
+    # compared as a chain, so that one missing table in the middle is found without reading any steps
     if not np.array_equal(end - start, length) or not np.array_equal(start[1:], end[:-1]):
         faults.append("episode boundaries do not follow each other")
     return faults

@@ -51,6 +51,7 @@ class Totals:
         totals = cls()
         for path in shard_files(root, "meta/episodes"):
             try:
+                # three columns of some hundred: statistics of each episode are most of the table
                 table = conform(pq.read_table(readable(path), columns=_COUNTED.names), _COUNTED)
                 moments = unpack_moments((table.schema.metadata or {}).get(b"h3data.moments", b""))
                 totals.episodes += len(table)
@@ -59,7 +60,7 @@ class Totals:
                 totals.tasks |= dict(zip(tasks, table["task_index"].to_pylist(), strict=True))
                 merge_into(totals.moments, moments)
             except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, zlib.error) as error:
-                raise FormatError(f"The episode table is damaged ({error}): {path}") from error
+                raise FormatError(f"The episode table is damaged ({error}): {path}", code="H3-RECORDING-069") from error
         return totals
 
 
@@ -88,6 +89,7 @@ def write_meta(root: AnyPath, schema: DatasetSchema, totals: Totals) -> None:
         "features": _features(schema),
         "h3data": {"schema_version": schema.version, "layout_hash": layout_hash(schema.columns)},
     }
+    # last, because readers begin with it
     write_atomic(root / "meta" / "info.json", json.dumps(info, indent=1, ensure_ascii=False).encode())
 
 
@@ -118,6 +120,7 @@ def _names(schema: DatasetSchema, column: Column) -> list[str] | None:
 
 def _tasks_parquet(tasks: Mapping[str, int]) -> bytes:
     """A pandas table whose *index* is the task string, as LeRobot reads it; written without pandas."""
+    # the name that pandas gives to an index without one
     index = "__index_level_0__"
     table = pa.table(
         {"task_index": pa.array(list(tasks.values()), pa.int64()), index: pa.array(list(tasks), pa.string())}

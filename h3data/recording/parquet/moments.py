@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
-"""By the names that LeRobot gives them."""
+"""Quantiles by the names that LeRobot gives them."""
 STATISTICS = ("min", "max", "mean", "std", *QUANTILES)
 """Numbers of a feature beside its count."""
 
@@ -33,14 +33,17 @@ class Moments:
 
     @property
     def std(self) -> NDArray[np.float64]:
+        """Standard deviation of each component [width]; 0 where there is no finite value."""
         return np.sqrt(self.m2 / np.maximum(self.count, 1))
 
     def to_lists(self) -> list[list[float]]:
+        """Plain lists of all fields, for JSON; the inverse of `from_lists`."""
         arrays = (self.count, self.mean, self.m2, self.low, self.high)
         return [v.tolist() for v in (*arrays, *(() if self.quantiles is None else self.quantiles))]
 
     @classmethod
     def from_lists(cls, lists: Iterable[Iterable[float]]) -> Self:
+        """Moments from the lists that `to_lists` returned."""
         count, mean, m2, low, high, *quantiles = (np.array(list(v), np.float64) for v in lists)
         return cls(count, mean, m2, low, high, np.array(quantiles) if quantiles else None)
 
@@ -50,6 +53,7 @@ def moments_of(values: NDArray[Any]) -> Moments:
     x = values if values.dtype.kind == "f" and values.dtype != np.float16 else values.astype(np.float64)
     with np.errstate(all="ignore"):
         finite = np.isfinite(x)
+        # the usual case, without masks and the copies that they make
         if len(x) and finite.all():
             mean = x.mean(0, dtype=np.float64)
             deviation = x - mean
@@ -67,8 +71,11 @@ def moments_of(values: NDArray[Any]) -> Moments:
 
 
 def _quantiles(x: NDArray[np.floating], count: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Quantiles [5, width] of rows [T, width], NaN left out: the least value that so large a share does not exceed, from which
-    LeRobot's histograms differ by a bin; 0 where there is none."""
+    """Quantiles [5, width] of rows [T, width], NaN left out; 0 in columns without finite values.
+
+    Each is the smallest value that the quantile's share of the values does not exceed. LeRobot computes them from
+    histograms, from which these differ by at most one bin.
+    """
     if not len(x):
         return np.zeros((len(QUANTILES), x.shape[1]))
     shares = np.array(list(QUANTILES.values()))
@@ -84,6 +91,7 @@ def merged(a: Moments, b: Moments) -> Moments:
         gap = b.mean - a.mean
         quantiles = None
         if a.quantiles is not None and b.quantiles is not None:
+            # not those of both samples, which would need all values; LeRobot weights them in the same way
             quantiles = a.quantiles + (b.quantiles - a.quantiles) * share
         return Moments(
             count,

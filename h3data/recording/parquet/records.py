@@ -39,8 +39,10 @@ _RESTORE = (
 
 
 def read_whole(path: AnyPath, leave_out: Callable[[str], bool] | None = None) -> pa.Table:
-    """A small Parquet file, but for columns that are to be left out: half the time of `pq.read_table`, which prepares for a
-    folder of files."""
+    """Table in a small Parquet file, without the columns for which ``leave_out`` is true.
+
+    It takes half the time of `pq.read_table`, which is made for folders of files.
+    """
     with pq.ParquetFile(readable(path), page_checksum_verification=True) as file:
         if leave_out is None:
             return file.read(use_threads=False)
@@ -59,6 +61,7 @@ class DatasetRecords:
     def table(self, kind: str, shard: int) -> pa.Table:
         """The records of a kind in one shard; none if the dataset is older than that kind of record."""
         path = shard_path(self._root, f"h3/{kind}", shard)
+        # missing may be right only for older datasets; in a newer one the file is lost, and reading it says so
         if version_numbers(self._version) < SIDECAR_SINCE.get(kind, (0, 0)) and not path.exists():
             return record_schema(SIDECARS[kind]).empty_table()
         return read_whole(path)
@@ -72,11 +75,13 @@ class DatasetRecords:
         key = (kind, shard)
         try:
             if key not in self._tables:
+                # two shards: jobs over many episodes go from one to the next
                 if len(self._tables) >= 2 * len(SIDECARS):
                     self._tables.pop(next(iter(self._tables)))
                 table = conform(self.table(kind, shard), record_schema(SIDECARS[kind]))
                 self._tables[key] = (table, table["episode_index"].to_numpy())
             table, owners = self._tables[key]
+            # records are sorted by episode, since episodes are only ever appended
             bounds = np.searchsorted(owners, [*episodes, episodes.stop])
             rows = table.slice(bounds[0], bounds[-1] - bounds[0]).to_pylist()
             records = [struct_from_dict(SIDECARS[kind], row) for row in rows]
@@ -85,7 +90,9 @@ class DatasetRecords:
             last = episodes[-1]
             which = f"episode {last}" if len(episodes) == 1 else f"episodes {episodes[0]} to {last}"
             path = shard_path(self._root, f"h3/{kind}", shard)
-            raise FormatError(f"The {kind} of {which} cannot be read ({error}): {path}") from error
+            raise FormatError(
+                f"The {kind} of {which} cannot be read ({error}): {path}", code="H3-RECORDING-070"
+            ) from error
 
     def attachments(self, row: Mapping[str, Any]) -> dict[str, bytes]:
         """The attached files of an episode, from its row of the episode table.
@@ -98,7 +105,8 @@ class DatasetRecords:
             stored = {str(name): str(file) for name, file in json.loads(row["attachments"]).items()}
         except (ValueError, AttributeError, TypeError, RecursionError) as error:
             raise FormatError(
-                f"The list of attachments of episode {episode} is damaged ({error}): {self._root}"
+                f"The list of attachments of episode {episode} is damaged ({error}): {self._root}",
+                code="H3-RECORDING-071",
             ) from error
         return {
             name: self._files.get(file, what=f"The attachment {name} of episode {episode}", hint=_RESTORE)

@@ -125,6 +125,7 @@ class DatasetSchema:
         try:
             values = json.loads(path.read_bytes())
             check_version(values["schema_version"], path=path)
+            # through the same reader as logs, so that damaged columns are refused by the same rules
             text = json.dumps([[c["name"], c["dtype"], c["shape"]] for c in values["columns"]], ensure_ascii=False)
             fps, robot, version = int(values["fps"]), str(values["robot_type"]), values["schema_version"]
             version_numbers(version)
@@ -136,9 +137,13 @@ class DatasetSchema:
                 columns=columns, fps=fps, robot_type=robot, version=version, videos=videos, names=names, episode_stats=stats
             )  # fmt: skip
         except FileNotFoundError:
-            raise FormatError(f"Expected a dataset of h3data, there is no {path.name}: {path}") from None
+            raise FormatError(
+                f"Expected a dataset of h3data, there is no {path.name}: {path}", code="H3-RECORDING-073"
+            ) from None
         except (OSError, KeyError, ValueError, TypeError, OverflowError, RecursionError) as error:
-            raise FormatError(f"The schema of the dataset is damaged ({error!r}): {path}") from error
+            raise FormatError(
+                f"The schema of the dataset is damaged ({error!r}): {path}", code="H3-RECORDING-074"
+            ) from error
 
 
 def union_layout(layouts: Iterable[Layout], *, max_bodies: int | None = None) -> Layout:
@@ -152,13 +157,16 @@ def union_layout(layouts: Iterable[Layout], *, max_bodies: int | None = None) ->
     for layout in layouts:
         for column in layout:
             widest = union.setdefault(column.name, column)
+            # shapes may be padded, but another type would change values and another number of axes their
+            # meaning
             if widest.dtype != column.dtype or len(widest.shape) != len(column.shape):
                 faults.append(f"{widest} and {column}")
             else:
                 shape = tuple(max(a, b) for a, b in zip(widest.shape, column.shape, strict=True))
                 union[column.name] = Column(column.name, column.dtype, shape)
     if faults:
-        raise InputError(f"These columns cannot share a dataset: {'; '.join(faults[:8])}.")
+        raise InputError(f"These columns cannot share a dataset: {'; '.join(faults[:8])}.", code="H3-RECORDING-072")
+    # the fullest home may come later, and columns cannot grow once a file is written
     if max_bodies is not None:
         poses = union.get("object_pose", Column("object_pose", "float32", (0, 7)))
         union["object_pose"] = Column("object_pose", poses.dtype, (max(max_bodies, poses.shape[0]), *poses.shape[1:]))
@@ -182,11 +190,13 @@ def episode_schema(schema: DatasetSchema) -> pa.Schema:
         at, stats = f"videos/{video.key}", f"stats/{video.key}"
         fields += [pa.field(f"{at}/{name}", pa.int64()) for name in ("chunk_index", "file_index")]
         fields += [pa.field(f"{at}/{name}", pa.float64()) for name in ("from_timestamp", "to_timestamp")]
+        # older datasets go on with the columns that they began with: all files of one need the same
         names = STATISTICS if schema.episode_stats else ("min", "max", "mean", "std")
         fields += [pa.field(f"{stats}/{name}", channels) for name in names]
         fields.append(pa.field(f"{stats}/count", pa.list_(pa.int64())))
     stored = STANDARD | {c.name: schema.stored_dtype(c) for c in schema.columns if c.width}
     for name, dtype in stored.items() if schema.episode_stats else ():
+        # float32 where the column has it: the extremes are exact, and half as large
         numbers = pa.list_(pa.float32() if dtype == "float32" else pa.float64())
         fields += [pa.field(f"stats/{name}/{statistic}", numbers) for statistic in STATISTICS]
         fields.append(pa.field(f"stats/{name}/count", pa.list_(pa.int64())))
@@ -202,6 +212,7 @@ def record_schema(struct: str) -> pa.Schema:
 def arrow_rows(dtype: str, width: int) -> pa.DataType:
     """Arrow type of one row of a column: a scalar, or a fixed-size list if the width is not 1."""
     item = pa.from_numpy_dtype(np.dtype(dtype))
+    # as LeRobot stores a feature of one number
     return item if width == 1 else pa.list_(item, width)
 
 

@@ -102,6 +102,7 @@ class Shard:
                 arrays[c.name] = arrays[c.name].view(self.schema.stored_dtype(c))
         table = pa.Table.from_arrays([to_arrow(arrays[name]) for name in self._arrow.names], schema=self._arrow)
         tables = {kind: _record_table(kind, records, index) for kind, records in sidecars.items() if records}
+        # before anything is written: what numpy refuses must not spoil the file
         moments = {name: moments_of(a) for name, a in arrays.items()}
         chunk, file = divmod(self.number, FILES_PER_CHUNK)
         place: dict[str, Any] = {"episode_index": index, "tasks": [instruction], "task_index": task, "length": steps}
@@ -135,6 +136,7 @@ class Shard:
             tables = [record_schema(struct).empty_table(), *self.sidecars[kind]]
             self._write(f"h3/{kind}", pa.concat_tables(tables).combine_chunks())
         metadata = {"h3data.schema_version": self.schema.version, "h3data.moments": pack_moments(self.moments)}
+        # in the metadata of the table, because what is not committed with the episodes could differ from them
         columns = episode_schema(self.schema).with_metadata(metadata)
         rows = [{**self._no_video, **row} for row in self.rows]
         self._write("meta/episodes", pa.Table.from_pylist(rows, schema=columns))
@@ -205,6 +207,7 @@ class Shard:
 
 def open_shard_file(part: Path) -> IO[bytes]:
     """A new file under its temporary name; tests replace this by disks that fill up."""
+    # must not exist: a second writer is noticed here, before it has destroyed anything
     return open(part, "xb")
 
 
@@ -232,7 +235,9 @@ def _record_table(kind: str, records: list[dict[str, Any]], index: int) -> pa.Ta
     try:
         return pa.Table.from_pylist(rows, schema=record_schema(SIDECARS[kind]))
     except (OverflowError, UnicodeEncodeError, pa.ArrowException) as error:
-        raise InputError(f"The {kind} of episode {index}: a value cannot be stored ({error}).") from None
+        raise InputError(
+            f"The {kind} of episode {index}: a value cannot be stored ({error}).", code="H3-RECORDING-075"
+        ) from None
 
 
 def _parquet_options(schema: DatasetSchema) -> dict[str, Any]:

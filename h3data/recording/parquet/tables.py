@@ -40,7 +40,9 @@ def to_polars(table: pa.Table) -> polars.DataFrame:
     try:
         import polars
     except ImportError:
-        raise MissingExtraError('A polars frame needs polars. Hint: pip install "h3data[frames]"') from None
+        raise MissingExtraError(
+            'A polars frame needs polars. Hint: pip install "h3data[frames]"', code="H3-RECORDING-077"
+        ) from None
     frame = polars.from_arrow(table)
     assert isinstance(frame, polars.DataFrame)
     return frame
@@ -51,7 +53,9 @@ def to_pandas(table: pa.Table) -> pandas.DataFrame:
     try:
         import pandas
     except ImportError:
-        raise MissingExtraError('A pandas frame needs pandas. Hint: pip install "h3data[frames]"') from None
+        raise MissingExtraError(
+            'A pandas frame needs pandas. Hint: pip install "h3data[frames]"', code="H3-RECORDING-078"
+        ) from None
 
     def kind(arrow: pa.DataType) -> Any:
         return pandas.ArrowDtype(arrow) if pa.types.is_fixed_size_list(arrow) else None
@@ -85,7 +89,8 @@ def table_schema(dataset: DatasetFolder, columns: Sequence[str] | None = None) -
     unknown = sorted(set(columns or ()) - set(kinds))
     if unknown:
         raise InputError(
-            f"No columns {unknown} in this dataset.{suggest(unknown[0], kinds, lead='It has')} Dataset: {dataset.root}"
+            f"No columns {unknown} in this dataset.{suggest(unknown[0], kinds, lead='It has')} Dataset: {dataset.root}",
+            code="H3-RECORDING-076",
         )
     names = dict.fromkeys(kinds if columns is None else columns)
     return pa.schema([pa.field(name, arrow_rows(*kinds[name])) for name in names])
@@ -96,7 +101,10 @@ def chosen_episodes(dataset: DatasetFolder, episodes: Iterable[int] | None) -> S
     chosen = range(len(dataset)) if episodes is None else list(episodes)
     for index in chosen:
         if not 0 <= index < len(dataset):
-            raise InputError(f"Episode {index}: the dataset has episodes 0..{len(dataset) - 1}: {dataset.root}")
+            raise InputError(
+                f"Episode {index}: the dataset has episodes 0..{len(dataset) - 1}: {dataset.root}",
+                code="H3-RECORDING-079",
+            )
     return chosen
 
 
@@ -144,6 +152,7 @@ def _typed(table: pa.Table, schema: pa.Schema) -> pa.Table:
     for k, field in enumerate(schema):
         column = table.column(k)
         if column.type != field.type:
+            # a view, not a cast: values above 2**63 would overflow
             table = table.set_column(k, field, pa.chunked_array([c.view(field.type) for c in column.chunks]))
     return table.cast(schema)
 
@@ -156,5 +165,6 @@ def _groups(dataset: DatasetFolder, episodes: Iterable[int] | None) -> Iterator[
     """Episodes with steps, in their order, in runs within one shard."""
     rows = dataset.rows
     with_steps = (index for index in chosen_episodes(dataset, episodes) if rows[index]["length"])
+    # in runs, not sorted: the rows come in the order in which episodes were asked for
     for _, group in itertools.groupby(with_steps, key=lambda index: dataset.shard_of(rows[index])):
         yield list(group)

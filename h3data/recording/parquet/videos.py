@@ -33,7 +33,7 @@ MAX_FILE_BYTES = 200 << 20
 
 @dataclass(frozen=True, kw_only=True)
 class VideoFeature:
-    """What all videos of one camera have in common."""
+    """Properties that all videos of one camera share."""
 
     camera: str
     width: int
@@ -76,7 +76,7 @@ class EpisodeVideo:
     """Number of frames."""
     fps: int
     moments: Moments
-    """Of the channels R, G, B over all pixels, in 0..1."""
+    """Moments of the channels R, G, B over all pixels, in 0..1."""
     start: int = 0
     """Frame of the file with which the episode begins, a key frame."""
 
@@ -93,7 +93,10 @@ class EpisodeVideo:
                     yield frame.to_ndarray(format="rgb24")
                     count += 1
             if count != self.length:
-                raise FormatError(f"Expected {self.length} frames from frame {self.start} on, got {count}: {self.path}")
+                raise FormatError(
+                    f"Expected {self.length} frames from frame {self.start} on, got {count}: {self.path}",
+                    code="H3-RECORDING-086",
+                )
 
 
 def episode_video(root: AnyPath, row: Mapping[str, Any], feature: VideoFeature, *, fps: int) -> EpisodeVideo:
@@ -121,7 +124,9 @@ def episode_video(root: AnyPath, row: Mapping[str, Any], feature: VideoFeature, 
             start=round(row[f"{at}/from_timestamp"] * fps),
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise FormatError(f"The place of a video in the episode table is damaged ({error!r}): {root}") from None
+        raise FormatError(
+            f"The place of a video in the episode table is damaged ({error!r}): {root}", code="H3-RECORDING-081"
+        ) from None
 
 
 class VideoAppender:
@@ -135,6 +140,7 @@ class VideoAppender:
         self._container: Any = None
         self._stream: Any = None
         self._settings = b""
+        # now, although FFmpeg comes later: the name is taken from here on
         part.touch(exist_ok=False)
 
     def add(self, video: EpisodeVideo) -> None:
@@ -156,13 +162,19 @@ class VideoAppender:
                     )
                     self._stream = self._container.add_stream_from_template(packet.stream)
                     self._settings = bytes(packet.stream.codec_context.extradata or b"")
+                # a file has one set of parameters for its decoder, so other packets would decode to noise
                 elif not count and bytes(packet.stream.codec_context.extradata or b"") != self._settings:
                     raise InputError(
                         f"The video of camera {video.feature.camera} was encoded with other settings than those before it "
-                        f"in the dataset. Hint: write it to another dataset: {video.path}"
+                        f"in the dataset. Hint: write it to another dataset: {video.path}",
+                        code="H3-RECORDING-089",
                     )
                 if not count and not packet.is_keyframe:
-                    raise FormatError(f"Expected a key frame at frame {video.start}: {video.path}")
+                    raise FormatError(
+                        f"Expected a key frame at frame {video.start}: {video.path}", code="H3-RECORDING-088"
+                    )
+                # times are counted in frames of the whole file, as those of the source begin anew with
+                # each episode
                 packet.stream = self._stream
                 packet.time_base = Fraction(1, video.fps)
                 packet.pts = packet.dts = self.frames + count
@@ -171,12 +183,16 @@ class VideoAppender:
                 self._container.mux(packet)
                 count += 1
         if count != video.length:
-            raise FormatError(f"Expected {video.length} frames from frame {video.start} on, got {count}: {video.path}")
+            raise FormatError(
+                f"Expected {video.length} frames from frame {video.start} on, got {count}: {video.path}",
+                code="H3-RECORDING-082",
+            )
         self.frames += count
 
     def close(self) -> None:
         """Finishes the file and syncs it to the disk."""
         self._stack.close()
+        # FFmpeg has closed its own; to sync a file any descriptor will do
         with self.part.open("rb") as stream:
             os.fsync(stream.fileno())
 
@@ -195,9 +211,10 @@ def count_frames(path: AnyPath) -> int:
     with ExitStack() as stack:
         container = _opened(path, stack)
         try:
+            # the last packet is empty: it tells a decoder to hand out what it holds
             return sum(packet.size > 0 for packet in container.demux(video=0))
         except (OSError, ValueError) as error:
-            raise FormatError(f"The video is damaged ({error}): {path}") from None
+            raise FormatError(f"The video is damaged ({error}): {path}", code="H3-RECORDING-087") from None
 
 
 def _packets(video: EpisodeVideo, stack: ExitStack) -> Iterator[Any]:
@@ -206,6 +223,7 @@ def _packets(video: EpisodeVideo, stack: ExitStack) -> Iterator[Any]:
     stream = container.streams.video[0]
     try:
         if video.start:
+            # to the key frame before; packets up to the first one wanted are passed over below
             container.seek(round(video.start / video.fps / stream.time_base), stream=stream)
         count = 0
         for packet in container.demux(stream):
@@ -215,19 +233,20 @@ def _packets(video: EpisodeVideo, stack: ExitStack) -> Iterator[Any]:
             if count == video.length:
                 return
     except (OSError, ValueError) as error:
-        raise FormatError(f"The video is damaged ({error}): {video.path}") from None
+        raise FormatError(f"The video is damaged ({error}): {video.path}", code="H3-RECORDING-083") from None
 
 
 def _opened(path: AnyPath, stack: ExitStack) -> Any:
     import av
 
     try:
+        # absolute, since FFmpeg takes a name with a colon for a protocol
         source: Any = os.path.abspath(path) if isinstance(path, Path) else stack.enter_context(open_binary(path))
         container = stack.enter_context(av.open(source))
     except FileNotFoundError:
-        raise FormatError(f"A video of the dataset is missing: {path}") from None
+        raise FormatError(f"A video of the dataset is missing: {path}", code="H3-RECORDING-084") from None
     except (OSError, ValueError) as error:
-        raise FormatError(f"The video cannot be read ({error}): {path}") from None
+        raise FormatError(f"The video cannot be read ({error}): {path}", code="H3-RECORDING-085") from None
     if not container.streams.video:
-        raise FormatError(f"Expected a video, this file has none: {path}")
+        raise FormatError(f"Expected a video, this file has none: {path}", code="H3-RECORDING-080")
     return container

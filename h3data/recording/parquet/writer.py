@@ -36,7 +36,7 @@ from h3data.recording.storage import RemotePath, place, put_tree, remove_tree
 
 EPISODES_PER_FILE = 100
 _WRITER = "h3/writer"
-"""Who writes a dataset in an object store; gone when it is closed."""
+"""File that names the process that writes a dataset in an object store; deleted when the dataset is closed."""
 
 
 class DatasetWriter:
@@ -85,7 +85,7 @@ class DatasetWriter:
         self._schema: DatasetSchema | None = None
         self._shard: Shard | None = None
         if overwrite and resume:
-            raise InputError("Choose one: overwrite=True starts anew, resume=True continues.")
+            raise InputError("Choose one: overwrite=True starts anew, resume=True continues.", code="H3-RECORDING-092")
         with self._writing():
             self._open_root(overwrite=overwrite, resume=resume)
             if self._schema is None:
@@ -105,15 +105,18 @@ class DatasetWriter:
             InputError: the episode or its videos do not fit the dataset.
         """
         if self.closed:
-            raise InputError(f"This dataset writer is closed: {self.root}")
+            raise InputError(f"This dataset writer is closed: {self.root}", code="H3-RECORDING-093")
         with self._writing():
             if self._schema is None:
                 self._declare([recording])
             assert self._schema is not None
             layout = _checked_layout(recording, self._schema, any_rate=self._nominal_fps)
             by_key = self._checked_videos(recording, videos)
+            # before the episode, not after it: no episode may lie in two video files
             if self._shard and self._shard.video_frames + len(recording) > MAX_FILE_S * self._fps_of_schema:
                 self.commit()
+            # everything that can be refused comes before the first byte, so that the shard is not spoiled by
+            # it
             row = _episode_row(recording, layout)
             attachments = {name: self._files.put(name, data) for name, data in recording.attachments.items()}
             row["attachments"] = json.dumps(attachments, ensure_ascii=False)
@@ -151,11 +154,13 @@ class DatasetWriter:
             except BaseException:
                 shard.discard()
                 raise
+            # LeRobot looks for a video file even for episodes without steps, so the last one is remembered
             self._video_number = self._shard_index if shard.videos else self._video_number
             self._shard_index += 1
             self._totals.episodes += shard.episodes
             self._totals.frames += shard.frames
             merge_into(self._totals.moments, shard.moments)
+            # last: the totals only summarise, and can be made again if this fails
             write_meta(self.root, self._schema, self._totals)
 
     def close(self) -> None:
@@ -185,29 +190,36 @@ class DatasetWriter:
         try:
             yield
         except FileExistsError as error:
-            raise InputError(f"Another process is writing this dataset: {error.filename}") from None
+            raise InputError(
+                f"Another process is writing this dataset: {error.filename}", code="H3-RECORDING-102"
+            ) from None
         except OSError as error:
             raise InputError(
                 f"Could not write the dataset: {error.strerror or error}. Episodes committed before are safe; continue with "
-                f"resume=True: {self.root}"
+                f"resume=True: {self.root}",
+                code="H3-RECORDING-103",
             ) from error
 
     def _open_root(self, *, overwrite: bool, resume: bool) -> None:
         root = self.root
         if root.exists() and not root.is_dir():
-            raise InputError(f"Expected a folder for the dataset, this is a file: {root}")
+            raise InputError(f"Expected a folder for the dataset, this is a file: {root}", code="H3-RECORDING-094")
         if not root.exists() or not any(root.iterdir()):
             if isinstance(root, Path):
                 root.mkdir(parents=True, exist_ok=True)
             return
         begun = is_begun(root)
         if not (begun or is_dataset(root)):
-            raise InputError(f"The folder exists and is not a dataset of h3data; choose another one: {root}")
+            raise InputError(
+                f"The folder exists and is not a dataset of h3data; choose another one: {root}", code="H3-RECORDING-095"
+            )
         if not (overwrite or resume):
             raise InputError(
                 "The folder holds a dataset. resume=True goes on with it, overwrite=True replaces it; or choose another "
-                f"folder: {root}"
+                f"folder: {root}",
+                code="H3-RECORDING-096",
             )
+        # a dataset without a commit has nothing to go on with
         if overwrite or begun:
             for folder in (root / "meta", root / "data", root / "h3", root / "videos"):
                 remove_tree(folder)
@@ -223,16 +235,21 @@ class DatasetWriter:
         mark = root / _WRITER
         if not mark.is_file() or mark.read_bytes() != self._name.encode():
             raise InputError(
-                f"Another process is writing this dataset; end one of them, go on with resume=True: {root}"
+                f"Another process is writing this dataset; end one of them, go on with resume=True: {root}",
+                code="H3-RECORDING-097",
             )
 
     def _resume(self) -> None:
         if not (self.root / "h3" / "schema.json").exists():
-            raise InputError(f"A dataset, but not written by h3data; choose another folder: {self.root}")
+            raise InputError(
+                f"A dataset, but not written by h3data; choose another folder: {self.root}", code="H3-RECORDING-098"
+            )
         self._schema = DatasetSchema.load(self.root)
         self._claim()
+        # a writer that was killed cannot come back to them
         for leftover in self.root.rglob("*.part"):
             leftover.unlink()
+        # counted by episode tables, the commits: a data file alone says nothing
         committed = shard_files(self.root, "meta/episodes")
         self._shard_index = shard_number(committed[-1]) + 1 if committed else 0
         for kind in ("data", *(f"h3/{k}" for k in SIDECARS)):
@@ -254,13 +271,17 @@ class DatasetWriter:
         for video in videos:
             feature = video.feature
             if "/" in feature.camera or feature.key in taken:
-                raise InputError(f"A LeRobot dataset cannot have a camera {feature.camera!r}. Rename it.")
+                raise InputError(
+                    f"A LeRobot dataset cannot have a camera {feature.camera!r}. Rename it.", code="H3-RECORDING-104"
+                )
             if (video.length, video.fps) != (len(recording), self._schema.fps):
                 raise InputError(
                     f"Expected a video of {len(recording)} frames, {self._schema.fps} per second, for episode {name!r}, got "
-                    f"{video.length} frames, {video.fps} per second: {video.path}"
+                    f"{video.length} frames, {video.fps} per second: {video.path}",
+                    code="H3-RECORDING-105",
                 )
         frames = self._totals.frames + (self._shard.frames if self._shard else 0)
+        # the cameras are not known before the first episode with steps is rendered
         if given and not self._schema.videos and not frames:
             self._schema = replace(self._schema, videos=given)
             write_atomic(self.root / "h3" / "schema.json", self._schema.to_json())
@@ -269,7 +290,8 @@ class DatasetWriter:
         if len(recording) and set(given) != set(self._schema.videos):
             raise InputError(
                 f"All episodes of a dataset have videos of the same cameras and sizes: expected "
-                f"{_listed(self._schema.videos)}, episode {name!r} has {_listed(given)}."
+                f"{_listed(self._schema.videos)}, episode {name!r} has {_listed(given)}.",
+                code="H3-RECORDING-099",
             )
         return {video.feature.key: video for video in videos} if len(recording) else {}
 
@@ -293,7 +315,10 @@ class DatasetWriter:
         faults = [f"{c.name!r} contains '/'" for c in columns if "/" in c.name]
         faults += [f"{c.name!r} is reserved by LeRobot" for c in columns if c.name in STANDARD]
         if faults:
-            raise InputError(f"Columns that a LeRobot dataset cannot have: {'; '.join(faults)}. Rename them.")
+            raise InputError(
+                f"Columns that a LeRobot dataset cannot have: {'; '.join(faults)}. Rename them.",
+                code="H3-RECORDING-100",
+            )
         widths = {c.name: c.width for c in columns}
         names = {
             name: tuple(each)
@@ -326,7 +351,9 @@ def _episode_row(recording: Recording, layout: Layout) -> dict[str, Any]:
         for value in row.values():
             pa.scalar(value)
     except (OverflowError, UnicodeEncodeError, pa.ArrowException) as error:
-        raise InputError(f"Episode {recording.episode.episode_id!r}: a value cannot be stored ({error}).") from None
+        raise InputError(
+            f"Episode {recording.episode.episode_id!r}: a value cannot be stored ({error}).", code="H3-RECORDING-101"
+        ) from None
     return row
 
 
@@ -347,12 +374,15 @@ def _checked_layout(recording: Recording, schema: DatasetSchema, *, any_rate: bo
         raise InputError(
             f"Episode {recording.episode.episode_id!r} does not fit this dataset: {'; '.join(faults[:8])}. "
             "Hint: declare the widest episodes before the first one, DatasetWriter(..., max_bodies=N, like=[recordings]), "
-            "or write them to another dataset."
+            "or write them to another dataset.",
+            code="H3-RECORDING-090",
         )
+    # ten milliseconds in a second: rates such as 29.97 count as 30
     if not any_rate and abs(recording.episode.dt_ns * schema.fps - 1_000_000_000) > 10_000_000:
         raise InputError(
             f"Episode {recording.episode.episode_id!r} has steps of {recording.episode.dt_ns} ns, the dataset "
             f"{schema.fps} per second. Hint: DatasetWriter(..., fps=N); or nominal_fps=True (h3data convert --nominal-fps N): "
-            "LeRobot's time stamps are then nominal, time_ns stays exact."
+            "LeRobot's time stamps are then nominal, time_ns stays exact.",
+            code="H3-RECORDING-091",
         )
     return layout

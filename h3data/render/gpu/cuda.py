@@ -54,10 +54,12 @@ def resolve_device(device: str | torch.device | None) -> torch.device:
 
     problem = gpu_problem()
     if problem:
-        raise InputError(problem)
+        raise InputError(problem, code="H3-RENDER-014")
     chosen = torch.device("cuda" if device is None else device)
     if chosen.type != "cuda" or (chosen.index or 0) >= torch.cuda.device_count():
-        raise InputError(f"Expected one of {torch.cuda.device_count()} CUDA devices, got {str(chosen)!r}.")
+        raise InputError(
+            f"Expected one of {torch.cuda.device_count()} CUDA devices, got {str(chosen)!r}.", code="H3-RENDER-015"
+        )
     return torch.device("cuda", torch.cuda.current_device() if chosen.index is None else chosen.index)
 
 
@@ -176,7 +178,9 @@ def _compile(nvrtc: Any, source: str, options: Sequence[str], *, ptx: bool) -> b
             nvrtc.nvrtcGetProgramLogSize(program, ctypes.byref(size))
             log = ctypes.create_string_buffer(size.value)
             nvrtc.nvrtcGetProgramLog(program, log)
-            raise GpuError(f"The CUDA code did not compile:\n{log.value.decode(errors='replace')}")
+            raise GpuError(
+                f"The CUDA code did not compile:\n{log.value.decode(errors='replace')}", code="H3-RENDER-017"
+            )
         kind = "PTX" if ptx else "CUBIN"
         _call(nvrtc, f"nvrtcGet{kind}Size", program, ctypes.byref(size))
         image = ctypes.create_string_buffer(size.value)
@@ -192,7 +196,7 @@ def _driver() -> Any:
     try:
         return ctypes.CDLL("libcuda.so.1")
     except OSError as error:
-        raise GpuError(f"The CUDA driver's libcuda.so.1 cannot be loaded: {error}.") from None
+        raise GpuError(f"The CUDA driver's libcuda.so.1 cannot be loaded: {error}.", code="H3-RENDER-018") from None
 
 
 @functools.cache
@@ -216,14 +220,15 @@ def _nvrtc() -> Any:
             continue
     raise GpuError(
         f"NVRTC of CUDA {major} was not found beside torch. "
-        f"Hint: pip install nvidia-cuda-nvrtc{'-cu12' if major == '12' else ''}."
+        f"Hint: pip install nvidia-cuda-nvrtc{'-cu12' if major == '12' else ''}.",
+        code="H3-RENDER-013",
     )
 
 
 def _call(library: Any, name: str, *arguments: Any) -> None:
     status = getattr(library, name)(*arguments)
     if status:
-        raise GpuError(f"{name} failed: {_words(library, name, status)}.")
+        raise GpuError(f"{name} failed: {_words(library, name, status)}.", code="H3-RENDER-016")
 
 
 def _words(library: Any, name: str, status: int) -> str:

@@ -40,14 +40,17 @@ class GpuEngine:
 
     # --- state --------------------------------------------------------------------------------------------------------
     def set_transforms(self, world: int, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
+        """Sets transforms [n, 4, 4] of instances in one world; they are uploaded with the next image."""
         self._matrix[world, instances] = matrices
         self._poses_stale = True
 
     def set_visible(self, world: int, instances: NDArray[np.intp], visible: NDArray[np.bool_]) -> None:
+        """Shows or hides instances in one world."""
         self._visible[world, instances] = visible
         self._poses_stale = True
 
     def set_vertices(self, world: int, mesh: int, vertices: NDArray[np.float32]) -> None:
+        """Replaces the vertices [V, 3] of a deformable mesh in one world."""
         if mesh not in self._vertices:
             self._vertices[mesh] = np.tile(self.scene.meshes[mesh].vertices, (self.world_count, 1, 1))
         self._vertices[mesh][world] = vertices
@@ -55,10 +58,12 @@ class GpuEngine:
         self._stale_meshes.add(mesh)
 
     def set_blockers(self, world: int, blockers: Blockers | None) -> None:
+        """Sets the capsules that cast soft shadows in one world; None removes them."""
         self._blockers[world] = blockers
         self._blockers_stale = True
 
     def poses(self, world: int) -> Poses:
+        """Copy of the transforms, vertices and visibility in one world."""
         vertices = {mesh: self._vertices[mesh][world].copy() for mesh in sorted(self._changed_meshes[world])}
         return Poses(matrix=self._matrix[world].copy(), vertices=vertices, visible=self._visible[world].copy())
 
@@ -71,6 +76,7 @@ class GpuEngine:
         samples: Any,
         out: Mapping[str, Any] | None,
     ) -> dict[str, Any]:
+        """Renders cameras of one picture size in the given worlds; returns tensors on the device."""
         renderer = self._current_renderer(cameras[0].width, cameras[0].height)
         return copied_to(out, renderer.render(list(cameras), worlds=worlds, outputs=outputs, samples=samples))
 
@@ -101,6 +107,9 @@ def copied_to(out: Mapping[str, Any] | None, results: Mapping[str, Any]) -> dict
             continue
         tensor = copies[name]
         if getattr(target, "dtype", None) != tensor.dtype or tuple(target.shape) != tuple(tensor.shape):
-            raise InputError(f"out[{name!r}] must be a {tensor.dtype} tensor {list(tensor.shape[1:])} per camera.")
+            raise InputError(
+                f"out[{name!r}] must be a {tensor.dtype} tensor {list(tensor.shape[1:])} per camera.",
+                code="H3-RENDER-019",
+            )
         copies[name] = target.copy_(tensor)
     return copies

@@ -33,6 +33,7 @@ class Struct(ctypes.Structure):
     """A struct that is filled by field name; a tensor stands for its address."""
 
     def fill(self, **values: Any) -> None:
+        """Sets fields by name; a tensor stands for the address of its data."""
         for name, value in values.items():
             setattr(self, name, value.data_ptr() if hasattr(value, "data_ptr") else value)
 
@@ -46,6 +47,8 @@ def _fields(pointers: str, **rest: str) -> list[tuple[str, Any]]:
 
 
 class World(Struct):
+    """Scene, poses and cameras, which all kernels read."""
+
     _fields_ = _fields(
         "vertices triangles clusters items places scenes scene_of_world world_of_view groups poses cameras hidden "
         "placement deformed deformed_clusters deformed_groups",
@@ -55,6 +58,8 @@ class World(Struct):
 
 
 class Deform(Struct):
+    """Arguments of the kernels that skin meshes."""
+
     _fields_ = [
         ("world", World),
         *_fields(
@@ -65,14 +70,20 @@ class Deform(Struct):
 
 
 class Cutouts(Struct):
+    """Textures with transparent pixels, which the rasteriser leaves out."""
+
     _fields_ = _fields("uv triangle_textures maps opacity")
 
 
 class Raster(Struct):
+    """Arguments of the rasteriser."""
+
     _fields_ = [("world", World), *_fields("depth words cutouts")]
 
 
 class Shade(Struct):
+    """Arguments of the kernels that compute colours, ids and normals from rasterised triangles."""
+
     _fields_ = [
         ("world", World),
         *_fields(
@@ -87,6 +98,8 @@ class Shade(Struct):
 
 
 class Occlude(Struct):
+    """Arguments of the kernels that compute ambient occlusion."""
+
     _fields_ = _fields(
         "depth cameras offsets surfaces amounts source",
         int="width height factor coarse_width coarse_height scale first_view views along_y",

@@ -93,7 +93,10 @@ def pack_scenes(scenes: tuple[GpuScene, ...]) -> Packed:
         deformed.pack(pool, number)
     layers = tuple(sorted({str(layer) for stage in scenes for layer in stage.scene.layers} - {""}))
     if len(layers) > MAX_LAYERS:
-        raise InputError(f"At most {MAX_LAYERS} layers are supported, got {len(layers)}: {', '.join(layers[:5])}, ...")
+        raise InputError(
+            f"At most {MAX_LAYERS} layers are supported, got {len(layers)}: {', '.join(layers[:5])}, ...",
+            code="H3-RENDER-020",
+        )
     bits = {layer: 1 << k for k, layer in enumerate(layers)} | {"": 0}
 
     table = np.zeros(len(scenes), SCENE)
@@ -106,7 +109,10 @@ def pack_scenes(scenes: tuple[GpuScene, ...]) -> Packed:
         for name in ("first_group", "groups", "first_vertex", "first_cluster"):
             row[name] = deformed.rows[number][name]
         if len(items) > MAX_ITEMS:
-            raise InputError(f"Scene {number} has {len(items)} groups of triangles; at most {MAX_ITEMS} are supported.")
+            raise InputError(
+                f"Scene {number} has {len(items)} groups of triangles; at most {MAX_ITEMS} are supported.",
+                code="H3-RENDER-022",
+            )
         words = sum(map(len, pool.parts.get("texels", [])))
         level_rows = sum(map(len, pool.parts.get("levels", [])))
         levels = surface.textures.levels.copy()
@@ -172,7 +178,7 @@ def _check(stage: GpuScene, number: int) -> None:
         elif inverse_bind.ndim != 3 or not int(skin.joints.max(initial=0)) < len(inverse_bind) <= MAX_JOINTS:
             faults.append(f"the skin of mesh {mesh} needs a matrix [4, 4] for each of at most {MAX_JOINTS} joints")
     if faults:
-        raise InputError(f"Scene {number} cannot be packed: {'; '.join(faults[:5])}.")
+        raise InputError(f"Scene {number} cannot be packed: {'; '.join(faults[:5])}.", code="H3-RENDER-021")
 
 
 def _scene_items(

@@ -52,14 +52,15 @@ class GpuRenderer:
         light: Light | None = None,
         device: str | torch.device | None = None,
     ) -> None:
-        """
+        """Copies scenes to the GPU and compiles the kernels.
+
         Args:
-            scenes: One scene or several.
-            width: Width of the images [px].
-            height: Height of the images [px].
-            worlds: Number of worlds.
-            scene_of_world: Index of each world's scene; by default world w shows scene w modulo their number.
-            light: Light; default `Light()`. Cast shadows are not supported.
+            scenes: one scene or several.
+            width: width of the images [px].
+            height: height of the images [px].
+            worlds: number of worlds.
+            scene_of_world: index of each world's scene; by default world w shows scene w modulo their number.
+            light: light; default `Light()`. Cast shadows are not supported.
             device: CUDA device; default the current one.
 
         Raises:
@@ -69,18 +70,23 @@ class GpuRenderer:
         self.scenes = tuple(s if isinstance(s, GpuScene) else GpuScene(s) for s in listed)
         self.width, self.height, self.worlds = _positive(width=width, height=height, worlds=worlds)
         if not self.scenes:
-            raise InputError("Expected at least one scene.")
+            raise InputError("Expected at least one scene.", code="H3-RENDER-024")
         chosen = np.arange(worlds) % len(self.scenes) if scene_of_world is None else np.asarray(scene_of_world)
         if (
             chosen.shape != (worlds,)
             or chosen.dtype.kind not in "iu"
             or not set(chosen) <= set(range(len(self.scenes)))
         ):
-            raise InputError(f"scene_of_world needs {worlds} numbers from 0 to {len(self.scenes) - 1}.")
+            raise InputError(
+                f"scene_of_world needs {worlds} numbers from 0 to {len(self.scenes) - 1}.", code="H3-RENDER-025"
+            )
         self.scene_of_world = tuple(int(s) for s in chosen)
         self.light = light or Light()
         if self.light.shadow_rays:
-            raise InputError("The GPU back end casts no shadows. Hint: Light(shadow_rays=0), or the CPU renderer.")
+            raise InputError(
+                "The GPU back end casts no shadows. Hint: Light(shadow_rays=0), or the CPU renderer.",
+                code="H3-RENDER-026",
+            )
         self.device = self._find_device(device)
         self.packed = pack_scenes(self.scenes)
         self._items = int(self.packed.scenes["items"].max())
@@ -179,32 +185,42 @@ class GpuRenderer:
 
     # --- state --------------------------------------------------------------------------------------------------------
     def update_poses(self, poses: Any) -> None:
-        """Sets the poses of moving instances, [worlds, N, 4, 4] or [worlds, N, 3, 4], mesh to world, in the order of
-        `GpuScene.slots`. If N is smaller than their number, the others keep theirs. NaN hides an instance."""
+        """Sets the poses of moving instances, [worlds, N, 4, 4] or [worlds, N, 3, 4], mesh to world.
+
+        They are in the order of `GpuScene.slots`. If N is less than their number, the others keep their poses. NaN
+        hides an instance.
+        """
         given = self._floats(poses, "poses", 4)
         count = given.shape[1]
         if count > self.packed.slots - 1 or given.shape[0] != self.worlds or given.shape[2:] not in ((4, 4), (3, 4)):
             raise InputError(
-                f"poses must be [{self.worlds}, up to {self.packed.slots - 1}, 4, 4], got {list(given.shape)}."
+                f"poses must be [{self.worlds}, up to {self.packed.slots - 1}, 4, 4], got {list(given.shape)}.",
+                code="H3-RENDER-027",
             )
         self._poses[:, :count].unflatten(2, (3, 4)).copy_(given[:, :, :3])
 
     def update_joints(self, joints: Any) -> None:
-        """Deforms all skinned meshes: ``joints`` [worlds, bodies, J, 4, 4] (or [..., 3, 4]), joint to world, for the
-        scene's deformable meshes in order; the second axis may be omitted for a single body. NaN hides a body."""
+        """Deforms all skinned meshes by their joints.
+
+        ``joints`` [worlds, bodies, J, 4, 4] (or [..., 3, 4]) map joint to world, for the scene's deformable meshes in
+        order; the second axis may be omitted for a single body. NaN hides a body.
+        """
         count = self._palettes.shape[2]
         given = self._floats(joints, "joints", None)
         if given.ndim == 4:
             given = given[:, None]
         expected = (self.worlds, self.packed.bodies, count)
         if given.ndim != 5 or given.shape[:3] != expected or given.shape[3:] not in ((4, 4), (3, 4)):
-            raise InputError(f"joints must be {[*expected, 4, 4]}, got {list(given.shape)}.")
+            raise InputError(f"joints must be {[*expected, 4, 4]}, got {list(given.shape)}.", code="H3-RENDER-028")
         given = given.contiguous()
         self._skin(given if given.data_ptr() % 16 == 0 else given.clone())  # the kernel reads rows as float4
 
     def update_vertices(self, mesh: int, vertices: Any) -> None:
-        """Replaces the vertices [worlds, V, 3] [m] of a deformable mesh without skin, in all worlds whose scene has such a
-        mesh with V vertices (at least one must). NaN hides the triangles at a vertex."""
+        """Replaces the vertices [worlds, V, 3] [m] of a deformable mesh without skin.
+
+        It applies to all worlds whose scene has such a mesh with V vertices; there must be at least one. NaN hides the
+        triangles at a vertex.
+        """
         given = self._floats(vertices, "vertices", 3)
         where = [
             (number, first[mesh])
@@ -215,7 +231,8 @@ class GpuRenderer:
             skinless = sorted({m for first in self.packed.source_first for m in first})
             raise InputError(
                 f"Expected vertices [{self.worlds}, V, 3] of a deformable mesh without skin (these are: {skinless}), "
-                f"got {list(given.shape)} for mesh {mesh}."
+                f"got {list(given.shape)} for mesh {mesh}.",
+                code="H3-RENDER-029",
             )
         for number, first in where:
             if len(self.scenes) == 1:
@@ -228,7 +245,7 @@ class GpuRenderer:
     def update_blockers(self, blockers: Sequence[Blockers | None]) -> None:
         """Sets what keeps light from surfaces (`Renderer.set_blockers`), one for each world, from the host."""
         if len(blockers) != self.worlds:
-            raise InputError(f"Expected blockers for {self.worlds} worlds, got {len(blockers)}.")
+            raise InputError(f"Expected blockers for {self.worlds} worlds, got {len(blockers)}.", code="H3-RENDER-030")
         self._shader.set_blockers(blockers)
 
     def _skin(self, joints: torch.Tensor) -> None:
@@ -249,7 +266,7 @@ class GpuRenderer:
 
         tensor = torch.as_tensor(values, dtype=torch.float32, device=self.device)
         if ndim is not None and tensor.ndim != ndim:
-            raise InputError(f"{name} must have {ndim} axes, got {list(tensor.shape)}.")
+            raise InputError(f"{name} must have {ndim} axes, got {list(tensor.shape)}.", code="H3-RENDER-031")
         return tensor
 
     # --- images -------------------------------------------------------------------------------------------------------
@@ -276,7 +293,7 @@ class GpuRenderer:
 
         check_outputs(outputs)
         if samples not in (1, 4):
-            raise InputError(f"samples must be 1 or 4, got {samples!r}.")
+            raise InputError(f"samples must be 1 or 4, got {samples!r}.", code="H3-RENDER-032")
         views = self._views_of([cameras] if isinstance(cameras, Camera) else list(cameras), worlds, poses)
         results = {
             name: torch.empty(
@@ -318,7 +335,7 @@ class GpuRenderer:
         if poses is not None:
             given = self._floats(poses, "poses", 3)
             if given.shape not in ((views.count, 4, 4), (views.count, 3, 4)):
-                raise InputError(f"poses must be [{views.count}, 4, 4], got {list(given.shape)}.")
+                raise InputError(f"poses must be [{views.count}, 4, 4], got {list(given.shape)}.", code="H3-RENDER-033")
             views.cameras[:, :12].unflatten(1, (3, 4)).copy_(given[:, :3])
         return views
 
@@ -381,7 +398,8 @@ class GpuRenderer:
             if needed > _SHARED_LIMIT:
                 raise InputError(
                     f"A scene has too many groups of triangles for this GPU: {needed} of {_SHARED_LIMIT} bytes of shared "
-                    "memory. Hint: remove what no camera sees, or split the scene."
+                    "memory. Hint: remove what no camera sees, or split the scene.",
+                    code="H3-RENDER-034",
                 )
             tile, warps, blocks = self.variant.tile, self.variant.warps, self.variant.blocks
             holes = int(len(self.packed.opacity) > 0)
@@ -421,5 +439,5 @@ class GpuRenderer:
 def _positive(**values: int) -> list[int]:
     wrong = {name: v for name, v in values.items() if int(v) != v or v < 1}
     if wrong:
-        raise InputError(f"Expected positive whole numbers, got {wrong}.")
+        raise InputError(f"Expected positive whole numbers, got {wrong}.", code="H3-RENDER-023")
     return [int(v) for v in values.values()]

@@ -54,6 +54,7 @@ class Views:
 
     @property
     def count(self) -> int:
+        """Number of cameras."""
         return len(self.cameras)
 
 
@@ -72,9 +73,11 @@ def new_views(
 
     world_of_view = np.array(key[0], np.int32)
     if len(cameras) not in (1, len(world_of_view)):
-        raise InputError(f"Expected one camera or one per view ({len(world_of_view)}), got {len(cameras)}.")
+        raise InputError(
+            f"Expected one camera or one per view ({len(world_of_view)}), got {len(cameras)}.", code="H3-RENDER-035"
+        )
     if not len(world_of_view) or world_of_view.min() < 0 or world_of_view.max() >= worlds:
-        raise InputError(f"Expected views of worlds 0 to {worlds - 1}, got {key[0]}.")
+        raise InputError(f"Expected views of worlds 0 to {worlds - 1}, got {key[0]}.", code="H3-RENDER-036")
     table = np.zeros((len(cameras), CAMERA_WORDS), np.float32)
     hidden = np.zeros(len(cameras), np.uint32)
     for k, camera in enumerate(cameras):
@@ -95,10 +98,14 @@ def new_views(
 def _check_camera(camera: Camera, size: tuple[int, int]) -> None:
     camera.checked()
     if camera.projection != "perspective":
-        raise InputError(f"The GPU renders perspective cameras only; camera {camera.name!r} is {camera.projection}.")
+        raise InputError(
+            f"The GPU renders perspective cameras only; camera {camera.name!r} is {camera.projection}.",
+            code="H3-RENDER-037",
+        )
     if (camera.width, camera.height) != size:
         raise InputError(
-            f"Camera {camera.name!r} is {camera.width}x{camera.height}, but this renderer is {size[0]}x{size[1]}."
+            f"Camera {camera.name!r} is {camera.width}x{camera.height}, but this renderer is {size[0]}x{size[1]}.",
+            code="H3-RENDER-038",
         )
 
 

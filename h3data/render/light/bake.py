@@ -48,13 +48,13 @@ _DARK = 1e-4
 
 @dataclass(frozen=True)
 class LitScene:
-    """What a `RenderScene` is made of, and the light for its renderer."""
+    """Meshes and instances for a `RenderScene`, and the light for its renderer."""
 
     meshes: list[Mesh]
     instances: list[RenderInstance]
     light: Light
     mirrors: dict[int, NDArray[np.float32]]
-    """What glossy meshes mirror, for `RenderScene`."""
+    """Light that glossy meshes mirror, for `RenderScene`."""
     field: LightField | None
     """Light on what moves and its shadows (`Renderer.set_blockers`); None if there is no light to bake."""
 
@@ -227,8 +227,10 @@ def _indoor_side(voxels: Voxels, center: NDArray[np.float64], across: NDArray[np
 
 
 def _indirect(voxels: Voxels, emitters: NDArray[np.float32]) -> tuple[pr.Probes, NDArray[np.float32], float] | None:
-    """Probes with all reflected light, direct light of the faces of blocks [X', Y', Z', 6, 3], and the mean light of
-    surfaces; None if there is no light."""
+    """Probes with all reflected light, the direct light of the faces of blocks, and the mean light of surfaces.
+
+    The direct light is [X', Y', Z', 6, 3]. Returns None if there is no light.
+    """
     shape = tuple(n // PROBE_VOXELS for n in voxels.distance.shape)
     place, usable = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.bool_)
     pr.place_probes(voxels.distance, place, usable)

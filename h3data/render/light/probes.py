@@ -50,11 +50,13 @@ def ray_directions(rays: int) -> NDArray[np.float32]:
 
 @kernel(error_model="numpy", boundscheck=False)
 def find_faces(distance, count, points, normals, indoors):
-    """Chooses up to two places on the faces of every block: voxels of its surfaces whose neighbour in one of six directions
-    is free. Returns their number.
+    """Chooses up to two places on each face of every block; returns their number.
 
-    Fills ``count`` [X', Y', Z', 6] with the number of faces, and for each place its point in the free voxel, its normal,
-    both [N, 3], and whether something is above it [N]; the places of a block lie one after another, in the order of blocks.
+    Places are voxels of the block's surfaces whose neighbour in one of six directions is free.
+
+    Fills ``count`` [X', Y', Z', 6] with the number of places on each face, and for each place its point in the free
+    voxel, its normal, both [N, 3], and whether something is above it [N]; the places of a block lie one after another,
+    in the order of blocks.
     """
     places = 0
     n = PROBE_VOXELS

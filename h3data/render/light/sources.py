@@ -26,7 +26,9 @@ def check_light(light: object) -> None:
         InputError: it is none.
     """
     if light not in get_args(LightMode):
-        raise InputError(f"Unknown light {light!r}. Expected one of: {', '.join(get_args(LightMode))}.")
+        raise InputError(
+            f"Unknown light {light!r}. Expected one of: {', '.join(get_args(LightMode))}.", code="H3-RENDER-046"
+        )
 
 
 LAMP_COLOR = (1.0, 0.86, 0.68)

@@ -45,6 +45,8 @@ def build_clusters(
     if cut_out is None or not cut_out.any():
         order, starts = _split(centroids)
     else:
+        # triangles with holes are drawn in a pass of their own and hide nothing, so they must not share a cluster
+        # with solid ones
         plain, cut = np.flatnonzero(~cut_out), np.flatnonzero(cut_out)
         (plain_order, plain_starts), (cut_order, cut_starts) = _split(centroids[plain]), _split(centroids[cut])
         order = np.concatenate([plain[plain_order], cut[cut_order]]).astype(np.int32)
@@ -74,6 +76,7 @@ def _select(order, keys, left, right, k):
     """Reorders ``order[left..right]`` (inclusive) so that element k is in its sorted position by key (quickselect)."""
     while right > left:
         a, b, c = keys[order[left]], keys[order[(left + right) // 2]], keys[order[right]]
+        # the median of three: grids come sorted, and the first element as pivot would make that the worst case
         pivot = max(min(a, b), min(max(a, b), c))
         i, j = left, right
         while i <= j:
@@ -100,6 +103,7 @@ def _split(centroids):
     order = np.arange(count).astype(np.int32)
     starts = np.empty(count // 40 + 2, np.int32)  # a split of 97 leaves at least 41
     clusters = 0
+    # a stack of a fixed size instead of recursion: one half waits per level, and there are at most 32 levels
     pending = np.empty((64, 2), np.int64)
     pending[0, 0], pending[0, 1] = 0, count
     waiting = 1 if count else 0
@@ -146,6 +150,7 @@ def _corners(faces, triangles, first):
     """`Clusters.corners`. Unsigned, since kernels need not ask whether an index counts from the end: half the time."""
     corners = np.empty((len(triangles), 3, 8), np.uint32)
     for c in range(len(first) - 1):
+        # padding collapses to a vertex of its own cluster, so that the box stays tight when the mesh deforms
         fallback = faces[triangles[first[c], 0], 0]
         for p in range(first[c], first[c + 1]):
             for lane in range(8):
@@ -215,6 +220,7 @@ def normal_groups(vertices: NDArray[np.float32], normals: NDArray[np.float32]) -
     """
     if not len(vertices):
         return np.zeros(0, np.int32)
+    # rounded, because exporters write the two sides of a seam with different last digits
     keys = np.round(np.concatenate([vertices * 1e5, normals * 1e2], axis=1)).astype(np.int64)
     return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int32)
 

@@ -33,28 +33,35 @@ class CpuEngine:
         self.light = light
         self.worlds = [World(scene) for _ in range(worlds)]
         self.threads = threads
+        # each thread borrows buffers for one image, so their number is that of threads, not that of images
         self._free: SimpleQueue[Drawings] = SimpleQueue()
         for _ in range(threads):
             self._free.put(Drawings())
 
     @cached_property
     def _pool(self) -> ThreadPoolExecutor:
+        # made at the first use: most programs render with one thread
         return ThreadPoolExecutor(self.threads, thread_name_prefix="h3data-render")
 
     # --- state --------------------------------------------------------------------------------------------------------
     def set_transforms(self, world: int, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
+        """Sets transforms [n, 4, 4] of instances in one world."""
         self.worlds[world].set_transforms(instances, matrices)
 
     def set_visible(self, world: int, instances: NDArray[np.intp], visible: NDArray[np.bool_]) -> None:
+        """Shows or hides instances in one world."""
         self.worlds[world].set_visible(instances, visible)
 
     def set_vertices(self, world: int, mesh: int, vertices: NDArray[np.float32]) -> None:
+        """Replaces the vertices [V, 3] of a deformable mesh in one world."""
         self.worlds[world].set_vertices(mesh, vertices)
 
     def set_blockers(self, world: int, blockers: Blockers | None) -> None:
+        """Sets the capsules that cast soft shadows in one world; None removes them."""
         self.worlds[world].blockers = blockers
 
     def poses(self, world: int) -> Poses:
+        """Copy of the transforms, vertices and visibility in one world."""
         return self.worlds[world].poses()
 
     # --- images -------------------------------------------------------------------------------------------------------
@@ -66,7 +73,9 @@ class CpuEngine:
         samples: int,
         out: Mapping[str, NDArray] | None,
     ) -> dict[str, NDArray]:
+        """Renders one image per camera and world, in several threads."""
         results = picture_arrays(cameras, outputs, out)
+        # before the threads begin, which would otherwise write to the same arrays; depth needs no normals
         if "rgb" in outputs or "normal" in outputs:
             for world in sorted(set(worlds)):
                 self.worlds[world].refresh_normals()
@@ -103,6 +112,8 @@ class CpuEngine:
                 self._picture(world, view, drawing, rgb, None, again=again)
             else:
                 drawing.picture = None
+        # four samples need twice as many pixels per axis; ids and depth stay at the centres, where they cannot be
+        # averaged
         if samples == 4 and "rgb" in results:
             view, drawing, again = self._draw(camera, world, drawings, fine=2)
             self._picture(world, view, drawing, results["rgb"], self.scene.patches, again=again)
@@ -114,12 +125,14 @@ class CpuEngine:
         placement = Placement(scene.instance_mesh, world.matrix, shown)
         if view.parallel:
             view = view._replace(reach=reach_of(world.geometry, placement, view))
+        # all of the view that has to be equal for an earlier image to be of use, bit for bit
         key = repr((camera.hidden_layers, id(world), view[3:])).encode()
         key += view.axes.tobytes() + view.eye.tobytes() + view.intrinsics.tobytes()
         drawing = drawings.of(key, view, draws=scene.draw_limit, instances=len(scene.instances))
         now = world.state(shown) if drawing.stands else None
         changed, again = drawing.changed(now, scene.instance_mesh), drawing.shown is not None
         drawing.shown = None
+        # while it is drawn the buffers show nothing whole; an exception must not leave them marked as valid
         rasterise(world.geometry, scene.cutouts, placement, view, drawing.target, changed)
         drawing.shown = now
         return view, drawing, again
@@ -137,6 +150,7 @@ class CpuEngine:
         """Shades a drawing into ``rgb``, or what is not there of the picture of its last image."""
         kept = drawing.picture if again else None
         drawing.picture = None
+        # the second image of a view: a camera that moves never gets here, and need not keep pictures
         if again and kept is None:
             kept = KeptPicture(np.empty_like(rgb))
         self._shade(world, view, drawing.target, rgb=rgb, patches=patches, kept=kept)
@@ -202,6 +216,7 @@ class World:
         self._stale_normals: set[int] = set()
         if scene.deformable:
             shared = scene.geometry
+            # copies of what deforms only; packets of meshes that never change are shared by all worlds
             self.geometry = shared._replace(
                 own_packets=shared.own_packets.copy(),
                 center=shared.center.copy(),
@@ -223,11 +238,15 @@ class World:
         return Shown(self.matrix.copy(), shown.copy(), dict(self.vertices), tints)
 
     def set_transforms(self, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
+        """Sets transforms [n, 4, 4] of instances."""
         self.matrix[instances] = matrices
+        # for ever: what has never moved is prepared once for rays (`h3data.render.hybrid`), so what moves must
+        # stay out of it
         self.moved[instances] = True
         self.version += 1
 
     def set_visible(self, instances: NDArray[np.intp], visible: NDArray[np.bool_]) -> None:
+        """Shows or hides instances."""
         self.visible[instances] = visible
         self.version += 1
 
@@ -236,6 +255,7 @@ class World:
         scene, geometry = self.scene, self.geometry
         self.vertices[mesh] = vertices
         self.version += 1
+        # a mesh without triangles has no clusters whose boxes could be computed
         if not len(scene.meshes[mesh].faces):
             return
         part, clusters = scene.parts[mesh], scene.cluster_range(mesh)
@@ -245,6 +265,7 @@ class World:
         fill_boxes(vertices, *scene.members[mesh], center, half)
         geometry.mesh_center[mesh], geometry.mesh_half[mesh] = enclosing_box(center, half)
         if mesh in scene.groups:
+            # not now: somebody who asks for depth only never needs them
             self._stale_normals.add(mesh)
 
     def refresh_normals(self) -> None:
@@ -259,6 +280,7 @@ class World:
 
     def poses(self) -> Poses:
         """A copy of the state."""
+        # copies, since the world goes on while somebody looks at them
         return Poses(self.matrix.copy(), dict(self.vertices), self.visible.copy())
 
 

@@ -153,6 +153,7 @@ def reach_of(geometry: Geometry, placement: Placement, view: View) -> float:
         center, half = geometry.mesh_center[placement.mesh], geometry.mesh_half[placement.mesh]
         z = (rows[:, :3] * center + np.abs(rows[:, :3]) * half).sum(1) + rows[:, 3] - forward @ view.eye
     farthest = z[placement.shown & np.isfinite(z)].max(initial=0.0)
+    # slightly beyond, because nearness 0 is the background and nothing that is drawn may have it
     return float(min(farthest, view.far)) * 1.00001 + 0.001
 
 
@@ -195,6 +196,7 @@ def rasterise(geometry, cutouts, placement, view, target, changed):
 @kernel()
 def _clear(target, width, height):
     target.inv_z[:height, :width] = 0
+    # the padding counts as drawn, or no tile on the border would ever hide anything
     target.inv_z[:height, width:] = FAR_PADDING
     target.inv_z[height:] = FAR_PADDING
     target.words[:] = -1
@@ -208,6 +210,7 @@ def _clear_tiles(target, width, height):
     for ty in range(target.tile_drawn.shape[0]):
         for tx in range(target.tile_drawn.shape[1]):
             target.tile_stale[ty, tx] = 0
+            # a tile that is kept is nearer than everything, so every cluster in it is culled before any work
             target.tile_inv_z[ty, tx] = FAR_PADDING
             if target.tile_drawn[ty, tx]:
                 target.tile_inv_z[ty, tx] = 0
@@ -226,6 +229,8 @@ def _mark_tiles(geometry, placement, target, changed):
         end = first + geometry.mesh_first[mesh + 1] - geometry.mesh_first[mesh]
         if changed[i]:
             for draw in range(first, end):
+                # a draw that was outside the image marked no tile: its columns are those of an earlier
+                # image
                 if target.near[draw] >= 0:
                     for ty in range(draws[draw, TILE_Y0], draws[draw, TILE_Y1] + 1):
                         for tx in range(draws[draw, TILE_X0], draws[draw, TILE_X1] + 1):
@@ -251,6 +256,7 @@ def _outside(planes, center, half, box):
         distance = planes[k, 3]
         for a in range(3):
             distance += planes[k, a] * center[box, a] + abs(planes[k, a]) * half[box, a]
+        # written so that NaN, of a matrix without sense, is culled
         if not distance >= 0:
             return True
     return False
@@ -260,6 +266,7 @@ def _outside(planes, center, half, box):
 def _pixel_span(middle, extent, near, far, focal, principal, size):
     """Range of pixel coordinates covered by a camera-space interval at depths near..far, clipped to the image."""
     low, high = middle - extent, middle + extent
+    # what is left of the middle reaches farthest when it is near, what is right of it when it is far
     low = low / (near if low < 0 else far) * focal + principal
     high = high / (near if high > 0 else far) * focal + principal
     return max(low - SPAN_MARGIN_PX, 0.0), min(high + SPAN_MARGIN_PX, size - 0.5)
@@ -309,6 +316,7 @@ def _collect(geometry, placement, view, target):
     draws, near, center, half = target.draws, target.near, geometry.center, geometry.half
     planes = np.empty((5, 4))
     box = np.empty((3, 2))  # camera-space centre and half extent, per axis
+    # the numbers of draws are fixed by instance and cluster, so that pixels can be compared between images
     listed = np.empty(len(near), np.int32)
     near[:] = -1
     count = following = 0
@@ -321,6 +329,7 @@ def _collect(geometry, placement, view, target):
         _place(i, placement.matrix[i], view, target, planes)
         if view.parallel:
             _place_parallel(i, view, target, planes)
+        # the whole mesh first: in a home most of them are in other rooms
         if _outside(planes, geometry.mesh_center, geometry.mesh_half, mesh):
             continue
         to_camera = target.camera_from_mesh[i]
@@ -331,6 +340,7 @@ def _collect(geometry, placement, view, target):
                 box[r, 0], box[r, 1] = to_camera[r, 3], 0.0
                 for a in range(3):
                     box[r, 0] += to_camera[r, a] * center[cluster, a]
+                    # the box around a turned box: exact enough, and nothing needs its eight corners
                     box[r, 1] += abs(to_camera[r, a]) * half[cluster, a]
             z0, z1 = max(box[2, 0] - box[2, 1], view.near), box[2, 0] + box[2, 1]
             left, right, top, bottom = 0.0, width - 0.5, 0.0, height - 0.5
@@ -358,6 +368,7 @@ def _front_to_back(near, listed):
     furthest = np.float32(1e-6)
     for draw in listed:
         furthest = max(furthest, near[draw])
+    # bins are enough: the order is for culling only, and pixels do not depend on it except where surfaces coincide
     scale = np.float32(SORT_BINS - 1) / furthest
     begin = np.zeros(SORT_BINS + 1, np.int32)
     for draw in listed:
@@ -381,6 +392,8 @@ def _same_order(order, target, changed):
             continue
         while k < count and target.order[k] >= 0 and changed[target.draws[target.order[k], INSTANCE]]:
             k += 1
+        # equally near surfaces go to the first one drawn, so another order could change pixels in tiles that are
+        # kept
         if k == count or target.order[k] != draw:
             return False
         k += 1

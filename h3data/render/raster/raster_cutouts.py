@@ -71,6 +71,7 @@ def draw_cutouts(geometry, cutouts, view, target, order):
                 masks = setup_parallel_triangles(packet_at, matrix_at, screen_at, table_at)
             else:
                 masks = setup_triangles(packet_at, matrix_at, screen_at, table_at)
+            # holes are looked up per pixel, so small, medium and large triangles take the same filler here
             left = (masks | masks >> 8 | masks >> 16) & 255
             while left:
                 lane = count_trailing_zeros(left)
@@ -111,6 +112,8 @@ def fill_cutout(p, view, is_near, box, target, word, cutouts, place, lane):
         low, high = cut_exact(low, high, e2, d2, inverse2)
         if high >= 0 and high >= low - 1:
             for k in range(int(low), int(high) + 1):
+                # depth before texture: most pixels of leaves and curtains are hidden, and a look-up costs
+                # more
                 nearness = np.float32(inv_z + dw * k)
                 if not target.inv_z[y, x0 + k] < nearness <= limit:
                     continue
@@ -118,6 +121,8 @@ def fill_cutout(p, view, is_near, box, target, word, cutouts, place, lane):
                 if not (e0 + d0 * k >= 0 and b1 >= 0 and b2 >= 0):
                     continue
                 if not view.parallel:
+                    # texture coordinates are linear in space, not on the screen; the edge functions
+                    # hold them over z
                     b1, b2 = b1 / (inv_z + dw * k), b2 / (inv_z + dw * k)
                 if is_solid(cutouts.maps, cutouts.opacity, texture, s + b1 * s1 + b2 * s2, t + b1 * t1 + b2 * t2):
                     target.inv_z[y, x0 + k] = nearness

@@ -32,6 +32,7 @@ def fill_small(table, boxes, lane, inv_z_at, words_at, stride, word):
     e0, e1, e2, inv_z = table[E0, lane], table[E1, lane], table[E2, lane], table[INV_Z, lane]
     e0_dx, e1_dx, e2_dx, inv_z_dx = table[E0_DX, lane], table[E1_DX, lane], table[E2_DX, lane], table[INV_Z_DX, lane]
     y0, y1 = boxes[Y0, lane], boxes[Y1, lane]
+    # addresses, not indices: of each index numba would ask whether it counts from the end
     offset = np.uintp((np.int64(y0) * stride + boxes[X0, lane]) * 4)
     for _ in range(y0, y1 + 1):
         blend_block(
@@ -67,12 +68,14 @@ def fill_medium(table, boxes, lane, inv_z_at, words_at, stride, word):
     minus_one, zero = np.float32(-1), np.float32(0)
     inverse0, inverse1, inverse2 = minus_one / e0_dx, minus_one / e1_dx, minus_one / e2_dx
     y0, y1 = boxes[Y0, lane], boxes[Y1, lane]
+    # x from the left edge of the box: float32 has too few digits for columns of a large image
     last = np.float32(boxes[X1, lane] - boxes[X0, lane])
     row = np.uintp((np.int64(y0) * stride + boxes[X0, lane]) * 4)
     for _ in range(y0, y1 + 1):
         low, high = _cut(zero, last, e0, e0_dx, inverse0)
         low, high = _cut(low, high, e1, e1_dx, inverse1)
         low, high = _cut(low, high, e2, e2_dx, inverse2)
+        # a pixel of slack: the span is rounded, and the blocks test each pixel anyway
         if high >= 0 and high >= low + minus_one:
             x, end = np.int32(low), np.int32(high)
             while x <= end:
@@ -142,6 +145,7 @@ def visible_box(p, view):
     """Pixel box (x0, x1, y0, y1; inclusive, empty if x1 < x0) of the part of a triangle in front of the eye plane."""
     fx, fy, cx, cy = view.intrinsics
     left, right, top, bottom = 1e30, -1e30, 1e30, -1e30
+    # not zero: a corner in the plane of the eye is infinitely far away on the screen
     smallest_z = 1e-4
     for v in range(3):
         n = 3 * ((v + 1) % 3)
@@ -157,6 +161,7 @@ def visible_box(p, view):
             left, right, top, bottom = min(left, x), max(right, x), min(top, y), max(bottom, y)
     if not (left <= right and top <= bottom):
         return 0, -1, 0, -1
+    # clamped while they are floats: an integer of 1e30 is undefined
     x0 = int(np.ceil(min(max(left, 0.0), view.width + 1.0) - 0.5))
     x1 = int(np.floor(max(min(right, float(view.width)), -1.0) - 0.5))
     y0 = int(np.ceil(min(max(top, 0.0), view.height + 1.0) - 0.5))
@@ -194,6 +199,8 @@ def edge_functions(p, view, x0, y0):
     bx, by, bz = p[7] * p[2] - p[8] * p[1], p[8] * p[0] - p[6] * p[2], p[6] * p[1] - p[7] * p[0]
     gx, gy, gz = p[1] * p[5] - p[2] * p[4], p[2] * p[3] - p[0] * p[5], p[0] * p[4] - p[1] * p[3]
     determinant = p[0] * ax + p[1] * ay + p[2] * az
+    # zero for a triangle seen from its edge; the infinities are dropped by the caller, and a test here would cost
+    # more
     k = 1 / determinant
     # 1/z from the normal of the edge vectors, which avoids cancellation
     sx, sy, sz = p[3] - p[0], p[4] - p[1], p[5] - p[2]

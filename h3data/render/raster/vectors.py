@@ -72,19 +72,24 @@ class Vec:
         return Vec(self.builder, self.builder.fsub(self._lift(0.0), self.value))
 
     def reciprocal(self) -> Vec:
+        """Reciprocal of each component."""
         return Vec(self.builder, self.builder.fdiv(self._lift(1.0), self.value))
 
     def divided_by(self, other: Vec) -> Vec:
+        """Quotient of the components of two vectors."""
         return self._binary("fdiv", other)
 
     def compare(self, operator: str, other: Vec | float) -> Mask:
+        """Mask of the components for which a comparison such as ``<`` holds; false for NaN."""
         return Mask(self.builder, self.builder.fcmp_ordered(operator, self.value, self._lift(other)))
 
     def minimum(self, other: Vec | float) -> Vec:
+        """Smaller of the components of two vectors."""
         mask = self.compare("<", other).value
         return Vec(self.builder, self.builder.select(mask, self.value, self._lift(other)))
 
     def maximum(self, other: Vec | float) -> Vec:
+        """Larger of the components of two vectors."""
         mask = self.compare(">", other).value
         return Vec(self.builder, self.builder.select(mask, self.value, self._lift(other)))
 

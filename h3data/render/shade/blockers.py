@@ -73,7 +73,7 @@ _ALL, _ONE = 1, 2
 
 @dataclass(frozen=True, eq=False)
 class Blockers:
-    """What keeps light from surfaces at one moment, and the light on what moves."""
+    """Capsules that keep light from surfaces at one step, and the light on moving instances."""
 
     rows: NDArray[np.float32]
     """Capsules as laid out in `blockers_simd`, those of a group one after another, shape [N, BLOCKER_WORDS]."""
@@ -215,8 +215,10 @@ def _compare_tiles(earlier, listed_earlier, first, listed, same, changed):
 
 
 def _on_screen(spheres: NDArray[np.float64], view: View, factor: int) -> NDArray[np.float64]:
-    """Boxes around the spheres of each capsule [N, S, 4]: from x, y [px] and 1/z to x, y and 1/z, [N, 6]; 1e9 to 0 if none is
-    seen."""
+    """Boxes on the screen around the spheres of each capsule [N, S, 4], as [N, 6].
+
+    A box reaches from x, y [px] and 1/z to x, y and 1/z; it is 1e9 to 0 if no sphere is visible.
+    """
     center = (spheres[..., :3] - view.eye) @ view.axes
     side, z, r = center[..., :2], center[..., 2:], spheres[..., 3:]
     intrinsics = view.intrinsics / factor

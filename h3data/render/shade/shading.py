@@ -92,7 +92,9 @@ class Light:
             if not np.isfinite(getattr(self, name)).all() or (name in colors and min(getattr(self, name)) < 0)
         ]
         if faults:
-            raise InputError(f"Light needs finite numbers and no negative power, got {', '.join(faults)}.")
+            raise InputError(
+                f"Light needs finite numbers and no negative power, got {', '.join(faults)}.", code="H3-RENDER-068"
+            )
 
 
 _SHOULDER = 0.75

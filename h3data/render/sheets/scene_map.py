@@ -72,7 +72,7 @@ def render_scene(scene: Scene, *, cut_above_y: float | None = None) -> RenderSce
             meshes.append(mesh)
         instances.append(_placed(shared[instance.asset], matrix, instance))
     if not instances:
-        raise InputError(f"Scene {scene.name!r} has no triangles, so there is nothing to render.")
+        raise InputError(f"Scene {scene.name!r} has no triangles, so there is nothing to render.", code="H3-RENDER-069")
     return RenderScene(meshes, instances)
 
 
@@ -89,7 +89,9 @@ def plan_picture(scene: Scene, *, pixels_per_m: float = 80.0, floor_y: float = 0
     span = high - low
     width, height = (max(64, int(round(float(s) * pixels_per_m)) // 2 * 2) for s in (span[0], span[2]))
     if width * height > 60_000_000:
-        raise InputError(f"A plan of {width}x{height} pixels is too large. Hint: fewer pixels per metre.")
+        raise InputError(
+            f"A plan of {width}x{height} pixels is too large. Hint: fewer pixels per metre.", code="H3-RENDER-070"
+        )
     middle = (low + high) / 2
     distance = _DISTANCE * float(max(span[0], span[2]))
     hfov_deg = float(np.degrees(2 * np.arctan(width / pixels_per_m / 2 / distance)))
@@ -289,14 +291,17 @@ def eye_level_camera(
     main = shapely.get_parts(free.polygon)[0]
     rooms = {r.name: shapely.union_all([shapely.box(*b) for b in np.asarray(r.rectangles)]) for r in scene.rooms}
     if room is not None and room not in rooms:
-        raise InputError(f"There is no room {room!r} in scene {scene.name!r}. Its rooms: {', '.join(rooms) or 'none'}.")
+        raise InputError(
+            f"There is no room {room!r} in scene {scene.name!r}. Its rooms: {', '.join(rooms) or 'none'}.",
+            code="H3-RENDER-071",
+        )
     chosen = room or max(rooms, key=lambda name: rooms[name].area, default="")
     area = main.intersection(rooms[chosen]) if chosen else main
     inside = area.intersection(rooms[chosen].buffer(-_DOORWAY_M)) if chosen else area
     area = area if inside.is_empty else inside  # away from doorways
     corners = shapely.get_coordinates(area.simplify(0.1))
     if not len(corners):
-        raise InputError(f"There is no free floor in room {chosen!r} of scene {scene.name!r}.")
+        raise InputError(f"There is no free floor in room {chosen!r} of scene {scene.name!r}.", code="H3-RENDER-072")
     middle = shapely.get_coordinates((rooms[chosen] if chosen else main).centroid)[0]
     target = np.array([middle[0], free.height_at(middle) + 0.9, middle[1]])
     far = corners[np.argsort(-np.linalg.norm(corners - middle, axis=1), kind="stable")[:_EYE_CANDIDATES]]

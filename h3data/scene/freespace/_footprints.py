@@ -69,7 +69,8 @@ def rooms_floor(rooms: tuple[Room, ...]) -> BaseGeometry:
     rectangles = [box(*r) for room in rooms for r in np.asarray(room.rectangles, np.float64)]
     if not rectangles:
         raise SceneError(
-            "The rooms of the scene have no rectangles, so there is no floor. Hint: Room.rectangles [R, 4]."
+            "The rooms of the scene have no rectangles, so there is no floor. Hint: Room.rectangles [R, 4].",
+            code="H3-SCENE-004",
         )
     half = WALL_GAP_M / 2
     return shapely.union_all(rectangles).buffer(half, join_style="mitre").buffer(-half, join_style="mitre")
@@ -89,7 +90,10 @@ def walkable_from_shapes(scene: Scene, floor_y: float, *, climb_m: float, height
     rooms = tuple(r for r in scene.rooms if abs(r.floor_y - floor_y) <= climb_m)
     if not rooms:
         levels = sorted({r.floor_y for r in scene.rooms})
-        raise SceneError(f"Scene {scene.name!r} has no room whose floor is at {floor_y} m. Its floors: {levels}.")
+        raise SceneError(
+            f"Scene {scene.name!r} has no room whose floor is at {floor_y} m. Its floors: {levels}.",
+            code="H3-SCENE-005",
+        )
     obstacles = shapely.union_all(scene_obstacles(scene, floor_y + climb_m, floor_y + height_m))
     free = rooms_floor(rooms).difference(obstacles)
     return MultiPolygon([p for p in shapely.get_parts(free) if isinstance(p, Polygon)])
@@ -174,8 +178,11 @@ def _capsule_footprint(shape: Capsule, matrix: NDArray, low: float, high: float)
 
 
 def _clip_to_band(points: NDArray, low: float, high: float) -> NDArray:
-    """Points [M, 3] whose hull is the hull of ``points`` [N, 3] between two heights: those inside, and where the
-    connecting lines cross the two planes (for a convex body, all pairs may be joined)."""
+    """Points [M, 3] whose hull is the hull of ``points`` [N, 3] between two heights.
+
+    They are the points inside the band, and where lines between points cross its two planes. For a convex body all
+    pairs of points may be connected.
+    """
     for plane, sign in ((low, 1.0), (high, -1.0)):
         side = (points[:, 1] - plane) * sign
         inside, outside = points[side > 0], points[side <= 0]

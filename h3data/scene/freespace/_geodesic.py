@@ -68,8 +68,10 @@ def geodesic_many(graph: Graph, starts: NDArray, ends: NDArray, max_snap: float)
 def first_leg(
     graph: Graph, ax: float, az: float, bx: float, bz: float, max_snap: float, beyond: float
 ) -> tuple[float, float, float]:
-    """Length of the shortest path [m] (inf: none) and ``(x, z)`` of the first of its way points that is farther than ``beyond``
-    from its start; of its end if none is."""
+    """Length of the shortest path [m], and ``(x, z)`` of its first waypoint that is farther than ``beyond`` from its start.
+
+    If no waypoint is, it is the end of the path. The length is infinite if there is no path.
+    """
     length, enter, leave, ax, az, bx, bz = geodesic_pair(graph, ax, az, bx, bz, max_snap)
     if not np.isfinite(length):
         return length, np.nan, np.nan

@@ -16,14 +16,14 @@ SNAP_M = 0.3
 def floor_points(points: ArrayLike) -> NDArray[np.float64]:
     p = np.asarray(points, np.float64)
     if p.ndim == 0 or p.shape[-1] != 2:
-        raise InputError(f"Floor points must be (x, z), shape [..., 2], got {list(p.shape)}.")
+        raise InputError(f"Floor points must be (x, z), shape [..., 2], got {list(p.shape)}.", code="H3-SCENE-006")
     return p
 
 
 def one_point(point: ArrayLike) -> NDArray[np.float64]:
     p = floor_points(point)
     if p.shape != (2,):
-        raise InputError(f"Expected one floor point (x, z), shape [2], got {list(p.shape)}.")
+        raise InputError(f"Expected one floor point (x, z), shape [2], got {list(p.shape)}.", code="H3-SCENE-007")
     return p
 
 

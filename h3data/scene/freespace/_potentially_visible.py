@@ -20,8 +20,10 @@ MERGE_RAD = 1e-7
 
 @kernel()
 def _wedge(before: NDArray, node: NDArray, after: NDArray) -> tuple[float, float, float]:
-    """Unit direction (x, z) in the middle of the wedge in which a taut string may leave a corner, and half its angle; the
-    other wedge is opposite."""
+    """Unit direction (x, z) in the middle of the wedge in which a taut string may leave a corner, and half its angle.
+
+    The other wedge is opposite.
+    """
     px, pz = before[0] - node[0], before[1] - node[1]
     qx, qz = after[0] - node[0], after[1] - node[1]
     p, q = np.hypot(px, pz), np.hypot(qx, qz)

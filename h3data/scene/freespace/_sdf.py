@@ -46,8 +46,11 @@ def sample_sdf(sdf: NDArray, origin: NDArray, cell: float, x: float, z: float) -
 
 @kernel(inline="always")
 def sdf_gradient(sdf: NDArray, origin: NDArray, cell: float, x: float, z: float) -> tuple[float, float]:
-    """Gradient (d/dx, d/dz) of the bilinear distance at (x, z): points away from the nearest obstacle, length about 1
-    (shorter on the ridges half-way between obstacles)."""
+    """Gradient (d/dx, d/dz) of the bilinear distance at (x, z).
+
+    It points away from the nearest obstacle, with a length of about 1 (shorter on the ridges half-way between
+    obstacles).
+    """
     cx = _clipped((x - origin[0]) / cell - 0.5, sdf.shape[0] - 1.0)
     cz = _clipped((z - origin[1]) / cell - 0.5, sdf.shape[1] - 1.0)
     i = min(int(cx), sdf.shape[0] - 2)
@@ -114,8 +117,10 @@ def point_segment_distance(x: float, z: float, ax: float, az: float, bx: float, 
 
 @kernel()
 def inside_mask(edges: NDArray, origin: NDArray, cell: float, nx: int, nz: int) -> NDArray:
-    """Whether each cell centre lies inside the rings ``edges`` [E, 4] (even-odd rule), bool [nx, nz]: one scan line per
-    row of cells flips everything behind each crossing."""
+    """Whether the centre of each cell lies inside the rings ``edges`` [E, 4] (even-odd rule), bool [nx, nz].
+
+    One scan line per row of cells flips everything behind each crossing.
+    """
     flips = np.zeros((nx, nz + 1), np.uint8)
     for e in range(len(edges)):
         ax, az, bx, bz = edges[e]

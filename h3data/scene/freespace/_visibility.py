@@ -61,8 +61,11 @@ class Graph(NamedTuple):
 
 @kernel()
 def crosses(ax: float, az: float, bx: float, bz: float, cx: float, cz: float, dx: float, dz: float) -> bool:
-    """Whether segments a-b and c-d cross. Half-open: a line through a shared end point of two edges that lie on its two
-    sides crosses exactly one of them, so nothing slips through a vertex."""
+    """Whether segments a-b and c-d cross.
+
+    Segments are half-open: a line through a shared end point of two edges that lie on its two sides crosses exactly one
+    of them, so that nothing slips through a vertex.
+    """
     a = (dx - cx) * (az - cz) - (dz - cz) * (ax - cx)
     b = (dx - cx) * (bz - cz) - (dz - cz) * (bx - cx)
     if (a >= 0.0) == (b >= 0.0):

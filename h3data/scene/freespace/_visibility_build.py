@@ -152,7 +152,10 @@ def _all_pairs(n: int, pairs: NDArray, lengths: NDArray) -> tuple[NDArray[np.flo
     from scipy.sparse.csgraph import dijkstra
 
     if n > np.iinfo(np.int16).max:
-        raise SceneError(f"The floor has {n} corners, more than {np.iinfo(np.int16).max}. Hint: simplify the scene.")
+        raise SceneError(
+            f"The floor has {n} corners, more than {np.iinfo(np.int16).max}. Hint: simplify the scene.",
+            code="H3-SCENE-008",
+        )
     if n == 0:
         return np.zeros((0, 0), np.float32), np.zeros((0, 0), np.int16)
     matrix = csr_matrix((lengths, (pairs[:, 0], pairs[:, 1])), shape=(n, n))

@@ -34,7 +34,7 @@ SMOOTH_M = 1e-4
 SMOOTH_VOXEL_M = 2e-3
 """The same for voxels: a slanting wall is a staircase, whose inflated outline is scalloped by about 1 mm."""
 BORDER_M = 0.3
-"""How far the distance grid goes beyond the floor."""
+"""Width of the border of the distance grid around the floor [m]."""
 ISLAND_MIN_M2 = 0.01
 """Smaller patches are rounding, not places."""
 ISLAND_MIN_VOXEL_M2 = 1.0
@@ -59,7 +59,10 @@ def choose_method(scene: Scene, method: Method) -> Literal["shapes", "mesh"]:
     static = [scene.assets[i.asset] for i in scene.static_instances]
     shapes = any(a.shapes for a in static) and not any(a.category == "stage" and not a.shapes for a in static)
     if method == "shapes" and not scene.rooms:
-        raise SceneError(f"Scene {scene.name!r} has no rooms, so nothing says where the floor is. Hint: method='mesh'.")
+        raise SceneError(
+            f"Scene {scene.name!r} has no rooms, so nothing says where the floor is. Hint: method='mesh'.",
+            code="H3-SCENE-009",
+        )
     if method != "auto":
         return method
     return "shapes" if shapes and scene.rooms else "mesh"
@@ -112,7 +115,8 @@ def build_from_scene(
     wrong = [f"{k}={v}" for k, v in sizes.items() if not np.isfinite(v) or v <= 0]
     if wrong or max_climb_m >= height_m:
         raise InputError(
-            f"Sizes of an agent must be positive, and its climb below its height, got {', '.join(wrong) or sizes}."
+            f"Sizes of an agent must be positive, and its climb below its height, got {', '.join(wrong) or sizes}.",
+            code="H3-SCENE-010",
         )
     key = scene_key(scene, **sizes, floor_y=floor_y, method=method)
     used = choose_method(scene, method)
@@ -126,7 +130,9 @@ def build_from_scene(
     else:
         triangles = scene_triangles(scene)
         if not len(triangles):
-            raise SceneError(f"Scene {scene.name!r} has no static triangles: there is no floor to stand on.")
+            raise SceneError(
+                f"Scene {scene.name!r} has no static triangles: there is no floor to stand on.", code="H3-SCENE-015"
+            )
         walkable, level = walkable_from_triangles(
             triangles, radius_m=radius_m, climb_m=max_climb_m, height_m=height_m, floor_y=floor_y
         )
@@ -155,12 +161,16 @@ def build_from_walkable(
     """
     walkable = MultiPolygon(polygon_parts(walkable.simplify(SMOOTH_M)))
     if walkable.is_empty:
-        raise SceneError("Nothing of the floor is free. Hint: check the rooms, and the height of the floor.")
+        raise SceneError(
+            "Nothing of the floor is free. Hint: check the rooms, and the height of the floor.", code="H3-SCENE-011"
+        )
     free = walkable.buffer(-radius_m, quad_segs=ARC_SEGMENTS).simplify(smooth_m)
     islands = [p for p in polygon_parts(free) if p.area >= ISLAND_MIN_M2]
     islands = [p for k, p in enumerate(islands) if k == 0 or p.area >= island_min_m2]
     if not islands:
-        raise SceneError(f"An agent of radius {radius_m} m fits nowhere on the floor ({walkable.area:.2f} m2).")
+        raise SceneError(
+            f"An agent of radius {radius_m} m fits nowhere on the floor ({walkable.area:.2f} m2).", code="H3-SCENE-012"
+        )
     x0, z0, x1, z1 = walkable.bounds
     origin = np.array([x0 - BORDER_M, z0 - BORDER_M])
     nx, nz = (int(np.ceil((hi - lo + 2 * BORDER_M) / cell_m)) for lo, hi in ((x0, x1), (z0, z1)))
@@ -181,7 +191,7 @@ def build_from_walkable(
 
 
 def without_stairs(floor: FloorMap) -> FloorMap:
-    """The same floor for what cannot climb: flights of stairs are obstacles, so storeys are islands."""
+    """Floor for agents that cannot climb: flights of stairs are obstacles, so that storeys are islands."""
     heights = floor.heights.copy()
     flights = [shapely.box(*flight_rectangle(row)) for row in heights if row[STEPS]]
     heights[:, STEPS] = 0  # nobody sets a foot on them
@@ -224,7 +234,8 @@ def walkable_from_triangles(
     if not cell <= radius_m:  # NaN is not either
         raise SceneError(
             f"The scene is {' x '.join(f'{s:.3g}' for s in size)} m large, too large to find its floor: voxels would be "
-            f"{cell:.3g} m, the agent's radius is {radius_m:g} m. Hint: wrong unit, or a thing that is far away?"
+            f"{cell:.3g} m, the agent's radius is {radius_m:g} m. Hint: wrong unit, or a thing that is far away?",
+            code="H3-SCENE-013",
         )
     if cell > voxel_m:
         log.warning("The scene is %s m large: voxels of %.3f m instead of %.3f m.", np.round(size, 1), cell, voxel_m)
@@ -235,7 +246,9 @@ def walkable_from_triangles(
     head, climb = int(np.floor(height_m / cell)), int(round(climb_m / cell))
     total = mark_standable(columns, head, climb)
     if total == 0:
-        raise SceneError(f"No surface of the scene is flat and has {height_m} m of headroom. Hint: is +Y up?")
+        raise SceneError(
+            f"No surface of the scene is flat and has {height_m} m of headroom. Hint: is +Y up?", code="H3-SCENE-014"
+        )
     voxel, component, sizes = flood_surfaces(columns, total, climb, head)
     heights = origin[1] + (voxel[:, 1 + 1] + 0.5) * cell
     level = _floor_level(heights, component, sizes, floor_y)
@@ -247,9 +260,12 @@ def walkable_from_triangles(
 
 
 def _mask_outline(mask: NDArray[np.bool_], origin: NDArray, cell: float, radius_m: float) -> MultiPolygon:
-    """Outline of the cells of a mask, moved out by (nearly) half a cell: a wall blocks whole cells, so it is half a cell
-    too thick on average. Nearly, so that a wall of one cell is thin but still there. Patches that the agent does not fit
-    in are the insides of walls and furniture, and are left out."""
+    """Outline of the cells of a mask, expanded by nearly half a cell.
+
+    A wall blocks whole cells, so it is half a cell too thick on average; the expansion is less than half a cell, so
+    that a wall of one cell is thin but still there. Patches in which the agent does not fit are the insides of walls
+    and furniture, and are left out.
+    """
     rectangles = mask_rectangles(mask) * cell + np.array([origin[0], origin[2]] * 2)
     cells = shapely.union_all(shapely.box(*rectangles.T))
     parts = [p.buffer(0.49 * cell, join_style="mitre") for p in polygon_parts(cells)]

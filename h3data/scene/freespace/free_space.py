@@ -125,8 +125,10 @@ class FreeSpace(FloorMap):
 
     @cached_property
     def without_stairs(self) -> FreeSpace:
-        """The same for agents that cannot climb: flights of stairs are obstacles, each storey is an island. Level floors are
-        their own."""
+        """Same floor for agents that cannot climb: flights of stairs are obstacles, and each storey is an island.
+
+        A level floor returns itself.
+        """
         return FreeSpace.from_map(without_stairs(self)) if self.has_stairs else self
 
     # --- distance to obstacles ------------------------------------------------------------------------------------------
@@ -228,7 +230,10 @@ class FreeSpace(FloorMap):
         known = self._triangle_cache
         if island not in known:
             if not 0 <= island < len(self.polygon.geoms):
-                raise InputError(f"There is no island {island}. This free space has {len(self.polygon.geoms)}, from 0.")
+                raise InputError(
+                    f"There is no island {island}. This free space has {len(self.polygon.geoms)}, from 0.",
+                    code="H3-SCENE-016",
+                )
             parts = shapely.get_parts(shapely.constrained_delaunay_triangles(self.polygon.geoms[island]))
             t = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
             u, v = t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]

@@ -50,23 +50,28 @@ def save(space: FloorMap, path: Path, *, lattice: Lattice | None = None) -> None
 
 
 def load(path: Path) -> tuple[FloorMap, Lattice | None]:
-    """What `save` wrote."""
+    """Free space from a file that `save` wrote."""
     if not path.is_file():
-        raise InputError(f"No such free-space file: {path}")
+        raise InputError(f"No such free-space file: {path}", code="H3-SCENE-017")
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         if int(arrays["format"]) != FORMAT:
-            raise FormatError(f"Free-space file of format {int(arrays['format'])}, this version reads {FORMAT}: {path}")
+            raise FormatError(
+                f"Free-space file of format {int(arrays['format'])}, this version reads {FORMAT}: {path}",
+                code="H3-SCENE-018",
+            )
         return _from_arrays(arrays)
     except FormatError:
         raise
     except FileNotFoundError:  # removed in this moment
-        raise InputError(f"No such free-space file: {path}") from None
+        raise InputError(f"No such free-space file: {path}", code="H3-SCENE-017") from None
     except shapely.errors.ShapelyError as fault:
-        raise FormatError(f"Free-space file with a broken polygon ({fault}): {path}") from fault
+        raise FormatError(f"Free-space file with a broken polygon ({fault}): {path}", code="H3-SCENE-019") from fault
     except Exception as fault:  # zipfile and numpy have a dozen ways to say that bits are wrong
-        raise FormatError(f"Not a whole free-space file ({type(fault).__name__}: {fault}): {path}") from fault
+        raise FormatError(
+            f"Not a whole free-space file ({type(fault).__name__}: {fault}): {path}", code="H3-SCENE-020"
+        ) from fault
 
 
 def cached(key: str, build: Callable[[], FloorMap]) -> tuple[FloorMap, Lattice | None]:

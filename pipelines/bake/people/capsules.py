@@ -39,8 +39,10 @@ def capsule_parts() -> dict[str, tuple[str, tuple[str, ...]]]:
 
 
 def fit_capsules(rig: Rig, vertices: Array, faces: NDArray[np.int32], weights: Array) -> tuple[BodyCapsule, ...]:
-    """The capsules around a dressed mesh [V, 3] with skin weights [V, 55], in the joints' frames. Vertices count by the area
-    around them."""
+    """Fits capsules to a dressed mesh [V, 3] with skin weights [V, 55], in the frames of the joints.
+
+    Vertices are weighted by the area around them.
+    """
     area = _vertex_areas(vertices, faces)
     dominant = np.argmax(weights, axis=1)
     capsules = []

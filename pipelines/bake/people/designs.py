@@ -1,5 +1,7 @@
-"""The people that are shipped: phenotypes, statures, faces and looks. Adults of different build, age and origin, older people
-and children."""
+"""The people that ship with the package: phenotypes, statures, faces and looks.
+
+They are adults of different build, age and origin, older people, and children.
+"""
 
 from __future__ import annotations
 
@@ -39,8 +41,11 @@ def phenotype(
     gender: float, *, age: float = 0.67, muscle: float = 0.5, weight: float = 0.45, african: float = 0.0,
     asian: float = 0.0, proportions: float = 0.6,
 ) -> dict[str, float]:  # fmt: skip
-    """anny's parameters. ``gender`` 0 male to 1 female, ``age`` 0.33 child, 0.67 young, 1 old; the origins sum to 1 with the
-    rest Caucasian."""
+    """Parameters of a body for the generator anny.
+
+    ``gender`` is 0 for male to 1 for female; ``age`` is 0.33 for a child, 0.67 for a young and 1 for an old person. The
+    origins sum to 1 with the rest Caucasian.
+    """
     return {
         "gender": gender, "age": age, "muscle": muscle, "weight": weight, "proportions": proportions, "cupsize": 0.5,
         "firmness": 0.5, "african": african, "asian": asian, "caucasian": 1.0 - african - asian,

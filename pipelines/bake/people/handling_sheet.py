@@ -1,14 +1,17 @@
-"""docs/pictures/handling.jpg: a person who picks a thing, carries it and places it in a home, frame by frame; corridor.jpg: one
-who turns round in a corridor and goes on down it; hand_over.jpg: one who gives what they carry to a robot.
+"""Pictures of a person who handles objects, frame by frame, for the documentation.
+
+docs/pictures/handling.jpg: a person picks an object, carries it and places it in a home; corridor.jpg: a person turns
+round in a corridor and walks on; hand_over.jpg: a person gives an object to a robot.
 
     python -m bake.people.handling_sheet docs/pictures/handling.jpg
     python -m bake.people.handling_sheet docs/pictures/corridor.jpg corridor
     python -m bake.people.handling_sheet docs/pictures/hand_over.jpg hand_over
 
-All rows of the first are of one simulated episode of rearrangement with a robot, seen from where the line of sight is free: the
-first pick and its hand close up; carrying past the robot; the sharpest turn while walking in a narrow place; placing, and its
-hand. Those of the second are of one minute of a person and a robot who wander: the turn, and where the robot is nearest. In the
-third a person is driven from outside: walking up to the robot, giving, and both hands close up.
+All rows of the first picture are from one simulated episode of rearrangement with a robot, seen from where the line of
+sight is free: the first pick and its hand close up; carrying past the robot; the sharpest turn while walking in a
+narrow place; placing, and its hand. Those of the second are from one minute of a person and a robot who wander: the
+turn, and where the robot is nearest. In the third a person is controlled from outside: walking up to the robot, giving,
+and both hands close up.
 """
 
 from __future__ import annotations

@@ -1,5 +1,7 @@
-"""docs/pictures/planted.jpg: a person who starts, stops, goes round a curve and turns, frame by frame; own_walk.jpg: the same
-of somebody who walks as a motion file says.
+"""Pictures of people who walk, frame by frame, for the documentation.
+
+docs/pictures/planted.jpg: a person starts, stops, walks a curve and turns; own_walk.jpg: the same for somebody who
+walks by a motion file.
 
     python -m bake.people.motion_sheet docs/pictures/planted.jpg
     python -m bake.people.motion_sheet docs/pictures/own_walk.jpg own       # as our own walk, an arm held out

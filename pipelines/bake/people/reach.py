@@ -15,7 +15,7 @@ from bake.people.humanoid import write_npz
 from h3data.bodies import humanoid_names, load_humanoid
 from h3data.bodies.people.kernels import reach as k
 from h3data.bodies.people.kernels.reach import ReachBody, pose_for
-from h3data.bodies.people.reach import TABLE_FILE, TABLE_FORMAT, Reacher, Table, reach_body
+from h3data.bodies.people.reach import TABLE_FILE, TABLE_FORMAT, ReachSolver, Table, reach_body
 from h3data.builtin import builtin_root
 from h3data.geometry import Array
 from h3data.kernels import kernel, kernel_part
@@ -156,7 +156,7 @@ def main() -> None:
     table = solve_table(tuple(reach_body(load_humanoid(name), "right") for name in SOLVED_FOR))
     points = np.random.default_rng(0).uniform(0, 1, (20000, 3)) * (np.array(COUNTS) - 1) * table.step + table.low
     for name in humanoid_names():
-        solver = Reacher(load_humanoid(name), "right", table)
+        solver = ReachSolver(load_humanoid(name), "right", table)
         _log_share(name, solver, points)
     path = builtin_root() / TABLE_FILE
     path.parent.mkdir(exist_ok=True)
@@ -166,7 +166,7 @@ def main() -> None:
     })  # fmt: skip
 
 
-def _log_share(name: str, solver: Reacher, points: Array) -> None:
+def _log_share(name: str, solver: ReachSolver, points: Array) -> None:
     place = points[:, [2, 1, 0]] * solver.body.scale * (1, 1, -1)
     status = solver.poses(place).status
     shares = ", ".join(

@@ -72,6 +72,7 @@ class Design:
 
 
 def box_collision(size: Sequence[float], center: Sequence[float] = (0, 0, 0)) -> str:
+    """URDF element of a box as collision shape."""
     return _collision(f'<box size="{text(size)}"/>', center, (0, 0, 0))
 
 

@@ -44,7 +44,7 @@ class BodiesShow:
     """Show everybody in every outfit, a row each."""
     speed: float = 1.3
     """Walking speed for --view walk [m/s]."""
-    lod: bool = False
+    low_detail: bool = False
     """Render the low-detail meshes."""
     width: int = 1600
     """Width of the image [pixels]."""
@@ -52,6 +52,7 @@ class BodiesShow:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Renders the bodies, and returns their names and sizes."""
         from h3data.render.image_files import write_image
 
         names = self._names()
@@ -64,11 +65,11 @@ class BodiesShow:
         if self.out is None:
             return Outcome(text="\n".join(lines), data={"bodies": rows})
         if not 200 <= self.width <= 8000:
-            raise InputError(f"--width must be from 200 to 8000, got {self.width}.")
+            raise InputError(f"--width must be from 200 to 8000, got {self.width}.", code="H3-BODY-123")
         if not 0 < self.speed <= 4:
-            raise InputError(f"--speed must be above 0 and at most 4 m/s, got {self.speed}.")
+            raise InputError(f"--speed must be above 0 and at most 4 m/s, got {self.speed}.", code="H3-BODY-124")
         if self.out.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-            raise InputError(f"Expected a file name that ends in .png or .jpg, got: {self.out}")
+            raise InputError(f"Expected a file name that ends in .png or .jpg, got: {self.out}", code="H3-BODY-125")
         target = claim_file(self.out, force=self.force)
         image = self._render(people)
         write_image(target, image)
@@ -89,17 +90,17 @@ class BodiesShow:
         from h3data.render.sheets.people_sheet import face_picture, sheet_picture, walk_picture
 
         if self.view == "walk":
-            strips = [walk_picture(body, self.speed, lod=self.lod, width=self.width) for body in people]
+            strips = [walk_picture(body, self.speed, lod=self.low_detail, width=self.width) for body in people]
             return np.concatenate(strips)
         if self.view == "face":
-            return face_picture(people, lod=self.lod, width=self.width)
+            return face_picture(people, lod=self.low_detail, width=self.width)
         if self.view == "reach":
             from h3data_pipelines.assets.reaching import reach_picture
 
-            return reach_picture(people, lod=self.lod, width=self.width)
+            return reach_picture(people, lod=self.low_detail, width=self.width)
         columns = len(OUTFITS) if self.outfits else 6
         heading = HEADINGS_DEG[self.view]
-        return sheet_picture(people, heading_deg=heading, lod=self.lod, columns=columns, width=self.width)
+        return sheet_picture(people, heading_deg=heading, lod=self.low_detail, columns=columns, width=self.width)
 
 
 @dataclass(frozen=True)
@@ -119,13 +120,13 @@ class BodiesBake:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """.npz file to write; its stem becomes the body's name."""
     gender: float = 0.5
-    """From 0 (male) to 1 (female)."""
+    """Gender from 0 (male) to 1 (female)."""
     age: float = 0.67
     """0.3 (child), 0.67 (young adult) to 1 (old)."""
     stature: float = 1.70
     """Standing height [m]."""
     weight: float = 0.45
-    """From 0 (thin) to 1 (heavy)."""
+    """Weight from 0 (thin) to 1 (heavy)."""
     muscle: float = 0.5
     """Muscularity from 0 to 1."""
     african: float = 0.0
@@ -154,8 +155,13 @@ class BodiesBake:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Writes the body's .npz file.
+
+        Raises:
+            InputError: a parameter is out of range.
+        """
         if self.out.suffix != ".npz":
-            raise InputError(f"Expected a file name that ends in .npz, got: {self.out}")
+            raise InputError(f"Expected a file name that ends in .npz, got: {self.out}", code="H3-BODY-126")
         limits = {
             "gender": (0, 1),
             "age": (0.25, 1),
@@ -167,7 +173,9 @@ class BodiesBake:
         }
         for name, (low, high) in limits.items():
             if not low <= getattr(self, name) <= high:
-                raise InputError(f"--{name} must be from {low} to {high}, got {getattr(self, name)}.")
+                raise InputError(
+                    f"--{name} must be from {low} to {high}, got {getattr(self, name)}.", code="H3-BODY-127"
+                )
         colors = {name: _color(name, getattr(self, name)) for name in ("skin", "hair")}
         target = claim_file(self.out, force=self.force)
         try:
@@ -177,7 +185,9 @@ class BodiesBake:
                 hint = "Run the command in a checkout of the repository: the package has the baked bodies only."
             else:
                 hint = "pip install 'h3data[bodies]'"
-            raise InputError(f"Baking needs the module {error.name}, which is not installed. Hint: {hint}") from None
+            raise InputError(
+                f"Baking needs the module {error.name}, which is not installed. Hint: {hint}", code="H3-BODY-128"
+            ) from None
         load_humanoid.cache_clear()
         body = load_humanoid(target)
         return Outcome(text=f"wrote {target}: {body}", data={"file": str(target), **_row(body)})
@@ -221,5 +231,7 @@ def _row(body: Humanoid) -> dict[str, Any]:
 def _color(name: str, text: str) -> tuple[int, int, int]:
     parts = text.split(",")
     if len(parts) != 3 or not all(p.strip().isdecimal() and int(p) <= 255 for p in parts):
-        raise InputError(f"--{name} must be an sRGB colour such as 200,150,118 (0 to 255 each), got {text!r}.")
+        raise InputError(
+            f"--{name} must be an sRGB colour such as 200,150,118 (0 to 255 each), got {text!r}.", code="H3-BODY-122"
+        )
     return int(parts[0]), int(parts[1]), int(parts[2])

@@ -65,8 +65,13 @@ class MotionImport:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Converts all files and returns a report with a row for each.
+
+        Raises:
+            InputError: there is nothing to import, or the only file cannot be read.
+        """
         if not self.paths:
-            raise InputError("Expected at least one file or folder to import.")
+            raise InputError("Expected at least one file or folder to import.", code="H3-BODY-129")
         options = _options(self.up, self.fps, self.names, self.unit_m, self.source)
         body = load_humanoid(self.body) if self.body else None
         sources = _collect(self.paths, self.out)
@@ -80,15 +85,15 @@ class MotionImport:
                 if self.kind == "auto":
                     motion_kind(path)
             except FormatError as error:
-                rows.append({"source": str(path), "status": "skipped", "reason": str(error)})
+                rows.append({"source": str(path), "status": "skipped", "reason": str(error), "code": error.code})
                 continue
             except InputError as error:
-                rows.append({"source": str(path), "status": "failed", "reason": str(error)})
+                rows.append({"source": str(path), "status": "failed", "reason": str(error), "code": error.code})
                 continue
             try:
                 rows.append(self._convert(path, target, body, options, written))
             except H3DataError as error:
-                rows.append({"source": str(path), "status": "failed", "reason": str(error)})
+                rows.append({"source": str(path), "status": "failed", "reason": str(error), "code": error.code})
         return _report(rows)
 
     def _convert(
@@ -97,7 +102,10 @@ class MotionImport:
         kind: MotionKind = motion_kind(path) if self.kind == "auto" else self.kind
         motion = read_motion(path, kind=kind, options=options)
         if target in written:
-            raise InputError(f"Another input of this run was written to {target}. Give this one a different -o: {path}")
+            raise InputError(
+                f"Another input of this run was written to {target}. Give this one a different -o: {path}",
+                code="H3-BODY-130",
+            )
         row: dict[str, Any] = {"source": str(path), "status": "imported", "kind": kind, "motion": str(target)}
         if body is not None:
             motion = retarget(motion, body)
@@ -141,17 +149,23 @@ class MotionShow:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Renders the motion, and returns facts about it."""
         if not self.paths:
-            raise InputError("Expected at least one motion file.")
+            raise InputError("Expected at least one motion file.", code="H3-BODY-131")
         if not 1 <= self.frames <= 32 or not 200 <= self.width <= 8000:
-            raise InputError(f"Expected --frames 1 to 32 and --width 200 to 8000, got {self.frames} and {self.width}.")
+            raise InputError(
+                f"Expected --frames 1 to 32 and --width 200 to 8000, got {self.frames} and {self.width}.",
+                code="H3-BODY-132",
+            )
         video = self.out is not None and self.out.suffix.lower() == ".mp4"
         if self.out is not None and not video and self.out.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-            raise InputError(f"Expected a file name that ends in .png, .jpg or .mp4, got: {self.out}")
+            raise InputError(
+                f"Expected a file name that ends in .png, .jpg or .mp4, got: {self.out}", code="H3-BODY-133"
+            )
         if video and len(self.paths) > 1:
-            raise InputError(f"A video shows one motion, got {len(self.paths)} files.")
+            raise InputError(f"A video shows one motion, got {len(self.paths)} files.", code="H3-BODY-134")
         if video and self.cycle:
-            raise InputError("--cycle applies to images only; a video shows the whole motion.")
+            raise InputError("--cycle applies to images only; a video shows the whole motion.", code="H3-BODY-135")
         options = _options(self.up, self.fps, self.names, self.unit_m, "")
         body = load_humanoid(self.body)
         motions = [retarget(read_motion(p, kind=self.kind, options=options), body) for p in self.paths]
@@ -206,7 +220,7 @@ def _options(
 ) -> ReadOptions:
     for flag, value in (("--fps", fps), ("--unit-m", unit_m)):
         if value is not None and not 0 < value < 1e4:
-            raise InputError(f"{flag} must be above 0 and below 10000, got {value}.")
+            raise InputError(f"{flag} must be above 0 and below 10000, got {value}.", code="H3-BODY-136")
     return ReadOptions(up=up, fps=fps, names=names, unit_m=unit_m, source=source)
 
 
@@ -217,12 +231,17 @@ def _collect(paths: tuple[Path, ...], out: Path) -> list[tuple[Path, Path]]:
         if path.is_dir():
             files = sorted(p for p in path.rglob("*") if p.is_file() and p.suffix.lower() in SUFFIXES)
             if not files:
-                raise InputError(f"Expected {', '.join(SUFFIXES)} files, there are none in this folder: {path}")
+                raise InputError(
+                    f"Expected {', '.join(SUFFIXES)} files, there are none in this folder: {path}", code="H3-BODY-137"
+                )
             sources += [(p, out / p.relative_to(path).parent / f"{p.stem}.npz") for p in files]
         elif path.exists():
             sources.append((path, out / f"{path.stem}.npz"))
         else:
-            raise InputError(f"Expected a motion file (.npz, .pkl, .bvh) or a folder, this does not exist: {path}")
+            raise InputError(
+                f"Expected a motion file (.npz, .pkl, .bvh) or a folder, this does not exist: {path}",
+                code="H3-BODY-138",
+            )
     return sources
 
 

@@ -41,12 +41,13 @@ class RobotsShow:
     views: int = 6
     """How many, all around."""
     width: int = 1600
-    """Of the picture [pixels]."""
+    """Width of the picture [pixels]."""
     up: UpChoice = "z"
     force: ForceFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Renders the robots, and returns their names and sizes."""
         from h3data.render.image_files import write_image
 
         robots = [load_robot(name, up=self.up) for name in self.names] or _usable_robots(self.up)
@@ -54,9 +55,12 @@ class RobotsShow:
         if self.out is None:
             return Outcome(text="\n".join(_line(row) for row in rows), data={"robots": rows})
         if not 1 <= self.views <= 24 or not 200 <= self.width <= 8000:
-            raise InputError(f"Expected --views 1 to 24 and --width 200 to 8000, got {self.views} and {self.width}.")
+            raise InputError(
+                f"Expected --views 1 to 24 and --width 200 to 8000, got {self.views} and {self.width}.",
+                code="H3-BODY-139",
+            )
         if self.out.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-            raise InputError(f"Expected a file name that ends in .png or .jpg, got: {self.out}")
+            raise InputError(f"Expected a file name that ends in .png or .jpg, got: {self.out}", code="H3-BODY-125")
         target = claim_file(self.out, force=self.force)
         image = self._draw(robots)
         write_image(target, image)
@@ -97,9 +101,10 @@ class RobotsReach:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Solves the inverse kinematics and returns the joint positions."""
         robot = load_robot(self.name, up=self.up)
         if not self.link and robot.hand_link < 0:
-            raise InputError(f"Robot {robot.name} has no hand: name one of its links with --link.")
+            raise InputError(f"Robot {robot.name} has no hand: name one of its links with --link.", code="H3-BODY-140")
         link = self.link or robot.links[robot.hand_link].name
         offset = (0.0, 0.0, 0.0) if self.link else robot.hand_position
         found = solve_ik(robot, link, self.point, offset=offset)
@@ -134,6 +139,7 @@ class RobotsInit:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Writes the settings file with what is guessed from the URDF."""
         settings = guess_robot_settings(self.urdf, up=self.up)
         target = claim_file(self.out or self.urdf.with_name(SETTINGS_NAME), force=self.force)
         reference = self.urdf.name if target.parent.resolve() == self.urdf.parent.resolve() else self.urdf.resolve()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,10 +13,10 @@ import numpy as np
 
 from h3data.commands.command import Outcome
 from h3data.errors import InputError, MissingAssetError, SceneError
-from h3data.habitat.scene_names import NamedScene, open_scene
-from h3data.scene import HOME_PRESETS, FreeSpace, Scene
-from h3data.scene.homes import HOME_NAMES
-from h3data.scene.scene_sets import SceneFile, SceneSource, builtin_sets, find_scene_set
+from h3data.scene import FreeSpace, Scene
+from h3data.scene.open import NamedScene, open_scene
+from h3data.scene.scene_sets import builtin_sets, find_scene_set
+from h3data.scene.sources import SceneFile, SceneSource, scene_generators
 
 if TYPE_CHECKING:
     from h3data.scene.validation import Problem
@@ -43,17 +44,12 @@ def scene_size(name: str, scene: Scene, free: FreeSpace | None) -> dict[str, Any
 
 
 def presets_and_sets() -> Outcome:
-    """Tables of the built-in home presets and scene sets."""
+    """Tables of the names for which the installed generators make scenes, and of the built-in scene sets."""
+    generators = scene_generators().values()
     presets = [
-        {
-            "preset": name,
-            "area_m2": HOME_PRESETS[options["preset"]].area_m2,
-            "bedrooms": HOME_PRESETS[options["preset"]].bedrooms,
-            "bathrooms": HOME_PRESETS[options["preset"]].bathrooms,
-            "seeds": "0, 1, 2, ...",
-        }
-        for name, options in HOME_NAMES.items()
-        if not options["articulated"]
+        {"preset": name, **asdict(size), "seeds": "0, 1, 2, ..."}
+        for generator in generators
+        for name, size in generator.listed.items()
     ]
     scene_sets = [find_scene_set(f"{name}/{split}") for name, splits in builtin_sets().items() for split in splits]
     sets = [
@@ -72,8 +68,7 @@ def presets_and_sets() -> Outcome:
         text_table(
             ("preset", "floor m2", "bedrooms", "bathrooms", "seeds"), [[cell(v) for v in r.values()] for r in presets]
         ),
-        "Name a home as preset:seed, e.g. small:3, with any seed from 0; small2:3 is one of the second generation, and in "
-        "small-open:3 furniture opens; small2-storeys:3 has two storeys, and small2-doors:3 doors between its rooms.",
+        *(generator.about for generator in generators if generator.about),
         text_table(
             ("set", "scenes", "episodes each", "episodes", "spawn distance m", "about"),
             [[cell(v) for v in r.values()] for r in sets],
@@ -86,16 +81,13 @@ def presets_and_sets() -> Outcome:
 
 def _load_without_missing(source: SceneSource) -> tuple[Scene, str]:
     """Loads a scene without assets whose files are missing, and a text that names them (empty if none are)."""
-    from h3data.habitat.scenes.scene_instance import load_habitat_scene
-
     try:
         return open_scene(source), ""
     except (MissingAssetError, SceneError) as error:
         if not isinstance(source, SceneFile) or source.strict or not Path(source.path).exists():
             raise
         try:
-            scene = load_habitat_scene(source.path, source.scene or None, allow_missing=True, assets=source.assets)
-            return scene, str(error)
+            return open_scene(replace(source, allow_missing=True)), str(error)
         except SceneError:
             raise error from None
 
@@ -175,7 +167,8 @@ def short_name(name: str) -> str:
 
 # --- tables and files -------------------------------------------------------------------------------------------------
 def cell(value: Any) -> str:
-    return f"{value:.2f}" if isinstance(value, float) else str(value)
+    """Value as text for a table; numbers that are not integers have two decimals, and None is empty."""
+    return "" if value is None else f"{value:.2f}" if isinstance(value, float) else str(value)
 
 
 def text_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -195,4 +188,4 @@ def readable_os_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(f"Cannot write the image ({error.strerror or error}): {path}") from None
+        raise InputError(f"Cannot write the image ({error.strerror or error}): {path}", code="H3-BODY-141") from None

@@ -24,13 +24,20 @@ from h3data.commands.command import (
     claim_file,
 )
 from h3data.errors import InputError, SceneError
-from h3data.habitat.episodes.rearrange_episode import EpisodeSet, RigidObject
-from h3data.habitat.scene_names import NamedScene, named_scenes, open_free_space, open_scene
-from h3data.habitat.scenes.scene_dataset import DATASET_ENDING
 from h3data.progress import progress
+from h3data.recording.task_episodes.rearrange_episode import EpisodeSet, RigidObject
 from h3data.scene import FreeSpace, Scene
-from h3data.scene.homes import HOME_NAMES
-from h3data.scene.scene_sets import SceneFile, SceneSet, find_scene_set
+from h3data.scene.open import (
+    NamedScene,
+    collection_and_scene,
+    is_collection,
+    named_scenes,
+    open_free_space,
+    open_scene,
+    preset_names,
+)
+from h3data.scene.scene_sets import SceneSet, find_scene_set
+from h3data.scene.sources import SceneFile
 from h3data_pipelines.assets.scene_reports import (
     AGENT_HEIGHT_M,
     AGENT_RADIUS_M,
@@ -75,13 +82,14 @@ class ScenesList:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Returns a table of presets and scene sets, or of the sizes of the given scenes."""
         if self.homes < 1:
-            raise InputError(f"--homes must be at least 1, got {self.homes}.")
+            raise InputError(f"--homes must be at least 1, got {self.homes}.", code="H3-BODY-147")
         if not self.scenes:
             return presets_and_sets()
         scenes = _all_named(self.scenes, self.homes, self.assets, self.strict, self.allow_missing)
         # Names only: a Habitat dataset may have hundreds of scenes, and measuring each takes seconds.
-        if all(text.endswith(DATASET_ENDING) for text in self.scenes):
+        if all(is_collection(text) for text in self.scenes):
             names = [named.name for named in scenes]
             return Outcome(text="\n".join(names), data={"scenes": [{"scene": name} for name in names]})
         rows = [_row(named) for named in scenes]
@@ -132,6 +140,7 @@ class ScenesShow:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Renders the scene to a PNG file."""
         from h3data.render import write_png
         from h3data.render.sheets.scene_map import eye_level_picture, plan_picture, scene_map
 
@@ -139,12 +148,15 @@ class ScenesShow:
         scene = _renamed(named)
         target = _png(self.out, force=self.force)
         if not 4 <= self.pixels_per_m <= 1000:
-            raise InputError(f"--pixels-per-m must be from 4 to 1000, got {self.pixels_per_m}.")
+            raise InputError(f"--pixels-per-m must be from 4 to 1000, got {self.pixels_per_m}.", code="H3-BODY-148")
         if self.room and self.view != "eye":
-            raise InputError("--room applies to --view eye only: add --view eye.")
+            raise InputError("--room applies to --view eye only: add --view eye.", code="H3-BODY-149")
         free = _free(named)
         if free is None and self.view == "eye":
-            raise InputError(f"--view eye needs free floor to stand on, {named.name} has none. Hint: use --view plan.")
+            raise InputError(
+                f"--view eye needs free floor to stand on, {named.name} has none. Hint: use --view plan.",
+                code="H3-BODY-150",
+            )
         if free is None:
             image, _ = plan_picture(scene, pixels_per_m=self.pixels_per_m)
         elif self.view == "eye":
@@ -193,12 +205,16 @@ class ScenesExport:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Writes the scenes as a Habitat scene dataset or as GLB files."""
         if not self.scenes:
-            raise InputError(f"Expected at least one scene: {_SCENE_HELP}")
+            raise InputError(f"Expected at least one scene: {_SCENE_HELP}", code="H3-BODY-151")
         if self.episodes is not None and self.episodes < 0:
-            raise InputError(f"--episodes must be at least 0, got {self.episodes}.")
+            raise InputError(f"--episodes must be at least 0, got {self.episodes}.", code="H3-BODY-152")
         if self.split_building and self.to != "habitat":
-            raise InputError("--split-building is for --to habitat: in a GLB every part has its semantic id already.")
+            raise InputError(
+                "--split-building is for --to habitat: in a GLB every part has its semantic id already.",
+                code="H3-BODY-153",
+            )
         sets = [s for text in self.scenes if "#" not in text and (s := find_scene_set(text)) is not None]
         for text in self.scenes:
             _refuse_preset(text)
@@ -244,7 +260,8 @@ class ScenesExport:
         if not replaced:
             raise InputError(
                 f"No object of {self.objects} fits in the place of a movable thing of these scenes. Expected objects that are "
-                f"at most 8 cm larger than a thing; {len(models)} objects were read, and there are {movable} things."
+                f"at most 8 cm larger than a thing; {len(models)} objects were read, and there are {movable} things.",
+                code="H3-BODY-154",
             )
         return [scene for scene, _ in changed], {
             "replaced": replaced, "movable": movable, "models": {name: model.facts() for name, model in models.items()},
@@ -253,6 +270,7 @@ class ScenesExport:
     def _to_habitat(self, scenes: Sequence[Scene], sets: Sequence[SceneSet]) -> tuple[list[Path], str]:
         from h3data.exporters.habitat.scenes import export_habitat_dataset
         from h3data.habitat.episodes.episode_files import write_episodes
+        from h3data.habitat.scenes.scene_dataset import DATASET_ENDING
 
         stems = [re.sub(r"[^A-Za-z0-9_-]+", "_", s.label) for s in sets]
         name = stems[0] if sets else None
@@ -275,7 +293,9 @@ class ScenesExport:
 
         files = [self.out / f"{re.sub(r'[^A-Za-z0-9_-]+', '_', s.name)}.glb" for s in scenes]
         if len(set(files)) < len(files):
-            raise InputError("Two scenes have the same name: their files would overwrite each other.")
+            raise InputError(
+                "Two scenes have the same name: their files would overwrite each other.", code="H3-BODY-155"
+            )
         for file in files:
             claim_file(file, force=self.force)
         for scene, file in zip(scenes, files, strict=True):
@@ -285,8 +305,10 @@ class ScenesExport:
 
 @dataclass(frozen=True)
 class ScenesValidate:
-    """Check scenes for problems: disconnected floor, unreachable rooms, narrow passages, overlapping, floating or sunken
-    objects, receptacles out of reach, missing assets. Exits with code 1 if there are any.
+    """Check scenes for problems; exits with code 1 if there are any.
+
+    Problems are a disconnected floor, unreachable rooms, narrow passages, overlapping, floating or sunken objects,
+    receptacles out of reach, and missing assets.
 
     Examples:
         h3data scenes validate small:3 medium:0
@@ -310,12 +332,13 @@ class ScenesValidate:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Checks the scenes, draws their problems on plans if asked to, and returns a report."""
         if not self.scenes:
-            raise InputError(f"Expected at least one scene: {_SCENE_HELP}")
+            raise InputError(f"Expected at least one scene: {_SCENE_HELP}", code="H3-BODY-151")
         if not 0.05 <= self.radius <= 2:
-            raise InputError(f"--radius must be from 0.05 to 2 m, got {self.radius}.")
+            raise InputError(f"--radius must be from 0.05 to 2 m, got {self.radius}.", code="H3-BODY-156")
         if self.homes < 1:
-            raise InputError(f"--homes must be at least 1, got {self.homes}.")
+            raise InputError(f"--homes must be at least 1, got {self.homes}.", code="H3-BODY-147")
         scenes = {named.name: named for named in _all_named(self.scenes, self.homes, self.assets, self.strict)}
         targets = self._targets(list(scenes))
         reports = [
@@ -341,12 +364,11 @@ class ScenesValidate:
             return {}
         if len(names) == 1 and self.out.suffix.lower() == ".png":
             return {names[0]: _png(self.out, force=self.force)}
-        stems = {
-            name: re.sub(r"[^A-Za-z0-9_-]+", "_", Path(name).name.replace(DATASET_ENDING, "").split(".")[0])
-            for name in names
-        }
+        stems = {name: re.sub(r"[^A-Za-z0-9_-]+", "_", _stem(name)) for name in names}
         if len(set(stems.values())) < len(stems):
-            raise InputError("Two scenes have the same name: their images would overwrite each other.")
+            raise InputError(
+                "Two scenes have the same name: their images would overwrite each other.", code="H3-BODY-157"
+            )
         return {name: claim_file(self.out / f"{stem}.png", force=self.force) for name, stem in stems.items()}
 
 
@@ -361,26 +383,40 @@ def _named(
     text: str, homes: int, assets: Sequence[Path], strict: bool, allow_missing: bool = False
 ) -> tuple[NamedScene, ...]:
     if allow_missing and strict:
-        raise InputError("Choose either --strict, which refuses missing files, or --allow-missing, which skips them.")
+        raise InputError(
+            "Choose either --strict, which refuses missing files, or --allow-missing, which skips them.",
+            code="H3-BODY-142",
+        )
     return named_scenes(text, homes=homes, assets=assets, strict=strict, allow_missing=allow_missing)
 
 
 def _refuse_preset(text: str) -> None:
-    if text in HOME_NAMES:
-        raise InputError(f"Expected a single home, {text!r} is a preset: add a seed, e.g. {text}:0.")
+    if text in preset_names():
+        raise InputError(
+            f"Expected a single home, {text!r} is a preset: add a seed, e.g. {text}:0.", code="H3-BODY-143"
+        )
 
 
 def _one(text: str, assets: Sequence[Path], strict: bool, allow_missing: bool) -> NamedScene:
     _refuse_preset(text)
     scenes = _named(text, 1, assets, strict, allow_missing)
-    if len(scenes) != 1 and text.endswith(DATASET_ENDING):
+    if len(scenes) != 1 and is_collection(text):
         names = ", ".join(f"#{n.source.scene}" for n in scenes[:8] if isinstance(n.source, SceneFile))
         raise InputError(
-            f"Expected a single scene, the dataset has {len(scenes)}: add one to its path ({names or 'none'}): {text}"
+            f"Expected a single scene, the dataset has {len(scenes)}: add one to its path ({names or 'none'}): {text}",
+            code="H3-BODY-144",
         )
     if len(scenes) != 1:
-        raise InputError(f"Expected a single scene, {text!r} is a set of {len(scenes)}: name one, e.g. {text}#0.")
+        raise InputError(
+            f"Expected a single scene, {text!r} is a set of {len(scenes)}: name one, e.g. {text}#0.", code="H3-BODY-145"
+        )
     return scenes[0]
+
+
+def _stem(name: str) -> str:
+    """A name without folders and endings: ``replica#apt_0`` of ``sets/replica.scene_dataset_config.json#apt_0``."""
+    file, scene = collection_and_scene(name)
+    return Path(name).name.split(".")[0] if file is None else f"{file.name.split('.')[0]}#{scene}".split(".")[0]
 
 
 def _all_named(texts: Sequence[str], *options: Any) -> list[NamedScene]:
@@ -412,7 +448,7 @@ def _episodes(scenes: SceneSet, max_count: int | None, folder: Path, config: str
     Their paths lead through ``folder`` as it was given, so Habitat finds the scenes from the working directory of the export,
     as with its own ``data/...``.
     """
-    from h3data.habitat.episodes.social_nav_episodes import social_nav_episode
+    from h3data.recording.task_episodes.social_nav_episodes import social_nav_episode
     from sim_kinematic.tasks.social_nav.sets import set_episode
 
     count = scenes.episodes if max_count is None else min(max_count, scenes.episodes)
@@ -459,5 +495,5 @@ def _with_targets(episodes: EpisodeSet, folder: Path) -> EpisodeSet:
 
 def _png(path: Path, *, force: bool) -> Path:
     if path.suffix.lower() != ".png":
-        raise InputError(f"Expected a file name that ends in .png, got: {path}")
+        raise InputError(f"Expected a file name that ends in .png, got: {path}", code="H3-BODY-146")
     return claim_file(path, force=force)

@@ -1,5 +1,7 @@
-"""The agents of the speed benchmark: each samples random actions and moves by the simulator's own kernels in W worlds.
-`h3data_pipelines.benchmark.protocol` puts them together."""
+"""Agents of the speed benchmark, which sample random actions and move in W worlds by the simulator's own kernels.
+
+`h3data_pipelines.benchmark.protocol` combines them into worlds.
+"""
 
 from __future__ import annotations
 
@@ -31,14 +33,24 @@ PLACES_TRIED = 1000
 
 
 class RobotAgent:
-    """A robot in W worlds. ``nav``: random base velocities; ``pick``: it stands, its arm moves at random, its hand opens and
-    closes."""
+    """Robot in W worlds of the speed benchmark.
+
+    In ``nav`` it drives with random base velocities; in ``pick`` it stands, its arm moves at random, and its hand opens
+    and closes.
+    """
 
     def __init__(
         self, robot: Robot, free: FreeSpace, state: WorldState, *, number: int, is_clear: Callable[[Array], bool]
     ) -> None:
-        """``state`` has the robot's joints. ``number`` is the agent's, for what it holds. ``is_clear`` says whether it can
-        start at a base pose [7]."""
+        """Connects the agent to the state of its worlds.
+
+        Args:
+            robot: body of the robot.
+            free: free floor.
+            state: state with the robot's joints.
+            number: number of the agent, by which it holds objects.
+            is_clear: whether it can start at a base pose [7].
+        """
         self.body, self.free, self.state, self.number, self._is_clear = robot, free, state, number, is_clear
         self.own, self._base = state.robots[number], base_of(robot, HOME_BASE)
         self._pose()
@@ -56,7 +68,9 @@ class RobotAgent:
             fits = discs_fit(self.free, self._base, xz, heading)
             if fits and self._is_clear(root_pose(self.body, xz, heading, self.free)):
                 return xz, heading
-        raise InputError(f"Found no place for {self.body.name} in {PLACES_TRIED} tries. Hint: a larger home.")
+        raise InputError(
+            f"Found no place for {self.body.name} in {PLACES_TRIED} tries. Hint: a larger home.", code="H3-OPTION-016"
+        )
 
     def sample(self, rng: np.random.Generator, action: Action) -> Array:
         """Random actions [W, n], -1..1."""
@@ -80,8 +94,11 @@ class RobotAgent:
 
 
 class HumanAgent:
-    """A person in W worlds. ``nav``: walks on shortest paths to random objects, a new one on arrival (oracle
-    navigation); ``pick``: stands, and the right hand goes to random objects as far as it reaches."""
+    """Person in W worlds of the speed benchmark.
+
+    In ``nav`` they walk shortest paths to random objects, a new one on each arrival (oracle navigation); in ``pick``
+    they stand, and the right hand moves towards random objects as far as it reaches.
+    """
 
     def __init__(self, human: Humanoid, free: FreeSpace, state: WorldState, *, number: int) -> None:
         """``number`` is the agent's, for what the person holds."""

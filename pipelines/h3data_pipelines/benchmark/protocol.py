@@ -1,5 +1,7 @@
-"""The paper's speed benchmark: random steps of one or two agents in W worlds, each with a depth image per agent (paper,
-section 3 and appendix, benchmarking; spec/habitat.md 7)."""
+"""The paper's speed benchmark: random steps of one or two agents in W worlds, with a depth image per agent.
+
+The protocol is described in the paper (section 3 and appendix, benchmarking; spec/habitat.md 7).
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,8 @@ import numpy as np
 from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError
 from h3data.render import pinhole
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import FreeSpace, Scene
+from h3data.scene.open import named_scenes, open_scene
 from h3data_pipelines.benchmark.agents import Action, Agent, HumanAgent, RobotAgent
 from sim_kinematic.agents.arm_contact import ArmContact
 from sim_kinematic.contact import AgentContacts
@@ -56,7 +59,7 @@ class Cell:
 
 
 class Run(NamedTuple):
-    """What the timed steps of one run took."""
+    """Times of the steps of one run."""
 
     wall_s: float
     cpu_s: float
@@ -72,9 +75,11 @@ class BenchmarkWorlds:
         self.home, self.free = _home(cell.home)
         loose = [i for i in self.home.instances if i.motion != "static" and len(self.home.assets[i.asset].mesh.faces)]
         if not 1 <= cell.objects <= len(loose):
-            raise InputError(f"The {cell.home} home has 1 to {len(loose)} objects, got {cell.objects}.")
+            raise InputError(
+                f"The {cell.home} home has 1 to {len(loose)} objects, got {cell.objects}.", code="H3-OPTION-017"
+            )
         if cell.pictures == "arm" and "robot" not in cell.agents:
-            raise InputError(f"There is no arm camera: nobody of {cell.agents} is a robot.")
+            raise InputError(f"There is no arm camera: nobody of {cell.agents} is a robot.", code="H3-OPTION-018")
         self._loose = loose[: cell.objects]
         self.agents = self._make_agents()
         self._contact = AgentContacts(*(body_shapes(agent.body) for agent in self.agents))
@@ -140,8 +145,10 @@ class BenchmarkWorlds:
         return self.render(("depth",))["depth"]
 
     def render(self, outputs: tuple[Any, ...]) -> dict[str, Any]:
-        """What each agent (or the arm) sees in each world, by output, [agents * W, H, W', ...]: all worlds of the first come
-        first."""
+        """Renders the view of each agent (or of the arm) in each world, by output, [agents * W, H, W', ...].
+
+        All worlds of the first agent come first.
+        """
         self.drawn.pose(self.state, frames=[agent.frames for agent in self._in_order()])
         if self.cell.pictures == "arm":
             return self.drawn.picture(self.drawn.cameras(CAMERA), outputs)
@@ -160,7 +167,8 @@ class BenchmarkWorlds:
         """Time ``steps`` random steps but the first ``untimed``. Sampling actions is not timed, nor is the reset."""
         if not 0 <= untimed < steps:
             raise InputError(
-                f"Expected more than {untimed} steps, since the first {untimed} are not timed; got {steps}."
+                f"Expected more than {untimed} steps, since the first {untimed} are not timed; got {steps}.",
+                code="H3-OPTION-019",
             )
         rng = np.random.default_rng(seed)
         self.reset(rng)
@@ -186,5 +194,5 @@ class BenchmarkWorlds:
 @lru_cache(maxsize=3)
 def _home(preset: str) -> tuple[Scene, FreeSpace]:
     spec = SocialNavSpec()
-    home = build_home(HomeSpec(preset=preset, seed=HOME_SEED))  # pyright: ignore[reportArgumentType] - checked there
+    home = open_scene(named_scenes(f"{preset}:{HOME_SEED}")[0].source)
     return home, FreeSpace.from_scene(home, radius_m=spec.agent_radius_m, height_m=spec.agent_height_m)

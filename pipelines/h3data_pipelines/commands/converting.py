@@ -23,13 +23,13 @@ from h3data.commands.command import (
     unfinished_dataset,
     uninterrupted,
 )
+from h3data.commands.executors import ExecutorOption, check_workers, opened
 from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
 from h3data.recording.episodes import StoredEpisode, common_cameras
 from h3data.recording.finding import find_episodes
 from h3data.recording.storage import AnyPath, place
 from h3data.terminal import counted
-from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
 from h3data_pipelines.jobs.episode_parts import EpisodePart, episode_parts
 
 if TYPE_CHECKING:
@@ -75,16 +75,20 @@ class Convert:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Converts the recordings, in several processes if asked to, and returns the number of episodes and files."""
         if self.force and self.resume:
-            raise InputError("Choose one: --resume continues the output, --force replaces it.")
+            raise InputError("Choose one: --resume continues the output, --force replaces it.", code="H3-OPTION-022")
         if self.nominal_fps is not None and not 1 <= self.nominal_fps <= 1000:
-            raise InputError(f"--nominal-fps must be at least 1 and at most 1000, got {self.nominal_fps}.")
+            raise InputError(
+                f"--nominal-fps must be at least 1 and at most 1000, got {self.nominal_fps}.", code="H3-OPTION-023"
+            )
         check_workers(self.executor, self.workers)
         sources = find_episodes([self._source])
         if self._out.suffix == ".mcap" and not self._out.is_dir():
             if len(sources) != 1 or self.to == "dataset":
                 raise InputError(
-                    f"{len(sources)} episodes cannot become one .mcap file. Name a folder instead: {self._out}"
+                    f"{len(sources)} episodes cannot become one .mcap file. Name a folder instead: {self._out}",
+                    code="H3-OPTION-026",
                 )
             return self._report([self.log(sources[0], self._out)], "mcap")
         self._refuse_itself()
@@ -92,7 +96,10 @@ class Convert:
         if to == "auto":
             of_datasets = {source.index is not None or "#" in source.name for source in sources}
             if len(of_datasets) > 1:
-                raise InputError("The input holds logs and datasets. Choose the output: --to mcap or --to dataset.")
+                raise InputError(
+                    "The input holds logs and datasets. Choose the output: --to mcap or --to dataset.",
+                    code="H3-OPTION-027",
+                )
             to = "mcap" if of_datasets.pop() else "dataset"
         return self._report(self._dataset(sources) if to == "dataset" else self._logs(sources), to)
 
@@ -108,7 +115,10 @@ class Convert:
         """Refuses an output inside the input, which would be read too, and one around it, which would be replaced."""
         source, out = (Path(os.path.abspath(p)) if isinstance(p, Path) else p for p in (self._source, self._out))
         if out == source or source in out.parents or out in source.parents:
-            raise InputError(f"One of input and output contains the other; choose another output folder: {self._out}")
+            raise InputError(
+                f"One of input and output contains the other; choose another output folder: {self._out}",
+                code="H3-OPTION-024",
+            )
 
     # --- to logs --------------------------------------------------------------------------------------------------
     def _logs(self, sources: list[StoredEpisode]) -> list[dict[str, Any]]:
@@ -143,7 +153,9 @@ class Convert:
         try:
             if self.resume and target.is_file():  # only complete files have this name
                 if source.read().episode.uid != _read_log(target).episode.uid:
-                    raise InputError(f"This is another episode. --resume needs the same input: {target}")
+                    raise InputError(
+                        f"This is another episode. --resume needs the same input: {target}", code="H3-OPTION-028"
+                    )
                 return {**row, "status": "kept"}
             recording = source.read()
             claim_file(target, force=self.force)
@@ -151,14 +163,14 @@ class Convert:
             if self.check:
                 _require_equal(recording, _read_log(target), target)
         except H3DataError as error:
-            return {**row, "status": "failed", "reason": str(error)}
+            return {**row, "status": "failed", "reason": str(error), "code": error.code}
         return {**row, "status": "converted", "steps": len(recording)}
 
     def _shared_in(self, target: AnyPath) -> Path | None:
         """Folder whose recordings share their scenes, if they do."""
         folder = target.parent if target == self._out else self._out
         if self.share_scenes and not isinstance(folder, Path):
-            raise InputError(f"--share-scenes needs a local output folder, got: {self._out}")
+            raise InputError(f"--share-scenes needs a local output folder, got: {self._out}", code="H3-OPTION-025")
         return folder if self.share_scenes and isinstance(folder, Path) else None
 
     # --- to a dataset ---------------------------------------------------------------------------------------------
@@ -195,7 +207,7 @@ class Convert:
             try:
                 _require_equal(source.read(), dataset.recording(index), self._out)
             except H3DataError as error:
-                row |= {"status": "failed", "reason": str(error)}
+                row |= {"status": "failed", "reason": str(error), "code": error.code}
 
     def _add(
         self, source: StoredEpisode, writer: DatasetWriter, done: dict[str, int], cameras: Sequence[str]
@@ -210,13 +222,13 @@ class Convert:
                     recording, videos=[video for video in source.read_videos() if video.feature.camera in cameras]
                 )
         except H3DataError as error:
-            return {"status": "failed", "reason": str(error)}
+            return {"status": "failed", "reason": str(error), "code": error.code}
         return {"status": "converted", "recording": f"{self._out}#{index}", "steps": len(recording)}
 
     # --- result ---------------------------------------------------------------------------------------------------
     def _report(self, rows: list[dict[str, Any]], to: str) -> Outcome:
         if len(rows) == 1 and rows[0]["status"] == "failed":
-            raise InputError(rows[0]["reason"])
+            raise InputError(rows[0]["reason"], code=rows[0]["code"])
         count = {status: sum(r["status"] == status for r in rows) for status in ("converted", "kept", "failed")}
         lines = [f"failed {row['source']}: {row['reason']}" for row in rows if row["status"] == "failed"]
         checked = ", compared bit for bit" if self.check else ""
@@ -228,15 +240,24 @@ class Convert:
 
 
 def write_logs(command: Convert, part: EpisodePart) -> list[dict[str, Any]]:
-    """Writes the episodes of a part as logs. The output folder was empty, or is gone on with or replaced: what an earlier try
-    of this part finished is kept."""
+    """Writes the episodes of a part as logs.
+
+    The output folder was empty, or it is continued or replaced. Logs that an earlier attempt at this part has finished
+    are not written again.
+    """
     command = command if command.force else replace(command, resume=True)
     return [command.log(source, command.target(source)) for source in part.sources()]
 
 
 def _lost_logs(command: Convert, part: EpisodePart, error: H3DataError) -> list[dict[str, Any]]:
     return [
-        {"source": source.name, "recording": str(command.target(source)), "status": "failed", "reason": str(error)}
+        {
+            "source": source.name,
+            "recording": str(command.target(source)),
+            "status": "failed",
+            "reason": str(error),
+            "code": error.code,
+        }
         for source in part.sources()
     ]
 
@@ -252,7 +273,9 @@ def _require_equal(recording: Recording, stored: Recording, path: AnyPath) -> No
 
     differences = recordings_equal(recording, stored)
     if differences:
-        raise H3DataError(f"The output differs from the input: {'; '.join(differences[:4])}: {path}")
+        raise H3DataError(
+            f"The output differs from the input: {'; '.join(differences[:4])}: {path}", code="H3-OPTION-021"
+        )
 
 
 def _readable(sources: list[StoredEpisode]) -> Iterator[Recording]:
@@ -271,4 +294,4 @@ def _steps_per_second(sources: list[StoredEpisode]) -> int:
         except H3DataError as error:
             errors.append(error)
     several = f"None of {len(sources)} episodes can be read. The first: " if len(sources) > 1 else ""
-    raise InputError(f"{several}{errors[0]}")
+    raise InputError(f"{several}{errors[0]}", code="H3-OPTION-020")

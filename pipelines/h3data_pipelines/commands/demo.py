@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json as jsonlib
+import math
 import sys
+import threading
 import time
-from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import tyro
 
@@ -26,6 +28,7 @@ from h3data.commands.command import (
 )
 from h3data.errors import InputError
 from h3data.files import size_text
+from h3data.plugins import Registry
 from h3data.progress import is_quiet, progress
 from h3data.recording import Recording
 from h3data.replay import CameraTrack, Replay, camera_track
@@ -36,8 +39,12 @@ from h3data_pipelines.outputs import Target
 from h3data_pipelines.pictures.rendering import render_files
 from h3data_pipelines.pictures.rerender import parse_size
 
+VIEWERS: Registry[Callable[..., object]] = Registry("h3data.viewers", {}, what="viewer")
+"""What writes a recording as the file of a viewer, as `h3data_viewers.write_rrd` does."""
+
 if TYPE_CHECKING:
     from h3data.render import Output
+    from h3data.scene import Scene
 FILES = (
     "episode.mcap",
     "first_picture.png",
@@ -79,13 +86,20 @@ class Demo:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Simulates the episode, then writes its metrics, a picture and the videos."""
         from h3data.metrics import measure_many
+        from h3data.scene.open import named_scenes, open_scene
 
         if self.steps < 1:
-            raise InputError(f"--steps must be at least 1, got {self.steps}.")
+            raise InputError(f"--steps must be at least 1, got {self.steps}.", code="H3-OPTION-029")
         if not 0 < self.human_speed <= 4:
-            raise InputError(f"--human-speed must be above 0 and at most 4 m/s, got {self.human_speed}.")
+            raise InputError(
+                f"--human-speed must be above 0 and at most 4 m/s, got {self.human_speed}.", code="H3-OPTION-030"
+            )
         size = parse_size(self.size)
+        if "rerun" not in VIEWERS.names():
+            VIEWERS.get("rerun")  # says which package is missing, before anything is done
+        (home,) = named_scenes(f"small2:{self.seed}")
         out = claim_folder(self.out, force=self.force)
         if self.force:
             remove_dataset(out / "dataset")
@@ -95,20 +109,28 @@ class Demo:
         # the kernels of people come last: this process needs them early, and compiles them meanwhile
         with compiled_aside(["pictures", *(["light"] if self.light == "baked" else []), "people"]):
             with clock.part("simulate"):
-                recording = self._simulate(out / "episode.mcap")
+                recording = self._simulate(open_scene(home.source), out / "episode.mcap")
             with clock.part("metrics"):
                 table = measure_many([recording])
                 write_text(out / "metrics.json", table.to_json() + "\n")
             clock.say(f"{counted(len(recording), 'step')} recorded in {out / 'episode.mcap'}:\n{table.to_text()}\n")
-            with clock.part("first picture"):
-                replay = Replay(recording, light=self.light)
-                tracks = _tracks(replay, size)
-                _write_first_picture(replay, tracks["third_person"], out / "first_picture.png")
-            clock.say(f"the first picture: {out / 'first_picture.png'}. Three videos follow.\n")
-            with clock.part("videos, dataset, rerun"):
-                if not size:
-                    tracks["third_person"] = tracks["third_person"].resized(*VIDEO_SIZE)
-                _write_rest(replay, tracks, out)
+            replay = Replay(recording, light=self.light)
+            with ThreadPoolExecutor(2, thread_name_prefix="h3data-demo") as pool, _Videos(replay, out) as videos:
+                with clock.part("first picture"):
+                    videos.prepare()
+                    # the view from above meanwhile: the search for a good third-person view takes one core
+                    above = pool.submit(videos.write, "top_down", threads=max(core_count() - 1, 1))
+                    view = videos.track("third_person")
+                    _write_first_picture(replay, view.resized(*size) if size else view, out / "first_picture.png")
+                clock.say(f"the first picture: {out / 'first_picture.png'}. Three videos follow.\n")
+                with clock.part("videos, dataset, rerun"):
+                    beside = pool.submit(_write_beside, recording, videos, out)
+                    videos.show_progress()
+                    videos.write("third_person", size or VIDEO_SIZE)
+                    videos.write("arm_depth")
+                    above.result()
+                    videos.written.set_result(None)
+                    beside.result()
         summary: dict[str, Any] = {
             "wall_s": round(clock.total, 2),
             "parts_s": {name: round(seconds, 2) for name, seconds in clock.parts.items()},
@@ -123,14 +145,12 @@ class Demo:
             data=summary | {"out": str(out), "metrics": table.to_dict()},
         )
 
-    def _simulate(self, path: Path) -> Recording:
+    def _simulate(self, scene: Scene, path: Path) -> Recording:
         from h3data.recording import RecordingWriter
-        from h3data.scene import HomeSpec, build_home
         from sim_kinematic.motion.spec import NATURAL_WALKER, SocialNavSpec
         from sim_kinematic.tasks.runner import simulate
         from sim_kinematic.tasks.social_nav import SocialNav
 
-        scene = build_home(HomeSpec(preset="small", seed=self.seed, generation=2))
         spec = SocialNavSpec(
             max_steps=self.steps, spawn_distance_m=4.0, human=replace(NATURAL_WALKER, speed_mps=self.human_speed)
         )
@@ -155,12 +175,58 @@ VIDEOS: dict[str, tuple[str, Output]] = {
 """Camera and output of each video."""
 
 
-def _tracks(replay: Replay, size: tuple[int, int] | None) -> dict[str, CameraTrack]:
-    """The cameras of the videos by the names of these; ``size`` is that of the third-person view."""
-    tracks = {name: camera_track(replay, camera) for name, (camera, _) in VIDEOS.items()}
-    if size:
-        tracks["third_person"] = tracks["third_person"].resized(*size)
-    return tracks
+class _Videos:
+    """The videos of a replay, of which several threads may write one each. After an error in the block all of them stop."""
+
+    def __init__(self, replay: Replay, out: Path) -> None:
+        self.replay, self.out = replay, out
+        self.written: Future[None] = Future()
+        """Done when all videos are."""
+        self._steps = range(0, len(replay), FRAME_EVERY)
+        # one bar for all of them, later (`show_progress`)
+        self._bar = progress(total=len(VIDEOS) * len(self._steps), desc="render", unit="frame", delay=math.inf)
+        self._lock = threading.Lock()
+        self._tracks: dict[str, CameraTrack] = {}
+
+    def prepare(self) -> None:
+        """Builds what threads share."""
+        self.replay.stage  # noqa: B018
+
+    def track(self, name: str) -> CameraTrack:
+        """The camera of a video, with pictures of the camera's own size."""
+        if name not in self._tracks:
+            self._tracks[name] = camera_track(self.replay, VIDEOS[name][0])
+        return self._tracks[name]
+
+    def write(self, name: str, size: tuple[int, int] | None = None, *, threads: int | None = None) -> None:
+        """Writes one video; all cores work on it unless ``threads`` is given."""
+        track = self.track(name).resized(*size) if size else self.track(name)
+        render_files(
+            self.replay,
+            [(track, [Target(VIDEOS[name][1], "h264", self.out / f"{name}.mp4")])],
+            steps=self._steps,
+            threads=threads or core_count(),
+            samples=4,
+            frame_done=self._count,
+        )
+
+    def show_progress(self) -> None:
+        """Shows the bar from now on."""
+        self._bar.delay = 0
+
+    def _count(self) -> None:
+        if self.written.done():
+            raise CancelledError
+        with self._lock:
+            self._bar.update()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if error is not None and not self.written.done():
+            self.written.set_exception(error)
+        self._bar.close()
 
 
 def _write_first_picture(replay: Replay, track: CameraTrack, path: Path) -> None:
@@ -172,32 +238,17 @@ def _write_first_picture(replay: Replay, track: CameraTrack, path: Path) -> None
     write_png(path, view["rgb"])
 
 
-def _write_rest(replay: Replay, tracks: dict[str, CameraTrack], out: Path) -> None:
-    """The videos, by all cores, and beside them the dataset and the file for Rerun, which waits for the videos."""
-    videos = {camera: out / f"{name}.mp4" for name, (camera, _) in VIDEOS.items()}
-    rendered: Future[None] = Future()
-    with ThreadPoolExecutor(1, thread_name_prefix="h3data-demo") as pool:
-        beside = pool.submit(_write_beside, replay.recording, out, videos, rendered)
-        try:
-            for name, (_, output) in VIDEOS.items():
-                view = (tracks[name], [Target(output, "h264", out / f"{name}.mp4")])
-                steps = range(0, len(replay), FRAME_EVERY)
-                render_files(replay, [view], steps=steps, threads=core_count(), samples=4, description=f"render {name}")
-        except BaseException as error:
-            rendered.set_exception(error)
-            raise
-        rendered.set_result(None)
-        beside.result()
-
-
-def _write_beside(recording: Recording, out: Path, videos: dict[str, Path], rendered: Future[None]) -> None:
+def _write_beside(recording: Recording, videos: _Videos, out: Path) -> None:
+    """The dataset and the file for Rerun, which waits for the videos."""
     from h3data.recording import DatasetWriter
-    from h3data_viewers import write_rrd
 
     with DatasetWriter(out / "dataset") as writer:
         writer.add(recording)
+    cameras = [(videos.track(name), out / f"{name}.mp4") for name in VIDEOS]
     plain = Replay(recording, detail=False)
-    write_rrd(recording, out / "episode.rrd", replay=plain, videos=videos, videos_ready=rendered.result)
+    VIEWERS.get("rerun")(
+        recording, out / "episode.rrd", replay=plain, cameras=cameras, videos_ready=videos.written.result
+    )
 
 
 @dataclass

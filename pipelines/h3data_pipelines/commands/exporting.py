@@ -5,9 +5,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -25,7 +24,7 @@ from h3data.commands.command import (
     open_episode,
     remove_dataset,
 )
-from h3data.commands.options import command_line
+from h3data.commands.options import command_line, command_of
 from h3data.errors import InputError
 from h3data.formats import ExportRequest, Format, PersonDetail, export_format, export_options, load
 from h3data.progress import progress
@@ -33,13 +32,45 @@ from h3data.recording import Recording
 from h3data.recording.episodes import StoredEpisode, common_cameras
 from h3data.recording.finding import find_episodes
 from h3data.recording.storage import place
+from h3data_pipelines.arguments import result_of
 from h3data_pipelines.execution.processes import core_count
 from h3data_pipelines.hub.provenance import read_commands, write_commands
+
+if TYPE_CHECKING:
+    from typing import Literal
+
+    from h3data.bodies.people.rigid_parts import PeopleStyle
+    from h3data_pipelines.arguments import FilePath, Paths
 
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
+def export(
+    recording: FilePath,
+    out: FilePath,
+    *,
+    to: str,
+    agent: str | None = None,
+    assets: Paths = (),
+    person_detail: Literal["full", "low"] = "full",
+    cameras: Paths = (),
+    people: PeopleStyle = "skin",
+    stand_ins: bool = False,
+    backend: Literal["auto", "cpu", "gpu"] = "cpu",
+    force: bool = False,
+) -> Path:
+    """Writes recordings as files of other programs; options as of ``h3data export``.
+
+    Returns:
+        The file or folder.
+
+    Raises:
+        InputError: the format or an option is wrong, or the output exists.
+    """
+    return result_of(Export, locals())
+
+
+@command_of(export)
 class Export:
     """Export recordings to file formats of other programs.
 
@@ -54,7 +85,7 @@ class Export:
         h3data export ds#3 --to foxglove --camera robot_arm -o episode.foxglove.mcap
         h3data export ds#3 --to csv -o tables/
         h3data export ds/ --to lerobot -o lerobot/ --agent robot
-        h3data export ds/ --to lerobot --camera robot_arm --camera human_head -o lerobot/
+        h3data export ds/ --to lerobot --cameras robot_arm,human_head -o lerobot/
         h3data export ds/ --to robomimic -o demos.hdf5
         h3data export ds/ --to habitat-episodes -o data/h3
     """
@@ -66,36 +97,36 @@ class Export:
     """Format to write: a built-in one, one of an installed plug-in, or module:name."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The file (gfx-replay, gltf, foxglove, robomimic) or folder (csv, lerobot, habitat-episodes)."""
-    agent: str | None = None
-    """Whose actions are learned, for lerobot and robomimic (default: the first robot that acts)."""
-    assets: tuple[Path, ...] = ()
+    agent: str | None
+    """Agent whose actions are learned, for lerobot and robomimic (default: the first robot that acts)."""
+    assets: tuple[Path, ...]
     """Folders below which the recorded asset files are searched (default: H3DATA_ASSETS)."""
-    person_detail: PersonDetail = "full"
-    """Meshes of people for gfx-replay and gltf: full has 19,000 vertices, low 3,000."""
-    light: bool = False
-    """Deprecated: use --person-detail low."""
-    people: PeopleOption = "skin"
-    stand_ins: StandInsFlag = False
-    camera: tuple[str, ...] = ()
-    """Camera to add as a video, for foxglove and lerobot: a name as in rerender, or a .toml or .json file; repeatable.
+    person_detail: PersonDetail
+    """Meshes of people for gfx-replay and gltf: full has 19 000 vertices, low 3 000."""
+    people: PeopleOption
+    stand_ins: StandInsFlag
+    cameras: tuple[str, ...]
+    """Cameras to add as videos, for foxglove and lerobot: names as in rerender, or .toml or .json files.
     lerobot copies the videos that a dataset has, and renders others (default: all that the dataset has)."""
-    backend: BackendOption = "cpu"
-    force: ForceFlag = False
+    backend: BackendOption
+    force: ForceFlag
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Writes the recordings in the other format and returns the files."""
         form = export_format(self.to)
-        if self.light:
-            log.warning("--light of h3data export is deprecated and will be removed. Use --person-detail low.")
-        detail = "low" if self.light else self.person_detail
-        if self.backend != "cpu" and "camera" not in form.write_options:
-            raise InputError(f"--backend is not for {form.option}, but for {_formats_with('camera')}. Leave it out.")
+        if self.backend != "cpu" and "cameras" not in form.write_options:
+            raise InputError(
+                f"--backend is not for {form.option}, but for {_formats_with('cameras')}. Leave it out.",
+                code="H3-OPTION-034",
+            )
         check_backend(self.backend)
-        given = {option: getattr(self, option) for option in ("agent", "assets", "people", "stand_ins", "camera")}
-        for option, value in {**given, "person_detail": detail}.items():
+        given = {option: getattr(self, option) for option in ("agent", "assets", "people", "stand_ins", "cameras")}
+        for option, value in {**given, "person_detail": self.person_detail}.items():
             if value not in (None, (), "skin", "full", False) and option not in form.write_options:
                 raise InputError(
-                    f"--{option.replace('_', '-')} is not for {form.option}, but for {_formats_with(option)}. Leave it out."
+                    f"--{option.replace('_', '-')} is not for {form.option}, but for {_formats_with(option)}. Leave it out.",
+                    code="H3-OPTION-035",
                 )
         recordings: Iterable[Recording]
         sources: list[StoredEpisode] = []
@@ -111,11 +142,11 @@ class Export:
             force=self.force,
             agent=self.agent,
             assets=self.assets,
-            person_detail=detail,
+            person_detail=self.person_detail,
             people=self.people,
             stand_ins=self.stand_ins,
-            cameras=self.camera,
-            stored_cameras=common_cameras(sources) if "camera" in form.write_options else (),
+            cameras=self.cameras,
+            stored_cameras=common_cameras(sources) if "cameras" in form.write_options else (),
             stored_videos=lambda number: sources[number].read_videos(),
             threads=core_count(),
             backend=self.backend,
@@ -144,7 +175,10 @@ class Export:
         elif self.force:
             source, target = Path(str(self.recording).partition("#")[0]).resolve(), self.out.resolve()
             if source == target or target in source.parents:
-                raise InputError(f"--force would delete what is exported. Choose another folder with -o: {self.out}")
+                raise InputError(
+                    f"--force would delete what is exported. Choose another folder with -o: {self.out}",
+                    code="H3-OPTION-036",
+                )
             remove_dataset(self.out)
 
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json as json_module
 import math
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,23 +20,26 @@ from h3data.commands.command import (
     MissingFlag,
     Outcome,
     PeopleOption,
+    RulesOption,
     ShareScenesFlag,
     WalkOption,
     check_backend,
     claim_folder,
     keeping,
+    read_rules,
     remove_dataset,
     unfinished_dataset,
     uninterrupted,
 )
-from h3data.commands.options import command_line
+from h3data.commands.executors import ExecutorOption, check_workers, opened
+from h3data.commands.options import OfTasks, TaskNotes, command_line, command_of
+from h3data.commands.shards import Executor
 from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
 from h3data.recording.storage import AnyPath, place
 from h3data.scene.scene_sets import find_scene_set
 from h3data.terminal import counted
-from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
-from h3data_pipelines.execution.shards import Executor
+from h3data_pipelines.arguments import result_of
 from h3data_pipelines.hub.provenance import write_commands
 from h3data_pipelines.jobs.episode_files import (
     FileJobs,
@@ -58,24 +59,99 @@ from h3data_pipelines.jobs.episodes import (
     with_skills,
 )
 from h3data_pipelines.jobs.failed_episodes import beside, is_failed
-from h3data_pipelines.jobs.generated import Generated, ReadBack, first_played, require_same_options, whose
-from h3data_pipelines.jobs.running import Filmed, Filming, film_jobs
+from h3data_pipelines.jobs.generated import Generated, WrittenDataset, first_played, require_same_options, whose
+from h3data_pipelines.jobs.running import RenderedVideo, VideoJob, film_jobs
 
 if TYPE_CHECKING:
+    from typing import Literal
+
+    from h3data.bodies.people.rigid_parts import PeopleStyle
     from h3data.recording import DatasetWriter
+    from h3data.render.light.sources import LightMode
+    from h3data_pipelines.arguments import Agents, Body, FilePath, Paths, Policies, Rules, Scenes, TaskChoice
 
 COMMIT_STEPS = 30_000
 """Steps after which episodes are committed: about a minute of one core's work is lost when the process is killed. Not seconds:
 which files a dataset has must not depend on the speed of the machine."""
 FRAME_STEPS = 4
 """Steps that a frame of a video counts as."""
+ROBOT_POLICIES = TaskNotes(
+    {
+        "social_nav": "rollout_expert (default), heuristic_expert, sampling_expert, future_oracle (knows their walk), "
+        "learned_follower, end_to_end and end_to_end_paper (see by cameras), random or stand_still.",
+        "rearrange": "complement (default), greedy_nearest, same_object, still, the learned learn_single, plan_pop_3_robot and "
+        "learn_pop (h3data docs populations), or solo (there is no robot).",
+        "wander": "wander (default) or still.",
+    }
+)
+PARTNERS = TaskNotes(
+    {
+        "social_nav": "waypoints (default), wander or still.",
+        "rearrange": "both (default), object_1, object_2, still; plan_pop_1 to plan_pop_4, populations of which each episode "
+        "samples one; or a learned one, learn_single_partner_0 to _2, learn_pop_partner_0 to _2, weights:FILE.",
+        "wander": "wander (default), waypoints or still.",
+    }
+)
+MAX_STEPS = TaskNotes(
+    {"social_nav": "1500.", "rearrange": "1500.", "wander": "300: they walk as long as that, whatever happens."}
+)
+SPAWN_DISTANCE = TaskNotes({"social_nav": "Sets and files decide it."})
 
 
-@dataclass(frozen=True)
+def generate(
+    task: TaskChoice,
+    out: FilePath,
+    *,
+    episodes: int | None = None,
+    seed: int = 0,
+    scenes: Scenes = "small",
+    episodes_file: FilePath | None = None,
+    save_episodes: FilePath | None = None,
+    assets: Paths = (),
+    allow_missing: bool = False,
+    homes: int = 4,
+    policies: Policies = (),
+    partners: Policies = (),
+    skills: Paths = (),
+    agents: Agents = (),
+    robot: Body | None = None,
+    human: FilePath | None = None,
+    motion: FilePath | None = None,
+    human_walk: WalkOption | None = None,
+    human_speed: float | None = None,
+    max_steps: int | None = None,
+    spawn_distance: float | None = None,
+    rules: Rules = (),
+    cameras: Paths = (),
+    people: PeopleStyle = "skin",
+    light: LightMode = "baked",
+    backend: Literal["auto", "cpu", "gpu"] = "cpu",
+    workers: int = 1,
+    executor: str = "local",
+    mcap: bool = False,
+    share_scenes: bool = False,
+    resume: bool = False,
+    force: bool = False,
+) -> Generated:
+    """Simulates episodes of a task into a dataset: ``generate("social_nav", "ds", episodes=20, cameras=["robot_arm"])``.
+
+    ``h3data generate TASK --help`` and h3data docs generate explain the options, which are called the same there.
+    With ``workers`` above 1 call it under ``if __name__ == "__main__":``, as Python's own `multiprocessing` asks for.
+
+    Returns:
+        The dataset, the episodes that failed and the metrics.
+
+    Raises:
+        InputError: an option is wrong, or the folder holds something.
+    """
+    return result_of(Generate, locals())
+
+
+@command_of(generate)
 class Generate:
     """Simulate episodes into a Parquet dataset (LeRobot v3 layout). The same seed gives the same episodes, bit for bit.
 
-    Finished episodes survive Ctrl-C and kill: the same command with --resume goes on. An episode that cannot be played is
+    Finished episodes survive Ctrl-C and kill: the same command with --resume continues. An episode that cannot be played is
     listed at the end with its seed and error (exit code 1); the others are not stopped by it.
 
     Examples:
@@ -88,9 +164,10 @@ class Generate:
         h3data generate social_nav --scenes my_home.scene_instance.json --episodes 5 -o ds/ --mcap
         h3data generate rearrange --scenes h3-homes/test --policy complement --partner plan_pop_2 -o ds/
         h3data generate rearrange --agents robot,robot --policy complement,both -o ds/
+        h3data generate rearrange --set objects=3 --skills learned -o ds/
         h3data generate rearrange --scenes h3-homes/test --save-episodes test.json.gz --dry-run -o ds/
         h3data generate rearrange --episodes-file val/social_rearrange.json.gz --assets data/ -o ds/
-        h3data generate social_nav --episodes 20 --camera robot_arm --camera human_head -o ds/
+        h3data generate social_nav --episodes 20 --cameras robot_arm,human_head -o ds/
         h3data generate wander --agents robot,human,human --human any --episodes 50 --workers 2 -o ds/
         h3data generate wander --scenes h3-homes/test --agents robot,lift_arm,female_1 --max-steps 900 --mcap -o ds/
     """
@@ -101,87 +178,83 @@ class Generate:
     module:Class (h3data docs extending)."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder of the dataset, or its URI: s3://bucket/ds."""
-    episodes: int | None = None
-    """How many (default: all of a set or file, else 10)."""
-    seed: int = 0
-    """Everything random follows from it. With a set, 0 gives its own episodes, any other number new ones in its scenes."""
-    scenes: str = "small"
+    episodes: int | None
+    """Number of episodes (default: all of a set or file, else 10)."""
+    seed: int
+    """Seed of everything random. With a scene set, 0 gives the set's own episodes, any other number new ones in its scenes."""
+    scenes: tuple[str, ...]
     """small, medium or large (built-in homes), one home as small:3, a set (h3-homes/train, /val, /test, or a .toml file), one
-    of its scenes as h3-homes/test#3, or the path of a scene (.scene_instance.json, .glb)."""
-    episodes_file: Path | None = None
+    of its scenes as h3-homes/test#3, or the path of a scene (.scene_instance.json, .glb). Several are used in turn."""
+    episodes_file: Path | None
     """Episode file (.json.gz, .json, .pickle) instead of --scenes: one of ours (--save-episodes, h3data scenes export); in
     rearrange also Habitat's and PARTNR's, whose starts are sampled from --seed."""
-    save_episodes: Path | None = None
+    save_episodes: Path | None
     """Also write the episodes as a file for --episodes-file (.json.gz or .json); with --dry-run, only that."""
-    assets: AssetsOption = ()
-    allow_missing: MissingFlag = False
-    homes: int = 4
-    """Number of different homes of a preset that the episodes go round."""
-    policy: str | None = None
-    """Robot policy. social_nav: rollout_expert (default), heuristic_expert, sampling_expert, future_oracle (knows their walk),
-    learned_follower, end_to_end and end_to_end_paper (see by cameras), random or stand_still; rearrange: complement
-    (default), greedy_nearest, same_object, still, the learned learn_single, plan_pop_3_robot and learn_pop (h3data docs
-    populations), or solo (there is no robot). Both: weights:FILE, a learned one (h3data docs learned-policies)."""
-    partner: str | None = None
-    """rearrange: policy of the person: both (default), object_1, object_2, still; plan_pop_1 to plan_pop_4, populations of
-    which each episode samples one; or a learned one, learn_single_partner_0 to _2, learn_pop_partner_0 to _2, weights:FILE."""
-    agents: str | None = None
-    """rearrange and wander: who takes part, separated by commas (default: robot,human): kinds, bodies, files, or a kind
-    with one of these, as in robot,human,male_1 or robot:my_robot.urdf,human:male_1. In rearrange --policy and --partner
-    may name a policy for each robot and each person."""
-    robot: str | None = None
+    assets: AssetsOption
+    allow_missing: MissingFlag
+    homes: int
+    """Number of different homes of a preset; the episodes use them in turn."""
+    policies: Annotated[tuple[str, ...], ROBOT_POLICIES]
+    """Policy of the robot, or of each robot in turn: a name, weights:FILE (h3data docs learned-policies) or module:name."""
+    partners: Annotated[tuple[str, ...], PARTNERS]
+    """Policy of the person, or of each person in turn."""
+    agents: tuple[str, ...]
+    """Who takes part (default: robot,human): kinds, bodies, files, or a kind with one of these, as in robot,human,male_1 or
+    robot:my_robot.urdf,human:male_1."""
+    robot: str | None
     """Body of each agent named robot: a built-in one, a URDF, or a folder with robot.toml (default: quad_arm)."""
-    human: str | None = None
+    human: str | None
     """Body of each agent named human: a built-in one, with an outfit as in female_0:dress; random:SEED; an .npz file; any: each
-    episode samples one of the twelve adults; random: each makes people of its own, in wander each person (default: the
+    episode samples one of the twelve adults; random: new people for each episode, in wander for each person (default: the
     episode's, else female_0)."""
-    motion: Path | None = None
-    """How people walk: as in a motion file, one of h3data motion import, AMASS, Habitat or BVH (h3data docs motion). It is kept
-    in each recording."""
-    human_walk: WalkOption | None = None
+    motion: Path | None
+    """Motion file with the gait of people: one of h3data motion import, AMASS, Habitat or BVH (h3data docs motion). It is
+    stored in each recording."""
+    human_walk: WalkOption | None
     """How people walk: natural walks curves at 1.3 m/s, sets off and brakes; paper turns on the spot and is at 2.5 m/s at
     once (default: the episode's, else natural)."""
-    human_speed: float | None = None
+    human_speed: float | None
     """Walking speed of the person [m/s] (default: the episode's, else that of --human-walk)."""
-    max_steps: int | None = None
-    """Length limit of an episode, at 30 steps per second (default: the episode's, else 1500;
-    wander: 300, and they walk as long as that)."""
-    spawn_distance: float | None = None
-    """Least distance between any two at the start [m] (default: 5, the paper's for evaluation). In social_nav sets and files
-    decide it."""
-    skills: str | None = None
-    """rearrange: learned skills for the robots instead of those that know all: learned (those that come with the package), a
-    folder of training runs, or policy files of h3data train skill, separated by commas; or oracle: simple rules that a GPU
-    plays too, with the paper's people, where nobody gives way to anybody."""
-    rule: tuple[str, ...] = ()
-    """Another rule of the task, as NAME=VALUE, for example --rule objects=3 (repeatable)."""
-    camera: tuple[str, ...] = ()
-    """Camera whose video is added to the dataset (observation.images.<name>), as in rerender; repeatable."""
-    people: PeopleOption = "skin"
-    light: LightOption = "baked"
-    """Of the videos. Policies that see colours are shown the light that they have learned in."""
-    backend: BackendOption = "cpu"
-    workers: int = 1
-    """Processes."""
-    executor: ExecutorOption = "local"
-    mcap: bool = False
+    max_steps: Annotated[int | None, MAX_STEPS]
+    """Length limit of an episode, at 30 steps per second (default: the episode's, else that of the task)."""
+    spawn_distance: Annotated[float | None, SPAWN_DISTANCE]
+    """Least distance between any two agents at the start [m] (default: 5, the paper's for evaluation)."""
+    skills: Annotated[tuple[str, ...], OfTasks(("rearrange",))]
+    """Skills of the robots: learned (those that come with the package), a folder of training runs, or policy files of h3data
+    train skill; or oracle: simple rules that a GPU plays too, with the paper's people, where nobody gives way to anybody
+    (default: skills that know the whole state)."""
+    rules: RulesOption
+    cameras: tuple[str, ...]
+    """Cameras whose videos are added to the dataset (observation.images.<name>), as in rerender."""
+    people: PeopleOption
+    light: LightOption
+    """Light of the videos: baked, from windows, sun and lamps; or flat, the same everywhere. Policies that see colours get the
+    light of their training."""
+    backend: BackendOption
+    workers: int
+    """Number of worker processes."""
+    executor: ExecutorOption
+    mcap: bool
     """Also write each episode as <out>/mcap/<episode>.mcap, at the end."""
-    share_scenes: ShareScenesFlag = False
-    resume: bool = False
-    """Go on with an interrupted dataset that was started with the same options."""
+    share_scenes: ShareScenesFlag
+    resume: bool
+    """Continue an interrupted dataset that was started with the same options."""
     dry_run: DryRunFlag = False
-    force: ForceFlag = False
+    force: ForceFlag
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Simulates the episodes and returns their number and the dataset's size."""
         from h3data.metrics import measure_many
         from h3data.recording import Dataset, DatasetWriter
 
         if self.force and self.resume:
-            raise InputError("Choose one: --resume goes on with a dataset, --force replaces it.")
+            raise InputError("Choose one: --resume goes on with a dataset, --force replaces it.", code="H3-OPTION-038")
         if self.share_scenes and not self.mcap:
-            raise InputError("--share-scenes is for logs (--mcap): a dataset stores each scene once anyway.")
-        if self.camera and self.executor == "local":
+            raise InputError(
+                "--share-scenes is for logs (--mcap): a dataset stores each scene once anyway.", code="H3-OPTION-039"
+            )
+        if self.cameras and self.executor == "local":
             check_backend(self.backend)
         out = place(self.out)
         if self.save_episodes is not None:
@@ -197,7 +270,7 @@ class Generate:
             if self.force:
                 remove_dataset(out)
             if self.resume:
-                require_same_options(out, jobs, cameras=self.camera)
+                require_same_options(out, jobs, cameras=self.cameras)
             else:
                 claim_folder(out, force=False, unfinished=lambda: unfinished_dataset(out))
             like = widest_episode(jobs)
@@ -205,7 +278,7 @@ class Generate:
                 done = len(writer)
                 self._simulate(jobs[done:], writer, executor)
         write_commands(out, [command_line("generate", self)])
-        written = ReadBack(
+        written = WrittenDataset(
             Dataset(out), out / "mcap" if self.mcap else None, share_in=out if self.share_scenes else None
         )
         table = measure_many(written)
@@ -241,7 +314,7 @@ class Generate:
             "policy": jobs[0].policy or "the task's default",
             "partner": jobs[0].partner or "the task's default",
             "most_steps": most_steps(jobs),
-            "cameras": list(self.camera),
+            "cameras": list(self.cameras),
             "workers": self.workers,
             "out": str(self.out),
         }
@@ -250,8 +323,8 @@ class Generate:
             f"{plan['most_steps']:,} steps at most, in {self.workers} process{'es' if self.workers != 1 else ''}, "
             f"in {counted(len(scenes), 'scene')}: {named}"
         )
-        if self.camera:
-            text += f"; with videos of {', '.join(self.camera)}"
+        if self.cameras:
+            text += f"; with videos of {', '.join(self.cameras)}"
         if self.save_episodes is not None:
             plan["saved_episodes"] = str(self.save_episodes)
             text += f"\nWrote the episodes to {self.save_episodes}"
@@ -261,13 +334,15 @@ class Generate:
     def _simulate(self, jobs: Sequence[Job], writer: DatasetWriter, executor: Executor) -> None:
         """Play the jobs into a dataset. Failed ones wait for one that was played, which says what columns there are."""
         played = first_played(writer)
-        if played is not None and self.camera and (light := played.episode.info.get("light", "flat")) != self.light:
-            raise InputError(f"The videos of {self.out} are in {light} light, as --light {light} makes them.")
-        waiting: list[Filmed] = []
+        if played is not None and self.cameras and (light := played.episode.info.get("light", "flat")) != self.light:
+            raise InputError(
+                f"The videos of {self.out} are in {light} light, as --light {light} makes them.", code="H3-OPTION-040"
+            )
+        waiting: list[RenderedVideo] = []
         uncommitted, failures = 0, 0
         bar = progress(total=len(writer) + len(jobs), initial=len(writer), desc="simulate", unit="episode")
-        filming = Filming(
-            self.camera, threads=executor.threads, people=self.people, light=self.light, backend=self.backend
+        filming = VideoJob(
+            self.cameras, threads=executor.threads, people=self.people, light=self.light, backend=self.backend
         )
         with bar, closing(film_jobs(jobs, filming=filming, executor=executor)) as results:
             for filmed in results:
@@ -282,7 +357,7 @@ class Generate:
                             with each.video_files() as videos:
                                 it = each.recording
                                 writer.add(beside(it, played) if is_failed(it) else it, videos=videos)
-                            uncommitted += len(it) * (1 + FRAME_STEPS * len(self.camera))
+                            uncommitted += len(it) * (1 + FRAME_STEPS * len(self.cameras))
                         waiting.clear()
                         if uncommitted >= COMMIT_STEPS:
                             writer.commit()
@@ -294,7 +369,8 @@ class Generate:
             first = waiting[0].recording.episode
             raise H3DataError(
                 f"No episode could be played, {counted(len(waiting), 'episode')} failed. The first, {first.episode_id} in "
-                f"{first.scene} (seed {first.seed}): {first.info['failed']}"
+                f"{first.scene} (seed {first.seed}): {first.info['failed']}",
+                code="H3-OPTION-041",
             )
 
     def jobs(self) -> Sequence[Job]:
@@ -307,13 +383,13 @@ class Generate:
             episodes=self.episodes, homes=self.homes, max_steps=self.max_steps, seed=self.seed, human_speed=self.human_speed
         )  # fmt: skip
         if self.spawn_distance is not None and not 0 <= self.spawn_distance < math.inf:
-            raise InputError(f"--spawn-distance must not be negative, got {self.spawn_distance}.")
+            raise InputError(f"--spawn-distance must not be negative, got {self.spawn_distance}.", code="H3-OPTION-042")
         check_workers(self.executor, self.workers)
         choices = Choices(
             task=self.task,
-            policy=self.policy,
-            partner=self.partner,
-            agents=None if self.agents is None else tuple(name.strip() for name in self.agents.split(",")),
+            policy=",".join(self.policies) or None,
+            partner=",".join(self.partners) or None,
+            agents=self.agents or None,
             human=self.human,
             robot=self.robot,
             motion=None if self.motion is None else str(self.motion),
@@ -321,27 +397,17 @@ class Generate:
             human_speed=self.human_speed,
             max_steps=self.max_steps,
             spawn_distance=self.spawn_distance,
-            rules=tuple(map(_rule, self.rule)),
+            rules=read_rules(self.rules),
         )
-        choices = with_skills(choices, self.skills or "")
-        in_set = self.episodes_file is None and find_scene_set(self.scenes.partition("#")[0]) is not None
+        choices = with_skills(choices, ",".join(self.skills))
+        in_set = self.episodes_file is None and len(self.scenes) == 1
+        in_set = in_set and find_scene_set(self.scenes[0].partition("#")[0]) is not None
         if in_set and choices.found_task.name == "social_nav":
-            refuse_beside(f"--scenes {self.scenes}", spawn_distance=self.spawn_distance is not None)
-        return requested_jobs(self, choices, default_scenes="small")
+            refuse_beside(f"--scenes {self.scenes[0]}", spawn_distance=self.spawn_distance is not None)
+        return requested_jobs(self, choices, default_scenes=("small",))
 
 
 def _kept(out: AnyPath) -> str:
     """Say what an interrupted run leaves behind."""
     held = unfinished_dataset(out)
     return f"{out} holds {held}: the same command with --resume goes on" if held else ""
-
-
-def _rule(text: str) -> tuple[str, Any]:
-    """A field of the rules and its value, from ``NAME=VALUE`` with a value as in JSON or a bare word."""
-    name, sign, value = text.partition("=")
-    if not sign or not name:
-        raise InputError(f"Expected --rule NAME=VALUE, got {text!r}.")
-    try:
-        return name, json_module.loads(value)
-    except ValueError:
-        return name, value

@@ -2,19 +2,45 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from h3data.commands.command import ForceFlag, JsonFlag, Outcome
+from h3data.commands.options import command_of
 from h3data.pseudonyms import participant_key_path
+from h3data_pipelines.arguments import result_of
 from h3data_pipelines.assets.scene_reports import text_table
 from h3data_pipelines.jobs.imports import ImportResult, import_files
 
+if TYPE_CHECKING:
+    from h3data_pipelines.arguments import FilePath, Paths
 
-@dataclass(frozen=True)
+
+def import_(
+    paths: Paths,
+    out: FilePath,
+    *,
+    assets: Paths = (),
+    manifest: FilePath | None = None,
+    fps: float = 30.0,
+    strict: bool = False,
+    force: bool = False,
+) -> ImportResult:
+    """Turns recordings of other programs into MCAP recordings in the folder ``out``; options as of ``h3data import``.
+
+    Returns:
+        What became of every file.
+
+    Raises:
+        InputError: there is nothing to import.
+        FormatError: the only file is of another kind or damaged.
+    """
+    return result_of(Import, locals())
+
+
+@command_of(import_)
 class Import:
     """Convert recordings of other programs to MCAP recordings. Folders are searched, formats are detected by content.
 
@@ -30,19 +56,20 @@ class Import:
     """gfx-replay files (.json, .json.gz), HITL logs (.json.gz, .pkl.gz) or folders that hold some."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the recordings, one .mcap each; files of a folder keep their place below it."""
-    assets: tuple[Path, ...] = ()
+    assets: tuple[Path, ...]
     """Folders below which the recorded asset files are searched (default: H3DATA_ASSETS), to report what is missing."""
-    manifest: Path | None = None
+    manifest: Path | None
     """CSV table of a study: who (participant) did which file, user_id or episode_id under which condition
     (h3data docs import)."""
-    fps: float = 30.0
+    fps: float
     """Steps per second of files without times: gfx-replays and the first generation of HITL logs."""
-    strict: bool = False
+    strict: bool
     """Refuse recordings with warnings or missing assets."""
-    force: ForceFlag = False
+    force: ForceFlag
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Converts the files and returns what was imported and what could not be."""
         result = import_files(
             self.paths,
             self.out,

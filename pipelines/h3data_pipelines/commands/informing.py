@@ -46,12 +46,13 @@ class Info:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Returns a description of each path."""
         if not self.paths:
-            raise InputError("Expected at least one recording (.mcap), dataset or episode file.")
+            raise InputError("Expected at least one recording (.mcap), dataset or episode file.", code="H3-OPTION-043")
         described = [part for path in map(place, self.paths) for part in _described(path)]
         faults = sum("error" in data for _, data in described)
         if faults == len(described) == 1:
-            raise InputError(described[0][1]["error"])
+            raise InputError(described[0][1]["error"], code=described[0][1]["code"])
         return Outcome(
             text="\n\n".join(text for text, _ in described),
             data={"found": [data for _, data in described]},
@@ -73,7 +74,9 @@ def _described(path: AnyPath) -> list[tuple[str, dict[str, Any]]]:
         try:
             recording = source.read()
         except H3DataError as error:
-            described.append((f"{source.name}: {error}", {"path": source.name, "error": str(error)}))
+            described.append(
+                (f"{source.name}: {error}", {"path": source.name, "error": str(error), "code": error.code})
+            )
         else:
             text = "\n".join([f"{source.name}\n{recording!r}", *_outcome(recording)])
             described.append((text, {"path": source.name, **_of_recording(recording)}))
@@ -108,7 +111,7 @@ def _of_episode_file(path: Path) -> tuple[str, dict[str, Any]]:
     try:
         summary = summary_of(read_episodes(path))
     except H3DataError as error:
-        return f"{path}: {error}", {"path": str(path), "error": str(error)}
+        return f"{path}: {error}", {"path": str(path), "error": str(error), "code": error.code}
     text = f"{path}: {counted(summary.episodes, 'episode')}\n{summary.to_text()}"
     return text, {"path": str(path), "kind": "episodes", **summary.to_dict()}
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from h3data.commands.command import ForceFlag, JsonFlag, Outcome, claim_file, open_episode
+from h3data.commands.executors import ExecutorOption, check_workers, opened
 from h3data.errors import InputError
-from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
 from h3data_pipelines.execution.processes import core_count
 
 if TYPE_CHECKING:
@@ -59,15 +59,18 @@ class Metrics:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Returns the table of metrics, the comparison of two runs, or the explanation of a metric."""
         words = [str(path) for path in self.recordings]
         if words == ["list"]:
             return _list()
         if words[:1] in (["explain"], ["list"]) and not self.recordings[0].exists() and len(words) not in (2, 3):
-            raise InputError("Expected `h3data metrics list`, or `h3data metrics explain NAME [RECORDING]`.")
+            raise InputError(
+                "Expected `h3data metrics list`, or `h3data metrics explain NAME [RECORDING]`.", code="H3-OPTION-044"
+            )
         if words[:1] == ["explain"] and len(words) in (2, 3):
             return _explain(words[1], Path(words[2]) if len(words) == 3 else None, self.profile)
         if not words:
-            raise InputError("Expected at least one recording (.mcap) or dataset.")
+            raise InputError("Expected at least one recording (.mcap) or dataset.", code="H3-METRIC-002")
         for path in (self.out, self.series, self.events):
             if path is not None:
                 claim_file(path, force=self.force)
@@ -86,7 +89,8 @@ class Metrics:
             tasks = ", ".join(f"{t.episodes[0].task} ({len(t)} episodes, profile {t.profile})" for t in tables)
             raise InputError(
                 f"A file holds the metrics of one task, these recordings are of several: {tasks}. Name those of one task, "
-                "or use --profile task, which measures any."
+                "or use --profile task, which measures any.",
+                code="H3-OPTION-045",
             )
         if self.out is not None:
             write_table(first, self.out)
@@ -121,12 +125,13 @@ class Metrics:
 
         if len(self.recordings) != 2:
             raise InputError(
-                f"--paired compares two runs, got {len(self.recordings)}. Example: h3data metrics A B --paired"
+                f"--paired compares two runs, got {len(self.recordings)}. Example: h3data metrics A B --paired",
+                code="H3-OPTION-046",
             )
         if self.out is not None and self.out.suffix != ".json":
-            raise InputError(f"A comparison is written as .json, got {self.out.name!r}.")
+            raise InputError(f"A comparison is written as .json, got {self.out.name!r}.", code="H3-OPTION-047")
         if self.series is not None or self.events is not None:
-            raise InputError("--series and --events describe one run; leave out --paired.")
+            raise InputError("--series and --events describe one run; leave out --paired.", code="H3-OPTION-048")
         with self._by() as who:
             first, second = (measure_files([path], self.profile, **who) for path in self.recordings)
         a, b = (path.stem or str(path) for path in self.recordings)

@@ -39,25 +39,30 @@ class ReplayCommand:
     """Keep this many steps and simulate the rest."""
     counterfactual: bool = False
     """Keep people on their recorded tracks; robots follow --policy, from --resume-from or from the start."""
-    policy: str | None = None
-    """Robot policy, as for h3data generate, or weights:FILE (default: the recording's own). social_nav: rollout_expert,
-    heuristic_expert, sampling_expert, future_oracle, learned_follower, end_to_end, end_to_end_paper, random or
-    stand_still; rearrange: complement, greedy_nearest, same_object, still, learn_single, plan_pop_3_robot or learn_pop."""
-    partner: str | None = None
-    """rearrange: policy of the person, as for h3data generate (default: the recording's own)."""
+    policies: tuple[str, ...] = ()
+    """Policy of the robot, or of each robot in turn, as for h3data generate, or weights:FILE (default: the recording's own).
+    social_nav: rollout_expert, heuristic_expert, sampling_expert, future_oracle, learned_follower, end_to_end,
+    end_to_end_paper, random or stand_still; rearrange: complement, greedy_nearest, same_object, still, learn_single,
+    plan_pop_3_robot or learn_pop."""
+    partners: tuple[str, ...] = ()
+    """rearrange: policy of the person, or of each person in turn, as for h3data generate (default: the recording's own)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """The new recording (.mcap)."""
     force: ForceFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Verifies the recording, or writes its continuation or counterfactual."""
         continues = self.resume_from is not None or self.counterfactual
         if self.verify == continues:
-            raise InputError("Choose what to do: --verify, or --resume-from K or --counterfactual or both.")
+            raise InputError(
+                "Choose what to do: --verify, or --resume-from K or --counterfactual or both.", code="H3-OPTION-049"
+            )
         if self.verify:
-            if (self.policy, self.partner, self.out) != (None, None, None):
+            if self.policies or self.partners or self.out is not None:
                 raise InputError(
-                    "--verify repeats the recording and writes nothing: leave out --policy, --partner and -o."
+                    "--verify repeats the recording and writes nothing: leave out --policy, --partner and -o.",
+                    code="H3-OPTION-053",
                 )
             return self._verify()
         return self._continue()
@@ -73,14 +78,14 @@ class ReplayCommand:
                 row["steps"] = len(recording)
                 result = verify(recording)
             except H3DataError as error:
-                rows.append({**row, "equal": None, "reason": str(error)})
+                rows.append({**row, "equal": None, "reason": str(error), "code": error.code})
                 continue
             difference = None if result.difference is None else vars(result.difference)
             version = recording.episode.schema_version
             rows.append({**row, "equal": result.equal, "difference": difference, "schema_version": version})
         if len(rows) == 1 and rows[0]["equal"] is None:
             name, reason = rows[0]["recording"], rows[0]["reason"]
-            raise InputError(reason if name in reason else f"{reason} Recording: {name}")
+            raise InputError(reason if name in reason else f"{reason} Recording: {name}", code=rows[0]["code"])
         equal = sum(row["equal"] is True for row in rows)
         lines = [_line(row) for row in rows]
         if len(rows) != 1:
@@ -93,18 +98,19 @@ class ReplayCommand:
         from sim_kinematic.tasks.resume import counterfactual, resume
 
         if self.out is None or self.out.suffix != ".mcap":
-            raise InputError(f"Expected a .mcap file to write with -o, got {self.out or 'none'}.")
-        if self.counterfactual and self.policy is None:
-            raise InputError("--counterfactual needs the other policy: --policy NAME.")
-        if self.counterfactual and self.partner is not None:
-            raise InputError("With --counterfactual people keep their tracks: leave out --partner.")
+            raise InputError(f"Expected a .mcap file to write with -o, got {self.out or 'none'}.", code="H3-OPTION-050")
+        if self.counterfactual and not self.policies:
+            raise InputError("--counterfactual needs the other policy: --policy NAME.", code="H3-OPTION-051")
+        if self.counterfactual and self.partners:
+            raise InputError(
+                "With --counterfactual people keep their tracks: leave out --partner.", code="H3-OPTION-052"
+            )
         out = claim_file(self.out, force=self.force)
         old, step = open_episode(self.recording), self.resume_from or 0
         if self.counterfactual:
-            assert self.policy is not None
-            new = counterfactual(old, self.policy, step=step)
+            new = counterfactual(old, ",".join(self.policies), step=step)
         else:
-            new = resume(old, step, policy=self.policy, partner=self.partner)
+            new = resume(old, step, policy=",".join(self.policies) or None, partner=",".join(self.partners) or None)
         write_mcap(new, out, overwrite=self.force)
         info = new.episode.info
         then = f", then {info['policy']}" if info.get("policy") else ""

@@ -76,7 +76,8 @@ class Sql:
     query: tyro.conf.Positional[str]
     """One SELECT (also FROM ..., WITH ..., DESCRIBE, SUMMARIZE, EXPLAIN) in DuckDB's SQL."""
     datasets: tyro.conf.Positional[tuple[Path, ...]]
-    """Datasets, as folders or URIs (s3://bucket/ds), and folders of datasets (recordings/ of h3data evaluate --keep)."""
+    """Datasets, as folders or URIs (s3://bucket/ds), and folders of datasets (recordings/ of h3data evaluate
+    --save-recordings)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Write all rows to this .csv or .parquet instead of showing them."""
     profile: str | None = None
@@ -85,20 +86,24 @@ class Sql:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Runs the query and returns its rows."""
         from h3data.recording import Dataset, open_recording
         from h3data.recording.finding import find_sources
 
         if not self.datasets:
-            raise InputError('Expected at least one dataset: h3data sql "select ..." DATASET')
+            raise InputError('Expected at least one dataset: h3data sql "select ..." DATASET', code="H3-OPTION-055")
         opened = {str(path): open_recording(path) for path in find_sources(self.datasets)}
         for path, recording in opened.items():
             if not isinstance(recording, Dataset):
                 raise InputError(
-                    f"Expected a dataset, this is one recording. Hint: h3data convert {path} DATASET: {path}"
+                    f"Expected a dataset, this is one recording. Hint: h3data convert {path} DATASET: {path}",
+                    code="H3-OPTION-058",
                 )
         if self.out is not None:
             if self.out.suffix not in (".csv", ".parquet"):
-                raise InputError(f"Expected a file name that ends in .csv or .parquet, got {self.out.name!r}.")
+                raise InputError(
+                    f"Expected a file name that ends in .csv or .parquet, got {self.out.name!r}.", code="H3-OPTION-059"
+                )
             claim_file(self.out, force=self.force)
         datasets = {path: dataset for path, dataset in opened.items() if isinstance(dataset, Dataset)}
         connection = connect(datasets, profile=self.profile, metrics="episodes" in self.query.lower())
@@ -126,7 +131,7 @@ def connect(
     try:
         import duckdb
     except ImportError:
-        raise MissingExtraError('SQL needs DuckDB. Hint: pip install "h3data[sql]"') from None
+        raise MissingExtraError('SQL needs DuckDB. Hint: pip install "h3data[sql]"', code="H3-OPTION-056") from None
     from h3data.recording.parquet.tables import record_table, step_source
 
     connection = duckdb.connect()
@@ -159,7 +164,9 @@ def select(connection: duckdb.DuckDBPyConnection, query: str) -> duckdb.DuckDBPy
     reading = (duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN)
     kinds = [statement.type for statement in connection.extract_statements(query)]
     if len(kinds) != 1 or kinds[0] not in reading:
-        raise InputError("Expected one query that reads: SELECT, FROM, WITH, DESCRIBE, SUMMARIZE or EXPLAIN.")
+        raise InputError(
+            "Expected one query that reads: SELECT, FROM, WITH, DESCRIBE, SUMMARIZE or EXPLAIN.", code="H3-OPTION-054"
+        )
     return connection.sql(query)
 
 
@@ -175,7 +182,7 @@ def explained_errors() -> Iterator[None]:
         near = re.search(r"^Candidate bindings: .*$|^Did you mean .*$", where, re.MULTILINE)
         line = " ".join(f"{said} {near[0] if near and near[0] not in said else ''}".split())
         hint = "" if isinstance(error, duckdb.ParserException) else f" {_WHERE}"
-        raise InputError(f"{line}{'' if line.endswith(('.', '!', '?')) else '.'}{hint}") from None
+        raise InputError(f"{line}{'' if line.endswith(('.', '!', '?')) else '.'}{hint}", code="H3-OPTION-057") from None
 
 
 _WHERE = (

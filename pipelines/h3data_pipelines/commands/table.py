@@ -31,9 +31,7 @@ from h3data_pipelines.machine.doctor import Doctor
 from h3data_pipelines.machine.pages import Docs
 from h3data_pipelines.machine.planning import Plan
 from h3data_pipelines.machine.warmup import Warmup
-from h3data_pipelines.pictures.report import ReportCommand
 from h3data_pipelines.pictures.rerender import Rerender
-from h3data_pipelines.pictures.viewing import View
 
 TABLE: dict[str, type[Command] | Group | None] = {
     "demo": Demo,
@@ -47,8 +45,8 @@ TABLE: dict[str, type[Command] | Group | None] = {
     "info": Info,
     "metrics": Metrics,
     "sql": Sql,
-    "view": View,
-    "report": ReportCommand,
+    "view": None,
+    "report": None,
     "study": None,
     "scenes": SCENES,
     "bodies": BODIES,

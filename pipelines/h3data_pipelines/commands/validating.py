@@ -13,11 +13,11 @@ from typing import Any
 import tyro
 
 from h3data.commands.command import JsonFlag, Outcome
-from h3data.errors import FormatError, H3DataError, InputError
+from h3data.commands.executors import ExecutorOption, check_workers, opened
+from h3data.errors import FormatError, H3DataError, InputError, with_code
 from h3data.progress import progress
 from h3data.recording import Recording
 from h3data.recording.episodes import StoredEpisode, read_ahead
-from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
 from h3data_pipelines.jobs.episode_parts import EpisodePart, episode_parts
 
 _TOGETHER = 16
@@ -30,11 +30,10 @@ _SHOWN = 4
 
 @dataclass(frozen=True)
 class Validate:
-    """Check recordings: schema, time, values, unit quaternions, hash chain, jumps, penetrations, sliding feet, missing assets,
-    videos.
+    """Check recordings for errors; exits with code 1 if there are any.
 
-    An error means that the recording is wrong, a warning that something about it is unusual. Exit code 1 if a recording has
-    errors.
+    The checks cover schema, time, values, unit quaternions, the hash chain, jumps, penetrations, sliding feet, missing
+    assets and videos. An error means that the recording is wrong, a warning that something about it is unusual.
 
     Examples:
         h3data validate out/demo/episode.mcap
@@ -57,9 +56,10 @@ class Validate:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Checks all episodes, in several processes if asked to, and returns the findings."""
         check_workers(self.executor, self.workers)
         if not self.paths:
-            raise InputError("Expected at least one recording (.mcap) or dataset.")
+            raise InputError("Expected at least one recording (.mcap) or dataset.", code="H3-METRIC-002")
         parts = episode_parts(self.paths, together=_TOGETHER)
         rows: list[dict[str, Any]] = []
         bar = progress(total=parts[0].count if parts else 0, desc="validate", unit="episode")
@@ -79,7 +79,7 @@ class Validate:
         return Outcome(text=_text(rows, failed), data=data, exit_code=1 if failed else 0)
 
     def row(self, source: StoredEpisode, read: Callable[[], Recording], library: Any, *, alone: bool) -> dict[str, Any]:
-        """What is found in one recording, which ``read`` returns."""
+        """Findings in one recording, which ``read`` returns."""
         from h3data.replay.validation import Finding, validate_recording
 
         steps = 0
@@ -96,12 +96,12 @@ class Validate:
                     deque(video.frames(), maxlen=0)
                 except FormatError as error:
                     findings.append(
-                        Finding(check="video", severity="error", subject=video.feature.camera, text=str(error))
+                        Finding(check="video", severity="error", subject=video.feature.camera, text=with_code(error))
                     )
         except H3DataError as error:
             if alone and not isinstance(error, FormatError):
                 raise
-            findings = [Finding(check="unreadable", severity="error", subject=source.name, text=str(error))]
+            findings = [Finding(check="unreadable", severity="error", subject=source.name, text=with_code(error))]
         bad = bool(findings) if self.strict else any(f.severity == "error" for f in findings)
         verdict = "failed" if bad else "warnings" if findings else "sound"
         rows = [asdict(f) for f in findings]
@@ -110,7 +110,7 @@ class Validate:
 
 def validate_part(command: Validate, part: EpisodePart) -> list[dict[str, Any]]:
     """The rows of a part."""
-    from h3data.habitat.asset_library import AssetLibrary
+    from h3data.recording.assets.library import AssetLibrary
 
     library = AssetLibrary(command.assets)
     sources = part.sources()
@@ -121,7 +121,7 @@ def validate_part(command: Validate, part: EpisodePart) -> list[dict[str, Any]]:
 
 
 def _lost(part: EpisodePart, error: H3DataError) -> list[dict[str, Any]]:
-    finding = {"check": "unreadable", "severity": "error", "subject": "", "text": str(error)}
+    finding = {"check": "unreadable", "severity": "error", "subject": "", "text": with_code(error)}
     return [
         {"recording": source.name, "steps": 0, "verdict": "failed", "findings": [finding]} for source in part.sources()
     ]

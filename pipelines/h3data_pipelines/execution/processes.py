@@ -18,7 +18,7 @@ from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 
-from h3data_pipelines.execution.shards import LostShardError, R, S
+from h3data.commands.shards import LostShardError, R, S
 
 _log = logging.getLogger(__name__)
 
@@ -33,6 +33,12 @@ def core_count() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+@contextmanager
+def local_processes(address: str, workers: int) -> Iterator[Processes]:
+    """The executor ``local``; it has no address."""
+    yield Processes(workers)
+
+
 @dataclass(frozen=True)
 class Processes:
     """The executor ``local``."""
@@ -41,6 +47,7 @@ class Processes:
 
     @property
     def threads(self) -> int:
+        """Number of threads that each process may use."""
         return max(core_count() // self.workers, 1)
 
     def run(
@@ -108,7 +115,7 @@ def _alone(work: Callable[[S], R], shard: S, lost: Callable[[S, LostShardError],
                 return _submitted(pool, work, shard).result()
         except BrokenProcessPool:
             continue
-    fault = LostShardError(f"No process survived it in {TRIES} tries, perhaps for lack of memory")
+    fault = LostShardError(f"No process survived it in {TRIES} tries, perhaps for lack of memory", code="H3-JOB-003")
     if lost is None:
         raise fault
     return lost(shard, fault)
@@ -125,8 +132,11 @@ def _ctrl_c_held() -> Iterator[None]:
 
 
 class _Worker:
-    """This process as a worker that leaves at once when its parent closes the pool or dies, in the middle of a shard or
-    between two, but not while it sends a result: the parent would wait for the rest of it forever."""
+    """This process as a worker that exits at once when its parent closes the pool or dies.
+
+    It exits in the middle of a shard or between two shards, but not while it sends a result: the parent would wait for
+    the rest of it forever.
+    """
 
     def __init__(self) -> None:
         self.lock = threading.Lock()

@@ -19,9 +19,9 @@ from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from typing import Any
 
+from h3data.commands.shards import LostShardError, R, S
 from h3data.errors import H3DataError, InputError, MissingExtraError
 from h3data_pipelines.execution.ray_worker import Origin, portable_task
-from h3data_pipelines.execution.shards import LostShardError, R, S
 
 TRIES = 4
 """Times that a shard is begun before it is given up, when the process that had it dies each time."""
@@ -46,8 +46,12 @@ _log = logging.getLogger(__name__)
 
 @contextmanager
 def ray_cluster(address: str, workers: int) -> Iterator[RayWorkers]:
-    """The executor ``ray`` (``address`` is empty: the cluster that runs here or that RAY_ADDRESS names, else Ray is started on
-    this machine) or ``ray://host:port`` (a Ray Client server, usually on the cluster's head).
+    """Connects to a Ray cluster for the executors ``ray`` and ``ray://host:port``.
+
+    Args:
+        address: a Ray Client server, usually on the cluster's head. Empty means the cluster that runs here or that
+            RAY_ADDRESS names; otherwise Ray is started on this machine.
+        workers: number of workers.
 
     Raises:
         MissingExtraError: Ray is not installed.
@@ -57,7 +61,9 @@ def ray_cluster(address: str, workers: int) -> Iterator[RayWorkers]:
     try:
         import ray
     except ImportError:
-        raise MissingExtraError('--executor ray needs Ray. Hint: pip install "h3data[ray]"') from None
+        raise MissingExtraError(
+            '--executor ray needs Ray. Hint: pip install "h3data[ray]"', code="H3-JOB-005"
+        ) from None
     if ray.is_initialized():  # from Python, by somebody who will end it
         yield RayWorkers(workers)
         return
@@ -86,15 +92,18 @@ def _connect(ray: Any, address: str, workers: int) -> None:
             except ConnectionError:
                 ray.init("local", num_cpus=workers, include_dashboard=False, **quiet)
     except ImportError as error:  # the client's own packages
-        raise MissingExtraError(f'{where} needs Ray\'s client ({error}). Hint: pip install "h3data[ray]"') from None
+        raise MissingExtraError(
+            f'{where} needs Ray\'s client ({error}). Hint: pip install "h3data[ray]"', code="H3-JOB-006"
+        ) from None
     except (RuntimeError, ValueError, OSError) as error:
         ray.shutdown()
         text = " ".join(str(error).split())
         if "ersion mismatch" in text or "versions are different" in text:
-            raise InputError(f"The cluster has another version of Ray or Python: {text}") from None
+            raise InputError(f"The cluster has another version of Ray or Python: {text}", code="H3-JOB-009") from None
         raise InputError(
             f"There is no Ray cluster at {where or 'this machine'} ({text[:200]}). Start one with `ray start --head`, or "
-            "use --executor ray without an address."
+            "use --executor ray without an address.",
+            code="H3-JOB-007",
         ) from None
 
 
@@ -102,7 +111,9 @@ def _dial(where: str) -> None:
     """Fails fast where nobody listens: Ray itself tries for half a minute."""
     host, _, port = where.removeprefix("ray://").rpartition(":")
     if not host or not port.isdigit():
-        raise InputError(f"Expected --executor ray://HOST:PORT, such as ray://10.0.0.5:10001, got {where!r}.")
+        raise InputError(
+            f"Expected --executor ray://HOST:PORT, such as ray://10.0.0.5:10001, got {where!r}.", code="H3-JOB-004"
+        )
     socket.create_connection((host.strip("[]"), int(port)), timeout=_DIAL_S).close()
 
 
@@ -236,12 +247,14 @@ class _UnderWay:
             try:
                 kind, answer = ray.get(reference)
             except RayTaskError as error:
-                raise H3DataError(f"A Ray worker could not begin: {' '.join(str(error.cause).split())}") from None
+                raise H3DataError(
+                    f"A Ray worker could not begin: {' '.join(str(error.cause).split())}", code="H3-JOB-011"
+                ) from None
             except RayError as error:
                 self._lost(attempt.index, error)
                 continue
             if kind == "refused":
-                raise InputError(answer)
+                raise InputError(answer, code="H3-JOB-010")
             self._finished(attempt, pickle.loads(answer))
 
     def _finished(self, attempt: _Attempt, result: Any) -> None:
@@ -268,7 +281,7 @@ class _UnderWay:
         else:
             text = f"No worker finished it in {most} tries; at the last one {reason}"
             _log.warning("shard %d is given up: %s", index, text)
-            self.done[index] = LostShardError(text)
+            self.done[index] = LostShardError(text, code="H3-JOB-008")
 
 
 def _cancel(reference: Any) -> None:

@@ -16,7 +16,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-PACKAGES = ("h3data", "sim_kinematic", "h3data_pipelines", "h3data_viewers", "h3data_training")
+PACKAGES = ("h3data", "sim_kinematic", "h3data_pipelines", "h3data_viewers", "h3data_training", "h3data_homes")
 _DECIDES = ("numpy", "scipy", "numba")
 
 
@@ -33,14 +33,17 @@ class Origin:
 
     @classmethod
     def of_this_process(cls) -> Origin:
+        """Origin that describes this process."""
         packages = " ".join([f"python {platform.python_version()}", *(f"{name} {version(name)}" for name in _DECIDES)])
         return cls(source_digest(), packages, os.getcwd())
 
     def to_json(self) -> str:
+        """JSON of all fields; the inverse of `from_json`."""
         return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, text: str) -> Origin:
+        """Origin from the JSON that `to_json` returned."""
         return cls(**json.loads(text))
 
 
@@ -58,8 +61,12 @@ def source_digest() -> str:
 
 
 def carry_out(origin_json: str, payload: bytes) -> tuple[str, Any]:
-    """``("done", pickled result)``, ``("raised", pickled error)``, or ``("refused", why)`` by a worker that is not as the
-    process that asks."""
+    """Works on a shard in a worker.
+
+    Returns:
+        ``("done", pickled result)``, ``("raised", pickled error)``, or ``("refused", reason)`` if the worker's code or
+        packages differ from those of the process that asks.
+    """
     from h3data.progress import QUIET
 
     origin = Origin.from_json(origin_json)
@@ -95,7 +102,7 @@ def _pickled(error: Exception) -> bytes:
         text = pickle.dumps(error)
         pickle.loads(text)
     except Exception:
-        return pickle.dumps(H3DataError(f"{type(error).__name__}: {error}"))
+        return pickle.dumps(H3DataError(f"{type(error).__name__}: {error}", code="H3-JOB-012"))
     return text
 
 

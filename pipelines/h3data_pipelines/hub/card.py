@@ -6,7 +6,6 @@ import json
 import logging
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,14 +14,17 @@ import tyro
 from numpy.typing import NDArray
 
 from h3data.commands.command import DryRunFlag, ForceFlag, JsonFlag, Outcome, write_text
+from h3data.commands.options import command_of
 from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
 from h3data.recording.storage import local
+from h3data_pipelines.arguments import result_of
 from h3data_pipelines.hub.provenance import read_commands
 
 if TYPE_CHECKING:
     from h3data.metrics import MetricsTable
     from h3data.recording import Dataset, Recording
+    from h3data_pipelines.arguments import FilePath
 
 log = logging.getLogger(__name__)
 
@@ -37,7 +39,26 @@ _HEIGHT, _WIDTH = 180, 320
 _LISTED = 12
 
 
-@dataclass(frozen=True)
+def card(
+    dataset: FilePath,
+    *,
+    title: str = "",
+    license: str = "unknown",
+    repo: str = "user/name",
+    force: bool = False,
+) -> Path:
+    """Writes README.md for a dataset; options as of ``h3data card``.
+
+    Returns:
+        The file.
+
+    Raises:
+        InputError: the dataset has one.
+    """
+    return result_of(Card, locals())
+
+
+@command_of(card)
 class Card:
     """Write a card for a dataset: README.md and a picture.
 
@@ -52,17 +73,18 @@ class Card:
 
     dataset: tyro.conf.Positional[Path]
     """Folder of the dataset."""
-    title: str = ""
+    title: str
     """Heading (default: the name of the folder)."""
-    license: str = "unknown"
+    license: str
     """License of the data, by its name on the Hub: cc-by-4.0, mit, ..."""
-    repo: str = "user/name"
+    repo: str
     """Name on the Hub, for the lines that load it."""
     dry_run: DryRunFlag = False
-    force: ForceFlag = False
+    force: ForceFlag
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Writes the card, or returns its text with ``--dry-run``."""
         from h3data.recording import Dataset
 
         dataset = Dataset(local(self.dataset))
@@ -71,7 +93,7 @@ class Card:
             text = card_text(dataset, title=self.title or root.resolve().name, license=self.license, repo=self.repo)
             return Outcome(text=text, data={"card": text})
         if path.exists() and not self.force:
-            raise InputError(f"The dataset has a card. Use --force to overwrite it: {path}")
+            raise InputError(f"The dataset has a card. Use --force to overwrite it: {path}", code="H3-HUB-001")
         write_card(dataset, title=self.title, license=self.license, repo=self.repo)
         return Outcome(text=f"wrote {path} and {PICTURE}", data={"card": str(path)}, result=path)
 

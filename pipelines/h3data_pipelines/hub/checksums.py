@@ -45,7 +45,7 @@ def require_checksums(root: Path) -> int:
     try:
         expected = {str(name): str(digest) for name, digest in json.loads(path.read_bytes())["sha256"].items()}
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise FormatError(f"The checksums are damaged ({error!r}): {path}") from None
+        raise FormatError(f"The checksums are damaged ({error!r}): {path}", code="H3-HUB-003") from None
     present = set(files_of(root))
     missing = sorted(expected.keys() - present)
     found = checksums_of(root, sorted(expected.keys() & present))
@@ -54,7 +54,9 @@ def require_checksums(root: Path) -> int:
     faults = [f"{len(names)} {what} ({', '.join(names[:3])})" for what, names in (
         ("missing", missing), ("damaged", damaged), ("that do not belong to it", more)) if names]  # fmt: skip
     if faults:
-        raise FormatError(f"The copy differs from the dataset that was pushed: files {'; '.join(faults)}: {root}")
+        raise FormatError(
+            f"The copy differs from the dataset that was pushed: files {'; '.join(faults)}: {root}", code="H3-HUB-002"
+        )
     return len(expected)
 
 

@@ -24,7 +24,7 @@ def checked_repo(repo: str) -> str:
     """
     name = re.sub(r"^(https?://[^/]+/datasets/|hf://datasets/)", "", repo).strip("/")
     if not _REPO.fullmatch(name):
-        raise InputError(f"Expected a dataset on the Hub as user/name, got {repo!r}.")
+        raise InputError(f"Expected a dataset on the Hub as user/name, got {repo!r}.", code="H3-HUB-004")
     return name
 
 
@@ -38,7 +38,7 @@ def hub_api() -> Any:
         import huggingface_hub
     except ImportError as error:
         raise MissingExtraError(
-            'The Hugging Face Hub needs the extra "hub". Hint: pip install "h3data[hub]"'
+            'The Hugging Face Hub needs the extra "hub". Hint: pip install "h3data[hub]"', code="H3-HUB-005"
         ) from error
     return huggingface_hub.HfApi(endpoint=os.environ.get("HF_ENDPOINT") or None, library_name="h3data")
 
@@ -63,7 +63,7 @@ def hub_errors(repo: str, *, to: str) -> Iterator[None]:
         if said is None:
             raise
         endpoint = os.environ.get("HF_ENDPOINT") or "https://huggingface.co"
-        raise InputError(f"{said}: {endpoint}/datasets/{repo}") from None
+        raise InputError(f"{said}: {endpoint}/datasets/{repo}", code="H3-HUB-006") from None
     finally:
         if not were_off:
             enable_progress_bars()

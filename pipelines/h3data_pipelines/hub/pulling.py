@@ -5,26 +5,44 @@ from __future__ import annotations
 import shutil
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from h3data.commands.command import ForceFlag, JsonFlag, Outcome, claim_folder, keeping, remove_dataset
+from h3data.commands.options import command_of
 from h3data.errors import FormatError, InputError
 from h3data.files import size_text
 from h3data.progress import progress
 from h3data.recording.storage import local
 from h3data.terminal import counted
+from h3data_pipelines.arguments import result_of
 from h3data_pipelines.hub.checksums import PARTS, require_checksums
 from h3data_pipelines.hub.client import TYPE, checked_repo, hub_api, hub_errors
+
+if TYPE_CHECKING:
+    from h3data_pipelines.arguments import FilePath
 
 _THREADS = 4
 _BESIDE = ("README.md", "card.jpg")
 
 
-@dataclass(frozen=True)
+def pull(repo: str, out: FilePath, *, revision: str = "main", force: bool = False) -> Path:
+    """Downloads a dataset from the Hugging Face Hub; options as of ``h3data pull``.
+
+    Returns:
+        The dataset's folder.
+
+    Raises:
+        MissingExtraError: the extra ``hub`` is not installed.
+        InputError: there is no such dataset, or the Hub cannot be reached.
+        FormatError: what came is not what was pushed.
+    """
+    return result_of(Pull, locals())
+
+
+@command_of(pull)
 class Pull:
     """Download a dataset from the Hugging Face Hub.
 
@@ -41,12 +59,13 @@ class Pull:
     """Name on the Hub, as user/name."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the dataset."""
-    revision: str = "main"
+    revision: str
     """Branch, tag or commit."""
-    force: ForceFlag = False
+    force: ForceFlag
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Downloads the dataset and returns its number of episodes and its size."""
         from h3data.recording import Dataset
 
         repo, out, api = checked_repo(self.repo), local(self.out), hub_api()
@@ -59,11 +78,14 @@ class Pull:
         names = [name for name in sizes if name.partition("/")[0] in PARTS or name in _BESIDE]
         if "h3/schema.json" not in names:
             raise InputError(
-                f"Expected a dataset that h3data wrote, this one has no h3/schema.json: {api.endpoint}/datasets/{repo}"
+                f"Expected a dataset that h3data wrote, this one has no h3/schema.json: {api.endpoint}/datasets/{repo}",
+                code="H3-HUB-007",
             )
         free = shutil.disk_usage(out.parent).free
         if (size := sum(sizes[name] for name in names)) > free:
-            raise InputError(f"The dataset takes {size_text(size)}, the disk has {size_text(free)} left: {out}")
+            raise InputError(
+                f"The dataset takes {size_text(size)}, the disk has {size_text(free)} left: {out}", code="H3-HUB-008"
+            )
         with keeping(lambda: f"what is downloaded is in {part}: the same command goes on"):
             with hub_errors(repo, to="pull"):
                 _download(api, repo, commit, names, part)

@@ -4,22 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import tyro
 
 from h3data.commands.command import JsonFlag, Outcome, keeping
+from h3data.commands.options import command_of
 from h3data.errors import InputError
 from h3data.files import size_text
 from h3data.progress import progress
 from h3data.recording.storage import local
 from h3data.terminal import counted
+from h3data_pipelines.arguments import result_of
 from h3data_pipelines.hub.card import CARD, PICTURE, write_card
 from h3data_pipelines.hub.checksums import FILE as CHECKSUMS
 from h3data_pipelines.hub.checksums import PARTS, checksums_of, files_of, to_json
 from h3data_pipelines.hub.client import TYPE, checked_repo, hub_api, hub_errors
+
+if TYPE_CHECKING:
+    from h3data_pipelines.arguments import FilePath
 
 VERSION_TAG = "v3.0"
 """LeRobot loads the revision that is tagged with the version of its format."""
@@ -27,7 +31,20 @@ _BATCH = 16
 """Files uploaded between two updates of the progress bar."""
 
 
-@dataclass(frozen=True)
+def push(dataset: FilePath, repo: str, *, private: bool = False, message: str = "") -> str:
+    """Uploads a dataset to the Hugging Face Hub; options as of ``h3data push``.
+
+    Returns:
+        Its address.
+
+    Raises:
+        MissingExtraError: the extra ``hub`` is not installed.
+        InputError: there is no token, it has no right to write, or the Hub cannot be reached.
+    """
+    return result_of(Push, locals())
+
+
+@command_of(push)
 class Push:
     """Upload a dataset to the Hugging Face Hub.
 
@@ -44,19 +61,20 @@ class Push:
     """Folder of the dataset."""
     repo: tyro.conf.Positional[str]
     """Name on the Hub, as user/name; created if it does not exist."""
-    private: bool = False
+    private: bool
     """Create it as a private dataset. One that exists stays as it is."""
-    message: str = ""
+    message: str
     """Message of the commit."""
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Uploads the dataset, with a card if it has none, and returns its address."""
         from h3data.recording import Dataset
 
         dataset, repo = Dataset(local(self.dataset)), checked_repo(self.repo)
         root, api = Path(str(dataset.root)), hub_api()
         if not len(dataset):
-            raise InputError(f"The dataset has no episodes: {root}")
+            raise InputError(f"The dataset has no episodes: {root}", code="H3-HUB-009")
         if not (root / CARD).exists():
             write_card(dataset, repo=repo)
         names = files_of(root)

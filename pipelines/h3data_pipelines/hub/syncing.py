@@ -5,19 +5,23 @@ from __future__ import annotations
 import hashlib
 import shutil
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from h3data.commands.command import DryRunFlag, JsonFlag, Outcome, keeping
+from h3data.commands.options import command_of
 from h3data.errors import FormatError, InputError
 from h3data.files import part_file, size_text
 from h3data.progress import progress
 from h3data.recording.parquet.files import is_dataset, write_atomic
 from h3data.recording.storage import AnyPath, RemotePath, open_binary, place, sizes_below
 from h3data.terminal import counted
+from h3data_pipelines.arguments import result_of
+
+if TYPE_CHECKING:
+    from h3data_pipelines.arguments import FilePath
 
 _THREADS = 8
 _BLOCK = 1 << 20
@@ -27,7 +31,20 @@ _INFO = "meta/info.json"
 _WRITER = "h3/writer"
 
 
-@dataclass(frozen=True)
+def sync(source: FilePath, target: FilePath, *, quick: bool = False, force: bool = False) -> Path | RemotePath:
+    """Copies a dataset to another folder or object store, or what is new in it; options as of ``h3data sync``.
+
+    Returns:
+        Where the copy is.
+
+    Raises:
+        InputError: the source is no dataset, or the target holds anything but a copy of it.
+        FormatError: a file arrived otherwise than it was sent.
+    """
+    return result_of(Sync, locals())
+
+
+@command_of(sync)
 class Sync:
     """Copy a dataset between folders and object stores, or only what is missing in a copy.
 
@@ -46,24 +63,25 @@ class Sync:
     """Dataset, as a folder or URI."""
     target: tyro.conf.Positional[Path]
     """Folder or URI of the copy."""
-    quick: Annotated[bool, tyro.conf.arg(help="Take files of the same size as equal, without reading them.")] = False
+    quick: Annotated[bool, tyro.conf.arg(help="Take files of the same size as equal, without reading them.")]
     dry_run: DryRunFlag = False
     force: Annotated[
         bool,
         tyro.conf.arg(
             help="Make the target equal even if it holds another dataset: files that the source lacks are deleted."
         ),
-    ] = False
+    ]
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Copies the files that are missing in the target and returns how many there were."""
         source, target = place(self.source), place(self.target)
         if not is_dataset(source):
-            raise InputError(f"Expected a dataset to copy, there is none: {source}")
+            raise InputError(f"Expected a dataset to copy, there is none: {source}", code="H3-HUB-013")
         if _same_place(source, target):
-            raise InputError(f"The source and the target are the same: {source}")
+            raise InputError(f"The source and the target are the same: {source}", code="H3-HUB-014")
         if isinstance(target, Path) and target.exists() and not target.is_dir():
-            raise InputError(f"Expected a folder for the copy, this is a file: {target}")
+            raise InputError(f"Expected a folder for the copy, this is a file: {target}", code="H3-HUB-015")
         info = _read(source / _INFO)  # before the list: its count must not be ahead of the tables
         sizes = {name: size for name, size in sizes_below(source).items() if _belongs(name)}
         there = {name: size for name, size in sizes_below(target).items() if _belongs(name)}
@@ -155,7 +173,9 @@ def _copy_file(source: AnyPath, target: AnyPath, name: str, info: bytes | None) 
 
 def _require_digest(path: AnyPath, digest: str) -> None:
     if _sha256(path) != digest:
-        raise FormatError(f"The copy differs from the original; it may have changed meanwhile. Try again: {path}")
+        raise FormatError(
+            f"The copy differs from the original; it may have changed meanwhile. Try again: {path}", code="H3-HUB-010"
+        )
 
 
 def _sha256(path: AnyPath) -> str:
@@ -202,7 +222,8 @@ def _require_a_copy(source: AnyPath, target: AnyPath, there: dict[str, int], siz
     if others := sorted(there.keys() - sizes.keys()):
         raise InputError(
             f"The target holds {counted(len(others), 'file')} that the source lacks, the first: {others[0]}. --force deletes "
-            f"them and makes the target equal: {target}"
+            f"them and makes the target equal: {target}",
+            code="H3-HUB-011",
         )
     if not any(name.startswith("meta/episodes/") for name in there):
         return
@@ -211,6 +232,10 @@ def _require_a_copy(source: AnyPath, target: AnyPath, there: dict[str, int], siz
     try:
         mine, theirs = ([row["uid"] for row in Dataset(root).rows] for root in (source, target))
     except FormatError as error:
-        raise InputError(f"The target cannot be read as a dataset; --force copies over it ({error})") from None
+        raise InputError(
+            f"The target cannot be read as a dataset; --force copies over it ({error})", code="H3-HUB-016"
+        ) from None
     if mine[: len(theirs)] != theirs:
-        raise InputError(f"The target holds other episodes than the source; --force replaces them: {target}")
+        raise InputError(
+            f"The target holds other episodes than the source; --force replaces them: {target}", code="H3-HUB-012"
+        )

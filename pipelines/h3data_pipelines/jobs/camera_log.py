@@ -35,7 +35,9 @@ class CameraLog:
             try:
                 self._cameras = dict(json.loads(self.path.read_bytes())["cameras"])
             except (ValueError, KeyError, TypeError):
-                raise InputError(f"Not a file of ours; remove it or choose another -o: {self.path}") from None
+                raise InputError(
+                    f"Not a file of ours; remove it or choose another -o: {self.path}", code="H3-JOB-013"
+                ) from None
 
     def made_of(self, track: CameraTrack, target: Target) -> str:
         """A digest of everything that an output depends on."""

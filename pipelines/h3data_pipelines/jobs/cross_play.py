@@ -48,7 +48,7 @@ class CrossPlayTable:
     partners: tuple[str, ...]
     """Names; last the zero-shot population together, if there is one."""
     cells: dict[tuple[str, str, str], Summary]
-    """By metric, policy, partner."""
+    """Summaries by metric, policy and partner."""
     episodes: int
     solo_steps: float
     """Mean steps of the person alone."""

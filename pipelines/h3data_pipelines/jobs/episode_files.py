@@ -12,14 +12,14 @@ from h3data.commands.command import claim_file
 from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
 from h3data.recording import Recording
-from h3data.scene.scene_sets import SceneFile
-from h3data_pipelines.jobs.episodes import Choices, Draw, Job, checked, chosen_count, make_jobs, refuse_beside
+from h3data.scene.sources import SceneFile
+from h3data_pipelines.jobs.episodes import Choices, Job, SampledEpisode, checked, chosen_count, make_jobs, refuse_beside
 from h3data_pipelines.jobs.failed_episodes import is_failed
 from h3data_pipelines.jobs.running import simulate_job
 
 if TYPE_CHECKING:
-    from h3data.habitat.episodes.rearrange_episode import EpisodeSet
-    from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode as FileEntry
+    from h3data.recording.task_episodes.rearrange_episode import EpisodeSet
+    from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode as FileEntry
     from sim_kinematic.tasks.task import Task
 
 
@@ -36,8 +36,8 @@ class FileJobs(NamedTuple):
     """What stands in for something missing."""
 
 
-class Lacking(Protocol):
-    """What was made of an episode file."""
+class MissingEpisodes(Protocol):
+    """Report on the episodes of a file that cannot be played."""
 
     @property
     def left_out(self) -> tuple[str, ...]:
@@ -50,7 +50,7 @@ class Lacking(Protocol):
         ...
 
 
-def notes_on(made: Lacking) -> str:
+def notes_on(made: MissingEpisodes) -> str:
     """Lines on what a file lacks, each after a line break."""
     lines = []
     for word, texts in (("left out", made.left_out), ("warning:", made.warnings)):
@@ -64,22 +64,42 @@ class EpisodeRequest(Protocol):
     """Which episodes a command plays: those of a file, or of scenes."""
 
     @property
-    def episodes_file(self) -> Path | None: ...
+    def episodes_file(self) -> Path | None:
+        """File with the episodes; None if they are sampled in ``scenes``."""
+        ...
+
     @property
-    def scenes(self) -> str: ...
+    def scenes(self) -> tuple[str, ...]:
+        """Scenes, as the option ``--scenes`` names them."""
+        ...
+
     @property
-    def homes(self) -> int: ...
+    def homes(self) -> int:
+        """Number of homes of a preset."""
+        ...
+
     @property
-    def assets(self) -> Sequence[str | Path]: ...
+    def assets(self) -> Sequence[str | Path]:
+        """Folders and files in which assets are searched."""
+        ...
+
     @property
-    def allow_missing(self) -> bool: ...
+    def allow_missing(self) -> bool:
+        """Whether scenes may lack assets."""
+        ...
+
     @property
-    def episodes(self) -> int | None: ...
+    def episodes(self) -> int | None:
+        """Number of episodes; None for all of a file or set."""
+        ...
+
     @property
-    def seed(self) -> int: ...
+    def seed(self) -> int:
+        """Seed of the first episode."""
+        ...
 
 
-def requested_jobs(request: EpisodeRequest, choices: Choices, *, default_scenes: str) -> FileJobs:
+def requested_jobs(request: EpisodeRequest, choices: Choices, *, default_scenes: tuple[str, ...]) -> FileJobs:
     """The episodes of ``request``, which cannot name both a file and scenes other than the default ones.
 
     Raises:
@@ -130,7 +150,7 @@ def file_jobs(
         try:
             stored = storage.read(entry, seed=episode_seed(seed, i))
             if stored is None:
-                raise InputError(_not_of_task(entry, choices.found_task, path))
+                raise InputError(_not_of_task(entry, choices.found_task, path), code="H3-JOB-015")
             rules = storage.rules(stored)
             source = scene_of_episode(entry, stored, path.parent, assets=assets, allow_missing=allow_missing)
             stand_ins |= dict.fromkeys(storage.stand_ins(stored, source))
@@ -142,7 +162,7 @@ def file_jobs(
         if storage.is_complete(stored):
             refuse_beside("--episodes-file", **given)
         origin = {"file": path.name, "sha256": digest, "episode": i, "episode_id": str(entry.episode_id)}
-        drawn = Draw(i, stored.seed, entry.scene_id, source, origin)
+        drawn = SampledEpisode(i, stored.seed, entry.scene_id, source, origin)
         told = choices.agents is not None or choices.human is not None
         agents = {} if told else {"agents": None}
         jobs.append(choices.job(drawn, spec=choices.spec(rules), stored=stored, **agents))
@@ -169,7 +189,7 @@ def _digest(path: Path, read: EpisodeSet) -> str:
 
 def _not_of_task(entry: FileEntry, task: Task, path: Path) -> str:
     """Why an entry of an episode file is none of a task."""
-    from h3data.habitat.episodes.stored_episodes import task_of
+    from h3data.recording.task_episodes.stored_episodes import task_of
 
     of = task_of(entry)
     if of is not None:
@@ -211,7 +231,9 @@ def widest_episode(jobs: Sequence[Job]) -> tuple[Recording, ...]:
 def claim_episode_file(path: Path, *, force: bool) -> None:
     """Refuses a file that exists or is not called like an episode file."""
     if not path.name.endswith((".json.gz", ".json")):
-        raise InputError(f"--save-episodes: expected a file name that ends in .json.gz or .json, got: {path}")
+        raise InputError(
+            f"--save-episodes: expected a file name that ends in .json.gz or .json, got: {path}", code="H3-JOB-014"
+        )
     claim_file(path, force=force)
 
 
@@ -222,7 +244,7 @@ def save_episodes(jobs: Sequence[Job], path: Path) -> tuple[str, ...]:
         SceneError: none can be sampled.
     """
     from h3data.habitat.episodes.episode_files import write_episodes
-    from h3data.habitat.episodes.rearrange_episode import EpisodeSet
+    from h3data.recording.task_episodes.rearrange_episode import EpisodeSet
 
     entries: list[FileEntry] = []
     faults: dict[int, H3DataError] = {}

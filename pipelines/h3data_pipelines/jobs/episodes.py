@@ -12,20 +12,21 @@ from typing import TYPE_CHECKING, Any, overload
 
 import msgspec
 
-from h3data.errors import InputError, suggest
+from h3data.errors import InputError
 from h3data.recording import Recording
-from h3data.scene.scene_sets import SceneFile, SceneSet, SceneSource
+from h3data.scene.scene_sets import SceneSet
+from h3data.scene.sources import SceneFile, SceneSource
 
 if TYPE_CHECKING:
-    from h3data.habitat.episodes.stored_episodes import StoredEpisode
-    from h3data.habitat.scene_names import NamedScene
+    from h3data.recording.task_episodes.stored_episodes import StoredEpisode
+    from h3data.scene.open import NamedScene
     from sim_kinematic.tasks.episode import Episode
     from sim_kinematic.tasks.task import Task
 
 SAMPLED_BODIES = ("any", "random")
 """As the name of a body: each episode samples one of the built-in ones, or makes one of its seed."""
 SOLO = "solo"
-"""As a policy: robots take no part."""
+"""Name of the policy with which robots take no part."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Job:
     partner: str | None = None
     """Policies of people."""
     agents: tuple[str, ...] | None = None
-    """Who is there (`sim_kinematic.agents.roster.make_roster`); None: the task's roster."""
+    """Agents of the episode (`sim_kinematic.agents.roster.make_roster`); None: the task's roster."""
     human: str | None = None
     """Body of people named by their kind; None: the episode's, else the default."""
     robot: str | None = None
@@ -59,8 +60,10 @@ class Job:
     """Which episode of which set or file it is; ends up in the recording."""
 
     def to_json(self) -> dict[str, Any]:
-        """Everything that decides the episode, as JSON gives it back; a stored one is known by its ``origin``. Fields that are
-        not set are left out."""
+        """Everything that determines the episode, as JSON types.
+
+        A stored episode is identified by its ``origin``. Fields that are not set are left out.
+        """
         from sim_kinematic.tasks.episode import rules_dict
 
         apart = ("stored", "origin", "task")
@@ -90,7 +93,7 @@ class Job:
 
     def episode(self) -> Episode:
         """Scene, starts and rules, ready to run."""
-        from h3data.habitat.scene_names import open_free_space, open_scene
+        from h3data.scene.open import open_free_space, open_scene
         from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, make_roster
         from sim_kinematic.tasks.storage import EpisodePlace
 
@@ -164,23 +167,25 @@ class Choices:
 
     def spec(self, base: Any = None) -> Any:
         """The rules: ``base`` (default: the task's) with what the user asks for."""
-        from sim_kinematic.tasks.episode import with_options
+        from sim_kinematic.tasks.episode import rule_value, with_options
 
         base = self.found_task.default_spec() if base is None else base
         if self.oracle:
             from sim_kinematic.tasks.rearrange.episode import with_oracle_skills
 
             base = with_oracle_skills(base)
-        rules = {name: _rule_value(base, name, value) for name, value in self.rules}
+        rules = {name: rule_value(base, name, value) for name, value in self.rules}
         for name, option in (("max_steps", "max_steps"), ("spawn_distance_m", "spawn_distance")):
             if (asked := getattr(self, option)) is None:
                 continue
             if name in rules:
-                raise InputError(f"Expected --{option.replace('_', '-')} or --rule {name}=..., got both.")
+                raise InputError(
+                    f"Expected --{option.replace('_', '-')} or --set {name}=..., got both.", code="H3-JOB-048"
+                )
             rules[name] = asked
         return with_options(base, human_walk=self.human_walk, human_speed=self.human_speed, **rules)
 
-    def job(self, drawn: Draw, **more: Any) -> Job:
+    def job(self, drawn: SampledEpisode, **more: Any) -> Job:
         """The job of one sampled episode."""
         given = {"human": self._human(drawn.seed), "agents": self._agents(drawn.seed), **more}
         if "spec" not in given:
@@ -226,7 +231,7 @@ class Choices:
 
 
 def with_skills(choices: Choices, skills: str) -> Choices:
-    """The same with learned skills, or `ORACLE` ones; with none where ``skills`` is empty.
+    """Rules with learned skills, or `ORACLE` ones; with none if ``skills`` is empty.
 
     Raises:
         InputError: the task has no skills, or there are no such files.
@@ -236,16 +241,18 @@ def with_skills(choices: Choices, skills: str) -> Choices:
     if not skills:
         return choices
     if not hasattr(choices.found_task.default_spec(), "skills"):
-        raise InputError(f"--skills is for rearrange, not for {choices.task}.")
+        raise InputError(f"--skills is for rearrange, not for {choices.task}.", code="H3-JOB-016")
     if skills == ORACLE:
         if choices.human_walk is not None or choices.human_speed is not None:
-            raise InputError("--skills oracle has the paper's people: no --human-walk or --human-speed.")
+            raise InputError(
+                "--skills oracle has the paper's people: no --human-walk or --human-speed.", code="H3-JOB-024"
+            )
         return replace(choices, oracle=True)
     return replace(choices, rules=(*choices.rules, ("skills", recorded_skills(skills))))
 
 
 @dataclass(frozen=True)
-class Draw:
+class SampledEpisode:
     """One episode that is sampled from its seed, whatever the task."""
 
     index: int
@@ -260,24 +267,25 @@ class Draw:
 def check_numbers(
     *, episodes: int | None, homes: int, max_steps: int | None, seed: int, human_speed: float | None
 ) -> None:
-    """
+    """Checks the numbers among the options of a job.
+
     Raises:
-        InputError: a number cannot be; the message names its option.
+        InputError: a number is out of range; the message names its option.
     """
     for name, value, least in (
         ("--episodes", episodes, 1), ("--homes", homes, 1), ("--max-steps", max_steps, 1), ("--seed", seed, 0),
     ):  # fmt: skip
         if value is not None and value < least:
-            raise InputError(f"{name} must be at least {least}, got {value}.")
+            raise InputError(f"{name} must be at least {least}, got {value}.", code="H3-JOB-025")
     if episodes is not None and episodes > sys.maxsize:
-        raise InputError(f"--episodes must be at most {sys.maxsize}, got {episodes}.")
+        raise InputError(f"--episodes must be at most {sys.maxsize}, got {episodes}.", code="H3-JOB-017")
     if human_speed is not None and not 0 < human_speed <= 4:
-        raise InputError(f"--human-speed must be above 0 and at most 4 m/s, got {human_speed}.")
+        raise InputError(f"--human-speed must be above 0 and at most 4 m/s, got {human_speed}.", code="H3-JOB-018")
 
 
 def make_jobs(
     choices: Choices,
-    scenes: str,
+    scenes: str | Sequence[str],
     *,
     episodes: int | None,
     seed: int,
@@ -285,23 +293,27 @@ def make_jobs(
     assets: Sequence[str | Path] = (),
     allow_missing: bool = False,
 ) -> Sequence[Job]:
-    """Episodes in the scenes that ``scenes`` means: all of a set by default, else 10.
+    """Episodes in the scenes that ``scenes`` means: all of a set by default, else 10, which go round the scenes.
+
+    Of several names each stands for its scenes; the episodes of a set are those of a set that is named alone.
 
     Raises:
         InputError: no such task, scenes, agents or policy, or a set has fewer episodes; the message lists what there is.
     """
-    from h3data.habitat.scene_names import named_scenes
+    from h3data.scene.open import named_scenes
     from h3data.scene.scene_sets import find_scene_set
 
     choices = checked(choices)
-    label, _, which = scenes.partition("#")
-    found = find_scene_set(label)
+    names = (scenes,) if isinstance(scenes, str) else scenes
+    label, _, which = names[0].partition("#")
+    found = find_scene_set(label) if len(names) == 1 else None
     if found is not None:
-        chosen = replace(found, scenes=(found.entry(which),)) if "#" in scenes else found
+        chosen = replace(found, scenes=(found.entry(which),)) if "#" in names[0] else found
         drawn_with = choices.found_task.set_rules(chosen)
         more = {} if drawn_with is None else {"drawn_with": drawn_with, "spec": choices.spec(drawn_with)}
         return [choices.job(drawn, **more) for drawn in set_episodes(chosen, episodes=episodes, seed=seed)]
-    named = named_scenes(scenes, homes=homes, assets=assets, allow_missing=allow_missing)
+    options: dict[str, Any] = {"homes": homes, "assets": assets, "allow_missing": allow_missing}
+    named = [scene for name in names for scene in named_scenes(name, **options)]
     return SampledJobs(choices, named, range(10 if episodes is None else episodes), seed=seed)
 
 
@@ -326,7 +338,7 @@ class SampledJobs(Sequence[Job]):
             return SampledJobs(self._choices, self._places, self._numbers[index], seed=self._seed)
         number = self._numbers[index]
         place = self._places[number % len(self._places)]
-        drawn = Draw(number, episode_seed(self._seed, number), place.name, place.source)
+        drawn = SampledEpisode(number, episode_seed(self._seed, number), place.name, place.source)
         return self._choices.job(drawn, spec=self._spec)
 
     @property
@@ -347,7 +359,7 @@ def most_steps(jobs: Sequence[Job]) -> int:
     return sum(job.spec.max_steps for job in jobs)
 
 
-def set_episodes(scenes: SceneSet, *, episodes: int | None, seed: int) -> Iterator[Draw]:
+def set_episodes(scenes: SceneSet, *, episodes: int | None, seed: int) -> Iterator[SampledEpisode]:
     """The first ``episodes`` episodes of a set; with another ``seed`` than 0, others."""
     for i in range(chosen_count(episodes, scenes.episodes, scenes.label)):
         entry, index = scenes.place(i)
@@ -360,14 +372,16 @@ def set_episodes(scenes: SceneSet, *, episodes: int | None, seed: int) -> Iterat
             "sha256": scenes.sha256,
         }
         drawn = scenes.episode_seed(entry.id, index, seed=seed)
-        yield Draw(i, drawn, f"{scenes.label}#{entry.id}", entry.source, origin)
+        yield SampledEpisode(i, drawn, f"{scenes.label}#{entry.id}", entry.source, origin)
 
 
 def refuse_beside(option: str, **given: bool) -> None:
     """Refuses options that a stored episode decides already."""
     for name, is_given in given.items():
         if is_given:
-            raise InputError(f"{option} says where the episodes start: leave out --{name.replace('_', '-')}.")
+            raise InputError(
+                f"{option} says where the episodes start: leave out --{name.replace('_', '-')}.", code="H3-JOB-026"
+            )
 
 
 def checked(choices: Choices) -> Choices:
@@ -378,7 +392,7 @@ def checked(choices: Choices) -> Choices:
     """
     from h3data.bodies import load_humanoid
     from sim_kinematic.agents.roster import HUMAN_BODY, kinds_of, make_roster
-    from sim_kinematic.policies.assignment import each_of
+    from sim_kinematic.policies.assignment import each_of, resolve_policy
     from sim_kinematic.policies.learned import stamped
 
     task, spec = choices.found_task, choices.spec()
@@ -392,7 +406,8 @@ def checked(choices: Choices) -> Choices:
     if choices.motion is not None:
         if "human" not in kinds:
             raise InputError(
-                f"--motion is how people walk, but there are none in --agents {','.join(choices.agents or ())}."
+                f"--motion is how people walk, but there are none in --agents {','.join(choices.agents or ())}.",
+                code="H3-JOB-027",
             )
         load_humanoid(f"{human or HUMAN_BODY}+{choices.motion}")
     named = {"robot": choices.policy, "human": choices.partner}
@@ -402,64 +417,24 @@ def checked(choices: Choices) -> Choices:
             continue
         if kind not in kinds:
             who = ",".join(choices.agents or task.agents)
-            raise InputError(f"{option} {names} is for a {kind}, but there is none in --agents {who}.")
+            raise InputError(
+                f"{option} {names} is for a {kind}, but there is none in --agents {who}.", code="H3-JOB-028"
+            )
         named[kind] = ",".join(map(stamped, names.split(",")))
         for name in each_of(names, kinds.count(kind), kind):
-            task.check_policy(kind, name.strip(), spec)
+            resolve_policy(task, kind, name, spec)
     if choices.policy == SOLO and ("human" not in kinds or not task.can_be_solo):
         raise InputError(
             f"The policy {SOLO} leaves robots away, so somebody else must be there. Expected a person in --agents."
             if task.can_be_solo
-            else f"{task.name} needs a robot: the policy {SOLO} is for rearrange."
+            else f"{task.name} needs a robot: the policy {SOLO} is for rearrange.",
+            code="H3-JOB-019",
         )
     return replace(
         choices,
         policy=named["robot"] or task.recorded_default("robot"),
         partner=named["human"] or task.recorded_default("human"),
     )
-
-
-_RULE_KINDS = {
-    bool: "true or false",
-    int: "a whole number",
-    float: "a number",
-    str: "a word",
-    tuple: "a list of numbers",
-}
-"""Types of rules that can be given as text, and how to ask for them."""
-
-
-def _rule_value(spec: Any, name: str, value: Any) -> Any:
-    """The value of a rule, given as JSON, in the type that the rules have.
-
-    Raises:
-        InputError: the task has no such rule, or its values are of another type.
-    """
-    there = [f.name for f in fields(spec) if type(getattr(spec, f.name)) in _RULE_KINDS]
-    if name not in there:
-        raise InputError(f"Unknown rule {name!r}.{suggest(name, there)}")
-    now = getattr(spec, name)
-    kind = type(now)
-    if kind is float and type(value) is int:
-        value = float(value)
-    if kind is tuple and isinstance(value, list) and len(value) == len(now):
-        value = tuple(map(_rule_number, value))
-    numbers = value if isinstance(value, tuple) else (value,)
-    if type(value) is not kind or any(number is None or number != number for number in numbers):
-        given = value if isinstance(value, str) else json.dumps(value)
-        shape = f" of length {len(now)}" if kind is tuple else ""
-        raise InputError(
-            f"Expected the rule {name} to be {_RULE_KINDS[kind]}{shape}, as {name}={_as_text(now)}; got {given}."
-        )
-    return value
-
-
-def _rule_number(value: Any) -> float | None:
-    return float(value) if type(value) in (int, float) else None
-
-
-def _as_text(value: Any) -> str:
-    return value if isinstance(value, str) else json.dumps(value)
 
 
 def stored_person(name: str) -> str:
@@ -488,7 +463,9 @@ def sampled_body(choice: str, seed: int, person: int = 0) -> str:
 def chosen_count(wanted: int | None, there: int, label: str) -> int:
     """How many of the episodes that exist: all of them, or as many as are wanted."""
     if there < 1:
-        raise InputError(f"There are no episodes in {label}.")
+        raise InputError(f"There are no episodes in {label}.", code="H3-JOB-022")
     if wanted is not None and wanted > there:
-        raise InputError(f"--episodes must be at most {there}, which is all of {label}; got {wanted}.")
+        raise InputError(
+            f"--episodes must be at most {there}, which is all of {label}; got {wanted}.", code="H3-JOB-023"
+        )
     return there if wanted is None else wanted

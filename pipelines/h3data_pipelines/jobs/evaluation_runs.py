@@ -39,13 +39,13 @@ class EvaluationRequest:
     """Policies, partners and episodes of an evaluation."""
 
     task: str
-    policies: str = ALL
-    """Robots, separated by commas, or ``all``. ``weights:PATTERN`` stands for all files that fit, which are one row."""
-    partners: str = ALL
-    """People, separated by commas, or ``all``."""
-    zsc: tuple[str, ...] = ()
+    policies: tuple[str, ...] = (ALL,)
+    """Robots, or ``all``. ``weights:PATTERN`` stands for all files that fit, which are one row."""
+    partners: tuple[str, ...] = (ALL,)
+    """People, or ``all``."""
+    unseen_partners: tuple[str, ...] = ()
     """Partners over which the zero-shot mean is taken (default: the paper's four planners, if all play)."""
-    scenes: str = "h3-homes/test"
+    scenes: tuple[str, ...] = ("h3-homes/test",)
     episodes_file: Path | None = None
     """Episodes to play instead of those of ``scenes``."""
     assets: tuple[Path, ...] = ()
@@ -64,6 +64,8 @@ class EvaluationRequest:
     skills: str = ""
     """Learned skills of robots in rearrangement (`sim_kinematic.policies.skills.names.recorded_skills`), or ``oracle``; empty:
     those that know all."""
+    rules: tuple[tuple[str, Any], ...] = ()
+    """Further fields of the task's rules, by name."""
     light: LightMode | None = None
     """Light in the colours that policies are shown; None: that in which each has learned."""
 
@@ -73,7 +75,7 @@ class EvaluationRequest:
 
     def evaluations(self) -> tuple[list[Evaluation], FileJobs]:
         """All episodes, and what a file lacks; an `InputError` names the bad option."""
-        from sim_kinematic.policies.assignment import policy_names
+        from sim_kinematic.policies.assignment import policy_names, resolve_policy
         from sim_kinematic.policies.learned import in_light
         from sim_kinematic.tasks.registry import find_task
 
@@ -81,24 +83,27 @@ class EvaluationRequest:
             episodes=self.episodes, homes=self.homes, max_steps=self.max_steps, seed=self.seed, human_speed=self.human_speed
         )  # fmt: skip
         task = find_task(self.task)
-        named = chosen_names("--policies", self.policies, policy_names(task, "robot"))
+        named = chosen_names(self.policies, policy_names(task, "robot"))
         policies = tuple(dict.fromkeys(in_light(name, self.light) for name in named))
         crosses = "human" in task.defaults and task.crosses_partners
         partners: tuple[str, ...] = ()
-        if crosses or self.partners != ALL:
-            partners = chosen_names("--partners", self.partners, policy_names(task, "human"))
+        if crosses or self.partners != (ALL,):
+            partners = chosen_names(self.partners, policy_names(task, "human"))
         if strangers := [name for name in self.population if name not in partners]:
             raise InputError(
-                f"--zsc: expected partners that are evaluated ({', '.join(partners) or 'none'}), got {', '.join(strangers)}."
+                f"--unseen-partners: expected partners that are evaluated ({', '.join(partners) or 'none'}), got "
+                f"{', '.join(strangers)}.",
+                code="H3-JOB-049",
             )
         choices = Choices(
             task=self.task, policy=policies[0], partner=partners[0] if partners else None, robot=self.robot, human=self.human,
             motion=self.motion, human_walk=self.human_walk, human_speed=self.human_speed, max_steps=self.max_steps,
+            rules=self.rules,
         )  # fmt: skip
         choices = with_skills(choices, self.skills)
         for kind, names in (("robot", policies), ("human", partners)):
             for name in names:
-                task.check_policy(kind, name, choices.spec())
+                resolve_policy(task, kind, name, choices.spec())
         base = requested_jobs(self, choices, default_scenes=EvaluationRequest.scenes)
         return [Evaluation(job, policies, partners) for job in base.jobs], base
 
@@ -107,7 +112,7 @@ class EvaluationRequest:
         """Policies that are one row of the table, as they are recorded, by the pattern that names them."""
         from sim_kinematic.policies.learned import in_light, stamped
 
-        found = {name: files_of(name) for name in (each.strip() for each in self.policies.split(","))}
+        found = {name: files_of(name) for name in self.policies}
         return {
             pattern: tuple(dict.fromkeys(in_light(stamped(file), self.light) for file in files))
             for pattern, files in found.items()
@@ -116,12 +121,10 @@ class EvaluationRequest:
 
     @property
     def population(self) -> tuple[str, ...]:
-        """Names in ``zsc``, of which one entry may have several with commas between; learned ones as those of partners are
-        recorded, by the digest of their weights."""
+        """Names in ``unseen_partners``, learned ones as those of partners are recorded, by the digest of their weights."""
         from sim_kinematic.policies.learned import stamped
 
-        names = (name.strip() for entry in self.zsc for name in entry.split(","))
-        return tuple(dict.fromkeys(stamped(name) for name in names if name))
+        return tuple(dict.fromkeys(map(stamped, self.unseen_partners)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -167,7 +170,7 @@ def evaluate_task(
     request: EvaluationRequest,
     out: Path,
     *,
-    keep: bool = False,
+    save_recordings: bool = False,
     resume: bool = False,
     force: bool = False,
     workers: int = 1,
@@ -181,7 +184,7 @@ def evaluate_task(
     Args:
         request: What to evaluate.
         out: Folder, new or that of an interrupted evaluation with the same options.
-        keep: Whether recordings are kept, as datasets in ``out/recordings``.
+        save_recordings: Whether recordings are saved, as datasets in ``out/recordings``.
         resume: Whether ``out`` must hold an evaluation to go on with.
         force: Whether results in ``out`` are deleted first.
         workers: Number of processes.
@@ -195,7 +198,7 @@ def evaluate_task(
     check_options(resume=resume, force=force, workers=workers, executor=executor)
     jobs, asked = request.evaluations()
     recordings = out / RECORDINGS
-    if keep:
+    if save_recordings:
         jobs = [replace(job, keep=True) for job in jobs]
     kept = {job.base.index: recordings / f"{job.base.index:06d}" for job in jobs}
     made_by, origins = f"h3data {own_version()}", {job.base.index: job.base.origin for job in jobs}
@@ -203,13 +206,13 @@ def evaluate_task(
     def prepare() -> None:
         if force:
             shutil.rmtree(recordings, ignore_errors=True)
-        if keep:
+        if save_recordings:
             recordings.mkdir(exist_ok=True)
 
     def store(played: tuple[dict[str, Any], list[Recording]]) -> dict[str, Any]:
         found, of_pairs = played
         index = found["job"]["episode"]["index"]
-        if keep:
+        if save_recordings:
             write_recordings(of_pairs, kept[index])
         return {**found, "created_by": made_by, "origin": origins[index]}
 
@@ -220,7 +223,7 @@ def evaluate_task(
         lost=lambda job, fault: (failed_evaluation(job, fault), []),
         store=store,
         prepare=prepare,
-        is_whole=lambda job: not keep or kept[job.base.index].is_dir(),
+        is_whole=lambda job: not save_recordings or kept[job.base.index].is_dir(),
         resume=resume,
         force=force,
         workers=workers,
@@ -260,12 +263,12 @@ def _asked(request: EvaluationRequest, job: Evaluation) -> dict[str, Any]:
         "task": request.task,
         **asked,
         **rules,
-        "scenes": request.scenes,
+        "scenes": ",".join(request.scenes),
         "set": of_set if of_set["set"] else None,
         "seed": request.seed,
         "human": request.human,
         **file,
-        **({"zsc": list(request.population)} if request.zsc else {}),
+        **({"zsc": list(request.population)} if request.unseen_partners else {}),
     }
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from h3data.errors import InputError, suggest
+from h3data.errors import InputError
 from h3data_pipelines.jobs.episodes import Job
 from h3data_pipelines.jobs.failed_episodes import reason_of
 
@@ -40,10 +40,10 @@ class Evaluation:
 
 
 def play_evaluation(job: Evaluation) -> tuple[dict[str, Any], list[Recording]]:
-    """The metrics of every pair in one episode, and the recordings that are kept. A pair, or an episode, that raises
-    is listed as failed.
+    """Plays one episode with every pair of policies; returns their metrics and the recordings to store.
 
-    Partners with the same plan share a recording, whose ``info["partners"]`` names them.
+    A pair, or an episode, that raises an error is listed as failed. Partners with the same plan share a recording,
+    whose ``info["partners"]`` names them.
     """
     from h3data.metrics import measure
     from sim_kinematic.tasks.runner import simulate
@@ -123,8 +123,10 @@ def _plan(task: Any, episode: Any, partner: str | None) -> str:
     """The name by which a partner plays this episode: the plan of one that follows a plan."""
     if partner is None:
         return ""
+    from sim_kinematic.policies.assignment import make_policy
+
     people = [k for k, member in enumerate(episode.roster) if member.kind == "human"]
-    assigned = task.named_policy(episode, people[0], partner) if len(people) == 1 else None
+    assigned = make_policy(task, episode, people[0], partner) if len(people) == 1 else None
     return assigned.plan if assigned is not None and assigned.plan else partner
 
 
@@ -143,31 +145,24 @@ def files_of(policy: str) -> tuple[str, ...]:
         return (policy,)
     found = sorted(path for path in glob.glob(pattern, recursive=True) if Path(path).is_file())
     if not found:
-        raise InputError(f"No file of weights fits this pattern: {policy}")
+        raise InputError(f"No file of weights fits this pattern: {policy}", code="H3-JOB-031")
     return tuple(PREFIX + path for path in found)
 
 
-def chosen_names(option: str, text: str, there: Sequence[str]) -> tuple[str, ...]:
-    """Names from a list with commas between, ``all`` among them meaning all there are, ``weights:PATTERN`` all files that fit;
-    learned ones by the digest of their weights.
+def chosen_names(asked: Sequence[str], there: Sequence[str]) -> tuple[str, ...]:
+    """Names of policies that an option asks for.
+
+    ``all`` means all that exist, ``weights:PATTERN`` all files that match; learned policies are named with the digest
+    of their weights.
 
     Raises:
-        InputError: one is unknown, or there is none, or no file fits.
+        InputError: there is none, or no file matches.
     """
-    from sim_kinematic.policies.learned import stamped, weights_hint
+    from sim_kinematic.policies.learned import stamped
 
-    asked = [name.strip() for name in text.split(",") if name.strip()]
-    names = tuple(dict.fromkeys(each for name in asked for each in (there if name == ALL else files_of(name))))
-    strangers = [name for name in names if name not in there and ":" not in name]
-    if strangers or not names:
-        near = suggest(
-            strangers[0] if strangers else "",
-            there,
-            lead="Expected some of",
-            more=", weights:FILE, module:name, or all",
-        )
-        hint = weights_hint(strangers[0]) if strangers else ""
-        raise InputError(f"{option}: unknown {', '.join(strangers) or 'nothing'}.{near}{hint}")
+    names = dict.fromkeys(each for name in asked for each in (there if name == ALL else files_of(name)))
+    if not names:
+        raise InputError("Expected at least one policy and partner by name, or all; got none.", code="H3-JOB-050")
     return tuple(map(stamped, names))
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from h3data.errors import H3DataError
+from h3data.errors import H3DataError, with_code
 from h3data.recording import AssetRef, Body, Episode, Recording
 
 if TYPE_CHECKING:
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 
 def reason_of(fault: Exception) -> str:
-    """One line about what went wrong; of what we did not foresee, also where."""
+    """One line about what went wrong, with the error's code; of what we did not foresee, also where."""
     if isinstance(fault, H3DataError):
-        return " ".join(str(fault).split())
+        return " ".join(with_code(fault).split())
     frame = traceback.extract_tb(fault.__traceback__)[-1]
     return f"{type(fault).__name__}: {fault} ({Path(frame.filename).name}, line {frame.lineno})"
 

@@ -32,12 +32,12 @@ class Generated:
     """Why episodes of the file could not be played at all."""
 
 
-class ReadBack:
+class WrittenDataset:
     """The episodes of a dataset, read once, with what they add up to. Writes those logs that are wanted and not there."""
 
     def __init__(self, dataset: Dataset, mcap: AnyPath | None, *, share_in: AnyPath | None = None) -> None:
         if isinstance(share_in, RemotePath):
-            raise InputError(f"--share-scenes needs a local output folder, got: {share_in}")
+            raise InputError(f"--share-scenes needs a local output folder, got: {share_in}", code="H3-JOB-034")
         self.dataset, self.mcap, self.share_in = dataset, mcap, share_in
         self.hashes: list[str] = []
         self.failed: list[str] = []
@@ -98,7 +98,8 @@ def require_same_options(folder: AnyPath, jobs: Sequence[Job], *, cameras: Seque
     if len(dataset) and (len(set(cameras)) != len(dataset.cameras) or not known <= {*dataset.cameras}):
         raise InputError(
             f"Cannot resume with other options: the dataset has videos of {', '.join(dataset.cameras) or 'no camera'}, "
-            f"--camera says {', '.join(cameras) or 'none'}. Use the cameras it was started with, or another -o: {folder}"
+            f"--camera says {', '.join(cameras) or 'none'}. Use the cameras it was started with, or another -o: {folder}",
+            code="H3-JOB-033",
         )
     for job, row in zip(jobs, dataset.episodes.to_pylist(), strict=False):
         info, wanted = json.loads(row["info"]), {**job.to_json(), "origin": job.origin}
@@ -107,7 +108,8 @@ def require_same_options(folder: AnyPath, jobs: Sequence[Job], *, cameras: Seque
         if differs:
             raise InputError(
                 f"Cannot resume with other options: episode {job.index} of the dataset was made differently "
-                f"({'; '.join(differs)}). Use the options it was started with, or another -o: {folder}"
+                f"({'; '.join(differs)}). Use the options it was started with, or another -o: {folder}",
+                code="H3-JOB-035",
             )
 
 

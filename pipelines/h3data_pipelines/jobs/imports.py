@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
-from h3data.commands.command import claim_file, keeping
+from h3data.commands.command import claim_file, keeping, recording_stem
 from h3data.errors import FormatError, H3DataError, InputError
 from h3data.formats import FORMATS, Format, SourceFile, detect, import_suffixes, load
-from h3data.habitat.asset_library import AssetLibrary
 from h3data.habitat.hitl.session_manifest import SessionManifest, read_manifest
 from h3data.progress import progress
 from h3data.recording import Recording
+from h3data.recording.assets.library import AssetLibrary
 from h3data.replay import Replay
 from h3data.terminal import counted
 
@@ -30,7 +30,7 @@ class ImportJob:
 
 @dataclass(frozen=True, kw_only=True)
 class ImportedFile:
-    """What became of one file."""
+    """Result of importing one file."""
 
     source: Path
     status: Literal["imported", "kept", "skipped", "failed"]
@@ -40,6 +40,8 @@ class ImportedFile:
     recording: Path | None = None
     reason: str = ""
     """Why it was not imported."""
+    code: str = ""
+    """The code of the error, where there was one."""
     summary: dict[str, Any] = field(default_factory=dict)
     """Counts, agents, missing assets, participant and condition, warnings; see `summarize`."""
 
@@ -47,12 +49,13 @@ class ImportedFile:
         """The file as JSON types."""
         facts = {"source": str(self.source), "status": self.status, "kind": self.kind}
         facts |= {"recording": str(self.recording)} if self.recording else {}
-        return facts | ({"reason": self.reason} if self.reason else {}) | self.summary
+        facts |= {"reason": self.reason} if self.reason else {}
+        return facts | ({"code": self.code} if self.code else {}) | self.summary
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImportResult:
-    """What became of every file."""
+    """Results of importing all files."""
 
     files: tuple[ImportedFile, ...]
     manifest_notes: tuple[str, ...] = ()
@@ -91,7 +94,7 @@ def import_files(
         FormatError: the manifest, or the only file, is of another form or damaged.
     """
     if not 0.001 <= fps <= 1000:
-        raise InputError(f"--fps must be at least 0.001 and at most 1000, got {fps}.")
+        raise InputError(f"--fps must be at least 0.001 and at most 1000, got {fps}.", code="H3-JOB-036")
     importer = _Importer(
         AssetLibrary(assets), None if manifest is None else read_manifest(manifest), fps=fps, strict=strict, force=force
     )
@@ -117,14 +120,6 @@ def _is_imported(recording: Recording, target: Path) -> bool:
         return target.is_file() and not recordings_equal(recording, read_mcap(target))
     except H3DataError:
         return False
-
-
-def recording_stem(path: Path) -> str:
-    """``my_session`` of ``my_session.gfx_replay.json.gz``."""
-    name = path.name
-    for suffix in (".gz", ".json", ".pkl", ".gfx_replay", ".mcap"):
-        name = name.removesuffix(suffix)
-    return name or path.stem
 
 
 def summarize(recording: Recording, library: AssetLibrary) -> dict[str, Any]:
@@ -173,7 +168,7 @@ class _Importer:
                 status = "skipped"
             return self._import(file, form, job)
         except H3DataError as error:
-            return ImportedFile(source=job.source, status=status, kind=kind, reason=str(error))
+            return ImportedFile(source=job.source, status=status, kind=kind, reason=str(error), code=error.code)
 
     def run(self, job: ImportJob) -> ImportedFile:
         """Imports one file.
@@ -205,7 +200,8 @@ class _Importer:
         recording = self._read(file, form)
         if job.target in self._written:
             raise InputError(
-                f"Another input of this run became {job.target}. Import this one with another -o: {file.path}"
+                f"Another input of this run became {job.target}. Import this one with another -o: {file.path}",
+                code="H3-JOB-037",
             )
         if self._manifest is not None:
             recording, fitted = self._manifest.applied(recording, job.below)
@@ -219,7 +215,9 @@ class _Importer:
         summary = summarize(recording, self._library)
         faults = [*summary["warnings"], *(f"missing asset {name}" for name in summary["missing"])]
         if self._strict and faults:
-            raise InputError(f"--strict: {len(faults)} faults, the first: {'; '.join(faults[:3])}: {file.path}")
+            raise InputError(
+                f"--strict: {len(faults)} faults, the first: {'; '.join(faults[:3])}: {file.path}", code="H3-JOB-038"
+            )
         write_mcap(recording, job.target, overwrite=self._force)
         self._written[job.target] = file.path
         return ImportedFile(source=job.source, status="imported", kind=kind, recording=job.target, summary=summary)
@@ -229,7 +227,7 @@ class _Importer:
             form = FORMATS.get("gfx_replay")  # whose reader says where it stops being one
         if form.read is None:
             hint = f" Hint: {form.hint}." if form.hint else ""
-            raise FormatError(f"Expected a recording, this is {form.title}.{hint} {file.path}")
+            raise FormatError(f"Expected a recording, this is {form.title}.{hint} {file.path}", code="H3-JOB-039")
         options = {"fps": self._fps, "assets": self._library}
         return load(form, "read")(file, **{name: options[name] for name in form.read_options})
 
@@ -237,7 +235,7 @@ class _Importer:
 def _jobs(paths: Sequence[Path], out: Path) -> list[ImportJob]:
     """Every file with the recording that it becomes; files of a folder keep their place below it."""
     if not paths:
-        raise InputError("Expected at least one file or folder to import.")
+        raise InputError("Expected at least one file or folder to import.", code="H3-BODY-129")
     jobs: list[ImportJob] = []
 
     def add(file: Path, below: Path) -> None:
@@ -251,13 +249,20 @@ def _jobs(paths: Sequence[Path], out: Path) -> list[ImportJob]:
             files = sorted(p for p in path.rglob("*") if p.is_file() and p.name.endswith(suffixes))
             files.sort(key=lambda p: not p.name.endswith(".pkl.gz"))  # stable: logs that are not rounded come first
             if not files:
-                raise InputError(f"No {', '.join(suffixes[:-1])} or {suffixes[-1]} file in this folder: {path}")
+                raise InputError(
+                    f"No {', '.join(suffixes[:-1])} or {suffixes[-1]} file in this folder: {path}", code="H3-JOB-040"
+                )
             for file in files:
                 add(file, file.relative_to(path))
         elif path.is_file():
             add(path, Path(path.name))
         elif path.exists():
-            raise InputError(f"Expected a file or folder, this is a pipe or device, which cannot be read twice: {path}")
+            raise InputError(
+                f"Expected a file or folder, this is a pipe or device, which cannot be read twice: {path}",
+                code="H3-JOB-041",
+            )
         else:
-            raise InputError(f"There is no such file or folder. Expected a gfx-replay or a HITL log: {path}")
+            raise InputError(
+                f"There is no such file or folder. Expected a gfx-replay or a HITL log: {path}", code="H3-JOB-042"
+            )
     return jobs

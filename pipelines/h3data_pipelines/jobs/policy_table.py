@@ -19,7 +19,7 @@ class PolicyTable:
 
     profile: Profile
     cells: dict[tuple[str, str], Summary]
-    """By policy and metric."""
+    """Summaries by policy and metric."""
     seeds: Mapping[str, Sequence[str]] = field(default_factory=dict)
     """Policies that are one row, by the pattern that names them."""
     deviations: tuple[str, ...] = ()
@@ -67,8 +67,10 @@ class PolicyTable:
 def policy_table(
     profile: Profile, rows: Iterable[dict[str, Any]], seeds: Mapping[str, Sequence[str]] | None = None
 ) -> PolicyTable:
-    """Returns the table of the rows that `h3data_pipelines.jobs.evaluations.play_evaluation` makes; ``seeds`` has the
-    policies that are one row."""
+    """Returns a table of the results of `h3data_pipelines.jobs.evaluations.play_evaluation`.
+
+    ``seeds`` names the policies, such as training runs with different seeds, that are combined into one row.
+    """
     rows = list(rows)
     return PolicyTable(
         profile=profile,

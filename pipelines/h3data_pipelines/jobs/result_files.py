@@ -1,5 +1,7 @@
-"""Evaluations in a folder, whatever is judged: a small file of results for each episode, so that one that was interrupted goes
-on where it was."""
+"""Results of evaluations in a folder, with one small file per episode.
+
+An interrupted evaluation of any kind continues with the first episode that has no file.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +12,9 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from h3data.commands.command import claim_folder, keeping, write_text
+from h3data.commands.executors import check_workers, opened
 from h3data.errors import FormatError, InputError
 from h3data.terminal import counted
-from h3data_pipelines.execution.executors import check_workers, opened
 from h3data_pipelines.jobs.episodes import Job
 
 RESULTS = "episodes"
@@ -22,7 +24,10 @@ class EpisodeJob(Protocol):
     """An episode in which something is judged."""
 
     @property
-    def base(self) -> Job: ...
+    def base(self) -> Job:
+        """Episode to play."""
+        ...
+
     def to_json(self) -> dict[str, Any]:
         """Everything that decides the results; they have it as ``job``, with the number of the episode in ``episode``."""
         ...
@@ -33,13 +38,14 @@ R = TypeVar("R")
 
 
 def check_options(*, resume: bool, force: bool, workers: int, executor: str) -> None:
-    """
+    """Checks options before an evaluation begins.
+
     Raises:
-        InputError: nobody can work like that, or both ``resume`` and ``force`` were asked for.
+        InputError: the executor or number of workers is invalid, or both ``resume`` and ``force`` are set.
     """
     check_workers(executor, workers)
     if force and resume:
-        raise InputError("Choose one: --resume goes on with an evaluation, --force replaces it.")
+        raise InputError("Choose one: --resume goes on with an evaluation, --force replaces it.", code="H3-JOB-043")
 
 
 def results_of(
@@ -75,7 +81,9 @@ def results_of(
     """
     folder = out / RESULTS
     if resume and not folder.is_dir():
-        raise InputError(f"There is no evaluation to go on with; leave out --resume, or check -o: {out}")
+        raise InputError(
+            f"There is no evaluation to go on with; leave out --resume, or check -o: {out}", code="H3-JOB-044"
+        )
     files = {job.base.index: folder / f"{job.base.index:06d}.json" for job in jobs}
     with opened(executor, workers) as workforce:  # first: where nobody can work, nothing is deleted or written
         claim_folder(out, force=force or folder.is_dir())  # with episodes/ it is an evaluation to go on with
@@ -131,9 +139,12 @@ def _is_done(file: Path, job: EpisodeJob) -> bool:
         found = json.loads(file.read_text(encoding="utf-8"))
         was, failed = found["job"], found["failed"]
     except (ValueError, KeyError, TypeError):
-        raise FormatError(f"This is no result of h3data evaluate. Remove it, or choose another -o: {file}") from None
+        raise FormatError(
+            f"This is no result of h3data evaluate. Remove it, or choose another -o: {file}", code="H3-JOB-046"
+        ) from None
     if was != job.to_json():
         raise InputError(
-            f"The folder holds results with other options. Use the same ones, --force, or another -o: {file}"
+            f"The folder holds results with other options. Use the same ones, --force, or another -o: {file}",
+            code="H3-JOB-045",
         )
     return not failed

@@ -11,10 +11,10 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal
 
 from h3data.bodies.people.rigid_parts import PeopleStyle
+from h3data.commands.shards import Executor
 from h3data.errors import InputError
 from h3data.recording import Recording
 from h3data.render.light.sources import LightMode
-from h3data_pipelines.execution.shards import Executor
 from h3data_pipelines.jobs.episodes import Job
 from h3data_pipelines.jobs.failed_episodes import failed_recording, is_failed
 
@@ -45,7 +45,7 @@ def with_info(recording: Recording, **entries: Any) -> Recording:
 
 
 @dataclass(frozen=True)
-class Filming:
+class VideoJob:
     """Videos to render of every episode."""
 
     cameras: tuple[str, ...]
@@ -57,7 +57,7 @@ class Filming:
 
 
 @dataclass(frozen=True)
-class Filmed:
+class RenderedVideo:
     """One episode as a shard's result: all that it made, wherever it was made."""
 
     recording: Recording
@@ -77,7 +77,7 @@ class Filmed:
             yield files
 
 
-def film_job(job: Job, filming: Filming) -> Filmed:
+def film_job(job: Job, filming: VideoJob) -> RenderedVideo:
     """One episode as `simulate_job` gives it, and its videos: none of one that failed.
 
     Raises:
@@ -85,7 +85,7 @@ def film_job(job: Job, filming: Filming) -> Filmed:
     """
     recording = simulate_job(job)
     if not filming.cameras or is_failed(recording):
-        return Filmed(recording)
+        return RenderedVideo(recording)
     from h3data.exporters.camera_videos import render_videos
 
     with TemporaryDirectory(prefix="h3data-", ignore_cleanup_errors=True) as folder:
@@ -100,15 +100,15 @@ def film_job(job: Job, filming: Filming) -> Filmed:
                 backend=filming.backend,
             )
         except InputError as error:
-            raise InputError(f"Episode {job.index}: {error}") from None
+            raise InputError(f"Episode {job.index}: {error}", code=error.code) from None
         recording = with_info(recording, light=filming.light)
-        return Filmed(recording, tuple((video, Path(str(video.path)).read_bytes()) for video in videos))
+        return RenderedVideo(recording, tuple((video, Path(str(video.path)).read_bytes()) for video in videos))
 
 
-def film_jobs(jobs: Sequence[Job], *, filming: Filming, executor: Executor) -> Generator[Filmed]:
+def film_jobs(jobs: Sequence[Job], *, filming: VideoJob, executor: Executor) -> Generator[RenderedVideo]:
     """Recordings and their videos in the order of ``jobs``. An episode that no worker survives has failed."""
     yield from executor.run(
         partial(film_job, filming=filming),
         jobs,
-        lost=lambda job, fault: Filmed(_with_job(failed_recording(job, fault), job)),
+        lost=lambda job, fault: RenderedVideo(_with_job(failed_recording(job, fault), job)),
     )

@@ -121,26 +121,29 @@ def evaluate_skills(
     request: EvaluationRequest, out: Path, *, resume: bool = False, force: bool = False, workers: int = 1,
     executor: str = "local", progress: Callable[..., Any] | None = None,
 ) -> SkillEvaluationResult:  # fmt: skip
-    """Tries every learned skill in the same episodes, and writes results and a table to ``out``. Episodes whose results are
-    there already are not played again.
+    """Evaluates every learned skill in the same episodes, and writes results and a table to ``out``.
+
+    Episodes that have results already are not played again.
 
     Args:
-        request: Episodes of rearrangement, and the skills.
-        out: Folder, new or that of an interrupted evaluation with the same options.
-        resume: Whether ``out`` must hold an evaluation to go on with.
-        force: Whether results in ``out`` are deleted first.
-        workers: Number of processes.
-        executor: Who starts them, as `h3data_pipelines.jobs.evaluation_runs.evaluate_task`.
-        progress: Makes a progress bar.
+        request: episodes of rearrangement, and the skills.
+        out: folder, new or that of an interrupted evaluation with the same options.
+        resume: whether ``out`` must hold an evaluation to continue.
+        force: whether results in ``out`` are deleted first.
+        workers: number of processes.
+        executor: starts the processes, as in `h3data_pipelines.jobs.evaluation_runs.evaluate_task`.
+        progress: makes a progress bar.
 
     Raises:
-        InputError: an option cannot be, or the folder holds anything else.
-        FormatError: a file among the results is none.
+        InputError: an option is invalid, or the folder holds anything else.
+        FormatError: a file among the results cannot be read.
     """
     check_options(resume=resume, force=force, workers=workers, executor=executor)
     jobs = [SkillJob(evaluation.base, request.seed) for evaluation in request.jobs()]
     if not (skills := jobs[0].base.spec.skills):
-        raise InputError("Expected --skills: learned, a folder of training runs, or policy files of skills.")
+        raise InputError(
+            "Expected --skills: learned, a folder of training runs, or policy files of skills.", code="H3-JOB-047"
+        )
     played, new = results_of(
         jobs, out, judge_episode, lost=lost_episode, store=lambda result: result, resume=resume, force=force,
         workers=workers, executor=executor, progress=progress,

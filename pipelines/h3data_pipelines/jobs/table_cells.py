@@ -41,7 +41,7 @@ class SeedsSummary:
     """One metric of several policies."""
 
     each: Mapping[str, Summary]
-    """By policy; means are over its episodes."""
+    """Summaries by policy, whose means are over its episodes."""
 
     @property
     def means(self) -> np.ndarray:

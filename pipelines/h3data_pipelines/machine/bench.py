@@ -51,8 +51,8 @@ NOTES = (
 class Bench:
     """Measure steps per second by the paper's protocol, on CPU or GPU.
 
-    300 steps of random actions, the first 10 not timed, with a depth image for each agent. Lists are separated by commas;
-    "all" means every value.
+    300 steps of random actions, the first 10 not timed, with a depth image for each agent. "all" means
+    every value.
 
     Examples:
         h3data bench sim
@@ -63,17 +63,17 @@ class Bench:
 
     group: tyro.conf.Positional[str]
     """sim: the simulator with depth images."""
-    homes: str = "small"
+    homes: tuple[str, ...] = ("small",)
     """small, medium, large."""
-    objects: str = "2"
+    objects: tuple[str, ...] = ("2",)
     """Number of objects; the paper has 2 and 10."""
-    agents: str = ALL
+    agents: tuple[str, ...] = (ALL,)
     """robot, human, robot_robot, human_robot."""
-    worlds: str = "1,16"
+    worlds: tuple[str, ...] = ("1", "16")
     """Number of worlds stepped at once; the paper has 1 and 16."""
-    actions: str = "nav"
+    actions: tuple[str, ...] = ("nav",)
     """nav: agents drive or walk; pick: they stand, and an arm or a hand reaches."""
-    bodies: str = "skinned"
+    bodies: tuple[str, ...] = ("skinned",)
     """skinned, or bones: people rendered as rigid capsules."""
     runs: int = 3
     """Runs per row; the paper has 10."""
@@ -88,6 +88,7 @@ class Bench:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Runs the benchmark and returns steps per second for each setting, with the paper's numbers."""
         cells = self.cells()
         cores = self.processes()
         if self.backend == "gpu":
@@ -109,12 +110,16 @@ class Bench:
 
         if self.group != "sim":
             raise InputError(
-                f"Unknown benchmark {self.group!r}. Expected: sim. Hint: the others run in a checkout: make bench."
+                f"Unknown benchmark {self.group!r}. Expected: sim. Hint: the others run in a checkout: make bench.",
+                code="H3-MACHINE-004",
             )
         if self.runs < 1:
-            raise InputError(f"--runs must be at least 1, got {self.runs}.")
+            raise InputError(f"--runs must be at least 1, got {self.runs}.", code="H3-MACHINE-005")
         if self.steps <= UNTIMED:
-            raise InputError(f"--steps must be more than {UNTIMED}, the steps that are not timed; got {self.steps}.")
+            raise InputError(
+                f"--steps must be more than {UNTIMED}, the steps that are not timed; got {self.steps}.",
+                code="H3-MACHINE-006",
+            )
         chosen: Any = product(  # texts that `_names` has checked
             _names("--homes", self.homes, HOMES),
             _numbers("--objects", self.objects, OBJECTS),
@@ -129,16 +134,20 @@ class Bench:
             if body == "skinned" or "human" in agents  # robots have no skin
         ]
         if not cells:
-            raise InputError("Nothing is left to measure: robots have no skin. Hint: --bodies skinned.")
+            raise InputError(
+                "Nothing is left to measure: robots have no skin. Hint: --bodies skinned.", code="H3-MACHINE-007"
+            )
         return cells
 
     def processes(self) -> int:
         """Largest number of processes that share the worlds."""
         if self.cores is not None and self.cores < 1:
-            raise InputError(f"--cores must be at least 1, got {self.cores}.")
+            raise InputError(f"--cores must be at least 1, got {self.cores}.", code="H3-MACHINE-008")
         if self.backend == "gpu":
             if self.cores not in (None, 1):
-                raise InputError("With --backend gpu one process renders all worlds. Hint: leave out --cores.")
+                raise InputError(
+                    "With --backend gpu one process renders all worlds. Hint: leave out --cores.", code="H3-MACHINE-009"
+                )
             return 1
         return self.cores or len(os.sched_getaffinity(0))
 
@@ -168,6 +177,7 @@ class Pool:
         return self._executors[count]
 
     def close(self) -> None:
+        """Stops all processes."""
         for executor in self._executors.values():
             executor.shutdown(cancel_futures=True)
 
@@ -261,7 +271,9 @@ def _check_gpu() -> None:
     from h3data.errors import MissingExtraError
 
     if not torch.cuda.is_available():
-        raise MissingExtraError("--backend gpu needs a CUDA device, and PyTorch finds none. Hint: --backend cpu.")
+        raise MissingExtraError(
+            "--backend gpu needs a CUDA device, and PyTorch finds none. Hint: --backend cpu.", code="H3-MACHINE-001"
+        )
 
 
 def _table(rows: Iterable[dict[str, Any]]) -> list[str]:
@@ -287,18 +299,21 @@ def _table(rows: Iterable[dict[str, Any]]) -> list[str]:
     return ["  ".join(f"{word:<{width}}" for word, width in zip(line, widths, strict=True)).rstrip() for line in lines]
 
 
-def _names(option: str, given: str, choices: tuple[str, ...]) -> tuple[str, ...]:
-    names = choices if given == ALL else tuple(dict.fromkeys(name.strip() for name in given.split(",")))
+def _names(option: str, given: tuple[str, ...], choices: tuple[str, ...]) -> tuple[str, ...]:
+    names = choices if given == (ALL,) else tuple(dict.fromkeys(given))
     unknown = [name for name in names if name not in choices]
     if unknown:
         raise InputError(
-            f"{option}: unknown {', '.join(map(repr, unknown))}. Expected some of: {', '.join(choices)}; or all."
+            f"{option}: unknown {', '.join(map(repr, unknown))}. Expected some of: {', '.join(choices)}; or all.",
+            code="H3-MACHINE-002",
         )
     return names
 
 
-def _numbers(option: str, given: str, usual: tuple[str, ...]) -> tuple[int, ...]:
-    words = usual if given == ALL else tuple(dict.fromkeys(word.strip() for word in given.split(",")))
+def _numbers(option: str, given: tuple[str, ...], usual: tuple[str, ...]) -> tuple[int, ...]:
+    words = usual if given == (ALL,) else tuple(dict.fromkeys(given))
     if not all(word.isascii() and word.isdecimal() and int(word) >= 1 for word in words):
-        raise InputError(f"{option}: expected positive whole numbers, separated by commas, or all; got {given!r}.")
+        raise InputError(
+            f"{option}: expected positive whole numbers, or all; got {', '.join(given)!r}.", code="H3-MACHINE-020"
+        )
     return tuple(map(int, words))

@@ -36,9 +36,11 @@ class Cache:
 
     @property
     def bytes(self) -> int:
+        """Size of all files of the cache."""
         return sum(path.stat().st_size for path in self.files if path.exists())
 
     def row(self) -> dict[str, Any]:
+        """Contents, size and folder of the cache, for JSON."""
         folder = None if self.folder is None else str(self.folder)
         return {"holds": self.holds, "bytes": self.bytes, "files": len(self.files), "folder": folder}
 
@@ -83,6 +85,7 @@ class CacheList:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Returns a table of the caches."""
         caches = find_caches()
         return Outcome(text="\n".join(cache_lines(caches)), data={cache.name: cache.row() for cache in caches})
 
@@ -97,13 +100,14 @@ class CacheClear:
     """
 
     names: tyro.conf.Positional[tuple[str, ...]] = ()
-    """Of caches, as `h3data cache list` shows them; nothing means all."""
+    """Names of caches, as `h3data cache list` shows them; none means all."""
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Deletes the caches and returns how many bytes became free."""
         for name in self.names:
             if name not in KINDS:
-                raise InputError(f"Unknown cache {name!r}.{suggest(name, KINDS)}")
+                raise InputError(f"Unknown cache {name!r}.{suggest(name, KINDS)}", code="H3-MACHINE-011")
         freed: dict[str, int] = {}
         for cache in find_caches():
             if cache.name in (self.names or KINDS):
@@ -118,7 +122,7 @@ def _delete(path: Path) -> None:
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
-        raise InputError(f"Cannot delete a cached file ({error.strerror}): {path}") from None
+        raise InputError(f"Cannot delete a cached file ({error.strerror}): {path}", code="H3-MACHINE-010") from None
 
 
 CACHE = Group("List and clear the caches of h3data.", {"list": CacheList, "clear": CacheClear})

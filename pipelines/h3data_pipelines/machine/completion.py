@@ -33,6 +33,7 @@ class Completion:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Returns the completion script for a shell."""
         script = shtab.complete(_parser("h3data", self.commands), shell=self.shell)
         return Outcome(text=script, data={"shell": self.shell, "script": script})
 

@@ -45,6 +45,7 @@ class Costs:
     """An episode in a dataset."""
 
     def to_json(self) -> dict[str, Any]:
+        """All costs by name, for JSON."""
         return asdict(self)
 
     @classmethod
@@ -57,7 +58,9 @@ class Costs:
         try:
             return cls(**values["costs"])
         except (TypeError, KeyError):
-            raise InputError("Expected costs as `h3data plan TASK --measure --json` prints them.") from None
+            raise InputError(
+                "Expected costs as `h3data plan TASK --measure --json` prints them.", code="H3-MACHINE-012"
+            ) from None
 
 
 def measure_costs(task: str, *, episodes: int = 4, max_steps: int = 600) -> Costs:
@@ -68,7 +71,7 @@ def measure_costs(task: str, *, episodes: int = 4, max_steps: int = 600) -> Cost
     from h3data.metrics import measure_files
     from h3data.recording import DatasetWriter
     from h3data_pipelines.jobs.episodes import Choices, make_jobs
-    from h3data_pipelines.jobs.running import Filmed, Filming, film_job
+    from h3data_pipelines.jobs.running import RenderedVideo, VideoJob, film_job
 
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run([sys.executable, "-c", _START], check=True)
@@ -76,20 +79,20 @@ def measure_costs(task: str, *, episodes: int = 4, max_steps: int = 600) -> Cost
     start_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
     jobs = make_jobs(Choices(task=task, max_steps=max_steps), "small", episodes=episodes + 2, homes=2, seed=0)
-    plain = Filming((), threads=1)
+    plain = VideoJob((), threads=1)
     film_job(jobs[0], plain)  # the first home, and all kernels of an episode: compiling them is no cost of a job
     second = _cpu(lambda: film_job(_short(jobs[1]), plain))
     again = _cpu(lambda: film_job(_short(jobs[1]), plain))
-    filmed: list[Filmed] = []
+    filmed: list[RenderedVideo] = []
     took_s = _cpu(lambda: filmed.extend(film_job(job, plain) for job in jobs[2:]))
     lengths = [len(each.recording) for each in filmed]
     step_s = max(took_s - again * len(filmed), 0.0) / max(sum(lengths), 1)
 
     frame_s = {}
     for camera in FRAMES:
-        film_job(_short(jobs[2], 2), Filming((camera,), threads=1))  # kernels and textures
+        film_job(_short(jobs[2], 2), VideoJob((camera,), threads=1))  # kernels and textures
         few, many = (
-            _cpu(lambda n=n, camera=camera: film_job(_short(jobs[2], n), Filming((camera,), threads=1)))
+            _cpu(lambda n=n, camera=camera: film_job(_short(jobs[2], n), VideoJob((camera,), threads=1)))
             for n in (2, 42)
         )
         frame_s[camera] = max(many - few - 40 * step_s, 0.0) / 40

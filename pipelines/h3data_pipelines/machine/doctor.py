@@ -55,6 +55,7 @@ class Doctor:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Runs all checks and returns their results."""
         checks = {
             "CPU renderer (numba)": _cpu_renderer,
             "compiled kernels": _kernels,

@@ -1,25 +1,27 @@
-"""``h3data docs``: the pages of the documentation, which are part of the installation."""
+"""``h3data docs``: the pages of the documentation, which are part of the installation, and their entries of error codes."""
 
 from __future__ import annotations
 
 import pydoc
 import re
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, metadata
 from pathlib import Path
+from typing import NamedTuple
 
 import tyro
 
 from h3data.builtin import pages_root
 from h3data.commands.command import JsonFlag, Outcome
-from h3data.errors import InputError, suggest
+from h3data.errors import InputError, did_you_mean, suggest
 from h3data.terminal import aligned
 
 
 @dataclass(frozen=True)
 class Docs:
-    """Read the documentation: lists its pages, or shows one.
+    """Read the documentation, or what an error code means.
 
     The pages are part of the installation, so that they fit its version and need no network.
 
@@ -27,29 +29,91 @@ class Docs:
         h3data docs
         h3data docs metrics
         h3data docs tutorials/first-table
+        h3data docs H3-FILE-011
         h3data docs training --print > training.md
     """
 
     name: tyro.conf.Positional[str] = ""
-    """A page, as listed without a name."""
+    """A page, as listed without a name, or the code of an error."""
     print: bool = False
     """Print the page, also on a terminal, which would show it in a pager otherwise."""
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Returns the list of pages, or the text of one."""
         pages = _pages()
         if not self.name:
             titles = {name: _title(path) for name, path in pages.items()}
             lines = [aligned(list(titles.items())), "", "Show one: h3data docs NAME", *_address()]
             return Outcome(text="\n".join(lines), data={"pages": titles})
+        if re.match(r"(?i)h3-", self.name):
+            return _entry(self.name.upper(), pages["errors"].read_text(encoding="utf-8"))
         name = re.sub(r"^docs/|(\.md|\.html)?(#.*)?$", "", self.name)
         if name not in pages:
-            raise InputError(f"Unknown page {self.name!r}.{suggest(name, pages)} `h3data docs` lists the pages.")
+            raise InputError(
+                f"Unknown page {self.name!r}.{suggest(name, pages)} `h3data docs` lists the pages.",
+                code="H3-MACHINE-014",
+            )
         text = pages[name].read_text(encoding="utf-8")
         if sys.stdout.isatty() and not (self.print or self.json):
             pydoc.pager(text)
             return Outcome(text=f"{pages[name]}")
         return Outcome(text=text, data={"page": name, "file": str(pages[name]), "text": text})
+
+
+class ErrorKind(NamedTuple):
+    """A kind of error, as the page of errors lists it."""
+
+    code: str
+    error: str
+    """Name of the class."""
+    text: str
+    """What the message says, with the names of its variables in braces."""
+    to_do: str
+    """What it says to do about that; empty: the text says it, or its class."""
+
+
+def error_kinds(page: str) -> list[ErrorKind]:
+    """The kinds of errors that the page of errors lists, in its order."""
+    return [ErrorKind(*cells) for cells in _rows(page, of=4) if re.fullmatch(r"H3-[A-Z]+-\d{3,}", cells[0])]
+
+
+def _rows(page: str, *, of: int) -> Iterator[list[str]]:
+    """The cells of the rows of all tables with so many columns."""
+    for line in page.splitlines():
+        cells = [_plain(cell.strip()) for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
+        if len(cells) == of:
+            yield cells
+
+
+def _plain(cell: str) -> str:
+    """A cell of a table without its escapes; a name of code without its quotes."""
+    text = re.sub(r"\\([|*])", r"\1", cell).replace("&lt;", "<")
+    return text[1:-1] if re.fullmatch(r"`\w+`", text) else text
+
+
+def _entry(code: str, page: str) -> Outcome:
+    """What the page of errors says about a code."""
+    kinds = {kind.code: kind for kind in error_kinds(page)}
+    if code not in kinds:
+        raise InputError(
+            f"Unknown code {code!r}.{did_you_mean(code, kinds)} `h3data docs errors` lists all of them.",
+            code="H3-MACHINE-013",
+        )
+    kind = kinds[code]
+    by_class = {name: (about, to_do) for name, about, to_do in _rows(page, of=3)}
+    about, to_do = by_class[kind.error]
+    before = page[: page.index(f"| {code} |")].rpartition("\n## ")[2]
+    see = re.search(r"\[(.+?)\]\(", before)
+    text = aligned(
+        [
+            (code, f"{kind.error}: {about}"),
+            ("Message", kind.text),
+            ("What to do", kind.to_do or to_do),
+            ("More", f"h3data docs {see[1]}" if see else "h3data docs troubleshooting"),
+        ]
+    )
+    return Outcome(text=text, data=kind._asdict() | {"to_do": kind.to_do or to_do})
 
 
 _OF_SITE = ("index", "changes", "gallery")

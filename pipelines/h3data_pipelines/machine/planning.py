@@ -42,10 +42,10 @@ class Plan:
     """Different homes (h3-homes/train has 37)."""
     steps: float | None = None
     """Mean length of an episode (default: as measured)."""
-    camera: tuple[str, ...] = ()
-    """Camera whose video is added: robot_arm, human_head or top_down (repeatable)."""
+    cameras: tuple[str, ...] = ()
+    """Cameras whose videos are added: robot_arm, human_head or top_down."""
     price: float = 0.02
-    """Of a core for an hour, in your currency; spot prices differ by place and day."""
+    """Price of a core for an hour, in your currency; spot prices differ by place and day."""
     lost_nodes: float = 0.05
     """Share of the nodes that die in an hour, as spot machines do; each costs half a shard, a start and its homes."""
     costs: Path | None = None
@@ -55,11 +55,14 @@ class Plan:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Returns the forecast for several numbers of cores, or the costs measured on this machine."""
         for name in ("episodes", "cores", "datasets", "scenes"):
             if getattr(self, name) < 1:
-                raise InputError(f"--{name} must be at least 1, got {getattr(self, name)}.")
-        if strangers := [name for name in self.camera if name not in FRAMES]:
-            raise InputError(f"--camera: expected some of {', '.join(FRAMES)}, got {', '.join(strangers)}.")
+                raise InputError(f"--{name} must be at least 1, got {getattr(self, name)}.", code="H3-MACHINE-017")
+        if strangers := [name for name in self.cameras if name not in FRAMES]:
+            raise InputError(
+                f"--camera: expected some of {', '.join(FRAMES)}, got {', '.join(strangers)}.", code="H3-MACHINE-015"
+            )
         costs = self._costs()
         if self.measure:
             return Outcome(text=_costs_text(costs), data={"costs": costs.to_json()})
@@ -73,14 +76,16 @@ class Plan:
         try:
             costs = Costs.from_json(json_module.loads(self.costs.read_text(encoding="utf-8")))
         except (OSError, ValueError) as error:
-            raise InputError(f"Cannot read the costs ({error}): {self.costs}") from None
+            raise InputError(f"Cannot read the costs ({error}): {self.costs}", code="H3-MACHINE-018") from None
         if costs.task != self.task:
-            raise InputError(f"Expected costs of {self.task}, these are of {costs.task}: {self.costs}")
+            raise InputError(
+                f"Expected costs of {self.task}, these are of {costs.task}: {self.costs}", code="H3-MACHINE-016"
+            )
         return costs
 
     def _row(self, costs: Costs, cores: int) -> dict[str, Any]:
         steps = costs.steps if self.steps is None else self.steps
-        frames = sum(costs.frame_s[name] for name in self.camera)
+        frames = sum(costs.frame_s[name] for name in self.cameras)
         shard_s = costs.episode_s + steps * (costs.step_s + frames)
         load = Workload(
             shards=self.episodes, shard_s=shard_s, scenes=self.scenes, scene_s=costs.scene_s, start_s=costs.start_s,

@@ -39,6 +39,7 @@ class Warmup:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Compiles the kernels in parallel and returns how many there are and how long it took."""
         start, parts, files, came, compiled = time.perf_counter(), {}, {}, {}, 0
         _say(f"Compiling kernels on {counted(core_count(), 'core')}: about half a minute on two, once.\n")
         with ThreadPoolExecutor(core_count()) as pool:
@@ -107,7 +108,10 @@ def _run_apart(name: str) -> dict[str, Any]:
     process = _start([name], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     report, errors = process.communicate()
     if process.returncode:
-        raise H3DataError(f"Compiling the kernels of {name} failed: {(errors.strip().splitlines() or ['killed'])[-1]}")
+        raise H3DataError(
+            f"Compiling the kernels of {name} failed: {(errors.strip().splitlines() or ['killed'])[-1]}",
+            code="H3-MACHINE-019",
+        )
     return jsonlib.loads(report) | {"wall_s": round(time.perf_counter() - start, 1)}
 
 
@@ -182,14 +186,14 @@ def _task(name: str, steps: int | None = None) -> Callable[[], None]:
     def play() -> None:
         from h3data.metrics import measure_many
         from h3data.replay import Replay, camera_track
-        from h3data.scene import HomeSpec, build_home
+        from h3data.scene.open import named_scenes, open_scene
         from sim_kinematic.tasks.episode import with_options
         from sim_kinematic.tasks.registry import find_task
         from sim_kinematic.tasks.runner import simulate
 
         task = find_task(name)
         spec = with_options(task.default_spec(), max_steps=steps)  # None: those of the task
-        recording = simulate(task, task.episode(build_home(HomeSpec(preset="small", seed=15)), spec=spec))
+        recording = simulate(task, task.episode(open_scene(named_scenes("small:15")[0].source), spec=spec))
         measure_many([recording])
         replay = Replay(recording)
         stage = replay.stage

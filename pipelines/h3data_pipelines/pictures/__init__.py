@@ -1,4 +1,1 @@
-"""Commands that show recordings.
-
-`rerender` writes videos and images from any camera (`rendering` is its frame loop), `viewing` Rerun files, `report` HTML.
-"""
+"""``h3data rerender`` writes videos and images from any camera (`rerender`); `rendering` is its frame loop."""

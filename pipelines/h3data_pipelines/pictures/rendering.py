@@ -33,6 +33,7 @@ def render_files(
     annotate: bool = True,
     samples: Literal[1, 4] = 1,
     description: str = "render",
+    frame_done: Callable[[], object] | None = None,
     backend: FrameBackend = "cpu",
 ) -> None:
     """Renders ``steps`` from every camera into its targets.
@@ -40,6 +41,8 @@ def render_files(
     ``threads`` threads pose, render and prepare frames (colour maps, PNG encoding); each target has one more thread that
     encodes or writes. Few frames are in flight at a time, so memory stays constant. The files do not depend on the number
     of threads, and they get their final names only when complete.
+
+    ``frame_done`` is called after each frame, in place of a bar of progress with ``description``.
     """
     outputs: list[Output] = list(dict.fromkeys(target.output for _, targets in views for target in targets))
     fps = frames_per_second(replay, steps)
@@ -59,9 +62,12 @@ def render_files(
             [track for track, _ in views], steps, outputs=outputs, samples=samples, threads=threads, then=prepare,
             backend=backend,
         )  # fmt: skip
-        for _, prepared in progress(frames, total=len(steps), desc=description, unit="frame"):
+        shown = progress(frames, total=len(steps), desc=description, unit="frame") if frame_done is None else frames
+        for _, prepared in shown:
             for encoder, frame in zip(encoders, prepared, strict=True):
                 encoder.submit(frame)
+            if frame_done is not None:
+                frame_done()
         for encoder in encoders:
             encoder.finish()
 

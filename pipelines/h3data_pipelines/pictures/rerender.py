@@ -26,8 +26,12 @@ from h3data.commands.command import (
     StandInsFlag,
     check_backend,
     keeping,
+    missing_lines,
     open_episode,
+    recording_stem,
 )
+from h3data.commands.executors import ExecutorOption, check_workers, opened
+from h3data.commands.options import command_of
 from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
 from h3data.recording.finding import find_episodes
@@ -35,15 +39,17 @@ from h3data.recording.parquet.files import is_dataset
 from h3data.recording.storage import local, place
 from h3data.replay import CameraTrack, Replay, camera_track
 from h3data.terminal import counted
-from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
+from h3data_pipelines.arguments import result_of
 from h3data_pipelines.execution.processes import core_count
 from h3data_pipelines.jobs.camera_log import CameraLog
-from h3data_pipelines.jobs.imports import recording_stem
-from h3data_pipelines.outputs import OUTPUTS, Format, Target
+from h3data_pipelines.outputs import Format, OutputName, Target
 from h3data_pipelines.pictures.rendering import frames_per_second, render_files
 
 if TYPE_CHECKING:
+    from h3data.bodies.people.rigid_parts import PeopleStyle
     from h3data.render import Output
+    from h3data.render.light.sources import LightMode
+    from h3data_pipelines.arguments import FilePath, Paths
 
 
 MAX_SIDE_PX = 8192
@@ -60,7 +66,41 @@ class Rendered:
     """Why a recording could not be rendered, by its path."""
 
 
-@dataclass(frozen=True)
+def rerender(
+    recordings: Paths,
+    out: FilePath,
+    *,
+    cameras: Paths = (),
+    people: PeopleStyle = "skin",
+    light: LightMode = "baked",
+    backend: Literal["auto", "cpu", "gpu"] = "cpu",
+    outputs: OutputName | Sequence[OutputName] = "rgb",
+    assets: Paths = (),
+    stand_ins: bool = False,
+    steps: str | slice | range = "",
+    format: Literal["mp4", "av1", "png", "data"] = "mp4",
+    size: tuple[int, int] | str = "",
+    samples: Literal[1, 4] | None = None,
+    workers: int | None = None,
+    executor: str = "local",
+    force: bool = False,
+) -> Rendered:
+    """Renders recordings from any number of cameras into the folder ``out``; options as of ``h3data rerender``.
+
+    Returns:
+        The video files and folders of images, and which recordings failed.
+
+    Raises:
+        InputError: an option is wrong, a file exists, or no recording can be rendered.
+    """
+    if not isinstance(size, str):
+        size = "x".join(map(str, size))
+    if not isinstance(steps, str):
+        steps = ":".join("" if part is None else str(part) for part in (steps.start, steps.stop, steps.step))
+    return result_of(Rerender, locals())
+
+
+@command_of(rerender)
 class Rerender:
     """Render recordings from any number of cameras, as videos for the browser or as lossless data.
 
@@ -68,7 +108,7 @@ class Rerender:
     <recording>.cameras.json holds each camera's intrinsics K and its pose at every frame.
 
     Examples:
-        h3data rerender out/demo/episode.mcap --camera top_down --camera robot_arm --outputs rgb,depth -o videos/
+        h3data rerender out/demo/episode.mcap --cameras top_down,robot_arm --outputs rgb,depth -o videos/
         h3data rerender rec/*.mcap --camera third_person --outputs rgb,depth,instance --format data -o training/
         h3data rerender rec/ --camera third_person -o videos/
         h3data rerender rec/session.mcap --camera my_camera.toml --steps 0:300:2 --format png -o frames/
@@ -79,39 +119,39 @@ class Rerender:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the results: <recording>.<camera>.<output>, a video file or a folder of images. Those of a folder keep their
     place below it."""
-    camera: tuple[str, ...] = ()
-    """Camera name or .toml file; repeatable (default: top_down). An unknown name prints the list of cameras."""
-    outputs: str = "rgb"
-    """Comma-separated list of rgb, depth, instance, semantic."""
-    assets: tuple[Path, ...] = ()
+    cameras: tuple[str, ...]
+    """Camera names or .toml files (default: top_down). An unknown name prints the list of cameras."""
+    outputs: tuple[OutputName, ...]
+    """What the pictures show."""
+    assets: tuple[Path, ...]
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
-    stand_ins: StandInsFlag = False
-    steps: str = ""
+    stand_ins: StandInsFlag
+    steps: str
     """Range of steps as start:stop:stride (default: all)."""
-    format: Format = "mp4"
+    format: Format
     """mp4 (H.264) or av1: videos for viewing. png: images, depth as 16-bit millimetres, ids as 16-bit id + 1.
     data: H.264 for rgb, lossless 16-bit FFV1 for depth, PNG for ids."""
-    size: str = ""
+    size: str
     """Size of the pictures such as 1280x720 (default: the camera's own). The horizontal field of view stays; top_down,
     top_down_orthographic and orbit keep the whole picture in view."""
-    samples: Literal[1, 4] | None = None
+    samples: Literal[1, 4] | None
     """Samples of colour per pixel: 4 smooths edges (default: 4 for mp4 and av1, 1 for png and data)."""
-    people: PeopleOption = "skin"
-    light: LightOption = "baked"
-    backend: BackendOption = "cpu"
-    workers: int | None = None
+    people: PeopleOption
+    light: LightOption
+    backend: BackendOption
+    workers: int | None
     """Number of render threads (default: one per core), or of Ray's workers, each for a recording."""
-    executor: ExecutorOption = "local"
+    executor: ExecutorOption
     dry_run: DryRunFlag = False
-    force: ForceFlag = False
+    force: ForceFlag
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        parse_outputs(self.outputs)
+        """Renders all recordings, in several processes if asked to, and returns the files."""
         parse_size(self.size)
         local(self.out)
         if not self.recordings:
-            raise InputError("Expected at least one recording (.mcap).")
+            raise InputError("Expected at least one recording (.mcap).", code="H3-RENDER-089")
         if self.executor == "local" and not self.dry_run:  # elsewhere, each worker looks for itself
             check_backend(self.backend)
         check_workers(self.executor, self.workers)
@@ -120,7 +160,8 @@ class Rerender:
         if twice:
             raise InputError(
                 f"Several recordings are called {min(twice)!r}: their videos would overwrite each other. "
-                "Render them one at a time, each with a different -o."
+                "Render them one at a time, each with a different -o.",
+                code="H3-RENDER-090",
             )
         lines, rows = [], []
         with keeping(lambda: self._kept(rows)), ExitStack() as stack:
@@ -159,12 +200,14 @@ class Rerender:
         replay = Replay(
             open_episode(path), assets=self.assets, people=self.people, light=light, stand_ins=self.stand_ins
         )
-        tracks = [camera_track(replay, name) for name in self.camera or ("top_down",)]
+        tracks = [camera_track(replay, name) for name in self.cameras or ("top_down",)]
         if size := parse_size(self.size):
             tracks = [track.resized(*size) for track in tracks]
         names = [track.camera.name for track in tracks]
         if len(set(names)) < len(names):
-            raise InputError("Two cameras have the same name, so their files would overwrite each other.")
+            raise InputError(
+                "Two cameras have the same name, so their files would overwrite each other.", code="H3-RENDER-091"
+            )
         steps = parse_steps(self.steps, len(replay))
         if self.dry_run:
             files = [
@@ -255,7 +298,7 @@ def render_shard(command: Rerender, shard: Shard, *, alone: bool) -> RenderedSha
     """Renders one recording. What cannot be rendered is listed, unless it is the only one or the disk is full."""
     command = replace(command, out=command.out / shard.below)
     try:
-        return command.render(shard.path, shard.stem, parse_outputs(command.outputs), shard.counter)
+        return command.render(shard.path, shard.stem, tuple(dict.fromkeys(command.outputs)), shard.counter)
     except H3DataError as error:
         if alone or isinstance(error, DiskFullError):
             raise
@@ -285,7 +328,7 @@ def _counting(results: Iterator[RenderedShard], bar: Any) -> Iterator[RenderedSh
 
 
 def _lost(shard: Shard, error: H3DataError) -> RenderedShard:
-    return [f"failed {shard.path}: {error}"], {"recording": str(shard.path), "error": str(error)}
+    return [f"failed {shard.path}: {error}"], {"recording": str(shard.path), "error": str(error), "code": error.code}
 
 
 class DiskFullError(InputError):
@@ -302,10 +345,11 @@ def _disk_errors(folder: Path) -> Iterator[None]:
             free = shutil.disk_usage(folder).free / 1e6 if folder.is_dir() else 0
             raise DiskFullError(
                 f"The disk is full ({free:.0f} MB free). Complete files are kept; free some space and run the same "
-                f"command again to continue: {folder}"
+                f"command again to continue: {folder}",
+                code="H3-RENDER-093",
             ) from None
         if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST, errno.ENAMETOOLONG):
-            raise InputError(f"Cannot write here ({error.strerror}): {folder}") from None
+            raise InputError(f"Cannot write here ({error.strerror}): {folder}", code="H3-RENDER-094") from None
         raise
 
 
@@ -315,17 +359,9 @@ def _refuse_existing(targets: Sequence[Target]) -> None:
             kind = "folder" if target.path.is_dir() else "file"
             raise InputError(
                 f"The output {kind} exists but was made from another recording, camera or range of steps. Use --force to "
-                f"overwrite it, or another -o: {target.path}"
+                f"overwrite it, or another -o: {target.path}",
+                code="H3-RENDER-092",
             )
-
-
-def parse_outputs(text: str) -> tuple[Output, ...]:
-    """Parses a comma-separated list of outputs such as ``"rgb,depth"``."""
-    names = [name.strip() for name in text.split(",") if name.strip()]
-    unknown = [name for name in names if name not in OUTPUTS]
-    if unknown or not names:
-        raise InputError(f"Unknown outputs {unknown or text!r}. Expected some of: {', '.join(OUTPUTS)}.")
-    return tuple(dict.fromkeys(names))  # type: ignore[arg-type]
 
 
 def parse_size(text: str) -> tuple[int, int] | None:
@@ -335,7 +371,10 @@ def parse_size(text: str) -> tuple[int, int] | None:
     sides = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
     width, height = (int(side) for side in sides.groups()) if sides else (0, 0)
     if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX):
-        raise InputError(f"Expected a size such as 1280x720, of at most {MAX_SIDE_PX} pixels a side, got {text!r}.")
+        raise InputError(
+            f"Expected a size such as 1280x720, of at most {MAX_SIDE_PX} pixels a side, got {text!r}.",
+            code="H3-RENDER-085",
+        )
     return width, height
 
 
@@ -344,32 +383,16 @@ def parse_steps(text: str, count: int) -> range:
     if not text:
         return range(count)
     if not re.fullmatch(r"-?\d*(:-?\d*){0,2}", text) or text.endswith("::-"):
-        raise InputError(f"Expected steps as start:stop:stride, e.g. 0:300:2, got {text!r}.")
+        raise InputError(f"Expected steps as start:stop:stride, e.g. 0:300:2, got {text!r}.", code="H3-RENDER-086")
     parts = [int(p) if p not in ("", "-") else None for p in text.split(":")]
     if len(parts) == 1:
         parts = [parts[0], None if parts[0] == -1 else (parts[0] or 0) + 1]
     if len(parts) == 3 and parts[2] is not None and parts[2] <= 0:
-        raise InputError(f"Expected a positive stride in the steps, got {text!r}.")
+        raise InputError(f"Expected a positive stride in the steps, got {text!r}.", code="H3-RENDER-087")
     steps = range(count)[slice(*parts)]
     if not len(steps):
-        raise InputError(f"The steps {text!r} select nothing: the recording has {count} steps, 0 to {count - 1}.")
+        raise InputError(
+            f"The steps {text!r} select nothing: the recording has {count} steps, 0 to {count - 1}.",
+            code="H3-RENDER-088",
+        )
     return steps
-
-
-def missing_lines(replay: Replay, *, max_names: int = 8) -> list[str]:
-    """Lines of text that list the assets of a replay that were not found."""
-    if not replay.missing:
-        return []
-    names = sorted(replay.missing)
-    shown = "built-in bodies and named boxes stand in" if replay.stand_ins else "shown as striped placeholders"
-    plainer = "" if replay.stand_ins else "; --stand-ins draws plain bodies and named boxes"
-    lines = [
-        f"{len(names)} assets not found, {shown} (Hint: --assets DIR or H3DATA_ASSETS; "
-        f"h3data docs import says how to get Habitat's{plainer}):"
-    ]
-    for name in names[:max_names]:
-        count = replay.missing[name]
-        lines.append(f"  {name}" + (f"  x{count}" if count > 1 else ""))
-    if len(names) > max_names:
-        lines.append(f"  ... and {len(names) - max_names} more (--json lists all)")
-    return lines

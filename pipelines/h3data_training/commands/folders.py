@@ -18,16 +18,18 @@ LEFT = (
 def run_folder(
     out: Path, *, force: bool, resume: bool, device: str, checkpoint_bytes: int, keep: Path | None = None
 ) -> Path:
-    """The folder to train in. With ``force`` everything that an earlier run left there is deleted, since its partners, starts
-    and curve would be taken for those of the new one.
+    """Prepares the folder of a training run.
+
+    With ``force`` everything that an earlier run left there is deleted, because its partners, starts and learning curve
+    would otherwise be taken for those of the new run.
 
     Args:
-        out: The folder.
-        force: Begin anew.
-        resume: Go on.
-        device: It is checked before anything is deleted.
-        checkpoint_bytes: Room for two of these is needed.
-        keep: A file of the folder that is not deleted.
+        out: the folder.
+        force: start from the beginning.
+        resume: continue from the last checkpoint.
+        device: device of the run, which is checked before anything is deleted.
+        checkpoint_bytes: size of a checkpoint; there must be room for two.
+        keep: a file of the folder that is not deleted.
 
     Raises:
         InputError: the folder is not empty, the disk is full, or there is no such device.
@@ -38,7 +40,8 @@ def run_folder(
     free = shutil.disk_usage(folder).free
     if free < needed:
         raise InputError(
-            f"Expected {needed >> 20} MiB of free disk for checkpoints, got {free >> 20}. Folder: {folder}"
+            f"Expected {needed >> 20} MiB of free disk for checkpoints, got {free >> 20}. Folder: {folder}",
+            code="H3-TRAIN-007",
         )
     if force:
         from h3data_training.envs.torch_env import checked_device

@@ -1,5 +1,7 @@
-"""``h3data train rearrange``: the upper layer of rearrangement beside a population of partners, on CPU cores or in
-worlds on a device."""
+"""``h3data train rearrange``: trains the upper layer of rearrangement with a population of partners.
+
+Episodes are played on CPU cores, or in batched worlds on a device.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from h3data.commands.command import Outcome
-from h3data.habitat.scene_names import listed_scenes
 from h3data.progress import say
+from h3data.scene.open import listed_scenes
 from h3data.terminal import counted
 from h3data_training.commands.folders import run_folder
 
 if TYPE_CHECKING:
     from h3data_training.populations.settings import PopulationSettings
-    from h3data_training.running import Result
+    from h3data_training.running import RunResult
 
 CHECKPOINT_BYTES = 3 << 20
 """About what a checkpoint takes for each learner, with its moments."""
@@ -85,7 +87,7 @@ def _plan(settings: PopulationSettings, workers: int | None) -> str:
     )
 
 
-def _summary(result: Result, settings: PopulationSettings) -> str:
+def _summary(result: RunResult, settings: PopulationSettings) -> str:
     row = result.last
     figures = (
         f"in the last update success {row['success']:.0%}, contact {row['collided']:.0%}, {row['steps_per_episode']:.0f} steps"

@@ -1,5 +1,8 @@
-"""``h3data train``: learns social navigation from pictures, on a GPU or, in small, on a CPU, the skills of a robot, and
-rearrangement beside populations of partners, on CPU cores or in worlds on a device."""
+"""``h3data train``: trains policies of social navigation, a robot's skills, and rearrangement.
+
+Social navigation and skills are learned from pictures, on a GPU or on a small scale on a CPU; rearrangement is learned
+with populations of partners, on CPU cores or in batched worlds on a device.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from h3data.commands.command import DryRunFlag, ForceFlag, JsonFlag, Outcome
+from h3data.commands.options import OfTasks, TaskNotes
 from h3data.errors import InputError
 from h3data.progress import say
 from h3data.render.light.sources import LightMode
@@ -17,17 +21,40 @@ from h3data.terminal import counted
 from h3data_training.commands.folders import run_folder
 
 if TYPE_CHECKING:
-    from h3data_training.run import Result
+    from h3data_training.run import RunResult
     from h3data_training.settings import Settings
-    from sim_kinematic.policies.pictured import PicturedNetwork
+    from sim_kinematic.policies.visual_policy import VisualPolicy
 
 
-OF_REARRANGE = ("population", "workers", "episodes_file", "without")
-"""Options that only rearrange has,"""
-OF_SOCIAL_NAV = ("observations", "light", "hold", "init", "rollout", "minibatches", "follow_steps", "horizon")
-"""those that only social_nav and skills have, beside the number of GPUs,"""
-NOT_OF_SKILLS = (*OF_REARRANGE, "walk", "follow_steps", "light")
-"""and those that skills do not have: nobody else is there, and they see depth."""
+REARRANGE, SOCIAL_NAV = OfTasks(("rearrange",)), OfTasks(("social_nav",))
+WITH_PEOPLE, BY_PPO = OfTasks(("social_nav", "rearrange")), OfTasks(("social_nav", "skill"))
+RECIPES = TaskNotes(
+    {
+        "social_nav": "fast is for one GPU (4,096 worlds, 37 homes, pictures of 64 x 48), paper is the published one (pictures "
+        "of 224 x 171, ResNet18 and LSTM, 200 M steps), tiny for a CPU (512 worlds, no pictures: the robot is told where the "
+        "person is and how far off walls are; the default).",
+        "skill": "fast is for one GPU (4,096 worlds, pictures of 64 x 48, no map but for critic and teacher), tiny for a CPU "
+        "(512 worlds, no pictures: the robot is told the path; the default).",
+        "rearrange": "paper has the published settings but for pictures (100 M steps; h3data docs populations); the default "
+        "is our own.",
+    }
+)
+OBSERVATIONS = TaskNotes(
+    {
+        "social_nav": "arm_depth,humanoid_detector,humanoid_gps are the paper's and the default, of tiny "
+        "humanoid_gps,range_scan; there are also arm_rgb in the place of arm_depth, egomotion, humanoid_velocity, "
+        "way and range_scan.",
+        "skill": "arm_depth, target_gps_compass, way, range_scan, egomotion, and of pick and place target_sensor, "
+        "resting_sensor, arm_joints and is_holding (default: with fast arm_depth and what no map tells, else "
+        "all but arm_depth).",
+    }
+)
+WORLDS = TaskNotes(
+    {
+        "rearrange": "episodes of an update, with oracle skills and the paper's people, on --device (default: none; episodes "
+        "have our full rules and are played by --workers)."
+    }
+)
 TASKS = "social_nav, rearrange or skill"
 
 
@@ -42,14 +69,14 @@ class Train:
     Examples:
         h3data train social_nav --recipe fast --device cuda -o out/nav
         h3data train social_nav --recipe fast --device cuda --minutes 17 --stop-after 8.7 --resume -o out/nav
-        h3data train social_nav --recipe fast --device cuda --gpus 2 --init end_to_end -o out/longer
+        h3data train social_nav --recipe fast --device cuda --gpus 2 --warm-start end_to_end -o out/longer
         h3data train social_nav --recipe tiny -o out/tiny
         h3data train social_nav --observations humanoid_detector,humanoid_gps --device cuda -o out/blind
         h3data train social_nav --recipe fast --device cuda --scenes h3-homes/train,h3-homes-v2/train -o out/both
         h3data train social_nav --recipe fast --dry-run -o out/nav
         h3data train rearrange --population plan_pop_3 --minutes 30 -o out/plan_pop_3
         h3data train rearrange --recipe paper --population learn_pop --worlds 20 --device cuda -o out/paper
-        h3data train rearrange --population plan_pop_3 --without humanoid_gps -o out/no_gps
+        h3data train rearrange --population plan_pop_3 --ablate humanoid_gps -o out/no_gps
         h3data train rearrange --population learn_pop --workers 16 --updates 200 --resume -o out/learn_pop
         h3data train skill nav -o out/skills/nav
         h3data train skill pick --minutes 20 -o out/skills/pick
@@ -65,18 +92,14 @@ class Train:
     """Folder of the run."""
     skill: tyro.conf.Positional[str] = ""
     """skill: nav, pick or place."""
-    population: str | None = None
-    """rearrange: who is beside the robot (paper section 4.2). learn_single: one person who learns too; plan_pop_1 to
+    population: Annotated[str | None, REARRANGE] = None
+    """Who is beside the robot (paper section 4.2). learn_single: one person who learns too; plan_pop_1 to
     plan_pop_4: planners of so many kinds; learn_pop: eight people who learn, one in each episode (default: plan_pop_3)."""
-    without: tuple[Literal["humanoid_gps", "primitives"], ...] = ()
-    """rearrange: an ablation of the robot (repeatable). humanoid_gps: it is not shown where the person is; primitives: it
+    ablate: Annotated[tuple[Literal["humanoid_gps", "primitives"], ...], REARRANGE] = ()
+    """Ablations of the robot. humanoid_gps: it is not shown where the person is; primitives: it
     cannot choose the four primitives of navigation."""
-    recipe: Literal["fast", "paper", "tiny"] | None = None
-    """social_nav, settings: fast is for one GPU (4,096 worlds, 37 homes, pictures of 64 x 48), paper is the published one
-    (pictures of 224 x 171, ResNet18 and LSTM, 200 M steps), tiny for a CPU (512 worlds, no pictures: the robot is told where
-    the person is and how far off walls are; the default). skill: fast is for one GPU (4,096 worlds, pictures of 64 x 48, no map
-    but for critic and teacher), tiny for a CPU (512 worlds, no pictures: the robot is told the path; the default). rearrange:
-    paper has the published settings but for pictures (100 M steps; h3data docs populations); the default is our own."""
+    recipe: Annotated[Literal["fast", "paper", "tiny"] | None, RECIPES] = None
+    """Settings by name."""
     seed: int = 0
     """Everything random follows from it."""
     minutes: float | None = None
@@ -86,50 +109,46 @@ class Train:
     """Length of the run in updates instead, so that on a CPU the same seed gives the same weights."""
     stop_after: float | None = None
     """Save and stop after so many minutes of this call; --resume goes on."""
-    workers: int | None = None
-    """rearrange: processes that play, with --worlds those that prepare episodes (default: one for each core). The weights do
+    workers: Annotated[int | None, REARRANGE] = None
+    """Processes that play, with --worlds those that prepare episodes (default: one for each core). The weights do
     not depend on it."""
-    episodes_file: Path | None = None
-    """rearrange: episodes to play, drawn and written where there is no such file, so that several runs share them (default:
+    episodes_file: Annotated[Path | None, REARRANGE] = None
+    """Episodes to play, drawn and written where there is no such file, so that several runs share them (default:
     episodes.json.gz in the folder, with --worlds episodes.npz)."""
     device: str = "cpu"
     """Where worlds are: cpu, cuda or cuda:N. Of rearrange with --worlds."""
-    scenes: str | None = None
-    """Homes to learn in: one or more names as of h3data generate, separated by commas (default: h3-homes/train)."""
+    scenes: tuple[str, ...] = ()
+    """Homes to learn in: names as of h3data generate, several sets among them (default: h3-homes/train)."""
     episodes_per_home: int | None = None
     """Episodes to learn from in each home (default: 28, tiny 8, rearrange 32, skills 3, with fast 8)."""
-    observations: str | None = None
-    """What the robot is shown, separated by commas (default: the paper's arm_depth,humanoid_detector,humanoid_gps; tiny
-    humanoid_gps,range_scan); there are also arm_rgb in the place of arm_depth, egomotion, humanoid_velocity, way and
-    range_scan. Skills: arm_depth, target_gps_compass, way, range_scan, egomotion, and of pick and place target_sensor,
-    resting_sensor, arm_joints and is_holding (default: with fast arm_depth and what no map tells, else all but arm_depth)."""
-    light: LightMode | None = None
+    observations: Annotated[tuple[str, ...], BY_PPO, OBSERVATIONS] = ()
+    """What the robot observes."""
+    light: Annotated[LightMode | None, SOCIAL_NAV] = None
     """Light in colours (arm_rgb): flat, the same everywhere, or baked, from windows, sun and lamps, which needs --device cpu.
     The policy's card says it, and it is shown the same wherever it plays (default: flat)."""
-    worlds: int | None = None
-    """Worlds that are stepped at once. rearrange: episodes of an update, with oracle skills and the paper's people, on --device
-    (default: none; episodes have our full rules and are played by --workers)."""
-    hold: int | None = None
+    worlds: Annotated[int | None, WORLDS] = None
+    """Worlds that are stepped at once."""
+    action_repeat: Annotated[int | None, BY_PPO] = None
     """Steps of 1/30 s for which an action is held (default: 3)."""
     robot: str | None = None
     """Body of the robot (default: quad_arm)."""
-    walk: Literal["natural", "paper", "both"] | None = None
-    """How people walk, as --human-walk of h3data generate (default: natural; rearrange both, half of the episodes each)."""
-    gpus: int = 1
+    human_walk: Annotated[Literal["natural", "paper", "both"] | None, WITH_PEOPLE] = None
+    """How people walk, as of h3data generate (default: natural; rearrange both, half of the episodes each)."""
+    gpus: Annotated[int, BY_PPO] = 1
     """Processes that train together, one for each GPU, each with its share of the worlds; on the CPU as many processes. In
     processes that torchrun starts, as many as there are."""
-    init: str | None = None
+    warm_start: Annotated[str | None, BY_PPO] = None
     """A trained policy to begin with: weights:FILE or end_to_end. The critic is new and learns alone at first; there is less
     exploration, and the value looks farther ahead from the start."""
-    rollout: int | None = None
+    rollout: Annotated[int | None, BY_PPO] = None
     """Decisions per world between two updates: as far as the recurrent state learns to remember (default: 32, tiny 16)."""
-    minibatches: int | None = None
+    minibatches: Annotated[int | None, BY_PPO] = None
     """Parts of a rollout that are learned from one after the other (default: 4)."""
-    follow_steps: int | None = None
+    follow_steps: Annotated[int | None, SOCIAL_NAV] = None
     """Cut training episodes short after so many steps of following, so that they hold more finding (default: 0, never)."""
-    horizon: float | None = None
+    horizon: Annotated[float | None, BY_PPO] = None
     """Steps of 1/30 s that the value looks ahead at the end of the run; at its start in proportion (default: 500 from 150,
-    with --init 750 from 500). A contact costs what is ahead of it, so a longer horizon makes a robot more careful."""
+    with --warm-start 750 from 500). A contact costs what is ahead of it, so a longer horizon makes a robot more careful."""
     resume: bool = False
     """Go on from the checkpoint in the folder; begins where there is none."""
     dry_run: DryRunFlag = False
@@ -137,30 +156,35 @@ class Train:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Trains the policy and returns where its weights are and how well it does."""
         if self.resume and self.force:
-            raise InputError("Expected --resume (go on) or --force (begin anew), got both.")
+            raise InputError("Expected --resume (go on) or --force (begin anew), got both.", code="H3-TRAIN-009")
         if self.stop_after is not None and not self.stop_after > 0:
-            raise InputError(f"Expected --stop-after of more than 0 minutes, got {self.stop_after}.")
+            raise InputError(
+                f"Expected --stop-after of more than 0 minutes, got {self.stop_after}.", code="H3-TRAIN-010"
+            )
         if self.skill and self.task != "skill":
-            raise InputError(f"Expected the name of a skill after the task skill only, got {self.task} {self.skill}.")
+            raise InputError(
+                f"Expected the name of a skill after the task skill only, got {self.task} {self.skill}.",
+                code="H3-TRAIN-011",
+            )
         if self.task == "skill" and not self.skill:
-            raise InputError("Expected the name of a skill: h3data train skill nav, pick or place.")
+            raise InputError(
+                "Expected the name of a skill: h3data train skill nav, pick or place.", code="H3-TRAIN-012"
+            )
         if self.task == "rearrange":
             return self._rearrange()
         if self.task not in ("social_nav", "skill"):
             raise InputError(
-                f"Expected the task {TASKS}, got {self.task!r}: policies of other tasks cannot be trained yet."
+                f"Expected the task {TASKS}, got {self.task!r}: policies of other tasks cannot be trained yet.",
+                code="H3-TRAIN-013",
             )
-        others = NOT_OF_SKILLS if self.task == "skill" else OF_REARRANGE
-        if strangers := [f"--{n.replace('_', '-')}" for n in others if getattr(self, n) not in (None, ())]:
-            whose = "other tasks" if self.task == "skill" else "rearrange"
-            raise InputError(f"Options of {whose}, not of {self.task}: {', '.join(strangers)}.")
         from h3data_training.ranks import torchrun_place
         from h3data_training.run import describe, require_light, train
 
         name, settings = self._settings()
         require_light(settings, self.device)
-        first = None if self.init is None else _first(self.init)
+        first = None if self.warm_start is None else _first(self.warm_start)
         if first is not None:
             settings = settings.second_stage()
         if self.horizon is not None:
@@ -184,16 +208,19 @@ class Train:
         from h3data_training.settings import recipe
         from h3data_training.skills.settings import skill_recipe
 
-        shown = None if self.observations is None else tuple(self.observations.split(","))
         changes: dict[str, Any] = {
-            **self._length(), "scenes": self.scenes, "episodes_per_home": self.episodes_per_home, "worlds": self.worlds,
-            "hold": self.hold, "observations": shown, "robot": self.robot, "rollout": self.rollout,
+            **self._length(), "scenes": self._scenes, "episodes_per_home": self.episodes_per_home, "worlds": self.worlds,
+            "hold": self.action_repeat, "observations": self.observations or None, "robot": self.robot, "rollout": self.rollout,
             "minibatches": self.minibatches, "light": self.light,
         }  # fmt: skip
         name = self.recipe or "tiny"
         if self.task == "skill":
             return name, skill_recipe(name, self.skill, **changes)
-        return name, recipe(name, **changes, walk=self.walk, follow_steps=self.follow_steps)
+        return name, recipe(name, **changes, walk=self.human_walk, follow_steps=self.follow_steps)
+
+    @property
+    def _scenes(self) -> str | None:
+        return ",".join(self.scenes) or None
 
     def _length(self) -> dict[str, Any]:
         """Minutes and updates of the run, None as in the recipe; minutes alone take the place of a recipe's updates."""
@@ -201,25 +228,22 @@ class Train:
         return {"minutes": self.minutes, "updates": of_recipe if self.updates is None else self.updates}
 
     def _rearrange(self) -> Outcome:
-        strangers = [f"--{name.replace('_', '-')}" for name in OF_SOCIAL_NAV if getattr(self, name) is not None]
-        strangers += ["--gpus"] * (self.gpus != 1)
-        if strangers:
-            raise InputError(f"Options of social_nav, not of rearrange: {', '.join(strangers)}.")
         if self.device != "cpu" and self.worlds is None:
             raise InputError(
                 f"Without --worlds rearrange plays our full rules, on CPU cores: --device {self.device} has no effect. "
-                "Hint: --worlds 1024."
+                "Hint: --worlds 1024.",
+                code="H3-TRAIN-016",
             )
         if self.worlds is not None and self.worlds < 1:
-            raise InputError(f"Expected at least 1 world, got --worlds {self.worlds}.")
+            raise InputError(f"Expected at least 1 world, got --worlds {self.worlds}.", code="H3-TRAIN-017")
         if self.workers is not None and self.workers < 1:
-            raise InputError(f"Expected at least 1 worker, got --workers {self.workers}.")
+            raise InputError(f"Expected at least 1 worker, got --workers {self.workers}.", code="H3-TRAIN-018")
         from h3data_training.commands.rearrangement import plan_rearrange, train_rearrange
         from h3data_training.populations.settings import rearrange_recipe
 
         settings = rearrange_recipe(
-            self.recipe, **self._length(), population=self.population, scenes=self.scenes,
-            episodes_per_home=self.episodes_per_home, robot=self.robot, walk=self.walk, without=self.without,
+            self.recipe, **self._length(), population=self.population, scenes=self._scenes,
+            episodes_per_home=self.episodes_per_home, robot=self.robot, walk=self.human_walk, without=self.ablate,
         )  # fmt: skip
         if self.worlds is not None:
             settings = settings.in_worlds(self.worlds)
@@ -231,20 +255,22 @@ class Train:
         )  # fmt: skip
 
 
-def _first(name: str) -> PicturedNetwork:
+def _first(name: str) -> VisualPolicy:
     """The trained policy of a name."""
     from sim_kinematic.policies.learned import is_learned, network_of
-    from sim_kinematic.policies.pictured import PicturedNetwork
+    from sim_kinematic.policies.visual_policy import VisualPolicy
 
     network = network_of(name) if is_learned(name) else None
-    if not isinstance(network, PicturedNetwork):
-        raise InputError(f"Expected a policy of h3data train, as weights:FILE or end_to_end; got {name!r}.")
+    if not isinstance(network, VisualPolicy):
+        raise InputError(
+            f"Expected a policy of h3data train, as weights:FILE or end_to_end; got {name!r}.", code="H3-TRAIN-008"
+        )
     return network
 
 
 def _cost(settings: Settings) -> dict[str, int]:
     """Sizes that decide whether a run fits on a machine [bytes]."""
-    from sim_kinematic.policies.pictured import PICTURES
+    from sim_kinematic.policies.visual_policy import PICTURES
 
     s = settings
     pixels = s.picture_size[0] * s.picture_size[1] * sum(PICTURES.get(name, 0) for name in s.observations)
@@ -266,7 +292,7 @@ def _plan(settings: Settings) -> str:
     )
 
 
-def _summary(result: Result, task: str) -> str:
+def _summary(result: RunResult, task: str) -> str:
     from h3data_training.run import figures_of
 
     figures = figures_of(result.last).replace("  ", ", ") if result.last else "no update"

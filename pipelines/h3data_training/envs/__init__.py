@@ -25,7 +25,9 @@ def make_social_nav(
         InputError: others than the robot are asked to act, or an option is wrong.
     """
     if tuple(agents) != ("robot",):
-        raise InputError("On a torch device only the robot acts in social_nav. Hint: leave out agents or device.")
+        raise InputError(
+            "On a torch device only the robot acts in social_nav. Hint: leave out agents or device.", code="H3-ENV-001"
+        )
     from h3data_training.envs.social_nav_torch_env import SocialNavTorchEnv
 
     return SocialNavTorchEnv(worlds, scenes, device=device, **options)

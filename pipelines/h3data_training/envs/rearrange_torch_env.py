@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from h3data.errors import InputError, did_you_mean
-from h3data.scene import Scene
 from h3data_training.envs.torch_env import Tensors, TorchEnv
 from h3data_training.torch.rearrange.observations import View, checked_observations, observed
 from h3data_training.torch.rearrange.state import FREE, Play
@@ -18,6 +17,7 @@ from h3data_training.torch.rearrange.worlds import RearrangeTensors
 from sim_kinematic.policies.rearrange import PARTNERS
 from sim_kinematic.policies.rearrange_observations import STATE_SENSES, limits
 from sim_kinematic.tasks.describe import in_words
+from sim_kinematic.tasks.sources import Scenes
 
 if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space
@@ -41,7 +41,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
     def __init__(
         self,
         num_envs: int = 1,
-        scenes: str | Scene | Sequence[str | Scene] = "h3-homes/train",
+        scenes: Scenes = "h3-homes/train",
         *,
         device: torch.device | str = "cuda",
         dtype: torch.dtype | None = None,
@@ -57,41 +57,45 @@ class RearrangeTorchEnv(TorchEnv[Play]):
         graph: bool | None = None,
         compile: bool | None = None,
     ) -> None:
-        """
+        """Samples the episodes, or takes a bank of them, and copies it to the device.
+
         Args:
-            num_envs: W.
-            scenes: As `sim_kinematic.tasks.sources.EpisodeSource`.
-            device: Where all is: ``cuda``, ``cuda:1``, ``cpu``.
-            dtype: Of the state: by default float64 on the CPU, else float32.
-            agents: Who acts: ``robot``, ``human`` or both.
-            partner: The planner that moves the other one (`sim_kinematic.policies.rearrange.PARTNERS`; default ``plan_pop_4``).
-            observations: Names of what `step` shows (`h3data_training.torch.rearrange.observations.OBSERVED`).
-            spec: The rules, with oracle skills; by default `ORACLE_RULES`.
-            interrupts_when_close: Whether agents that act may choose anew in every step while the other is close.
-            episodes: How many are drawn for the bank, or a bank.
-            episodes_seed: The run whose first episodes these are.
-            robot: Name of a built-in robot.
-            human: Name of a built-in body.
-            graph: Whether a step is captured as a CUDA graph; by default on a GPU.
-            compile: Whether its operations are fused (`h3data_training.torch.graph.fused`); by default on a GPU, if Triton is
+            num_envs: number of worlds W.
+            scenes: as for `sim_kinematic.tasks.sources.EpisodeSource`.
+            device: device of all tensors: ``cuda``, ``cuda:1``, ``cpu``.
+            dtype: type of the state: by default float64 on the CPU, else float32.
+            agents: agents that act: ``robot``, ``human`` or both.
+            partner: planner of the other agent (`sim_kinematic.policies.rearrange.PARTNERS`; default ``plan_pop_4``).
+            observations: names of observations (`h3data_training.torch.rearrange.observations.OBSERVED`).
+            spec: rules, with oracle skills; by default `ORACLE_RULES`.
+            interrupts_when_close: whether acting agents may choose again at every step while the other agent is close.
+            episodes: number of episodes in the bank, or a bank.
+            episodes_seed: seed of the run whose first episodes these are.
+            robot: name of a built-in robot.
+            human: name of a built-in body.
+            graph: whether a step is captured as a CUDA graph; by default on a GPU.
+            compile: whether its operations are fused (`h3data_training.torch.graph.fused`); by default on a GPU, if Triton is
                 installed.
 
         Raises:
-            InputError: an argument is none that a device knows, or there is no such device.
+            InputError: an argument is not supported on devices, or there is no such device.
         """
         from h3data_training.torch.rearrange.bank import RearrangeBank
         from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES
 
         self.agents: tuple[str, ...] = (agents,) if isinstance(agents, str) else tuple(agents)
         if not self.agents or not set(self.agents) <= set(KINDS) or len(set(self.agents)) < len(self.agents):
-            raise InputError(f"Expected agents 'robot', 'human' or both, got {agents!r}.")
+            raise InputError(f"Expected agents 'robot', 'human' or both, got {agents!r}.", code="H3-ENV-002")
         if len(self.agents) == len(KINDS) and partner is not None:
-            raise InputError("Both agents are told from outside, so there is no partner. Hint: leave out partner.")
+            raise InputError(
+                "Both agents are told from outside, so there is no partner. Hint: leave out partner.", code="H3-ENV-003"
+            )
         partner = partner or "plan_pop_4"
         if partner not in PARTNERS:
             raise InputError(
                 f"On a device partners are planners, not {partner!r}.{did_you_mean(str(partner), PARTNERS)} Expected one "
-                f"of: {', '.join(PARTNERS)}."
+                f"of: {', '.join(PARTNERS)}.",
+                code="H3-ENV-004",
             )
         super().__init__(num_envs, device, graph=graph, compile=compile)
         self._names = checked_observations((observations,) if isinstance(observations, str) else tuple(observations))
@@ -100,7 +104,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
             rules = ORACLE_RULES if spec is None else spec
             episodes = RearrangeBank.draw(scenes, episodes, seed=episodes_seed, spec=rules, robot=robot, human=human)
         elif spec is not None and spec != episodes.spec:
-            raise InputError("The bank has rules of its own. Hint: leave out spec.")
+            raise InputError("The bank has rules of its own. Hint: leave out spec.", code="H3-ENV-006")
         self.bank = episodes
         self.sim = RearrangeTensors(
             episodes, device=self.device, dtype=dtype, planners=set(KINDS) - set(self.agents), partner=partner,
@@ -114,32 +118,42 @@ class RearrangeTorchEnv(TorchEnv[Play]):
 
     # --- the interface ------------------------------------------------------------------------------------------------
     def step(self, actions: Tensor | Mapping[str, Tensor]) -> tuple[Any, Tensor, Tensor, Tensor, Tensors]:
-        """Move all worlds by 1/30 s, or begin their next episode: observations, rewards [W], terminated [W], truncated [W],
-        info.
+        """Moves all worlds by 1/30 s; worlds whose episode is over begin the next one.
 
-        ``actions`` are numbers of choices, int64 [W], or by agent. Those of agents that are busy have no effect; -1 goes on
-        with what an agent is at, or waits. Larger ones count as the last choice: finding out would have to wait for the device.
+        Args:
+            actions: numbers of choices, int64 [W], or a mapping of them by agent. Those of busy agents have no effect; -1
+                continues what an agent is doing, or waits. Numbers that are too large count as the last choice: checking them
+                would have to wait for the device.
+
+        Returns:
+            Observations, rewards [W], terminated [W], truncated [W], and info.
 
         Raises:
-            InputError: the actions have another shape or are not whole numbers, or no episode has begun.
+            InputError: the actions have another shape or are not integers, or no episode has begun.
         """
         self._require_begun()
         given = actions if isinstance(actions, Mapping) else {self.agents[0]: actions}
         if set(given) != set(self.agents):
-            raise InputError(f"Expected actions of {' and '.join(self.agents)}, got those of {' and '.join(given)}.")
+            raise InputError(
+                f"Expected actions of {' and '.join(self.agents)}, got those of {' and '.join(given)}.",
+                code="H3-ENV-005",
+            )
         with torch.no_grad():
             for agent, chosen in given.items():
                 numbers = torch.as_tensor(chosen)
                 if numbers.shape != (self.num_envs,) or numbers.dtype.is_floating_point:
                     raise InputError(
-                        f"Expected whole numbers of shape {[self.num_envs]}, got {numbers.dtype} {list(numbers.shape)}."
+                        f"Expected whole numbers of shape {[self.num_envs]}, got {numbers.dtype} {list(numbers.shape)}.",
+                        code="H3-ENV-007",
                     )
                 self._actions[agent].copy_(numbers, non_blocking=True)
             return self._stepped()
 
     def info(self) -> Tensors:
-        """What is known beyond the observations, [W, ...] each; ``episode`` is a number in the bank. With two agents what each
-        has of its own begins with ``robot_`` or ``human_``."""
+        """Facts beyond the observations, [W, ...] each; ``episode`` is a number in the bank.
+
+        With two agents, the entries of each agent begin with ``robot_`` or ``human_``.
+        """
         return {name: tensor.clone() for name, tensor in self._told.items()}
 
     # --- parts --------------------------------------------------------------------------------------------------------

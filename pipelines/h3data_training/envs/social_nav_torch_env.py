@@ -14,12 +14,12 @@ from torch import Tensor
 from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError
 from h3data.render.light.sources import LightMode, check_light
-from h3data.scene import Scene
 from h3data_training.envs.torch_env import Tensors, TorchEnv
 from h3data_training.torch.social_nav import Play, SocialNavTensors
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.sensing.sensor import DETECTED_PIXELS, HUMAN_ID, scaled_depth
 from sim_kinematic.tasks.describe import in_words
+from sim_kinematic.tasks.sources import Scenes
 
 if TYPE_CHECKING:
     from gymnasium.spaces import Box, Dict
@@ -68,7 +68,7 @@ class SocialNavTorchEnv(TorchEnv[Play]):
     def __init__(
         self,
         num_envs: int = 1,
-        scenes: str | Scene | Sequence[str | Scene] = "h3-homes/train",
+        scenes: Scenes = "h3-homes/train",
         *,
         device: torch.device | str = "cuda",
         dtype: torch.dtype | None = None,
@@ -85,38 +85,44 @@ class SocialNavTorchEnv(TorchEnv[Play]):
         graph: bool | None = None,
         compile: bool | None = None,
     ) -> None:
-        """
+        """Samples the episodes, or takes a bank of them, and copies it to the device.
+
         Args:
-            num_envs: W.
-            scenes: As `sim_kinematic.tasks.sources.EpisodeSource`.
-            device: Where all is: ``cuda``, ``cuda:1``, ``cpu``.
-            dtype: Of the state: by default float64 on the CPU, else float32.
-            observations: Names of what `step` shows.
-            spec: The rules; by default those of the paper's training.
-            reward: ``paper``; the other one needs the CPU.
-            end_on_success: Whether having followed long enough terminates the episode too.
-            depth_size: Width and height of pictures [pixels]; None is that of the robot's camera.
-            light: Light in ``arm_rgb``: ``flat``, the only one that a device has. None is flat too, with a warning, since
+            num_envs: number of worlds W.
+            scenes: as for `sim_kinematic.tasks.sources.EpisodeSource`.
+            device: device of all tensors: ``cuda``, ``cuda:1``, ``cpu``.
+            dtype: type of the state: by default float64 on the CPU, else float32.
+            observations: names of observations.
+            spec: rules; by default those of the paper's training.
+            reward: ``paper``; the other profile needs the CPU.
+            end_on_success: whether an episode also ends when the robot has followed long enough.
+            depth_size: width and height of pictures [px]; None is that of the robot's camera.
+            light: light in ``arm_rgb``: ``flat``, the only one on devices. None means flat too, with a warning, since
                 environments on the CPU have baked light.
-            episodes: How many are drawn for the bank, or a bank.
-            episodes_seed: The run whose first episodes these are.
-            robot: Name of a built-in robot.
-            human: Name of a built-in body.
-            graph: Whether a step is captured as a CUDA graph; by default on a GPU.
-            compile: Whether its operations are fused (`h3data_training.torch.graph.fused`), which makes it ten times faster and
-                the first reset half a minute longer; by default on a GPU, if Triton is installed.
+            episodes: number of episodes in the bank, or a bank.
+            episodes_seed: seed of the run whose first episodes these are.
+            robot: name of a built-in robot.
+            human: name of a built-in body.
+            graph: whether a step is captured as a CUDA graph; by default on a GPU.
+            compile: whether its operations are fused (`h3data_training.torch.graph.fused`), which makes steps ten times faster
+                and the first reset half a minute longer; by default on a GPU, if Triton is installed.
 
         Raises:
-            InputError: an argument is none that a device knows, or there is no such device.
+            InputError: an argument is not supported on devices, or there is no such device.
         """
         from h3data_training.torch.episodes import EpisodeBank
         from sim_kinematic.tasks.social_nav import TRAINING
 
         unknown = sorted(set(observations) - set(get_args(TorchObservation)))
         if unknown or not observations or isinstance(observations, str):
-            raise InputError(f"On a device there are {', '.join(get_args(TorchObservation))}, got {observations!r}.")
+            raise InputError(
+                f"On a device there are {', '.join(get_args(TorchObservation))}, got {observations!r}.",
+                code="H3-ENV-008",
+            )
         if reward != "paper":
-            raise InputError(f"On a device the reward is the paper's, not {reward!r}. Hint: leave out device.")
+            raise InputError(
+                f"On a device the reward is the paper's, not {reward!r}. Hint: leave out device.", code="H3-ENV-009"
+            )
         super().__init__(num_envs, device, graph=graph, compile=compile)
         rules = spec or TRAINING
         bodies = {"robot": robot, "human": human}
@@ -140,10 +146,14 @@ class SocialNavTorchEnv(TorchEnv[Play]):
 
     # --- the interface ------------------------------------------------------------------------------------------------
     def step(self, actions: Tensor) -> tuple[Tensors, Tensor, Tensor, Tensor, Tensors]:
-        """Move all worlds by ``actions`` [W, 2], forward and left turn in -1..1 of the limits (they are clipped), or begin
-        their next episode: observations, rewards [W], terminated [W], truncated [W], info.
+        """Moves all worlds by 1/30 s; worlds whose episode is over begin the next one.
 
-        A number that is not finite counts as 0: finding out would have to wait for the device.
+        Args:
+            actions: forward velocity and left turn [W, 2] in -1..1 of the limits, clipped. Numbers that are not finite count as
+                0: checking them would have to wait for the device.
+
+        Returns:
+            Observations, rewards [W], terminated [W], truncated [W], and info.
 
         Raises:
             InputError: the actions have another shape, or no episode has begun.
@@ -151,7 +161,9 @@ class SocialNavTorchEnv(TorchEnv[Play]):
         self._require_begun()
         given = torch.as_tensor(actions)
         if given.shape != self._action.shape:
-            raise InputError(f"Expected actions of shape {list(self._action.shape)}, got {list(given.shape)}.")
+            raise InputError(
+                f"Expected actions of shape {list(self._action.shape)}, got {list(given.shape)}.", code="H3-ENV-010"
+            )
         with torch.no_grad():
             self._action.copy_(given, non_blocking=True)
             return self._stepped()
@@ -185,7 +197,7 @@ class SocialNavTorchEnv(TorchEnv[Play]):
         from h3data_training.torch.cameras import TensorCameras
 
         if "arm_rgb" in self._names and self._light == "baked":
-            raise InputError(NO_BAKED_LIGHT)
+            raise InputError(NO_BAKED_LIGHT, code="H3-ENV-011")
         if "arm_rgb" in self._names and self._light is None:
             log.warning(
                 "arm_rgb on a device is in flat light, that of environments on the CPU in baked light. %s", ASKED
@@ -193,7 +205,8 @@ class SocialNavTorchEnv(TorchEnv[Play]):
         heights = sorted({floor.floor_y for floor in self.bank.floors})
         if len(heights) != 1:
             raise InputError(
-                f"Pictures on a device need floors at one height, the scenes have {heights} m. Hint: name one scene."
+                f"Pictures on a device need floors at one height, the scenes have {heights} m. Hint: name one scene.",
+                code="H3-ENV-012",
             )
         return TensorCameras(
             self.bank.scenes, load_robot(robot), load_humanoid(human), self.sim.spec.human, worlds=self.num_envs,

@@ -28,16 +28,33 @@ class Playing(Protocol):
     """Where W worlds are in their episodes."""
 
     @property
-    def episode(self) -> Tensor: ...
+    def episode(self) -> Tensor:
+        """Number of each world's episode in the bank, int64 [W]."""
+        ...
+
     @property
-    def ended(self) -> Tensor: ...
+    def ended(self) -> Tensor:
+        """Whether each world's episode is over, bool [W]."""
+        ...
+
     @property
-    def reward(self) -> Tensor: ...
+    def reward(self) -> Tensor:
+        """Reward of the last step [W]."""
+        ...
+
     @property
-    def terminated(self) -> Tensor: ...
+    def terminated(self) -> Tensor:
+        """Whether the rules have ended the episode, bool [W]."""
+        ...
+
     @property
-    def truncated(self) -> Tensor: ...
-    def tensors(self) -> Any: ...
+    def truncated(self) -> Tensor:
+        """Whether the time limit has ended the episode, bool [W]."""
+        ...
+
+    def tensors(self) -> Any:
+        """All tensors of the state, in a fixed order."""
+        ...
 
 
 P = TypeVar("P", bound=Playing)
@@ -54,19 +71,20 @@ class TorchEnv(Generic[P]):
     def __init__(
         self, num_envs: int, device: torch.device | str, *, graph: bool | None = None, compile: bool | None = None
     ) -> None:
-        """
+        """Checks the device.
+
         Args:
-            num_envs: W.
-            device: Where all is: ``cuda``, ``cuda:1``, ``cpu``.
-            graph: Whether a step is captured as a CUDA graph; by default on a GPU.
-            compile: Whether its operations are fused (`h3data_training.torch.graph.fused`); by default on a GPU, if Triton is
+            num_envs: number of worlds W.
+            device: device of all tensors: ``cuda``, ``cuda:1``, ``cpu``.
+            graph: whether a step is captured as a CUDA graph; by default on a GPU.
+            compile: whether its operations are fused (`h3data_training.torch.graph.fused`); by default on a GPU, if Triton is
                 installed.
 
         Raises:
-            InputError: there are no such worlds, or no such device.
+            InputError: the number of worlds is less than 1, or there is no such device.
         """
         if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
-            raise InputError(f"Expected at least 1 world, a whole number, got {num_envs!r}.")
+            raise InputError(f"Expected at least 1 world, a whole number, got {num_envs!r}.", code="H3-ENV-015")
         self.num_envs, self.device = int(num_envs), checked_device(device)
         self._graph = self.device.type == "cuda" if graph is None else graph
         self._compiles = self.device.type == "cuda" and can_fuse() if compile is None else compile
@@ -76,8 +94,11 @@ class TorchEnv(Generic[P]):
 
     # --- the interface ------------------------------------------------------------------------------------------------
     def reset(self, *, seed: int | Sequence[int] | None = None, options: Any = None) -> tuple[Any, Tensors]:
-        """Begin the next episode in all worlds; with a seed, first go to the places in the bank that the runs seed,
-        seed + 1, ..., or those listed, begin at. There are no ``options``."""
+        """Begins the next episode in all worlds.
+
+        With a seed, worlds first move to the places in the bank at which the runs seed, seed + 1, ..., or the listed
+        ones, begin. There are no ``options``.
+        """
         if seed is None and not self._begun:
             seed = int.from_bytes(os.urandom(7), "little")
         with torch.no_grad():
@@ -101,7 +122,7 @@ class TorchEnv(Generic[P]):
     # --- parts --------------------------------------------------------------------------------------------------------
     def _require_begun(self) -> None:
         if not self._begun:
-            raise InputError("No episode has begun. Hint: call reset() first.")
+            raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
 
     def _stepped(self) -> tuple[Any, Tensor, Tensor, Tensor, Tensors]:
         """All worlds a step further, by the actions that are set."""
@@ -165,9 +186,11 @@ def checked_device(device: torch.device | str) -> torch.device:
     try:
         chosen = torch.device(device)
     except RuntimeError as fault:
-        raise InputError(f"Unknown device {device!r}. Expected cpu, cuda or cuda:N.") from fault
+        raise InputError(f"Unknown device {device!r}. Expected cpu, cuda or cuda:N.", code="H3-ENV-017") from fault
     if chosen.type == "cuda" and not torch.cuda.is_available():
-        raise InputError("There is no GPU that this torch can use. Hint: device='cpu', or leave out device.")
+        raise InputError(
+            "There is no GPU that this torch can use. Hint: device='cpu', or leave out device.", code="H3-ENV-013"
+        )
     return chosen
 
 
@@ -179,6 +202,6 @@ def places_in_bank(seed: int | Sequence[int], worlds: int, episodes: int) -> Ten
     """
     seeds = [int(seed) + w for w in range(worlds)] if isinstance(seed, int | np.integer) else list(seed)
     if len(seeds) != worlds:
-        raise InputError(f"Expected one seed, or one for each of {worlds} worlds, got {len(seeds)}.")
+        raise InputError(f"Expected one seed, or one for each of {worlds} worlds, got {len(seeds)}.", code="H3-ENV-014")
     drawn = random(keys(seeds, "bank", device="cpu"), torch.zeros(worlds, dtype=torch.int64), 1)[:, 0]
     return (drawn * episodes).long()

@@ -18,8 +18,8 @@ from h3data_training.populations.playing import Decisions
 from h3data_training.populations.settings import ROBOT, PopulationSettings
 from h3data_training.torch.graph import captured, overwrite
 from sim_kinematic.motion.randomness import episode_seed, generator
-from sim_kinematic.policies.choosers.chooser_network import KIND, ChooserNetwork
-from sim_kinematic.policies.pictured import PolicyCard
+from sim_kinematic.policies.choosers.chooser_network import KIND, SkillPolicyNetwork
+from sim_kinematic.policies.visual_policy import PolicyCard
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 
 LEARNED_FROM = ("each", "rest", "allowed", "chosen", "log_prob", "told", "advantage", "target")
@@ -84,7 +84,7 @@ class ChooserLearner:
         for kept in self.optimizer.state.values():
             kept["step"] = kept["step"].to(self.device)
 
-    def network(self, training: dict | None = None) -> ChooserNetwork:
+    def network(self, training: dict | None = None) -> SkillPolicyNetwork:
         """The policy so far."""
         s = self.settings
         card = PolicyCard(
@@ -92,7 +92,7 @@ class ChooserLearner:
             hold=s.think_steps, network=KIND, agent=self.agent, objects=self.objects,
             primitives=self.agent != ROBOT or "primitives" not in s.without, training=training or {},
         )  # fmt: skip
-        return ChooserNetwork(card=card, arrays=self.net.arrays())
+        return SkillPolicyNetwork(card=card, arrays=self.net.arrays())
 
     def update(self, decisions: Decisions, plan: Plan, *, update: int) -> dict[str, float]:
         """Learns from decisions; returns losses by name."""
@@ -183,8 +183,10 @@ class ChooserLearner:
 
 
 def advantages(gain: Tensor, discount: Tensor, value: Tensor, counts: Tensor, *, lam: float) -> Tensor:
-    """Generalised advantage estimates (Schulman et al. 2016) of decisions of different lengths [D], so many in each of E
-    episodes."""
+    """Generalised advantage estimates (Schulman et al. 2016) of decisions of different lengths, [D].
+
+    ``counts`` are the numbers of decisions in each of E episodes.
+    """
     found = gain + discount * value.roll(-1) - value  # after the last of an episode the discount is 0
     at, valid = chunks_of(counts, int(counts.max()))
     rows, kept = found[at] * valid, discount[at] * valid * lam
@@ -194,8 +196,11 @@ def advantages(gain: Tensor, discount: Tensor, value: Tensor, counts: Tensor, *,
 
 
 def chunks_of(counts: Tensor, length: int) -> tuple[Tensor, Tensor]:
-    """Chunks of consecutive decisions of E episodes, with ``counts`` [E] decisions in each: their numbers [length, C], and
-    which of them there are, bool. The last chunk of an episode may be shorter; its last number is then repeated."""
+    """Splits the decisions of E episodes into chunks of consecutive ones.
+
+    Returns the numbers of the decisions [length, C], and which of them exist, bool. The last chunk of an episode may be
+    shorter; its last number is then repeated. ``counts`` [E] are the numbers of decisions in each episode.
+    """
     chunks = (counts + length - 1) // length
     ends = counts.cumsum(0)
     end = ends.repeat_interleave(chunks)

@@ -56,7 +56,7 @@ class Chooser(nn.Module):
         return torch.cat([of_objects.transpose(2, 3).flatten(2), others], -1) + self.persist * interrupted
 
     def arrays(self) -> dict[str, Any]:
-        """The actor as `sim_kinematic.policies.choosers.chooser_network.ChooserNetwork` names its arrays, float32."""
+        """The actor as `sim_kinematic.policies.choosers.chooser_network.SkillPolicyNetwork` names its arrays, float32."""
         named: dict[str, Tensor] = {"persist": self.persist}
         for name in ("object", "each_0", "each_1", "rest_0", "rest_1"):
             layer = getattr(self, name)

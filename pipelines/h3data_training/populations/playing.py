@@ -25,12 +25,12 @@ from h3data.errors import H3DataError
 from h3data_training.populations.settings import ROBOT
 from sim_kinematic.motion.randomness import episode_seed, generator
 from sim_kinematic.policies.assignment import AssignedPolicy
-from sim_kinematic.policies.choosers.chooser_network import ChooserNetwork, Floats
-from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentChooser
+from sim_kinematic.policies.choosers.chooser_network import Floats, SkillPolicyNetwork
+from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy
 from sim_kinematic.policies.rearrange import planner
 from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.rearrange.play import RearrangeRollout
 from sim_kinematic.tasks.runner import run
 
 LOST_IN_A_ROW = 3
@@ -46,7 +46,7 @@ class Job(NamedTuple):
     """Which episode of the pool it is."""
     partner: str
     """A plan, or a learner by name."""
-    networks: Mapping[str, ChooserNetwork]
+    networks: Mapping[str, SkillPolicyNetwork]
     """Of the learners that play, by name."""
     seed: int
     """Of the run."""
@@ -120,10 +120,10 @@ class Batch(NamedTuple):
         return cls(tuple(played for part in parts for played in part.played), joined)
 
 
-class _Sampler(RecurrentChooser):
+class _Sampler(RecurrentSkillPolicy):
     """Chooses at random by the scores, and keeps all it was shown."""
 
-    def __init__(self, network: ChooserNetwork, objects: int, *, robot: bool, rng: np.random.Generator) -> None:
+    def __init__(self, network: SkillPolicyNetwork, objects: int, *, robot: bool, rng: np.random.Generator) -> None:
         super().__init__(network, objects, robot=robot)
         self._rng = rng
         self.rows: list[tuple[Any, ...]] = []
@@ -154,8 +154,11 @@ def log_softmax(scores: Floats) -> Floats:
 
 
 def discounted(rewards: Floats, steps: Sequence[int], gamma: float) -> tuple[Floats, NDArray[np.int64]]:
-    """The reward between each decision at some ``steps`` [D] and the next one, discounted to the first step of these, [D], and
-    how many steps that are; several decisions may be made at one step, then all but the last gain nothing."""
+    """Discounted reward between each decision and the next one [D], and the number of steps between them.
+
+    Decisions are made at ``steps`` [D], and rewards are discounted to these. Several decisions may be made at one step;
+    all but the last of them then have no reward.
+    """
     edges = np.append(steps, len(rewards))
     gains = [float(rewards[a:b] @ gamma ** np.arange(b - a)) for a, b in pairwise(edges)]
     return np.array(gains), np.diff(edges)
@@ -174,7 +177,7 @@ def play_episode(job: Job, episode: RearrangeEpisode) -> Batch:
         else:
             plan = planner(name, episode_seed(job.seed, job.number), objects)
             policies.append(AssignedPolicy(plan, name, kind, name))
-    play, rewards = RearrangePlay(episode, policies), []
+    play, rewards = RearrangeRollout(episode, policies), []
     run(play, progress=lambda _: rewards.append(play.reward))
     there = [name for name, at_goal in zip(play.objects.names, play.at_goal.tolist(), strict=True) if at_goal]
     by = {event.target: event.agent for event in play.events if event.kind == "place"}
@@ -242,14 +245,15 @@ class Players:
                 if lost == LOST_IN_A_ROW:
                     raise H3DataError(
                         f"Processes that play were lost {lost} times without an episode in between: killed, or out of "
-                        "memory. The checkpoint is as it was. Hint: fewer --workers, then --resume."
+                        "memory. The checkpoint is as it was. Hint: fewer --workers, then --resume.",
+                        code="H3-TRAIN-024",
                     ) from None
                 self._say("a process that plays was lost; its episodes are played again")
         faults = [f"episode {n}: {fault}" for n, fault in played.items() if isinstance(fault, str)]
         for fault in faults:
             self._say(f"left out {fault}")
         if len(faults) == len(jobs):
-            raise H3DataError(f"No episode could be played: {faults[0]}")
+            raise H3DataError(f"No episode could be played: {faults[0]}", code="H3-TRAIN-023")
         return Batch.joined([result for job in jobs if isinstance(result := played[job.number], Batch)])
 
     def _results(self, jobs: Sequence[Job]) -> Any:

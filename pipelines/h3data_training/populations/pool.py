@@ -15,9 +15,9 @@ import numpy as np
 
 from h3data.errors import FormatError, InputError, SceneError
 from h3data.files import part_file
-from h3data.habitat.episodes.stored_rearrangements import StoredGoal
-from h3data.habitat.scene_names import listed_scenes, named_scenes
 from h3data.progress import progress
+from h3data.recording.task_episodes.stored_rearrangements import StoredGoal
+from h3data.scene.open import listed_scenes, named_scenes
 from h3data_training.checkpoints import differences
 from h3data_training.episodes import by_home
 from h3data_training.populations.settings import LONGEST, PopulationSettings, rules_of
@@ -87,9 +87,11 @@ def pool_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> Po
         pool = msgspec.json.decode(gzip.decompress(file.read_bytes()), type=Pool)
         fits = pool.format == FORMAT and all(np.shape(e.starts) == (2, 3) and e.walk in LONGEST for e in pool.entries)
     except (OSError, EOFError, zlib.error, ValueError) as fault:  # msgspec's are ValueErrors
-        raise FormatError(f"Expected a file of episodes ({FORMAT}), this is none ({fault}). File: {file}") from None
+        raise FormatError(
+            f"Expected a file of episodes ({FORMAT}), this is none ({fault}). File: {file}", code="H3-TRAIN-029"
+        ) from None
     if not fits or not pool.entries:
-        raise FormatError(f"Expected a file of episodes {FORMAT}, got {pool.format}. File: {file}")
+        raise FormatError(f"Expected a file of episodes {FORMAT}, got {pool.format}. File: {file}", code="H3-TRAIN-025")
     _require_drawn_by(settings, pool.drawn_by, file)
     return pool
 
@@ -97,7 +99,9 @@ def pool_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> Po
 def _require_drawn_by(settings: PopulationSettings, kept: Mapping[str, Any], file: Path) -> None:
     other = differences(kept, drawn_by(settings))
     if other:
-        raise InputError(f"These episodes were drawn with {other}. Hint: another file. File: {file}")
+        raise InputError(
+            f"These episodes were drawn with {other}. Hint: another file. File: {file}", code="H3-TRAIN-026"
+        )
 
 
 def draw_pool(settings: PopulationSettings, *, workers: int = 1) -> Pool:
@@ -110,7 +114,7 @@ def _of_homes(make: Callable[[HomeTask], list[T]], settings: PopulationSettings,
     names = [named.name for named in listed_scenes(settings.scenes)]
     drawn = by_home(make, [(settings, name, k) for k, name in enumerate(names)], workers=workers)
     if not any(drawn):
-        raise SceneError(f"No home of {settings.scenes} has room for an episode.")
+        raise SceneError(f"No home of {settings.scenes} has room for an episode.", code="H3-TRAIN-027")
     return [one for of_home in drawn for one in of_home]
 
 
@@ -163,7 +167,10 @@ def episodes_of(pool: Pool, settings: PopulationSettings) -> list[RearrangeEpiso
 def _episode(entry: PoolEntry, home: Home, settings: PopulationSettings, roster: Any) -> RearrangeEpisode:
     missing = {goal.object for goal in entry.goals} - {i.name for i in home.scene.instances}
     if missing:
-        raise InputError(f"The home {entry.home} has no {sorted(missing)[0]}: the episodes are of another version.")
+        raise InputError(
+            f"The home {entry.home} has no {sorted(missing)[0]}: the episodes are of another version.",
+            code="H3-TRAIN-028",
+        )
     places = np.array(entry.starts, np.float64)
     return RearrangeEpisode(
         scene=home.scene, free=home.free, seed=entry.seed, spec=rules_of(entry.walk), roster=roster, starts=places,
@@ -190,12 +197,11 @@ def default_workers() -> int:
 
 
 def bank_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> RearrangeBank:
-    """The episodes of a file as worlds on a device play them, paths included; where there is none they are drawn, and it is
-    written.
+    """Loads the episodes of a file, paths included, for worlds on a device; samples and stores them if there is no file.
 
     Raises:
-        FormatError: it is none, or damaged.
-        InputError: it was drawn by other settings.
+        FormatError: the file is damaged or of another kind.
+        InputError: its episodes were sampled with other settings.
         SceneError: a home has no room for an episode.
     """
     from h3data_training.torch.rearrange.bank import RearrangeBank

@@ -20,14 +20,14 @@ from h3data.terminal import counted
 from h3data_training import checkpoints
 from h3data_training.curve import EventLog, save_curve
 from h3data_training.envs.torch_env import checked_device
-from h3data_training.launch import Stop
+from h3data_training.launch import StopRequest
 from h3data_training.populations.learner import ChooserLearner, plan_at
 from h3data_training.populations.playing import Job, Played, Players
 from h3data_training.populations.pool import bank_of, default_workers, episodes_of, pool_of, pool_order
 from h3data_training.populations.settings import ROBOT, PopulationSettings
-from h3data_training.running import SPARE_S, Result, Say, one_thread, share_of, stop_asked
+from h3data_training.running import SPARE_S, RunResult, Say, one_thread, share_of, stop_asked
 from sim_kinematic.policies.network import RUN_POLICY
-from sim_kinematic.policies.pictured import save_pictured
+from sim_kinematic.policies.visual_policy import save_policy
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def train(
     folder: Path, settings: PopulationSettings, *, seed: int = 0, workers: int | None = None, device: str = "cpu",
     resume: bool = False, stop_after: float | None = None, checkpoint_s: float = 30.0, episodes_file: Path | None = None,
     episodes: Sequence[RearrangeEpisode] | None = None, say: Say = lambda text: None,
-) -> Result:  # fmt: skip
+) -> RunResult:  # fmt: skip
     """Trains until the run is over, ``stop_after`` minutes have passed, or somebody interrupts it, and saves.
 
     A run whose length is given in updates comes to the very same weights on any number of workers, interrupted or not.
@@ -69,7 +69,7 @@ def train(
     began = time.time()
     count = workers or default_workers()
     if count < 1:
-        raise InputError(f"Expected at least 1 worker, got {count}.")
+        raise InputError(f"Expected at least 1 worker, got {count}.", code="H3-TRAIN-030")
     if settings.oracle:
         checked_device(device)
     kept = checkpoints.to_go_on(folder / CHECKPOINT, settings, seed, form=FORMAT) if resume else None
@@ -137,7 +137,7 @@ class _Run:
     def share(self) -> float:
         return share_of(self.settings, self.curve, self.seconds, self.setups_s)
 
-    def go(self, stop: Stop, *, stop_after: float | None, checkpoint_s: float) -> Result:
+    def go(self, stop: StopRequest, *, stop_after: float | None, checkpoint_s: float) -> RunResult:
         limit = float("inf") if stop_after is None else stop_after * 60 - SPARE_S / 2
         saved = said = time.monotonic()
         took = 0.0  # by the last update: one that would not end in time is not begun
@@ -150,7 +150,8 @@ class _Run:
             if not all(map(isfinite, row.values())):
                 raise InputError(
                     f"Training diverged in update {len(self.curve) + 1}: a number is not finite. The checkpoint is as it was. "
-                    f"Hint: another seed. Folder: {self.folder}"
+                    f"Hint: another seed. Folder: {self.folder}",
+                    code="H3-TRAIN-031",
                 )
             self.curve.append(row)
             now = time.monotonic()
@@ -160,7 +161,7 @@ class _Run:
                 self.say(self._line())
         self._save(is_last=True)
         last = dict(self.curve[-1]) if self.curve else {}
-        return Result(
+        return RunResult(
             folder=self.folder, done=self.share >= 1, updates=len(self.curve), decisions=int(last.get("decisions", 0)),
             seconds=self.seconds, setup_s=self.setup_s, last=last,
         )  # fmt: skip
@@ -225,7 +226,9 @@ class _Run:
             self.curve, self.before_s, self.setups_s = kept["curve"], kept["seconds"], kept["setups_s"]
         except (KeyError, RuntimeError, ValueError) as fault:
             reason = str(fault).splitlines()[0]
-            raise FormatError(f"The checkpoint does not fit ({reason}). File: {self.folder / CHECKPOINT}") from None
+            raise FormatError(
+                f"The checkpoint does not fit ({reason}). File: {self.folder / CHECKPOINT}", code="H3-TRAIN-032"
+            ) from None
 
     def _save(self, *, is_last: bool) -> None:
         """Checkpoint, curve and policies, each whole or not at all. A disk that is full ends the run only at its end."""
@@ -242,7 +245,7 @@ class _Run:
                 self.events.write(self.curve)
             training = self._training()
             for name, learner in self.learners.items():
-                save_pictured(learner.network(training), self.folder / (POLICY if name == ROBOT else f"{name}.npz"))
+                save_policy(learner.network(training), self.folder / (POLICY if name == ROBOT else f"{name}.npz"))
         except (OSError, RuntimeError) as fault:  # torch reports a full disk as RuntimeError
             if is_last:
                 raise OSError(f"The run could not be saved ({fault}). Folder: {self.folder}") from fault

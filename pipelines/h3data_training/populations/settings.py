@@ -41,7 +41,7 @@ class PopulationSettings:
 
     population: str = "plan_pop_3"
     scenes: str = "h3-homes/train"
-    """One name or several, separated by commas (`h3data.habitat.scene_names.listed_scenes`)."""
+    """One name or several, separated by commas (`h3data.scene.open.listed_scenes`)."""
     episodes_per_home: int = 32
     """Episodes are drawn once and played again and again, beside other partners."""
     robot: str = "quad_arm"
@@ -94,12 +94,17 @@ class PopulationSettings:
 
     def __post_init__(self) -> None:
         if self.population not in NAMES:
-            raise InputError(f"Unknown population {self.population!r}.{suggest(self.population, NAMES)}")
+            raise InputError(
+                f"Unknown population {self.population!r}.{suggest(self.population, NAMES)}", code="H3-TRAIN-034"
+            )
         if self.walk not in (*LONGEST, BOTH):
-            raise InputError(f"Unknown walk {self.walk!r}. Expected one of: {', '.join((*LONGEST, BOTH))}.")
+            raise InputError(
+                f"Unknown walk {self.walk!r}. Expected one of: {', '.join((*LONGEST, BOTH))}.", code="H3-TRAIN-035"
+            )
         if strangers := [name for name in self.without if name not in ABLATIONS]:
             raise InputError(
-                f"Unknown ablation {strangers[0]!r}.{suggest(strangers[0], ABLATIONS, lead='Expected some of')}"
+                f"Unknown ablation {strangers[0]!r}.{suggest(strangers[0], ABLATIONS, lead='Expected some of')}",
+                code="H3-TRAIN-036",
             )
         object.__setattr__(self, "without", tuple(name for name in ABLATIONS if name in self.without))
         whole = (
@@ -107,13 +112,16 @@ class PopulationSettings:
         )  # fmt: skip
         for name in whole:
             if getattr(self, name) < 1:
-                raise InputError(f"Expected {name} of at least 1, got {getattr(self, name)}.")
+                raise InputError(f"Expected {name} of at least 1, got {getattr(self, name)}.", code="H3-TRAIN-039")
         if self.critic_updates < 0 or self.horizon <= 1:
             raise InputError(
-                f"Expected critic_updates >= 0 and a horizon above 1, got {self.critic_updates} and {self.horizon}."
+                f"Expected critic_updates >= 0 and a horizon above 1, got {self.critic_updates} and {self.horizon}.",
+                code="H3-TRAIN-037",
             )
         if self.updates < 0 or not math.isfinite(self.minutes) or self.minutes <= 0:
-            raise InputError(f"Expected updates >= 0 and minutes > 0, got {self.updates} and {self.minutes}.")
+            raise InputError(
+                f"Expected updates >= 0 and minutes > 0, got {self.updates} and {self.minutes}.", code="H3-TRAIN-038"
+            )
 
     @property
     def walks(self) -> tuple[str, ...]:
@@ -133,8 +141,11 @@ class PopulationSettings:
         return (ROBOT, *self.partners) if self.population in LEARNED else (ROBOT,)
 
     def minibatch_of(self, learner: str) -> int:
-        """Chunks of a minibatch of a learner. Each of P partners plays in one of P episodes: theirs are smaller by as much, so
-        that all take as many gradient steps in an update, but no smaller than `LEAST_CHUNKS`."""
+        """Number of chunks in a minibatch of one of the learning policies.
+
+        Each of P partners plays in one of P episodes. Their minibatches are smaller by this factor, so that all
+        policies make the same number of gradient steps in an update, but not smaller than `LEAST_CHUNKS`.
+        """
         if learner == ROBOT:
             return self.chunks_per_minibatch
         least = min(self.chunks_per_minibatch, LEAST_CHUNKS)
@@ -184,6 +195,7 @@ def rearrange_recipe(name: str | None, **changes: Any) -> PopulationSettings:
     """
     if name is not None and name not in RECIPES:
         raise InputError(
-            f"Unknown recipe {name!r} of rearrange. Expected one of: {', '.join(RECIPES)}; or none, for our own settings."
+            f"Unknown recipe {name!r} of rearrange. Expected one of: {', '.join(RECIPES)}; or none, for our own settings.",
+            code="H3-TRAIN-033",
         )
     return (PopulationSettings() if name is None else RECIPES[name]).changed(**changes)

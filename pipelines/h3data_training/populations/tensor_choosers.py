@@ -1,5 +1,6 @@
-"""Choosers of worlds on a device: one network or several as tensors, step for step
-`sim_kinematic.policies.choosers.recurrent_chooser`.
+"""Skill policies for worlds on a device: one network or several as tensors.
+
+Each step is that of `sim_kinematic.policies.choosers.recurrent_chooser`.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from sim_kinematic.policies.choosers.chooser_network import (
     ENCODINGS,
     OBSERVATIONS,
     SKILLS_WITH_OBJECT,
-    ChooserNetwork,
+    SkillPolicyNetwork,
     hides,
     rest_count,
 )
@@ -42,7 +43,7 @@ class Row(NamedTuple):
     asked: Tensor
 
 
-class TensorChooser:
+class TensorSkillPolicy:
     """The choosers of one agent of all worlds, one network for each name."""
 
     def __init__(self, sim: RearrangeTensors, play: Play, cast: Sequence[tuple[str, int]], agent: str) -> None:
@@ -161,7 +162,7 @@ class TensorChooser:
 
 
 # --- the network as tensors -----------------------------------------------------------------------------------------------
-def arrays_of(networks: Sequence[ChooserNetwork], device: torch.device) -> dict[str, Tensor]:
+def arrays_of(networks: Sequence[SkillPolicyNetwork], device: torch.device) -> dict[str, Tensor]:
     """The weights of P choosers on a device, [P, ...] each."""
     names = networks[0].arrays
     return {name: torch.as_tensor(np.stack([n.arrays[name] for n in networks]), device=device) for name in names}
@@ -199,8 +200,10 @@ def _inputs(name: str, seen: Tensor) -> Tensor:
 
 
 def scored(arrays: Arrays, each: Tensor, rest: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-    """Scores [P, N, C] and the next states [P, N, H] of P networks in N worlds each, as `ChooserNetwork.__call__`, for inputs
-    [P, N, K, F] and [P, N, R] and states."""
+    """Scores [P, N, C] and next states [P, N, H] of P networks in N worlds each, as `SkillPolicyNetwork.__call__`.
+
+    Inputs are [P, N, K, F] for objects, [P, N, R] for the rest, and the states.
+    """
 
     def layer(name: str, x: Tensor, kind: str = "") -> Tensor:
         weight, bias = arrays[f"{name}.weight{kind}"], arrays[f"{name}.bias{kind}"]

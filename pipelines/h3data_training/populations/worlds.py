@@ -1,7 +1,7 @@
-"""Training episodes with oracle skills, as many at once as an update has, in worlds on a device
-(`h3data_training.torch.rearrange`): the same decisions as `h3data_training.populations.playing` gathers.
+"""Training episodes with oracle skills in worlds on a device, all episodes of an update at once.
 
-What an update plays follows from the weights, the seed, and the numbers of its episodes.
+They give the same decisions as `h3data_training.populations.playing` (`h3data_training.torch.rearrange`). The episodes
+of an update follow from the weights, the seed, and their numbers.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from torch import Tensor
 
 from h3data_training.populations.playing import Batch, Decisions, Job, Played
 from h3data_training.populations.settings import ROBOT
-from h3data_training.populations.tensor_choosers import Row, TensorChooser
+from h3data_training.populations.tensor_choosers import Row, TensorSkillPolicy
 from h3data_training.torch.graph import can_fuse, captured, fused, overwrite
 from h3data_training.torch.rearrange.bank import RearrangeBank, orders
 from h3data_training.torch.rearrange.observations import Paths, View
@@ -42,12 +42,13 @@ class TensorPlayers:
         compile: bool | None = None,
         moves_starts: bool = False,
     ) -> None:
-        """
+        """Copies a bank of episodes to the device.
+
         Args:
-            bank: Episodes to choose from.
-            device: Where the worlds are.
-            compile: Whether the operations of a step are fused; by default on a GPU, if Triton is installed.
-            moves_starts: Whether agents begin where they do in any episodes of the same home.
+            bank: episodes to choose from.
+            device: device of the worlds.
+            compile: whether the operations of a step are fused; by default on a GPU, if Triton is installed.
+            moves_starts: whether agents begin at starts of any episodes of the same home.
         """
         self._bank, self.device, self._moves_starts = bank, torch.device(device), moves_starts
         self._compiles = self.device.type == "cuda" and can_fuse() if compile is None else compile
@@ -106,7 +107,7 @@ class _Worlds:
         self._sim = RearrangeTensors(bank, device=device, planners=planners, interrupts="always", repeats=False)
         self._play = self._sim.before_the_first(torch.zeros(count, dtype=torch.int64))
         self._choosers = [
-            TensorChooser(self._sim, self._play, cast, agent)
+            TensorSkillPolicy(self._sim, self._play, cast, agent)
             for cast, agent in zip(casts, (ROBOT, "human"), strict=False)
         ]
         self._nothing = torch.full((count,), FREE, dtype=torch.int64, device=device)
@@ -143,8 +144,11 @@ class _Worlds:
         return _batch(self._sim, self._play, jobs, self._choosers, self._rewards[:steps].double())
 
     def _starts(self, entries: Tensor, dice: torch.Generator) -> Tensor:
-        """``(x, z, heading)`` of robot and person, [W, 2, 3]: with `moves_starts` each where it begins in some episode in the
-        same home, if they are not too near there. So there are as many meetings as pairs of episodes in a home."""
+        """Starts ``(x, z, heading)`` of robot and person, [W, 2, 3].
+
+        With `moves_starts` each agent begins where it does in a random episode of the same home, unless both would be
+        too close to each other. There are then as many combinations as pairs of episodes in a home.
+        """
         starts = self._sim.tables.starts
         own = starts[entries]
         if not self._moves_starts:
@@ -185,7 +189,7 @@ def _orders(jobs: Sequence[Job], objects: int, device: torch.device) -> Tensor:
 
 
 def _batch(
-    sim: RearrangeTensors, play: Play, jobs: Sequence[Job], choosers: Sequence[TensorChooser], rewards: Tensor
+    sim: RearrangeTensors, play: Play, jobs: Sequence[Job], choosers: Sequence[TensorSkillPolicy], rewards: Tensor
 ) -> Batch:
     at_goal = sim.at_goal(View.of(sim, play, ROBOT).hands, sim.tables.at(play.episode))
     placed = (at_goal & (play.placed_by == 0)).sum(1)

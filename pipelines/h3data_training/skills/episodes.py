@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from h3data.bodies import Robot
 from h3data.errors import FormatError, SceneError
 from h3data.files import part_file
-from h3data.habitat.scene_names import listed_scenes, named_scenes
 from h3data.npz_arrays import npz_arrays
 from h3data.scene import FreeSpace, Scene
+from h3data.scene.open import listed_scenes, named_scenes
 from h3data_training.episodes import by_home
 from h3data_training.skills.settings import SkillSettings
 from h3data_training.torch.skills.bank import COLUMNS, SkillBank
@@ -34,14 +34,16 @@ DECIDING = ("scenes", "skill", "episodes_per_home", "starts", "path_m", "robot",
 def make_skill_bank(
     settings: SkillSettings, *, seed: int, workers: int | None = None, file: Path | None = None
 ) -> SkillBank:
-    """The starts of a run, in as many episodes of rearrangement in each home. Call it before CUDA begins: the processes are
-    forked.
+    """Makes the starts of a run, from the same number of episodes of rearrangement in each home.
+
+    Call it before CUDA is initialised, since the processes are forked.
 
     Args:
-        settings: Homes, bodies and how many.
-        seed: Starts follow from it and from the number of their home.
-        workers: Processes; None is one for each core. 1 makes them here.
-        file: Where starts are kept: read if it holds those of these settings, so that only the homes are made; else written.
+        settings: homes, bodies and numbers.
+        seed: starts follow from it and from the number of their home.
+        workers: number of processes; None is one for each core, 1 uses this process.
+        file: file of starts. It is read if it holds those of these settings, so that only the homes are made; otherwise it
+            is written.
 
     Raises:
         InputError: there are no such homes.
@@ -59,7 +61,7 @@ def make_skill_bank(
     )
     found = {name: bank for name, bank in zip(names, drawn, strict=True) if bank is not None}
     if not found:
-        raise SceneError(f"No home of {settings.scenes} has room for an episode.")
+        raise SceneError(f"No home of {settings.scenes} has room for an episode.", code="H3-TRAIN-027")
     bank = SkillBank.merged(list(found.values()))
     if file is not None:
         columns = {name: getattr(bank, name) for name in COLUMNS}

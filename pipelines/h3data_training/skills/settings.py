@@ -8,7 +8,7 @@ from typing import Any
 from h3data.bodies import load_robot
 from h3data.errors import InputError
 from h3data_training.settings import Settings
-from sim_kinematic.policies.pictured import BASE_ACTIONS, OF_SKILLS
+from sim_kinematic.policies.visual_policy import BASE_ACTIONS, OF_SKILLS
 from sim_kinematic.tasks.rearrange.skill_starts import SKILL_NAMES, Skill, check_skill
 
 OF_THE_BASE = ("target_gps_compass", "way", "range_scan", "egomotion")
@@ -44,32 +44,39 @@ class SkillSettings(Settings):
         check_skill(self.skill)
         super().__post_init__()
         if self.network != "cnn_gru":
-            raise InputError(f"Skills have the network cnn_gru, not {self.network!r}.")
+            raise InputError(f"Skills have the network cnn_gru, not {self.network!r}.", code="H3-TRAIN-055")
         if not 0 <= self.near_share < 1:
-            raise InputError(f"Expected near_share from 0 to less than 1, got {self.near_share}.")
+            raise InputError(f"Expected near_share from 0 to less than 1, got {self.near_share}.", code="H3-TRAIN-056")
         if min(self.starts, self.limit) < 1 or not 0 <= self.path_m[0] < self.path_m[1]:
             raise InputError(
-                f"Expected starts and limit of at least 1 and path_m ascending, got {self.starts}, {self.limit}, {self.path_m}."
+                f"Expected starts and limit of at least 1 and path_m ascending, "
+                f"got {self.starts}, {self.limit}, {self.path_m}.",
+                code="H3-TRAIN-057",
             )
 
     @property
     def task(self) -> str:
+        """Name of the task in the policy file."""
         return f"skill_{self.skill}"
 
     @property
     def pictures(self) -> tuple[str, ...]:
+        """Names of the pictures that the policy sees: the depth of the arm's camera."""
         return ("arm_depth",)
 
     @property
     def told(self) -> tuple[str, ...]:
+        """Names of the other observations of the policy."""
         return OF_SKILLS
 
     @property
     def critic(self) -> tuple[str, ...]:
+        """Names of the observations of the critic."""
         return OF_THE_BASE if self.skill == "nav" else OF_THE_ARM
 
     @property
     def first_action(self) -> tuple[float, ...]:
+        """Action before the first decision of an episode: no motion, and the grip that the skill begins with."""
         still = (0.0,) * BASE_ACTIONS
         return (
             still
@@ -82,6 +89,7 @@ class SkillSettings(Settings):
         return replace(super().second_stage(), teacher=0.0)  # type: ignore[return-value]
 
     def as_dict(self) -> dict[str, Any]:
+        """Settings by name, without those that skills do not use."""
         return {name: value for name, value in super().as_dict().items() if name not in UNUSED}
 
 
@@ -114,6 +122,8 @@ def skill_recipe(name: str, skill: str, **changes: Any) -> SkillSettings:
         InputError: there is no such recipe or skill, or a value is out of range.
     """
     if name not in RECIPES:
-        raise InputError(f"Unknown recipe {name!r} of skills. Expected one of: {', '.join(RECIPES)}.")
+        raise InputError(
+            f"Unknown recipe {name!r} of skills. Expected one of: {', '.join(RECIPES)}.", code="H3-TRAIN-054"
+        )
     assert set(RECIPES[name]) == set(SKILL_NAMES)
     return replace(RECIPES[name][check_skill(skill)], **{k: v for k, v in changes.items() if v is not None})

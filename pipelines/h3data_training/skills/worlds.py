@@ -1,5 +1,7 @@
-"""Batched worlds of a skill for training: an action is held for some steps and a picture taken after the last, all in one CUDA
-graph."""
+"""Batched worlds of a skill for training.
+
+An action is repeated for some steps and pictures are taken after the last, all in one CUDA graph.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ import torch
 from torch import Tensor
 
 from h3data_training.envs.torch_env import places_in_bank
-from h3data_training.held import HeldSteps
+from h3data_training.held import ActionRepeat
 from h3data_training.skills.settings import SkillSettings
 from h3data_training.torch.graph import can_fuse, captured, fused, overwrite
 from h3data_training.torch.skills.bank import SkillBank
@@ -19,10 +21,10 @@ from h3data_training.torch.skills.worlds import SkillTensors
 from sim_kinematic.sensing.sensor import scaled_depth
 
 COUNTS = ("reward", "succeeded", "failed", "ended", "steps", "contact", "holding")
-"""Sums over worlds and steps that `HeldSkills.totals` keeps."""
+"""Sums over worlds and steps that `ActionRepeatSkills.totals` keeps."""
 
 
-class HeldSkills(HeldSteps):
+class ActionRepeatSkills(ActionRepeat):
     """`SkillTensors` in which an action moves all worlds ``hold`` steps: a `h3data_training.ppo.Worlds`."""
 
     counts = COUNTS

@@ -43,28 +43,29 @@ class TensorCameras:
         hfov_deg: float | None = None, device: torch.device | str = "cuda",
         compile: bool = False, renderer: Callable[..., GpuRenderer] | None = None,
     ) -> None:  # fmt: skip
-        """
+        """Copies the meshes of homes and agents to the GPU.
+
         Args:
-            scenes: The home that all worlds share, or those that `observe` chooses from.
-            robot: Keeps its resting posture.
-            human: Is drawn with the full mesh or, where pictures are so small that one sees no difference from `NEAREST_M`,
-                with the light one.
-            walker: Which clip the person plays.
-            worlds: W.
-            floor_y: Height of the floor [m].
-            views: What takes pictures in every world: cameras of the robot (``robot_arm_rgb`` is ``robot_arm`` where it has no
-                other), and `HUMAN`.
-            size: Width and height [pixels] of all pictures; None is that of the first of the robot's cameras.
-            hfov_deg: Field of view of the robot's cameras instead of their own.
-            device: The GPU.
-            compile: Whether the frames of links and joints come from one kernel (`h3data_training.torch.graph.fused`).
-            renderer: What makes the renderer, if not `GpuRenderer`.
+            scenes: home that all worlds share, or those that `observe` chooses from.
+            robot: body of the robot, which keeps its resting posture.
+            human: body of the person, rendered with the full mesh or, where pictures are so small that there is no visible
+                difference from `NEAREST_M` on, with the mesh of low detail.
+            walker: gait of the person, which selects the motion clips.
+            worlds: number of worlds W.
+            floor_y: height of the floor [m].
+            views: cameras in every world: those of the robot (``robot_arm_rgb`` is ``robot_arm`` if it has no other), and
+                `HUMAN`.
+            size: width and height of all pictures [px]; None is that of the first of the robot's cameras.
+            hfov_deg: horizontal field of view of the robot's cameras, instead of their own.
+            device: the GPU.
+            compile: whether one kernel computes the frames of links and joints (`h3data_training.torch.graph.fused`).
+            renderer: makes the renderer; by default `GpuRenderer`.
 
         Raises:
             InputError: there is no GPU, or no such camera.
         """
         if not views:
-            raise InputError("Expected at least one view.")
+            raise InputError("Expected at least one view.", code="H3-TRAIN-058")
         self.worlds, self.views, self._floor_y = worlds, tuple(views), floor_y
         names = [camera.name for camera in robot.cameras]
         mounted = {
@@ -175,10 +176,10 @@ def with_robot(scene: Scene, robot: Robot) -> tuple[list[Mesh], list[RenderInsta
 
 
 def in_world(frames: Tensor, xz: Tensor, heading: Tensor, floor_y: float | Tensor) -> Tensor:
-    """World matrices [W, N, 3, 4] of frames [N, 3, 4] or [W, N, 3, 4] in the frames of agents at [W, 2] with headings [W], on
-    floors of one height, or of one for each world [W].
+    """World matrices [W, N, 3, 4] of frames in agents.
 
-    Without a matrix product, which a GPU might do with 10 bits.
+    Frames are [N, 3, 4] or [W, N, 3, 4], agents at [W, 2] with headings [W], and floors of one height or of one for
+    each world [W]. No matrix product is used, which a GPU might compute with 10 bits.
     """
     c, s = heading.cos()[:, None, None], heading.sin()[:, None, None]
     x, y, z = frames.unbind(-2)

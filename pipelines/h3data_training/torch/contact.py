@@ -127,7 +127,9 @@ def _bounds(shape: Shape, matrix: Array) -> tuple[Array, Array]:
         frame = matrix @ pose_to_matrix(shape.pose)
         half = np.abs(frame[:3, :3]) @ np.asarray(shape.half_extents)
         return frame[:3, 3] - half, frame[:3, 3] + half
-    raise InputError(f"On a device, robots are boxes and capsules; this one has a {type(shape).__name__}.")
+    raise InputError(
+        f"On a device, robots are boxes and capsules; this one has a {type(shape).__name__}.", code="H3-TRAIN-059"
+    )
 
 
 def _distance(shape: Shape, matrix: Array, points: Array) -> Array:

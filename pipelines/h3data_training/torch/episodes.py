@@ -1,5 +1,8 @@
-"""A bank of drawn episodes of social navigation: what needs searching (starts clear of furniture, shortest paths between
-random goals) is done once on the host, so that steps on a device only look it up."""
+"""Bank of sampled episodes of social navigation.
+
+Everything that needs a search (starts clear of furniture, shortest paths between random goals) is computed once on the
+host, so that steps on a device only look it up.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.social_nav import TRAINING, SocialNav
 from sim_kinematic.tasks.social_nav.episode import Starts, goals_of
-from sim_kinematic.tasks.sources import EpisodeSource
+from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,7 +46,7 @@ class EpisodeBank:
 
     @classmethod
     def draw(
-        cls, scenes: str | Scene | Sequence[str | Scene], count: int, *, seed: int = 0, spec: SocialNavSpec = TRAINING,
+        cls, scenes: Scenes, count: int, *, seed: int = 0, spec: SocialNavSpec = TRAINING,
         robot: str = "quad_arm", human: str = "female_0",
     ) -> EpisodeBank:  # fmt: skip
         """The first ``count`` episodes of the run ``seed``: those that environments of the same seed begin.
@@ -53,7 +56,7 @@ class EpisodeBank:
             SceneError: a scene has no two starts as far apart as the rules say.
         """
         if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
-            raise InputError(f"Expected at least 1 episode, a whole number, got {count!r}.")
+            raise InputError(f"Expected at least 1 episode, a whole number, got {count!r}.", code="H3-TRAIN-060")
         source = EpisodeSource(SocialNav(), scenes, spec=spec, robot=robot, human=human)
         runs = [(seed, k) for k in range(count)]
         source.prepare(runs)

@@ -39,8 +39,10 @@ def overwrite(kept: Iterable[Tensor], new: Iterable[Tensor]) -> None:
 
 
 def keep_row(kept: dict[str, Tensor], row: Tensor, values: Mapping[str, Tensor], *, rows: int) -> None:
-    """Copies values [W, ...] into one row of the buffers ``kept`` [rows, W, ...], whose number is ``row`` [1]. A buffer is made
-    when it is first needed, which must not be while a graph is captured."""
+    """Copies values [W, ...] into row ``row`` [1] of the buffers ``kept`` [rows, W, ...].
+
+    A buffer is created when it is first needed, which must not be while a graph is captured.
+    """
     for name, value in values.items():
         if name not in kept:
             kept[name] = torch.empty(rows, *value.shape, dtype=value.dtype, device=value.device)
@@ -48,8 +50,10 @@ def keep_row(kept: dict[str, Tensor], row: Tensor, values: Mapping[str, Tensor],
 
 
 def captured(step: Callable[[], object], kept: Sequence[Tensor]) -> Callable[[], None]:
-    """``step`` as a CUDA graph: it reads and writes the same tensors each time. ``kept`` are those that must not change
-    while it is tried out."""
+    """Captures ``step`` as a CUDA graph, which reads and writes the same tensors each time.
+
+    The tensors in ``kept`` are restored after the trial runs.
+    """
     was = [t.clone() for t in kept]
     device = kept[0].device
     aside = torch.cuda.Stream(device)

@@ -1,6 +1,8 @@
-"""The counter-based random numbers of `sim_kinematic.motion.randomness` for many worlds or steps at once, as torch
-integers on any
-device, equal in every bit: Philox 4x64 with 10 rounds (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", 2011)."""
+"""Counter-based random numbers for many worlds or steps at once, as torch integers on any device.
+
+They equal those of `sim_kinematic.motion.randomness` in every bit: Philox 4x64 with 10 rounds (Salmon et al., "Parallel
+random numbers: as easy as 1, 2, 3", 2011).
+"""
 
 from __future__ import annotations
 

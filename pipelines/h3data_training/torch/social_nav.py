@@ -132,7 +132,8 @@ class SocialNavTensors:
         self.spec, self.bank, self.paper = spec, bank, PaperReward()
         if spec.robot.slide != "strict":
             raise InputError(
-                f"On a device robots slide strictly only, not as {spec.robot.slide!r}. Hint: leave out device."
+                f"On a device robots slide strictly only, not as {spec.robot.slide!r}. Hint: leave out device.",
+                code="H3-TRAIN-074",
             )
         self._end_on_success = end_on_success
         self._grids = Grids.of(bank.floors, self.device, self.dtype)
@@ -253,5 +254,5 @@ class SocialNavTensors:
             floor_y = self._drawn.floor_y[self._drawn.place[play.episode]]
             shown = torch.stack([robot.xz[:, 0], floor_y, robot.xz[:, 1], wrap_angle(robot.heading)], -1)
         else:
-            raise InputError(f"On a device there is no observation {name!r}.")
+            raise InputError(f"On a device there is no observation {name!r}.", code="H3-TRAIN-075")
         return shown.float()

@@ -1,5 +1,7 @@
-"""The agents of `sim_kinematic.motion.state` as tensors on a device, worlds first: what the step functions of
-`h3data_training.torch.step` take and return. Tensors are replaced, not changed in place."""
+"""Agents of `sim_kinematic.motion.state` as tensors on a device, worlds first.
+
+The step functions of `h3data_training.torch.step` take and return them. Tensors are replaced, not changed in place.
+"""
 
 from __future__ import annotations
 

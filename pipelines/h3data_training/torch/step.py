@@ -34,21 +34,31 @@ class Floor(Protocol):
     """The parts of a `h3data.scene.FreeSpace` that motion on a device reads."""
 
     @property
-    def sdf(self) -> NDArray[np.float32]: ...
+    def sdf(self) -> NDArray[np.float32]:
+        """Signed distances of the floor's grid [m], negative in obstacles."""
+        ...
+
     @property
-    def origin(self) -> NDArray[np.float64]: ...
+    def origin(self) -> NDArray[np.float64]:
+        """Position (x, z) of the grid [m]."""
+        ...
+
     @property
-    def cell_m(self) -> float: ...
+    def cell_m(self) -> float:
+        """Size of the grid's cells [m]."""
+        ...
 
 
 def refuse_stairs(floors: Iterable[FreeSpace], *, home: str = "them") -> None:
-    """
+    """Checks that floors have no stairs, which devices do not support.
+
     Raises:
         InputError: a floor has stairs; the message says to leave the ``home`` out.
     """
     if any(len(floor.heights) for floor in floors):
         raise InputError(
-            f"Worlds that are stepped together, on a CPU or GPU, have no stairs. Hint: leave {home} out of the scenes."
+            f"Worlds that are stepped together, on a CPU or GPU, have no stairs. Hint: leave {home} out of the scenes.",
+            code="H3-TRAIN-076",
         )
 
 
@@ -120,8 +130,10 @@ class Sample(NamedTuple):
 
 
 def sample_sdf(grids: Grids, xz: Tensor) -> Sample:
-    """Signed distance and gradient, bilinear; off the grid the border value minus the way to it
-    (`h3data.scene.freespace._sdf`)."""
+    """Signed distance and its gradient at points, bilinear.
+
+    Outside of the grid it is the value at the border minus the distance to it (`h3data.scene.freespace._sdf`).
+    """
     f = torch.addcmul(grids.shift, grids.scale, xz)
     c = torch.clamp(f, grids.zero, grids.top)
     low = torch.minimum(c.floor(), grids.last)
@@ -230,7 +242,10 @@ def drive_robots(
     Nothing waits for the device, so nothing is refused: a number of an action that is not finite counts as 0.
     """
     if spec.slide != "strict":
-        raise InputError(f"Tensors slide strictly only, not as {spec.slide!r}. Hint: the CPU environment does both.")
+        raise InputError(
+            f"Tensors slide strictly only, not as {spec.slide!r}. Hint: the CPU environment does both.",
+            code="H3-TRAIN-077",
+        )
     speed, lateral, turn = velocities(torch.nan_to_num(action, 0.0, 0.0, 0.0), spec)
     moved = drive_base(grids, robot.xz, robot.heading, speed, lateral, turn, spec, dt)
     goes = (speed != 0.0) | (turn != 0.0)

@@ -73,7 +73,7 @@ class Close:
     """Closes it."""
 
     joint: str | int
-    """As of `Open`."""
+    """Door or drawer to close, as for `Open`."""
 
 
 Do = Pick | Place | Drop | HandOver | Open | Close
@@ -105,11 +105,13 @@ STAND = PersonCommand()
 
 
 def action_of(command: Any, objects: Objects, agent: int) -> Action:
-    """The `Action` by which a person follows a command: a `PersonCommand`, one of its skills, a pair (forward, turn), or
-    anything with ``forward`` and ``turn``.
+    """Converts a command for a person into the `Action` that carries it out.
+
+    The command is a `PersonCommand`, one of the person's skills, a pair (forward, turn), or any object with attributes
+    ``forward`` and ``turn``.
 
     Raises:
-        InputError: it is malformed: unknown object, number out of range or not finite.
+        InputError: the command names an unknown object, or a number is out of range or not finite.
     """
     given: Any = PersonCommand(do=command) if isinstance(command, Do) else command
     do = getattr(given, "do", None)
@@ -124,11 +126,13 @@ def action_of(command: Any, objects: Objects, agent: int) -> Action:
     if isinstance(do, Open | Close):
         return Action("open" if isinstance(do, Open) else "close", _joint(do.joint, objects))
     if do is not None:
-        raise InputError(f"Expected Pick, Place, Drop, HandOver, Open or Close, got {do!r}.")
+        raise InputError(f"Expected Pick, Place, Drop, HandOver, Open or Close, got {do!r}.", code="H3-SIM-001")
     if not hasattr(given, "forward") and np.shape(given) == (2,):
         given = PersonCommand(*given)
     if not (hasattr(given, "forward") and hasattr(given, "turn")):
-        raise InputError(f"Expected a PersonCommand, a skill, or a pair (forward, turn), got {command!r}.")
+        raise InputError(
+            f"Expected a PersonCommand, a skill, or a pair (forward, turn), got {command!r}.", code="H3-SIM-002"
+        )
     forward, turn = _numbers("a velocity", (given.forward, given.turn), 2, np.inf)
     head = getattr(given, "head", None)
     left, right = (_target(getattr(given, side, None)) for side in ("left", "right"))
@@ -171,7 +175,9 @@ def interrupts_skill(action: Action) -> bool:
 def _index(name: str | int, objects: Objects) -> int:
     index = objects.names.index(name) if name in objects.names else name
     if not isinstance(index, int) or not 0 <= index < len(objects.names):
-        raise InputError(f"There is no object {name!r} in this task. Expected one of: {', '.join(objects.names)}.")
+        raise InputError(
+            f"There is no object {name!r} in this task. Expected one of: {', '.join(objects.names)}.", code="H3-SIM-003"
+        )
     return index
 
 
@@ -180,7 +186,7 @@ def _joint(name: str | int, objects: Objects) -> int:
     index = names.index(name) if name in names else name
     if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(names):
         there = f"Expected one of: {', '.join(names)}." if names else "Nothing in this home opens."
-        raise InputError(f"There is no door or drawer {name!r}. {there}")
+        raise InputError(f"There is no door or drawer {name!r}. {there}", code="H3-SIM-004")
     return index
 
 
@@ -194,7 +200,7 @@ def _target(target: Any) -> HandTarget | None:
         rotation = _numbers("a rotation", rotation, 4, LARGEST_NUMBER)
         length = float(np.linalg.norm(rotation))
         if length < 1e-6:
-            raise InputError(f"Expected a quaternion xyzw other than zero, got {target.rotation!r}.")
+            raise InputError(f"Expected a quaternion xyzw other than zero, got {target.rotation!r}.", code="H3-SIM-006")
         rotation = tuple(component / length for component in rotation)
     return HandTarget(_numbers("the position of a hand", target.position, 3, LARGEST_NUMBER), rotation)
 
@@ -206,5 +212,5 @@ def _numbers(what: str, values: Sequence[float], count: int, most: float) -> Vec
         array = np.full(0, np.nan)
     if array.shape != (count,) or not np.isfinite(array).all() or (np.abs(array) > most).any():
         within = "" if np.isinf(most) else f" up to {most:g}"
-        raise InputError(f"Expected {what} as {count} finite numbers{within}, got {values!r}.")
+        raise InputError(f"Expected {what} as {count} finite numbers{within}, got {values!r}.", code="H3-SIM-005")
     return tuple(array.tolist())

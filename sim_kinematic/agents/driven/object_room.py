@@ -44,8 +44,10 @@ class ObjectRoom:
         ]
 
     def refusal(self, k: int, pose: Array, poses: Array) -> str:
-        """Why object ``k`` cannot be put down at a pose7, beside the others at ``poses`` [K, 7]: ``no_space``,
-        ``no_support``, or nothing."""
+        """Reason why object ``k`` cannot be put down at a pose7, among other objects at ``poses`` [K, 7].
+
+        It is ``no_space`` or ``no_support``; empty if the object can be put down.
+        """
         floor_y = self._floor_below(pose)
         if pose[1] + self._extents[k][1] < floor_y - SUNK_M or self._is_inside(k, pose):
             return "no_space"
@@ -101,7 +103,10 @@ def object_extent(scene: Scene, instance: Instance) -> tuple[float, float, float
 
 
 def grip_radii(scene: Scene, names: Sequence[str]) -> dict[str, float]:
-    """Radii that hands close around, by name of the instance [m]: half of the thinnest side of each, where hands grip books and
-    plates, and the radius of cups and balls."""
+    """Radii of the grips by which hands hold objects, by name of the instance [m].
+
+    A hand grips books and plates by their thinnest side, so their radius is half of it; for cups and balls it is the
+    radius of the object.
+    """
     found = (i for i in scene.instances if i.name in names)
     return {i.name: float(np.ptp(scene.assets[i.asset].mesh.bounds * i.scale, axis=0).min()) / 2 for i in found}

@@ -29,7 +29,7 @@ from sim_kinematic.agents.person import FADE_STEPS
 from sim_kinematic.agents.person_skills import HANDS as HANDS_TRIED
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.skills import RobotActor
-from sim_kinematic.agents.skills import CONTROL, Action, Ending, Skill
+from sim_kinematic.agents.skills import CONTROL, Action, Skill, SkillResult
 from sim_kinematic.agents.stands import nearest_stand
 from sim_kinematic.motion.gait import drive_people
 from sim_kinematic.motion.spec import STEP_S
@@ -55,7 +55,7 @@ class DrivenPerson(PersonActor):
     object_room: ObjectRoom | None = None
     """Tests where an object fits; None: it fits everywhere."""
     radius_m: float = 0.25
-    """Of the disc that keeps clear of obstacles."""
+    """Radius of the disc that keeps clear of obstacles [m]."""
     actors: Sequence[PersonActor | RobotActor] = ()
     """All agents of the episode, by number."""
     others_discs: Callable[[], Array] | None = None
@@ -72,6 +72,7 @@ class DrivenPerson(PersonActor):
 
     # --- what it can do -----------------------------------------------------------------------------------------------
     def infeasible(self, action: Action) -> str:
+        """Reason why an action is impossible now, empty if it is possible; direct control always is."""
         k, skill = action.target, action.skill
         if skill == CONTROL:
             return ""
@@ -95,8 +96,10 @@ class DrivenPerson(PersonActor):
         return self._cannot_reach(self.objects.poses[k, :3] if action.skill == "pick" else self.objects.goals[k], k)
 
     def stand_for(self, point: ArrayLike) -> Array | None:
-        """Returns the nearest stand ``(x, z, heading)`` [3] from which a hand reaches a world point [3] [m] with room for the
-        body; None if there is none. It may take 50 ms."""
+        """Nearest pose ``(x, z, heading)`` [3] from which a hand reaches a world point [3] [m], with room for the body.
+
+        Returns None if there is none. The search may take 50 ms.
+        """
         point, held = np.asarray(point, np.float64), self.objects.held(self.number)
         hands: tuple[Hand, ...] = HANDS_TRIED if held < 0 else self._hands(held)
         for hand in hands:
@@ -135,12 +138,14 @@ class DrivenPerson(PersonActor):
 
     # --- skills -------------------------------------------------------------------------------------------------------
     def start(self, action: Action) -> Skill:
+        """Begins a skill; one step of direct control counts as a skill too."""
         if action.skill == CONTROL:
             assert isinstance(action.command, PersonCommand)
             return self._control(action.command)
         return self._after_standing(action)
 
     def idle(self) -> None:
+        """Stands still for one step, under direct control or as other people do."""
         if self._stirs:
             self._drive(STAND)
         else:
@@ -150,7 +155,7 @@ class DrivenPerson(PersonActor):
     def _control(self, command: PersonCommand) -> Skill:
         self._drive(command)
         yield
-        return Ending("done")
+        return SkillResult("done")
 
     def _after_standing(self, action: Action) -> Skill:
         """A skill, once the person has come to a stand with arms and head as skills expect them."""
@@ -184,7 +189,7 @@ class DrivenPerson(PersonActor):
         for _ in range(FADE_STEPS):
             self._drive(STAND)
             yield
-        return Ending("done")
+        return SkillResult("done")
 
     def _give(self, action: Action) -> Skill:
         """Brings the hand near the robot's; there the object changes hands, and the robot draws it into its own.
@@ -200,11 +205,11 @@ class DrivenPerson(PersonActor):
         while True:
             near = float(np.linalg.norm(robot.hand_pose[:3] - point)) <= robot.grip_m
             if not given and (not near or self.objects.held(robot.number) >= 0 or not robot.yields):
-                return Ending("failed", "robot_moved" if not near else "robot_busy")
+                return SkillResult("failed", "robot_moved" if not near else "robot_busy")
             try:
                 next(motion)
             except StopIteration as end:
-                return Ending("done") if given else Ending("failed", end.value.reason or "out_of_reach")
+                return SkillResult("done") if given else SkillResult("failed", end.value.reason or "out_of_reach")
             if not given and hand not in self.person.held:
                 given = True
                 self.objects.held_by[k] = robot.number
@@ -231,8 +236,11 @@ class DrivenPerson(PersonActor):
 
     # --- one step under a command -------------------------------------------------------------------------------------
     def _drive(self, command: PersonCommand) -> None:
-        """Moves the person by one step; nothing moves that would touch an agent that the person avoids. Where others are solid,
-        their discs decide, as where the player's page shows the person by then."""
+        """Moves the person by one step of direct control.
+
+        A motion that would touch an agent that the person avoids is not made. Where other agents are solid, contact is
+        decided by their discs at the places where the player's page shows them.
+        """
         self._drives, self.person.look_at = True, None
         gait, before = self._gait_here(), self._posture()
         self._lead(command)

@@ -24,23 +24,23 @@ OPEN_SHARE = 0.95
 
 
 @dataclass(frozen=True, eq=False)
-class Doorways:
+class RoomDoors:
     """The doors between the rooms of a home, and its floor with all of them open."""
 
     scene: Scene
-    """With the doors as they are at rest."""
+    """Home with the doors as they are at rest."""
     open_scene: Scene
-    """With all of them open; the same record where none is closed."""
+    """Home with all doors open; the same record if none is closed."""
     open_floor: FreeSpace
     joints: tuple[int, ...]
     """Numbers of their joints."""
 
     @staticmethod
     @lru_cache(maxsize=16)
-    def of(scene: Scene, free: FreeSpace) -> Doorways:
+    def of(scene: Scene, free: FreeSpace) -> RoomDoors:
         """The doors of a home with the floor ``free`` as it is at rest, found once."""
         there = passable(scene, free)
-        return Doorways(scene, there, free if there is scene else free.as_in(there), passages(scene, free))
+        return RoomDoors(scene, there, free if there is scene else free.as_in(there), passages(scene, free))
 
     def sides(self, k: int, stands: Array) -> tuple[bool, bool]:
         """Whether some stands ``(x, z, heading)`` [N, 3] are on the one and on the other side of a closed door."""

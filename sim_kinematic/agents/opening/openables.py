@@ -38,7 +38,7 @@ TALL_M = 1.8
 
 
 @dataclass(eq=False)
-class Openables:
+class ArticulatedParts:
     """The joints of a scene, shared by all actors; positions are in ``objects.state``."""
 
     scene: Scene
@@ -71,7 +71,7 @@ class Openables:
 
     @property
     def positions(self) -> NDArray[np.float64]:
-        """Of all joints [J] [rad or m]; a view."""
+        """Positions of all joints [J] [rad or m]; a view."""
         return self.objects.state.joint_pos[0]
 
     def is_open(self, k: int) -> bool:
@@ -214,7 +214,7 @@ class Openables:
         return -1
 
     def obstacle(self, k: int, *, opens: bool) -> str:
-        """What bars a joint's way: the name of an instance or object of the home; empty: nothing does."""
+        """Name of the instance or object that blocks a joint; empty if there is none."""
         way = self.way(k, opens=opens)
         frames = way[np.unique(np.linspace(0, len(way) - 1, FRAMES).astype(int))]
         positions = np.tile(self.positions, (len(frames), 1))

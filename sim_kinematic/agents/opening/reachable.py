@@ -11,23 +11,23 @@ from numpy.typing import NDArray
 from h3data.geometry import Array, transform_points
 from h3data.scene import Instance, Scene
 from h3data.scene.articulation import joints_of, posed
-from sim_kinematic.agents.opening.openables import Openables
+from sim_kinematic.agents.opening.openables import ArticulatedParts
 from sim_kinematic.agents.skills import Objects
 from sim_kinematic.motion.state import WorldState
 
 _NOTHING = np.zeros((0, 2))
 
 
-class Reachable(NamedTuple):
+class ReachQuery(NamedTuple):
     """A place and the home in which hands get there."""
 
     scene: Scene
-    """With what encloses the place open."""
+    """Home with the doors and drawers around the place open."""
     point: Array
     """Where the place is then, shape [3] [m]."""
     taken: NDArray[np.float64]
     """Floor points [P, 2] over which open parts stand."""
-    opened: tuple[tuple[Openables, int], ...] = ()
+    opened: tuple[tuple[ArticulatedParts, int], ...] = ()
     """The parts that had to be opened, in this order: the home before, and the number of the joint."""
 
 
@@ -38,30 +38,36 @@ def is_drawer(scene: Scene, instance: Instance) -> bool:
     return k >= 0 and joints.parts[k][1].joint.kind == "prismatic"
 
 
-def within_reach(scene: Scene, receptacle: str, point: Array) -> Reachable | None:
-    """A world point [3] on a receptacle (``instance|receptacle``) of a home, once what encloses it is open; None if that cannot
-    be opened."""
+def within_reach(scene: Scene, receptacle: str, point: Array) -> ReachQuery | None:
+    """World point [3] on a receptacle (``instance|receptacle``), once the doors and drawers around it are open.
+
+    Returns None if they cannot be opened.
+    """
     joints = joints_of(scene)
     needed = joints.enclosing.get(receptacle, ())
     if not needed:
-        return Reachable(scene, point, _NOTHING)
+        return ReachQuery(scene, point, _NOTHING)
     opened = _opened(scene, needed)
     if opened is None:
         return None
     there, motions, taken, before = opened
     mover = joints.owner.get(receptacle.partition("|")[0], -1)
     moved = transform_points(motions[mover], point[None])[0] if mover >= 0 else point
-    return Reachable(there, moved, taken, before)
+    return ReachQuery(there, moved, taken, before)
 
 
 @lru_cache(maxsize=64)
 def _opened(
     scene: Scene, needed: tuple[int, ...]
-) -> tuple[Scene, Array, NDArray[np.float64], tuple[tuple[Openables, int], ...]] | None:
-    """The home with some parts open, the motions [J, 4, 4] of all parts, where the open ones stand, and the parts with the home
-    before each was opened; None if one of them is obstructed, the others being as the scene has them."""
+) -> tuple[Scene, Array, NDArray[np.float64], tuple[tuple[ArticulatedParts, int], ...]] | None:
+    """Home with some parts open.
+
+    Returns:
+        The home; the motions of all parts [J, 4, 4]; points on the open parts; and each opened part with the home before it
+        was opened. None if a part is obstructed while the others stand as the scene has them.
+    """
     joints = joints_of(scene)
-    openables, before = openables_at(scene, joints.rest), list[tuple[Openables, int]]()
+    openables, before = openables_at(scene, joints.rest), list[tuple[ArticulatedParts, int]]()
     for k in sorted(needed, key=lambda k: joints.parts[k][1].joint.kind == "prismatic"):  # doors first
         if openables.obstacle(k, opens=True):
             return None
@@ -71,8 +77,8 @@ def _opened(
     return posed(scene, positions), joints.motions(positions), openables.open_points(), tuple(before)
 
 
-def openables_at(scene: Scene, positions: Array, doors: frozenset[int] = frozenset()) -> Openables:
+def openables_at(scene: Scene, positions: Array, doors: frozenset[int] = frozenset()) -> ArticulatedParts:
     """The doors and drawers of a home, in which nothing moves, at positions [J]."""
     state = WorldState.zeros(1, robots=0, people=0, scene_joints=len(positions))
     state.joint_pos[0] = positions
-    return Openables(scene, Objects((), np.zeros((0, 3)), state), 0.0, doors=doors)
+    return ArticulatedParts(scene, Objects((), np.zeros((0, 3)), state), 0.0, doors=doors)

@@ -1,5 +1,7 @@
-"""Skills at doors and drawers, for robots and people alike: what must hold before they begin, where to stand for them, and how
-a part moves while a hand leads it."""
+"""Skills at doors and drawers, for robots and people.
+
+They say what must hold before a skill begins, where to stand, and how a part moves while a hand leads it.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.geometry import Array
-from sim_kinematic.agents.opening.openables import Openables, stands_clear
+from sim_kinematic.agents.opening.openables import ArticulatedParts, stands_clear
 from sim_kinematic.agents.skills import Action
 
 PATIENCE_STEPS = 45
@@ -20,7 +22,7 @@ AT_END = 0.02
 """A part is at an end of its range within this share of it."""
 
 
-def why_not(openables: Openables | None, agent: int, action: Action) -> str:
+def why_not(openables: ArticulatedParts | None, agent: int, action: Action) -> str:
     """Why a part cannot be opened or closed now, whoever does it; empty: it can. Reach is asked separately."""
     if openables is None or not 0 <= action.target < len(openables):
         return "no_joint"
@@ -36,24 +38,27 @@ def why_not(openables: Openables | None, agent: int, action: Action) -> str:
     return "obstructed" if openables.obstacle(k, opens=opens) else ""
 
 
-def handle_way(openables: Openables, k: int, way: NDArray[np.float64]) -> Array:
+def handle_way(openables: ArticulatedParts, k: int, way: NDArray[np.float64]) -> Array:
     """World points [T, 3] of a handle with its joint at positions [T]."""
     positions = np.tile(openables.positions, (len(way), 1))
     positions[:, k] = way
     return openables.handles(positions)[:, k]
 
 
-def full_way(openables: Openables, k: int) -> NDArray[np.float64]:
+def full_way(openables: ArticulatedParts, k: int) -> NDArray[np.float64]:
     """Positions from where a joint is to the end of its range that is farther away."""
     share = float(openables.joints.shares(openables.positions)[k])
     return openables.way(k, opens=share < 0.5)
 
 
 def stands_before(
-    openables: Openables, k: int, stands: Array, offsets: Sequence[float], radius_m: float
+    openables: ArticulatedParts, k: int, stands: Array, offsets: Sequence[float], radius_m: float
 ) -> NDArray[np.bool_]:
-    """Which stands ``(x, z, heading)`` [N, 3] for a handle are before it, on either side of a door, and neither in the way of
-    its part nor in that of another that is open."""
+    """Which poses ``(x, z, heading)`` [N, 3] at a handle are suitable for moving its part.
+
+    Suitable poses are in front of the part, on either side of a door, and out of the sweep of this part and of other
+    parts that are open.
+    """
     joint = openables.joints.parts[k][1].joint
     ends = handle_way(openables, k, np.array([joint.closed, joint.opened]))
     outward = (ends[1] - ends[0])[[0, 2]]
@@ -68,7 +73,7 @@ def stands_before(
 class Leading:
     """A joint that moves along its way while a hand leads it, step by step; it waits for agents in its way."""
 
-    def __init__(self, openables: Openables, k: int, *, opens: bool) -> None:
+    def __init__(self, openables: ArticulatedParts, k: int, *, opens: bool) -> None:
         self.openables, self.k = openables, k
         self.way = openables.way(k, opens=opens)
         self.handles = handle_way(openables, k, self.way)

@@ -1,5 +1,7 @@
-"""Robots and people with the skills of `sim_kinematic.motion.spec.OracleSpec`. `h3data_training.torch.rearrange` is the same as
-tensors, line by line."""
+"""Robots and people with the oracle skills of `sim_kinematic.motion.spec.OracleSpec`.
+
+`h3data_training.torch.rearrange` is the same with tensors, line by line.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,7 @@ from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.driving import ARRIVED_M, FACING_RAD, NEARLY_M, STUCK_STEPS
 from sim_kinematic.agents.robots.hand_reach import reach_bearing
 from sim_kinematic.agents.robots.skills import RobotActor
-from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Skill
+from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Skill, SkillResult
 from sim_kinematic.motion.gait import move_people
 from sim_kinematic.motion.spec import STEP_S, OracleSpec
 from sim_kinematic.motion.state import NOBODY
@@ -35,34 +37,34 @@ AIMED_RAD = 1e-3
 """A person faces a point within this angle."""
 
 
-class Errand(NamedTuple):
+class SubGoal(NamedTuple):
     """Where a skill with an object leads."""
 
     ways: Ways
-    """To the places from which the agent reaches it."""
+    """Shortest paths to the places from which the agent reaches the object."""
     point: Array
     """[3] [m]."""
 
 
 @dataclass(eq=False)
-class Errands:
-    """Of one agent: the paths to where it takes each object and puts it down."""
+class SubGoals:
+    """Sub-goals of one agent: paths to where it takes each object and puts it down."""
 
     oracle: OracleSpec
     to_start: Sequence[Ways]
-    """To each object where it lies at the beginning, and ``to_goal`` to its goal."""
+    """Paths to the initial place of each object; ``to_goal`` has those to its goal."""
     to_goal: Sequence[Ways]
     starts: Array
     """[K, 3] [m]."""
     goals: Array
 
-    def of(self, action: Action, poses: Array) -> Errand:
-        """That of a skill with an object, given their poses [K, 7]."""
+    def of(self, action: Action, poses: Array) -> SubGoal:
+        """Sub-goal of a skill with an object, given the poses [K, 7] of all objects."""
         k = action.target
         moved = action.skill in ("nav_to_goal", "place") or bool((poses[k, :3] == self.goals[k]).all())
-        return Errand((self.to_goal if moved else self.to_start)[k], (self.goals if moved else self.starts)[k])
+        return SubGoal((self.to_goal if moved else self.to_start)[k], (self.goals if moved else self.starts)[k])
 
-    def reaches(self, errand: Errand, xz: Array, error_rad: float) -> bool:
+    def reaches(self, errand: SubGoal, xz: Array, error_rad: float) -> bool:
         """Whether an agent at a floor point [2] is at one of the places, and faces the point but for an angle."""
         gap = errand.ways.ends - xz
         there = (gap[:, 0] ** 2 + gap[:, 1] ** 2 <= self.oracle.reach_m**2).any()
@@ -77,7 +79,7 @@ def carry_point(body: Robot | Humanoid) -> Array:
     return np.array(CARRY) * reacher(body, "right").body.scale
 
 
-def _way(errand: Errand, number: int, xz: Array, within_m: float) -> tuple[int, float]:
+def _way(errand: SubGoal, number: int, xz: Array, within_m: float) -> tuple[int, float]:
     """The point to go to now, and how far it is: the next one where a corner has been reached."""
     ways = errand.ways
     away = float(np.hypot(*(ways.points[number] - xz)))
@@ -91,16 +93,18 @@ def _way(errand: Errand, number: int, xz: Array, within_m: float) -> tuple[int, 
 class OracleRobot(RobotActor):
     """A robot with oracle skills."""
 
-    errands: Errands = field(kw_only=True)
+    errands: SubGoals = field(kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.avoids = False
 
     def infeasible(self, action: Action) -> str:
+        """Reason why an action is impossible now; empty if it is possible."""
         return _refusal(self, action)
 
     def start(self, action: Action) -> Skill:
+        """Begins a primitive motion, direct control, waiting, or an oracle skill."""
         if action.skill in PRIMITIVES:
             return self._move(*PRIMITIVES[action.skill])
         if action.skill == CONTROL:
@@ -112,11 +116,11 @@ class OracleRobot(RobotActor):
             return self._go(errand)
         return _handling(self, action, errand, partial(self._step, 0.0, 0.0), self.errands.oracle.robot_steps)
 
-    def facing_error(self, errand: Errand) -> float:
-        """By how much it must turn to have what it came for in its reach direction [rad]."""
+    def facing_error(self, errand: SubGoal) -> float:
+        """Angle by which the robot must turn to have its target in its reach direction [rad]."""
         return self._error_to(errand.point[[0, 2]], reach_bearing(self.robot))
 
-    def _go(self, errand: Errand) -> Skill:
+    def _go(self, errand: SubGoal) -> Skill:
         """Drives along a path, and at its end turns until the hand points at what it came for."""
         ways, (number, best, since) = errand.ways, (errand.ways.start(self.xz), np.inf, 0)
 
@@ -141,8 +145,8 @@ class OracleRobot(RobotActor):
                 is_there(float(np.hypot(*(ways.points[number] - self.xz))))
                 and abs(self.facing_error(errand)) < FACING_RAD
             ):
-                return Ending("done")
-        return Ending("failed", "stuck")
+                return SkillResult("done")
+        return SkillResult("failed", "stuck")
 
     def take(self, k: int) -> None:
         """The object is in the hand, and keeps its direction."""
@@ -159,18 +163,20 @@ class OracleRobot(RobotActor):
 class OraclePerson(PersonActor):
     """A person with oracle skills; what they hold is before their chest."""
 
-    errands: Errands = field(kw_only=True)
+    errands: SubGoals = field(kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self._carry = np.append(carry_point(self.person.body), (0.0, 0.0, 0.0, 1.0))
 
     def infeasible(self, action: Action) -> str:
+        """Reason why an action is impossible now, empty if it is possible; robots' primitives never are."""
         if action.skill in (*PRIMITIVES, CONTROL):
             return "not_of_a_person"
         return _refusal(self, action)
 
     def start(self, action: Action) -> Skill:
+        """Begins waiting or an oracle skill."""
         if action.skill == "wait":
             return self._wait(max(action.steps, 1))
         errand = self.errands.of(action, self.objects.poses)
@@ -178,12 +184,12 @@ class OraclePerson(PersonActor):
             return self._go(errand)
         return _handling(self, action, errand, self._stand, self.errands.oracle.person_steps)
 
-    def facing_error(self, errand: Errand) -> float:
-        """By how much they must turn to face what they came for [rad]."""
+    def facing_error(self, errand: SubGoal) -> float:
+        """Angle by which the person must turn to face their target [rad]."""
         dx, dz = errand.point[[0, 2]] - self.xz
         return float(wrap_angle(np.arctan2(-dz, dx) - self.heading))
 
-    def _go(self, errand: Errand) -> Skill:
+    def _go(self, errand: SubGoal) -> Skill:
         """Walks straight from corner to corner, turning on the spot at each, and at the end turns to what they came for."""
         ways, number, within = errand.ways, errand.ways.start(self.xz), self.spec.arrive_m
         while True:
@@ -195,7 +201,7 @@ class OraclePerson(PersonActor):
             yield
             arrived = number >= ways.corners and np.hypot(*(ways.points[number] - self.xz)) <= within
             if arrived and abs(self.facing_error(errand)) < AIMED_RAD:
-                return Ending("done")
+                return SkillResult("done")
 
     def _turn_by(self, error_rad: float) -> None:
         gait, most = self._gait_here(), self.spec.turn_rad_s * STEP_S
@@ -236,7 +242,7 @@ def _refusal(actor: OracleRobot | OraclePerson, action: Action) -> str:
 def _handling(
     actor: OracleRobot | OraclePerson,
     action: Action,
-    errand: Errand,
+    errand: SubGoal,
     stands: Callable[[], None],
     steps: tuple[int, int],
 ) -> Skill:
@@ -247,11 +253,11 @@ def _handling(
         why = _hand_over(actor, action, errand) if step == changes else ""
         yield
         if why:
-            return Ending("failed", why)
-    return Ending("done")
+            return SkillResult("failed", why)
+    return SkillResult("done")
 
 
-def _hand_over(actor: OracleRobot | OraclePerson, action: Action, errand: Errand) -> str:
+def _hand_over(actor: OracleRobot | OraclePerson, action: Action, errand: SubGoal) -> str:
     """Takes an object or puts it down; returns why that fails."""
     objects, k = actor.objects, action.target
     if action.skill == "place":
@@ -276,6 +282,7 @@ class DiscContacts(AgentContactTracker):
         self._radius_m = radius_m
 
     def avoids(self, me: AnyActor, other: AnyActor) -> bool:
+        """False: with oracle skills no agent gives way to another."""
         del me, other
         return False
 

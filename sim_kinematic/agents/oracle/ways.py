@@ -48,12 +48,13 @@ class FloorCells:
     """Corners of cell c are ``corners[start[c]:start[c + 1]]``, [C + 1]."""
     corners: NDArray[np.int32]
     away: Array
-    """From the middle to each of them [m]."""
+    """Distance from the middle to each of them [m]."""
     whole: NDArray[np.bool_]
     """Whether it is seen from all of the cell."""
 
     @classmethod
     def of(cls, free: FreeSpace) -> FloorCells:
+        """Cells of a free floor, with the corners of paths that are visible from the whole of each cell."""
         x0, z0, x1, z1 = free.polygon.bounds
         shape = int(np.ceil((x1 - x0) / CELL_M)) + 1, int(np.ceil((z1 - z0) / CELL_M)) + 1
         origin = np.array([x0, z0]) - 0.5 * CELL_M
@@ -208,8 +209,11 @@ def _from_cells(
     graph: Graph, middles: NDArray, samples: NDArray, start: NDArray, corners: NDArray, away: NDArray, whole: NDArray,
     left: NDArray, ends: NDArray, detour: float,
 ) -> NDArray:  # fmt: skip
-    """The point to go to first from each cell: the best that all of the cell sees, if that is not longer by more than
-    ``detour`` than the best that its middle sees."""
+    """Point to go to first from each cell on the shortest path.
+
+    It is the best point that is visible from the whole cell, unless the path through it is more than ``detour`` longer
+    than the best from the cell's middle, which is taken then.
+    """
     n = len(graph.nodes)
     first = np.full(len(middles), -1, np.int64)
     for c in range(len(middles)):

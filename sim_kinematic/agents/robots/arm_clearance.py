@@ -72,8 +72,11 @@ class ArmClearance:
         self._clear: dict[tuple[bytes, bytes], bool] = {}
 
     def is_open(self, stand: Array, point: Array) -> bool:
-        """Whether nothing is in the way from the shoulder of a robot at a stand ``(x, z, heading)`` [3] to a world point [3]:
-        up or down to `APPROACH_M` over the point, then level to there."""
+        """Whether no obstacle lies between a robot's shoulder and a world point [3].
+
+        The robot stands at ``(x, z, heading)`` [3]. The line checked goes up or down to `APPROACH_M` above the point,
+        then level to it.
+        """
         return _remembered(self._open, self._is_open, stand, point)
 
     def _is_open(self, stand: Array, point: Array) -> bool:
@@ -99,8 +102,10 @@ class ArmClearance:
         return supports(self._scenery, point) & self._drawers if self._drawers else set()
 
     def is_clear(self, stand: Array, point: Array) -> bool:
-        """Whether, beside that, the arm of a robot that faces the point touches nothing from its resting posture to the one at
-        the point; its hand, and what it may hold, to the one over it."""
+        """Whether the line to the point is open, and the arm touches nothing while the robot reaches for it.
+
+        The arm moves from its resting posture to the point; the hand, with what it may hold, to the point above it.
+        """
         return _remembered(self._clear, self._is_clear, stand, point)
 
     def _is_clear(self, stand: Array, point: Array) -> bool:
@@ -118,8 +123,11 @@ class ArmClearance:
         )
 
     def _way(self, distance: float, height: float) -> tuple[Array, Array] | None:
-        """Frames in the root frame of the shapes of hand [T, H, 4, 4] and arm [T + 1, S, 4, 4] on their way to what lies so far
-        ahead and so high [m]; None: it is not reached. Stands on one ring round a point share them."""
+        """Frames of the shapes of the hand [T, H, 4, 4] and arm [T + 1, S, 4, 4] while it reaches, in the root frame.
+
+        The target is ``distance`` ahead and ``height`` above the floor [m], so that stands on one ring around a point
+        share the frames. Returns None if the arm does not reach it.
+        """
         seen = distance, height
         if seen not in self._ways:
             if len(self._ways) >= WAYS_KEPT:

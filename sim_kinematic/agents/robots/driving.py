@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from h3data.bodies import Robot
 from h3data.geometry import IDENTITY_POSE, Array, pose_from_matrix, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
-from sim_kinematic.agents.opening.openables import Openables
+from sim_kinematic.agents.opening.openables import ArticulatedParts
 from sim_kinematic.agents.robots.arm_clearance import ArmClearance
 from sim_kinematic.agents.robots.hand_reach import (
     reach_bearing,
 )
-from sim_kinematic.agents.skills import Ending, Objects, Skill
+from sim_kinematic.agents.skills import Objects, Skill, SkillResult
 from sim_kinematic.agents.stands import (
     discs_fit,
 )
@@ -25,7 +25,7 @@ from sim_kinematic.avoidance.maneuvers import heading_to, plan_maneuver
 from sim_kinematic.avoidance.robot_base import carrying_base_of, footprint_of, wider_by
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.velocity import braking_speed, eased, keep_clear
-from sim_kinematic.avoidance.yielding import NO_PATH, Seen, avoided, discs_of, path_around, retreat_place
+from sim_kinematic.avoidance.yielding import NO_PATH, ObservedAgent, avoided, discs_of, path_around, retreat_place
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.state import ROBOT, RobotState
@@ -60,7 +60,7 @@ class RobotDriver:
     """Tests where its arm has room; None: it has room everywhere."""
     avoids: bool = True
     """Whether its base keeps clear of other agents (`keep_clear`), in every skill."""
-    others: tuple[Seen, ...] = ()
+    others: tuple[ObservedAgent, ...] = ()
     """Other agents, the nearest first."""
     agreed: bool = False
     """Whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
@@ -72,7 +72,7 @@ class RobotDriver:
     hindered_by: frozenset[int] = frozenset()
     command: tuple[float, float] = (0.0, 0.0)
     """The last command of its base, -1..1 of the limits."""
-    openables: Openables | None = None
+    openables: ArticulatedParts | None = None
     """Doors and drawers; None: nothing opens."""
     arm_goal: Array = field(init=False)
     """Joint positions towards which the arm moves in every step [J]."""
@@ -100,14 +100,17 @@ class RobotDriver:
 
     @property
     def is_robot(self) -> bool:
+        """True."""
         return True
 
     @property
     def xz(self) -> NDArray:
+        """Position on the floor [2] [m]."""
         return self.state.xz[0]
 
     @property
     def heading(self) -> float:
+        """Heading [rad]."""
         return float(self.state.heading[0])
 
     @property
@@ -123,6 +126,7 @@ class RobotDriver:
 
     @property
     def path_start(self) -> NDArray | None:
+        """First point [2] of the path that the robot drives; None without a path."""
         return self._start
 
     def _announce(self, via: NDArray, goal: NDArray) -> None:
@@ -136,6 +140,7 @@ class RobotDriver:
 
     @property
     def joints(self) -> NDArray:
+        """Joint positions [J]."""
         return self.state.joints[0]
 
     @property
@@ -166,13 +171,14 @@ class RobotDriver:
         self.free = free
 
     def idle(self) -> None:
+        """Stands still for one step."""
         self._step(0.0, 0.0)
 
     def _move(self, forward: float, turn: float, steps: int) -> Skill:
         for _ in range(steps):
             self._step(forward, turn, eases=False)
             yield
-        return Ending("done")
+        return SkillResult("done")
 
     def _wait(self, steps: int) -> Skill:
         """Stands where it is in nobody's way."""
@@ -185,7 +191,7 @@ class RobotDriver:
             else:
                 self._drive(self._leg(goal)[1])
             yield
-        return Ending("done")
+        return SkillResult("done")
 
     def _step_aside(self) -> None:
         """Goes one step aside, or stands there."""
@@ -226,7 +232,7 @@ class RobotDriver:
         tried, is_near = 0, False
         while since <= STUCK_STEPS:
             if self.turned_away:
-                return Ending("failed", "blocked")
+                return SkillResult("failed", "blocked")
             if self.aside is not None:
                 self._step_aside()
                 yield
@@ -250,17 +256,17 @@ class RobotDriver:
             if not len(via) and (left <= within_m or (left <= NEARLY_M and (stalled or is_near))):
                 self._goes_around = False
                 if facing is None:
-                    return Ending("done")
+                    return SkillResult("done")
                 error = self._error_to(facing, reach)
                 if abs(error) < FACING_RAD:
-                    return Ending("done")
+                    return SkillResult("done")
                 self._step(0.0, self._turn(error), goal)
                 left = 0.1 * abs(error) - 1.0
             else:
                 self._drive(waypoint, left)
             yield
             best, since = (left, 0) if left < best - 1e-3 else (best, since + 1)
-        return Ending("failed", "stuck")
+        return SkillResult("failed", "stuck")
 
     @property
     def _looks_around(self) -> bool:
@@ -336,9 +342,11 @@ class RobotDriver:
         dx, dz = goal_x - x, goal_z - z
         return float(wrap_angle(np.arctan2(-dz, dx) - bearing - self.heading))
 
-    def _seen(self) -> list[Seen]:
-        """The others that are near enough for `keep_clear`; one that holds something has not settled, however long it has been
-        standing."""
+    def _seen(self) -> list[ObservedAgent]:
+        """Other agents that are near enough for `keep_clear`.
+
+        One that holds something counts as moving, however long it has been standing.
+        """
         xz, near = self.xz.tolist(), []
         for other in self.others:
             if math.dist(xz, other.xz.tolist()) <= AVOIDANCE.range_m + other.footprint.extent_m:
@@ -394,7 +402,7 @@ class RobotDriver:
             self.base = self._carrying_base
 
 
-def _has_come_near(other: Seen, stood: dict[int, NDArray], xz: NDArray) -> bool:
+def _has_come_near(other: ObservedAgent, stood: dict[int, NDArray], xz: NDArray) -> bool:
     """Whether another agent is no longer where it stood when a maneuver was planned, and near the robot at ``xz`` [2]."""
     if float(np.hypot(*(other.xz - xz))) > AVOIDANCE.retreat_m:
         return False

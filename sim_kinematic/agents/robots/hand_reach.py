@@ -39,7 +39,7 @@ REACH_SLACK_M = 0.01
 """Far more than the tolerances of the search let a hand be off its target."""
 
 
-class Reached(NamedTuple):
+class ReachPostures(NamedTuple):
     """Postures for targets [*batch]."""
 
     joint_pos: NDArray[np.float64]
@@ -48,22 +48,22 @@ class Reached(NamedTuple):
     """Whether the hand gets there, [*batch]."""
 
 
-def reach_posture(robot: Robot, target: ArrayLike, q0: Array | None = None, *, restarts: int = 32) -> Reached:
+def reach_posture(robot: Robot, target: ArrayLike, q0: Array | None = None, *, restarts: int = 32) -> ReachPostures:
     """Finds postures for pose7 targets [*batch, 7] of the hand in the agent root frame; options as of `solve_ik`."""
     if len(robot.require_arm()) >= ALL_DIRECTIONS:
         answer = solve_ik(robot, robot.hand_name, target, q0, offset=robot.hand_position, restarts=restarts)
-        return Reached(answer.joint_pos, answer.reached)
+        return ReachPostures(answer.joint_pos, answer.reached)
     free = _with_free_yaw(robot)
     start = None if q0 is None else np.append(q0, 0.0)
     answer = solve_ik(free, free.hand_name, target, start, offset=free.hand_position, restarts=restarts)
-    return Reached(answer.joint_pos[..., :-1], answer.reached)
+    return ReachPostures(answer.joint_pos[..., :-1], answer.reached)
 
 
 def is_beyond_reach(robot: Robot, hand: Array) -> bool:
-    """Whether a pose7 [7] of the hand in the agent root frame is so far away that `reach_posture` cannot reach it: farther from
-    the shoulder than all links of the arm stretched out.
+    """Whether a pose7 [7] of the hand in the agent root frame is out of reach by its distance alone.
 
-    Finding that out by search takes 2 ms, for it begins again from every posture; policies that learn ask for it all the time.
+    It is if it is farther from the shoulder than all links of the arm stretched out. `reach_posture` takes 2 ms to find
+    this out, because it tries every starting posture; learning policies ask all the time.
     """
     arm = _stretched_arm(robot)
     x, y, z = (quat_rotate(hand[3:], arm.wrist) + hand[:3] - arm.shoulder).tolist()
@@ -79,7 +79,7 @@ class _StretchedArm(NamedTuple):
     """Where the last point is whose place follows from the pose of the hand, from there, in the frame of the hand's link [3]
     [m]."""
     length_m: float
-    """From one to the other, at most."""
+    """Largest distance from one to the other [m]."""
 
 
 @lru_cache(maxsize=32)
@@ -123,8 +123,10 @@ def hand_turn(robot: Robot) -> Array:
 
 
 def reach_bearing(robot: Robot) -> float:
-    """Returns the bearing of what a robot reaches for [rad], to the left of its forward axis: its own, else the first of
-    `BEARINGS_RAD` in which its arm reaches anything, else 0."""
+    """Direction in which a robot reaches for things [rad], to the left of its forward axis.
+
+    It is the robot's own setting, otherwise the first of `BEARINGS_RAD` in which the arm reaches anything, otherwise 0.
+    """
     return _found_bearing(robot) if robot.reach_bearing is None else robot.reach_bearing
 
 
@@ -145,10 +147,10 @@ def aimed(robot: Robot, aside_rad: float) -> Robot:
 
 @lru_cache(maxsize=1024)
 def reach_distances(robot: Robot, height_m: float) -> Array:
-    """Returns the distances [D] [m] from the robot's root, in its reach direction, at which its hand reaches what is this far
-    above the floor. Things lie on few heights, so answers are kept.
+    """Distances [D] [m] from the robot's root at which its hand reaches points ``height_m`` above the floor.
 
-    One counts when both its neighbours are reached too: a base does not stand to the millimetre.
+    They lie along the robot's reach direction. A distance counts only if both its neighbours are reachable too, since a
+    base does not stand to the millimetre. Results are cached, as objects lie on few different heights.
     """
     distances = np.array(DISTANCES_M)
     targets = np.stack([hand_target(robot, d, height_m) for d in distances])

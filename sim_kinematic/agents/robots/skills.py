@@ -14,7 +14,7 @@ from h3data.errors import InputError
 from h3data.geometry import Array, pose_inverse, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
-from sim_kinematic.agents.opening.openables import Openables, stands_clear
+from sim_kinematic.agents.opening.openables import ArticulatedParts, stands_clear
 from sim_kinematic.agents.opening.skills import Leading, full_way, handle_way, stands_before, why_not
 from sim_kinematic.agents.robots.arm_clearance import reach_line
 from sim_kinematic.agents.robots.driving import RobotDriver
@@ -27,7 +27,7 @@ from sim_kinematic.agents.robots.hand_reach import (
     reach_distances,
     reach_posture,
 )
-from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, LearnedSkill, Skill
+from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, LearnedSkill, Skill, SkillResult
 from sim_kinematic.agents.stands import (
     CROWDED_M,
     handle_stands,
@@ -45,7 +45,7 @@ from sim_kinematic.motion.step import drive_robots
 HORIZON_M = 1000.0
 """A point so far away is in one direction from wherever the base stands."""
 TRIED, TURN_M_RAD = 24, 1.0
-"""So many of the nearest stands are looked at, and turning there by one radian counts as so much of a path [m]."""
+"""Number of nearest stands that are compared, and length of path that counts as much as turning by one radian [m]."""
 ARM_OUT_M = 0.05
 """A base stands while the hand is farther from its middle than this beyond the folded arm's."""
 
@@ -62,7 +62,9 @@ def checked_command(command: ArrayLike, robot: Robot) -> Array:
     except (TypeError, ValueError):
         action = np.full(0, np.nan)
     if action.shape != (count,) or not np.isfinite(action).all():
-        raise InputError(f"Expected a command of {count} finite numbers (base 2, arm, grip 1), got {command!r}.")
+        raise InputError(
+            f"Expected a command of {count} finite numbers (base 2, arm, grip 1), got {command!r}.", code="H3-SIM-018"
+        )
     return np.clip(action, -1.0, 1.0)
 
 
@@ -76,6 +78,7 @@ class RobotActor(RobotDriver):
     """Takes named pictures of it now, of some size (width, height): `sim_kinematic.sensing.eyes.see`. None: nobody does."""
 
     def infeasible(self, action: Action) -> str:
+        """Reason why an action is impossible now; empty if it is possible."""
         why = self.objects.why_not(self.number, action)
         if not why and self.openables is not None:
             why = self._barred(self.openables, action)
@@ -90,7 +93,7 @@ class RobotActor(RobotDriver):
         is_open = clearance is None or clearance.is_open(np.append(self.xz, self.heading), point)
         return "" if is_open else "no_room"
 
-    def _barred(self, openables: Openables, action: Action) -> str:
+    def _barred(self, openables: ArticulatedParts, action: Action) -> str:
         """Why doors and drawers stand against an action."""
         k = action.target
         if action.skill in ("open", "close"):
@@ -102,6 +105,7 @@ class RobotActor(RobotDriver):
         return ""
 
     def start(self, action: Action) -> Skill:
+        """Begins a scripted or learned skill."""
         k = action.target
         self._goes_around |= self.turned_away
         self.turned_away = False
@@ -137,11 +141,16 @@ class RobotActor(RobotDriver):
         hand = robot_hands(self.state, robot, self.free)
         grip_objects(state, hand, action[-1:], rules, agent=self.number)
         yield
-        return Ending("done")
+        return SkillResult("done")
 
     def obey(self, command: Array, towards: NDArray) -> None:
-        """Moves one step by the command of a learned skill, base [2] alone or with arm joints [n] and grip [1], in -1..1. The
-        base gives way as in every skill; ``towards`` [2] is where it wants to get."""
+        """Moves one step by the command of a learned skill.
+
+        Args:
+            command: base velocity [2] alone, or followed by arm joints [n] and grip [1], in -1..1. The base gives way to other
+                agents as in every skill.
+            towards: floor point [2] that the base is heading for.
+        """
         rules = ArmSpec(grasp_m=self.grip_m)
         if len(command) > 2:
             self.arm_goal = self.joints.copy()
@@ -157,8 +166,10 @@ class RobotActor(RobotDriver):
         self._step_aside()
 
     def open_stand(self, point: NDArray) -> Array | None:
-        """The nearest place ``(x, z, heading)`` [3] from which the hand reaches a world point [3] and nothing is in between;
-        None: there is no path to one."""
+        """Nearest pose ``(x, z, heading)`` [3] from which the hand reaches a world point [3] without an obstacle between.
+
+        Returns None if no such pose can be reached.
+        """
         stands, clearance = self.stands(point, self._empty_base), self.arm_clearance
         is_clear = None if clearance is None else partial(clearance.is_open, point=point)
         k, _ = nearest_stand(self.free, stands, self.xz, is_clear=is_clear)
@@ -181,7 +192,7 @@ class RobotActor(RobotDriver):
         k, left = self._stand_with_room(stands, point)
         if not np.isfinite(left):
             gets_there = np.isfinite(nearest_stand(self.free, stands, self.xz)[1])
-            return Ending("failed", "no_room" if gets_there else "no_way")
+            return SkillResult("failed", "no_room" if gets_there else "no_way")
         yield from self._fold_arm()
         goal = stands[k, :2]
         ending = yield from self.drive_to(goal, facing=point[[0, 2]])
@@ -195,7 +206,7 @@ class RobotActor(RobotDriver):
         return robot_stands(free, self.robot, base or self.base, point, island=island_of(free, self.xz))
 
     def stands_on(self, free: FreeSpace, point: NDArray) -> Array:
-        """As `stands`, were the floor as in ``free``."""
+        """Stands on the floor ``free``."""
         return self.stands(point, free=free)
 
     def _navigate_to_handle(self, k: int) -> Skill:
@@ -217,15 +228,17 @@ class RobotActor(RobotDriver):
         stands = stands[stands_before(self.openables, k, stands, base.disc_offsets_m, base.disc_radius_m)]
         n = self._straightest(stands)
         if n < 0:
-            return Ending("failed", "no_way")
+            return SkillResult("failed", "no_way")
         yield from self._fold_arm()
         ahead = stands[n, 2] + reach_bearing(self.robot)
         facing = stands[n, :2] + HORIZON_M * np.array([np.cos(ahead), -np.sin(ahead)])
         return (yield from self.drive_to(stands[n, :2], facing=facing))
 
     def _straightest(self, stands: Array) -> int:
-        """The stand ``(x, z, heading)`` of [N, 3] that is near and at which it arrives nearly turned as it is to stand; -1: it
-        gets to none."""
+        """Index of the stand ``(x, z, heading)`` [N, 3] with the least cost of path and turning at its end.
+
+        Stands close to other agents cost more. Returns -1 if the robot can reach none.
+        """
         lengths = self.free.geodesic(np.broadcast_to(self.xz, (len(stands), 2)), stands[:, :2])
         crowded = CROWDED_M * self._crowded(stands) if len(stands) else lengths
         order = np.argsort(lengths + crowded, kind="stable")
@@ -249,7 +262,7 @@ class RobotActor(RobotDriver):
         for step in range(len(leading.way)):
             while not leading.advance(step):
                 if leading.gave_up:
-                    return Ending("failed", "blocked")
+                    return SkillResult("failed", "blocked")
                 self._step(0.0, 0.0, avoid=False)
                 yield
             hand = self._hand_at(leading.handles[step], robot)
@@ -259,11 +272,13 @@ class RobotActor(RobotDriver):
                 self.arm_goal = answer.joint_pos if follows else self.arm_goal
             self._step(0.0, 0.0, avoid=False)
             yield
-        return Ending("done")
+        return SkillResult("done")
 
     def _stand_with_room(self, stands: Array, point: NDArray) -> tuple[int, float]:
-        """The nearest stand, as `nearest_stand`, from which its arm gets to a world point [3] without touching anything; if
-        there is none, one where at least nothing is in between."""
+        """Nearest stand, as `nearest_stand` returns it, from which the arm reaches a world point [3] without contact.
+
+        If there is none, one from which at least the line to the point is open.
+        """
         crowded, tests = self._crowded(stands), (None,)
         if self.arm_clearance is not None:
             tests = (
@@ -278,8 +293,10 @@ class RobotActor(RobotDriver):
         return nearest
 
     def _crowded(self, stands: Array) -> NDArray[np.integer]:
-        """How close it would be to another agent at each stand, [N]: 1 within the margin, 2 where they would touch, or where
-        no way leads to it for who was turned away."""
+        """How close the robot would be to another agent at each stand, [N].
+
+        1 is within the margin; 2 is contact, or no path to the stand for a robot that was turned away from it before.
+        """
         crowded = np.zeros(len(stands), np.int64)
         for other in avoided([other for other in self.others if not other.steps_aside]):
             for level, margin in ((1, other.margin_m), (2, AVOIDANCE.still_margin_m)):
@@ -292,8 +309,10 @@ class RobotActor(RobotDriver):
         return crowded
 
     def _reach(self, skill: Skill) -> Skill:
-        """A pick or place after which, or where it is interrupted, the arm folds while the base goes on: an arm that stayed out
-        stood 6 cm in a wall for 146 steps."""
+        """Skill whose arm folds while the base drives on, when it has ended or is interrupted.
+
+        An arm that stayed out once stood 6 cm inside a wall for 146 steps.
+        """
         try:
             return (yield from skill)
         finally:
@@ -306,18 +325,18 @@ class RobotActor(RobotDriver):
         if gap > self.grip_m or self.objects.held_by[k] != NOBODY:
             if self._is_instant:
                 yield  # the arm has moved in this step
-            return Ending("failed", "out_of_reach" if gap > self.grip_m else "held_by_other")
+            return SkillResult("failed", "out_of_reach" if gap > self.grip_m else "held_by_other")
         self.objects.held_by[k] = self.number
         self.objects.state.grip_pose[0, k] = pose_multiply(pose_inverse(self.hand_pose), self.objects.poses[k])
         yield from self._withdraw_hand(over)
-        return Ending("done")
+        return SkillResult("done")
 
     def _place(self, k: int) -> Skill:
         over, at = self._reach_line(self._hand_target(Action("place", k)))
         yield from self._bring_hand(over, at)
         self.objects.held_by[k] = NOBODY
         yield from self._withdraw_hand(over)
-        return Ending("done")
+        return SkillResult("done")
 
     def _fold_arm(self) -> Generator[None, None, None]:
         """Stands until the hand is nearly over the base: one that drove off with its arm out had the hand 6 cm in a wall."""
@@ -337,8 +356,10 @@ class RobotActor(RobotDriver):
         return np.concatenate([hand[:3] - turned[:3], hand[3:]])
 
     def _hand_at(self, point: NDArray, robot: Robot | None = None) -> Array:
-        """pose7 of the hand, in the agent root frame, with what it holds things at on a world point [3]; turned as that of
-        ``robot``, which may reach to the side (`aimed`)."""
+        """pose7 of the hand in the agent root frame, with its grip at a world point [3].
+
+        The hand is turned like that of ``robot``, a version of the body that may reach to the side (`aimed`).
+        """
         local = pose_multiply(pose_inverse(self.pose), np.append(point, [0, 0, 0, 1.0]))
         return np.concatenate([local[:3], hand_turn(robot or self.robot)])
 

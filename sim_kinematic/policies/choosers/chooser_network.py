@@ -4,7 +4,7 @@
 object``. All objects go through the same weights, with their number as one of the inputs: what is learned about one holds for
 the other, and yet a policy may keep to one of them. `h3data_training.populations.networks` is the same in PyTorch.
 
-The file is that of `sim_kinematic.policies.pictured`: arrays and a card, nothing in it is executed.
+The file is that of `sim_kinematic.policies.visual_policy`: arrays and a card, nothing in it is executed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from sim_kinematic.agents.skills import PRIMITIVES
-from sim_kinematic.policies.pictured import PolicyCard, affine, digest_of
+from sim_kinematic.policies.visual_policy import PolicyCard, affine, digest_of
 
 Floats = NDArray[np.floating]
 KIND = "gru_chooser"
@@ -46,7 +46,7 @@ gets zeros there."""
 
 
 class Encoding(NamedTuple):
-    """How the numbers of an observation become inputs."""
+    """Conversion of the numbers of an observation to inputs of the network."""
 
     of: Callable[[Floats], Floats]
     """Units [n, given] -> [n, length]."""
@@ -100,8 +100,9 @@ def input_lengths(agent: str, observations: tuple[str, ...] = OBSERVATIONS) -> t
 def encoded(
     shown: Mapping[str, NDArray[Any]], *, agent: str, objects: int, observations: tuple[str, ...] = OBSERVATIONS
 ) -> tuple[Floats, Floats]:
-    """Inputs of each object [K, F] and the rest [R], float32, from observations by name; the last columns of both tell which
-    choice has been interrupted.
+    """Inputs of the network from observations by name: those of each object [K, F] and the rest [R], float32.
+
+    The last columns of both mark the choice that has been interrupted.
 
     Raises:
         InputError: an observation is missing or has another length.
@@ -115,7 +116,9 @@ def encoded(
         )
         seen = np.asarray(shown.get(name, ()), np.float32)
         if seen.shape != (length,):
-            raise InputError(f"Expected the observation {name} [{length}], got {list(seen.shape)}.")
+            raise InputError(
+                f"Expected the observation {name} [{length}], got {list(seen.shape)}.", code="H3-POLICY-006"
+            )
         if encoding is None:
             each.append(seen[:own].reshape(SKILLS_WITH_OBJECT, objects).T)
             rest.append(seen[own:])
@@ -134,7 +137,7 @@ def hides(name: str, observations: tuple[str, ...]) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ChooserNetwork:
+class SkillPolicyNetwork:
     """The weights of one policy and what they are for."""
 
     card: PolicyCard
@@ -146,14 +149,16 @@ class ChooserNetwork:
     def __post_init__(self) -> None:
         faults = _faults(self.card, self.arrays)
         if faults:
-            raise InputError(f"These arrays make no policy: {'; '.join(faults)}.")
+            raise InputError(f"These arrays make no policy: {'; '.join(faults)}.", code="H3-POLICY-007")
 
     @property
     def task(self) -> str:
+        """Name of the task that the policy was trained for."""
         return self.card.task
 
     @property
     def observations(self) -> tuple[str, ...]:
+        """Names of the observations that the policy needs."""
         return self.card.observations
 
     @property
@@ -216,7 +221,7 @@ def _sigmoid(x: Floats) -> Floats:
 
 
 def shapes(card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[int, ...]]:
-    """Of all arrays, by name, with the widths that those at hand have."""
+    """Shapes of all arrays by name, with the widths that the given ones have."""
 
     def width(name: str) -> int:
         return arrays[name].shape[0] if name in arrays and arrays[name].ndim else 0

@@ -1,4 +1,4 @@
-"""Plays a `ChooserNetwork`: what may be chosen, when to think again, and the best of it."""
+"""Plays a `SkillPolicyNetwork`: what may be chosen, when to think again, and the best of it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from h3data.errors import FormatError
 from sim_kinematic.agents.skills import Action, choices
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.state import NOBODY
-from sim_kinematic.policies.choosers.chooser_network import ChooserNetwork, Floats, encoded
+from sim_kinematic.policies.choosers.chooser_network import Floats, SkillPolicyNetwork, encoded
 from sim_kinematic.policies.rearrange_observations import observe
 from sim_kinematic.policies.views import RearrangeView
 
@@ -20,37 +20,44 @@ ALERT_M, ALERT_STEPS = 4.0, 5
 what was 4 m away may be here in 0.8 s."""
 
 
-class RecurrentChooser:
-    """Chooses among the actions that are `allowed` as in training: at random by their scores, with random numbers that follow
-    from the episode's seed. Always the best would be worse: who turns to the left and then to the right does so for good. The
-    recurrent state is its own, so there is one for each episode.
+class RecurrentSkillPolicy:
+    """Policy that samples among the `allowed` actions by their scores, as in training.
 
-    On its way it thinks again every second, six times a second while the other agent is within 4 m, and at once when the other
-    has taken what it is going for. It goes on by choosing the same.
+    Random numbers follow from the episode's seed. Taking the best action would be worse: a greedy policy can turn left
+    and right forever. The policy holds a recurrent state, so each episode needs a policy of its own.
+
+    While the agent walks or drives, the network is evaluated every second, six times a second while the other agent is
+    within 4 m, and at once when the other has taken the object it is heading for. The agent continues if the same
+    action is sampled.
     """
 
-    def __init__(self, network: ChooserNetwork, objects: int = 2, *, robot: bool = True) -> None:
-        """
+    def __init__(self, network: SkillPolicyNetwork, objects: int = 2, *, robot: bool = True) -> None:
+        """Checks that the network fits the agent, and starts with an empty memory.
+
         Args:
-            network: The policy.
-            objects: Of the task.
-            robot: Whether a robot is played, or a person.
+            network: the policy.
+            objects: number of objects of the task.
+            robot: whether the agent is a robot; otherwise it is a person.
 
         Raises:
             FormatError: the network is for another task, another number of objects or the other agent.
         """
         card, agent = network.card, "robot" if robot else "human"
         if card.task != "rearrange":
-            raise FormatError(f"Expected weights for the task rearrange, these are for {card.task!r}.")
+            raise FormatError(
+                f"Expected weights for the task rearrange, these are for {card.task!r}.", code="H3-POLICY-008"
+            )
         if card.agent != agent:
-            raise FormatError(f"Expected weights for a {agent}, these are for a {card.agent}.")
+            raise FormatError(f"Expected weights for a {agent}, these are for a {card.agent}.", code="H3-POLICY-009")
         if card.objects != objects:
-            raise FormatError(f"These weights know {card.objects} objects, the episode has {objects}.")
+            raise FormatError(
+                f"These weights know {card.objects} objects, the episode has {objects}.", code="H3-POLICY-010"
+            )
         self.network = network
         self.choices = choices(objects, robot=robot)
         self.state = network.start()
         self.seed = 0
-        """Of the episode."""
+        """Seed of the episode."""
         self._thought, self._times = 0, 0
 
     def require_body(self, body: str) -> None:
@@ -60,10 +67,13 @@ class RecurrentChooser:
             FormatError: it is another.
         """
         if body != self.network.card.robot:
-            raise FormatError(f"These weights drive the robot {self.network.card.robot}, the episode has {body}.")
+            raise FormatError(
+                f"These weights drive the robot {self.network.card.robot}, the episode has {body}.",
+                code="H3-POLICY-011",
+            )
 
     def act(self, view: RearrangeView) -> Action:
-        """As `sim_kinematic.policies.rearrange.HighLevelPolicy.act`."""
+        """Next action, sampled by the scores of the network."""
         card = self.network.card
         shown = observe(view, card.observations)
         each, rest = encoded(shown, agent=card.agent, objects=card.objects, observations=card.observations)
@@ -80,7 +90,7 @@ class RecurrentChooser:
         return int(np.argmax(scores + rng.gumbel(size=len(scores))))
 
     def interrupts(self, view: RearrangeView) -> str:
-        """As `sim_kinematic.policies.rearrange.HighLevelPolicy` says."""
+        """Reason to interrupt the running action and choose again; empty if there is none."""
         action = view.action
         if action is None or action.skill not in ("nav_to_object", "nav_to_goal"):
             return ""
@@ -93,9 +103,12 @@ class RecurrentChooser:
 
 
 def allowed(view: RearrangeView, known: Sequence[Action]) -> NDArray[np.bool_]:
-    """Which choices make sense to try, [C]: with an empty hand, to go for what lies about and is not at its goal; to go to the
-    goal of what the hand holds; not again to where one has just arrived, but to pick or to place there, and to go on with what
-    has been begun; what has no object always."""
+    """Which actions are useful in a state, [C].
+
+    With an empty hand these are the actions on objects that lie about and are not at their goals; with an object in
+    hand, those that bring it to its goal. Where the agent has just arrived, it may pick or place but not navigate
+    again; it may always continue the action that it has begun, or take one without an object.
+    """
     held, empty = view.held_by, not (view.held_by == view.agent).any()
     free = (held == NOBODY) & ~view.at_goal
     done = view.action if view.last is not None and view.last.outcome == "done" else None

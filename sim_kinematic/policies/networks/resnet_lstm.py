@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from sim_kinematic.policies.pictured import PICTURES, Floats, PicturedNetwork, PolicyCard, number_count, picture_in
+from sim_kinematic.policies.visual_policy import PICTURES, Floats, PolicyCard, VisualPolicy, number_count, picture_in
 
 KIND = "resnet18_lstm"
 GROUPS = 16
@@ -30,8 +30,10 @@ LEAST_SIDE = 8
 
 
 class _Norm(nn.GroupNorm):
-    """Keeps the precision of its input, with sums of 32 bits: autocast would return 32 bits, which everything up to the next
-    convolution would then read and write."""
+    """Group normalisation that keeps the precision of its input, with sums of 32 bits.
+
+    Autocast would return 32 bits, which everything up to the next convolution would then have to read and write.
+    """
 
     def forward(self, input: Tensor) -> Tensor:
         if input.dtype == torch.float32:
@@ -80,6 +82,7 @@ class ResNet18(nn.Module):
         self.out = nn.Linear(squeezed * places, features)
 
     def forward(self, x: Tensor) -> Tensor:
+        """Features [n, F] of pictures [n, 1 or 3, H, W]."""
         x = F.max_pool2d(F.relu(self.norm(self.first(F.avg_pool2d(x, 2)))), 3, 2, 1)
         for block in self.blocks:
             x = block(x)
@@ -109,7 +112,7 @@ class ResNetLSTM(nn.Module):
         self.state_length = 2 * LAYERS * hidden
 
     def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
-        """What goes into the recurrent layers, [n, F], of pictures [n, planes, H, W] and numbers [n, N]."""
+        """Input of the recurrent layers, [n, F], for pictures [n, planes, H, W] and numbers [n, N]."""
         if self.visual is None or pixels is None:
             return numbers
         with torch.autocast(pixels.device.type, torch.bfloat16, enabled=pixels.is_cuda):
@@ -118,7 +121,7 @@ class ResNetLSTM(nn.Module):
         return torch.cat([seen.float(), numbers], -1)
 
     def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """What is known after each step [T, n, H], and the last state [n, S], of features [T, n, F]."""
+        """Output of the recurrent layers after each step [T, n, H], and the last state [n, S], of features [T, n, F]."""
         long, short = state.unflatten(1, (2 * LAYERS, -1)).transpose(0, 1).contiguous().chunk(2)
         out, (long, short) = self.lstm(x, (long, short))
         return out, torch.cat([long, short]).transpose(0, 1).flatten(1)
@@ -131,23 +134,25 @@ class ResNetLSTM(nn.Module):
 
 
 def pixels_of(picture: Tensor) -> Tensor:
-    """Depth or uint8 colours [n, H, W, planes] as the network is given them, [n, planes, H, W]: half precision, in which a
-    device keeps the pictures of whole rollouts."""
+    """Converts depth or uint8 colours [n, H, W, planes] to the network's input [n, planes, H, W] in half precision.
+
+    Devices store the pictures of whole rollouts in this form.
+    """
     seen = picture.float() if picture.shape[-1] == 1 else picture.float() / 255
     return seen.permute(0, 3, 1, 2).half()
 
 
-class ResNetPolicy(PicturedNetwork):
+class ResNetPolicy(VisualPolicy):
     """The policy in a file whose card names this network, evaluated by PyTorch in one thread."""
 
     kind = KIND
 
     def start(self) -> Floats:
-        """As of `PicturedNetwork`."""
+        """Recurrent state at the start of an episode [H]."""
         return np.zeros(2 * LAYERS * self.arrays["lstm.weight_hh_l0"].shape[1], np.float32)
 
     def __call__(self, shown: Mapping[str, NDArray[Any]], last: Floats, state: Floats) -> tuple[Floats, Floats]:
-        """As of `PicturedNetwork`."""
+        """Action [n] and next state [H], for observations by name, the last action [n] and the state [H]."""
         numbers = torch.as_tensor(self._numbers(shown, last))[None]
         pixels = pixels_of(torch.as_tensor(np.ascontiguousarray(self._picture(shown)))[None]) if self.sees else None
         with torch.no_grad(), one_thread():
@@ -163,14 +168,14 @@ class ResNetPolicy(PicturedNetwork):
 
     @classmethod
     def shapes(cls, card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[int, ...]]:
-        """As of `PicturedNetwork`."""
+        """Shapes of all weights by name, for the sizes in a card."""
         with torch.device("meta"):
             net = _net(card, arrays)
         return {name: tuple(tensor.shape) for name, tensor in net.named_parameters()}
 
     @classmethod
     def size_fault(cls, size: tuple[int, int]) -> str:
-        """As of `PicturedNetwork`."""
+        """Sentence about what is wrong with a picture size; empty if it is supported."""
         return "" if all(LEAST_SIDE <= side <= 1024 for side in size) else f"sides of {LEAST_SIDE} to 1024"
 
 

@@ -10,8 +10,8 @@ from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
 from sim_kinematic.policies.learned import PREFIX, network_of, stamped
 from sim_kinematic.policies.network import RUN_POLICY
-from sim_kinematic.policies.pictured import PicturedNetwork
 from sim_kinematic.policies.skills.player import TASKS, NetworkSkill
+from sim_kinematic.policies.visual_policy import VisualPolicy
 
 LEARNED = "learned"
 """The three skills that come with the package."""
@@ -19,16 +19,18 @@ SHIPPED = tuple(f"policies/{task}.npz" for task in TASKS)
 
 
 def recorded_skills(skills: str) -> str:
-    """The names of skills as recordings hold them: files of weights with the digests of what is in them, commas between;
-    ``learned@`` and one digest of all three for those that come with the package.
+    """Names of learned skills as recordings hold them.
+
+    They are files of weights with the digests of their contents, separated by commas; or ``learned@`` and one digest of
+    all three for the skills that ship with the package.
 
     Args:
-        skills: `LEARNED`, the folder of a training run, a folder of such folders or of policy files, policy files with commas
-            between them, or what this returns. Empty: none.
+        skills: `LEARNED`, the folder of a training run, a folder of such folders or of policy files, policy files separated
+            by commas, or an earlier result of this function. Empty means none.
 
     Raises:
-        InputError: there is no such file, it is none of a skill, two are for the same skill, or it is another than the name
-            says.
+        InputError: a file does not exist, holds no skill, or differs from the digest in its name; or two files are for the
+            same skill.
     """
     if not skills:
         return ""
@@ -51,7 +53,7 @@ def _files_in(folder: Path) -> list[Path]:
     runs = [file for file in (folder / RUN_POLICY, *sorted(folder.glob(f"*/{RUN_POLICY}"))) if file.is_file()]
     files = runs or sorted(folder.glob("*.npz"))
     if not files:
-        raise InputError(f"Expected policy files of skills, found none. Folder: {folder}")
+        raise InputError(f"Expected policy files of skills, found none. Folder: {folder}", code="H3-POLICY-053")
     return files
 
 
@@ -74,7 +76,10 @@ def skills_of(skills: str, *, robot: str = "") -> Mapping[str, NetworkSkill]:
     word, _, digest = skills.partition("@")
     if word == LEARNED:
         if digest and digest != (own := _shipped_digest()):
-            raise InputError(f"The skills of this version are not those that {skills} names: their digest is {own}.")
+            raise InputError(
+                f"The skills of this version are not those that {skills} names: their digest is {own}.",
+                code="H3-POLICY-054",
+            )
         return _found(tuple(PREFIX + str(builtin_path(file)) for file in SHIPPED), robot)
     return _found(tuple(skills.split(",")), robot)
 
@@ -84,15 +89,18 @@ def _found(names: tuple[str, ...], robot: str) -> Mapping[str, NetworkSkill]:
     found: dict[str, NetworkSkill] = {}
     for name in names:
         network = network_of(name)
-        if not isinstance(network, PicturedNetwork):
+        if not isinstance(network, VisualPolicy):
             raise FormatError(
-                f"Expected weights of a skill, these are for {network.task!r}. File: {name.removeprefix(PREFIX)}"
+                f"Expected weights of a skill, these are for {network.task!r}. File: {name.removeprefix(PREFIX)}",
+                code="H3-POLICY-055",
             )
         try:
             skill = NetworkSkill(network, robot=robot)
         except FormatError as fault:
-            raise FormatError(f"{fault} File: {name.removeprefix(PREFIX)}") from None
+            raise FormatError(f"{fault} File: {name.removeprefix(PREFIX)}", code=fault.code) from None
         if twice := [one for one in skill.skills if one in found]:
-            raise InputError(f"Two of the files are for {twice[0]}. File: {name.removeprefix(PREFIX)}")
+            raise InputError(
+                f"Two of the files are for {twice[0]}. File: {name.removeprefix(PREFIX)}", code="H3-POLICY-056"
+            )
         found |= dict.fromkeys(skill.skills, skill)
     return found

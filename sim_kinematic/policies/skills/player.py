@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError, InputError
 from h3data.geometry import Array
 from sim_kinematic.agents.robots.skills import RobotActor
-from sim_kinematic.agents.skills import Action, Ending, Skill
+from sim_kinematic.agents.skills import Action, Skill, SkillResult
 from sim_kinematic.motion.spec import SkillSpec
 from sim_kinematic.motion.state import NOBODY
-from sim_kinematic.policies.pictured import BASE_ACTIONS, PicturedNetwork
 from sim_kinematic.policies.skills.observations import SENSES, SkillView, observe
+from sim_kinematic.policies.visual_policy import BASE_ACTIONS, VisualPolicy
 
 TASKS = {"skill_nav": ("nav_to_object", "nav_to_goal"), "skill_pick": ("pick",), "skill_place": ("place",)}
 """The skills of the upper layer that a policy file stands for, by the task on its card."""
@@ -26,29 +26,39 @@ BEGINS_WITHIN_M = 6.0
 class NetworkSkill:
     """One learned skill of a robot, played by a network; each time it starts, its recurrent state begins anew."""
 
-    def __init__(self, network: PicturedNetwork, *, robot: str = "", rules: SkillSpec | None = None) -> None:
-        """
+    def __init__(self, network: VisualPolicy, *, robot: str = "", rules: SkillSpec | None = None) -> None:
+        """Checks that the network fits the robot.
+
         Args:
-            network: The policy.
-            robot: Body that it moves; empty where nobody says.
-            rules: Of the skills.
+            network: the policy.
+            robot: name of the robot's body; empty if unknown.
+            rules: rules of learned skills.
 
         Raises:
-            FormatError: it is for another task or robot, or is shown what skills are not shown.
+            FormatError: the network is for another task or robot, or needs observations that skills do not have.
         """
         card = network.card
         if card.task not in TASKS:
-            raise FormatError(f"Expected weights for one of the tasks {', '.join(TASKS)}, these are for {card.task!r}.")
+            raise FormatError(
+                f"Expected weights for one of the tasks {', '.join(TASKS)}, these are for {card.task!r}.",
+                code="H3-POLICY-057",
+            )
         if robot and robot != card.robot:
-            raise FormatError(f"These weights drive the robot {card.robot}, the episode has {robot}.")
+            raise FormatError(
+                f"These weights drive the robot {card.robot}, the episode has {robot}.", code="H3-POLICY-058"
+            )
         known = (PICTURE, *SENSES)
         strangers = [name for name in card.observations if name not in known]
         if strangers:
             raise FormatError(
-                f"A skill from a file is not shown {', '.join(strangers)}. There are: {', '.join(known)}."
+                f"A skill from a file is not shown {', '.join(strangers)}. There are: {', '.join(known)}.",
+                code="H3-POLICY-059",
             )
         if (card.actions == BASE_ACTIONS) != (card.task == "skill_nav"):
-            raise FormatError(f"The weights for {card.task} have {card.actions} outputs, which is not what it takes.")
+            raise FormatError(
+                f"The weights for {card.task} have {card.actions} outputs, which is not what it takes.",
+                code="H3-POLICY-060",
+            )
         self.network, self.rules = network, rules or SkillSpec()
 
     @property
@@ -57,18 +67,18 @@ class NetworkSkill:
         return TASKS[self.network.card.task]
 
     def infeasible(self, actor: RobotActor, action: Action) -> str:
-        """As `sim_kinematic.agents.skills.LearnedSkill.infeasible`."""
+        """Reason why the skill cannot begin; empty if it can."""
         if action.skill in ("nav_to_object", "nav_to_goal"):
             return ""
         gap = self._point(actor, action)[[0, 2]] - actor.xz
         return "out_of_reach" if float(np.hypot(*gap)) > BEGINS_WITHIN_M else ""
 
     def start(self, actor: RobotActor, action: Action) -> Skill:
-        """As `sim_kinematic.agents.skills.LearnedSkill.start`."""
+        """Begins the skill: the network is evaluated in each step until the skill succeeds or fails."""
         point = self._point(actor, action)
         stand = actor.open_stand(point)
         if stand is None:
-            return Ending("failed", "no_way")
+            return SkillResult("failed", "no_way")
         return (yield from self.play(actor, action, point, stand[:2]))
 
     def play(self, actor: RobotActor, action: Action, point: Array, stand_xz: Array) -> Skill:
@@ -95,7 +105,7 @@ class NetworkSkill:
             if ending is not None:
                 return ending
             held = actor.objects.held(actor.number) == action.target
-        return Ending("failed", "timed_out")
+        return SkillResult("failed", "timed_out")
 
     def _point(self, actor: RobotActor, action: Action) -> Array:
         to_object = action.skill in ("nav_to_object", "pick")
@@ -109,7 +119,7 @@ class NetworkSkill:
         if not self.network.sees:
             return shown
         if actor.pictures is None:
-            raise InputError(f"The skill needs {PICTURE}, and nobody takes pictures here.")
+            raise InputError(f"The skill needs {PICTURE}, and nobody takes pictures here.", code="H3-POLICY-061")
         return shown | actor.pictures((PICTURE,), card.picture_size)
 
     def _view(self, actor: RobotActor, point: Array, stand_xz: Array, before: tuple[Array, float]) -> SkillView:
@@ -121,7 +131,7 @@ class NetworkSkill:
 
     def _ending(
         self, actor: RobotActor, action: Action, point: Array, stand_xz: Array, before: tuple[Array, float], held: bool
-    ) -> Ending | None:
+    ) -> SkillResult | None:
         """How it has ended in the last step, as in training; None: it goes on."""
         rules, objects, k = self.rules, actor.objects, action.target
         if action.skill in ("nav_to_object", "nav_to_goal"):
@@ -131,20 +141,20 @@ class NetworkSkill:
             if straight >= rules.near_m or cosine <= rules.facing_dot:
                 return None
             view = self._view(actor, point, stand_xz, before)
-            return Ending("done") if view.path_m < rules.near_m else None
+            return SkillResult("done") if view.path_m < rules.near_m else None
         folded = float(np.linalg.norm(actor.hand_pose[:3] - actor.resting_point)) < rules.rest_m
         holds = objects.held(actor.number)
         if action.skill == "pick":
             if holds == k:
-                return Ending("done") if folded else None
+                return SkillResult("done") if folded else None
             if held:
-                return Ending("failed", "dropped")
+                return SkillResult("failed", "dropped")
             if holds >= 0:
-                return Ending("failed", "wrong_object")
-            return None if objects.held_by[k] == NOBODY else Ending("failed", "held_by_other")
+                return SkillResult("failed", "wrong_object")
+            return None if objects.held_by[k] == NOBODY else SkillResult("failed", "held_by_other")
         if holds == k:
             return None
         is_placed = objects.held_by[k] == NOBODY and float(np.linalg.norm(objects.poses[k, :3] - point)) < rules.place_m
         if not is_placed:
-            return Ending("failed", "dropped" if holds < 0 else "wrong_object")
-        return Ending("done") if folded else None
+            return SkillResult("failed", "dropped" if holds < 0 else "wrong_object")
+        return SkillResult("done") if folded else None

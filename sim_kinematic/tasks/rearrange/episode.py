@@ -1,8 +1,10 @@
-"""Episodes of social rearrangement: which objects lie where, where they are to go, where both agents start
-(paper section 4.2; spec/habitat.md 2.1, 2.2).
+"""Sampling of episodes of social rearrangement: objects, their goals, and the starts of both agents.
 
-Everything follows from the seed. An episode is drawn again until both a robot and a person can get at every object and
-every goal, and a person alone could do the work in time: so whoever plays it, it is the same episode and can be done.
+The rules follow the paper (section 4.2) and habitat-lab (spec/habitat.md 2.1, 2.2).
+
+Everything follows from the seed. An episode is sampled again until both a robot and a person can reach every object and
+every goal, and a person alone could do the work in time. Whatever policies play it, it is therefore the same episode,
+and it can be solved.
 """
 
 from __future__ import annotations
@@ -19,13 +21,13 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array, quat_from_heading, wrap_angle
-from h3data.habitat.episodes.stored_rearrangements import EpisodeObject
+from h3data.recording.task_episodes.stored_rearrangements import EpisodeObject
 from h3data.scene import FreeSpace, Instance, Receptacle, Scene, instance_matrix
 from h3data.scene.articulation import joints_of
 from sim_kinematic.agents.driven.object_room import object_extent
-from sim_kinematic.agents.opening.doorways import Doorways
-from sim_kinematic.agents.opening.openables import Openables, stands_clear
-from sim_kinematic.agents.opening.reachable import Reachable, is_drawer, openables_at, within_reach
+from sim_kinematic.agents.opening.doorways import RoomDoors
+from sim_kinematic.agents.opening.openables import ArticulatedParts, stands_clear
+from sim_kinematic.agents.opening.reachable import ReachQuery, is_drawer, openables_at, within_reach
 from sim_kinematic.agents.opening.skills import stands_before
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import HANDS
@@ -54,9 +56,9 @@ SPOT_ATTEMPTS = 20
 LIFT_M = 0.001
 """Things float this much over their surface, so that a collision check does not call them stuck in it."""
 HANDLING_S = 4.5
-"""What a person is taken to need for one object, beside walking and turning."""
+"""Estimated time that a person needs for one object, besides walking and turning [s]."""
 OPENING_S = 9.0
-"""What a person is taken to need for opening one door or drawer."""
+"""Estimated time that a person needs to open one door or drawer [s]."""
 STANDS_WITHIN_M = 1.0
 """A person stands nearer than this to what they take or put down."""
 SNAP_M = 2.0
@@ -89,7 +91,7 @@ class RearrangeSpec:
     """Speed of the robot's arm joints; infinite: objects are in the hand at once, as with Habitat's oracle skills."""
     end_on_collision: bool = True
     reward: str = "paper"
-    """Which of `sim_kinematic.tasks.rules.rewards.REARRANGE_REWARDS`."""
+    """Reward profile, a name in `sim_kinematic.tasks.rules.rewards.REARRANGE_REWARDS`."""
     agent_radius_m: float = 0.25
     agent_height_m: float = 1.41
     robot: BaseSpec = HOME_BASE
@@ -120,10 +122,13 @@ class RearrangeSpec:
         if self.skills:
             object.__setattr__(self, "skills", recorded_skills(self.skills))
         if self.reward not in REARRANGE_REWARDS:
-            raise InputError(f"Unknown reward {self.reward!r}. Expected one of: {', '.join(REARRANGE_REWARDS)}.")
+            raise InputError(
+                f"Unknown reward {self.reward!r}. Expected one of: {', '.join(REARRANGE_REWARDS)}.", code="H3-TASK-011"
+            )
         if self.max_steps < 1 or self.objects < 1:
             raise InputError(
-                f"Expected at least 1 step and 1 object, got {self.max_steps} steps, {self.objects} objects."
+                f"Expected at least 1 step and 1 object, got {self.max_steps} steps, {self.objects} objects.",
+                code="H3-TASK-012",
             )
 
 
@@ -134,7 +139,7 @@ ORACLE_RULES = RearrangeSpec(
 
 
 def with_oracle_skills(spec: RearrangeSpec) -> RearrangeSpec:
-    """The same rules but for those that `ORACLE_RULES` is about."""
+    """Rules with those for oracle skills taken from `ORACLE_RULES`."""
     fields = ("max_steps", "robot", "human", "arm_rad_s", "people_give_way", "oracle")
     return replace(spec, **{name: getattr(ORACLE_RULES, name) for name in fields})
 
@@ -148,11 +153,11 @@ class Target(NamedTuple):
     """One object and where it is to go."""
 
     name: str
-    """Of the instance in the scene."""
+    """Name of the object's instance in the scene."""
     start: Array
     """pose7 in the world at the beginning."""
     goal: Array
-    """Where its origin should come to be, shape [3] [m]."""
+    """Goal position of the object's origin, shape [3] [m]."""
     source: str
     """The receptacle it lies on, ``instance|receptacle``."""
     destination: str
@@ -187,11 +192,11 @@ class RearrangeEpisode(Episode):
         return load_humanoid(self.pair[1])
 
     def only(self, *numbers: int) -> RearrangeEpisode:
-        """The same episode with some of its agents."""
+        """Episode with only some of its agents."""
         return replace(self, roster=tuple(self.roster[k] for k in numbers), starts=self.starts[list(numbers)])
 
     def played_by(self, agents: str | Sequence[str]) -> RearrangeEpisode:
-        """The same episode with other agents.
+        """Episode with other agents.
 
         Raises:
             InputError: there are no such agents.
@@ -228,14 +233,15 @@ def draw_episode(
     """Starts, objects and goals of the episode with this seed."""
     rules = SocialNavSpec(spawn_distance_m=spec.spawn_distance_m, robot=spec.robot)
     fits = robot_fits(robot, spec.robot, scene, free)
-    movable, doorways = _movable(scene, spec), Doorways.of(scene, free)
+    movable, doorways = _movable(scene, spec), RoomDoors.of(scene, free)
     surfaces = [(i, r) for i, r in scene.receptacles() if r.clearance_m >= spec.open_m or is_drawer(scene, i)]
     if len(movable) < spec.objects or len({i.name for i, _ in surfaces}) < 2:
         raise SceneError(
             f"Rearranging {spec.objects} objects needs as many movable things and open receptacles on two pieces of "
-            f"furniture; scene {scene.name!r} has {len(movable)} things and {len(surfaces)} receptacles."
+            f"furniture; scene {scene.name!r} has {len(movable)} things and {len(surfaces)} receptacles.",
+            code="H3-TASK-010",
         )
-    draw = _Draw(doorways.open_scene, doorways.open_floor, spec, robot, human, surfaces, doorways)
+    draw = _EpisodeSampler(doorways.open_scene, doorways.open_floor, spec, robot, human, surfaces, doorways)
     budget = SPARE * spec.max_steps * STEP_S
     longest = (budget - HANDLING_S * spec.objects) * spec.human.speed_mps
     leg = longest / (2 * spec.objects)
@@ -260,7 +266,8 @@ def draw_episode(
     raise SceneError(
         f"Found no {spec.objects} objects and goals in {scene.name!r} within reach of both agents in "
         f"{ATTEMPTS + THOROUGH_ATTEMPTS} attempts "
-        f"({why}). Hint: a larger max_steps=, or another home."
+        f"({why}). Hint: a larger max_steps=, or another home.",
+        code="H3-TASK-009",
     )
 
 
@@ -274,8 +281,8 @@ def seconds_alone(
     targets: tuple[Target, ...],
 ) -> float:
     """Estimated time a person alone takes for all objects [s]; infinite where an object or a goal is out of reach."""
-    doorways = Doorways.of(scene, free)
-    draw = _Draw(doorways.open_scene, doorways.open_floor, spec, robot, human, [], doorways)
+    doorways = RoomDoors.of(scene, free)
+    draw = _EpisodeSampler(doorways.open_scene, doorways.open_floor, spec, robot, human, [], doorways)
     return draw.seconds_alone(starts, targets)
 
 
@@ -294,8 +301,8 @@ def free_spot(
 
     ``taken`` lists positions [3] and radii [m] of other things; the spot is added to it.
     """
-    doorways = Doorways.of(scene, free)
-    draw = _Draw(doorways.open_scene, doorways.open_floor, spec, robot, human, surfaces, doorways)
+    doorways = RoomDoors.of(scene, free)
+    draw = _EpisodeSampler(doorways.open_scene, doorways.open_floor, spec, robot, human, surfaces, doorways)
     tries = (draw._place(rng, thing, taken, np.zeros(2), np.inf) for _ in range(SPOT_ATTEMPTS))
     return next((spot for spot in tries if spot is not None), None)
 
@@ -317,15 +324,15 @@ def _overlap(point: Array, radius: float, other: NDArray, other_radius: float) -
 
 
 @dataclass(frozen=True, eq=False)
-class _Draw:
+class _EpisodeSampler:
     scene: Scene
     free: FreeSpace
     spec: RearrangeSpec
     robot: Robot
     human: Humanoid
     surfaces: list[tuple[Instance, Receptacle]]
-    doorways: Doorways
-    """Of the home; ``scene`` and ``free`` have all doors open."""
+    doorways: RoomDoors
+    """Doors between the rooms of the home; ``scene`` and ``free`` have all of them open."""
     _stands: dict[tuple[float, ...], Array] = field(default_factory=dict)
     """A person's, by point."""
     _openable: dict[int, bool] = field(default_factory=dict)
@@ -341,9 +348,11 @@ class _Draw:
         *,
         spots: int,
     ) -> tuple[Target, ...] | None:
-        """A start and a goal for each of the chosen things, each within ``within_m`` on the floor of the place before; None
-        if ``spots`` tries on each surface give no such places, or if the way past all of them is certainly longer than
-        ``longest_m``."""
+        """A start and a goal for each chosen object, each within ``within_m`` on the floor of the one before.
+
+        Returns None if ``spots`` tries on each surface give no such places, or if a path that visits all of them is
+        certainly longer than ``longest_m``.
+        """
         names = {i.name for i in chosen}
         taken = [
             (i.pose[:3], object_extent(self.scene, i)[0])
@@ -408,7 +417,7 @@ class _Draw:
             return point, f"{instance.name}|{receptacle.name}"
         return None
 
-    def _both_open(self, openables: Openables, joint: int) -> bool:
+    def _both_open(self, openables: ArticulatedParts, joint: int) -> bool:
         """Whether both agents find a stand from which they open a part."""
         if joint not in self._openable:
             self._openable[joint] = all(len(stands) for stands in self._stands_before(openables, joint))
@@ -425,7 +434,7 @@ class _Draw:
             self._openable[joint] = all(all(self.doorways.sides(joint, stands)) for stands in both)
         return self._openable[joint]
 
-    def _stands_before(self, openables: Openables, joint: int) -> tuple[Array, Array]:
+    def _stands_before(self, openables: ArticulatedParts, joint: int) -> tuple[Array, Array]:
         """Stands ``(x, z, heading)`` [N, 3] from which a person and the robot open a part."""
         handle = openables.handles(openables.positions)[joint]
         base, discs = base_of(self.robot, self.spec.robot), AVOIDANCE.person
@@ -447,9 +456,11 @@ class _Draw:
         """Length of the way from ``here`` [2] to each surface [S] [m], about."""
         return self.free.geodesic(np.broadcast_to(here, self._centers.shape), self._centers, max_snap_m=SNAP_M)
 
-    def _person_stand(self, place: Reachable, here: Array | None = None) -> tuple[Array | None, float]:
-        """A stand [3] from which the person's hand gets to a place while the body keeps out of the home, the nearest to
-        ``here`` [2], and the way to it [m]; None and infinity where there is none."""
+    def _person_stand(self, place: ReachQuery, here: Array | None = None) -> tuple[Array | None, float]:
+        """Pose [3] from which the person's hand reaches a place without the body touching the home, and the path length to it.
+
+        It is the nearest such pose to ``here`` [2]. Returns None and infinity if there is none.
+        """
         point = place.point
         at = tuple(point.tolist())
         stands = self._stands.get(at)

@@ -12,9 +12,9 @@ from h3data.geometry import Array, pose_inverse, pose_multiply
 from h3data.recording import Recording
 from h3data.recording.records import JOINTS
 from sim_kinematic.agents.person_skills import PersonActor
-from sim_kinematic.agents.skills import Action, Ending, Objects, Skill
+from sim_kinematic.agents.skills import Action, Objects, Skill, SkillResult
 from sim_kinematic.motion.state import NOBODY
-from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.rearrange.play import RearrangeRollout
 
 THERE_M = 0.01
 """The person takes an object that lies this near to where it lay in the recording [m]."""
@@ -48,14 +48,16 @@ class KeptTrack:
         lacks = [name for name in (*names, "object_pose") if name not in recording.columns]
         if lacks or not len(recording):
             raise InputError(
-                f"There is no track of agent_{number} to keep; the recording lacks: {', '.join(lacks) or 'steps'}."
+                f"There is no track of agent_{number} to keep; the recording lacks: {', '.join(lacks) or 'steps'}.",
+                code="H3-TASK-013",
             )
         base, root, joints, grasp = (recording.columns[name] for name in names)
         objects = recording.columns["object_pose"]
         shapes = {(7,): (base, root), (54, 4): (joints,), (): (grasp,), (len(bodies) - 1, 7): (objects,)}
         if any(a.shape[1:] != shape or not np.isfinite(a).all() for shape, some in shapes.items() for a in some):
             raise InputError(
-                f"The track of agent_{number} must be finite at every step, in columns of the usual shapes."
+                f"The track of agent_{number} must be finite at every step, in columns of the usual shapes.",
+                code="H3-TASK-014",
             )
         held = np.array([np.flatnonzero(bodies == body)[0] if body in bodies else -1 for body in grasp.tolist()])
         return cls(
@@ -81,7 +83,7 @@ def _led(recording: Recording, number: int) -> dict[int, list[tuple[int, float]]
     return led
 
 
-def follow_track(play: RearrangePlay, actor: PersonActor, track: KeptTrack, step: int) -> None:
+def follow_track(play: RearrangeRollout, actor: PersonActor, track: KeptTrack, step: int) -> None:
     """From ``step`` on, a person does nothing but follow a track to its end; no policy is asked."""
     if len(play.actors) == 2:  # the person reacts to nobody any more, so there is nothing to agree on
         play.right_of_way = None
@@ -113,7 +115,7 @@ def _following(actor: PersonActor, track: KeptTrack, first: int) -> Skill:
                 actor.openables.move(joint, position)
         _handle(actor.objects, actor.number, track, step)
         yield
-    return Ending("done")
+    return SkillResult("done")
 
 
 def _handle(objects: Objects, number: int, track: KeptTrack, step: int) -> None:

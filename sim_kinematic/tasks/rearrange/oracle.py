@@ -11,7 +11,7 @@ from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.scene import FreeSpace
-from sim_kinematic.agents.oracle.actors import Errands
+from sim_kinematic.agents.oracle.actors import SubGoals
 from sim_kinematic.agents.oracle.ways import Ways, ways_to
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import HANDS
@@ -27,7 +27,7 @@ Stands = tuple[Array, Callable[[Array], bool]]
 """Stands ``(x, z, heading)`` [N, 3] and whether the body has room at one of them."""
 
 
-def errands_of(episode: RearrangeEpisode, number: int) -> Errands:
+def errands_of(episode: RearrangeEpisode, number: int) -> SubGoals:
     """The errands of an agent in an episode. Computed once and kept with the episode, as long as that is in memory.
 
     Raises:
@@ -38,26 +38,30 @@ def errands_of(episode: RearrangeEpisode, number: int) -> Errands:
         if episode.scene.articulations:
             raise InputError(
                 f"Oracle skills open nothing, and {episode.scene.name} has doors or drawers. Hint: other scenes, or "
-                "rules without oracle."
+                "rules without oracle.",
+                code="H3-TASK-015",
             )
         known[number] = _errands(episode, number)
     return known[number]
 
 
-def _errands(episode: RearrangeEpisode, number: int) -> Errands:
+def _errands(episode: RearrangeEpisode, number: int) -> SubGoals:
     starts = np.array([target.start[:3] for target in episode.targets], np.float64)
     goals = np.array([target.goal for target in episode.targets], np.float64)
     floor = agent_floor(episode, number)
     ways = [ways_to(floor, places) for places in stand_places(episode, number, [*starts, *goals])]
-    return Errands(
+    return SubGoals(
         oracle=episode.spec.oracle or OracleSpec(), to_start=ways[: len(starts)], to_goal=ways[len(starts) :],
         starts=starts, goals=goals,
     )  # fmt: skip
 
 
 def stand_places(episode: RearrangeEpisode, number: int, points: list[Array]) -> list[Array]:
-    """Floor points [S, 2] from which an agent reaches each of some world points [3]: of those with room for its reach the
-    nearest to its start, and the nearest to where it stands for each of the other points."""
+    """Floor points [S, 2] from which an agent reaches the given world points [3].
+
+    For each point they are the nearest to the agent's start and the nearest to the stands of each other point, among
+    those with room for the agent's reach.
+    """
     floor, start = agent_floor(episode, number), episode.starts[number, :2]
     stands = [list(_stands(episode, number, floor, point)) for point in points]
     near = [_nearest(floor, one, start) for one in stands]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import combinations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from h3data.bodies import Robot
 from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.kernels import kernel
+from h3data.moved import refuse_renamed
 from h3data.recording import STEP_NS, Event, SkillSpan
 from h3data.recording.records import JOINTS
 from h3data.render.light.sources import LightMode
@@ -24,8 +25,8 @@ from h3data.scene.articulation import AJAR, joint_names
 from sim_kinematic.agents.contact_tracker import AgentContactTracker, AnyActor
 from sim_kinematic.agents.driven.object_room import ObjectRoom, grip_radii
 from sim_kinematic.agents.driven.person import DrivenPerson
-from sim_kinematic.agents.opening.doorways import DETOUR_M, Doorways
-from sim_kinematic.agents.opening.openables import Openables
+from sim_kinematic.agents.opening.doorways import DETOUR_M, RoomDoors
+from sim_kinematic.agents.opening.openables import ArticulatedParts
 from sim_kinematic.agents.oracle.actors import DiscContacts, OraclePerson, OracleRobot
 from sim_kinematic.agents.person import Person
 from sim_kinematic.agents.person_clearance import reach_room
@@ -33,11 +34,20 @@ from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.arm_clearance import arm_clearance
 from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.roster import common_floor, kinds_of
-from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, PRIMITIVES, Action, Ending, Objects, Skill
+from sim_kinematic.agents.skills import (
+    ALL_SKILLS,
+    CONTROL,
+    OPENING_SKILLS,
+    PRIMITIVES,
+    Action,
+    Objects,
+    Skill,
+    SkillResult,
+)
 from sim_kinematic.agents.stands import nearest_stand
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
-from sim_kinematic.avoidance.stand_offs import Errand
+from sim_kinematic.avoidance.stand_offs import TaskProgress
 from sim_kinematic.avoidance.yielding import NO_PATH
 from sim_kinematic.motion.state import NOBODY, WorldState
 from sim_kinematic.motion.step import APART_TOLERANCE_M, discs_at
@@ -50,6 +60,9 @@ from sim_kinematic.tasks.play import Columns
 from sim_kinematic.tasks.rearrange.episode import PAIR, RearrangeEpisode, body_indices
 from sim_kinematic.tasks.rearrange.oracle import errands_of
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
+
+if not TYPE_CHECKING:
+    __getattr__ = refuse_renamed(__name__)
 
 Row = dict[str, Any]
 DTYPES: dict[str, type] = {
@@ -75,15 +88,15 @@ TRACK = 31
 IDLE_SKILLS = ("wait", CONTROL, *PRIMITIVES)
 """Skills by whose end an agent has completed nothing."""
 CHOICES = 9
-"""So many skills that end at once an agent may choose in one step, then it does nothing."""
+"""Number of skills ending at once that an agent may choose in one step, after which it does nothing."""
 
 
 @dataclass(eq=False)
-class AgentRun:
+class SkillExecutor:
     """One agent: its running skill, and what comes next."""
 
     number: int
-    """Of the agent, as in the state and in the recording."""
+    """Number of the agent, as in the state and in the recording."""
     actor: AnyActor
     policy: HighLevelPolicy
     spans: list[SkillSpan]
@@ -92,7 +105,7 @@ class AgentRun:
     joints: tuple[str, ...] = ()
     """Names of doors and drawers."""
     action: Action = field(default_factory=lambda: Action("wait"))
-    ending: Ending | None = None
+    ending: SkillResult | None = None
     skill: Skill | None = None
     begun: int = 0
     completed: int = 0
@@ -113,7 +126,7 @@ class AgentRun:
         chosen: Action | None = None
         goes_on = self.skill is not None and self.action.skill != CONTROL  # a command lasts one step: nothing to abort
         if goes_on and (reason := self.interrupts(view)):
-            self.ending = Ending("aborted", reason)
+            self.ending = SkillResult("aborted", reason)
             chosen = yield self.number
             if chosen == self.action:
                 self.ending = chosen = None
@@ -128,7 +141,7 @@ class AgentRun:
                 self.action, self.begun, chosen = chosen, step, None
                 why = self.actor.infeasible(self.action)
                 if why:  # a no-op that takes one step, as Habitat's
-                    self._end(step, Ending("failed", why))
+                    self._end(step, SkillResult("failed", why))
                     break
                 self.skill, self.ending = self.actor.start(self.action), None
             try:
@@ -143,7 +156,7 @@ class AgentRun:
         interrupts = getattr(self.policy, "interrupts", None)
         return interrupts(view(self.number)) if interrupts is not None else ""
 
-    def _end(self, step: int, ending: Ending) -> None:
+    def _end(self, step: int, ending: SkillResult) -> None:
         if self.skill is not None:
             self.skill.close()  # one that is interrupted folds the arm
         self.skill, self.ending = None, ending
@@ -160,8 +173,10 @@ class AgentRun:
         self.write(step, "done", "")
 
     def finish(self, step: int, *, completed: bool) -> None:
-        """Reports what is still running in the last step: as done if it ``completed`` the task, which ends the episode before
-        the skill itself does."""
+        """Reports the skill that is still running in the last step.
+
+        If the agent ``completed`` the task, the skill counts as done: the episode ends before the skill itself does.
+        """
         if self._driven_since >= 0:
             self._end_drive(step)
         elif self.skill is not None:
@@ -185,17 +200,17 @@ class AgentRun:
 
 
 @dataclass(eq=False)
-class RearrangePlay:
-    """The changing half of an episode: a `sim_kinematic.tasks.play.Play`."""
+class RearrangeRollout:
+    """The changing half of an episode: a `sim_kinematic.tasks.play.Rollout`."""
 
     episode: RearrangeEpisode
     policies: list[AssignedPolicy]
     step: int = 0
     """The step that is being played, from 0."""
     steps: int = 0
-    """How many are over."""
+    """Number of steps made."""
     reward: float = 0.0
-    """Of the last step."""
+    """Reward of the last step."""
     ended: str = "max_steps"
     events: list[Event] = field(default_factory=list)
     spans: list[SkillSpan] = field(default_factory=list)
@@ -207,7 +222,10 @@ class RearrangePlay:
         world = self.episode
         names, joints = tuple(t.name for t in world.targets), joint_names(world.scene)
         if len(self.policies) != len(world.roster):
-            raise InputError(f"Expected one policy for each of {len(world.roster)} agents, got {len(self.policies)}.")
+            raise InputError(
+                f"Expected one policy for each of {len(world.roster)} agents, got {len(self.policies)}.",
+                code="H3-TASK-016",
+            )
         robots = [member.body for member in world.roster if isinstance(member.body, Robot)]
         state = WorldState.zeros(
             1, robots=len(robots), people=len(world.roster) - len(robots), joints=[len(body.rest) for body in robots],
@@ -220,9 +238,9 @@ class RearrangePlay:
         state.object_pose[0] = [t.start for t in world.targets]
         self.state = state
         self.objects = Objects(names, np.array([t.goal for t in world.targets], np.float64), state, joints)
-        self.doorways = Doorways.of(world.scene, world.free)
+        self.doorways = RoomDoors.of(world.scene, world.free)
         self.floor = world.free
-        """As it is now, with the doors and drawers that are open."""
+        """Present free floor, with doors and drawers as they stand."""
         self.openables, self._scene = self._openables(), world.scene
         self.starts = state.object_pose[0, :, :3].copy()
         self.actors = [self._actor(number) for number in range(len(world.roster))]
@@ -230,7 +248,7 @@ class RearrangePlay:
         self.robots = [actor for actor in self.actors if isinstance(actor, RobotActor)]
         acts = sorted(self.actors, key=lambda actor: isinstance(actor, RobotActor))  # people first: robots see where to
         self.runners = [
-            AgentRun(
+            SkillExecutor(
                 actor.number,
                 actor,
                 self.policies[actor.number].policy,
@@ -305,12 +323,12 @@ class RearrangePlay:
             object_room=ObjectRoom(world.scene, self.objects.names, world.free.floor_y), radius_m=spec.agent_radius_m,
         )  # fmt: skip
 
-    def _openables(self) -> Openables | None:
+    def _openables(self) -> ArticulatedParts | None:
         """The doors and drawers of the home at their rest positions; None if nothing opens."""
         world = self.episode
         if not self.objects.joints:
             return None
-        found = Openables(
+        found = ArticulatedParts(
             world.scene, self.objects, world.free.floor_y, discs=self._discs_of, agents=len(world.roster),
             doors=frozenset(self.doorways.joints),
         )  # fmt: skip
@@ -318,8 +336,10 @@ class RearrangePlay:
         return found
 
     def _move_joints(self, before: NDArray[np.float64]) -> None:
-        """Tells of doors and drawers that have moved in this step, and lets bodies and arms know where they stand as soon as
-        all of them do."""
+        """Reports doors and drawers that have opened or closed in this step, as events.
+
+        When all of them have come to rest, the collision shapes that bodies and arms avoid are updated.
+        """
         openables = self.openables
         if openables is None:
             return
@@ -358,7 +378,7 @@ class RearrangePlay:
                     actor.object_room = ObjectRoom(scene, self.objects.names, floor_y)
 
     def turns(self) -> Generator[int | None, Action, None]:
-        """As `sim_kinematic.tasks.play.Play.turns`."""
+        """Plays the episode to its end: yields each agent that must choose, and None after each step."""
         spec = self.episode.spec
         for self.step in range(spec.max_steps):
             held, joints = self.objects.held_by.copy(), self.state.joint_pos[0].copy()
@@ -392,6 +412,7 @@ class RearrangePlay:
 
     @property
     def over(self) -> bool:
+        """Whether the episode has ended, by success, by a rule, or by its number of steps."""
         return self.ended != "max_steps" or self.steps == self.episode.spec.max_steps
 
     def finish(self) -> None:
@@ -399,7 +420,7 @@ class RearrangePlay:
         for runner in self.runners:
             runner.finish(self.step, completed=runner.number in self.finishers)
 
-    def runner(self, number: int) -> AgentRun:
+    def runner(self, number: int) -> SkillExecutor:
         """The run of an agent."""
         return self._by_number[number]
 
@@ -457,15 +478,15 @@ class RearrangePlay:
             barrier=partial(self.barrier, me),
         )  # fmt: skip
 
-    def errand(self, number: int) -> Errand:
-        """What an agent is about now."""
+    def errand(self, number: int) -> TaskProgress:
+        """Progress of an agent with its present task."""
         runner = self.runner(number)
         skill, k = runner.action[:2]
         driven = isinstance(runner.actor, DrivenPerson) or skill in (CONTROL, *PRIMITIVES)
         busy = runner.skill is not None and skill not in IDLE_SKILLS
-        return Errand(busy, (skill, k), partial(self._left_m, runner), runner.completed, obeys=not driven)
+        return TaskProgress(busy, (skill, k), partial(self._left_m, runner), runner.completed, obeys=not driven)
 
-    def _left_m(self, runner: AgentRun) -> float:
+    def _left_m(self, runner: SkillExecutor) -> float:
         """Length of the path to the object, goal or handle to which an agent is going [m]; infinite: it goes nowhere."""
         skill, k = runner.action[:2]
         if runner.skill is None or not skill.startswith("nav"):
@@ -500,8 +521,15 @@ class RearrangePlay:
         return door
 
     def door_before(self, actor: AnyActor, stands: Callable[[FreeSpace], Array]) -> int:
-        """The first closed door between rooms that keeps an agent from all of the places ``(x, z, heading)`` [N, 3] to stand
-        that ``stands`` gives on a floor; -1: it gets to one, or no door is to blame."""
+        """Number of the first closed door between rooms that blocks all poses from which an agent could act.
+
+        Args:
+            actor: the agent.
+            stands: poses ``(x, z, heading)`` [N, 3] on a given floor from which the agent could act.
+
+        Returns:
+            The door's number; -1 if the agent can get to one of the poses, or if no door blocks them.
+        """
         if self.openables is None or not self.episode.spec.floor_moves:
             return -1
         positions = self.openables.positions
@@ -527,8 +555,11 @@ class RearrangePlay:
     def pictures(
         self, agent: int, names: Sequence[str], size: tuple[int, int] | None, light: LightMode = "flat"
     ) -> dict[str, NDArray[Any]]:
-        """Named pictures of an agent now, as `sim_kinematic.sensing.eyes.see`: arms and hands where they are, objects where
-        they lie or are held, doors and drawers where they last came to rest."""
+        """Named pictures from the cameras of an agent at the present step, as `sim_kinematic.sensing.eyes.see` renders them.
+
+        Arms and hands are where they are now, objects where they lie or are held, doors and drawers where they last
+        stood still.
+        """
         from sim_kinematic.sensing.eyes import see
 
         bodies = [member.body for member in self.episode.roster]
@@ -577,7 +608,7 @@ class RearrangePlay:
         return row
 
     def columns(self, snapshots: Sequence[Row], first: int) -> Columns:
-        """As `sim_kinematic.tasks.play.Play.columns`."""
+        """Columns of a recording from the snapshots of consecutive steps."""
         count = len(snapshots)
         block: Columns = {"time_ns": np.arange(first + 1, first + count + 1, dtype=np.int64) * STEP_NS}
         for name in snapshots[0]:

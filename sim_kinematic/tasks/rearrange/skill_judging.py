@@ -12,12 +12,12 @@ from sim_kinematic.agents.skills import Action, LearnedSkill
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.rearrange.play import RearrangeRollout
 from sim_kinematic.tasks.rearrange.skill_starts import SkillStart
-from sim_kinematic.tasks.runner import Turns
+from sim_kinematic.tasks.runner import DecisionLoop
 
 
-class SkillResult(NamedTuple):
+class SkillScore(NamedTuple):
     """The end of a skill."""
 
     outcome: str
@@ -38,8 +38,8 @@ def action_of(start: SkillStart) -> Action:
 
 def judge(
     episode: RearrangeEpisode, start: SkillStart, learned: Mapping[str, LearnedSkill],
-    watch: Callable[[RearrangePlay], object] | None = None,
-) -> SkillResult:  # fmt: skip
+    watch: Callable[[RearrangeRollout], object] | None = None,
+) -> SkillScore:  # fmt: skip
     """Plays one skill to its end.
 
     Args:
@@ -50,7 +50,7 @@ def judge(
     """
     play = play_of(episode, start, learned)
     robot = play.robots[0]
-    turns = Turns(play)
+    turns = DecisionLoop(play)
     turns.answer(action_of(start))
     steps = contact = 0
     while not turns.over and turns.asked is None:
@@ -63,12 +63,12 @@ def judge(
     if play.ended == "success":  # all objects were at their goals before the hand was back
         outcome, reason = "done", ""
     path = float(robot.free.geodesic(start.xz, start.stand_xz))
-    return SkillResult(outcome, reason, steps, path, contact)
+    return SkillScore(outcome, reason, steps, path, contact)
 
 
-def play_of(episode: RearrangeEpisode, start: SkillStart, learned: Mapping[str, LearnedSkill]) -> RearrangePlay:
+def play_of(episode: RearrangeEpisode, start: SkillStart, learned: Mapping[str, LearnedSkill]) -> RearrangeRollout:
     """The episode with its first robot alone, where a skill begins."""
-    play = RearrangePlay(episode.only(0), [AssignedPolicy(External(), "skill", "robot")])
+    play = RearrangeRollout(episode.only(0), [AssignedPolicy(External(), "skill", "robot")])
     robot = play.robots[0]
     robot.learned = learned
     robot.state.xz[0], robot.state.heading[0] = start.xz, start.heading

@@ -1,5 +1,7 @@
-"""Where a robot begins to navigate, pick or place on its own: starts in episodes of rearrangement, for training and judging its
-learned skills."""
+"""States from which a robot begins to navigate, pick or place, for training and evaluating learned skills.
+
+They are taken from episodes of rearrangement.
+"""
 
 from __future__ import annotations
 
@@ -38,14 +40,14 @@ class SkillStart:
     holds: bool
     """Whether that is in its hand."""
     point: Array
-    """Where the object lies, or is to go, [3] [m]."""
+    """Position of the object, or of its goal, [3] [m]."""
     stand_xz: Array
     """The place nearest to the start, by the path there, from which the hand reaches the point, [2] [m]."""
     xz: Array
-    """Where the robot stands, [2] [m]."""
+    """Position of the robot, [2] [m]."""
     heading: float
     objects: Array
-    """Where the objects lie, [K, 3] [m]; of the one in the hand it has no meaning."""
+    """Positions of the objects, [K, 3] [m]; that of an object in the hand has no meaning."""
 
 
 def check_skill(skill: str) -> Skill:
@@ -55,7 +57,7 @@ def check_skill(skill: str) -> Skill:
         InputError: there is no such skill.
     """
     if skill not in SKILL_NAMES:
-        raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(SKILL_NAMES)}.")
+        raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(SKILL_NAMES)}.", code="H3-SIM-022")
     return skill  # type: ignore[return-value]
 
 

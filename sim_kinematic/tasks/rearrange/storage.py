@@ -15,19 +15,19 @@ from h3data.bodies.motion.walk_names import split_walk
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array, quat_rotate
 from h3data.habitat.episodes.episode_objects import read_object_template, search_in, search_of, with_objects
-from h3data.habitat.episodes.partnr_goals import Placement
-from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode as FileEntry
-from h3data.habitat.episodes.stored_episodes import plain
-from h3data.habitat.episodes.stored_rearrangements import (
+from h3data.plugins import names_from_data
+from h3data.recording.task_episodes.partnr_goals import Placement
+from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode as FileEntry
+from h3data.recording.task_episodes.stored_episodes import plain
+from h3data.recording.task_episodes.stored_rearrangements import (
     StoredGoal,
     StoredRearrangement,
     content_digest,
     read_rearrangement,
     rearrangement_entry,
 )
-from h3data.plugins import names_from_data
 from h3data.scene import FreeSpace, Scene, scene_digest
-from h3data.scene.scene_sets import SceneFile, SceneSource
+from h3data.scene.sources import SceneFile, SceneSource
 from sim_kinematic.agents.driven.object_room import object_extent
 from sim_kinematic.agents.roster import ROBOT_BODY, make_roster, with_body
 from sim_kinematic.agents.stands import robot_fits
@@ -60,6 +60,7 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
     samples_starts: ClassVar[bool] = True
 
     def record(self, episode: Episode) -> StoredRearrangement:
+        """Record of an episode: goals, starts of the first robot and person, objects, rules and scene."""
         assert isinstance(episode, RearrangeEpisode)
         robot, human = episode.pair_starts.places.tolist()
         record = StoredRearrangement(
@@ -84,27 +85,38 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
     def entry(
         self, record: StoredRearrangement, *, episode_id: str, scene_id: str, scene_dataset_config: str = "default"
     ) -> FileEntry:
+        """Entry of an episode file, in the form of Habitat's rearrangement episodes with our record in its info."""
         return rearrangement_entry(
             record, episode_id=episode_id, scene_id=scene_id, scene_dataset_config=scene_dataset_config
         )
 
     def read(self, entry: FileEntry, *, seed: int) -> StoredRearrangement | None:
+        """Record in an entry of a file, None if it belongs to another task; incomplete ones get the seed for sampling."""
         record = read_rearrangement(entry)
         return record if record is None or self.is_complete(record) else msgspec.structs.replace(record, seed=seed)
 
     def is_complete(self, record: StoredRearrangement) -> bool:
+        """Whether both starts and all places of objects are in the record, so that nothing needs sampling."""
         return record.robot_start is not None and record.human_start is not None and not record.placements
 
     def rules(self, record: StoredRearrangement) -> RearrangeSpec:
+        """Rules in a record; without any, the default rules for its number of objects.
+
+        Raises:
+            InputError: the rules and the goals disagree about the number of objects.
+        """
         count = len(record.goals) + len(record.placements)
         if not record.rules:
             return RearrangeSpec(objects=count)
         spec = rules_from_json(record.rules)
         if spec.objects != count:
-            raise InputError(f"The episode has {count} goals, its rules say {spec.objects} objects.")
+            raise InputError(
+                f"The episode has {count} goals, its rules say {spec.objects} objects.", code="H3-TASK-017"
+            )
         return spec
 
     def stand_ins(self, record: StoredRearrangement, source: SceneSource) -> tuple[str, ...]:
+        """Names of object assets that are not installed, in whose place boxes are used."""
         if not record.objects or not (record.com_frames or isinstance(source, SceneFile)):
             return ()  # a home that is built again has its things
         search = search_in(source, record.object_paths)
@@ -112,10 +124,13 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
         return tuple(found.missing for found in read if found.missing)
 
     def episode(self, record: StoredRearrangement, place: EpisodePlace) -> RearrangeEpisode:
+        """Episode of a record in an opened scene; parts that the record lacks are sampled with its seed."""
         spec: RearrangeSpec = place.spec
         count = len(record.goals) + len(record.placements)
         if spec.objects != count:
-            raise InputError(f"The episode has {count} objects: leave out the rule objects={spec.objects}.")
+            raise InputError(
+                f"The episode has {count} objects: leave out the rule objects={spec.objects}.", code="H3-TASK-018"
+            )
         pair = (
             place.robot or record.robot.removeprefix("robot/") or ROBOT_BODY,
             with_body(place.human, record.human.removeprefix("humanoid/")),
@@ -169,7 +184,8 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
         if lost:
             raise SceneError(
                 f"The scene {scene.name!r} has no movable thing {', '.join(map(repr, lost[:4]))}. Expected the scene for "
-                "which the episode was made."
+                "which the episode was made.",
+                code="H3-TASK-019",
             )
         known = {f"{i.name}|{r.name}" for i, r in scene.receptacles()}
         strange = [
@@ -178,7 +194,8 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
         if strange and not record.objects:
             raise SceneError(
                 f"The scene {scene.name!r} has no receptacle {strange[0]!r}. Expected the scene for which the episode was "
-                "made."
+                "made.",
+                code="H3-TASK-020",
             )
         return scene, tuple(
             target_of(goal, origins.get(goal.object) if record.com_frames else None) for goal in record.goals
@@ -269,7 +286,8 @@ def placed(
                     f"{len(surfaces)} surfaces were tried."
                     if surfaces
                     else "there is no such furniture with a surface."
-                )
+                ),
+                code="H3-TASK-021",
             )
         targets.append(Target(placement.object, things[placement.object].pose, spot[0], placement.source, spot[1]))
     return tuple(targets)

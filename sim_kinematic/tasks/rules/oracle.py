@@ -11,10 +11,11 @@ from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
 
 
 def steps_to_find(path: NDArray[np.float64], heading: float, spec: SocialNavSpec) -> float:
-    """The fewest steps along ``path`` [K, 2] until the robot is ``spec.far_m`` from its end and faces along it (paper
-    appendix, "Oracle for the Minimum Steps").
+    """Lower bound of the steps along ``path`` [K, 2] until the robot has found the person.
 
-    The robot turns while it drives, so the longer of the two counts: a bound that no policy beats, as a minimum must be.
+    The person is found when the robot is ``spec.far_m`` from the end of the path and faces along it (paper appendix,
+    "Oracle for the Minimum Steps"). The robot turns while it drives, so the larger of the two numbers of steps counts.
+    No policy needs fewer.
     """
     legs = np.diff(path, axis=0)
     lengths = np.hypot(legs[:, 0], legs[:, 1])

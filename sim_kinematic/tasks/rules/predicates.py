@@ -1,5 +1,7 @@
-"""What can be true of a state, as pure functions on arrays with any leading axes: Habitat's PDDL predicates (spec/habitat.md
-2.2) and those of social navigation. Tests: tests/sim/sensing/test_sensors.py."""
+"""Predicates on states, as pure functions on arrays with any leading axes.
+
+They are Habitat's PDDL predicates (spec/habitat.md 2.2) and those of social navigation.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +30,10 @@ def is_robot_at_position(
     robot_xz: ArrayLike, heading: ArrayLike, position: ArrayLike, *, distance_m: float = ROBOT_AT_M,
     angle_rad: float | None = None,
 ) -> Flags:  # fmt: skip
-    """``robot_at``: whether bases [..., 2] are within a distance of positions [..., 3] on the floor; with ``angle_rad``,
-    whether they also face them to within that angle."""
+    """Habitat's predicate ``robot_at``: whether bases [..., 2] are near positions [..., 3] on the floor.
+
+    With ``angle_rad``, they must also face the positions to within that angle.
+    """
     xz = np.asarray(robot_xz, np.float64)
     target = np.asarray(position, np.float64)[..., [0, 2]]
     near = np.hypot(*np.moveaxis(target - xz, -1, 0)) <= distance_m

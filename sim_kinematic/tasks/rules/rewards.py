@@ -1,7 +1,9 @@
-"""Rewards of both tasks, step by step for W worlds at once, in two profiles: ``paper`` as published (appendix, social
-navigation and social rearrangement), ``habitat`` as habitat-lab's main branch computes them (spec/habitat.md 1.7, 2.1).
+"""Rewards of both tasks, step by step for W worlds at once, in two profiles.
 
-Over whole recordings the same comes from `h3data.metrics` (profile ``habitat``), whose configuration is used here.
+``paper`` are the published rewards (appendix, social navigation and social rearrangement), ``habitat`` those of
+habitat-lab's main branch (spec/habitat.md 1.7, 2.1).
+
+`h3data.metrics` (profile ``habitat``) computes the same over whole recordings; its configuration is used here.
 """
 
 from __future__ import annotations
@@ -26,11 +28,13 @@ RewardProfile = Literal["paper", "habitat"]
 def check_profile(profile: str) -> None:
     """Raises an `InputError` if there is no such `RewardProfile`."""
     if profile not in get_args(RewardProfile):
-        raise InputError(f"Unknown reward {profile!r}. Expected one of: {', '.join(get_args(RewardProfile))}.")
+        raise InputError(
+            f"Unknown reward {profile!r}. Expected one of: {', '.join(get_args(RewardProfile))}.", code="H3-TASK-041"
+        )
 
 
 class Encounter(NamedTuple):
-    """What the reward of social navigation reads in one step."""
+    """Quantities of one step that the reward of social navigation needs."""
 
     robot_xz: ArrayLike
     """Shape [W, 2] [m]."""
@@ -58,7 +62,7 @@ class Encounter(NamedTuple):
 
 
 class RewardStep(NamedTuple):
-    """What a step is worth, each [W]."""
+    """Reward, success and end of a step, each [W]."""
 
     reward: NDArray[np.float64]
     success: NDArray[np.bool_]
@@ -127,7 +131,9 @@ class SocialNavReward:
         xz, human = np.asarray(seen.robot_xz, np.float64), np.asarray(seen.human_xz, np.float64)
         if xz.shape != (len(self.followed), 2) or human.shape != xz.shape:
             raise InputError(
-                f"Expected places [{len(self.followed)}, 2] of robots and humans, got {list(xz.shape)} and {list(human.shape)}."
+                f"Expected places [{len(self.followed)}, 2] of robots and humans, "
+                f"got {list(xz.shape)} and {list(human.shape)}.",
+                code="H3-TASK-042",
             )
         faces = facing(xz, seen.robot_heading, human) if seen.faces is None else np.asarray(seen.faces, np.float64)
         gap = human - xz
@@ -186,7 +192,8 @@ class SocialNavReward:
         if rules.must_look_at_targ or not rules.use_geo_distance:
             if seen.goal_xz is None:
                 raise InputError(
-                    "The success is configured to be measured to the task's goal, and goal_xz is not given."
+                    "The success is configured to be measured to the task's goal, and goal_xz is not given.",
+                    code="H3-TASK-044",
                 )
             xz, goal = np.asarray(seen.robot_xz, np.float64), np.asarray(seen.goal_xz, np.float64)
             angle = np.arccos(np.clip(facing(xz, seen.robot_heading, goal), -1, 1))
@@ -233,11 +240,11 @@ def _each(values: NDArray, shape: tuple[int, ...]) -> NDArray:
 # --- rearrangement ------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, kw_only=True)
 class RearrangeReward:
-    """What social rearrangement pays; the defaults are the paper's."""
+    """Rewards of social rearrangement; the defaults are the paper's."""
 
     success: float = 10.0
     stage: float = 5.0
-    """For each sub-goal (an object picked, an object at its goal), once."""
+    """Reward for each sub-goal (an object picked, an object at its goal), once."""
     collision: float = 5.0
     """Taken away when the agents touch, which ends the episode."""
     slack: float = -0.005
@@ -251,7 +258,7 @@ class RearrangeReward:
         """
         now = np.asarray(stages, np.bool_)
         if now.shape != paid.shape:
-            raise InputError(f"Expected sub-goals {list(paid.shape)}, got {list(now.shape)}.")
+            raise InputError(f"Expected sub-goals {list(paid.shape)}, got {list(now.shape)}.", code="H3-TASK-043")
         reached = (now & ~paid).sum(axis=-1)
         paid |= now
         return self.of(reached, np.asarray(collides, np.bool_), np.asarray(success, np.bool_))
@@ -265,4 +272,4 @@ REARRANGE_REWARDS: dict[str, RearrangeReward] = {
     "paper": RearrangeReward(),
     "habitat": RearrangeReward(collision=0.5, slack=-0.0005),
 }
-"""By profile."""
+"""Rewards of rearrangement by profile."""

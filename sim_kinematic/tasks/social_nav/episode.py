@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from h3data.bodies.motion.walk_names import split_walk
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array
-from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode
 from h3data.plugins import names_from_data
+from h3data.recording.task_episodes.social_nav_episodes import SocialNavEpisode
 from h3data.scene import FreeSpace, Scene, scene_digest
 from sim_kinematic.agents.roster import ROBOT_BODY, make_roster, with_body
 from sim_kinematic.agents.stands import discs_fit
@@ -48,7 +48,7 @@ class Starts:
 
     @classmethod
     def of(cls, places: Array) -> Starts:
-        """From the first row of a robot and the second of a person, [2, 3]."""
+        """Starts from an array [2, 3] whose first row is the robot's and second the person's."""
         robot, human = np.asarray(places, np.float64)
         return cls(robot_xz=robot[:2], robot_heading=float(robot[2]), human_xz=human[:2], human_heading=float(human[2]))
 
@@ -90,7 +90,8 @@ def sample_pair_starts(
     )
     raise SceneError(
         f"Found no start poses {spec.spawn_distance_m} m apart with a free base in 200 attempts (the farthest pair was "
-        f"{farthest:.1f} m apart).{narrow if misfits else ''} Hint: a smaller spawn_distance=, or a larger home."
+        f"{farthest:.1f} m apart).{narrow if misfits else ''} Hint: a smaller spawn_distance=, or a larger home.",
+        code="H3-TASK-048",
     )
 
 
@@ -100,7 +101,7 @@ def goals_of(episode: Episode) -> tuple[tuple[float, float], ...]:
 
 
 def plan_of(episode: Episode) -> HumanPlan:
-    """What the scripted person will do in an episode of greatest length."""
+    """Plan of the scripted person for an episode of the greatest length."""
     x, z, heading = episode.starts[HUMAN]
     return human_plan(
         episode.free,
@@ -167,11 +168,14 @@ def rules_of(episode: SocialNavEpisode) -> SocialNavSpec:
     try:
         spec = msgspec.convert(rules, SocialNavSpec)
     except msgspec.ValidationError as fault:
-        raise InputError(f"The rules of the episode cannot be used: {str(fault).replace('`', '')}") from None
+        raise InputError(
+            f"The rules of the episode cannot be used: {str(fault).replace('`', '')}", code="H3-TASK-052"
+        ) from None
     if spec.max_steps < 1 or not 0 < spec.human.speed_mps <= 4:
         raise InputError(
             f"The rules of the episode cannot be used: expected max_steps from 1 and a walking speed above 0 and at most "
-            f"4 m/s, got {spec.max_steps} and {spec.human.speed_mps}."
+            f"4 m/s, got {spec.max_steps} and {spec.human.speed_mps}.",
+            code="H3-TASK-049",
         )
     return spec
 
@@ -186,8 +190,11 @@ def _on_free_floor(free: FreeSpace, episode: SocialNavEpisode) -> np.ndarray:
     if lost:
         raise SceneError(
             f"{', '.join(lost[:4])}: more than {SNAP_M} m off the free floor of this scene. Expected the scene for which "
-            "the episode was made."
+            "the episode was made.",
+            code="H3-TASK-050",
         )
     if len(set(free.island(points).tolist())) > 1:
-        raise SceneError("The starts and goals of the episode are not on one island of this scene's free floor.")
+        raise SceneError(
+            "The starts and goals of the episode are not on one island of this scene's free floor.", code="H3-TASK-051"
+        )
     return points

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode
-from h3data.habitat.scene_names import open_free_space, open_scene
-from h3data.scene.scene_sets import SceneEntry, SceneSet, SceneSource
+from h3data.recording.task_episodes.social_nav_episodes import SocialNavEpisode
+from h3data.scene.open import open_free_space, open_scene
+from h3data.scene.scene_sets import SceneEntry, SceneSet
+from h3data.scene.sources import SceneSource
 from sim_kinematic.agents.roster import ROBOT_BODY
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.tasks.social_nav.episode import stored_episode

@@ -1,5 +1,6 @@
-"""Social navigation: a robot must find a walking person and follow them at 1-2 m, facing them, without contact
-(paper section 4.1 and appendix; spec/habitat.md 1).
+"""Social navigation: a robot must find a walking person and follow them at 1-2 m, facing them, without contact.
+
+The rules follow the paper (section 4.1 and appendix) and habitat-lab (spec/habitat.md 1).
 """
 
 from __future__ import annotations
@@ -16,15 +17,15 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.geometry import Array
-from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode
 from h3data.recording import Event, Recording
+from h3data.recording.task_episodes.social_nav_episodes import SocialNavEpisode
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec, common_floor, kinds_of
 from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.agents.waypoint_walker import HumanPlan
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.motion.state import HUMAN, ROBOT
-from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.policies.assignment import AssignedPolicy, PolicyMaker
 from sim_kinematic.policies.learned import SHIPPED_IN, is_learned, naming, navigation_of, network_of, stamped
 from sim_kinematic.policies.maneuvering import Maneuvering
 from sim_kinematic.policies.policy import FunctionPolicy
@@ -32,8 +33,8 @@ from sim_kinematic.policies.social_nav import EXPERTS, POLICIES, ROBOT_SKILLS, p
 from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.sensor import facing
-from sim_kinematic.tasks.episode import MAX_STEPS, Episode, Outcome, agent_base, agent_floor, rules_dict
-from sim_kinematic.tasks.play import Play, WorldPlay
+from sim_kinematic.tasks.episode import MAX_STEPS, Episode, StepOutcome, agent_base, agent_floor, rules_dict
+from sim_kinematic.tasks.play import Rollout, WorldRollout
 from sim_kinematic.tasks.recorder import scene_attachment
 from sim_kinematic.tasks.rules.oracle import oracle_min_steps
 from sim_kinematic.tasks.rules.predicates import is_found
@@ -48,7 +49,7 @@ TRAINING = SocialNavSpec(spawn_distance_m=3.0)
 
 
 PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", "humanoid_gps")
-"""What the paper's policy sees (appendix, social navigation). Needs a picture in every step."""
+"""Observations of the paper's policy (appendix, social navigation), which need a picture in every step."""
 
 
 @dataclass(eq=False)
@@ -56,7 +57,7 @@ class SocialNavState:
     """Memory of the rules for W worlds, [W] each."""
 
     rewards: SocialNavReward | None
-    """None where nobody asks for rewards."""
+    """Rewards; None where they are not computed."""
     geodesic: Array
     """Shortest path from robot to person [m], inf where there is none."""
     collides: NDArray[np.bool_]
@@ -75,7 +76,7 @@ class SocialNavState:
     plan: HumanPlan | None = None
     """The scripted person's whole walk, once somebody has asked for it."""
     track: list[NDArray[np.float64]] = field(default_factory=list)
-    """Where a person who follows no script has been."""
+    """Positions so far of a person who follows no script."""
 
 
 class SocialNav(Task):
@@ -100,6 +101,11 @@ class SocialNav(Task):
     def sample(
         self, scene: Scene, free: FreeSpace, seed: int, spec: SocialNavSpec, roster: tuple[AgentSpec, ...]
     ) -> Episode:
+        """Samples the starts of the robot and the person on the floor that both can use.
+
+        Raises:
+            InputError: the roster is not one robot and one person.
+        """
         _require_pair(roster)
         free = common_floor(roster, free)
         fits = robot_fits(roster[ROBOT].body, spec.robot, scene, free)  # type: ignore[arg-type]
@@ -107,15 +113,25 @@ class SocialNav(Task):
         return Episode(scene=scene, free=free, seed=seed, spec=spec, roster=roster, starts=starts.places)
 
     def storage(self) -> SocialNavStorage:
+        """Storage of episodes with starts and the person's goals, in our files and Habitat's."""
         return SocialNavStorage()
 
     def restore(self, recording: Recording, scene: Callable[[float, float], tuple[Scene, FreeSpace]]) -> Episode:
+        """Episode of a recording, from the rules and starts in its info.
+
+        Raises:
+            InputError: the recording lacks one of them, or its agents are not a robot and a person.
+        """
         info, agents = recording.episode.info, recording.agents
         lacks = [name for name in ("spec", "robot_start", "human_start") if name not in info]
         if lacks:
-            raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.")
+            raise InputError(
+                f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.", code="H3-TASK-023"
+            )
         if [a.kind for a in agents] != ["robot", "human"]:
-            raise InputError(f"Expected a robot and a human, in this order, got: {[a.kind for a in agents]}.")
+            raise InputError(
+                f"Expected a robot and a human, in this order, got: {[a.kind for a in agents]}.", code="H3-TASK-054"
+            )
         try:
             stored = msgspec.convert(
                 {
@@ -133,43 +149,53 @@ class SocialNav(Task):
                 SocialNavEpisode,
             )
         except (msgspec.ValidationError, KeyError, TypeError) as fault:
-            raise InputError(f"The recording's info is malformed: {str(fault).replace('`', '')}") from None
+            raise InputError(
+                f"The recording's info is malformed: {str(fault).replace('`', '')}", code="H3-TASK-030"
+            ) from None
         if not np.isfinite([*stored.robot_start, *stored.human_start, *np.ravel(stored.human_goals)]).all():
-            raise InputError("The recording's starts and goals must be finite numbers.")
+            raise InputError("The recording's starts and goals must be finite numbers.", code="H3-TASK-055")
         rules = rules_of(stored)
         if rules.max_steps > MAX_STEPS:
-            raise InputError(f"Expected at most {MAX_STEPS} steps, the recording's rules say {rules.max_steps}.")
+            raise InputError(
+                f"Expected at most {MAX_STEPS} steps, the recording's rules say {rules.max_steps}.", code="H3-TASK-056"
+            )
         home, free = scene(rules.agent_radius_m, rules.agent_height_m)
         return episode_from(stored, home, spec=rules, free=free)
 
     # --- policies -----------------------------------------------------------------------------------------------------
-    def named_policy(self, episode: Episode, number: int, name: str) -> AssignedPolicy | None:
-        kind = episode.roster[number].kind
+    def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
+        """Maker of a learned policy or expert of the robot, or of the person's scripted walk; None for other names."""
         if kind == "robot" and is_learned(name):
             network = network_of(name)
-            with naming(name):
-                player = navigation_of(network, robot=episode.roster[number].model)
-            return AssignedPolicy(FunctionPolicy(player, agent_base(episode, number)), stamped(name), kind)
+            if spec is not None:
+                policy_by_name(name)  # refuses what was trained for another task
+
+            def learned(episode: Episode, number: int) -> AssignedPolicy:
+                with naming(name):
+                    player = navigation_of(network, robot=episode.roster[number].model)
+                return AssignedPolicy(FunctionPolicy(player, agent_base(episode, number)), stamped(name), kind)
+
+            return learned
         if kind == "robot" and name in EXPERTS:
-            return AssignedPolicy(Maneuvering(POLICIES[name], agent_base(episode, number)), name, kind)
+            return lambda episode, number: AssignedPolicy(
+                Maneuvering(POLICIES[name], agent_base(episode, number)), name, kind
+            )
         if kind == "human" and name == "waypoints":
-            walker = WaypointPolicy(episode.free, episode.seed, episode.spec.human, goals_of(episode))
-            return AssignedPolicy(walker, name, kind)
+            return lambda episode, number: AssignedPolicy(
+                WaypointPolicy(episode.free, episode.seed, episode.spec.human, goals_of(episode)), name, kind
+            )
         return None
 
-    def check_policy(self, kind: str, name: str, spec: Any) -> None:
-        if kind == "robot" and is_learned(name):
-            policy_by_name(name)
-            return
-        super().check_policy(kind, name, spec)
-
     def recorded_default(self, kind: str) -> str | None:
+        """Default policy of robots; jobs name none for people."""
         return self.defaults[kind] if kind == "robot" else None
 
     def set_rules(self, scenes: Any) -> SocialNavSpec:
+        """Default rules with the distance between starts that the scene set prescribes."""
         return SocialNavSpec(spawn_distance_m=scenes.social_nav.spawn_distance_m)
 
-    def view(self, play: WorldPlay, agent: int, world: int) -> Any:
+    def view(self, play: WorldRollout, agent: int, world: int) -> Any:
+        """Observation of a policy: a `SocialNavView` for the robot, an `AgentView` for the person."""
         if agent != ROBOT:
             return play.agent_view(agent, world)
         state: SocialNavState = play.memory
@@ -191,7 +217,7 @@ class SocialNav(Task):
             partial(play.pictures, agent, world),
         )
 
-    def _future(self, play: WorldPlay, step: int) -> Callable[[], NDArray[np.float64]] | None:
+    def _future(self, play: WorldRollout, step: int) -> Callable[[], NDArray[np.float64]] | None:
         """The person's positions from this step on, where somebody knows them."""
         policy = play.policies[HUMAN].policy if play.policies else None
         if isinstance(policy, WaypointPolicy):
@@ -200,11 +226,13 @@ class SocialNav(Task):
         return None if track is None else partial(_after, track, step)
 
     def check_env_options(self, options: Mapping[str, Any]) -> None:
+        """Raises an `InputError` if ``reward`` is not the name of a reward profile."""
         if "reward" in options:
             check_profile(options["reward"])
 
     # --- rules --------------------------------------------------------------------------------------------------------
-    def begin(self, play: WorldPlay, rows: NDArray[np.intp]) -> None:
+    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
+        """Resets rewards, counters and the person's goals in the worlds ``rows`` [n]."""
         worlds = play.world.worlds
         if play.memory is None:
             reward = play.options.get("reward", "paper")
@@ -230,7 +258,8 @@ class SocialNav(Task):
             worth = state.rewards.reset(self._encounter(play), where=fresh)
             state.success[rows] |= worth.success[rows]
 
-    def judge(self, play: WorldPlay) -> Outcome:
+    def judge(self, play: WorldRollout) -> StepOutcome:
+        """Computes reward, success and end of a step, with an event when the person is first found."""
         state: SocialNavState = play.memory
         lost = not state.found[0]
         self._look(play)
@@ -242,7 +271,7 @@ class SocialNav(Task):
             reward, ends = worth.reward, worth.ends
         else:
             reward, ends = np.zeros(play.world.worlds), state.collides & play.spec.end_on_collision
-        return Outcome(
+        return StepOutcome(
             reward=reward,
             terminated=ends,
             success=state.success,
@@ -255,7 +284,7 @@ class SocialNav(Task):
             events=self._events(play, state, lost) if play.policies else (),
         )
 
-    def _events(self, play: WorldPlay, state: SocialNavState, lost: bool) -> list[tuple[int, Event]]:
+    def _events(self, play: WorldRollout, state: SocialNavState, lost: bool) -> list[tuple[int, Event]]:
         """Events of a world that is recorded; also takes down where the person is heading for, or where they are."""
         events, step, walker = [], play.step - 1, play.policies[HUMAN].policy
         if not isinstance(walker, WaypointPolicy):
@@ -271,10 +300,12 @@ class SocialNav(Task):
             events.append(Event(step=step, agent=ROBOT, kind="collision", target="human"))
         return [(0, event) for event in events]
 
-    def end_reason(self, play: WorldPlay, world: int) -> str:
+    def end_reason(self, play: WorldRollout, world: int) -> str:
+        """The only reason besides the time limit: ``collision``."""
         return "collision"
 
-    def info_of(self, play: WorldPlay) -> dict[str, NDArray[Any]]:
+    def info_of(self, play: WorldRollout) -> dict[str, NDArray[Any]]:
+        """Distance, success, steps followed and contacts of each world, [W] each."""
         state: SocialNavState = play.memory
         assert state.rewards is not None
         return {
@@ -286,7 +317,7 @@ class SocialNav(Task):
             "robot_contact": play.world.state.robots[0].contact.copy(),
         }
 
-    def _look(self, play: WorldPlay, rows: NDArray[np.intp] | None = None) -> None:
+    def _look(self, play: WorldRollout, rows: NDArray[np.intp] | None = None) -> None:
         """Distances and contact in the worlds ``rows`` [n] (default: all)."""
         state: SocialNavState = play.memory
         world, at = play.world, slice(None) if rows is None else rows
@@ -295,7 +326,7 @@ class SocialNav(Task):
         state.collides[at] = world.touching[at, 0]
         state.faces[at] = facing(robot.xz[at], robot.heading[at], person.xz[at])
 
-    def _encounter(self, play: WorldPlay) -> Encounter:
+    def _encounter(self, play: WorldRollout) -> Encounter:
         state: SocialNavState = play.memory
         robot, person = play.world.state.agents
         return Encounter(
@@ -310,10 +341,12 @@ class SocialNav(Task):
 
     # --- recording ----------------------------------------------------------------------------------------------------
     def instruction(self, episode: Episode) -> str:
+        """Instruction in words, the same for all episodes."""
         del episode
         return "follow the person"
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """Policies, rules, starts and the person's goals for the recording's info."""
         spec, (robot, human) = episode.spec, episode.starts.tolist()
         info = {
             "policy": policies[ROBOT].name,
@@ -330,6 +363,7 @@ class SocialNav(Task):
         return info
 
     def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
+        """Identifier derived from scene, bodies, seed, policies and rules; also from the goals where they are given."""
         digest = scene_attachment(episode.scene)[1]
         robot, human = episode.roster
         goals, partner = goals_of(episode), policies[HUMAN].name
@@ -339,19 +373,29 @@ class SocialNav(Task):
         return str(uuid.uuid5(uuid.NAMESPACE_URL, what))
 
     def run_names(self, policies: Sequence[AssignedPolicy]) -> list[str]:
+        """Name of the robot's policy, and of the person's unless it is the default."""
         return [policies[ROBOT].name, *([] if policies[HUMAN].name == "waypoints" else [policies[HUMAN].name])]
 
     def changed_policies(self, recording: Recording, chosen: dict[str, Any]) -> dict[str, Any]:
+        """Choices as they are.
+
+        Raises:
+            InputError: a policy is chosen for a person who walks by a script.
+        """
         if chosen.get("human") is not None and "external" not in str(recording.episode.info.get("partner", "")):
             raise InputError(
-                "Nobody in recordings of social_nav follows a partner: the person walks by a script. Hint: leave it out."
+                "Nobody in recordings of social_nav follows a partner: the person walks by a script. Hint: leave it out.",
+                code="H3-TASK-057",
             )
         return chosen
 
-    def hindsight(self, episode: Episode, play: Play, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """The person's goals and the oracle's ``l`` follow from their whole plan, however long the episode lasted; of a
-        person without a script, from the track that they walked."""
-        assert isinstance(play, WorldPlay)
+    def final_info(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """The person's goals, and the fewest steps ``l`` in which an oracle finds them.
+
+        Both follow from the person's whole plan, however long the episode lasted; for a person without a script, from
+        the track that they walked.
+        """
+        assert isinstance(play, WorldRollout)
         info: dict[str, Any] = {"ended": play.ended}
         state: SocialNavState = play.memory
         if isinstance(policies[HUMAN].policy, WaypointPolicy):
@@ -376,7 +420,7 @@ def _oracle(episode: Episode, track: NDArray[np.float64]) -> Any:
     )
 
 
-def _plan(play: WorldPlay) -> HumanPlan:
+def _plan(play: WorldRollout) -> HumanPlan:
     state: SocialNavState = play.memory
     if state.plan is None:
         state.plan = plan_of(play.episode)
@@ -391,5 +435,6 @@ def _require_pair(roster: Sequence[AgentSpec]) -> None:
     if kinds_of(roster) != ("robot", "human"):
         raise InputError(
             f"In social_nav one robot follows one person, got: {', '.join(kinds_of(roster))}. "
-            "Hint: rearrange and wander take any agents."
+            "Hint: rearrange and wander take any agents.",
+            code="H3-TASK-053",
         )

@@ -71,7 +71,7 @@ def test_poses_at_frames_are_the_frames_and_ends_hold(walk: Motion) -> None:
     part = walk.part(0.2, 0.5)
     assert part.duration_s == pytest.approx(0.3)
     assert part.pelvis[0, 0] == part.pelvis[0, 2] == 0
-    with pytest.raises(InputError, match="NaN"):
+    with pytest.raises(InputError, match="H3-BODY-040"):
         walk.pose([np.nan])
 
 
@@ -187,7 +187,7 @@ def test_claims_are_not_believed(tmp_path: Path, walk: Motion) -> None:
     data = (tmp_path / "a.npz").read_bytes()
     assert data.count(b"(30, 165)") == 1
     (tmp_path / "a.npz").write_bytes(data.replace(b"(30, 165), }  ", b"(3000000, 165)}"[:14].ljust(14)))
-    with pytest.raises(FormatError, match="damaged"):
+    with pytest.raises(FormatError, match="H3-FORMAT-021"):
         read_motion(tmp_path / "a.npz")
 
 
@@ -201,7 +201,7 @@ def test_habitat_sequence_round_trip(walk: Motion, tmp_path: Path) -> None:
     roots = pickle.loads((tmp_path / "s.pkl").read_bytes())["pose_motion"]
     roots["transform_array"][2, 0] *= 1.5
     (tmp_path / "s.pkl").write_bytes(pickle.dumps({"pose_motion": roots}))
-    with pytest.raises(FormatError, match="transform_array: Expected rotations"):
+    with pytest.raises(FormatError, match="H3-BODY-048"):
         read_motion(tmp_path / "s.pkl")
 
 
@@ -376,13 +376,13 @@ def test_bvh_of_no_person(walk: Motion, tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="LeftArm not found"):
         read_bvh(path)
     path.write_text(text.replace("LeftForeArm", "@").replace("LeftArm", "LeftForeArm").replace("@", "LeftArm"))
-    with pytest.raises(FormatError, match="hang on each other in another way"):
+    with pytest.raises(FormatError, match="H3-BODY-021"):
         read_bvh(path)
     path.write_text(bvh_text(body, walk, "lafan").replace("Toe", "ToeBase"))
-    with pytest.raises(FormatError, match=r"does not stand upright|points away from a T-pose"):
+    with pytest.raises(FormatError, match="H3-BODY-024"):
         read_bvh(path, names="mixamo")
     path.write_text(text)
-    with pytest.raises(InputError, match="No table of joint names"):
+    with pytest.raises(InputError, match="H3-BODY-018"):
         read_bvh(path, names=tmp_path / "none.toml")
     monster = "\n".join(
         f"{line[: len(line) - len(line.lstrip())]}OFFSET " + " ".join(str(float(v) * 1e4) for v in line.split()[1:])
@@ -391,7 +391,7 @@ def test_bvh_of_no_person(walk: Motion, tmp_path: Path) -> None:
         for line in text.splitlines()
     )
     path.write_text(monster)
-    with pytest.raises(FormatError, match="units are those of a person in no unit known"):
+    with pytest.raises(FormatError, match="H3-BODY-017"):
         read_bvh(path)
 
 
@@ -403,7 +403,7 @@ def test_a_table_of_ones_own(walk: Motion, tmp_path: Path) -> None:
     for ours, name in lafan.joints.items():
         text = text.replace(f" {name}\n", f" {theirs[ours]}\n")
     (tmp_path / "m.bvh").write_text(text)
-    with pytest.raises(FormatError, match="fit no table"):
+    with pytest.raises(FormatError, match="H3-BODY-020"):
         read_bvh(tmp_path / "m.bvh")
     lines = ["unit_m = 0.01", "foot_slope_deg = 21.45", "[joints]", *(f'{k} = "{v}"' for k, v in theirs.items())]
     lines += ["[axes]", *(f'{k} = "{v}"' for k, v in lafan.axes.items())]

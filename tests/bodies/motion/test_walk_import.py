@@ -104,33 +104,33 @@ def test_what_cannot_be_played_is_refused() -> None:
     still = replace(
         motion, quats=np.repeat(motion.quats[:1], count, axis=0), pelvis=np.repeat(motion.pelvis[:1], count, axis=0)
     )
-    with pytest.raises(InputError, match="somebody who walks"):
+    with pytest.raises(InputError, match="H3-BODY-065"):
         walk_of(still)
     with pytest.raises(InputError, match="20 frames per second, got 12"):
         walk_of(walk(fps=12))
-    with pytest.raises(InputError, match="walks where they face"):
+    with pytest.raises(InputError, match="H3-BODY-056"):
         walk_of(in_start_frame(replace(motion, quats=motion.quats[::-1].copy(), pelvis=motion.pelvis[::-1].copy())))
-    with pytest.raises(InputError, match="cycle of two steps needs"):
+    with pytest.raises(InputError, match="H3-BODY-063"):
         walk_of(walk(seconds=0.4))
     cuts = motion.pelvis.copy()
     cuts[:, 2] += 0.4 * (np.arange(count) // 20 % 2)
-    with pytest.raises(InputError, match="without a jump"):
+    with pytest.raises(InputError, match="H3-BODY-066"):
         walk_of(replace(motion, pelvis=cuts))
     twitch = motion.quats.copy()
     rows = np.arange(3, count, 30)  # twice in each cycle
     twitch[rows, JOINT_INDEX["right_shoulder"]] = quat_multiply(
         np.tile(quat_from_heading(2.5), (len(rows), 1)), twitch[rows, JOINT_INDEX["right_shoulder"]]
     )
-    with pytest.raises(InputError, match=r"right_\w+ jumps by|without a jump"):
+    with pytest.raises(InputError, match="H3-BODY-066"):
         walk_of(replace(motion, quats=twitch))
     with pytest.raises(FormatError, match="NaN"):
         replace(motion, pelvis=np.full_like(motion.pelvis, np.nan))
     slide = replace(motion, quats=np.repeat(motion.quats[:1], count, axis=0))  # carried along in one pose
-    with pytest.raises(InputError, match=r"left and right steps|gets"):
+    with pytest.raises(InputError, match="H3-BODY-058"):
         walk_of(slide)
-    with pytest.raises(InputError, match="there is none there"):
+    with pytest.raises(InputError, match="H3-BODY-061"):
         load_humanoid("female_0+nowhere.npz")
-    with pytest.raises(InputError, match="not at hand"):
+    with pytest.raises(InputError, match="H3-BODY-060"):
         load_humanoid("female_0+motion:0123456789abcdef")
 
 
@@ -177,7 +177,7 @@ def test_recordings_carry_the_walk(task: str, walk_file: Path, tmp_path: Path) -
 @pytest.mark.slow
 def test_generate_gives_everybody_the_walk(walk_file: Path, tmp_path: Path) -> None:
     options = {"scenes": "small", "episodes": 2, "max_steps": 40, "motion": walk_file, "human": "any"}
-    done = h3data.generate("wander", tmp_path / "ds", agents="robot,human,male_1", **options)
+    done = h3data.generate("wander", tmp_path / "ds", agents=["robot", "human", "male_1"], **options)
     assert not done.failed
     people = [
         agent.model for recording in h3data.open(tmp_path / "ds") for agent in recording.agents if agent.kind == "human"
@@ -187,13 +187,13 @@ def test_generate_gives_everybody_the_walk(walk_file: Path, tmp_path: Path) -> N
         walk_import.keep_walk(walk_import.walk_file(str(walk_file)))
     }
     assert "humanoid/male_1" in {model.partition("+")[0] for model in people}
-    h3data.generate("wander", tmp_path / "ds", agents="robot,human,male_1", resume=True, **options)
+    h3data.generate("wander", tmp_path / "ds", agents=["robot", "human", "male_1"], resume=True, **options)
     with pytest.raises(InputError):
         h3data.generate(
-            "wander", tmp_path / "ds", agents="robot,human,male_1", resume=True, **{**options, "motion": None}
+            "wander", tmp_path / "ds", agents=["robot", "human", "male_1"], resume=True, **{**options, "motion": None}
         )
     with pytest.raises(InputError, match="--motion is how people walk"):
-        h3data.generate("wander", tmp_path / "robots", agents="robot,robot", motion=walk_file)
+        h3data.generate("wander", tmp_path / "robots", agents=["robot", "robot"], motion=walk_file)
 
 
 @pytest.mark.slow

@@ -212,13 +212,13 @@ def test_the_head_looks_where_the_hand_goes() -> None:
 
 def test_bad_input_is_refused() -> None:
     body = load_humanoid("female_0")
-    with pytest.raises(InputError, match="finite points"):
+    with pytest.raises(InputError, match="H3-BODY-083"):
         reach(body, [np.nan, 1, 0])
-    with pytest.raises(InputError, match="finite points"):
+    with pytest.raises(InputError, match="H3-BODY-083"):
         reach_poses(body, [[1, 2]])
-    with pytest.raises(InputError, match="one target"):
+    with pytest.raises(InputError, match="H3-BODY-080"):
         reach(body, [[0.3, 1, 0]])
-    with pytest.raises(InputError, match="left or the right"):
+    with pytest.raises(InputError, match="H3-BODY-081"):
         reach(body, [0.3, 1, 0], "both")  # type: ignore[arg-type]
 
 

@@ -143,7 +143,7 @@ def test_wrong_shapes_are_refused() -> None:
 
 def test_replay_lets_the_legs_step_and_nothing_else() -> None:
     from h3data.replay import Replay
-    from h3data.scene import HomeSpec, build_home
+    from h3data_homes import HomeSpec, build_home
     from sim_kinematic.motion.spec import SocialNavSpec
 
     spec = SocialNavSpec(max_steps=40, end_on_collision=False)

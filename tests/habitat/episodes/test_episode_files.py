@@ -19,7 +19,7 @@ from h3data.errors import FormatError, InputError
 from h3data.formats import detect
 from h3data.geometry import pose_from_matrix, pose_to_matrix
 from h3data.habitat.episodes.episode_files import read_episodes, write_episodes
-from h3data.habitat.episodes.rearrange_episode import (
+from h3data.recording.task_episodes.rearrange_episode import (
     ContentFile,
     EpisodeSet,
     Marker,
@@ -407,9 +407,9 @@ def test_files_of_other_kinds_are_named(tmp_path: Path) -> None:
         with pytest.raises(FormatError, match=words) as fault:
             read_episodes(file)
         assert str(file) in str(fault.value)
-    with pytest.raises(InputError, match="no such file"):
+    with pytest.raises(InputError, match="H3-FORMAT-013"):
         read_episodes(tmp_path / "none.json.gz")
-    with pytest.raises(InputError, match="folder"):
+    with pytest.raises(InputError, match="H3-FORMAT-014"):
         read_episodes(tmp_path)
 
 
@@ -472,7 +472,7 @@ def test_matrices_that_are_not_rigid_are_kept_but_give_no_pose(tmp_path: Path, m
     )
     with pytest.raises(InputError, match="the goal of cup_:0000"):
         goal_poses(found.episodes[1])
-    with pytest.raises(InputError, match="Expected a rotation and a translation"):
+    with pytest.raises(InputError, match="H3-HABITAT-038"):
         object_poses(found.episodes[2])
     assert len(object_poses(found.episodes[1])) == 1
     write_episodes(found, tmp_path / "again.json.gz")
@@ -556,7 +556,7 @@ def test_content_must_stay_in_its_folder(tmp_path: Path, pattern: Any) -> None:
 def test_a_content_file_cannot_be_written_elsewhere(tmp_path: Path) -> None:
     one = RearrangeEpisode(episode_id="0", scene_id="s")
     wrong = EpisodeSet(episodes=(one,), contents=(ContentFile(name="../../x", episodes=1),))
-    with pytest.raises(InputError, match="outside the folder"):
+    with pytest.raises(InputError, match="H3-HABITAT-011"):
         write_episodes(wrong, tmp_path / "val.json.gz")
     with pytest.raises(InputError, match="accounts for 2 episodes, the set has 1"):
         write_episodes(
@@ -582,5 +582,5 @@ def test_what_cannot_be_written_leaves_no_file(tmp_path: Path, changes: dict[str
     with pytest.raises(InputError, match=words):
         write_episodes(EpisodeSet(episodes=(good, bad)), tmp_path / "out.json.gz")
     assert [(f.name, f.read_bytes()) for f in tmp_path.iterdir()] == [("out.json.gz", b"old")]
-    with pytest.raises(InputError, match="ends in"):
+    with pytest.raises(InputError, match="H3-HABITAT-008"):
         write_episodes(EpisodeSet(episodes=(good,)), tmp_path / "out.pickle")

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from h3data.geometry import pose_to_matrix
-from h3data.habitat.navmesh.navmesh import free_space_from_navmesh
-from h3data.habitat.navmesh.navmesh_file import read_navmesh
+from h3data.habitat.navmesh_file import read_navmesh
 from h3data.habitat.scenes.articulated import (
     default_positions,
     joint_order,
@@ -30,6 +29,7 @@ from h3data.render import Renderer
 from h3data.render.camera import pinhole
 from h3data.render.sheets.scene_map import render_scene
 from h3data.scene import FreeSpace, Scene
+from h3data.scene.navmesh.navmesh import free_space_from_navmesh
 from tests.paths import HABITAT_SIM, ROOT
 
 ASSETS = HABITAT_SIM / "data" / "test_assets"

@@ -312,14 +312,14 @@ def test_broken_configs_give_one_clear_line(dataset: Dataset, file: str, content
 
 
 def test_files_that_are_no_scenes(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match="no such"):
+    with pytest.raises(SceneError, match="H3-HABITAT-125"):
         load_habitat_scene(tmp_path / "x.glb")
     (tmp_path / "x.txt").write_text("x")
     with pytest.raises(FormatError, match="scene_instance"):
         load_habitat_scene(tmp_path / "x.txt")
     made = Dataset(tmp_path / "d")
     stray = made.json("elsewhere/x.scene_instance.json", {})
-    with pytest.raises(SceneError, match="dataset config"):
+    with pytest.raises(SceneError, match="H3-HABITAT-121"):
         load_habitat_scene(stray)
-    with pytest.raises(SceneError, match="only be given"):
+    with pytest.raises(SceneError, match="H3-HABITAT-126"):
         load_habitat_scene(tmp_path / "d" / "stages" / "room.glb", "one")

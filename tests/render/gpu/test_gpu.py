@@ -23,7 +23,7 @@ from h3data.render.light.bake import lit_scene
 from h3data.render.light.sources import Lamp, LightSources
 from h3data.render.shade.blockers import Blockers, blocker_rows
 from h3data.render.sheets.scene_map import render_scene
-from h3data.scene.homes import HomeSpec, build_home
+from h3data_homes import HomeSpec, build_home
 from tests.render.gpu_emulator import COMPILER, EmulatedRenderer
 
 OUTPUTS: Any = ("depth", "instance", "semantic", "triangle", "normal", "rgb")

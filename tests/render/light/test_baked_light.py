@@ -22,8 +22,9 @@ from h3data.render import Renderer, RenderInstance, RenderScene, look_at, pinhol
 from h3data.render.light.bake import LitScene, lit_scene
 from h3data.render.light.outdoors import EYE_M, outdoors, with_view
 from h3data.render.light.sources import Lamp, LightSources, sources_of
-from h3data.scene import Asset, HomeSpec, Instance, LightSource, Scene, build_home
+from h3data.scene import Asset, Instance, LightSource, Scene
 from h3data.scene.records import instance_matrix
+from h3data_homes import HomeSpec, build_home
 
 
 @pytest.fixture(autouse=True)

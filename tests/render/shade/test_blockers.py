@@ -256,5 +256,5 @@ def test_bad_capsules_are_left_out_and_bad_arrays_named() -> None:
     with pytest.raises(InputError, match=r"tints \[2, 4\]"):
         renderer.set_blockers(Blockers(rows, no_tints(scene)[:1]))
     rows[0, 0] = np.nan
-    with pytest.raises(InputError, match="finite"):
+    with pytest.raises(InputError, match="H3-RENDER-066"):
         renderer.set_blockers(Blockers(rows, no_tints(scene)))

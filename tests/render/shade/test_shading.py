@@ -188,7 +188,7 @@ def test_depth_is_normalised_as_habitat_does():
     depth = np.float32([[0, 0.5, 1.0], [5.5, 10, 20]])
     np.testing.assert_allclose(normalize_depth(depth, 1, 10), [[0, 0, 0], [0.5, 1, 1]])
     assert normalize_depth(depth, 0, 10).dtype == np.float32
-    with pytest.raises(InputError, match="near < far"):
+    with pytest.raises(InputError, match="H3-RENDER-011"):
         normalize_depth(depth, 3, 3)
 
 
@@ -210,7 +210,7 @@ def test_instance_colours_are_stable_and_distinct():
     neighbours = np.abs(rgb[1:-1].astype(int) - rgb[2:]).sum(-1)
     assert neighbours.min() > 40
     assert rgb[0].max() < 30
-    with pytest.raises(InputError, match="integers"):
+    with pytest.raises(InputError, match="H3-RENDER-010"):
         instance_to_rgb(np.zeros(3))
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from h3data.render import Renderer
 from h3data.render.sheets.scene_map import plan_picture, render_scene
-from h3data.scene import HomeSpec, build_home
+from h3data_homes import HomeSpec, build_home
 
 
 @pytest.mark.parametrize("cut_above_y", [None, 1.0])

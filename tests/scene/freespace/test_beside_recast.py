@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import shapely
 
-from h3data.habitat.navmesh.navmesh_file import read_navmesh
+from h3data.habitat.navmesh_file import read_navmesh
 from h3data.mesh.mesh import Mesh
 from h3data.scene import FreeSpace
 from h3data.scene.records import Asset, Instance, Scene

@@ -13,11 +13,12 @@ from hypothesis import strategies as st
 from shapely.geometry import MultiPolygon, box
 
 from h3data.errors import InputError
-from h3data.habitat.navmesh.navmesh import free_space_from_navmesh, navmesh_from_free_space
-from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.scene import FreeSpace
 from h3data.scene.freespace._visibility import GROW_M, sees, tangent, visible_nodes
 from h3data.scene.freespace._visibility_build import edges_inside
 from h3data.scene.freespace.build import build_from_walkable
+from h3data.scene.navmesh.navmesh import free_space_from_navmesh, navmesh_from_free_space
+from h3data_homes import HomeSpec, build_home
 from tests.examples import examples
 
 SIZES: dict[str, Any] = {"radius_m": 0.25, "height_m": 1.41, "max_climb_m": 0.2, "cell_m": 0.05}

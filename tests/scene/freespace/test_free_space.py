@@ -16,12 +16,13 @@ from shapely.ops import nearest_points
 from h3data.errors import InputError, SceneError
 from h3data.geometry import quat_from_heading
 from h3data.mesh.mesh import Mesh
-from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.scene import FreeSpace
 from h3data.scene.freespace._visibility import visibility_edges
 from h3data.scene.freespace._visibility_build import edges_inside
 from h3data.scene.freespace.build import build_from_walkable
 from h3data.scene.freespace.free_space import line_of_sight, sample_sdf, sdf_gradient
 from h3data.scene.records import Asset, Box, Capsule, Cylinder, Hull, Instance, Room, Scene, Shape
+from h3data_homes import HomeSpec, build_home
 
 SIZES = {"radius_m": 0.25, "height_m": 1.41, "max_climb_m": 0.2, "cell_m": 0.05}
 IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
@@ -367,16 +368,16 @@ def test_things_outside_the_band_are_no_obstacles():
 
 def test_bad_scenes_and_sizes_are_refused(two_rooms):
     empty = Scene(name="empty", assets={}, instances=())
-    with pytest.raises(SceneError, match="no static triangles"):
+    with pytest.raises(SceneError, match="H3-SCENE-015"):
         FreeSpace.from_scene(empty, cache=False)
-    with pytest.raises(SceneError, match="no rooms"):
+    with pytest.raises(SceneError, match="H3-SCENE-009"):
         FreeSpace.from_scene(empty, method="shapes", cache=False)
     with pytest.raises(SceneError, match=r"Its floors: \[0.0\]"):
         FreeSpace.from_scene(two_rooms, floor_y=3.0, method="shapes", cache=False)
-    with pytest.raises(SceneError, match="fits nowhere"):
+    with pytest.raises(SceneError, match="H3-SCENE-012"):
         FreeSpace.from_scene(two_rooms, radius_m=3.0, cache=False)
     for sizes in ({"radius_m": -1.0}, {"cell_m": np.nan}, {"max_climb_m": 2.0}):
-        with pytest.raises(InputError, match="must be positive"):
+        with pytest.raises(InputError, match="H3-SCENE-010"):
             FreeSpace.from_scene(two_rooms, cache=False, **sizes)
     with pytest.raises(InputError, match=r"\[3\]"):
         FreeSpace.from_scene(two_rooms, cache=False).geodesic([1, 2, 3], [1, 2, 3])
@@ -431,7 +432,7 @@ def test_a_scene_too_large_for_voxels_is_refused(far):
     corners = np.array([[0, 0, 0], [4, 0, 0], [4, 0, far]], np.float32)
     mesh = Mesh(vertices=corners, faces=np.array([[0, 2, 1]], np.int32), colors=np.zeros((3, 3), np.uint8))
     tower = replace(mesh, vertices=corners[:, [0, 2, 1]])
-    with pytest.raises(SceneError, match="m large, too large to find its floor"):
+    with pytest.raises(SceneError, match="H3-SCENE-013"):
         FreeSpace.from_scene(
             scene_of((mesh, (), IDENTITY, "static"), (tower, (), IDENTITY, "static")), method="mesh", cache=False
         )

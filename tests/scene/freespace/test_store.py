@@ -74,9 +74,9 @@ def test_broken_files_are_refused(space, tmp_path):
     whole = path.read_bytes()
     for broken in (b"", b"not a zip", whole[: len(whole) // 2], whole[:-10]):
         path.write_bytes(broken)
-        with pytest.raises(FormatError, match="whole free-space file"):
+        with pytest.raises(FormatError, match="H3-SCENE-020"):
             FreeSpace.load(path)
-    with pytest.raises(InputError, match="No such"):
+    with pytest.raises(InputError, match="H3-SCENE-017"):
         FreeSpace.load(tmp_path / "absent.npz")
     with np.load(_rewritten(path, whole)) as file:
         arrays = dict(file)

@@ -15,7 +15,8 @@ from h3data.bodies.people.reach import Hand
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, ground_pose
 from h3data.replay import Replay
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import FreeSpace, Scene
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.arm_tuck import draw_arms, width_m
 from sim_kinematic.agents.penetration import penetrations
 from sim_kinematic.agents.person import Held, Person, joint_steps, run
@@ -76,7 +77,7 @@ def test_each_arm_is_drawn_in_by_itself(left: float, right: float) -> None:
 
 def test_two_numbers_are_wanted() -> None:
     for arms in (np.zeros(3), np.zeros((2, 2)), np.array([np.nan, 0.0])):
-        with pytest.raises(InputError, match="two arms"):
+        with pytest.raises(InputError, match="H3-BODY-067"):
             load_humanoid("female_0").clip_pose([0], [0.0], arms=arms)
 
 

@@ -16,7 +16,8 @@ from h3data.metrics import measure
 from h3data.recording import Recording, open_recording, write_mcap
 from h3data.replay import Replay
 from h3data.replay.validation import validate_recording
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import FreeSpace, Scene
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.roster import kinds_of, make_roster
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.contact.clearance import RobotHumanContact
@@ -24,7 +25,7 @@ from sim_kinematic.motion.spec import HOME_BASE, SocialNavSpec
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.rearrange.play import RearrangeRollout
 from tests.sim.steppers import AgentWorlds
 from tests.simulated import REARRANGE, rearrange_episode, simulate_rearrange, simulate_wander
 
@@ -80,7 +81,7 @@ def test_worlds_are_taken_and_put_back(robots: int, people: int, objects: int, w
     "bad", [{"robots": -1}, {"people": -1}, {"robots": 2, "joints": [7]}, {"objects": -2}, {"joints": -1}]
 )
 def test_impossible_states_are_refused(bad: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match="0 or more"):
+    with pytest.raises(InputError, match="H3-SIM-033"):
         WorldState.zeros(2, **bad)
 
 
@@ -167,11 +168,11 @@ def test_bad_actions_move_nobody(home: Scene, free: FreeSpace, bad: Any) -> None
 
 
 def test_no_worlds_and_no_room(home: Scene, free: FreeSpace) -> None:
-    with pytest.raises(InputError, match="at least 1 world"):
+    with pytest.raises(InputError, match="H3-SIM-050"):
         AgentWorlds(home, worlds=0, free=free)
-    with pytest.raises(SceneError, match="fewer agents"):
+    with pytest.raises(SceneError, match="H3-SIM-021"):
         AgentWorlds(home, ["human"] * 60, free=free).reset(0)
-    with pytest.raises(InputError, match="at least 1 step"):
+    with pytest.raises(InputError, match="H3-TASK-004"):
         simulate_wander(home, steps=0, free=free)
 
 
@@ -267,7 +268,7 @@ def test_everybody_needs_a_policy(drawn: RearrangeEpisode) -> None:
     with pytest.raises(InputError, match="Unknown policy"):
         simulate_rearrange(world, policy="complement,magic")
     with pytest.raises(InputError, match="one policy for each of 2"):
-        RearrangePlay(world, [])
+        RearrangeRollout(world, [])
     first, second = REARRANGE.assign(world.played_by("human,male_1"), {"human": "both"})
     assert first.plan == second.plan == "both"
     assert first.policy is not second.policy
@@ -287,7 +288,7 @@ def test_everybody_sees_everybody(home: Scene, free: FreeSpace) -> None:
     for k in (2, 3):
         seen = CameraSensor(agent=k, outputs=("instance",), size=(120, 90)).observe(drawn)["instance"]
         assert np.isin(seen, drawn.instances(k - 2)).sum((1, 2)).min() > 30  # who stands opposite
-    with pytest.raises(InputError, match="counted from 0"):
+    with pytest.raises(InputError, match="H3-SIM-043"):
         drawn.cameras(agent=4)
     with pytest.raises(InputError, match="1 robots, then of 1 people"):
         drawn.pose(WorldState.zeros(2))
@@ -311,5 +312,5 @@ def test_any_two_agents_are_measured_near_each_other(home: Scene, free: FreeSpac
 
 
 def test_one_agent_is_near_nobody(home: Scene, free: FreeSpace) -> None:
-    with pytest.raises(InputError, match="need two agents"):
+    with pytest.raises(InputError, match="H3-METRIC-029"):
         measure(simulate_wander(home, "robot", steps=3, free=free), "field")

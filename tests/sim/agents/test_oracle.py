@@ -21,11 +21,11 @@ from sim_kinematic.motion.spec import OracleSpec
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode, RearrangeSpec
 from sim_kinematic.tasks.rearrange.oracle import errands_of, stand_places
-from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.rearrange.play import RearrangeRollout
 from sim_kinematic.tasks.rearrange.storage import rules_from_json, rules_to_json
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.resume import resume, verify
-from sim_kinematic.tasks.runner import Turns, simulate
+from sim_kinematic.tasks.runner import DecisionLoop, simulate
 from sim_kinematic.tasks.sources import EpisodeSource, Home, scene_sources
 
 HOMES = ["small:1", "h3-homes/val#1"]
@@ -104,12 +104,12 @@ def test_no_places_have_no_ways(floors: list[FreeSpace]) -> None:
 
 
 # --- skills -------------------------------------------------------------------------------------------------------------
-def told(episode: RearrangeEpisode) -> tuple[RearrangePlay, Turns]:
-    play = RearrangePlay(episode, TASK.assign(episode, {"robot": External(), "human": External()}))
-    return play, Turns(play)
+def told(episode: RearrangeEpisode) -> tuple[RearrangeRollout, DecisionLoop]:
+    play = RearrangeRollout(episode, TASK.assign(episode, {"robot": External(), "human": External()}))
+    return play, DecisionLoop(play)
 
 
-def go(play: RearrangePlay, turns: Turns, robot: Action, human: Action, steps: int = 1) -> None:
+def go(play: RearrangeRollout, turns: DecisionLoop, robot: Action, human: Action, steps: int = 1) -> None:
     for _ in range(steps):
         while turns.asked is not None:
             turns.answer(robot if turns.asked == 0 else human)
@@ -194,7 +194,7 @@ def test_agents_that_meet_touch_and_pass_through_each_other(episode: RearrangeEp
     task, ended = Rearrange(), []
     for rules in (through, replace(through, spec=ORACLE_RULES)):
         play = task.play(rules, task.assign(rules, {"robot": "still", "human": "both"}))
-        turns, touched = Turns(play), 0
+        turns, touched = DecisionLoop(play), 0
         while not turns.over:
             if turns.asked is not None:
                 turns.answer(play.policies[turns.asked].policy.act(play.view(turns.asked)))
@@ -221,7 +221,7 @@ def test_rules_come_back_and_others_stay_as_they_were() -> None:
     assert repr(plain).startswith("RearrangeSpec(max_steps=1500, objects=2, at_goal_m=0.3, grip_m=0.15,")
     assert repr(plain).endswith(")")
     assert "oracle=OracleSpec(robot_steps=(12, 14)" in repr(ORACLE_RULES)
-    with pytest.raises(InputError, match="1 <= hand-over <= end"):
+    with pytest.raises(InputError, match="H3-SIM-032"):
         OracleSpec(robot_steps=(5, 4))
 
 

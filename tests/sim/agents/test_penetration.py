@@ -12,7 +12,7 @@ from benchmarks.penetration import run
 from h3data.bodies.robots.robot_files import robot_names
 from h3data.geometry import ground_pose
 from h3data.recording import Recording, state_hash, write_mcap
-from h3data.scene import HomeSpec, build_home
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.commands.validating import Validate
 from sim_kinematic.agents.penetration import HELD, REACHING, penetration_findings, penetrations, unintended_depth
 from sim_kinematic.motion.spec import SocialNavSpec

@@ -225,7 +225,7 @@ def test_the_lower_levels() -> None:
     person.set_pose(quats[0], pelvis[0], ground_pose([5, 6], 0.0))
     np.testing.assert_array_equal(person.frame().joints, quats[0, 1:])
     np.testing.assert_allclose(person.frame().root[:3], pelvis[0] + [5, 0, 6])
-    with pytest.raises(InputError, match=r"\[55, 4\]"):
+    with pytest.raises(InputError, match="H3-SIM-013"):
         person.set_pose(quats, pelvis)
 
 
@@ -235,7 +235,7 @@ def test_bad_commands_are_refused() -> None:
         next(person.pick("cup"))
     with pytest.raises(InputError, match="right hand holds nothing"):
         next(person.place([0, 0, 0]))
-    with pytest.raises(InputError, match=r"\[K, 2\]"):
+    with pytest.raises(InputError, match="H3-SIM-014"):
         next(person.walk_to([[1, 2, 3]]))
     run(person, person.pick("mug"))
     with pytest.raises(InputError, match="already holds 'mug'"):

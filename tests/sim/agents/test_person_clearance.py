@@ -13,11 +13,12 @@ from h3data.bodies import JOINT_INDEX, load_humanoid
 from h3data.bodies.people.reach import reacher
 from h3data.geometry import ground_pose
 from h3data.recording import Recording
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import FreeSpace, Scene
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.person import Person, run
-from sim_kinematic.agents.person_clearance import REACHING_PARTS, TOLERANCE_M, ReachRoom
+from sim_kinematic.agents.person_clearance import REACHING_PARTS, TOLERANCE_M, BodyClearance
 from sim_kinematic.agents.person_skills import PersonActor
-from sim_kinematic.agents.skills import Action, Ending, Objects
+from sim_kinematic.agents.skills import Action, Objects, SkillResult
 from sim_kinematic.agents.stands import nearest_stand, person_stands
 from sim_kinematic.contact import FclScene, MovingShapes, capsule_transforms, contacts, shapes_from_capsules
 from sim_kinematic.motion.spec import WalkerSpec
@@ -84,7 +85,7 @@ def test_in_many_homes_her_body_keeps_out(capsys: pytest.CaptureFixture[str]) ->
 def test_what_stands_in_her_way_leaves_no_room(home: Scene, world: RearrangeEpisode) -> None:
     body, free = world.human, world.free
     point = world.targets[0].start[:3]
-    room = ReachRoom(home, body, free.floor_y)
+    room = BodyClearance(home, body, free.floor_y)
     stands = person_stands(free, body, point)
     clear = np.array([room.is_clear(stand, point) for stand in stands])
     assert clear.any()
@@ -94,8 +95,8 @@ def test_what_stands_in_her_way_leaves_no_room(home: Scene, world: RearrangeEpis
     )
     beside = ground_pose(stand[:2], float(stand[2]), free.floor_y)
     blocked = replace(home, instances=(*home.instances, replace(tall, name="in_the_way", pose=beside)))
-    assert not ReachRoom(blocked, body, free.floor_y).is_clear(stand, point)
-    again = ReachRoom(home, body, free.floor_y)  # what it was asked before does not matter
+    assert not BodyClearance(blocked, body, free.floor_y).is_clear(stand, point)
+    again = BodyClearance(home, body, free.floor_y)  # what it was asked before does not matter
     order = np.random.default_rng(0).permutation(len(stands))
     np.testing.assert_array_equal([again.is_clear(stands[k], point) for k in order], clear[order])
     k, _ = nearest_stand(free, stands, world.starts[1, :2], is_clear=lambda s: room.is_clear(s, point))
@@ -122,7 +123,7 @@ def test_the_way_that_is_looked_at_is_the_one_that_is_gone() -> None:
     assert min(np.abs((f.joints - full.quats[-1, 1:])[trunk_and_limbs]).max() for f in frames) < 1e-9
 
 
-class NoRoom(ReachRoom):
+class NoRoom(BodyClearance):
     """Nowhere."""
 
     def __init__(self) -> None: ...
@@ -140,7 +141,7 @@ def test_without_room_the_skill_fails_and_says_so(world: RearrangeEpisode) -> No
         world.human, ground_pose(stand[:2], float(stand[2])), dict(zip(objects.names, objects.poses, strict=True))
     )
 
-    def ending(skill: Generator[None, None, Ending]) -> Ending:
+    def ending(skill: Generator[None, None, SkillResult]) -> SkillResult:
         while True:
             try:
                 next(skill)
@@ -156,7 +157,7 @@ def test_without_room_the_skill_fails_and_says_so(world: RearrangeEpisode) -> No
 def test_the_left_hand_takes_what_the_right_cannot(world: RearrangeEpisode) -> None:
     """Where only her left side has room she walks to a stand of the left hand, takes it and puts it down with that hand."""
 
-    class OnlyLeft(ReachRoom):
+    class OnlyLeft(BodyClearance):
         def __init__(self) -> None: ...
 
         def is_clear(self, stand: Any, point: Any, hand: Any = "right") -> bool:
@@ -169,13 +170,13 @@ def test_the_left_hand_takes_what_the_right_cannot(world: RearrangeEpisode) -> N
     person = Person(world.human, start, dict(zip(objects.names, objects.poses, strict=True)))
     actor = PersonActor(person, world.free, WalkerSpec(), objects, 1, OnlyLeft())
     for name in ("nav_to_object", "pick"):
-        assert run(person, actor.start(Action(name, 0)))[1] == Ending("done")  # type: ignore[arg-type,comparison-overlap]
+        assert run(person, actor.start(Action(name, 0)))[1] == SkillResult("done")  # type: ignore[arg-type,comparison-overlap]
     assert list(person.held) == ["left"]
     assert objects.held(1) == 0
     np.testing.assert_allclose(actor.hand_pose[:3], objects.poses[0, :3], atol=0.02)
     assert actor._hands(0) == ("left",)
     point = person.palm("left")[:3] - np.array([0.0, 0.1, 0.0])
     objects.goals[0] = point
-    assert run(person, actor.start(Action("place", 0)))[1] == Ending("done")  # type: ignore[arg-type,comparison-overlap]
+    assert run(person, actor.start(Action("place", 0)))[1] == SkillResult("done")  # type: ignore[arg-type,comparison-overlap]
     assert objects.held(1) == NOBODY
     np.testing.assert_allclose(objects.poses[0, :3], point, atol=0.012)

@@ -7,8 +7,9 @@ import pytest
 
 from h3data.bodies import load_robot
 from h3data.geometry import pose_to_matrix
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import FreeSpace, Scene
 from h3data.scene.records import Box, instance_matrix
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.robots.arm_clearance import APPROACH_M, ArmClearance, arm_clearance
 from sim_kinematic.agents.robots.hand_reach import DISTANCES_M
 from sim_kinematic.agents.robots.skills import RobotActor

@@ -10,15 +10,16 @@ from shapely.geometry import box
 
 from h3data.bodies import load_robot
 from h3data.geometry import IDENTITY_POSE
-from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.scene import FreeSpace
 from h3data.scene.freespace.build import build_from_walkable
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.robots.driving import ARRIVED_M
 from sim_kinematic.agents.robots.skills import ARM_OUT_M, RobotActor
-from sim_kinematic.agents.skills import Action, Ending, Objects
+from sim_kinematic.agents.skills import Action, Objects, SkillResult
 from sim_kinematic.agents.stands import robot_stands
 from sim_kinematic.avoidance.robot_base import CARRIED_M, base_of, carrying_base_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.yielding import Seen
+from sim_kinematic.avoidance.yielding import ObservedAgent
 from sim_kinematic.motion.spec import HOME_BASE, STEP_S, BaseSpec
 from sim_kinematic.motion.state import WorldState
 
@@ -55,8 +56,8 @@ def test_it_turns_to_a_near_point_instead_of_driving_round_it(free: FreeSpace, d
         assert left <= ARRIVED_M
 
 
-def seen(xz: np.ndarray, *, settled: bool = True) -> Seen:
-    return Seen(1, xz, np.zeros(2), settled, False)
+def seen(xz: np.ndarray, *, settled: bool = True) -> ObservedAgent:
+    return ObservedAgent(1, xz, np.zeros(2), settled, False)
 
 
 def test_who_waits_gets_out_of_the_way_of_a_person_who_is_near(free: FreeSpace) -> None:
@@ -150,7 +151,7 @@ def test_what_it_carries_is_brought_to_where_it_has_room_without_it() -> None:
     def go() -> Iterator[None]:
         ends.append((yield from robot.start(Action("nav_to_goal", 0))))
 
-    ends: list[Ending] = []
+    ends: list[SkillResult] = []
     for _ in zip(range(300), go(), strict=False):
         pass
     assert [end.outcome for end in ends] == ["done"]

@@ -8,8 +8,9 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.scene import FreeSpace
 from h3data.scene.freespace.build import build_from_walkable
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.avoidance.maneuvers import GAIN_M, plan_maneuver
 from sim_kinematic.motion.spec import HOME_BASE
 from sim_kinematic.motion.state import RobotState

@@ -12,16 +12,17 @@ import shapely
 
 from h3data.bodies import load_humanoid
 from h3data.geometry import ground_pose
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import FreeSpace, Scene
 from h3data.scene.freespace.build import build_from_walkable
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.person import Person
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.skills import RobotActor
-from sim_kinematic.agents.skills import Action, Ending, Objects
+from sim_kinematic.agents.skills import Action, Objects, SkillResult
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.routes import FloorRoutes, distance_to_path, first_of_path
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
-from sim_kinematic.avoidance.yielding import NO_PATH, Seen, discs_of, in_the_way, path_around
+from sim_kinematic.avoidance.yielding import NO_PATH, ObservedAgent, discs_of, in_the_way, path_around
 from sim_kinematic.motion.spec import NATURAL_WALKER, WalkerSpec
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
@@ -107,10 +108,10 @@ def test_ways_lead_round_discs_and_out_of_them(free: FreeSpace) -> None:
 
 
 # --- what is in the way -------------------------------------------------------------------------------------------------
-def seen(xz: object, *, is_robot: bool = False, heading: float = 0.0, velocity: object = (0, 0)) -> Seen:
+def seen(xz: object, *, is_robot: bool = False, heading: float = 0.0, velocity: object = (0, 0)) -> ObservedAgent:
     footprint = AVOIDANCE.robot if is_robot else AVOIDANCE.person
     xz, velocity = np.array(xz, np.float64), np.array(velocity, np.float64)
-    return Seen(1, xz, velocity, False, is_robot, heading, footprint=footprint)
+    return ObservedAgent(1, xz, velocity, False, is_robot, heading, footprint=footprint)
 
 
 def test_a_robot_is_as_long_as_it_is() -> None:
@@ -318,7 +319,7 @@ def test_a_hand_that_is_in_somebodys_way_is_taken_back(home: Scene, free: FreeSp
             steps += 1
         except StopIteration as end:
             ending = end.value
-    assert ending == Ending("failed", "blocked")
+    assert ending == SkillResult("failed", "blocked")
     after = person.frame()
     np.testing.assert_array_equal(after.joints, before.joints)
     np.testing.assert_array_equal(after.root, before.root)

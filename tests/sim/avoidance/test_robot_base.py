@@ -12,12 +12,13 @@ from h3data.bodies import Robot, load_robot
 from h3data.bodies.robots.extents import resting_bounds, row_radius
 from h3data.errors import SceneError
 from h3data.geometry import IDENTITY_POSE
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import FreeSpace, Scene
 from h3data.scene.shape_bounds import shape_points
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.avoidance.robot_base import base_of, floor_of, footprint_of, hull_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.velocity import Avoided, keep_clear
+from sim_kinematic.avoidance.velocity import ObstacleDisc, keep_clear
 from sim_kinematic.contact.clearance import robot_span
 from sim_kinematic.motion.spec import HOME_BASE, BaseSpec
 from tests.bodies.robots.cart_robot import CART_SETTINGS, write_cart
@@ -103,7 +104,7 @@ def test_a_hull_of_ones_own_keeps_clear(free: FreeSpace) -> None:
     at = at[int(np.argmax(free.signed_distance(at)))]
     robot = replace(load_robot("lift_arm"), hull_discs=np.array([-0.9, -0.6, -0.3, 0.0]))
     long, short = base_of(robot, BaseSpec()), base_of(load_robot("lift_arm"), BaseSpec())
-    beside = Avoided(at + np.array([-0.8, 0.7]), np.zeros(2))
+    beside = ObstacleDisc(at + np.array([-0.8, 0.7]), np.zeros(2))
     turn = (0.0, 1.0)  # to the left: the tail swings to the right
     assert keep_clear(free, short, at, 0.0, turn, at, [beside]) == turn
     assert keep_clear(free, long, at, 0.0, turn, at, [beside]) != turn

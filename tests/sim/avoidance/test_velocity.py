@@ -6,9 +6,10 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.scene import FreeSpace
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.velocity import Avoided, braking_speed, eased, keep_clear
+from sim_kinematic.avoidance.velocity import ObstacleDisc, braking_speed, eased, keep_clear
 from sim_kinematic.motion.spec import HOME_BASE, STEP_S, BaseSpec
 
 COMMANDS = st.tuples(st.floats(-1, 1), st.floats(-1, 1))
@@ -57,7 +58,7 @@ def test_beside_somebody_it_holds_on_to_the_side_on_which_it_passes() -> None:
     places = free.sample(np.random.default_rng(0), 400)
     at = places[int(np.argmax(free.signed_distance(places)))]
     ahead = at + np.array([1.6, 0.0])
-    somebody = Avoided(at + np.array([1.1, 0.0]), np.zeros(2))
+    somebody = ObstacleDisc(at + np.array([1.1, 0.0]), np.zeros(2))
     for side in (1.0, -1.0):
         chosen = keep_clear(free, HOME_BASE, at, 0.0, (1.0, 0.0), ahead, [somebody], (0.5, side))
         assert chosen[1] * side >= 0.0

@@ -6,11 +6,12 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.scene import FreeSpace
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.motion.spec import HOME_BASE
 from sim_kinematic.motion.step import discs_at, keep_apart
-from sim_kinematic.world import Drive, World
+from sim_kinematic.world import DriveCommand, World
 
 OPEN = np.full((200, 200), 5.0)
 PLACE = st.tuples(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5))
@@ -55,7 +56,7 @@ def test_worlds_may_be_solid():
         world.place(np.tile(starts, (count, 1, 1)), [free] * count)
         gaps = []
         for _ in range(40):
-            world.step([Drive(np.zeros((count, 2))), Drive(np.tile([0.6, 0.0], (count, 1)))])
+            world.step([DriveCommand(np.zeros((count, 2))), DriveCommand(np.tile([0.6, 0.0], (count, 1)))])
             robot, person = world.state.agents
             discs = discs_at(robot.xz, robot.heading, world.bases[0].disc_offsets_m, world.bases[0].disc_radius_m)
             gaps.append(np.hypot(*np.moveaxis(discs[:, :, :2] - person.xz[:, None], -1, 0)).min())

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from h3data.bodies import load_robot
 from h3data.errors import InputError
-from h3data.scene import Cylinder, FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import Cylinder, FreeSpace, Scene
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
 from sim_kinematic.contact import FclScene, MovingShapes, collide
 from sim_kinematic.motion.spec import HOME_BASE, STEP_S, ArmSpec, BaseSpec

@@ -24,7 +24,7 @@ from sim_kinematic.motion.stride import STAIRS_SHARE, Strider
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.resume import verify
 from sim_kinematic.tasks.runner import simulate
-from sim_kinematic.world import Drive, World
+from sim_kinematic.world import DriveCommand, World
 from tests import storeys
 
 STEP_S = 1 / 30
@@ -135,7 +135,7 @@ def test_wheels_stay_off_stairs_and_legs_climb_them(robot: str, climbs: bool) ->
     x0, z0, x1, z1 = storeys.flight()
     heights = []
     for k in range(150):
-        world.step([Drive(np.array([[1.0, 0.02 * np.sin(k)]])), Drive(np.zeros((1, 2)))])
+        world.step([DriveCommand(np.array([[1.0, 0.02 * np.sin(k)]])), DriveCommand(np.zeros((1, 2)))])
         x, z = world.state.robots[0].xz[0]
         heights.append(world.roots(0, world.rows)[0, 1])
         if not climbs:
@@ -158,8 +158,8 @@ def test_episodes_with_wheeled_robots_stay_on_one_storey(task: str) -> None:
 def test_bases_of_habitat_are_refused_on_stairs() -> None:
     world = World(make_roster(("robot", "human")), base=BaseSpec(slide="habitat"))
     world.place(np.array([[[*storeys.ends()[0], 0.0], [*storeys.ends()[1], 0.0]]]), [storeys.floor()])
-    with pytest.raises(InputError, match="stairs"):
-        world.step([Drive(np.array([[1.0, 0.0]])), Drive(np.zeros((1, 2)))])
+    with pytest.raises(InputError, match="H3-SIM-037"):
+        world.step([DriveCommand(np.array([[1.0, 0.0]])), DriveCommand(np.zeros((1, 2)))])
 
 
 @pytest.mark.slow

@@ -224,7 +224,7 @@ def test_paths_without_length_and_back_and_forth_end(path: list[list[float]]) ->
 
 
 def test_a_walker_who_turns_on_the_spot_has_no_strides() -> None:
-    with pytest.raises(InputError, match="turns on the spot"):
+    with pytest.raises(InputError, match="H3-SIM-038"):
         Strider(floor("small:1"), HOME_WALKER)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from h3data.habitat.scene_names import named_scenes, open_free_space
 from h3data.scene import FreeSpace
+from h3data.scene.open import named_scenes, open_free_space
 from sim_kinematic.avoidance.maneuvers import plan_maneuver
 from sim_kinematic.motion.spec import HOME_BASE, BaseSpec, SocialNavSpec
 from sim_kinematic.motion.state import RobotState

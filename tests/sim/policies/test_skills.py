@@ -15,9 +15,9 @@ from h3data_pipelines.cli import main
 from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.skills import REASONS
 from sim_kinematic.motion.spec import SkillSpec
-from sim_kinematic.policies.pictured import PicturedNetwork, PolicyCard, number_count, save_pictured
 from sim_kinematic.policies.skills.names import recorded_skills, skills_of
 from sim_kinematic.policies.skills.player import NetworkSkill
+from sim_kinematic.policies.visual_policy import PolicyCard, VisualPolicy, number_count, save_policy
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
 from sim_kinematic.tasks.rearrange.skill_judging import judge, play_of
 from sim_kinematic.tasks.rearrange.skill_starts import SkillStart, draw_starts
@@ -33,7 +33,7 @@ SHOWN = {
 }
 
 
-def constant(task: str, command: Any = None, **card: Any) -> PicturedNetwork:
+def constant(task: str, command: Any = None, **card: Any) -> VisualPolicy:
     """A policy that always does the same."""
     actions = 2 if task == "skill_nav" else 10
     command = np.zeros(actions) if command is None else np.asarray(command)
@@ -44,7 +44,7 @@ def constant(task: str, command: Any = None, **card: Any) -> PicturedNetwork:
         "act_1.weight": np.zeros((actions, 8)), "act_1.bias": command,
     }  # fmt: skip
     about = {"task": task, "robot": "quad_arm", "observations": SHOWN[task], "picture_size": None, "hold": 3, **card}
-    return PicturedNetwork(
+    return VisualPolicy(
         card=PolicyCard(**{"actions": actions, **about}), arrays={n: a.astype(np.float32) for n, a in arrays.items()}
     )
 
@@ -56,7 +56,7 @@ def folder(tmp_path: Path) -> Path:
         run = tmp_path / "runs" / task
         run.mkdir(parents=True)
         turns = [0.0, 0.3] if task == "skill_nav" else [0.0, 0.3, *[0.0] * 7, 1.0]
-        save_pictured(constant(task, turns), run / "policy.npz")
+        save_policy(constant(task, turns), run / "policy.npz")
     return tmp_path / "runs"
 
 
@@ -79,8 +79,8 @@ def test_names_carry_digests_and_mean_these_weights_only(folder: Path) -> None:
     assert set(skills_of(names)) == {"nav_to_object", "nav_to_goal", "pick", "place"}
     one = recorded_skills(str(folder / "skill_pick" / "policy.npz"))
     assert set(skills_of(one)) == {"pick"}
-    save_pictured(constant("skill_pick", [0.1] * 10), folder / "skill_pick" / "policy.npz")
-    with pytest.raises(InputError, match="no longer those"):
+    save_policy(constant("skill_pick", [0.1] * 10), folder / "skill_pick" / "policy.npz")
+    with pytest.raises(InputError, match="H3-POLICY-014"):
         skills_of(one, robot="quad_arm")
     assert RearrangeSpec(skills=str(folder)).skills != names
     assert RearrangeSpec().skills == ""
@@ -100,17 +100,17 @@ def broken(path: Path, how: str) -> Path:
             arrays = {**dict(data), "act_1.bias": np.array([np.nan, 0.0], np.float32)}
         np.savez(path, **arrays)  # type: ignore[arg-type]
     elif how == "lift_arm":
-        save_pictured(constant("skill_nav", robot="lift_arm"), path)
+        save_policy(constant("skill_nav", robot="lift_arm"), path)
     elif how == "social_nav":
         network = constant("skill_nav")
-        save_pictured(replace(network, card=_card(network, task="social_nav")), path)
+        save_policy(replace(network, card=_card(network, task="social_nav")), path)
     elif how == "outputs":
         network = constant("skill_nav")
-        save_pictured(replace(network, card=_card(network, task="skill_pick")), path)
+        save_policy(replace(network, card=_card(network, task="skill_pick")), path)
     return path
 
 
-def _card(network: PicturedNetwork, **changes: Any) -> PolicyCard:
+def _card(network: VisualPolicy, **changes: Any) -> PolicyCard:
     import msgspec
 
     return msgspec.structs.replace(network.card, **changes)
@@ -146,13 +146,13 @@ def test_another_robot_and_the_same_skill_twice_are_refused(folder: Path, tmp_pa
     with pytest.raises(InputError, match="Two of the files are for nav_to_object"):
         recorded_skills(f"{path},{path}")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match="found none"):
+    with pytest.raises(InputError, match="H3-POLICY-053"):
         recorded_skills(str(tmp_path / "empty"))
 
 
 def test_other_tasks_have_no_skills(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["generate", "social_nav", "--skills", str(folder), "-o", str(tmp_path / "ds")]) == 2
-    assert "--skills is for rearrange" in capsys.readouterr().err
+    assert "no options of social_nav: --skills" in capsys.readouterr().err
 
 
 # --- how they end -------------------------------------------------------------------------------------------------------
@@ -201,7 +201,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory, episode: RearrangeEpisode
     runs = tmp_path_factory.mktemp("runs")
     for task in SHOWN:
         turns = [0.5, 0.3] if task == "skill_nav" else [0.0, 0.3, *[0.1] * 7, 1.0]
-        save_pictured(constant(task, turns), runs / f"{task}.npz")
+        save_policy(constant(task, turns), runs / f"{task}.npz")
     played = replace(episode, spec=replace(episode.spec, skills=str(runs), max_steps=120))
     return simulate(Rearrange(), played, {"robot": "greedy_nearest", "human": "still"})
 

@@ -12,8 +12,9 @@ from shapely.geometry import box
 from h3data.errors import InputError
 from h3data.geometry import wrap_angle
 from h3data.metrics import measure
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import FreeSpace, Scene
 from h3data.scene.freespace.build import build_from_walkable
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.avoidance.rollouts import roll_out, straight_walk
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, SocialNavSpec
 from sim_kinematic.motion.state import RobotState
@@ -168,7 +169,7 @@ def test_who_walks_at_the_expert_makes_it_go_back_not_back_and_forth(speed_mps: 
 
 def test_only_the_oracle_needs_the_future(free: FreeSpace) -> None:
     view = views(free, 2)[1]._replace(future=None)
-    with pytest.raises(InputError, match="scripted"):
+    with pytest.raises(InputError, match="H3-POLICY-062"):
         future_oracle(view, SPEC)
 
     def peeked() -> np.ndarray:

@@ -11,7 +11,8 @@ from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.errors import InputError
 from h3data.render import Camera, normalize_depth
 from h3data.replay import Replay, camera_track
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import FreeSpace, Scene
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
@@ -183,13 +184,13 @@ def test_depth_is_scaled_as_habitats(home: Scene, bodies: tuple[Robot, Humanoid]
     scaled = CameraSensor(depth_range_m=(0.0, 10.0)).observe(drawn)["depth"]
     np.testing.assert_array_equal(scaled, normalize_depth(metres, 0.0, 10.0))
     assert scaled.dtype == np.float32
-    with pytest.raises(InputError, match="near < far"):
+    with pytest.raises(InputError, match="H3-SIM-044"):
         CameraSensor(depth_range_m=(3.0, 1.0))
 
 
 def test_what_cannot_be_seen_is_told(home: Scene, bodies: tuple[Robot, Humanoid]) -> None:
     drawn = StateRenderer(home, bodies)
-    with pytest.raises(InputError, match="pose"):
+    with pytest.raises(InputError, match="H3-SIM-042"):
         ARM.observe(drawn)
     with pytest.raises(InputError, match="1 worlds"):
         drawn.pose(WorldState.zeros(2))

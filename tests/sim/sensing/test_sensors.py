@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from h3data.errors import InputError
 from h3data.geometry import ground_pose, pose_from_matrix, pose_to_matrix, transform_points
-from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.scene import FreeSpace
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
 from sim_kinematic.motion.state import NOBODY, ROBOT
 from sim_kinematic.motion.step import integrate
@@ -117,7 +118,7 @@ def test_the_detector_counts_and_frames_as_habitat() -> None:
     assert not sensors.detect_humanoids(ids, 7).mask.any()
     assert sensors.detect_humanoids(ids[0], more_than_pixels=1199).found == 1.0
     assert sensors.detect_humanoids(ids[0], more_than_pixels=1200).found == 0.0
-    with pytest.raises(InputError, match="pictures"):
+    with pytest.raises(InputError, match="H3-SIM-049"):
         sensors.detect_humanoids(np.zeros(5, np.int32))
 
 

@@ -10,14 +10,15 @@ import pytest
 from h3data.recording import Recording, state_hash
 from h3data.recording.records import JOINTS
 from h3data.replay.validation import validate_recording
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import FreeSpace, Scene
 from h3data.scene.articulation import joints_of, posed
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.driven.commands import Close, Open
-from sim_kinematic.agents.opening.doorways import Doorways
+from sim_kinematic.agents.opening.doorways import RoomDoors
 from sim_kinematic.agents.skills import Action
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec, draw_episode
-from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.rearrange.play import RearrangeRollout
 from sim_kinematic.tasks.resume import resume, verify
 from sim_kinematic.tasks.runner import Session, simulate
 from tests.examples import examples
@@ -37,7 +38,7 @@ def free(home: Scene) -> FreeSpace:
 @pytest.fixture(scope="module")
 def episode(home: Scene, free: FreeSpace) -> RearrangeEpisode:
     """One thing, to be brought through a door that is closed."""
-    doorways = Doorways.of(home, free)
+    doorways = RoomDoors.of(home, free)
     for seed in range(40):
         found = rearrange_episode(home, seed=seed, free=free, spec=RearrangeSpec(objects=1))
         (target,) = found.targets
@@ -113,7 +114,7 @@ def test_homes_that_do_not_open_have_no_trace_of_it() -> None:
 
 def test_things_that_both_cannot_get_at_are_not_drawn(home: Scene, free: FreeSpace, episode: RearrangeEpisode) -> None:
     """Whatever is drawn is reached with all doors open, whichever of them are closed."""
-    ways = Doorways.of(home, free).open_floor
+    ways = RoomDoors.of(home, free).open_floor
     for seed in range(examples(3)):
         _, targets = draw_episode(home, free, seed, RearrangeSpec(), episode.robot, episode.human)
         for target in targets:
@@ -135,7 +136,7 @@ def test_opening_a_door_gives_the_room_behind_it_and_closing_takes_it_back(
 ) -> None:
     session = Session(REARRANGE, episode.only(1), {"human": External()})
     play = session.play
-    assert isinstance(play, RearrangePlay)
+    assert isinstance(play, RearrangeRollout)
     assert play.openables is not None
     assert play.floor is episode.free
     start = play.people[0].xz
@@ -155,6 +156,6 @@ def test_opening_a_door_gives_the_room_behind_it_and_closing_takes_it_back(
     assert verify(session.close()).difference is None
 
 
-def handle(play: RearrangePlay, k: int) -> np.ndarray:
+def handle(play: RearrangeRollout, k: int) -> np.ndarray:
     assert play.openables is not None
     return play.openables.handles(play.openables.positions)[k]

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import h3data
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import FreeSpace, Scene
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.motion.spec import BaseSpec, WalkerSpec
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
@@ -88,6 +89,6 @@ def test_people_set_off_and_brake_where_they_step_aside(home: Scene, free: FreeS
 def test_a_person_who_is_done_leaves_the_doorway(tmp_path: Path) -> None:
     """The person stood in the bathroom's doorway for 300 steps before the robot that carried the last thing."""
     h3data.generate(
-        "rearrange", tmp_path / "ds", scenes="h3-homes/test", policy="complement", partner="both", episodes=1, seed=4
+        "rearrange", tmp_path / "ds", scenes="h3-homes/test", policies="complement", partners="both", episodes=1, seed=4
     )
     assert h3data.open(tmp_path / "ds")[0].episode.info["ended"] == "success"

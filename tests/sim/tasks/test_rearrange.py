@@ -15,12 +15,13 @@ from h3data.errors import InputError, SceneError
 from h3data.geometry import ground_pose, pose_inverse, pose_multiply, pose_to_matrix, quat_rotate
 from h3data.metrics import measure
 from h3data.recording import Recording, read_mcap, recordings_equal, state_hash, write_mcap
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home, instance_matrix
+from h3data.scene import FreeSpace, Scene, instance_matrix
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.robots.hand_reach import HAND_PITCH_RAD, hand_turn
 from sim_kinematic.agents.skills import SKILLS, Action
 from sim_kinematic.agents.stands import person_stands, robot_stands
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.velocity import Avoided, keep_clear
+from sim_kinematic.avoidance.velocity import ObstacleDisc, keep_clear
 from sim_kinematic.contact import FclScene, MovingShapes, collide
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies.rearrange import (
@@ -309,8 +310,8 @@ def test_the_base_gives_way(free: FreeSpace) -> None:
     ahead = at + np.array([1.2, 0.0])
     far = at + np.array([AVOIDANCE.range_m + 1, 0.0])
     go = (1.0, 0.0)
-    assert keep_clear(free, base, at, 0.0, go, ahead, [Avoided(far, np.zeros(2))]) == go
-    coming = Avoided(ahead, np.array([-2.5, 0.0]))
-    assert keep_clear(free, base, at, 0.0, go, ahead, [Avoided(far, np.zeros(2)), coming]) != go
+    assert keep_clear(free, base, at, 0.0, go, ahead, [ObstacleDisc(far, np.zeros(2))]) == go
+    coming = ObstacleDisc(ahead, np.array([-2.5, 0.0]))
+    assert keep_clear(free, base, at, 0.0, go, ahead, [ObstacleDisc(far, np.zeros(2)), coming]) != go
     command = keep_clear(free, base, at, 0.0, (0.0, 0.0), at, [coming])
     assert command != (0.0, 0.0)  # who stands in her way steps aside

@@ -15,7 +15,8 @@ import pytest
 from h3data.builtin import builtin_path
 from h3data.errors import H3DataError, InputError
 from h3data.recording import Dataset, DatasetWriter, Recording, open_recording, state_hash, write_mcap
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import FreeSpace, Scene
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from sim_kinematic.agents.skills import CONTROL, SKILLS, Action
 from sim_kinematic.policies.learned import SHIPPED
@@ -252,9 +253,9 @@ def test_who_wanders_wanders_on(wandering: Recording) -> None:
         require_same(again, wandering)
         assert again.episode.info["resumed_from"]["step"] == step
     for options in ({"policy": "random"}, {"partner": "both"}):
-        with pytest.raises(InputError, match="Nobody in recordings of wander"):
+        with pytest.raises(InputError, match="H3-TASK-067"):
             resume(wandering, 3, **options)
-    with pytest.raises(InputError, match="Nobody in recordings of wander"):
+    with pytest.raises(InputError, match="H3-TASK-067"):
         counterfactual(wandering, "random")
 
 
@@ -365,14 +366,14 @@ def test_tracks_and_policies_that_are_none_are_refused(known: Callable[[int], Re
     for track in (changed(episode, "agent_1.root_pose", 3, np.nan), changed(episode, "object_pose", 3, np.nan)):
         with pytest.raises(InputError):
             counterfactual(track, "still")
-    with pytest.raises(InputError, match="robots and people"):
+    with pytest.raises(InputError, match="H3-TASK-036"):
         counterfactual(known(2), "still")
     with pytest.raises(InputError, match="greedy_nearest"):
         resume(episode, 5, policy="magic")
     with pytest.raises(InputError, match="plan_pop_4"):
         resume(episode, 5, partner="magic")
     for step in (-1, len(episode) + 1):
-        with pytest.raises(InputError, match="from 0 to"):
+        with pytest.raises(InputError, match="H3-TASK-035"):
             resume(episode, step)
 
 

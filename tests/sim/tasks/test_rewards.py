@@ -128,5 +128,5 @@ def test_what_cannot_be_rewarded_is_refused() -> None:
         SocialNavReward(1, profile="galactic")  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"\[3, 2\]"):
         SocialNavReward(3).step(meeting(1.0))
-    with pytest.raises(InputError, match="sub-goals"):
+    with pytest.raises(InputError, match="H3-TASK-043"):
         RearrangeReward().step([[True]], np.zeros((1, 4), np.bool_))

@@ -7,10 +7,10 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from h3data.habitat.scene_names import named_scenes, open_scene
 from h3data.recording import Recording
+from h3data.scene.open import named_scenes, open_scene
 from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec, WalkerSpec
-from sim_kinematic.tasks.play import WorldPlay
+from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.resume import resume, verify
 from sim_kinematic.tasks.runner import simulate
 from sim_kinematic.tasks.wander import Wander
@@ -68,7 +68,7 @@ def test_the_world_makes_the_step_that_an_agent_has_tried() -> None:
     scene = open_scene(named_scenes("h3-homes/val")[3].source)
     episode = Wander().episode(scene, seed=3, spec=SocialNavSpec(max_steps=60), agents="robot,human,male_1")
     play = Wander().play(episode, Wander().assign(episode))
-    assert isinstance(play, WorldPlay)
+    assert isinstance(play, WorldRollout)
     for turn in (turns := play.turns()):
         while turn is not None:
             turn = turns.send(play.policies[turn].policy.act(play.view(turn)))

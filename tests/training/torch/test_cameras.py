@@ -14,13 +14,14 @@ torch = pytest.importorskip("torch")
 
 from h3data.bodies import load_humanoid, load_robot  # noqa: E402
 from h3data.render.gpu import GpuRenderer  # noqa: E402
-from h3data.scene import FreeSpace, HomeSpec, build_home  # noqa: E402
+from h3data.scene import FreeSpace  # noqa: E402
+from h3data_homes import HomeSpec, build_home  # noqa: E402
 from h3data_training.envs.social_nav_torch_env import SocialNavTorchEnv  # noqa: E402
 from h3data_training.episodes import rules  # noqa: E402
 from h3data_training.torch import cameras as torch_cameras  # noqa: E402
 from h3data_training.torch.episodes import EpisodeBank  # noqa: E402
 from h3data_training.torch.state import HumanTensors, RobotTensors  # noqa: E402
-from h3data_training.worlds import HeldWorlds  # noqa: E402
+from h3data_training.worlds import ActionRepeatEnv  # noqa: E402
 from sim_kinematic.motion.spec import WalkerSpec  # noqa: E402
 from sim_kinematic.motion.state import WorldState  # noqa: E402
 from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer  # noqa: E402
@@ -113,7 +114,7 @@ def test_each_world_sees_the_home_of_its_episode(device: Any, monkeypatch: pytes
     env = SocialNavTorchEnv(
         4, device=name, dtype=torch.float32, observations=shown, spec=rules(settings), episodes=bank, depth_size=SIZE,
     )  # fmt: skip
-    worlds = HeldWorlds(settings, bank, device="cpu", compile=False, hold=1)
+    worlds = ActionRepeatEnv(settings, bank, device="cpu", compile=False, hold=1)
     seen, info = env.reset(seed=1)
     want, _ = worlds.reset(seed=1)
     assert len(set(info["episode"].tolist())) == 2

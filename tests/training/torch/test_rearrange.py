@@ -30,9 +30,9 @@ from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS  # noqa
 from sim_kinematic.policies.policy import External  # noqa: E402
 from sim_kinematic.policies.rearrange_observations import exact  # noqa: E402
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode, RearrangeSpec  # noqa: E402
-from sim_kinematic.tasks.rearrange.play import RearrangePlay  # noqa: E402
+from sim_kinematic.tasks.rearrange.play import RearrangeRollout  # noqa: E402
 from sim_kinematic.tasks.rearrange.task import Rearrange  # noqa: E402
-from sim_kinematic.tasks.runner import Turns  # noqa: E402
+from sim_kinematic.tasks.runner import DecisionLoop  # noqa: E402
 from sim_kinematic.tasks.sources import EpisodeSource  # noqa: E402
 from tests.examples import examples  # noqa: E402
 
@@ -94,8 +94,8 @@ class Pair:
         self.state: Play = self.sim.start(self.sim.before_the_first(torch.arange(len(episodes)) - 1))
         task = Rearrange()
         chosen = {kind: External() if kind in outside else partner for kind in KINDS}
-        self.plays = [RearrangePlay(e, task.assign(e, chosen)) for e in episodes]
-        self.turns = [Turns(play) for play in self.plays]
+        self.plays = [RearrangeRollout(e, task.assign(e, chosen)) for e in episodes]
+        self.turns = [DecisionLoop(play) for play in self.plays]
         self.known = {kind: choices(2, robot=kind == "robot") for kind in KINDS}
         self.seen: Counter[str] = Counter()
 
@@ -143,7 +143,7 @@ class Pair:
                 assert bool(self.state.success[n]) == (play.ended == "success")
                 self.seen[play.ended] += 1
 
-    def compare(self, n: int, play: RearrangePlay, at_goal: Any) -> None:
+    def compare(self, n: int, play: RearrangeRollout, at_goal: Any) -> None:
         state = self.state
         for actor, own in zip(play.actors, (state.robot, state.human), strict=True):
             np.testing.assert_allclose(own.xz[n], actor.xz, rtol=0, atol=1e-9)
@@ -216,7 +216,7 @@ def test_what_agents_are_shown_is_what_the_cpu_shows(episodes: list[RearrangeEpi
     names = tuple(name for name in OBSERVED if name not in ("last_done", "last_failed", "interrupted", "elapsed_s"))
     shown: dict[str, Any] = {}
 
-    def compare(n: int, play: RearrangePlay) -> None:
+    def compare(n: int, play: RearrangeRollout) -> None:
         if not n:
             views = {kind: View.of(pair.sim, pair.state, kind) for kind in KINDS}
             shown.update({kind: (observed(view, names), view.allowed()) for kind, view in views.items()})
@@ -313,7 +313,7 @@ def test_every_partner_has_the_plan_of_the_cpu(episodes: list[RearrangeEpisode],
     for name in PARTNERS:
         mine = [[k for k in row if k >= 0] for row in bank.orders(name).tolist()]
         assert mine == [list(partner_policy(name, e.seed, 2).objects) for e in episodes]  # type: ignore[attr-defined]
-    with pytest.raises(InputError, match="Unknown partner"):
+    with pytest.raises(InputError, match="H3-POLICY-039"):
         bank.orders("nobody")
 
 
@@ -394,11 +394,11 @@ def test_bad_options(bank: RearrangeBank, options: dict[str, Any], message: str)
 
 def test_bad_actions(bank: RearrangeBank) -> None:
     env = env_of(bank)
-    with pytest.raises(InputError, match="reset"):
+    with pytest.raises(InputError, match="H3-ENV-016"):
         env.step(torch.zeros(5).long())
     env.reset(seed=0)
     for bad in (torch.zeros(4).long(), torch.zeros(5), torch.zeros(5, 1).long()):
-        with pytest.raises(InputError, match="whole numbers of shape"):
+        with pytest.raises(InputError, match="H3-ENV-007"):
             env.step(bad)
     with pytest.raises(InputError, match="those of human"):
         env.step({"human": torch.zeros(5).long()})
@@ -414,9 +414,9 @@ def test_other_rules_are_refused(episodes: list[RearrangeEpisode]) -> None:
     ):
         with pytest.raises(InputError, match=message):
             RearrangeBank.of([replace(e, spec=replace(e.spec, **rules)) for e in episodes])
-    with pytest.raises(InputError, match="one robot, one person"):
+    with pytest.raises(InputError, match="H3-TRAIN-063"):
         RearrangeBank.of([episodes[0].played_by("robot,robot")])
-    with pytest.raises(InputError, match="at least 1 episode"):
+    with pytest.raises(InputError, match="H3-TRAIN-060"):
         RearrangeBank.draw(HOMES, 0)
 
 

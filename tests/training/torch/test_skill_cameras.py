@@ -27,7 +27,7 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode  # noqa: E402
 from sim_kinematic.tasks.rearrange.skill_judging import play_of  # noqa: E402
 from sim_kinematic.tasks.rearrange.skill_starts import SKILL_NAMES, Skill, draw_starts  # noqa: E402
 from sim_kinematic.tasks.rearrange.task import Rearrange  # noqa: E402
-from sim_kinematic.tasks.runner import Turns  # noqa: E402
+from sim_kinematic.tasks.runner import DecisionLoop  # noqa: E402
 from sim_kinematic.tasks.sources import EpisodeSource  # noqa: E402
 from tests.training.torch.test_cameras import device  # noqa: E402, F401
 
@@ -72,7 +72,7 @@ def test_it_sees_what_it_sees_on_the_cpu(device: Any) -> None:  # noqa: F811
     sim = SkillTensors("pick", SkillBank.of([(episode, episode.free, starts)]), device=name, dtype=torch.float32)
     cameras = SkillCameras(sim, worlds=3, size=SIZE, renderer=renderer)
     now, plays = begun(sim), [play_of(episode, start, {}) for start in starts]
-    runs, stages, rng = [Turns(play) for play in plays], [Stage() for _ in plays], np.random.default_rng(0)
+    runs, stages, rng = [DecisionLoop(play) for play in plays], [Stage() for _ in plays], np.random.default_rng(0)
     sensor = CameraSensor(size=SIZE, outputs=("depth", "semantic"))
     wrong, shows_robot, shows_held = [], 0, 0
     ids = [episode.scene.instances[k].semantic_id for k in sim.bank.bodies[0]]

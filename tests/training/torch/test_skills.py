@@ -19,11 +19,11 @@ from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.spec import SkillSpec
 from sim_kinematic.policies.skills.observations import SENSES, SkillView, observe
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.rearrange.play import RearrangeRollout
 from sim_kinematic.tasks.rearrange.skill_judging import play_of
 from sim_kinematic.tasks.rearrange.skill_starts import Skill, SkillStart, draw_starts
 from sim_kinematic.tasks.rearrange.task import Rearrange
-from sim_kinematic.tasks.runner import Turns
+from sim_kinematic.tasks.runner import DecisionLoop
 from sim_kinematic.tasks.sources import EpisodeSource
 
 STEPS = 240
@@ -89,7 +89,7 @@ def test_a_step_is_that_of_the_lower_layer(episode: RearrangeEpisode, skill: Ski
         starts[0].objects[0] = hand + np.array([0.05, 0.0, 0.05])
     sim, now = worlds(episode, skill, starts)
     plays = [play_of(episode, start, {}) for start in starts]
-    turns = [Turns(play) for play in plays]
+    turns = [DecisionLoop(play) for play in plays]
     rng, gripped = np.random.default_rng(1), 0
     command = np.zeros((len(starts), 10))
     for step in range(STEPS):
@@ -117,7 +117,7 @@ def test_a_step_is_that_of_the_lower_layer(episode: RearrangeEpisode, skill: Ski
     assert gripped or skill == "nav"
 
 
-def view_of(play: RearrangePlay, start: SkillStart, before: tuple[Any, float]) -> SkillView:
+def view_of(play: RearrangeRollout, start: SkillStart, before: tuple[Any, float]) -> SkillView:
     robot = play.robots[0]
     return SkillView(
         free=robot.free, xz=robot.xz, heading=robot.heading, before=before, point=start.point, stand_xz=start.stand_xz,
@@ -130,7 +130,7 @@ def test_a_skill_is_shown_the_same_on_a_device(episode: RearrangeEpisode) -> Non
     starts = starts_of(episode, "place", 6)
     sim, now = worlds(episode, "place", starts)
     plays = [play_of(episode, start, {}) for start in starts]
-    turns = [Turns(play) for play in plays]
+    turns = [DecisionLoop(play) for play in plays]
     rng = np.random.default_rng(2)
     apart = []
     for _ in range(12):

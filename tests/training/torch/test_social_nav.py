@@ -17,8 +17,12 @@ import h3data  # noqa: E402
 from h3data.bodies import load_humanoid, load_robot  # noqa: E402
 from h3data.errors import InputError  # noqa: E402
 from h3data.geometry import ground_pose, wrap_angle  # noqa: E402
-from h3data.scene import FreeSpace, HomeSpec, build_home  # noqa: E402
-from h3data.scene.homes import HOME_NAMES  # noqa: E402
+from h3data.scene import FreeSpace  # noqa: E402
+from h3data_homes import (  # noqa: E402
+    HOME_NAMES,
+    HomeSpec,
+    build_home,
+)
 from h3data_training.envs.social_nav_torch_env import PICTURED, SocialNavTorchEnv, TorchObservation  # noqa: E402
 from h3data_training.torch.contact import TOLERANCE_M, TouchTest  # noqa: E402
 from h3data_training.torch.episodes import EpisodeBank  # noqa: E402
@@ -275,7 +279,7 @@ def test_the_environment_keeps_gymnasiums_manners(bank: EpisodeBank) -> None:
     env = SocialNavTorchEnv(
         5, device="cpu", spec=RULES, episodes=bank, observations=("humanoid_gps", "egomotion", "localization")
     )
-    with pytest.raises(InputError, match="reset"):
+    with pytest.raises(InputError, match="H3-ENV-016"):
         env.step(torch.zeros(5, 2))
     shown, info = env.reset(seed=3)
     kept = {name: tensor.clone() for name, tensor in shown.items()}
@@ -359,7 +363,7 @@ def test_what_a_device_does_not_know_is_refused(bank: EpisodeBank, caplog: pytes
     wrong("strictly", spec=replace(RULES, robot=replace(RULES.robot, slide="habitat")))
     if not torch.cuda.is_available():
         wrong("no GPU", device="cuda")
-    with pytest.raises(InputError, match="at least 1 episode"):
+    with pytest.raises(InputError, match="H3-TRAIN-060"):
         EpisodeBank.draw(HOMES, 0)
     env = SocialNavTorchEnv(2, device="cpu", episodes=bank, spec=RULES)
     with pytest.raises(InputError, match="each of 2 worlds"):
@@ -367,7 +371,7 @@ def test_what_a_device_does_not_know_is_refused(bank: EpisodeBank, caplog: pytes
     env.reset(seed=1)
     with pytest.raises(InputError, match=r"shape \[2, 2\]"):
         env.step(torch.zeros(3, 2))
-    with pytest.raises(InputError, match="only the robot acts"):
+    with pytest.raises(InputError, match="H3-ENV-001"):
         h3data.make("social_nav", device="cpu", agents=("robot", "human"))
 
 

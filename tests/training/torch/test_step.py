@@ -43,7 +43,8 @@ def doubles(array: Any) -> Any:
 
 
 def home(preset: Any) -> Any:
-    from h3data.scene import FreeSpace, HomeSpec, build_home
+    from h3data.scene import FreeSpace
+    from h3data_homes import HomeSpec, build_home
 
     return FreeSpace.from_scene(build_home(HomeSpec(preset=preset, seed=1)))
 

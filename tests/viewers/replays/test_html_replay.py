@@ -23,8 +23,8 @@ from h3data.geometry import heading_from_quat, pose_to_matrix, quat_from_axis_an
 from h3data.recording import Recording, write_mcap
 from h3data.recording.records import JOINTS, Event, SkillSpan
 from h3data.replay import Replay
-from h3data.scene import HomeSpec, build_home
 from h3data.scene.articulation import joints_of
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from h3data_viewers.html_replay import home, html_file
 from h3data_viewers.html_replay.html_file import write_html
@@ -329,7 +329,7 @@ def test_existing_files_are_kept(walk: Recording, tmp_path: Path) -> None:
 
 def test_recordings_without_steps_are_refused(walk: Recording, tmp_path: Path) -> None:
     empty = replace(walk, columns={name: column[:0] for name, column in walk.columns.items()}, events=(), skills=())
-    with pytest.raises(InputError, match="has none"):
+    with pytest.raises(InputError, match="H3-VIEW-002"):
         write_html(empty, tmp_path / "e.html")
 
 
@@ -367,7 +367,7 @@ def test_a_machine_without_a_browser_says_so(
 
 def test_open_starts_rerun(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("rerun")
-    from h3data_pipelines.pictures import viewing
+    from h3data_viewers.commands import viewing
 
     started: list[list[str]] = []
     monkeypatch.setattr(viewing.subprocess, "Popen", lambda command, **_: started.append(command))

@@ -19,18 +19,22 @@ class RearrangeApp(App):
     rules: ClassVar[Mapping[str, Any]] = {"max_steps": 5400, "end_on_collision": False, "solid_agents": True}
 
     def driver(self, number: int) -> Driver:
+        """Driver of a person or a robot with skills."""
         is_person = isinstance(self.session.play.actors[number], DrivenPerson)  # type: ignore[attr-defined]
         return (PersonDriver if is_person else RobotDriver)(self.session, number)
 
     def hud(self, number: int) -> Hud:
+        """Instruction, time left, and the number of things at their goals."""
         done = int(self.session.play.at_goal.sum())  # type: ignore[attr-defined]
         words = str(self.session.recorder.header.episode.info["instruction"])
         lines = (f"{done} of {len(self.goals())} things are where they belong.",)
         return Hud(task=sentence_of(words), left_s=self.left_s, lines=lines)
 
     def goals(self) -> list[Goal]:
+        """Goal of each object, with its name in words."""
         targets = self.session.episode.targets  # type: ignore[attr-defined]
         return [Goal(position=tuple(t.goal.tolist()), label=spoken(t.destination) or "its goal") for t in targets]
 
     def label(self, name: str) -> str:
+        """Name of an object in words."""
         return spoken(name) or "thing"

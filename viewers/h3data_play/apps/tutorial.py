@@ -53,6 +53,7 @@ class TutorialApp(RearrangeApp):
     partner: ClassVar[str | None] = "solo"
 
     def reset(self, session: Session) -> None:
+        """Starts a session in which no player has done a step of the tutorial."""
         super().reset(session)
         self.drivers: dict[int, Driver] = {}
         self.marks: dict[int, Array] = {}
@@ -60,11 +61,13 @@ class TutorialApp(RearrangeApp):
         self.looked: dict[int, int] = {}
 
     def driver(self, number: int) -> Driver:
+        """Driver of an agent, for whom a mark on the floor is chosen."""
         driver = self.drivers[number] = super().driver(number)
         self.marks[number] = self._mark(number)
         return driver
 
     def refusal(self, number: int, message: Act) -> str:
+        """Request to do the earlier steps first, for a player who takes or places something too early."""
         step = self.step_of(number)
         if step < TAKE and isinstance(message, Pick | Place | Drop | Give):
             first = (
@@ -74,6 +77,7 @@ class TutorialApp(RearrangeApp):
         return ""
 
     def step(self, result: StepResult) -> str:
+        """Notes which players have reached their mark or look at the object."""
         for number, driver in self.drivers.items():
             xz, heading = driver.place
             step = self.step_of(number)
@@ -85,6 +89,7 @@ class TutorialApp(RearrangeApp):
         return super().step(result)
 
     def hud(self, number: int) -> Hud:
+        """Present step of the tutorial, and all steps as a list."""
         current = self.step_of(number)
         thing, goal, go = self.thing, self.goals()[0].label, self._go(number)
         short = f"{go} to the white ring", f"Look at the {thing}", f"Take the {thing}", f"Put it on the {goal}"
@@ -103,6 +108,7 @@ class TutorialApp(RearrangeApp):
         return Hud(task=tasks[step], left_s=None, lines=tuple(lines), how=HOW.get(step, {}), marker=mark)
 
     def over(self, number: int) -> str:
+        """Text at the end: praise if the tutorial is passed."""
         if self.session.ended == "success":
             return "You have done all steps: you can walk, look, take things and put them where they belong."
         return super().over(number)

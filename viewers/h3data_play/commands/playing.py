@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import msgspec
 import tyro
 
-from h3data.commands.command import JsonFlag, Outcome, WalkOption, claim_folder, keeping
+from h3data.commands.command import JsonFlag, Outcome, RulesOption, WalkOption, claim_folder, keeping, read_rules
 from h3data.errors import InputError
 from h3data.files import part_file
 from h3data.progress import say
@@ -58,13 +58,13 @@ class Play:
     module:Class, an app of your own (h3data docs play)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder of the recordings (default: a new one below out/play)."""
-    play_as: Annotated[str | None, tyro.conf.arg(aliases=["--as"])] = None
-    """person, robot, or several separated by commas, each with a link of its own: person,robot or person,person. spectator
+    seats: Annotated[tuple[str, ...], tyro.conf.arg(name="as")] = ()
+    """person, robot, or several, each with a link of its own: person,robot or person,person. spectator
     adds the link of somebody who watches (default: the app's; teleop robot, the others person)."""
     partner: str | None = None
     """Policy of everybody whom nobody plays: a name as in generate, weights:FILE, or solo (nobody is added; the default of
     tutorial and teleop)."""
-    scenes: str = "small"
+    scenes: tuple[str, ...] = ("small",)
     """Homes to play in, as in generate."""
     seed: int = 0
     """Homes and episodes follow from it."""
@@ -74,6 +74,7 @@ class Play:
     """Length limit of an episode (default: the app's; rearrange and teleop 180, social_nav 90, tutorial 600)."""
     motion: Path | None = None
     """How people walk: as in a motion file, as of h3data generate."""
+    rules: RulesOption = ()
     human_walk: WalkOption | None = None
     """How fast people walk: natural is 1.3 m/s, paper 2.5 m/s (default: natural)."""
     port: PortOption = 0
@@ -81,11 +82,12 @@ class Play:
     cert: CertOption = None
     key: KeyOption = None
     behind_proxy: ProxyFlag = False
-    allow_host: AllowHostOption = ()
+    allow_hosts: AllowHostOption = ()
     no_browser: NoBrowserFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Serves the session until it is over, and returns the recordings."""
         self._check()
         out = self.out or DEFAULT_OUT / time.strftime("%Y%m%d-%H%M%S")
         goes_on = self._claim(out)
@@ -111,28 +113,33 @@ class Play:
     def _check(self) -> None:
         self._serving()
         if self.episodes < 1 or self.seed < 0:
-            raise InputError("Expected --episodes of at least 1 and a --seed of at least 0.")
+            raise InputError("Expected --episodes of at least 1 and a --seed of at least 0.", code="H3-PLAY-002")
         if self.seconds is not None and not 1 <= self.seconds <= 36000:
-            raise InputError(f"--seconds must be 1 to 36000, got {self.seconds}.")
+            raise InputError(f"--seconds must be 1 to 36000, got {self.seconds}.", code="H3-PLAY-003")
 
     def _serving(self) -> dict[str, Any]:
         return serving_options(
             "h3data play", host=self.host, port=self.port, cert=self.cert, key=self.key, behind_proxy=self.behind_proxy,
-            allow_host=self.allow_host,
+            allow_hosts=self.allow_hosts,
         )  # fmt: skip
 
     def _plan(self, out: Path) -> dict[str, Any]:
         from h3data_play.app import find_app
         from h3data_play.plan import SEATS
+        from sim_kinematic.tasks.episode import rule_value
+        from sim_kinematic.tasks.registry import find_task
 
-        play_as = self.play_as or ",".join(find_app(self.app).seats)
-        seats = [name.strip() for name in play_as.split(",")]
+        seats = self.seats or find_app(self.app).seats
         strange = [name for name in seats if name not in SEATS]
         if strange or not set(seats) & {"person", "robot"}:
             raise InputError(
-                f"Expected --as with some of {', '.join(SEATS)}, somebody who plays among them, got: {play_as}"
+                f"Expected --as with some of {', '.join(SEATS)}, somebody who plays among them, got: {','.join(seats)}",
+                code="H3-PLAY-027",
             )
-        rules: dict[str, Any] = {}
+        spec = find_task(find_app(self.app).task).Spec()
+        rules: dict[str, Any] = {name: rule_value(spec, name, value) for name, value in read_rules(self.rules)}
+        if self.seconds is not None and "max_steps" in rules:
+            raise InputError("Expected --seconds or --set max_steps=..., got both.", code="H3-PLAY-028")
         if self.seconds is not None:
             rules["max_steps"] = round(self.seconds * 30)
         if self.human_walk is not None:
@@ -147,7 +154,7 @@ class Play:
             "out": str(out.resolve()),
             "seats": sorted(seats, key=lambda name: name == "spectator"),
             "partner": self.partner,
-            "scenes": self.scenes,
+            "scenes": self.scenes[0] if len(self.scenes) == 1 else list(self.scenes),
             "seed": self.seed,
             "episodes": self.episodes,
             "rules": rules,
@@ -162,7 +169,8 @@ class Play:
             if file.read_bytes() != plan:
                 raise InputError(
                     f"{out} holds an unfinished session that was started with other options ({file}). Use the same ones, or "
-                    "another -o."
+                    "another -o.",
+                    code="H3-PLAY-005",
                 )
             return True
         claim_folder(out, force=False)
@@ -183,7 +191,7 @@ class Play:
 
     def _heard(self, report: dict[str, Any], links: list[list[str]], overs: list[dict[str, Any]], out: Path) -> None:
         if "refused" in report:
-            raise InputError(report["refused"])
+            raise InputError(report["refused"], code=report.get("code", ""))
         if "ready" in report:
             links += report["ready"]["links"]
             for seat, link in links:

@@ -32,8 +32,8 @@ AllowHostOption = Annotated[
     tuple[str, ...],
     tyro.conf.arg(
         metavar="NAME",
-        help="Further name by which browsers reach the server, such as study.example.org behind a proxy; may be given several "
-        "times. Known without it: loopback, addresses, --host and the certificate's names.",
+        help="Further names by which browsers reach the server, such as study.example.org behind a proxy. "
+        "Known without it: loopback, addresses, --host and the certificate's names.",
     ),
 ]
 NoBrowserFlag = Annotated[bool, tyro.conf.arg(help="Only print the address.")]
@@ -47,7 +47,7 @@ def serving_options(
     cert: Path | None,
     key: Path | None,
     behind_proxy: bool,
-    allow_host: Sequence[str] = (),
+    allow_hosts: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Options of the server process, checked.
 
@@ -56,28 +56,32 @@ def serving_options(
     """
     require_aiohttp(what)
     if not 0 <= port < 65536:
-        raise InputError(f"Expected a --port from 0 to 65535, got {port}.")
+        raise InputError(f"Expected a --port from 0 to 65535, got {port}.", code="H3-PLAY-006")
     if (cert is None) != (key is None):
-        raise InputError("Give both --cert and --key, or neither.")
+        raise InputError("Give both --cert and --key, or neither.", code="H3-PLAY-007")
     for file in (cert, key):
         if file is not None and not file.is_file():
-            raise InputError(f"There is no such file: {file}")
-    for name in allow_host:
+            raise InputError(f"There is no such file: {file}", code="H3-PLAY-011")
+    for name in allow_hosts:
         if re.fullmatch(r"(\*\.)?[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*\.?", name) is None:
-            raise InputError(f"Expected --allow-host with a name such as study.example.org, without port, got {name}")
+            raise InputError(
+                f"Expected --allow-host with a name such as study.example.org, without port, got {name}",
+                code="H3-PLAY-012",
+            )
     return {
         "host": host, "port": port, "cert": str(cert or ""), "key": str(key or ""), "behind_proxy": behind_proxy,
-        "allow_hosts": list(allow_host),
+        "allow_hosts": list(allow_hosts),
     }  # fmt: skip
 
 
 def require_aiohttp(what: str) -> None:
-    """
+    """Checks that the package aiohttp is installed.
+
     Raises:
-        InputError: the package is missing.
+        InputError: it is missing.
     """
     if importlib.util.find_spec("aiohttp") is None:
-        raise InputError(f"{what} needs the package aiohttp. Hint: pip install 'h3data[hitl]'")
+        raise InputError(f"{what} needs the package aiohttp. Hint: pip install 'h3data[hitl]'", code="H3-PLAY-008")
 
 
 def run_server(module: str, options: dict[str, Any], heard: Callable[[dict[str, Any]], None]) -> None:
@@ -103,7 +107,9 @@ def run_server(module: str, options: dict[str, Any], heard: Callable[[dict[str, 
         process.stdin.close()
         process.wait()
     if process.returncode:
-        raise H3DataError(f"The server ended with exit code {process.returncode}; its message is above.")
+        raise H3DataError(
+            f"The server ended with exit code {process.returncode}; its message is above.", code="H3-PLAY-009"
+        )
 
 
 @contextmanager
@@ -120,11 +126,11 @@ def started_server(module: str, options: dict[str, Any]) -> Iterator[tuple[list[
     try:
         for report in reports:
             if "refused" in report:
-                raise InputError(report["refused"])
+                raise InputError(report["refused"], code=report.get("code", ""))
             if "ready" in report:
                 yield report["ready"]["links"], reports
                 return
-        raise H3DataError("The server ended while it started; its message is above.")
+        raise H3DataError("The server ended while it started; its message is above.", code="H3-PLAY-010")
     finally:
         process.terminate()
         process.stdin.close()

@@ -1,5 +1,7 @@
-"""A scripted browser: speaks the protocol of h3data docs play over HTTP and a socket, and keeps what the server says. For
-tests, benchmarks and scripted participants of studies; needs no simulator."""
+"""Scripted browser that speaks the protocol of `h3data docs play` over HTTP and a socket.
+
+It stores what the server says, and needs no simulator. Tests, benchmarks and scripted participants of studies use it.
+"""
 
 from __future__ import annotations
 
@@ -39,29 +41,29 @@ class Client:
     http: aiohttp.ClientSession = field(init=False)
     socket: aiohttp.ClientWebSocketResponse = field(init=False)
     address: str = ""
-    """Of the socket, once there is a seat."""
+    """Address of the socket, once there is a seat."""
     glb: str = ""
     manifest: dict[str, Any] = field(default_factory=dict)
     head: tuple[Any, ...] = (STATE, 0, 0, 0, 0, -1, 0.0)
     """Of the last state: kind, flags, agents, objects in it, step, ack, clock [ms]."""
     bases: list[tuple[float, float, float]] = field(default_factory=list)
-    """Of the agents in the last state: x, z, heading."""
+    """Bases of the agents in the last state: x, z, heading."""
     things: list[Thing] = field(default_factory=list)
     joints: list[float] = field(default_factory=list)
     """Positions of doors and drawers [rad or m]."""
     states: int = 0
     bytes: int = 0
-    """Of states."""
+    """Number of bytes of all states."""
     told: list[dict[str, Any]] = field(default_factory=list)
     """Text frames."""
     delays: list[float] = field(default_factory=list)
-    """From each message to the state that has it [s]."""
+    """Delay from each message to the state that reflects it [s]."""
     times: list[float] = field(default_factory=list)
     """When states came, by `time.monotonic`."""
     played_s: float = 0.0
     """Time between states of the same connection: without waiting for seats and next episodes."""
     waited_s: list[float] = field(default_factory=list)
-    """From the end of each episode to the first state of the next."""
+    """Time from the end of each episode to the first state of the next [s]."""
     close_code: int | None = None
     seq: int = 0
     news: asyncio.Event = field(default_factory=asyncio.Event)
@@ -173,10 +175,12 @@ class Client:
 
     @property
     def flags(self) -> int:
+        """Flags of the last state message."""
         return self.head[1]
 
     @property
     def step(self) -> int:
+        """Step of the last state message."""
         return self.head[4]
 
     @property

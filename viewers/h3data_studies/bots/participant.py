@@ -1,5 +1,8 @@
-"""Scripted participants of a study: they read the consent, pass the checks and the tutorial, play all episodes and fill in the
-forms, as a page would, and are marked as bots (``client.browser`` is ``bot``)."""
+"""Scripted participants of a study.
+
+As a page would, they read the consent, pass the checks and the tutorial, play all episodes and fill in the forms. They
+are marked as bots (``client.browser`` is ``bot``).
+"""
 
 from __future__ import annotations
 
@@ -39,14 +42,15 @@ class ScriptedParticipant(Client):
         self, link: str, name: str, report: Callable[[str], None] = lambda _: None, *, pid: str = "", rejoin: str = "",
         right: Mapping[tuple[str, str], float] | None = None,
     ) -> None:  # fmt: skip
-        """
+        """Connects a participant to a study.
+
         Args:
-            link: Of the study.
-            name: What chance follows from.
-            report: Called with what ended an episode.
-            pid: Its PROLIFIC_PID (default: 24 hexadecimal digits that follow from the name).
-            right: Right answers to checks, by form and item, which pages are not told.
-            rejoin: Code by which it goes on where it was (`h3data_studies.pseudonyms.rejoin_code`).
+            link: link of the study.
+            name: name from which all random numbers follow.
+            report: called with the reason why an episode ended.
+            pid: its PROLIFIC_PID (default: 24 hexadecimal digits that follow from the name).
+            right: correct answers to checks, by form and item, which pages do not know.
+            rejoin: code by which it continues an earlier participation (`h3data_studies.pseudonyms.rejoin_code`).
         """
         super().__init__(link)
         self.name, self.report, self.rejoin, self.right = name, report, rejoin, right or {}
@@ -163,8 +167,10 @@ class ScriptedParticipant(Client):
                 await self._fetch()
 
     async def _fetch(self) -> None:
-        """Takes the nearest thing that is not where it belongs, once nothing shuts in its place or itself; waits where somebody
-        else has them all."""
+        """Takes the nearest object that is not at its goal, once the object and its goal are not enclosed.
+
+        Waits while another agent has all of them.
+        """
         x, z, _ = self.bases[self.me]
         open_ = [k for k in range(len(self.manifest["goals"])) if not self._is_done(k) and self.things[k].held < 0]
         if not open_:
@@ -222,6 +228,7 @@ class ScriptedParticipant(Client):
 
     @property
     def me(self) -> int:
+        """Number of the participant's agent."""
         return int(self.manifest["me"])
 
     @property

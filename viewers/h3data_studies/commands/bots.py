@@ -58,6 +58,7 @@ class StudyBots:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Plays the study and returns how it went, with the size of the recordings."""
         from h3data_studies.files import bots_folder, make_plan, read_design, study_folder, with_id_pattern
         from h3data_studies.forms import right_answers
         from h3data_studies.pseudonyms import ANY
@@ -67,10 +68,13 @@ class StudyBots:
         count = design.participants if self.participants is None else self.participants
         if not 1 <= count <= design.participants:
             raise InputError(
-                f"Expected --participants from 1 to {design.participants}, the places of the study, got {count}."
+                f"Expected --participants from 1 to {design.participants}, the places of the study, got {count}.",
+                code="H3-STUDY-001",
             )
         if self.workers < 1 or (self.at_once is not None and self.at_once < 1) or not 0 <= self.speed <= 100:
-            raise InputError("Expected --workers and --at-once of at least 1, and a --speed from 0 to 100.")
+            raise InputError(
+                "Expected --workers and --at-once of at least 1, and a --speed from 0 to 100.", code="H3-STUDY-002"
+            )
         episodes = count * len(design.conditions) * design.episodes
         crowd = Crowd(count, self.at_once or AT_ONCE_EACH * self.workers, right=right_answers(design))
         began = time.monotonic()
@@ -163,7 +167,7 @@ class Crowd:
 
             await asyncio.gather(*(self._one(link, k, places, ended) for k in range(self.count)))
         if self.faults == self.count:
-            raise H3DataError("No bot could take part; what they were told is above.")
+            raise H3DataError("No bot could take part; what they were told is above.", code="H3-STUDY-003")
 
     async def _one(self, link: str, k: int, places: asyncio.Semaphore, ended: Any) -> None:
         from aiohttp import ClientError

@@ -38,12 +38,13 @@ class StudyFit:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Fits the models and returns means and differences."""
         import json
 
         from h3data.metrics import StudyModel, analyse_study, find_profile, measure_files
 
         if not self.recordings:
-            raise InputError("Expected at least one recording (.mcap) or dataset.")
+            raise InputError("Expected at least one recording (.mcap) or dataset.", code="H3-METRIC-002")
         if self.out is not None:
             claim_file(self.out, force=self.force, suffix=".json")
         table = measure_files(self.recordings, self.profile)

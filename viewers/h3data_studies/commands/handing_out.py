@@ -60,6 +60,7 @@ class StudyData:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Writes the participant's data to a zip file."""
         from h3data_studies.files import open_store, open_study
         from h3data_studies.orders import RECORDINGS, TUTORIALS
 
@@ -132,6 +133,7 @@ class StudyPay:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Writes a table of completion codes and bonuses."""
         from h3data_studies.files import key_file, open_store, open_study
         from h3data_studies.flow import COMPLETE
         from h3data_studies.overview import is_bot, played
@@ -140,7 +142,10 @@ class StudyPay:
         folder, design = open_study(self.study)
         listed = [] if self.ids is None else _listed(self.ids)
         if self.ids is not None and design.bonus is None:
-            raise InputError(f"The study file has no bonus. Expected [bonus] with base or per_success. Study: {folder}")
+            raise InputError(
+                f"The study file has no bonus. Expected [bonus] with base or per_success. Study: {folder}",
+                code="H3-STUDY-006",
+            )
         people = sorted(open_store(folder, design).participants.values(), key=lambda p: p.number)
         key, out = read_key(key_file(folder)), payments_folder(folder) if self.out is None else self.out
         claim_folder(out, force=self.force or self.out is None)
@@ -200,13 +205,14 @@ def _listed(path: Path) -> list[tuple[str, str]]:
     try:
         text = path.read_text("utf-8-sig")
     except (OSError, UnicodeDecodeError) as fault:
-        raise InputError(f"Cannot read the list of ids ({fault}): {path}") from None
+        raise InputError(f"Cannot read the list of ids ({fault}): {path}", code="H3-STUDY-007") from None
     rows: Sequence[list[str]] = [row for row in csv.reader(io.StringIO(text)) if row]
     heads = [cell.strip().lower() for cell in rows[0]] if rows else []
     column = next((heads.index(name) for name in _ID_COLUMNS if name in heads), None)
     if column is None and any(len(row) > 1 for row in rows):
         raise InputError(
-            f'The list of ids has no column "Participant id" or PROLIFIC_PID; it has: {", ".join(rows[0])}. File: {path}'
+            f'The list of ids has no column "Participant id" or PROLIFIC_PID; it has: {", ".join(rows[0])}. File: {path}',
+            code="H3-STUDY-004",
         )
     code = heads.index("completion code") if "completion code" in heads else None
     found = []
@@ -215,5 +221,7 @@ def _listed(path: Path) -> list[tuple[str, str]]:
         if _ID.fullmatch(given):
             found.append((given, row[code].strip() if code is not None and len(row) > code else ""))
     if not found:
-        raise InputError(f"Expected an id in each line, or a CSV file with a column of ids, got none: {path}")
+        raise InputError(
+            f"Expected an id in each line, or a CSV file with a column of ids, got none: {path}", code="H3-STUDY-005"
+        )
     return list(dict.fromkeys(found))

@@ -39,6 +39,7 @@ class StudyStatus:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Returns the number of participants in each state and condition."""
         from h3data_studies.files import open_store, open_study
         from h3data_studies.overview import overview
 
@@ -119,6 +120,7 @@ class StudyForget:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Deletes the participant's data and returns what was deleted."""
         from h3data_studies.files import open_store, open_study
 
         folder, design = open_study(self.study)
@@ -171,7 +173,8 @@ def find_participant(folder: Path, store: StudyStore, name: str) -> Participant:
     if person is None:
         names = [p.id for p in store.participants.values()]
         raise InputError(
-            f"Nobody in this study is {name!r}.{did_you_mean(name, names)} Hint: h3data study status {folder}"
+            f"Nobody in this study is {name!r}.{did_you_mean(name, names)} Hint: h3data study status {folder}",
+            code="H3-STUDY-008",
         )
     return person
 

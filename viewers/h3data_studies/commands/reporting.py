@@ -71,6 +71,7 @@ class StudyReport:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Measures the study's recordings and writes the report."""
         from h3data.metrics import StudyModel, analyse_study, find_profile, measure_files
         from h3data_studies.answers import answer_rows, check_rows, form_means
         from h3data_studies.exclusions import exclusions, focus_rows
@@ -145,7 +146,7 @@ class StudyCompare:
     h3data evaluate by the name of their policy; files of weights by their digest, whatever they are called.
 
     Examples:
-        h3data evaluate rearrange --policies complement,same_object --keep -o out/zsc
+        h3data evaluate rearrange --policies complement,same_object --save-recordings -o out/zsc
         h3data study compare study.toml out/zsc
     """
 
@@ -158,6 +159,7 @@ class StudyCompare:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Returns a table of both rankings and their agreement."""
         from h3data_studies.exclusions import exclusions
         from h3data_studies.files import open_store, open_study
         from h3data_viewers.html_report.report_data import gather
@@ -170,7 +172,9 @@ class StudyCompare:
         people = [person for person in people if person.id not in rules.people]
         files, left_out = usable_recordings(folder, design, people, rules)
         if not files:
-            raise InputError(f"No episode of people can be used: {dict(left_out) or 'none has been played'}.")
+            raise InputError(
+                f"No episode of people can be used: {dict(left_out) or 'none has been played'}.", code="H3-STUDY-010"
+            )
         policies = [c.partner for c in design.conditions if c.partner and not c.is_solo]
         data = gather([*files, self.automatic])
         stamped = any(e.policy.startswith("weights:") for e in data.episodes)
@@ -182,7 +186,8 @@ class StudyCompare:
             raise InputError(
                 f"Expected two or more policies that are both in the study ({', '.join(policies) or 'none'}) and in "
                 f"the automatic evaluation ({', '.join(automatic) or 'none'}). Hint: h3data evaluate rearrange --policies "
-                f"{','.join(policies)} -o {self.automatic}"
+                f"{','.join(policies)} -o {self.automatic}",
+                code="H3-STUDY-011",
             )
         text = "\n\n".join([*map(to_markdown, tables), *_bots(people)])
         return Outcome(text=text, data={"tables": [_table_data(table) for table in tables]}, result=tables)
@@ -200,7 +205,8 @@ def finished(people: Sequence[Participant], *, everybody: bool) -> list[Particip
     if not kept:
         raise InputError(
             f"Nobody has finished this study yet; {counted(len(people), 'participant')} began. Hint: --everybody counts "
-            "those too."
+            "those too.",
+            code="H3-STUDY-009",
         )
     return kept
 
@@ -321,8 +327,11 @@ _STAMPED = re.compile(r"weights:(?:.*/)?(?P<file>[^/]+)@(?P<digest>[0-9a-f]{12})
 
 
 def _by_policy(episodes: Sequence[ReportEpisode], names: dict[str, str]) -> tuple[ReportEpisode, ...]:
-    """The episodes, their conditions called by the robots' policies, and the same weights alike, whatever their files are
-    called and wherever they lie; ``names`` has the name of each digest that was met before."""
+    """Renames the conditions of episodes to the robots' policies.
+
+    The same weights have the same name, wherever their file lies; ``names`` has the name of each digest that was met
+    before.
+    """
     found = []
     for e in episodes:
         policy = e.policy

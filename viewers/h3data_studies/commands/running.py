@@ -53,6 +53,7 @@ class StudyNew:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Writes the example."""
         import h3data_studies as package
 
         path = claim_file(self.file, force=self.force, suffix=".toml")
@@ -85,21 +86,22 @@ class StudyRun:
     cert: CertOption = None
     key: KeyOption = None
     behind_proxy: ProxyFlag = False
-    allow_host: AllowHostOption = ()
+    allow_hosts: AllowHostOption = ()
     no_browser: NoBrowserFlag = False
     speed: Annotated[float, tyro.conf.Suppress] = 1.0
     """Above 1 time runs faster: for scripted participants."""
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Serves the study until it is stopped, and returns its recordings."""
         from h3data_studies.files import make_plan, read_design, study_folder
 
         serving = serving_options(
             "h3data study run", host=self.host, port=self.port, cert=self.cert, key=self.key,
-            behind_proxy=self.behind_proxy, allow_host=self.allow_host,
+            behind_proxy=self.behind_proxy, allow_hosts=self.allow_hosts,
         )  # fmt: skip
         if self.workers < 1 or self.seats_per_address < 1:
-            raise InputError("Expected --workers and --seats-per-address of at least 1.")
+            raise InputError("Expected --workers and --seats-per-address of at least 1.", code="H3-STUDY-012")
         design = read_design(self.study)
         folder = study_folder(self.study, design)
         plan = make_plan(design, folder, speed=self.speed)
@@ -114,7 +116,7 @@ class StudyRun:
 
     def _heard(self, report: dict[str, Any], folder: Path) -> None:
         if "refused" in report:
-            raise InputError(report["refused"])
+            raise InputError(report["refused"], code=report.get("code", ""))
         if "ready" in report:
             link = report["ready"]["links"][0][1]
             (folder / LOCK).write_text(link)
@@ -143,11 +145,12 @@ class StudyRun:
 
 
 def keep_design(folder: Path, design: Design) -> Design:
-    """Keeps the study file's content with what is recorded under it. The formats of ids may change at any time; a study that
-    began before there were any goes on without.
+    """Stores the study file's content next to what is recorded under it.
+
+    The formats of ids may change at any time; a study that began without them continues without.
 
     Returns:
-        What is to be served.
+        The design to serve.
 
     Raises:
         InputError: the folder holds recordings under another content.
@@ -166,7 +169,8 @@ def keep_design(folder: Path, design: Design) -> Design:
         if people and before != with_id_pattern(design, before.recruiting.id_pattern):
             raise InputError(
                 f"The file has changed since {counted(people, 'participant')} took part. Expected what is in {kept}. Undo "
-                "the change, or give the study another version, which gets a folder of its own."
+                "the change, or give the study another version, which gets a folder of its own.",
+                code="H3-STUDY-013",
             )
     with part_file(kept) as part:
         part.write_bytes(msgspec.json.format(msgspec.json.encode(design), indent=2))
@@ -186,7 +190,8 @@ def running(folder: Path) -> Iterator[None]:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             raise InputError(
-                f"The study is running in another process. Stop that first (Ctrl-C; participants go on later): {folder}"
+                f"The study is running in another process. Stop that first (Ctrl-C; participants go on later): {folder}",
+                code="H3-STUDY-014",
             ) from None
         lock.truncate(0)
         try:

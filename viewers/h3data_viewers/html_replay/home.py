@@ -29,7 +29,7 @@ _LOG = logging.getLogger(__name__)
 MAX_VERTICES = 130_000
 """Of all meshes; above it, all are thinned alike. A vertex takes about 6 bytes of the file: a medium home has 62,000."""
 LEAST_VERTICES = 100
-"""Of a mesh that is thinned."""
+"""Least number of vertices of a mesh that is thinned."""
 MAX_TEXELS = 1 << 20
 TEXTURE_SIDE_PX = 256
 _STEPS = {"POSITION": 2.0**-12, "NORMAL": 2.0**-7, "TEXCOORD_0": 2.0**-13}

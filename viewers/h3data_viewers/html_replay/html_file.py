@@ -65,9 +65,14 @@ def write_html(
     """
     path = Path(path)
     if path.exists() and not overwrite:
-        raise InputError(f"The file already exists; choose another name or pass overwrite=True: {path}")
+        raise InputError(
+            f"The file already exists; choose another name or pass overwrite=True: {path}", code="H3-VIEW-001"
+        )
     if not len(recording):
-        raise InputError(f"Expected a recording with steps, but episode {recording.episode.episode_id!r} has none.")
+        raise InputError(
+            f"Expected a recording with steps, but episode {recording.episode.episode_id!r} has none.",
+            code="H3-VIEW-002",
+        )
     replay = replay or Replay(recording, detail=False)
     rows = np.unique(np.linspace(0, len(recording) - 1, min(len(recording), MOST_STATES)).round().astype(np.int64))
     page = _page(title or _title(recording), _block(recording, replay, rows))
@@ -128,7 +133,10 @@ def _built(name: str) -> str:
     """A file of the page."""
     source = files("h3data_viewers.html_replay") / "page" / name
     if not source.is_file():
-        raise H3DataError(f"The page of HTML replays is not built. Hint: run make web (needs Node.js). Missing: {name}")
+        raise H3DataError(
+            f"The page of HTML replays is not built. Hint: run make web (needs Node.js). Missing: {name}",
+            code="H3-VIEW-003",
+        )
     return source.read_text(encoding="utf-8").strip()
 
 

@@ -19,7 +19,7 @@ collision: it happens all the time, and CR counts contacts of robot and person."
 VERBS = {"pick": "picks up", "place": "puts down", "new_goal": "heads for a new goal", "found": "finds"}
 """Kinds of events as parts of a sentence; others are shown as they are."""
 LEVELS = 4000
-"""Of a curve, from its least to its greatest value."""
+"""Number of levels of a curve, from its least to its greatest value."""
 MOST_EVENTS = 4000
 _FOLLOWING_M = [1.0, 2.0]
 _TITLES = {

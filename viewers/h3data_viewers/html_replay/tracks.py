@@ -1,5 +1,7 @@
-"""Who and what moves in a replay, as the page poses it: robots, doors and drawers by joints, people by bones, everything else
-by poses."""
+"""Motion of everything in a replay, in the form in which the page poses it.
+
+Robots, doors and drawers are posed by joints, people by bones, and everything else by poses.
+"""
 
 from __future__ import annotations
 

@@ -94,7 +94,7 @@ def make_report(
     light: LightMode = "flat",
     stand_ins: bool = False,
     study: StudyModel | None = None,
-    zsc: Sequence[str] = (),
+    unseen_partners: Sequence[str] = (),
     seeds: Sequence[str] = (),
     more: Sequence[Table] = (),
     folder: Path | None = None,
@@ -106,7 +106,7 @@ def make_report(
 
     ``assets`` are folders of the files that foreign recordings name; ``people``, ``light`` and ``stand_ins`` are
     those of the key frames, as in `h3data.replay.Replay`; ``study`` chooses the models of
-    episodes that participants did under conditions, ``zsc`` names the partners of the zero-shot population,
+    episodes that participants did under conditions, ``unseen_partners`` names the partners of the zero-shot population,
     ``seeds`` has patterns of policies that differ by their training seed alone and are one row (`gather`); ``more`` are
     tables of what is not in recordings, each in a section of its own; ``folder`` is that of all
     paths, from which the page names them; ``replays`` takes HTML replays of the episodes with key
@@ -119,7 +119,7 @@ def make_report(
     """
     from h3data.replay import Replay
 
-    data = gather(paths, zsc=zsc, seeds=seeds, spread=spread)
+    data = gather(paths, unseen_partners=unseen_partners, seeds=seeds, spread=spread)
     title = title or _title(data)
     missing: list[str] = []
     charts: dict[str, list[str]] = {}
@@ -138,7 +138,9 @@ def make_report(
         if chosen := highlights(runs, pictures):
             body.append(_highlighted(task, chosen, plans, posed, light, tail, replays, folder))
     if any(not e.recorded for e in data.episodes):
-        missing.append("Pictures, paths and times of evaluated episodes: evaluate --keep keeps their recordings.")
+        missing.append(
+            "Pictures, paths and times of evaluated episodes: evaluate --save-recordings keeps their recordings."
+        )
     body += [_section(table.key, table.title, to_html(table)) for table in more]
     if pairs:
         text = "".join(f"<h3>{escape(t.title)}</h3>{to_html(t)}" for t in pairs)
@@ -177,7 +179,7 @@ def write_report(
     light: LightMode = "flat",
     stand_ins: bool = False,
     study: StudyModel | None = None,
-    zsc: Sequence[str] = (),
+    unseen_partners: Sequence[str] = (),
     seeds: Sequence[str] = (),
     more: Sequence[Table] = (),
     folder: Path | None = None,
@@ -196,7 +198,7 @@ def write_report(
         light=light,
         stand_ins=stand_ins,
         study=study,
-        zsc=zsc,
+        unseen_partners=unseen_partners,
         seeds=seeds,
         more=more,
         folder=folder,

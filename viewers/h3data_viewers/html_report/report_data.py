@@ -1,9 +1,9 @@
-"""What a report is made of: every episode read once, measured, and kept as a few kilobytes; runs of episodes that belong
-together.
+"""Data of a report: every episode is read once, measured, and stored in a few kilobytes; episodes are grouped into runs.
 
 What recordings say about themselves (`Episode.info`) decides how they are grouped: ``policy``, ``partner`` (else the
-human's body), ``population`` (``train-pop`` or ``zsc-pop``), ``participant`` and ``condition``. Episodes of participants are
-one run for each condition, whoever played them; for others the condition names the run where no policy does.
+human's body), ``population`` (``train-pop`` or ``zsc-pop``), ``participant`` and ``condition``. Episodes of
+participants are one run for each condition, whoever played them; for others the condition names the run where no policy
+does.
 """
 
 from __future__ import annotations
@@ -63,8 +63,10 @@ class Run:
     """Policies that differ by their training seed alone, whose episodes these are; empty: one policy."""
 
     def means(self, chosen: Sequence[ReportEpisode] | None = None) -> dict[str, Mean]:
-        """The mean of each metric over ``chosen`` episodes of the run (default: all), by name; of several seeds the mean of
-        their means. Empty without episodes."""
+        """Mean of each metric over ``chosen`` episodes of the run (default: all), by name.
+
+        For a run with several seeds it is the mean of their means. Without episodes the result is empty.
+        """
         episodes = self.episodes if chosen is None else tuple(chosen)
         if not episodes:
             return {}
@@ -137,36 +139,36 @@ class ReportData:
 def gather(
     paths: Iterable[str | os.PathLike[str]],
     *,
-    zsc: Sequence[str] = (),
+    unseen_partners: Sequence[str] = (),
     seeds: Sequence[str] = (),
     spread: Spread[Found] = map,
 ) -> ReportData:
     """Reads every recording of datasets, logs and folders of these, and measures each by the profile of its task.
 
-    A folder of ``h3data evaluate`` without recordings gives its results. ``zsc`` names the partners of the zero-shot
-    population (default: those that the evaluation was told, else the paper's as far as all of it played, else as the
+    A folder of ``h3data evaluate`` without recordings gives its results. ``unseen_partners`` names the partners of the
+    zero-shot population (default: those that the evaluation was told, else the paper's as far as all of it played, else as the
     recordings say). Policies that fit a pattern of ``seeds``, such as ``weights:out/s*/policy.npz`` (default: those that
     the evaluation was told), are one run of several training seeds. ``spread`` may have other processes or machines read
     the recordings.
 
     Raises:
-        InputError: there is no recording, or a path is given twice; a partner in ``zsc`` does not occur; what `tabulate`
-            refuses; fewer than two policies fit a pattern of seeds.
+        InputError: there is no recording, or a path is given twice; a partner in ``unseen_partners`` does not occur;
+            what `tabulate` refuses; fewer than two policies fit a pattern of seeds.
         FormatError: a file is damaged.
     """
     roots = tuple(map(Path, paths))
     if not roots:
-        raise InputError("Expected at least one dataset or recording.")
+        raise InputError("Expected at least one dataset or recording.", code="H3-RENDER-079")
     twice = [p for k, p in enumerate(roots) if p.resolve() in {q.resolve() for q in roots[:k]}]
     if twice:
-        raise InputError(f"Named twice, so its episodes would count twice: {twice[0]}")
+        raise InputError(f"Named twice, so its episodes would count twice: {twice[0]}", code="H3-VIEW-004")
     gathered = _Gathered()
     gathered.add(roots, spread)
     curves = {root.name: curve for root in roots if (curve := read_curves(root))}
     if not gathered.count and not curves:
-        raise InputError(f"There are no recordings in {', '.join(map(str, roots))}.")
-    if zsc := zsc or evaluated_zsc(roots):
-        gathered.name_population(zsc)
+        raise InputError(f"There are no recordings in {', '.join(map(str, roots))}.", code="H3-VIEW-005")
+    if named := unseen_partners or evaluated_zsc(roots):
+        gathered.name_population(named)
     return ReportData(
         paths=roots,
         runs=_pooled(_runs(gathered.grouped, gathered.profiles, roots), roots, seeds),
@@ -229,7 +231,8 @@ class _Gathered:
         if strangers := [name for name in zsc if name not in partners]:
             raise InputError(
                 f"No episode has the partner {strangers[0]!r}; there are: {', '.join(partners) or 'none'}."
-                f"{did_you_mean(strangers[0], partners)}"
+                f"{did_you_mean(strangers[0], partners)}",
+                code="H3-VIEW-007",
             )
         for key, episodes in self.grouped.items():
             self.grouped[key] = [
@@ -257,13 +260,14 @@ class _Gathered:
         if self.profiles.setdefault(key, profile) is not profile:
             raise InputError(
                 f"Episodes of {episode.metrics.task!r} by {policy!r} in {root} ask for two metrics profiles, "
-                f"{self.profiles[key].name} and {profile.name}. Hint: report them separately."
+                f"{self.profiles[key].name} and {profile.name}. Hint: report them separately.",
+                code="H3-VIEW-008",
             )
         self.grouped.setdefault(key, []).append(episode)
 
 
 def _with_each_partner(episode: ReportEpisode, info: Mapping[str, Any]) -> list[ReportEpisode]:
-    """The episode once for each partner that it stands for (``info["partners"]`` of ``h3data evaluate --keep``)."""
+    """The episode once for each partner that it stands for (``info["partners"]`` of ``h3data evaluate --save-recordings``)."""
     if not shared_by(info):
         return [episode]
     return [
@@ -312,7 +316,9 @@ def read_curves(folder: Path) -> dict[str, NDArray[np.float64]]:
     try:
         table = read(path)
     except (pa.ArrowException, OSError) as error:
-        raise InputError(f"Expected a table of numbers with a column {steps} ({error}): {path}") from error
+        raise InputError(
+            f"Expected a table of numbers with a column {steps} ({error}): {path}", code="H3-VIEW-009"
+        ) from error
     numeric = {
         name: np.asarray(table[name].to_numpy(), np.float64)
         for name in table.column_names
@@ -320,7 +326,8 @@ def read_curves(folder: Path) -> dict[str, NDArray[np.float64]]:
     }
     if steps not in numeric or len(numeric) < 2:
         raise InputError(
-            f"Expected columns of numbers, one of them {steps}; got {', '.join(map(repr, table.column_names))}: {path}"
+            f"Expected columns of numbers, one of them {steps}; got {', '.join(map(repr, table.column_names))}: {path}",
+            code="H3-VIEW-006",
         )
     return {"step": numeric.pop(steps), **numeric}
 
@@ -331,8 +338,11 @@ def _runs(
     profiles: Mapping[tuple[int, str, str], Profile],
     roots: Sequence[Path],
 ) -> tuple[Run, ...]:
-    """One run for each policy. Datasets of a policy with the same episodes or other rules stay apart, named by dataset
-    as well."""
+    """One run for each policy.
+
+    Datasets of one policy are separate runs if they have the same episodes or other rules; the dataset is then part of
+    the run's name.
+    """
     places: dict[tuple[str, str], list[int]] = {}
     for place, task, policy in grouped:
         places.setdefault((task, policy), []).append(place)
@@ -370,7 +380,8 @@ def _pooled(runs: Sequence[Run], roots: Sequence[Path], patterns: Sequence[str])
         if len(told[pattern]) < 2:
             policies = sorted({run.policy for run in runs})
             raise InputError(
-                f"Expected several policies that fit {pattern!r}, got {len(told[pattern])}; there are: {', '.join(policies)}."
+                f"Expected several policies that fit {pattern!r}, got {len(told[pattern])}; there are: {', '.join(policies)}.",
+                code="H3-VIEW-010",
             )
     out = list(runs)
     for pattern, policies in told.items():

@@ -1,5 +1,7 @@
-"""What ``h3data evaluate`` leaves: results without recordings, a row of metrics for each policy, partner and episode; to which
-population a partner belongs, and which partners ``--zsc`` named."""
+"""Results of ``h3data evaluate``, which have no recordings: a row of metrics for each policy, partner and episode.
+
+They say to which population a partner belongs, and which partners ``--unseen-partners`` named.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +24,10 @@ def holds_results(root: Path) -> bool:
 
 
 def evaluated_zsc(roots: Sequence[Path]) -> tuple[str, ...]:
-    """The partners of the zero-shot population that every one of these evaluations was told; empty where they were told none,
-    or not the same, or a path is no evaluation."""
+    """Partners of the zero-shot population that all of these evaluations name.
+
+    The result is empty if they name none, or different ones, or a path is no evaluation.
+    """
     told: set[tuple[str, ...]] = set()
     for root in roots:
         try:
@@ -76,7 +80,7 @@ def result_episodes(root: Path) -> Iterator[tuple[ReportEpisode, Profile]]:
     try:
         task = str(json.loads((root / "table.json").read_text(encoding="utf-8"))["job"]["task"])
     except (ValueError, KeyError, TypeError):
-        raise FormatError(f"Expected the table of h3data evaluate: {root / 'table.json'}") from None
+        raise FormatError(f"Expected the table of h3data evaluate: {root / 'table.json'}", code="H3-VIEW-011") from None
     for file in sorted((root / "episodes").glob("[0-9]*.json")):
         try:
             result = json.loads(file.read_text(encoding="utf-8"))
@@ -84,7 +88,7 @@ def result_episodes(root: Path) -> Iterator[tuple[ReportEpisode, Profile]]:
             for row in result["rows"]:
                 yield _episode(file, row, asked, task)
         except (ValueError, KeyError, TypeError) as fault:
-            raise FormatError(f"Expected a result of h3data evaluate ({fault!r}): {file}") from None
+            raise FormatError(f"Expected a result of h3data evaluate ({fault!r}): {file}", code="H3-VIEW-012") from None
 
 
 def _episode(file: Path, row: Mapping[str, Any], asked: Mapping[str, Any], task: str) -> tuple[ReportEpisode, Profile]:

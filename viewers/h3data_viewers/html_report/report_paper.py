@@ -1,7 +1,7 @@
-"""The paper's tables beside ours: social navigation, rearrangement with both populations; paired differences of runs over
-the same episodes; metrics by policy and partner.
+"""Tables with the paper's numbers next to ours, differences of paired runs, and metrics by policy and partner.
 
-The paper's numbers and where they are printed: `h3data.metrics.paper.published`.
+There is a table for social navigation and one for rearrangement with both populations; differences are those of runs
+over the same episodes. `h3data.metrics.paper.published` has the paper's numbers and where they are printed.
 """
 
 from __future__ import annotations
@@ -321,6 +321,7 @@ class _Shade:
 
 # --- small things -----------------------------------------------------------------------------------------------------
 def metric_column(metric: Metric, *, group: str = "") -> Column:
+    """Column of a metric, whose head has its name, an arrow for its better direction, and its unit."""
     unit = f" [{metric.unit}]" if metric.unit in ("m", "steps") else ""
     return Column(head=f"{metric.name}{_ARROWS[metric.direction]}{unit}", hint=metric.title, group=group)
 

@@ -141,8 +141,10 @@ def _blank(key: str, episode: ReportEpisode) -> Plan:
 
 # --- trajectories -----------------------------------------------------------------------------------------------------
 def trajectory_figures(runs: Sequence[Run], plans: Plans) -> tuple[list[str], str]:
-    """The scenes with most episodes: where robots (in the run's colour) and people (grey) went; and which scenes these are of
-    how many, if they are not all."""
+    """Floor plans of the scenes with the most episodes, with the paths of robots (in the run's colour) and people (grey).
+
+    The text that is returned says which scenes these are and how many there are, if not all are shown.
+    """
     counts = Counter(e.metrics.scene for run in runs for e in run.episodes if e.tracks)
     figures = []
     for scene, count in counts.most_common(_SCENES):

@@ -1,4 +1,4 @@
-"""Automatic evaluation beside the one with people: do both put the robots' policies in the same order?"""
+"""Comparison of automatic evaluation with a study with people, by the ranking of the robots' policies."""
 
 from __future__ import annotations
 

@@ -111,8 +111,11 @@ def counted(count: int, noun: str) -> str:
 
 
 def cut(text: str, most: int) -> str:
-    """A name of at most ``most`` characters: sentences lose their end, single words their middle, since what tells names of
-    scenes and policies apart often comes last."""
+    """Shortens a name to at most ``most`` characters.
+
+    Sentences lose their end, single words their middle, since names of scenes and policies often differ only at the
+    end.
+    """
     if len(text) <= most:
         return text
     tail = 0 if " " in text else (most - 1) // 2

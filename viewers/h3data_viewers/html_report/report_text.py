@@ -29,8 +29,10 @@ def beginning(
     sections: Sequence[tuple[str, str]],
     folder: Path | None = None,
 ) -> str:
-    """Title, numbers, findings, episodes that could not be measured, and links to ``sections`` (key and title); ``folder`` in
-    place of the paths."""
+    """Title, numbers, findings, failed episodes, and links to ``sections`` (key and title).
+
+    With ``folder``, the number of recordings in it replaces the list of their paths.
+    """
     episodes = list(data.episodes)
     steps = sum(e.metrics.rows for e in episodes)
     hours = sum(e.metrics.rows * e.metrics.dt_ns for e in episodes) * 1e-9 / 3600

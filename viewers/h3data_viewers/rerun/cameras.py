@@ -45,6 +45,7 @@ class CameraFeed:
 
     @property
     def has_images(self) -> bool:
+        """Whether the camera has a video or stills."""
         return self.video is not None or self.stills is not None
 
 
@@ -71,6 +72,7 @@ def scaled(camera: Camera, factor: float) -> Camera:
 
 
 def camera_entity(camera: Camera) -> str:
+    """Entity path of a camera."""
     return f"world/cameras/{entity_part(camera.name)}"
 
 
@@ -125,7 +127,7 @@ def _log_video(sink: Sink, entity: str, video: Path, steps: NDArray[np.integer] 
     try:
         stamps = np.asarray(asset.read_frame_timestamps_nanos())
     except RuntimeError as error:
-        raise InputError(f"Expected a video that Rerun can read ({error}): {video}") from None
+        raise InputError(f"Expected a video that Rerun can read ({error}): {video}", code="H3-VIEW-016") from None
     rows = frame_steps(len(stamps), len(sink.time_ns)) if steps is None else np.asarray(steps)
     count = min(len(stamps), len(rows))
     sink.static(entity, asset)
@@ -156,7 +158,7 @@ def _stills_of_video(sink: Sink, feed: CameraFeed, size: tuple[int, int]) -> lis
     # Containers report unreliable frame counts: the number of frames, hence their steps, is known after decoding.
     stills = list(_stills(feed.video, size))
     if not stills:
-        raise InputError(f"The camera's video has no frames: {feed.video}")
+        raise InputError(f"The camera's video has no frames: {feed.video}", code="H3-VIEW-015")
     total = stills.pop()[0]
     steps = frame_steps(total, len(sink.time_ns)) if feed.steps is None else np.asarray(feed.steps)
     return [(int(steps[number]), image) for number, image in stills if number < len(steps)]
@@ -178,6 +180,6 @@ def _stills(video: Path, size: tuple[int, int]) -> Iterator[tuple[int, bytes]]:
                     yield number, _jpeg(pixels)
                 number += 1
     except (av.error.FFmpegError, IndexError) as error:
-        raise InputError(f"Expected a readable video ({error}): {video}") from None
+        raise InputError(f"Expected a readable video ({error}): {video}", code="H3-VIEW-017") from None
     if number:
         yield number, b""

@@ -40,26 +40,48 @@ class Drawable(Protocol):
     """One mesh to show, such as a `h3data.replay.Drawable`."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Name of the mesh."""
+        ...
+
     @property
-    def mesh(self) -> Mesh: ...
+    def mesh(self) -> Mesh:
+        """Mesh in its own frame."""
+        ...
+
     @property
-    def matrix(self) -> NDArray[np.floating]: ...
+    def matrix(self) -> NDArray[np.floating]:
+        """World matrix of a mesh that does not move [4, 4]."""
+        ...
+
     @property
-    def layer(self) -> str: ...
+    def layer(self) -> str:
+        """Layer by which viewers can hide it, such as ``ceiling``."""
+        ...
+
     @property
-    def agent(self) -> int: ...
+    def agent(self) -> int:
+        """Number of the agent to which it belongs; -1 for parts of the scene."""
+        ...
+
     @property
-    def moving(self) -> bool: ...
+    def moving(self) -> bool:
+        """Whether its pose changes over time."""
+        ...
+
     @property
-    def deformable(self) -> bool: ...
+    def deformable(self) -> bool:
+        """Whether its vertices change over time, as those of skinned bodies."""
+        ...
 
 
 class PosedScene(Protocol):
     """Drawables with their poses over time, such as a `h3data.replay.Replay`."""
 
     @property
-    def drawables(self) -> Sequence[Drawable]: ...
+    def drawables(self) -> Sequence[Drawable]:
+        """All meshes of the scene and its agents."""
+        ...
 
     def matrices(self, index: int, steps: NDArray[np.integer]) -> NDArray[np.float32]:
         """World matrices of a moving drawable, [len(steps), 4, 4]; NaN where it is not in the world."""
@@ -72,6 +94,7 @@ class PosedScene(Protocol):
 
 # --- agents -----------------------------------------------------------------------------------------------------------
 def entity_part(name: str) -> str:
+    """Name as one part of an entity path, with special characters escaped."""
     import rerun as rr
 
     return rr.escape_entity_path_part(name or "unnamed")

@@ -21,12 +21,12 @@ from h3data.errors import H3DataError, InputError, MissingExtraError
 from h3data.files import part_file
 from h3data.geometry import transform_points
 from h3data.recording.records import Recording
-from h3data.replay import Replay, camera_track
+from h3data.replay import CameraTrack, Replay, camera_track
 from h3data_viewers.rerun.cameras import CameraFeed, ImageStorage, camera_entity, log_camera
 from h3data_viewers.rerun.entities import Drawable, PosedScene, entity_part, log_agents, log_rigid, log_skins
 from h3data_viewers.rerun.floor_marks import log_free_space, log_goals
 from h3data_viewers.rerun.layout import LoggedRecording, layout
-from h3data_viewers.rerun.sink import HeldStream, Sink
+from h3data_viewers.rerun.sink import DeferredStream, Sink
 from h3data_viewers.rerun.timeseries import log_events, log_inputs, log_lanes, log_latency, log_scalars
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def write_rrd(
     path: str | Path,
     *,
     replay: PosedScene | None = None,
-    cameras: Sequence[CameraFeed] = (),
+    cameras: Sequence[CameraFeed | tuple[CameraTrack, Path]] = (),
     videos: Mapping[str, Path] | None = None,
     videos_ready: Callable[[], object] | None = None,
     images: ImageStorage = "stills",
@@ -71,7 +71,7 @@ def write_rrd(
         recording: recording to show.
         path: path of the ``.rrd`` file; missing folders are created.
         replay: meshes and poses, as in `ShownRecording`.
-        cameras: cameras to show.
+        cameras: cameras to show, as feeds or as tracks with their MP4 files.
         videos: MP4 files of cameras of the replay, as in `ShownRecording`.
         videos_ready: called before they are read; it may wait until they are complete, while all else is written here.
         images: storage of camera videos, see `h3data_viewers.rerun.cameras.log_camera`.
@@ -83,7 +83,11 @@ def write_rrd(
         InputError: ``path`` exists and ``overwrite`` is false, or a camera's video cannot be read.
         MissingExtraError: rerun-sdk is not installed.
     """
-    shown = ShownRecording(recording=recording, replay=replay, cameras=cameras, videos=videos or {})
+    feeds = [
+        each if isinstance(each, CameraFeed) else CameraFeed(camera=each[0].camera, poses=each[0].poses, video=each[1])
+        for each in cameras
+    ]
+    shown = ShownRecording(recording=recording, replay=replay, cameras=feeds, videos=videos or {})
     path, ready = Path(path), videos_ready
     return _write_file([shown], path, images=images, skin_every=skin_every, overwrite=overwrite, ready=ready)
 
@@ -112,7 +116,8 @@ def write_comparison_rrd(
         if not len(shown.recording):
             raise InputError(
                 f"Expected two recordings with steps to compare, but {label}, {_title(shown)!r}, has none. "
-                "Hint: view the other one alone."
+                "Hint: view the other one alone.",
+                code="H3-VIEW-021",
             )
     return _write_file([first, second], Path(path), images=images, skin_every=skin_every, overwrite=overwrite)
 
@@ -127,7 +132,9 @@ def _write_file(
     ready: Callable[[], object] | None = None,
 ) -> Path:
     if path.exists() and not overwrite:
-        raise InputError(f"The file already exists; choose another name or pass overwrite=True: {path}")
+        raise InputError(
+            f"The file already exists; choose another name or pass overwrite=True: {path}", code="H3-VIEW-001"
+        )
     stream = _stream(sides)
     path.parent.mkdir(parents=True, exist_ok=True)
     # Rerun's own file sink reports a full disk in its log only, and the file would be cut
@@ -138,7 +145,10 @@ def _write_file(
         content = encoded.read()  # unread data would be reported as dropped
         stream.disconnect()
     if not content:
-        raise H3DataError("Rerun wrote nothing. Hint: check that the environment variable RERUN does not disable it.")
+        raise H3DataError(
+            "Rerun wrote nothing. Hint: check that the environment variable RERUN does not disable it.",
+            code="H3-VIEW-018",
+        )
     with part_file(path) as part:
         part.write_bytes(content)
     return path
@@ -160,7 +170,9 @@ def _stream(sides: Sequence[ShownRecording]) -> rr.RecordingStream:
     try:
         import rerun as rr
     except ImportError as error:
-        raise MissingExtraError('Rerun is not installed. Hint: pip install "rerun-sdk>=0.41,<0.42"') from error
+        raise MissingExtraError(
+            'Rerun is not installed. Hint: pip install "rerun-sdk>=0.41,<0.42"', code="H3-VIEW-022"
+        ) from error
     identity = " ".join(side.recording.episode.uid for side in sides)
     return rr.RecordingStream(APPLICATION, recording_id=identity, send_properties=False)
 
@@ -179,7 +191,7 @@ def _log(
     labels = LABELS if len(sides) > 1 else ("",)
     longest = max(sides, key=lambda side: len(side.recording))
     _log_properties(stream, sides)
-    held, logged = HeldStream(), []
+    held, logged = DeferredStream(), []
     for side, label, group in zip(sides, labels, feeds, strict=True):
         sink = Sink(held, side.recording.columns["time_ns"], label)
         logged.append(_log_curves(side, sink, group, bounds=side is longest))
@@ -242,7 +254,7 @@ def _check_videos(feeds: Sequence[Sequence[CameraFeed]]) -> None:
     videos = [(feed.camera.name, feed.video) for group in feeds for feed in group if feed.video is not None]
     missing = [f"{name}: {video}" for name, video in videos if not video.is_file()]
     if missing:
-        raise InputError(f"These camera videos do not exist: {'; '.join(missing)}.")
+        raise InputError(f"These camera videos do not exist: {'; '.join(missing)}.", code="H3-VIEW-019")
 
 
 def _title(shown: ShownRecording) -> str:
@@ -261,7 +273,10 @@ def _named_cameras(shown: ShownRecording) -> list[CameraFeed]:
     if not shown.videos:
         return []
     if not isinstance(shown.replay, Replay):
-        raise InputError("Videos by camera name need an h3data.replay.Replay. Hint: pass cameras=[CameraFeed(...)].")
+        raise InputError(
+            "Videos by camera name need an h3data.replay.Replay. Hint: pass cameras=[CameraFeed(...)].",
+            code="H3-VIEW-020",
+        )
     tracks = {name: camera_track(shown.replay, name) for name in shown.videos}
     return [CameraFeed(camera=t.camera, poses=t.poses, video=Path(shown.videos[name])) for name, t in tracks.items()]
 

@@ -16,19 +16,25 @@ if TYPE_CHECKING:
 
 
 @dataclass(eq=False)
-class HeldStream:
-    """Calls of a Rerun stream that wait until `release`: what a layout names is known only once it is logged, but viewers
-    play whatever comes before the layout."""
+class DeferredStream:
+    """Buffer for the calls of a Rerun stream until `release`.
+
+    Viewers play everything before the layout, but the names that a layout needs are known only after everything is
+    logged.
+    """
 
     calls: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = field(default_factory=list)
 
     def log(self, *args: Any, **options: Any) -> None:
+        """Buffers a call of `rerun.RecordingStream.log`."""
         self.calls.append(("log", args, options))
 
     def send_columns(self, *args: Any, **options: Any) -> None:
+        """Buffers a call of `rerun.RecordingStream.send_columns`."""
         self.calls.append(("send_columns", args, options))
 
     def release(self, stream: rr.RecordingStream) -> None:
+        """Makes all buffered calls on a stream, in their order."""
         for name, args, options in self.calls:
             getattr(stream, name)(*args, **options)
 
@@ -40,7 +46,7 @@ Rows = NDArray[np.integer] | Sequence[int]
 class Sink:
     """A Rerun stream bound to the time column and the root entity of one recording."""
 
-    stream: rr.RecordingStream | HeldStream
+    stream: rr.RecordingStream | DeferredStream
     time_ns: NDArray[np.int64]
     """Column ``time_ns`` of the recording, shape [T]."""
     label: str = ""

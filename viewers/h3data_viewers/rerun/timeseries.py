@@ -99,8 +99,10 @@ def log_scalars(sink: Sink, recording: Recording, *, shade: int | None = None, b
 
 # --- lanes ------------------------------------------------------------------------------------------------------------
 def lanes_of(recording: Recording) -> dict[str, list[str]]:
-    """Returns the state of every lane at each row, by lane name: skills, motions, what players of a live session asked for, and
-    the encounter of the pair."""
+    """Returns the state of every lane at each row, by lane name.
+
+    Lanes are skills, motions, requests of players of a live session, and the encounter of robot and person.
+    """
     lanes: dict[str, list[str]] = {}
     for i, agent in enumerate(recording.agents):
         skill = _skill_states(recording, i)
@@ -156,8 +158,10 @@ def _coded(names: tuple[str, ...], code: int) -> str:
 
 
 def _encounter_states(recording: Recording, robot: int, human: int) -> list[str]:
-    """Classifies each row: apart, near, or contact; if following is the task, also following (1-2 m, facing the person)
-    and too close."""
+    """Classifies each row as apart, near, or contact.
+
+    If following is the task, rows can also be following (1-2 m, facing the person) and too close.
+    """
     distance = l2_distance(recording, robot, human)
     contact = recording.columns.get("metrics.collision", np.zeros(len(recording), np.bool_))
     if not is_following(recording):

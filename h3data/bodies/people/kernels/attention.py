@@ -48,8 +48,10 @@ _THUMBS = np.array([[JOINT_INDEX[f"{side}_thumb{k}"] for k in (1, 2, 3)] for sid
 
 @kernel(error_model="numpy")
 def curl_fingers(quats, curl):
-    """Bends each joint of the fingers of a pose [55, 4], in place, by ``curl`` [2] (left, right hand) [rad] beyond what it
-    has; the thumb comes in from its side."""
+    """Bends each finger joint of a pose [55, 4] further by ``curl`` [2] (left, right hand) [rad], in place.
+
+    The thumb comes in from its side.
+    """
     for side in range(2):
         if curl[side] == 0.0:
             continue
@@ -82,8 +84,10 @@ def _turn_head(quats, gaze):
 
 @kernel_part()
 def _to_target(offsets, at, turn, neck, head, target):
-    """Unit vector from the middle of the eyes to a point, and the head's rotation; ``at`` is the root of the neck, which
-    `turn` turns. The vector is 0 where the eyes are at the point."""
+    """Unit vector from the middle of the eyes to a point, and the head's rotation.
+
+    ``at`` is the root of the neck, which `turn` turns. The vector is 0 if the eyes are at the point.
+    """
     turn = multiply(turn, neck)
     at = plus(at, turned(turn, row3(offsets, _HEAD)), 1.0)
     turn = multiply(turn, head)

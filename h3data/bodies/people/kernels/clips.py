@@ -76,8 +76,11 @@ def sample_all(table, motion, phase, blend, ground, quats, pelvis):
 
 @kernel(error_model="numpy")
 def tuck_all(quats, shares, joints, tucked):
-    """Blends a joint of either arm of poses [T, 55, 4] with its ``tucked`` rotations [2, 4] by ``shares`` [T, 2] of 0..1, in
-    place. False: some are not finite, and nothing has changed."""
+    """Blends a joint of either arm of poses [T, 55, 4] with its ``tucked`` rotations [2, 4], in place.
+
+    ``shares`` [T, 2] are the weights of the rotations, 0..1. Returns False, and changes nothing, if some are not
+    finite.
+    """
     for t in range(len(quats)):
         if not (math.isfinite(shares[t, 0]) and math.isfinite(shares[t, 1])):
             return False
@@ -125,8 +128,10 @@ def joint_frames(base, quats, pelvis, offsets, parents, frames):
 
 @kernel(error_model="numpy")
 def free_joint_frames(root, quats, offsets, parents, frames):
-    """Frames [T, 55, 4, 4] of all joints from those of the pelvis in the world [T, 7] and rotations of the others
-    [T, 54, 4]."""
+    """Frames [T, 55, 4, 4] of all joints.
+
+    ``root`` are the frames of the pelvis in the world [T, 7], ``quats`` the local rotations of the others [T, 54, 4].
+    """
     world = np.eye(4)
     for t in range(len(quats)):
         p = root[t]

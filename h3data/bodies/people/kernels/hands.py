@@ -60,11 +60,10 @@ def _clipped_turn(q, most):
 
 @kernel(error_model="numpy")
 def lead_arm(body, table, low, step, quats, pelvis, target, turn, has_turn, share):
-    """Brings one arm of a pose, in place, to where its palm is at ``target`` [3] [m] and, if ``has_turn``, turned as
-    ``turn`` [4], as far as arm and wrist go.
+    """Moves one arm of a pose, in place, so that its palm is at ``target`` [3] [m], as far as arm and wrist reach.
 
-    ``body`` is the `ReachBody` of the hand, ``quats`` [55, 4] and ``pelvis`` [3] the pose. By a ``share`` below 1 the arm is
-    between the pose (0) and the target (1).
+    If ``has_turn``, the palm is turned as ``turn`` [4]. ``body`` is the `ReachBody` of the hand, ``quats`` [55, 4] and
+    ``pelvis`` [3] are the pose. With a ``share`` below 1 the arm is between the pose (0) and the target (1).
     """
     chest, at = _chest(body.offsets, quats, pelvis)
     collar_turn = multiply(chest, row4(quats, body.joints[0]))

@@ -120,8 +120,11 @@ def sink_pelvis(legs, quats, pelvis, ankle):
 
 @kernel_part()
 def write_legs(legs, quats, pelvis, ankle, foot, angles):
-    """Local rotations of the leg joints of one pose, in place; ``angles`` [2, 3] take lean of the thigh, flexion of the knee
-    [rad] and the distance from hip to ankle [m]."""
+    """Computes the local rotations of the leg joints of one pose, in place.
+
+    ``angles`` [2, 3] are filled with the lean of each thigh, the flexion of the knee [rad] and the distance from hip to
+    ankle [m].
+    """
     pelvis_turn = row4(quats, 0)
     for k in range(2):
         hip = plus((pelvis[0], pelvis[1], pelvis[2]), turned(pelvis_turn, row3(legs.hips, k)), 1.0)

@@ -281,8 +281,10 @@ def _beside_things(table, state, foot, left, ahead, yaw):
 
 @kernel_part()
 def _lands_at(table, k, f, state, foot, left, ahead, gone):
-    """Where in the world a swinging foot will land that lands off the gait by so much to the left and ahead, if the phase is
-    ``gone`` cycles behind the root: (x, z)."""
+    """World position (x, z) at which a swinging foot will land.
+
+    The foot lands ``left`` and ``ahead`` of its place in the gait; the phase is ``gone`` cycles behind the root.
+    """
     side = table.half_width if foot == 0 else -table.half_width
     onward = math.copysign(1.0, state[SPEED]) * _at(table.travel, k, f) * (1.0 - _own_phase(state[PHASE], foot) - gone)
     onward += _gait_ahead(table, k, f, state[SPEED], 0.0)
@@ -292,8 +294,10 @@ def _lands_at(table, k, f, state, foot, left, ahead, gone):
 
 @kernel_part()
 def _on_a_tread(table, state, foot, x, z, heading, came_from):
-    """A place of a foot in the world, moved along the stairs so that all of it is on one tread, and a heel or toe at most a
-    little beyond its edge."""
+    """Moves the place of a foot in the world along the stairs so that it lies on one tread.
+
+    Heel and toe then reach at most a little beyond the tread's edge.
+    """
     feet = table.legs.feet[foot]
     return on_a_tread(table.heights, x, z, heading, feet[0, 2], feet[2, 2], came_from)
 
@@ -320,8 +324,10 @@ def _stand_place(table, state, foot):
 
 @kernel_part()
 def _above_root(table, k, f, state, foot, along):
-    """How far above the root's floor that of a foot is, or the path over steps of one that swings, its ankle ``along`` ahead of
-    its place [m]."""
+    """Height of the floor under a foot above that under the root [m].
+
+    For a swinging foot, whose ankle is ``along`` ahead of its place [m], it is the height of its path over steps.
+    """
     if table.heights.shape[0] == 0:
         return 0.0
     at, feet = FOOT + foot * FOOT_COLUMNS, table.legs.feet[foot]
@@ -349,8 +355,10 @@ def _steps_off(table, state, foot):
 
 @kernel_part()
 def _stair_line(table, k, f, state, foot, done, gone):
-    """A foot on its path between two treads, of which it has gone the share ``done``: left, ahead, yaw in the body frame, and
-    that share. ``gone``: as of `_lands_at`."""
+    """Foot on its path between two treads, of which it has passed the share ``done``.
+
+    Returns left, ahead and yaw in the body frame, and that share. ``gone`` is as in `_lands_at`.
+    """
     at = FOOT + foot * FOOT_COLUMNS
     lands_x, lands_z = _lands_at(table, k, f, state, foot, state[at + LANDS_AT], state[at + LANDS_AT + 1], gone)
     x = state[at + PLANT] + done * (lands_x - state[at + PLANT])

@@ -63,7 +63,7 @@ _COM_AHEAD_M, _COM_BEHIND_M, _COM_ASIDE_M = -0.01, 0.01, 0.02
 
 
 class ReachBody(NamedTuple):
-    """What the kernel knows of one body and one of its hands."""
+    """Measures of one body and one of its hands, for the kernel."""
 
     scale: float
     """Height of the standing shoulder [m], the unit of the table."""
@@ -122,12 +122,14 @@ def _bend(body, x, trunk, k, turn, at, quats):
 
 @kernel_part()
 def pose_arm(body, palm, collar, shoulder, target, pole, quats):
-    """Shoulder and elbow so that the ``palm``, given in the forearm's frame from the wrist, is at ``target``, the elbow
-    towards ``pole``: all three in one frame, that of ``collar`` and ``shoulder``.
+    """Turns shoulder and elbow so that the ``palm`` is at ``target`` and the elbow points towards ``pole``.
 
-    The elbow is a hinge about the shoulder frame's y axis, so the distance gives its angle, and the plane of the arm the
-    rest. Returns by how much the arm is too short or too long [m], the flexion, the shoulder's turn and the sine between
-    pole and arm.
+    The palm is given in the frame of the forearm, from the wrist; target and pole are in the frame of ``collar`` and
+    ``shoulder``. The elbow is a hinge about the shoulder frame's y axis, so the distance determines its angle, and the
+    plane of the arm the rest.
+
+    Returns the length by which the arm is too short or too long [m], the flexion, the shoulder's turn, and the sine of
+    the angle between pole and arm.
     """
     upper, lower = row3(body.offsets, body.joints[2]), row3(body.offsets, body.joints[3])
     lower = (lower[0] + palm[0], lower[1] + palm[1], lower[2] + palm[2])
@@ -293,7 +295,7 @@ def look_up(table, low, step, u, x):
 
 @kernel_part()
 def fault(measures):
-    """What is wrong with a posture: `REACHED` when nothing, `TOO_FAR`, or `INVALID_POSTURE`."""
+    """Fault of a posture: `REACHED` if there is none, `TOO_FAR`, or `INVALID_POSTURE`."""
     if abs(measures[MISS]) > 1e-6:
         return TOO_FAR
     bad = measures[KNEE] > KNEE_MAX or measures[SHANK] > SHANK_MAX or measures[BALANCE] > 0.0

@@ -110,8 +110,11 @@ def on_a_tread(heights, x, z, heading, heel, toe, came_from):
 
 @kernel_part()
 def over_steps(heights, x, z, heading, heel, toe, low, high, share):
-    """Height [m] of the floor under a swinging foot that is at (x, z) and has got so far, from a floor at ``low`` to one at
-    ``high``: never below what is under heel and toe, and as high as the noses there in between."""
+    """Height [m] of the floor below a swinging foot at (x, z) that has passed the ``share`` of its path over steps.
+
+    The path leads from a floor at ``low`` to one at ``high``. It is never below the floor under heel and toe, and as
+    high as the noses of the steps between them.
+    """
     line = low + (high - low) * share * share * (3 - 2 * share)
     c, s = math.cos(heading), math.sin(heading)
     under, nose = line, line

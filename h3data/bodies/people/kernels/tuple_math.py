@@ -9,6 +9,7 @@ from h3data.kernels import kernel_part
 
 @kernel_part()
 def multiply(a, b):
+    """Product of two quaternions."""
     return (
         a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1],
         a[3] * b[1] - a[0] * b[2] + a[1] * b[3] + a[2] * b[0],
@@ -19,26 +20,31 @@ def multiply(a, b):
 
 @kernel_part()
 def inverse(q):
+    """Inverse of a unit quaternion."""
     return (-q[0], -q[1], -q[2], q[3])
 
 
 @kernel_part()
 def cross(a, b):
+    """Cross product of two vectors."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 @kernel_part()
 def dot(a, b):
+    """Dot product of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @kernel_part()
 def plus(a, b, share):
+    """Vector a + share b."""
     return (a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2])
 
 
 @kernel_part()
 def unit(a):
+    """Unit vector in the direction of a vector; 0 for one shorter than 1e-12."""
     length = math.sqrt(dot(a, a))
     if length < 1e-12:
         return (0.0, 0.0, 0.0)
@@ -47,6 +53,7 @@ def unit(a):
 
 @kernel_part()
 def turned(q, v):
+    """Vector rotated by a unit quaternion."""
     axis = (q[0], q[1], q[2])
     t = cross(axis, v)
     t = (2 * t[0], 2 * t[1], 2 * t[2])
@@ -61,6 +68,7 @@ def positive(q):
 
 @kernel_part()
 def normalized(q):
+    """Quaternion scaled to length 1; 0 stays 0."""
     length = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return (q[0] / length, q[1] / length, q[2] / length, q[3] / length) if length > 0.0 else q
 
@@ -119,16 +127,19 @@ def from_axes(a, b, c):
 
 @kernel_part()
 def row3(array, k):
+    """Row k of an array [N, 3] as a tuple."""
     return (array[k, 0], array[k, 1], array[k, 2])
 
 
 @kernel_part()
 def row4(array, k):
+    """Row k of an array [N, 4] as a tuple."""
     return (array[k, 0], array[k, 1], array[k, 2], array[k, 3])
 
 
 @kernel_part()
 def put(quats, joint, q):
+    """Writes a quaternion into row ``joint`` of an array [N, 4]."""
     quats[joint, 0], quats[joint, 1], quats[joint, 2], quats[joint, 3] = q
 
 

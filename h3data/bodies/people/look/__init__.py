@@ -1,2 +1,5 @@
-"""How people look: `patches` (skin, clothes and hair as meshes over the base that every body has its own shape of), `wardrobe`
-(which there are), `colors` (of skin, hair and cloth), `dressing` (a dressed body)."""
+"""Looks of people: skin, clothes and hair as meshes over the body.
+
+`patches` are these meshes, over the base that every body shapes in its own form; `wardrobe` lists them; `colors` has
+colours of skin, hair and cloth; `dressing` dresses a body.
+"""

@@ -25,9 +25,9 @@ class Look:
     """One of `HAIRSTYLES`."""
     beard: bool = False
     outfit: str = "casual"
-    """What they wear when no outfit is named."""
+    """Outfit that the person wears when none is named."""
     palette: int = 0
-    """Which of an outfit's sets of colors is theirs."""
+    """Number of the person's set of colors among those of an outfit."""
     colors: Mapping[str, Color] = field(default_factory=dict)
     """Colors by slot in place of those of the set, whatever is worn."""
 

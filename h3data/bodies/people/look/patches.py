@@ -95,8 +95,10 @@ def canonical(faces: NDArray[np.integer]) -> NDArray[np.int32]:
 
 
 def pack_faces(faces: NDArray[np.integer]) -> NDArray[np.uint8]:
-    """Canonical triangles [F, 3] of up to 65,536 vertices as planes of bytes of small differences [3, 2, F]: they compress to
-    half the size."""
+    """Packs canonical triangles [F, 3] of up to 65,536 vertices into planes of bytes of small differences [3, 2, F].
+
+    They compress to half the size.
+    """
     a, b, c = faces.astype(np.int64).T
     steps = np.stack([np.diff(a, prepend=0), b - a, c - a]).astype("<u2")
     return np.ascontiguousarray(steps.view(np.uint8).reshape(3, -1, 2).transpose(0, 2, 1))
@@ -110,8 +112,10 @@ def unpack_faces(planes: NDArray[np.uint8]) -> NDArray[np.int32]:
 
 
 def vertex_normals(vertices: Floats, faces: NDArray[np.int32], surface: NDArray[np.integer] | None = None) -> Floats:
-    """Unit normals per vertex [V, 3]: the mean of the faces around, weighted by their areas; up where these are degenerate.
-    Vertices of the same ``surface`` [V] are shaded as one."""
+    """Unit normals per vertex [V, 3]: the mean of the faces around, weighted by their areas.
+
+    They point up where faces are degenerate. Vertices of the same ``surface`` [V] are shaded as one.
+    """
     a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
     cross = np.repeat(np.cross(b - a, c - a), 3, axis=0)
     corners = faces.ravel() if surface is None else surface[faces.ravel()]

@@ -19,7 +19,7 @@ from h3data.geometry import Array, normalized
 
 SHOE_LEATHER_M = 0.005
 TOE_BOX_M = 0.012
-"""How much higher than the toes a shoe is there."""
+"""Height of a shoe above the toes [m]."""
 LAST_ROWS = 16
 HEAD_ROWS, HEAD_COLUMNS, HEAD_POLAR_DEG = 20, 36, 135.0
 SKIRT_ROWS, SKIRT_COLUMNS = 14, 40
@@ -129,8 +129,11 @@ def _unseen(m: Measures, body: Cloth, lips: Array) -> NDArray[np.bool_]:
 
 
 def neckline(m: Measures, mesh: Cloth, drop: float, tilt: float, curve: float) -> Array:
-    """Above a neckline [m]: a plane tilted forward through a point ``drop`` of the stature above the neck joint, bent up
-    towards the shoulders by ``curve``."""
+    """Height of vertices above a neckline [m].
+
+    The neckline is a plane tilted forward through a point ``drop`` of the stature above the neck joint, bent up towards
+    the shoulders by ``curve``.
+    """
     off = mesh.vertices - (m.neck_joint + np.array([0, drop * m.stature, 0]))
     return off @ normalized(np.array([0.0, 1.0, tilt])) - curve * off[:, 0] ** 2
 

@@ -52,6 +52,7 @@ class Hang:
         self.excess: Any = gaussian_filter(fall - radius, (1.2, 1.6), mode=ROUND)
 
     def __call__(self, mesh: Cloth) -> Array:
+        """Distance of hanging cloth from the body at each vertex of a mesh [m]."""
         from scipy.ndimage import map_coordinates
 
         x, y, z = mesh.vertices.T

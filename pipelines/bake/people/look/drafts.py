@@ -29,6 +29,7 @@ class Sheet(Cloth):
     """Shape [V]."""
 
     def mesh(self) -> Cloth:
+        """The piece as cloth, with skin weights."""
         return Cloth(vertices=self.vertices, weights=self.weights, faces=self.faces)
 
 
@@ -224,8 +225,10 @@ def base_normals(base: Base) -> Array:
 
 
 def hollows(points: Array, faces: NDArray[np.int32], strength: float = 130.0, rounds: int = 1) -> Array:
-    """A factor per vertex that darkens hollows and brightens ridges a little: ``strength`` [1/m] times how far the
-    neighbours stand above it."""
+    """Factor per vertex that darkens hollows and brightens ridges a little.
+
+    It is ``strength`` [1/m] times the height of the neighbours above the vertex.
+    """
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     i, j = np.r_[edges[:, 0], edges[:, 1]], np.r_[edges[:, 1], edges[:, 0]]
     count = np.maximum(np.bincount(i, minlength=len(points)), 1)

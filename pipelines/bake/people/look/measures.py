@@ -43,6 +43,7 @@ def joint_weight(mesh: Cloth, names: tuple[str, ...]) -> Array:
 
 
 def arm_joints(side: str) -> tuple[str, ...]:
+    """Names of the joints of one arm, fingers included."""
     fingers = tuple(f"{side}_{finger}{k}" for finger in FINGERS for k in (1, 2, 3))
     return (f"{side}_shoulder", f"{side}_elbow", f"{side}_wrist", *fingers)
 

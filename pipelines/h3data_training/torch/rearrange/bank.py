@@ -1,5 +1,8 @@
-"""A bank of drawn episodes of rearrangement: what needs searching (objects and goals within everybody's reach, where agents
-stand, the shortest paths to there) is done once on the host, so that steps on a device only look it up."""
+"""Bank of sampled episodes of rearrangement.
+
+Everything that needs a search (objects and goals within reach of both agents, where agents stand, the shortest paths to
+there) is computed once on the host, so that steps on a device only look it up.
+"""
 
 from __future__ import annotations
 
@@ -31,13 +34,18 @@ class BankFloor(Floor, Protocol):
     """The parts of a `h3data.scene.FreeSpace` that rearrangement on a device reads."""
 
     @property
-    def floor_y(self) -> float: ...
+    def floor_y(self) -> float:
+        """Height of the floor [m]."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RearrangeBank:
-    """N episodes of K objects in R homes. Paths to places are numbered ``(who * 2 + at_goal) * K + object``, F in all; points
-    of a path are the n corners of the home, then the S places at its end (`sim_kinematic.agents.oracle.ways.Ways`)."""
+    """N episodes of K objects in R homes, with the shortest paths in them.
+
+    Paths to places are numbered ``(who * 2 + at_goal) * K + object``, F in all. Points of a path are the n corners of
+    the home, then the S places at its end (`sim_kinematic.agents.oracle.ways.Ways`).
+    """
 
     spec: RearrangeSpec
     robot: Robot
@@ -93,7 +101,7 @@ class RearrangeBank:
             SceneError: no home has room for an episode.
         """
         if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
-            raise InputError(f"Expected at least 1 episode, a whole number, got {count!r}.")
+            raise InputError(f"Expected at least 1 episode, a whole number, got {count!r}.", code="H3-TRAIN-060")
         source = EpisodeSource(Rearrange(), scenes, spec=spec, robot=robot, human=human)
         runs = [(seed, k) for k in range(count)]
         source.prepare(runs)
@@ -142,8 +150,10 @@ class RearrangeBank:
 
     @classmethod
     def merged(cls, banks: Sequence[RearrangeBank]) -> RearrangeBank:
-        """The episodes of several banks, one after the other, of the same rules and bodies: that of all of them, if no two are
-        in the same home."""
+        """Bank with the episodes of several banks, one after the other, of the same rules and bodies.
+
+        If no two banks share a home, it equals the bank that is made of all episodes at once.
+        """
         widest = max(bank.ends.shape[2] for bank in banks)
         homes = np.cumsum([0, *(len(bank.floors) for bank in banks)])
 
@@ -206,8 +216,10 @@ def _ways(episode: RearrangeEpisode) -> list[Ways]:
 
 
 def _joined(tables: Sequence[Sequence[NDArray]]) -> tuple[NDArray, NDArray[np.int64]]:
-    """All tables of all episodes one after the other, with a last number so that there is one, and where those of each episode
-    begin."""
+    """Concatenates the tables of all episodes; returns them, and where those of each episode begin.
+
+    A last number is appended, so that no table is empty.
+    """
     sizes = [sum(map(len, of_episode)) for of_episode in tables]
     flat = [table for of_episode in tables for table in of_episode]
     return np.concatenate([*flat, np.zeros(1, flat[0].dtype)]), np.cumsum([0, *sizes[:-1]])
@@ -218,12 +230,14 @@ def _check(episodes: Sequence[RearrangeEpisode]) -> None:
     if first.spec.oracle is None:
         raise InputError(
             "On a device skills are the oracle ones. Hint: spec=sim_kinematic.tasks.rearrange.episode.ORACLE_RULES, or "
-            "leave out device."
+            "leave out device.",
+            code="H3-TRAIN-061",
         )
     if first.spec.robot.slide != "strict" or first.spec.human.stride is not None:
         raise InputError(
             "On a device robots slide strictly and people turn on the spot. Hint: BaseSpec() and WalkerSpec(), as in "
-            "ORACLE_RULES, or leave out device."
+            "ORACLE_RULES, or leave out device.",
+            code="H3-TRAIN-062",
         )
     for episode in episodes:
         kinds = tuple(member.kind for member in episode.roster)
@@ -231,8 +245,12 @@ def _check(episodes: Sequence[RearrangeEpisode]) -> None:
         if kinds != PAIR or models[0] != models[1] or len(episode.targets) != first.spec.objects:
             raise InputError(
                 f"A bank is of one robot, one person and {first.spec.objects} objects, got {kinds} and "
-                f"{len(episode.targets)}."
+                f"{len(episode.targets)}.",
+                code="H3-TRAIN-063",
             )
         if agent_floor(episode, ROBOT) is not episode.free:
-            raise InputError(f"On a device robots are as narrow as people; {episode.roster[ROBOT].model} is wider.")
+            raise InputError(
+                f"On a device robots are as narrow as people; {episode.roster[ROBOT].model} is wider.",
+                code="H3-TRAIN-064",
+            )
         refuse_stairs([episode.free])

@@ -72,11 +72,18 @@ def load_bank(path: str | Path, *, spec: RearrangeSpec = ORACLE_RULES) -> tuple[
         drawn_by, rules = dict(about["drawn_by"]), about["rules"]
     except Exception as fault:  # zipfile and numpy have a dozen ways to say that bits are wrong
         why = fault if isinstance(fault, OSError) or zipfile.is_zipfile(path) else "not an npz file"
-        raise FormatError(f"Expected a bank of episodes ({FORMAT}), this is none ({why}). File: {path}") from None
+        raise FormatError(
+            f"Expected a bank of episodes ({FORMAT}), this is none ({why}). File: {path}", code="H3-TRAIN-067"
+        ) from None
     if not ours:
-        raise FormatError(f"Expected a bank of episodes {FORMAT}, got {about['format']}. File: {path}")
+        raise FormatError(
+            f"Expected a bank of episodes {FORMAT}, got {about['format']}. File: {path}", code="H3-TRAIN-065"
+        )
     if rules != _rules(spec):
-        raise InputError(f"These episodes were drawn with other rules of the task. Hint: another file. File: {path}")
+        raise InputError(
+            f"These episodes were drawn with other rules of the task. Hint: another file. File: {path}",
+            code="H3-TRAIN-066",
+        )
     with names_from_data():
         robot, human = (m.body for m in make_roster(Rearrange.agents, robot=robot_name, human=human_name))
     assert isinstance(robot, Robot)

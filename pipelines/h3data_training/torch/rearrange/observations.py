@@ -11,7 +11,7 @@ from torch import Tensor
 from h3data.errors import InputError
 from h3data_training.torch.rearrange.bank import FLOOR
 from h3data_training.torch.rearrange.skills import Choices, Hands, every_choice, one_of, precondition
-from h3data_training.torch.rearrange.state import ABORTED, DONE, FAILED, NOBODY, Errand, Play
+from h3data_training.torch.rearrange.state import ABORTED, DONE, FAILED, NOBODY, Play, SubGoal
 from h3data_training.torch.rearrange.tables import Places
 from h3data_training.torch.rearrange.worlds import RearrangeTensors
 from h3data_training.torch.step import heading_direction, wrap_angle
@@ -28,15 +28,16 @@ class Paths(NamedTuple):
     """Shortest paths of both agents, robot and person, which both are shown."""
 
     xz: Tensor
-    """Where they are and were a second ago, [W, 2, 2, 2]."""
+    """Positions of both agents now and a second ago, [W, 2, 2, 2] [m]."""
     lengths: Tensor
-    """From there to the floor below starts and goals, [W, 2, 2, 2 K] [m]."""
+    """Lengths of the paths from these positions to the floor below starts and goals, [W, 2, 2, 2 K] [m]."""
     ahead: Tensor
     """Where each would be `AHEAD_M` further on, on the way to each object or, with what they hold, to its goal,
     [W, 2, K, n, 2]: to what is in the other's hand the way is straight."""
 
     @classmethod
     def of(cls, sim: RearrangeTensors, play: Play, places: Places) -> Paths:
+        """Shortest paths of both agents, from their positions now and `THEN` steps ago."""
         now = torch.stack([play.robot.xz, play.human.xz], 1)
         row = torch.where(play.steps >= TRACK - 1, (play.steps + 1) % TRACK, 0)
         then = play.track[torch.arange(len(row), device=row.device), row]
@@ -63,7 +64,7 @@ class View(NamedTuple):
     play: Play
     places: Places
     choices: Choices
-    does: Errand
+    does: SubGoal
     xz: Tensor
     heading: Tensor
     other: Tensor
@@ -84,19 +85,23 @@ class View(NamedTuple):
 
     @property
     def who(self) -> int:
+        """Number of the agent: robot 0, person 1."""
         return self.choices.who
 
     @property
     def known_paths(self) -> Paths:
+        """Shortest paths of both agents, which must have been looked up."""
         assert self.paths is not None, "`observed` looks them up once for all observations"
         return self.paths
 
     @property
     def hands(self) -> Hands:
+        """Objects and who holds, moved or placed them."""
         return Hands(self.play.objects, self.play.held_by, self.play.moved, self.play.placed_by)
 
     @property
     def close(self) -> Tensor:
+        """Whether the other agent is close, bool [W]."""
         return self.sim.close(self.xz, self.heading, self.other)
 
     def spots(self, at_goal: int) -> Tensor:
@@ -112,8 +117,11 @@ class View(NamedTuple):
         return torch.stack([torch.hypot(forward, left), -torch.atan2(left, forward)], -1).flatten(1)
 
     def ways(self, who: int, when: int = 0) -> tuple[Tensor, Tensor]:
-        """Lengths [W, K] [m] of the shortest ways from agent ``who``, as it was `THEN` (1) or is now, to where objects are, and
-        to their goals. To one that is held it is the straight distance: no table leads to an agent."""
+        """Lengths of the shortest paths from agent ``who`` to the objects and to their goals, [W, K] [m] each.
+
+        ``when`` is 0 for the agent's present position, 1 for the one `THEN` steps ago. The length to an object that is
+        held is the straight distance, as tables have no paths to agents.
+        """
         play, count, paths = self.play, self.sim.bank.objects, self.known_paths
         lengths = paths.lengths[:, who, when]
         gap = play.objects[..., 0::2] - paths.xz[:, who, when, None]
@@ -145,6 +153,7 @@ class View(NamedTuple):
         return precondition(self.choices, every_choice(self.choices, len(self.xz)), self.hands)
 
     def egomotion(self) -> Tensor:
+        """Forward velocity, left velocity and turn rate in the last step, [W, 3] [m/s, rad/s]."""
         before = self.play.before[:, self.who]
         moved, ahead = self.xz - before[:, :2], heading_direction(before[:, 2])
         forward = (moved * ahead).sum(-1)
@@ -152,6 +161,7 @@ class View(NamedTuple):
         return torch.stack([forward, left, wrap_angle(self.heading - before[:, 2])], -1) / STEP_S
 
     def localization(self) -> Tensor:
+        """Position and heading of the agent, (x, y, z, heading) [W, 4]."""
         floor_y = self.sim.tables.floor_y[self.places.place]
         return torch.stack([self.xz[:, 0], floor_y, self.xz[:, 1], wrap_angle(self.heading)], -1)
 
@@ -204,7 +214,7 @@ def checked_observations(names: tuple[str, ...]) -> tuple[str, ...]:
     """
     unknown = [name for name in names if name not in OBSERVED]
     if unknown or not names:
-        raise InputError(f"On a device there are {', '.join(OBSERVED)}, got {unknown or 'none'}.")
+        raise InputError(f"On a device there are {', '.join(OBSERVED)}, got {unknown or 'none'}.", code="H3-TRAIN-068")
     return tuple(dict.fromkeys(names))
 
 

@@ -6,13 +6,13 @@ import torch
 from torch import Tensor
 
 from h3data_training.torch.rearrange.skills import Choices, Hands, of_object
-from h3data_training.torch.rearrange.state import DONE, FAILED, FREE, NOBODY, Errand
+from h3data_training.torch.rearrange.state import DONE, FAILED, FREE, NOBODY, SubGoal
 
 TRIES = 3
 """So often a planner fails at an object before it goes on to the next."""
 
 
-def planned(choices: Choices, does: Errand, hands: Hands, at_goal: Tensor) -> tuple[Tensor, Errand]:
+def planned(choices: Choices, does: SubGoal, hands: Hands, at_goal: Tensor) -> tuple[Tensor, SubGoal]:
     """The choice [W] of planners that are free, and what they remember of it."""
     count = (does.order >= 0).sum(1)
     objects, asked = does.order.shape[1], does.skill == FREE

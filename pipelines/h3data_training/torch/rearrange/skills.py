@@ -1,5 +1,7 @@
-"""One turn of an agent: what it chooses, how it moves, what changes hands. It is `sim_kinematic.agents.oracle.actors`, line by
-line."""
+"""One turn of an agent: its choice, its motion, and what changes hands.
+
+It is `sim_kinematic.agents.oracle.actors`, line by line.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ import torch
 from torch import Tensor
 
 from h3data.bodies import Humanoid, Robot
-from h3data_training.torch.rearrange.state import ABORTED, DONE, FAILED, FREE, NOBODY, RUNNING, Errand
+from h3data_training.torch.rearrange.state import ABORTED, DONE, FAILED, FREE, NOBODY, RUNNING, SubGoal
 from h3data_training.torch.rearrange.tables import Places
 from h3data_training.torch.state import HumanTensors, RobotTensors
 from h3data_training.torch.step import Grids, drive_robots, walk_humans, wrap_angle
@@ -79,7 +81,7 @@ class Hands(NamedTuple):
 class Turn(NamedTuple):
     """An agent at what it does now, before it moves."""
 
-    does: Errand
+    does: SubGoal
     kind: Tensor
     """Of the choice that it is at; -1: it does nothing."""
     goes: Tensor
@@ -118,7 +120,7 @@ def every_choice(choices: Choices, worlds: int) -> Tensor:
 
 
 def begin(
-    choices: Choices, does: Errand, chosen: Tensor, places: Places, xz: Tensor, heading: Tensor, bearing: float, hands: Hands,
+    choices: Choices, does: SubGoal, chosen: Tensor, places: Places, xz: Tensor, heading: Tensor, bearing: float, hands: Hands,
     oracle: OracleSpec,
 ) -> Turn:  # fmt: skip
     """Agents that are free begin what they have ``chosen`` [W], if they can; else they fail and do nothing in this step."""
@@ -150,7 +152,7 @@ def begin(
     return Turn(does, torch.where(busy, kind, -1), busy & goes, spot)
 
 
-def interrupted(does: Errand, chosen: Tensor, may: Tensor) -> Errand:
+def interrupted(does: SubGoal, chosen: Tensor, may: Tensor) -> SubGoal:
     """Agents that ``may`` [W] choose anew, and have chosen something else than what they are at."""
     stops = (does.skill != FREE) & may & (chosen != FREE) & (chosen != does.skill)
     return does._replace(
@@ -166,7 +168,7 @@ def error_to(xz: Tensor, heading: Tensor, point: Tensor, bearing: float = 0.0) -
     return wrap_angle(torch.atan2(-gap[:, 1], gap[:, 0]) - bearing - heading)
 
 
-def _go_on(turn: Turn, places: Places, xz: Tensor, within_m: float) -> tuple[Errand, Tensor, Tensor, Tensor]:
+def _go_on(turn: Turn, places: Places, xz: Tensor, within_m: float) -> tuple[SubGoal, Tensor, Tensor, Tensor]:
     """The point that each agent goes to now, how far it is, and whether it is the end of the path."""
     does = turn.does
     point = places.points(does.field, does.way)
@@ -181,14 +183,14 @@ def _go_on(turn: Turn, places: Places, xz: Tensor, within_m: float) -> tuple[Err
     return does, point, away, way >= places.n
 
 
-def _is_there(does: Errand, away: Tensor, is_end: Tensor) -> Tensor:
+def _is_there(does: SubGoal, away: Tensor, is_end: Tensor) -> Tensor:
     content = (does.since > STALLED_STEPS) | (does.best < 0.0)
     return is_end & ((away <= ARRIVED_M) | ((away <= NEARLY_M) & content))
 
 
 def move_robots(
     choices: Choices, turn: Turn, robot: RobotTensors, places: Places, grids: Grids, base: BaseSpec, bearing: float
-) -> tuple[RobotTensors, Errand]:
+) -> tuple[RobotTensors, SubGoal]:
     """One step of the base; whoever has arrived turned, or is stuck, is free again."""
     xz, heading, spot = robot.xz, robot.heading, turn.spot[:, 0::2]
     does, point, away, is_end = _go_on(turn, places, xz, VIA_M)
@@ -217,7 +219,7 @@ def move_robots(
 
 def move_people(
     turn: Turn, person: HumanTensors, places: Places, walker: WalkerSpec
-) -> tuple[HumanTensors, Errand]:  # fmt: skip
+) -> tuple[HumanTensors, SubGoal]:  # fmt: skip
     """One step of the person; whoever has arrived turned is free again."""
     spot, within = turn.spot[:, 0::2], walker.arrive_m
     does, point, away, is_end = _go_on(turn, places, person.xz, within)
@@ -233,8 +235,8 @@ def move_people(
 
 
 def handle(
-    choices: Choices, kind: Tensor, does: Errand, hands: Hands, spot: Tensor, root: Tensor, heading: Tensor
-) -> tuple[Errand, Hands]:
+    choices: Choices, kind: Tensor, does: SubGoal, hands: Hands, spot: Tensor, root: Tensor, heading: Tensor
+) -> tuple[SubGoal, Hands]:
     """What is held goes along with the agent at ``root`` [W, 3]; picks and places change hands; what lasts some steps ends."""
     who, k = choices.who, choices.target[does.skill.clamp_min(0)]
     timed = (kind >= PICK) & (does.skill != FREE)
@@ -268,7 +270,7 @@ def in_hand(carry: Tensor, root: Tensor, heading: Tensor) -> Tensor:
     return torch.stack([x, root[:, 1] + carry[1], z], -1)
 
 
-def _ended(does: Errand, done: Tensor, failed: Tensor) -> Errand:
+def _ended(does: SubGoal, done: Tensor, failed: Tensor) -> SubGoal:
     over = done | failed
     return does._replace(
         skill=torch.where(over, FREE, does.skill),

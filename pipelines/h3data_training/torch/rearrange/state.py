@@ -18,7 +18,7 @@ FREE = -1
 """Number of the choice of an agent that has to choose; also an action: go on, or wait."""
 
 
-class Errand(NamedTuple):
+class SubGoal(NamedTuple):
     """What one agent of each world is doing."""
 
     skill: Tensor
@@ -45,7 +45,7 @@ class Errand(NamedTuple):
     """and how often it has failed at the present one, int64 [W]."""
 
     @classmethod
-    def none(cls, worlds: int, objects: int, device: torch.device, dtype: torch.dtype) -> Errand:
+    def none(cls, worlds: int, objects: int, device: torch.device, dtype: torch.dtype) -> SubGoal:
         """Agents that choose in their next turn."""
 
         def whole(value: int, *axes: int) -> Tensor:
@@ -63,8 +63,8 @@ class Play(NamedTuple):
 
     robot: RobotTensors
     human: HumanTensors
-    robot_does: Errand
-    human_does: Errand
+    robot_does: SubGoal
+    human_does: SubGoal
     objects: Tensor
     """Where the objects are, [W, K, 3] [m]."""
     held_by: Tensor
@@ -110,7 +110,7 @@ class Play(NamedTuple):
         return cls(
             robot=RobotTensors(numbers(2), numbers(), flags()),
             human=HumanTensors(numbers(2), numbers(), numbers(), numbers(), numbers()),
-            robot_does=Errand.none(worlds, objects, device, dtype), human_does=Errand.none(worlds, objects, device, dtype),
+            robot_does=SubGoal.none(worlds, objects, device, dtype), human_does=SubGoal.none(worlds, objects, device, dtype),
             objects=numbers(objects, 3), held_by=nobody, moved=flags(objects), placed_by=nobody.clone(),
             paid=flags(2 * objects), track=numbers(TRACK, 2, 2), before=numbers(2, 3), episode=episode.clone(),
             steps=torch.zeros_like(episode), ended=~flags(), success=flags(), collides=flags(), reward=numbers(),

@@ -128,8 +128,10 @@ class Places(NamedTuple):
         return torch.where((number >= count)[..., None], self.tables.ends[row, end], corner)
 
     def along(self, field: Tensor, xz: Tensor, lengths_m: Sequence[float]) -> Tensor:
-        """Points so far along paths [W, ...] from points [W, ..., 2], or where they end, [W, ..., n, 2]; the points themselves
-        where there is no path. Nobody looks farther than `HOPS` corners."""
+        """Points at given distances along paths [W, ...] from points [W, ..., 2], [W, ..., n, 2].
+
+        A path that is shorter gives its end, and no path the point itself. At most `HOPS` corners are followed.
+        """
         number, at, walked = self.first(field, xz), xz, torch.zeros_like(xz[..., 0])
         is_path, found = number >= 0, [xz] * len(lengths_m)
         for _ in range(HOPS):
@@ -145,8 +147,10 @@ class Places(NamedTuple):
         return torch.stack(found, -2)
 
     def lengths(self, xz: Tensor) -> Tensor:
-        """Lengths [W, ..., 2 K] of the paths from points [W, ..., 2] to the floor below starts and goals; inf where there is
-        none."""
+        """Lengths of the paths from points [W, ..., 2] to the floor below starts and goals, [W, ..., 2 K] [m].
+
+        They are infinite where there is no path.
+        """
         many = torch.arange(2 * self.tables.objects, device=xz.device)
         field = (FLOOR * 2 * self.tables.objects + many).expand(*xz.shape[:-1], -1)
         from_xz = xz[..., None, :].expand(*xz.shape[:-1], len(many), -1)

@@ -1,9 +1,8 @@
-"""Social rearrangement in W worlds on a device: `sim_kinematic.tasks.rearrange.play` under the rules of
-`sim_kinematic.motion.spec.OracleSpec`.
+"""Social rearrangement in W worlds on a device, under the rules of `sim_kinematic.motion.spec.OracleSpec`.
 
-State, choices and results stay where they are and nothing waits for the device, so on a GPU a whole step with its new episodes
-is one CUDA graph. The same episodes with the same choices are those of the CPU (tests/training/torch/test_rearrange.py): places
-within 1e-9 m in float64, everything else exactly.
+State, choices and results stay on the device and nothing waits for it, so that on a GPU a whole step with its new
+episodes is one CUDA graph. The same episodes with the same choices equal those of `sim_kinematic.tasks.rearrange.play`
+on the CPU (tests/training/torch/test_rearrange.py): places within 1e-9 m in float64, everything else exactly.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from h3data_training.torch.rearrange.skills import (
     move_robots,
     one_of,
 )
-from h3data_training.torch.rearrange.state import FREE, NOBODY, Errand, Play, choose
+from h3data_training.torch.rearrange.state import FREE, NOBODY, Play, SubGoal, choose
 from h3data_training.torch.rearrange.tables import Places, Tables
 from h3data_training.torch.state import HumanTensors, RobotTensors
 from h3data_training.torch.step import Grids, heading_direction
@@ -51,16 +50,17 @@ class RearrangeTensors:
         interrupts: Literal["close", "always", "never"] = "close",
         repeats: bool = True,
     ) -> None:
-        """
+        """Copies a bank of episodes to the device.
+
         Args:
-            bank: The episodes.
-            device: Where all is.
-            dtype: Of the state: float64 on the CPU, else float32.
-            planners: Which of ``robot`` and ``human`` follow plans; the others are told what to do.
-            partner: Whose plans those are (`sim_kinematic.policies.rearrange.PARTNERS`).
-            interrupts: When agents that are told may choose anew before they are free: while the other is ``close``, as in
-                the environments, ``always`` or ``never``.
-            repeats: Whether another episode begins when one is over; else the world stays as it is.
+            bank: the episodes.
+            device: device of all tensors.
+            dtype: type of the state: by default float64 on the CPU, else float32.
+            planners: which of ``robot`` and ``human`` follow plans; the others are controlled from outside.
+            partner: planner whose plans they follow (`sim_kinematic.policies.rearrange.PARTNERS`).
+            interrupts: when agents controlled from outside may choose again before their skill has ended: while the other agent
+                is ``close``, as in the environments, ``always`` or ``never``.
+            repeats: whether another episode begins when one is over; otherwise the world stays as it is.
         """
         self.device = torch.device(device)
         self.dtype = dtype or (torch.float64 if self.device.type == "cpu" else torch.float32)
@@ -87,8 +87,11 @@ class RearrangeTensors:
 
     # --- a step -------------------------------------------------------------------------------------------------------
     def step(self, play: Play, robot: Tensor, human: Tensor) -> Play:
-        """All worlds after a step in which the agents choose ``robot`` and ``human``, int64 [W]; those that had ended at the
-        start of their next episode. Choices of planners, and of agents that are busy, have no effect; -1 goes on, or waits."""
+        """State of all worlds after a step in which the agents choose ``robot`` and ``human``, int64 [W].
+
+        Worlds whose episode had ended are at the start of their next one. Choices of planners and of busy agents have
+        no effect; -1 continues the present skill, or waits.
+        """
         if not self._repeats:
             return self._kept(play, robot, human)
         return self._begun(play, self._moved(play, robot, human), play.ended)
@@ -131,7 +134,7 @@ class RearrangeTensors:
 
     def _human(
         self, play: Play, choice: Tensor, places: Places, hands: Hands, floor_y: Tensor
-    ) -> tuple[HumanTensors, Errand, Hands]:
+    ) -> tuple[HumanTensors, SubGoal, Hands]:
         person, choices, does = play.human, self.human_choices, play.human_does
         close = self.close(person.xz, person.heading, play.robot.xz)
         does, choice = self._chosen("human", choices, does, choice, close, hands, places)
@@ -143,7 +146,7 @@ class RearrangeTensors:
 
     def _robot(
         self, play: Play, human: HumanTensors, choice: Tensor, places: Places, hands: Hands, floor_y: Tensor
-    ) -> tuple[RobotTensors, Errand, Hands]:
+    ) -> tuple[RobotTensors, SubGoal, Hands]:
         robot, choices, does = play.robot, self.robot_choices, play.robot_does
         close = self.close(robot.xz, robot.heading, human.xz)
         does, choice = self._chosen("robot", choices, does, choice, close, hands, places)
@@ -154,8 +157,8 @@ class RearrangeTensors:
         return robot, does, hands
 
     def _chosen(
-        self, agent: str, choices: Choices, does: Errand, choice: Tensor, close: Tensor, hands: Hands, places: Places
-    ) -> tuple[Errand, Tensor]:
+        self, agent: str, choices: Choices, does: SubGoal, choice: Tensor, close: Tensor, hands: Hands, places: Places
+    ) -> tuple[SubGoal, Tensor]:
         """What an agent is at after having been interrupted, and what it chooses if it is free."""
         if agent in self.planners:
             number, does = planned(choices, does, hands, self.at_goal(hands, places))

@@ -43,7 +43,8 @@ class Arm:
     """The links of a robot that its arm's joints move, and the chain of them from its base to its hand."""
 
     def __init__(self, robot: Robot, device: torch.device | str, dtype: torch.dtype) -> None:
-        """
+        """Copies the kinematics of a robot's arm to the device.
+
         Raises:
             InputError: the robot has no arm.
         """
@@ -69,7 +70,9 @@ class Arm:
         robot = self.robot
         origin, axis, kind = robot.origins[link], robot.axes[link], int(robot.kinds[link])
         if kind not in (FIXED, TURNS, SLIDES):
-            raise InputError(f"Arms with ball joints are simulated on the CPU only, {robot.name} has one.")
+            raise InputError(
+                f"Arms with ball joints are simulated on the CPU only, {robot.name} has one.", code="H3-TRAIN-069"
+            )
         own, gain, offset = -1, float(robot.gains[link]), float(robot.offsets[link])
         if kind != FIXED and int(robot.columns[link]) in columns:
             own = columns.index(int(robot.columns[link]))
@@ -97,8 +100,10 @@ class Arm:
         return Hand(link.point + (link.axes * self._at).sum(-1), link.axes)
 
     def frames(self, joints: Tensor, links: Sequence[int]) -> Tensor:
-        """Matrices [W, L, 3, 4] of some links in the agent root frame, with the arm at joint positions [W, n] and all other
-        joints at rest."""
+        """Matrices [W, L, 3, 4] of some links in the agent root frame, with the arm at joint positions [W, n].
+
+        All other joints are at rest.
+        """
         found = self._followed(joints, self._movable)
         still = self._rest[:, :3].expand(len(joints), -1, 3, 4)
         moved = {link: torch.cat([frame.axes, frame.point[..., None]], -1) for link, frame in found.items()}

@@ -1,5 +1,8 @@
-"""A bank of starts for the skills: what needs searching (things on furniture, places to reach them from, starts clear of
-furniture) is done once on the host, so that steps on a device only look it up."""
+"""Bank of starts for the skills.
+
+Everything that needs a search (objects on furniture, places from which to reach them, starts clear of furniture) is
+computed once on the host, so that steps on a device only look it up.
+"""
 
 from __future__ import annotations
 
@@ -55,11 +58,12 @@ class SkillBank:
         """
         rows = [(episode, floor, start) for episode, floor, some in starts for start in some]
         if not rows:
-            raise InputError("Expected at least one start of a skill, got none.")
+            raise InputError("Expected at least one start of a skill, got none.", code="H3-TRAIN-070")
         homes = list({id(episode.scene): (episode.scene, floor) for episode, floor, _ in rows}.values())
         if any(scene.articulations or len(floor.heights) for scene, floor in homes):
             raise InputError(
-                "Skills are simulated on a device only in homes on one floor where nothing opens. Hint: h3-homes/train."
+                "Skills are simulated on a device only in homes on one floor where nothing opens. Hint: h3-homes/train.",
+                code="H3-TRAIN-071",
             )
         number = {id(scene): k for k, (scene, _) in enumerate(homes)}
         found = [start for _, _, start in rows]
@@ -87,8 +91,11 @@ class SkillBank:
         )
 
     def with_near(self, share: float, *, within_m: float = 1.0) -> SkillBank:
-        """The same starts, those within a distance of their stands repeated until they make up a share of all; as it is where
-        there are none, or enough."""
+        """Bank in which starts close to their stands make up a share of all.
+
+        Starts within ``within_m`` of their stands are repeated for that. The bank is unchanged if there are none, or
+        enough.
+        """
         near = np.hypot(*(self.xz - self.stand).T) < within_m
         missing = int(share * (~near).sum() / (1.0 - share)) - int(near.sum())
         if not near.any() or missing <= 0:

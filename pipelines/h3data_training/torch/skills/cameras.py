@@ -29,14 +29,15 @@ class SkillCameras:
         self, sim: SkillTensors, *, worlds: int, camera: str = "robot_arm", size: tuple[int, int] | None = None,
         compile: bool = False, renderer: Callable[..., GpuRenderer] | None = None,
     ) -> None:  # fmt: skip
-        """
+        """Copies the meshes of homes, robot and objects to the GPU.
+
         Args:
-            sim: The worlds; pictures are taken on its device.
-            worlds: W.
-            camera: Which of the robot's; it moves with its link.
-            size: Width and height [pixels] instead of the camera's own; its field of view stays.
-            compile: Whether the frames of links and objects come from one kernel (`h3data_training.torch.graph.fused`).
-            renderer: What makes the renderer, if not `GpuRenderer`.
+            sim: the worlds; pictures are taken on its device.
+            worlds: number of worlds W.
+            camera: camera of the robot, which moves with its link.
+            size: width and height of pictures [px] instead of the camera's own; its field of view does not change.
+            compile: whether one kernel computes the frames of links and objects (`h3data_training.torch.graph.fused`).
+            renderer: makes the renderer; by default `GpuRenderer`.
 
         Raises:
             InputError: there is no GPU, or no such camera.
@@ -105,8 +106,10 @@ def _stage(scene: Scene, robot: Robot, bodies: NDArray[np.int64]) -> GpuScene:
 
 
 def _resting(bank: SkillBank, moving: Sequence[NDArray[np.int64]]) -> tuple[Array, Array]:
-    """Matrices of the movable objects of the homes where nobody has moved them, [homes, M, 3, 4], and their scales
-    [homes, M, 3]; homes with fewer than M have zeros."""
+    """Matrices [homes, M, 3, 4] and scales [homes, M, 3] of the movable objects of the homes, at their original places.
+
+    Homes with fewer than M objects have zeros.
+    """
     most = max(map(len, moving))
     matrices, scales = np.zeros((len(moving), most, 3, 4)), np.zeros((len(moving), most, 3))
     for k, (scene, bodies) in enumerate(zip(bank.scenes, moving, strict=True)):

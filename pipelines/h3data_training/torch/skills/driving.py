@@ -30,8 +30,11 @@ class Drive:
     """Its discs cover what the hand carries, too."""
 
     def widened(self, place: Tensor, robot: RobotTensors, holds: Tensor, wide: Tensor) -> Tensor:
-        """Which bases keep clear by what their hands carry, bool [W]: those that hold something, from where there is room for
-        it, as `sim_kinematic.agents.robots.driving.RobotDriver` has it."""
+        """Which bases keep a distance that covers what their hands carry, bool [W].
+
+        These are the ones that hold something, as soon as there is room for it, as in
+        `sim_kinematic.agents.robots.driving.RobotDriver`.
+        """
         if self.carrying is self.base:
             return torch.zeros_like(holds)
         if _on_cpu(robot):  # hardly any has just taken something

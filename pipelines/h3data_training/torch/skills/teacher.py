@@ -1,5 +1,7 @@
-"""A script that carries out the skills in W worlds, for learners to imitate at first. It knows the path and a posture that
-reaches the target."""
+"""Script that carries out the skills in W worlds, for learning policies to imitate at first.
+
+It knows the path, and a posture that reaches the target.
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,10 @@
-"""The skills nav, pick and place in W worlds on a device: a robot alone, its lower layer step for step as
-`sim_kinematic.agents.robots.skills` has it, and what a step is worth (paper appendix, low-level skill training).
+"""The skills nav, pick and place in W worlds on a device, with a robot alone.
 
-State, actions and results stay where they are and nothing waits for the device. As on the CPU: base, joints, grip, which object
-is held, where it is and how it is turned. Not as there: paths are looked up (`h3data_training.torch.geodesic`).
+The lower layer is step for step that of `sim_kinematic.agents.robots.skills`; rewards are those of the paper (appendix,
+low-level skill training).
+
+State, actions and results stay on the device and nothing waits for it. Base, joints, grip, the object that is held, its
+position and its rotation are as on the CPU. Unlike there, paths are looked up (`h3data_training.torch.geodesic`).
 """
 
 from __future__ import annotations
@@ -68,11 +70,11 @@ class SkillPlay(NamedTuple):
     before_xz: Tensor
     before_heading: Tensor
     reward: Tensor
-    """Of the last step, [W]."""
+    """Reward of the last step [W]."""
     success: Tensor
-    """The skill has done what it should in the last step, bool [W]."""
+    """Whether the skill succeeded in the last step, bool [W]."""
     terminated: Tensor
-    """That, or it cannot any more, bool [W]."""
+    """Whether the skill has succeeded or can no longer succeed, bool [W]."""
     truncated: Tensor
     """It had all its steps, bool [W]."""
 
@@ -99,19 +101,20 @@ class SkillTensors:
         self, skill: Skill, bank: SkillBank, *, device: torch.device | str, dtype: torch.dtype, robot: str = "quad_arm",
         base: BaseSpec | None = None, rules: SkillSpec | None = None, arm: ArmSpec | None = None,
     ) -> None:  # fmt: skip
-        """
+        """Copies a bank of starts to the device.
+
         Args:
-            skill: Which of the three.
-            bank: Its episodes.
-            device: Where all is.
-            dtype: Of the state.
-            robot: Name of a built-in robot.
-            base: A task's rules for bases (default: `sim_kinematic.motion.spec.HOME_BASE`).
-            rules: Of the skills.
-            arm: Of the arm.
+            skill: which of the three skills.
+            bank: episodes of the skill.
+            device: device of all tensors.
+            dtype: type of the state.
+            robot: name of a built-in robot.
+            base: a task's rules for bases (default: `sim_kinematic.motion.spec.HOME_BASE`).
+            rules: rules of the skills.
+            arm: rules of the arm.
 
         Raises:
-            InputError: the robot has no arm, or its base slides as no device does.
+            InputError: the robot has no arm, or its base slides in a form that devices do not support.
         """
         self.skill, self.bank = skill, bank
         self.device, self.dtype = torch.device(device), dtype
@@ -120,7 +123,7 @@ class SkillTensors:
         self.arm = Arm(body, self.device, dtype)
         own = base_of(body, base or HOME_BASE)
         if own.slide != "strict":
-            raise InputError(f"On a device robots slide strictly only, not as {own.slide!r}.")
+            raise InputError(f"On a device robots slide strictly only, not as {own.slide!r}.", code="H3-TRAIN-072")
         grids = Grids.of(bank.floors, self.device, dtype)
         self.drive = Drive(grids=grids, base=own, carrying=carrying_base_of(body, own))
         self.lattices = Lattices.of(bank.floors, self.device, dtype)
@@ -145,6 +148,7 @@ class SkillTensors:
 
     @property
     def most_steps(self) -> int:
+        """Time limit of the skill in steps."""
         return self.rules.nav_steps if self.skill == "nav" else self.rules.arm_steps
 
     def before_the_first(self, episode: Tensor) -> SkillPlay:
@@ -219,8 +223,10 @@ class SkillTensors:
     def _turned_objects(
         self, play: SkillPlay, episode: Tensor, hand: Hand, held: Tensor, carried: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Axes of the objects after a step, [W, K, 3, 3], and of the held one in its hand, [W, 3, 3]. One that is taken stays
-        turned as it was; one that an episode begins with is turned as the hand is."""
+        """Axes of the objects after a step, [W, K, 3, 3], and of the held one in its hand, [W, 3, 3].
+
+        An object that is taken keeps its rotation; one that is held at the start of an episode is turned like the hand.
+        """
         fresh = play.ended[:, None, None]
         axes = torch.where(fresh[..., None], self._turned[episode], play.turned)
         own = axes[torch.arange(len(held), device=self.device), held.clamp_min(0)]
@@ -338,5 +344,5 @@ class SkillTensors:
         }
         strangers = [name for name in names if name not in known]
         if strangers:
-            raise InputError(f"On a device there is no observation {strangers[0]!r} of skills.")
+            raise InputError(f"On a device there is no observation {strangers[0]!r} of skills.", code="H3-TRAIN-073")
         return {name: known[name]().float() for name in names}

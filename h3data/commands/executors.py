@@ -1,0 +1,53 @@
+"""``--executor``: who does the work of a command."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import Annotated
+
+import tyro
+
+from h3data.commands.shards import Executor
+from h3data.errors import InputError, did_you_mean
+from h3data.plugins import Registry
+
+EXECUTORS: Registry[Callable[[str, int], AbstractContextManager[Executor]]] = Registry(
+    "h3data.executors", {}, what="executor"
+)
+"""What opens an executor, given what follows ``://`` in its name (with the name; empty where nothing does) and the workers."""
+
+ExecutorOption = Annotated[
+    str,
+    tyro.conf.arg(
+        help="Where the work is done: local (processes of this machine), ray (a Ray cluster that runs here or that RAY_ADDRESS "
+        "names, else Ray on this machine) or ray://HOST:PORT. The results are the same (h3data docs scale)."
+    ),
+]
+
+
+def check_workers(executor: str, workers: int | None) -> None:
+    """Refuses what cannot be, before anything is done.
+
+    Raises:
+        InputError: there is no such executor, or fewer than one worker.
+    """
+    name = executor.partition("://")[0]
+    if name not in ("local", "ray") or (name == "local" and executor != "local") or executor == "ray://":
+        near = did_you_mean(name, ("local", "ray"))
+        raise InputError(
+            f"--executor: expected local, ray or ray://HOST:PORT, got {executor!r}.{near}", code="H3-JOB-001"
+        )
+    if workers is not None and workers < 1:
+        raise InputError(f"--workers must be at least 1, got {workers}.", code="H3-JOB-002")
+
+
+def opened(executor: str, workers: int) -> AbstractContextManager[Executor]:
+    """The executor of that name, for a ``with`` statement.
+
+    Raises:
+        InputError: there is no such executor, or no cluster at its address.
+        MissingExtraError: Ray is not installed.
+    """
+    check_workers(executor, workers)
+    return EXECUTORS.get(executor.partition("://")[0])(executor if "://" in executor else "", workers)

@@ -1,0 +1,52 @@
+"""The one interface through which commands hand work to processes.
+
+A *shard* is a piece of a job that depends on nothing but itself: work may be lost with the process that does it, and done
+again by another, with the same result. Results are values, so that a machine needs no disk in common with this one to make
+them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Sequence
+from typing import Protocol, TypeVar
+
+from h3data.errors import H3DataError
+
+S = TypeVar("S")
+R = TypeVar("R")
+
+
+class LostShardError(H3DataError):
+    """No process lived long enough to finish a shard, however often it was tried."""
+
+
+class Executor(Protocol):
+    """Processes that work on shards."""
+
+    @property
+    def workers(self) -> int:
+        """Shards under way at a time."""
+        ...
+
+    @property
+    def threads(self) -> int:
+        """Threads that each of them may use."""
+        ...
+
+    def run(
+        self,
+        work: Callable[[S], R],
+        shards: Sequence[S],
+        *,
+        lost: Callable[[S, LostShardError], R] | None = None,
+        writes: bool = False,
+    ) -> Generator[R]:
+        """Yields the result of ``work`` for each shard, in their order. An error that it raises ends the job.
+
+        Args:
+            work: A function of a module, or a `functools.partial` of one.
+            shards: What can be pickled.
+            lost: The result of a shard that no process survives; None ends the job with its `LostShardError`.
+            writes: Whether it writes files, so that nothing may be under way twice.
+        """
+        ...

@@ -1,0 +1,31 @@
+"""Policies: what decides for an agent, what it is shown, and what it may answer (h3data docs extending)."""
+
+from __future__ import annotations
+
+from sim_kinematic.agents.driven.commands import PersonCommand, Pick, Place
+from sim_kinematic.policies.assignment import AssignedPolicy, PolicyChoice, PolicyMaker, policy_names, resolve_policy
+from sim_kinematic.policies.learned import navigation_input
+from sim_kinematic.policies.network import from_torch, save_network
+from sim_kinematic.policies.policy import External, FunctionPolicy, Policy, Still, Velocity
+from sim_kinematic.policies.views import AgentView, SocialNavView
+
+__all__ = [
+    "AgentView",
+    "AssignedPolicy",
+    "External",
+    "FunctionPolicy",
+    "PersonCommand",
+    "Pick",
+    "Place",
+    "Policy",
+    "PolicyChoice",
+    "PolicyMaker",
+    "SocialNavView",
+    "Still",
+    "Velocity",
+    "from_torch",
+    "navigation_input",
+    "policy_names",
+    "resolve_policy",
+    "save_network",
+]

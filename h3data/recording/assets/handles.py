@@ -1,0 +1,37 @@
+"""Handles of Habitat's objects, ``chair_:0000``: an instance of the template ``chair``, whose config or mesh lies somewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from h3data.errors import SceneError
+
+HANDLE = "handle:"
+"""Begins the uri of an asset that is known by its template's name only."""
+_LISTED = 4
+
+
+def template_of(handle: str) -> str:
+    """The template's name in a handle: without the number of the instance and without folders."""
+    return handle.split("_:")[0].rsplit("/", 1)[-1] or "object"
+
+
+def file_of_template(name: str, configs: Sequence[Path], meshes: Sequence[Path]) -> Path | None:
+    """The one file that makes the template ``name``: a config goes before a bare mesh; None if there is no file.
+
+    Raises:
+        SceneError: several would do; the message lists them.
+    """
+    for files in (configs, meshes):
+        distinct = sorted({file.resolve() for file in files})
+        if len(distinct) > 1:
+            listed = ", ".join(map(str, distinct[:_LISTED])) + (", ..." if len(distinct) > _LISTED else "")
+            raise SceneError(
+                f"{len(distinct)} files fit the object handle {name!r}: {listed}. "
+                "Hint: give the folder of one dataset only (assets=[DIR]).",
+                code="H3-HABITAT-116",
+            )
+        if distinct:
+            return distinct[0]
+    return None

@@ -1,0 +1,155 @@
+"""Recorded file names to meshes: looked up below the user's folders, generated, or taken from a scene."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+
+from h3data.errors import SceneError
+from h3data.mesh.loading import is_file, load_mesh
+from h3data.mesh.mesh import Mesh
+from h3data.mesh.mesh_operations import painted
+from h3data.mesh.primitives import box_mesh, is_primitive, primitive_mesh
+from h3data.recording.assets.folders import CONFIG_ENDING, AssetFolders, clean_path
+from h3data.recording.assets.handles import HANDLE, file_of_template
+from h3data.recording.assets.placeholders import placeholder_mesh
+from h3data.recording.assets.skinned_meshes import SkinnedMesh, load_skinned_mesh
+from h3data.recording.records import AssetRef, Body
+from h3data.scene.records import Scene
+from h3data.scene.sources import object_mesh
+
+_log = logging.getLogger(__name__)
+
+OWN_FOLDER_ENDING = ".assets"
+"""Ending of the folder of GLB files that `h3data export --to gfx-replay` writes beside a replay of the same name."""
+EMPTY_URI = "primitive:empty"
+"""An instance that the recording shows as nothing (Habitat's ``invalid_filepath``)."""
+
+
+class AssetLibrary:
+    """Finds meshes for the assets of a recording.
+
+    ``roots`` are as in `AssetFolders`, or one that was made already.
+    What was asked for and not found collects in `missing`, files that cannot be read in `unreadable`.
+    """
+
+    def __init__(
+        self,
+        roots: Sequence[str | Path] | AssetFolders | None = None,
+        *,
+        scene: Scene | None = None,
+        own_folder: Path | None = None,
+    ) -> None:
+        """Takes the user's roots, a scene that answers ``scene:<asset>``, and the folder that came with a replay file."""
+        self.own_folder = own_folder
+        self.folders = roots if isinstance(roots, AssetFolders) else AssetFolders(roots)
+        self.scene = scene
+        self.missing: list[str] = []
+        self.unreadable: dict[str, str] = {}
+        """Reason by uri."""
+
+    def __repr__(self) -> str:
+        scene = f", scene {self.scene.name!r}" if self.scene else ""
+        return f"AssetLibrary({len(self.roots)} roots{scene}, {len(self.missing)} missing)"
+
+    def with_scene(self, scene: Scene) -> AssetLibrary:
+        """The same roots with a scene that answers ``scene:<asset>``."""
+        return AssetLibrary(self.folders, scene=scene, own_folder=self.own_folder)
+
+    def with_own_folder(self, recorded: object) -> AssetLibrary:
+        """The same with the folder that a replay brought along (``info["source"]["assets"]``), if it still exists.
+
+        It answers paths that begin with its name, after the roots; nothing else beside it is read.
+        """
+        folder = Path(recorded) if isinstance(recorded, str) and recorded.endswith(OWN_FOLDER_ENDING) else None
+        if folder is None or not folder.is_dir():
+            return self
+        return AssetLibrary(self.folders, scene=self.scene, own_folder=folder)
+
+    @property
+    def roots(self) -> tuple[Path, ...]:
+        """The asset folders."""
+        return self.folders.roots
+
+    def resolve(self, uri: str) -> Path | None:
+        """The file that a recorded path means, or None; see `AssetFolders.resolve`."""
+        return self.folders.resolve(uri) or self._beside(uri)
+
+    def mesh(self, ref: AssetRef) -> Mesh | None:
+        """The mesh of an asset in our frame and metres; None if it is missing or unreadable."""
+        mesh = self._mesh(ref)
+        if mesh is not None and ref.color is not None:
+            mesh = painted(mesh, ref.color)
+        return mesh
+
+    def skinned(self, ref: AssetRef) -> SkinnedMesh | None:
+        """The skinned mesh of an asset; None if its file is missing, unreadable or has no skin."""
+        path = None if ":" in ref.uri else self.resolve(ref.uri)
+        if path is None:
+            return None
+        try:
+            found = load_skinned_mesh(path, up=ref.up, front=ref.front, units_m=ref.units_m)
+        except SceneError as fault:
+            self._note_unreadable(ref.uri, str(fault))
+            return None
+        return found if found is None or ref.color is None else replace(found, mesh=painted(found.mesh, ref.color))
+
+    def placeholder(self, ref: AssetRef | str, body: Body | None = None) -> Mesh:
+        """A clearly marked stand-in for a missing asset, of a plausible size once ``body.scale`` is applied."""
+        del body  # its scale is applied by whoever draws it; nothing else of it is known to bear on the size
+        return placeholder_mesh(clean_path(ref if isinstance(ref, str) else ref.uri))
+
+    def _beside(self, uri: str) -> Path | None:
+        """A file in the folder that came with the replay."""
+        path = PurePosixPath(clean_path(uri))
+        if self.own_folder is None or path.parts[:1] != (self.own_folder.name,):
+            return None
+        file = self.own_folder.parent / path
+        return file if is_file(file) else None
+
+    def _mesh(self, ref: AssetRef) -> Mesh | None:
+        kind, _, name = ref.uri.partition(":")
+        if ref.uri == EMPTY_URI:
+            return primitive_mesh("cubeWireframe")
+        if kind == "primitive":
+            return box_mesh((1, 1, 1)) if name == "box" else self._generated(ref.uri, name)
+        if is_primitive(ref.uri):
+            return self._generated(ref.uri, ref.uri)
+        if kind == "scene":
+            asset = None if self.scene is None else self.scene.assets.get(name)
+            return self._note_missing(ref.uri) if asset is None else asset.mesh
+        if ref.uri.startswith(HANDLE):
+            return self._template(ref.uri, name)
+        path = self.resolve(ref.uri)
+        if path is None:
+            return self._note_missing(ref.uri)
+        try:
+            return load_mesh(path, up=ref.up, front=ref.front, units_m=ref.units_m)
+        except SceneError as fault:
+            return self._note_unreadable(ref.uri, str(fault))
+
+    def _template(self, uri: str, name: str) -> Mesh | None:
+        """The mesh of an object that a log names by its handle."""
+        configs, meshes = (self.folders.named(name + ending) for ending in (CONFIG_ENDING, ".glb"))
+        try:
+            file = file_of_template(name, configs, meshes)
+            return self._note_missing(uri) if file is None else object_mesh(name, file, self.roots)
+        except SceneError as fault:
+            return self._note_unreadable(uri, str(fault))
+
+    def _generated(self, uri: str, name: str) -> Mesh | None:
+        try:
+            return primitive_mesh(name)
+        except SceneError as fault:
+            return self._note_unreadable(uri, str(fault))
+
+    def _note_missing(self, uri: str) -> None:
+        if uri not in self.missing:
+            self.missing.append(uri)
+
+    def _note_unreadable(self, uri: str, reason: str) -> None:
+        if uri not in self.unreadable:
+            _log.warning("asset cannot be used: %s", reason)
+            self.unreadable[uri] = reason

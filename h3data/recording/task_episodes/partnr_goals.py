@@ -1,0 +1,100 @@
+"""PARTNR's collaboration episodes: what their propositions ask to be put where.
+
+An episode lists propositions such as ``is_on_top(object_handles, receptacle_handles, number)``: ``number`` of the objects
+have to be on any of the pieces of furniture (partnr-planner, habitat_llm/agent/env/evaluation). Those that ask for a place on
+furniture can be played as rearrangement; states (clean, powered on), rooms, the floor and neighborhood cannot.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from h3data.errors import FormatError, InputError
+from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode
+
+PROPOSITIONS = "evaluation_propositions"
+ON_FURNITURE = ("is_on_top", "is_inside")
+"""Propositions that are played. The furniture of our scenes does not open: inside means on a surface of it."""
+
+
+class Placement(msgspec.Struct, frozen=True, kw_only=True):
+    """An object that has to be put on any of some pieces of furniture."""
+
+    object: str
+    """Handle."""
+    receptacles: tuple[str, ...]
+    """Handles of the furniture."""
+    source: str = ""
+    """The receptacle it lies on."""
+
+
+class _Arguments(msgspec.Struct):
+    object_handles: list[str] = []
+    receptacle_handles: list[str] = []
+    number: int = 1
+    is_same_receptacle: bool = False
+
+
+class _Proposition(msgspec.Struct):
+    function_name: str
+    args: dict[str, Any] = {}
+
+
+def predicates_of(episode: RearrangeEpisode) -> list[str]:
+    """Function of each proposition of an episode; none if it is not PARTNR's."""
+    listed = episode.extra.get(PROPOSITIONS)
+    if not isinstance(listed, list):
+        return []
+    return [str(entry.get("function_name")) for entry in listed if isinstance(entry, dict)]
+
+
+def placements_of(episode: RearrangeEpisode) -> tuple[Placement, ...] | None:
+    """What an episode of PARTNR asks to be put where, in the order of its propositions; None if it is not PARTNR's.
+
+    Of several objects that would do, the first ones are taken that nothing else asks for. The order in which an episode wants
+    things done is not kept.
+
+    Raises:
+        FormatError: the propositions are malformed.
+        InputError: it asks for something else, or for nothing.
+    """
+    listed = episode.extra.get(PROPOSITIONS)
+    if listed is None:
+        return None
+    where = f"Episode {episode.episode_id!r}"
+    try:
+        propositions = msgspec.convert(listed, list[_Proposition])
+        arguments = [
+            msgspec.convert(p.args, _Arguments) if p.function_name in ON_FURNITURE else None for p in propositions
+        ]
+    except msgspec.ValidationError as fault:
+        raise FormatError(f"{where}: {PROPOSITIONS}: {str(fault).replace('`', '')}", code="H3-HABITAT-035") from None
+    others = sorted({p.function_name for p in propositions} - {*ON_FURNITURE})
+    if others:
+        raise InputError(
+            f"{where} asks for {', '.join(others)}, which h3data does not play. It plays {' and '.join(ON_FURNITURE)}.",
+            code="H3-HABITAT-033",
+        )
+    chosen: dict[str, tuple[str, ...]] = {}
+    for asked in arguments:
+        assert asked is not None
+        if not 1 <= asked.number <= len(asked.object_handles) or not asked.receptacle_handles:
+            raise InputError(
+                f"{where}: a proposition asks for {asked.number} of {len(asked.object_handles)} objects on "
+                f"{len(asked.receptacle_handles)} pieces of furniture.",
+                code="H3-HABITAT-036",
+            )
+        free = [name for name in dict.fromkeys(asked.object_handles) if name not in chosen]
+        if len(free) < asked.number:
+            raise InputError(
+                f"{where} moves {asked.object_handles[0]!r} more than once, which h3data does not play.",
+                code="H3-HABITAT-037",
+            )
+        on = asked.receptacle_handles[:1] if asked.is_same_receptacle else asked.receptacle_handles
+        chosen |= dict.fromkeys(free[: asked.number], tuple(on))
+    if not chosen:
+        raise InputError(f"{where} has no propositions, so there is nothing to rearrange.", code="H3-HABITAT-034")
+    on = episode.name_to_receptacle
+    return tuple(Placement(object=name, receptacles=to, source=on.get(name, "")) for name, to in chosen.items())

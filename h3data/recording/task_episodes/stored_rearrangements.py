@@ -1,0 +1,280 @@
+"""Rearrangement episodes in Habitat's files: which objects lie where, where they have to go, where the agents start.
+
+Habitat's own files hold objects and goals (spec/habitat.md 6.5) but no starts; ours hold everything, under
+``info["h3data"]`` (`h3data.recording.task_episodes.stored_episodes`). Both are read as one record.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from h3data.bodies.motion.walk_names import split_walk
+from h3data.errors import InputError
+from h3data.geometry import pose_from_matrix
+from h3data.recording import Recording
+from h3data.recording.task_episodes.partnr_goals import Placement, placements_of
+from h3data.recording.task_episodes.rearrange_episode import (
+    Matrix,
+    RearrangeEpisode,
+    RigidObject,
+    instance_handles,
+    is_rigid,
+)
+from h3data.recording.task_episodes.stored_episodes import (
+    Start,
+    info_block,
+    plain,
+    read_info_block,
+    start_fields,
+    task_of,
+)
+
+TASK = "rearrange"
+
+
+class StoredGoal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One object and where it has to go; also an entry of a recording's ``info["goals"]``."""
+
+    object: str
+    """Name of the instance in the scene."""
+    start: list[float]
+    """pose7 in the world at the beginning."""
+    position: list[float]
+    """Where its origin has to come to be, [3] [m]."""
+    source: str = msgspec.field(name="from")
+    """The receptacle it lies on, ``instance|receptacle``; empty if unknown."""
+    destination: str = msgspec.field(name="to")
+    rotation: list[float] | None = None
+    """Quaternion ``[x y z w]`` at the goal; only needed to convert between frames."""
+
+
+class EpisodeObject(msgspec.Struct, frozen=True, kw_only=True):
+    """An object that the episode adds to the scene."""
+
+    name: str
+    """Of its instance: Habitat's handle, ``024_bowl_:0000``."""
+    config: str
+    """File name of its template."""
+    pose: tuple[float, ...]
+    """pose7 of its center of mass in the world."""
+
+
+class StoredRearrangement(msgspec.Struct, frozen=True, kw_only=True):
+    """All that a simulator needs besides the scene."""
+
+    goals: tuple[StoredGoal, ...]
+    placements: tuple[Placement, ...] = ()
+    """Further objects, for whose goals a place on one of some pieces of furniture is sampled from the seed."""
+    robot_start: Start | None = None
+    """None, as in Habitat's files: it is sampled from the seed."""
+    human_start: Start | None = None
+    objects: tuple[EpisodeObject, ...] = ()
+    """Objects that are not in the scene itself."""
+    object_paths: tuple[str, ...] = ()
+    """Folders with the templates of ``objects``."""
+    com_frames: bool = False
+    """Whether ``goals`` are poses of the centers of mass, as Habitat's, instead of the assets' origins."""
+    floor_y: float = 0.0
+    """Height of the floor [m]."""
+    seed: int = 0
+    robot: str = ""
+    """Model, such as ``robot/quad_arm``; empty: the default one."""
+    human: str = ""
+    scene_sha256: str = ""
+    scene_source: Mapping[str, Any] = msgspec.field(default_factory=dict)
+    rules: Mapping[str, Any] = msgspec.field(default_factory=dict)
+    """Fields of ``RearrangeSpec``; empty: its defaults."""
+    recording: str = ""
+    """uid of the recording that it was taken from."""
+    sampled_sha256: str = ""
+    """`content_digest` of an episode that follows from its seed alone; it tells whether somebody has edited it."""
+    instruction: str = ""
+    """What the agents are told, where the file says so."""
+
+
+def content_digest(record: StoredRearrangement) -> str:
+    """Digest of starts, objects, goals, seed and rules."""
+    content = (record.robot_start, record.human_start, record.goals, record.objects, record.seed, record.robot,
+               record.human, record.scene_sha256, plain(record.rules))  # fmt: skip
+    return hashlib.sha256(msgspec.json.encode(content)).hexdigest()
+
+
+def rearrangement_entry(
+    record: StoredRearrangement,
+    *,
+    episode_id: str,
+    scene_id: str,
+    scene_dataset_config: str = "default",
+    rigid_objects: Sequence[RigidObject] = (),
+    targets: Mapping[str, Matrix] | None = None,
+    goal_receptacles: Sequence[str] = (),
+    name_to_receptacle: Mapping[str, str] | None = None,
+    object_paths: Sequence[str] = (),
+) -> RearrangeEpisode:
+    """A Habitat episode that carries a record; `write_episodes` writes it, `read_rearrangement` gets it back.
+
+    Habitat itself plays ``rigid_objects`` (in the order of their configs) and ``targets``, which
+    `h3data.exporters.habitat.episodes` fills in; h3data needs neither.
+    """
+    _require_finite(record)
+    names = targets or {}
+    on = name_to_receptacle or {}
+    info: dict[str, Any] = {"object_labels": {name: f"any_targets|{k}" for k, name in enumerate(names)}}
+    return RearrangeEpisode(
+        episode_id=episode_id,
+        scene_id=scene_id,
+        scene_dataset_config=scene_dataset_config,
+        additional_obj_config_paths=tuple(object_paths),
+        **start_fields(record.robot_start or (0.0, 0.0, math.pi / 2), record.floor_y),
+        rigid_objects=tuple(rigid_objects),
+        targets=names,
+        target_receptacles=tuple((on.get(name, "").partition("|")[0], None) for name in names),
+        goal_receptacles=tuple((name.partition("|")[0], None) for name in goal_receptacles),
+        name_to_receptacle=on,
+        info={**info, **info_block(TASK, record)},
+    )
+
+
+def read_rearrangement(episode: RearrangeEpisode) -> StoredRearrangement | None:
+    """The rearrangement that an episode of any file describes; None if there is nothing to rearrange.
+
+    Raises:
+        FormatError: ours, but damaged or from a newer version.
+        InputError: Habitat's, but a target is no object of it, or a pose is none; PARTNR's, but it asks for something that is
+            not played.
+    """
+    if task_of(episode) == TASK:
+        record = read_info_block(episode, TASK, StoredRearrangement)
+        assert record is not None
+        _require_finite(record)
+        if not record.goals and not record.placements:
+            raise InputError(
+                f"Episode {episode.episode_id!r} has no objects to rearrange: goals is empty.", code="H3-HABITAT-053"
+            )
+        return record
+    if task_of(episode) is not None:
+        return None
+    placements = placements_of(episode)
+    return _of_habitat(episode, placements or ()) if placements is not None or episode.targets else None
+
+
+def _of_habitat(episode: RearrangeEpisode, placements: tuple[Placement, ...]) -> StoredRearrangement:
+    where = f"Episode {episode.episode_id!r}"
+    handles = instance_handles(episode)
+    asked = {} if placements else episode.targets
+    strangers = asked.keys() - set(handles)
+    if strangers:
+        listed = ", ".join(handles[:6]) + (", ..." if len(handles) > 6 else "") if handles else "it has none"
+        raise InputError(
+            f"{where}: its target {min(strangers)!r} is none of its objects ({listed}).", code="H3-HABITAT-048"
+        )
+    matrices = [*(thing.matrix for thing in episode.rigid_objects), *asked.values()]
+    what = [*(f"the pose of {name!r}" for name in handles), *(f"the goal of {name!r}" for name in asked)]
+    poses = _poses(matrices, what, where)
+    starts = dict(zip(handles, poses, strict=False))
+    objects = tuple(
+        EpisodeObject(name=name, config=thing.config, pose=tuple(starts[name]))
+        for name, thing in zip(handles, episode.rigid_objects, strict=True)
+    )
+    goals = [
+        StoredGoal(
+            object=name,
+            start=starts[name],
+            position=goal[:3],
+            rotation=goal[3:],
+            source=episode.name_to_receptacle.get(name) or _at(episode.target_receptacles, k),
+            destination=_at(episode.goal_receptacles, k),
+        )
+        for k, (name, goal) in enumerate(zip(asked, poses[len(handles) :], strict=True))
+    ]
+    return StoredRearrangement(
+        goals=tuple(goals),
+        placements=placements,
+        objects=objects,
+        object_paths=episode.additional_obj_config_paths,
+        com_frames=True,
+        instruction=str(episode.extra.get("instruction") or episode.extra.get("language_instruction") or ""),
+    )
+
+
+def rearrangement_of(recording: Recording) -> StoredRearrangement:
+    """Objects, goals and starts of a recorded episode, to play it again with others.
+
+    Raises:
+        InputError: the recording is of another task, or lacks something.
+    """
+    info, name = recording.episode.info, recording.episode.episode_id
+    if recording.episode.task != TASK:
+        raise InputError(
+            f"Expected a recording of rearrange, {name!r} is one of {recording.episode.task!r}.", code="H3-HABITAT-049"
+        )
+    if not len(recording) or not recording.agents:
+        raise InputError(f"Expected a recording with agents and steps, {name!r} has none.", code="H3-HABITAT-050")
+    first = {agent.kind: k for k, agent in reversed(list(enumerate(recording.agents)))}
+    starts = {kind: info.get(f"{kind}_start") for kind in ("robot", "human")}
+    if "starts" in info:
+        starts |= {kind: info["starts"][k] for kind, k in first.items()}
+    models = {kind: recording.agents[k].model for kind, k in first.items()}
+    floor_y = float(recording.agent_column(next(iter(first.values())), "base_pose")[0, 1])
+    try:
+        record = msgspec.convert(
+            {
+                "goals": info.get("goals"),
+                **{f"{kind}_start": start for kind, start in starts.items()},
+                "floor_y": floor_y,
+                "seed": recording.episode.seed,
+                "robot": models.get("robot", ""),
+                "human": split_walk(models.get("human", ""))[0],
+                "scene_sha256": info.get("scene_sha256", ""),
+                "scene_source": plain(info.get("scene_source", {})),
+                "rules": plain(info.get("spec", {})),
+                "recording": recording.episode.uid,
+                "instruction": str(info.get("instruction") or ""),
+            },
+            StoredRearrangement,
+        )
+    except (msgspec.ValidationError, TypeError, ValueError) as fault:
+        raise InputError(
+            f"The info of recording {name!r} lacks something: {str(fault).replace('`', '')}", code="H3-HABITAT-043"
+        ) from None
+    _require_finite(record)
+    return record
+
+
+def _at(receptacles: Sequence[tuple[str, int | None]], index: int) -> str:
+    return receptacles[index][0] if index < len(receptacles) else ""
+
+
+def _poses(matrices: Sequence[Matrix], what: Sequence[str], where: str) -> list[list[float]]:
+    """pose7 of each matrix."""
+    if not matrices:
+        return []
+    stacked = np.stack(matrices).astype(np.float64)
+    rigid = is_rigid(stacked)
+    if not rigid.all():
+        raise InputError(
+            f"{where}: {what[int(np.argmin(rigid))]} is no rotation and translation.", code="H3-HABITAT-051"
+        )
+    return pose_from_matrix(stacked).astype(np.float64).tolist()
+
+
+def _require_finite(record: StoredRearrangement) -> None:
+    for start in (record.robot_start, record.human_start):
+        if start is not None and not all(map(math.isfinite, start)):
+            raise InputError(f"Expected finite starts, got {start}.", code="H3-HABITAT-054")
+    for goal in record.goals:
+        numbers = [*goal.start, *goal.position]
+        if len(goal.start) != 7 or len(goal.position) != 3 or not all(map(math.isfinite, numbers)):
+            raise InputError(
+                f"Expected a pose7 and a position [3] of finite numbers for {goal.object!r}, got {goal.start} and "
+                f"{goal.position}.",
+                code="H3-HABITAT-055",
+            )
+    if not math.isfinite(record.floor_y):
+        raise InputError(f"Expected a finite height of the floor, got {record.floor_y}.", code="H3-HABITAT-052")

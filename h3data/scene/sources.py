@@ -1,0 +1,208 @@
+"""What gives a scene: a generator or a file; other packages add theirs as entry points of the group ``h3data.scenes``.
+
+An entry point is a `SceneGenerator`, whose name is the kind that `Scene.source` and scene sets give (``home``), or a
+`SceneReader` for files of other makers.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, cast
+
+import msgspec
+
+from h3data.errors import FormatError, InputError, SceneError
+from h3data.plugins import Registry
+
+if TYPE_CHECKING:
+    from h3data.mesh.mesh import Mesh
+    from h3data.scene.records import Scene
+
+
+class SceneSpec(Protocol):
+    """What a generator makes a scene of. Specs are hashable, and equal ones give the same scene."""
+
+    kind: ClassVar[str]
+    """Name of the generator among the `SCENES`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneFile:
+    """A scene in a file: one written by `h3data.scene.save_scene`, or of a format that a `SceneReader` reads."""
+
+    path: str
+    """GLB, or Habitat's ``.scene_instance.json``, ``.stage_config.json``, ``.scene_dataset_config.json``."""
+    scene: str = ""
+    """Name of the scene within a file that holds several, such as a ``.scene_dataset_config.json``."""
+    assets: tuple[str, ...] = ()
+    """Additional folders to search for the scene's files; if empty, those of H3DATA_ASSETS."""
+    strict: bool = False
+    """Whether warnings are errors."""
+    allow_missing: bool = False
+    """Whether objects whose files are missing are left out with a warning."""
+
+    def open(self) -> Scene:
+        """The scene in the file as it is now.
+
+        Raises:
+            SceneError, FormatError: it cannot be read.
+        """
+        if not self.scene and _is_ours(Path(self.path)):
+            from h3data.scene.scene_file import load_scene
+
+            return load_scene(self.path)
+        reader = reader_of(self.path)
+        if reader is None:
+            endings = ", ".join(f"*{e}" for r in scene_readers() for e in r.endings) or "a GLB that h3data wrote"
+            raise FormatError(f"Expected a scene ({endings}): {self.path}{missing_packages()}", code="H3-SCENE-067")
+        return reader.read(self)
+
+
+SceneSource = SceneSpec | SceneFile
+"""Everything needed to obtain a scene; hashable."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneSize:
+    """What ``h3data scenes list`` says of the scenes of one name of a generator; None where it varies or means nothing."""
+
+    area_m2: float | None = None
+    """Floor area [m2]."""
+    bedrooms: int | None = None
+    bathrooms: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneGenerator:
+    """Scenes that are made of a name and a seed, such as ``small:3``."""
+
+    names: Sequence[str]
+    """What may stand before the colon."""
+    named: Callable[[str, int], SceneSpec]
+    """The spec that a name and a seed stand for."""
+    Spec: Callable[..., SceneSpec]
+    """Makes a spec of the values, as keywords, that `Scene.source` or a table of a scene set gives."""
+    Table: type[msgspec.Struct]
+    """Keys and types of such a table: ``id`` and the keywords."""
+    build: Callable[[Any], Scene]
+    """The scene of a spec."""
+    listed: Mapping[str, SceneSize] = field(default_factory=dict)
+    """The names that ``h3data scenes list`` shows."""
+    about: str = ""
+    """How to name a scene, in whole sentences below that list."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneReader:
+    """Reads scenes from files of one maker."""
+
+    endings: Sequence[str]
+    """Endings of the files' names, in lower case."""
+    read: Callable[[SceneFile], Scene]
+    collection: str = ""
+    """Ending, one of `endings`, of files that hold several scenes, named as ``path#scene``; empty if none do."""
+    open_collection: Callable[[Path], Any] | None = None
+    """What `h3data.open` gives for such a file."""
+    scenes_in: Callable[[Path], Sequence[str]] = lambda _: ()
+    """Names of the scenes in such a file."""
+    object_mesh: Callable[[str, Path, Sequence[Path]], Mesh] | None = None
+    """The mesh of an object template: `object_mesh`."""
+
+
+def _check(entry: Any) -> None:
+    if not isinstance(entry, SceneGenerator | SceneReader):
+        raise InputError(
+            f"Expected an h3data.scene.sources.SceneGenerator or SceneReader, got {entry!r:.60}.", code="H3-SCENE-065"
+        )
+
+
+SCENES: Registry[SceneGenerator | SceneReader] = Registry("h3data.scenes", {}, what="kind of scenes", check=_check)
+"""Generators and readers of scenes by kind."""
+
+
+@cache
+def _installed(path: tuple[str, ...]) -> dict[str, SceneGenerator | SceneReader]:
+    """All entries, as of one ``sys.path``: looking for installed packages takes 30 ms."""
+    return SCENES.load_all()
+
+
+def scene_generators() -> dict[str, SceneGenerator]:
+    """The installed generators by kind."""
+    return {kind: entry for kind, entry in _installed(tuple(sys.path)).items() if isinstance(entry, SceneGenerator)}
+
+
+def scene_readers() -> list[SceneReader]:
+    """The installed readers."""
+    return [entry for entry in _installed(tuple(sys.path)).values() if isinstance(entry, SceneReader)]
+
+
+def reader_of(path: str) -> SceneReader | None:
+    """The reader of a scene file, judged by its name; None if there is none."""
+    text = path.lower()
+    return next((reader for reader in scene_readers() if text.endswith(tuple(reader.endings))), None)
+
+
+def scene_of(source: SceneSource) -> Scene:
+    """Makes or reads a scene, each time anew (`h3data.scene.open.open_scene` keeps the last ones).
+
+    Raises:
+        InputError: the package that makes such scenes is not installed.
+        SceneError, FormatError: it cannot be made or read.
+    """
+    if isinstance(source, SceneFile):
+        return source.open()
+    return cast(SceneGenerator, SCENES.get(source.kind)).build(source)
+
+
+def recorded_spec(source: Mapping[str, Any]) -> SceneSpec | None:
+    """The spec of a scene whose `Scene.source` is ``source``; None if no installed generator makes its kind.
+
+    Raises:
+        TypeError, H3DataError: the generator does not know such values.
+    """
+    generator = scene_generators().get(str(source.get("kind", "")))
+    if generator is None:
+        return None
+    return generator.Spec(**{name: value for name, value in source.items() if name != "kind"})
+
+
+def object_mesh(name: str, file: Path, roots: Sequence[Path]) -> Mesh:
+    """The mesh of the object template ``name``, in the frame of the object's logged poses: around its centre of mass [m].
+
+    Args:
+        name: The template's name.
+        file: Its config or mesh.
+        roots: Folders below which the files are that a config names.
+
+    Raises:
+        SceneError: the template cannot be used, or no installed package reads such files.
+    """
+    reader = reader_of(str(file))
+    if reader is None or reader.object_mesh is None:
+        raise SceneError(
+            f"No installed package reads the object template {name!r}: {file}{missing_packages()}", code="H3-SCENE-066"
+        )
+    return reader.object_mesh(name, file, roots)
+
+
+def missing_packages() -> str:
+    """Which packages that come with h3data would know more scenes but are not installed, as a hint; empty if all are."""
+    missing = ", ".join(f"{package} ({kind})" for kind, package in SCENES.missing().items())
+    return f" Hint: this installation lacks {missing}; install h3data as a whole." if missing else ""
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether `h3data.scene.save_scene` wrote it: any other GLB is a mesh."""
+    from h3data.mesh.glb import unpack_glb
+
+    if path.suffix.lower() != ".glb" or not path.is_file():
+        return False
+    try:
+        extras = unpack_glb(path.read_bytes(), str(path), what="a scene as GLB")[0].get("extras")
+    except FormatError:
+        return False
+    return isinstance(extras, dict) and isinstance(extras.get("h3data"), dict) and "format" in extras["h3data"]

@@ -1,0 +1,443 @@
+"""Recurrent network that maps pictures and numbers to commands of a robot, stored in a file of plain arrays.
+
+``picture -> convolutions -> GRU(picture features, numbers, last action) -> two layers -> forward, turn``, of skills that move
+the arm also its joints and the grip. It is evaluated by one small kernel, in a millisecond: sums in a fixed order give the same
+bits in every process, which neither PyTorch nor NumPy's BLAS does, whose order depends on the number of threads, and threads
+for so little work cost more than the work.
+`h3data_training.networks` is the same in PyTorch; tests/training/test_policy_files.py compares the two.
+
+The file is an npz of float32 arrays and one JSON text. Nothing in it is executed when it is read: no pickle, no code.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, Self, TypeVar
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import FormatError, InputError
+from h3data.files import part_file
+from h3data.kernels import kernel
+from h3data.render.light.sources import LightMode
+
+FILE_FORMAT = "h3data.policy/1"
+PATCH = 4
+"""Squares of 4 x 4 pixels become 16 channels, so that the first convolution works on a twelfth of the positions."""
+PICTURES = {"arm_depth": 1, "arm_rgb": 3}
+"""Pictures that a network may be shown, one of them, and how many planes they have."""
+STRIDES = (1, 2, 2)
+"""Strides of the three convolutions, which are 3 x 3 with a margin of 1."""
+SPEED_MPS = 2.5
+"""Velocities and ranges are divided by this, the robot's speed limit."""
+
+Floats = NDArray[np.floating]
+
+
+def polar(seen: NDArray[np.floating]) -> Floats:
+    """Distance [m] and angle [rad] as numbers that a network reads easily, [6]."""
+    d, a = float(seen[0]), float(seen[1])
+    return np.array([d / 5, np.exp(-d / 2), np.exp(-d), np.cos(a), np.sin(a), a / np.pi], np.float32)
+
+
+def _scaled(seen: NDArray[np.floating]) -> Floats:
+    return np.asarray(seen, np.float32) / np.float32(SPEED_MPS)
+
+
+def spot(seen: NDArray[np.floating]) -> Floats:
+    """A point [3] [m] as numbers that a network reads easily, [8]: as it is, its direction, and how near it is."""
+    point = np.asarray(seen, np.float32)
+    d = np.sqrt(np.sum(point * point))
+    return np.concatenate(
+        [point / np.float32(SPEED_MPS), point / (d + np.float32(0.1)), [np.exp(-2 * d), np.exp(-8 * d)]]
+    )
+
+
+def _as_it_is(seen: NDArray[np.floating]) -> Floats:
+    return np.asarray(seen, np.float32)
+
+
+def _turns(seen: NDArray[np.floating]) -> Floats:
+    return np.asarray(seen, np.float32) / np.float32(np.pi)
+
+
+ENCODINGS = {
+    "humanoid_gps": (polar, 2, 6),
+    "humanoid_detector": (_as_it_is, 1, 1),
+    "humanoid_velocity": (_scaled, 2, 2),
+    "egomotion": (_scaled, 3, 3),
+    "way": (polar, 2, 6),
+    "range_scan": (_scaled, 12, 12),
+    "target_gps_compass": (polar, 2, 6),
+    "target_sensor": (spot, 3, 8),
+    "resting_sensor": (spot, 3, 8),
+    "is_holding": (_as_it_is, 1, 1),
+    "arm_joints": (_turns, 0, 0),
+}
+"""Observations that a network may be shown beside a picture: their encoding, their length, and the length it gives; of
+``arm_joints`` both are the number of joints, `lengths`."""
+OF_SKILLS = (
+    "way",
+    "range_scan",
+    "egomotion",
+    "target_gps_compass",
+    "target_sensor",
+    "resting_sensor",
+    "is_holding",
+    "arm_joints",
+)
+"""Numbers that policies of skills observe."""
+OF_SOCIAL_NAV = ("humanoid_gps", "humanoid_detector", "humanoid_velocity", "egomotion", "way", "range_scan")
+"""Numbers that policies of social navigation observe."""
+BASE_ACTIONS, GRIP_ACTIONS = 2, 1
+"""Numbers of an action that move the base, and that close the hand where the arm's joints move."""
+
+
+class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The text in a policy file."""
+
+    task: str
+    robot: str
+    """Body that it was trained with."""
+    observations: tuple[str, ...]
+    picture_size: tuple[int, int] | None
+    """Width and height of the picture and of the detector's [pixels]."""
+    light: LightMode = "flat"
+    """Light in the colours that it has learned from, and is shown. Files without this entry have learned in flat light."""
+    hold: int
+    """Steps of 1/30 s for which an action is held."""
+    network: str = "cnn_gru"
+    """Which layers there are: ``cnn_gru``, ``resnet18_lstm``, the paper's, or ``gru_chooser`` of rearrangement."""
+    actions: int = BASE_ACTIONS
+    """Numbers of an action: base [2], of skills that move the arm also its joints [n] and grip [1]."""
+    agent: str = "robot"
+    """Agent that the policy controls: ``robot`` or ``human``."""
+    objects: int = 0
+    """Number of objects of rearrangement that the policy supports."""
+    primitives: bool = True
+    """Whether a robot of rearrangement may choose the primitives of navigation."""
+    training: dict[str, Any] = {}
+    """How it came about: recipe, seed, steps, hardware, versions."""
+
+
+def digest_of(about: tuple[Any, ...], arrays: Mapping[str, Floats]) -> str:
+    """SHA-256 (hex) of a network's weights and of the fields of its card that decide how they are used."""
+    found = sha256(repr(about).encode())
+    for name, array in sorted(arrays.items()):
+        found.update(f"{name}{array.shape}".encode() + array.tobytes())
+    return found.hexdigest()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class VisualPolicy:
+    """Weights of one policy with pictures, and the card that describes it."""
+
+    card: PolicyCard
+    arrays: Mapping[str, Floats]
+    """By name as in the file: ``conv_0.weight`` [out, in, 3, 3], ``picture.weight`` [features, flat], ``gru.weight_ih``
+    [3 H, in], ``gru.weight_hh`` [3 H, H], ``act_0.weight``, ``act_1.weight`` [actions, n], and a bias for each."""
+    kind: ClassVar[str] = "cnn_gru"
+
+    def __post_init__(self) -> None:
+        faults = _faults(type(self), self.card, self.arrays)
+        if faults:
+            raise InputError(f"These arrays make no policy: {'; '.join(faults)}.", code="H3-POLICY-007")
+
+    @property
+    def task(self) -> str:
+        """Name of the task that the policy was trained for."""
+        return self.card.task
+
+    @property
+    def observations(self) -> tuple[str, ...]:
+        """Names of the observations that the policy needs."""
+        return self.card.observations
+
+    @property
+    def outputs(self) -> int:
+        """Numbers of an action."""
+        return self.card.actions
+
+    @property
+    def sees(self) -> str | None:
+        """Which of `PICTURES` it is shown."""
+        return picture_in(self.card.observations)
+
+    @property
+    def sees_colours(self) -> bool:
+        """Whether the light of the home reaches it."""
+        return self.sees == "arm_rgb"
+
+    def in_light(self, light: LightMode) -> Self:
+        """Network with the same weights that sees its colours in another light.
+
+        Raises:
+            InputError: it sees no colours.
+        """
+        if not self.sees_colours:
+            raise InputError("The network sees no colours, so light makes no difference to it.", code="H3-POLICY-032")
+        return replace(self, card=msgspec.structs.replace(self.card, light=light))
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of all that decides what it does."""
+        card = self.card
+        about: tuple[Any, ...] = (card.task, card.observations, card.picture_size, card.hold)
+        if card.network != "cnn_gru":
+            about = (*about, card.network)
+        if self.sees_colours and card.light != "flat":  # digests of before cards had light stay
+            about = (*about, card.light)
+        return digest_of(about, self.arrays)
+
+    def start(self) -> Floats:
+        """The recurrent state at the start of an episode, [H]."""
+        return np.zeros(self.arrays["gru.weight_hh"].shape[1], np.float32)
+
+    def __call__(self, shown: Mapping[str, NDArray[Any]], last: Floats, state: Floats) -> tuple[Floats, Floats]:
+        """Evaluates the policy for one step.
+
+        Args:
+            shown: observations by name.
+            last: last action [n], 0 at the start.
+            state: recurrent state [H].
+
+        Returns:
+            The action [n] and the next state [H].
+
+        Raises:
+            InputError: an observation is missing or has another shape.
+        """
+        numbers = self._numbers(shown, last)
+        x = np.concatenate([self._features(self._picture(shown)), numbers]) if self.sees else numbers
+        given, kept = self._layer("gru", x, "_ih"), self._layer("gru", state, "_hh")
+        (r, z, n), (kr, kz, kn) = np.split(given, 3), np.split(kept, 3)
+        reset, update = _sigmoid(r + kr), _sigmoid(z + kz)
+        state = (1 - update) * np.tanh(n + reset * kn) + update * state
+        hidden = self._layer("act_0", np.concatenate([state, numbers]))
+        hidden = np.where(hidden > 0, hidden, np.expm1(np.minimum(hidden, 0)))
+        return self._layer("act_1", hidden), state.astype(np.float32)
+
+    @classmethod
+    def size_fault(cls, size: tuple[int, int]) -> str:
+        """Sizes of pictures that the network supports, if this is none of them; otherwise empty."""
+        fits = all(side % PATCH == 0 and PATCH <= side <= 1024 for side in size)
+        return "" if fits else f"multiples of {PATCH} up to 1024"
+
+    @classmethod
+    def shapes(cls, card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[int, ...]]:
+        """Shapes of all arrays by name, with the widths that the given ones have."""
+        shapes: dict[str, tuple[int, ...]] = {}
+        features = 0
+        if picture := picture_in(card.observations):
+            assert card.picture_size is not None
+            last = PICTURES[picture] * PATCH * PATCH
+            for k in range(len(STRIDES)):
+                out = _rows(arrays, f"conv_{k}.weight")
+                shapes |= {f"conv_{k}.weight": (out, last, 3, 3), f"conv_{k}.bias": (out,)}
+                last = out
+            features = _rows(arrays, "picture.weight")
+            shapes |= {
+                "picture.weight": (features, last * picture_length(card.picture_size)), "picture.bias": (features,)
+            }  # fmt: skip
+        numbers = number_count(card.observations, card.actions)
+        state, wide = _rows(arrays, "gru.weight_ih") // 3, _rows(arrays, "act_0.weight")
+        return shapes | {
+            "gru.weight_ih": (3 * state, features + numbers), "gru.weight_hh": (3 * state, state),
+            "gru.bias_ih": (3 * state,), "gru.bias_hh": (3 * state,), "act_0.weight": (wide, state + numbers),
+            "act_0.bias": (wide,), "act_1.weight": (card.actions, wide), "act_1.bias": (card.actions,),
+        }  # fmt: skip
+
+    @cached_property
+    def _columns(self) -> dict[str, Floats]:
+        """The weights by name, [in, out]."""
+        rows = {n: a.reshape(len(a), -1) for n, a in self.arrays.items() if ".weight" in n}
+        return {n: np.ascontiguousarray(a.T, np.float32) for n, a in rows.items()}
+
+    def _layer(self, name: str, x: Floats, kind: str = "") -> Floats:
+        """Outputs [out] or [n, out] of a linear layer for inputs [in] or [n, in]."""
+        rows = np.ascontiguousarray(np.atleast_2d(x), np.float32)
+        out = affine(rows, self._columns[f"{name}.weight{kind}"], self.arrays[f"{name}.bias{kind}"].astype(np.float32))
+        return out if x.ndim == 2 else out[0]
+
+    def _numbers(self, shown: Mapping[str, NDArray[Any]], last: Floats) -> Floats:
+        parts = []
+        for name in self.observations:
+            if name in PICTURES:
+                continue
+            encode, (length, _) = ENCODINGS[name][0], lengths(name, self.card.actions)
+            if name not in shown or np.shape(shown[name]) != (length,):
+                got = list(np.shape(shown[name])) if name in shown else "none"
+                raise InputError(f"Expected the observation {name} [{length}], got {got}.", code="H3-POLICY-036")
+            parts.append(encode(shown[name]))
+        return np.concatenate([*parts, last]).astype(np.float32)
+
+    def _picture(self, shown: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+        """The picture [H, W, planes] among the observations, where it is as in training."""
+        name = self.sees
+        assert name
+        assert self.card.picture_size
+        expected = (*self.card.picture_size[::-1], PICTURES[name])
+        if name not in shown or shown[name].shape != expected:
+            got = list(shown[name].shape) if name in shown else "none"
+            raise InputError(f"Expected {name} {list(expected)}, got {got}.", code="H3-POLICY-033")
+        return shown[name]
+
+    def _features(self, picture: NDArray[Any]) -> Floats:
+        height, width, planes = picture.shape
+        # depth: near things in more detail; float16 as the device keeps pictures of whole rollouts
+        seen = np.sqrt(picture.astype(np.float32)) if planes == 1 else picture.astype(np.float32) / np.float32(255)
+        seen = seen.astype(np.float16).astype(np.float32)
+        x = seen.reshape(height // PATCH, PATCH, width // PATCH, PATCH, planes).transpose(4, 1, 3, 0, 2)
+        x = x.reshape(planes * PATCH * PATCH, height // PATCH, width // PATCH)
+        for k, stride in enumerate(STRIDES):
+            seen, shape = _windows(x, stride)
+            x = np.maximum(self._layer(f"conv_{k}", seen), 0).T.reshape(-1, *shape)
+        return np.maximum(self._layer("picture", x.ravel()), 0)
+
+
+def _sigmoid(x: Floats) -> Floats:
+    return 0.5 * (np.tanh(0.5 * x) + 1)
+
+
+def _windows(x: Floats, stride: int) -> tuple[Floats, tuple[int, int]]:
+    """What each place of a 3 x 3 convolution sees of [in, H, W] with a margin of zeros, [H' W', 9 in]; and H', W'."""
+    padded = np.pad(x, ((0, 0), (1, 1), (1, 1)))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(1, 2))[:, ::stride, ::stride]
+    _, height, width, _, _ = windows.shape
+    return windows.transpose(1, 2, 0, 3, 4).reshape(height * width, -1), (height, width)
+
+
+@kernel()
+def affine(x: Floats, columns: Floats, bias: Floats) -> Floats:
+    """``x @ columns + bias`` for [n, in], [in, out], [out], in float32; every sum in the order of the inputs."""
+    out = np.empty((len(x), len(bias)), np.float32)
+    for row in range(len(x)):
+        out[row] = bias
+        for k in range(x.shape[1]):
+            factor = x[row, k]
+            if factor != 0:  # half of what comes out of a rectifier
+                for column in range(len(bias)):
+                    out[row, column] += factor * columns[k, column]
+    return out
+
+
+def picture_in(observations: tuple[str, ...]) -> str | None:
+    """Which of `PICTURES` is among observations, if one is."""
+    return next((name for name in observations if name in PICTURES), None)
+
+
+def lengths(name: str, actions: int) -> tuple[int, int]:
+    """Numbers of an observation, and of its encoding, where an action has so many numbers."""
+    if name == "arm_joints":
+        joints = max(actions - BASE_ACTIONS - GRIP_ACTIONS, 0)
+        return joints, joints
+    return ENCODINGS[name][1:]
+
+
+def number_count(observations: tuple[str, ...], actions: int = BASE_ACTIONS) -> int:
+    """Length of the encoded numbers and of the last action."""
+    return sum(lengths(name, actions)[1] for name in observations if name not in PICTURES) + actions
+
+
+def picture_length(size: tuple[int, int]) -> int:
+    """Positions that are left after the convolutions of a picture (width, height) [pixels]."""
+    width, height = (side // PATCH for side in size)
+    for stride in STRIDES:
+        width, height = -(-width // stride), -(-height // stride)
+    return width * height
+
+
+def _faults(kind: type[VisualPolicy], card: PolicyCard, arrays: Mapping[str, Floats]) -> list[str]:
+    """Everything that does not fit together, in words."""
+    if card.network != kind.kind:
+        return [f"unknown network {card.network!r}, expected {kind.kind}"]
+    known = (*PICTURES, *ENCODINGS)
+    strangers = [n for n in card.observations if n not in known]
+    if strangers:
+        return [f"unknown observations {', '.join(strangers)}, there are {', '.join(known)}"]
+    if not card.observations or len(set(card.observations)) != len(card.observations):
+        return ["expected some observations, each once"]
+    if set(PICTURES) <= set(card.observations):
+        return [f"expected one picture, not {' and '.join(PICTURES)}"]
+    if not BASE_ACTIONS <= card.actions <= 32:
+        return [f"an action has {card.actions} numbers, expected {BASE_ACTIONS} to 32"]
+    if not 1 <= card.hold <= 30:
+        return [f"actions are held for {card.hold} steps, expected 1 to 30"]
+    if {*PICTURES, "humanoid_detector"} & set(card.observations):
+        fault = "a width and a height" if card.picture_size is None else kind.size_fault(card.picture_size)
+        if fault:
+            return [f"the picture size is {card.picture_size}, expected {fault}"]
+    shapes = kind.shapes(card, arrays)
+    faults = [f"the array {name} is missing" for name in shapes if name not in arrays]
+    faults += [f"unknown array {name}" for name in arrays if name not in shapes]
+    for name, array in arrays.items():
+        if name in shapes and array.shape != shapes[name]:
+            faults.append(f"{name} has the shape {list(array.shape)}, expected {list(shapes[name])}")
+        if array.dtype != np.float32:
+            faults.append(f"{name} is {array.dtype}, expected float32")
+        elif not np.isfinite(array).all():
+            faults.append(f"{name} holds numbers that are not finite")
+    return faults
+
+
+def _rows(arrays: Mapping[str, Floats], name: str) -> int:
+    return arrays[name].shape[0] if name in arrays and arrays[name].ndim else 0
+
+
+# --- files --------------------------------------------------------------------------------------------------------------
+class CardedNetwork(Protocol):
+    """A network that is kept in a policy file."""
+
+    @property
+    def card(self) -> PolicyCard:
+        """Description of the policy: its task, observations and training."""
+        ...
+
+    @property
+    def arrays(self) -> Mapping[str, Floats]:
+        """Weights by name."""
+        ...
+
+
+Kind = TypeVar("Kind", bound=CardedNetwork)
+
+
+def save_policy(network: CardedNetwork, path: str | Path) -> None:
+    """Write an npz: ``format``, ``card`` (JSON) and the arrays. The file appears whole or not at all."""
+    text = {"format": np.array(FILE_FORMAT), "card": np.array(msgspec.json.encode(network.card).decode())}
+    with part_file(path) as part, part.open("wb") as stream:
+        np.savez(stream, **text, **network.arrays)  # type: ignore[arg-type]
+
+
+def policy_from(
+    data: Mapping[str, NDArray[Any]], path: str | Path, *, kind_of: Callable[[str], Callable[..., Kind]]
+) -> Kind:
+    """The policy in the arrays of a file.
+
+    Args:
+        data: Arrays by name.
+        path: Of the file, for messages.
+        kind_of: What a network of that name on a card is.
+
+    Raises:
+        FormatError: it is damaged, or its parts do not fit together.
+    """
+    try:
+        card = msgspec.json.decode(str(data["card"]), type=PolicyCard)
+        arrays = {n: a for n, a in data.items() if n not in ("format", "card")}
+        return kind_of(card.network)(card=card, arrays=arrays)
+    except KeyError as fault:
+        raise FormatError(f"The policy file lacks the array {fault}. File: {path}", code="H3-POLICY-034") from None
+    except (msgspec.MsgspecError, json.JSONDecodeError, UnicodeError) as fault:
+        raise FormatError(
+            f"The card of the policy file is malformed: {fault}. File: {path}", code="H3-POLICY-035"
+        ) from None
+    except InputError as fault:
+        raise FormatError(f"{fault} File: {path}", code=fault.code) from None
