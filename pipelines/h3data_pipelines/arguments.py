@@ -8,22 +8,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from h3data.commands.arguments import result_of as result_of
-
 if TYPE_CHECKING:
     from h3data.bodies import Robot
-    from h3data.commands.arguments import FilePath as FilePath
-    from h3data.commands.arguments import Names as Names
-    from h3data.commands.arguments import Paths as Paths
+    from h3data.commands.arguments import FilePath
     from sim_kinematic.policies.policy import Policy
     from sim_kinematic.tasks.task import Task
 
     Body = FilePath | Robot
     Agents = str | Sequence[str | Robot]
     Scenes = FilePath | Sequence[FilePath]
-    PolicyChoice = str | type[Policy] | Callable[[], Policy]
+    NamedPolicy = str | type[Policy] | Callable[[], Policy]
     """Name of a policy, ``weights:FILE``, ``module:name``, or a class or function that makes one for each episode."""
-    Policies = PolicyChoice | Sequence[PolicyChoice]
+    Policies = NamedPolicy | Sequence[NamedPolicy]
     TaskChoice = str | type[Task]
     Rules = Mapping[str, Any] | Sequence[str]
     """Rules of a task by name, such as ``{"objects": 3}``."""

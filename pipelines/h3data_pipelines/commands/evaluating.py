@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from h3data.commands.arguments import result_of
 from h3data.commands.command import (
     AssetsOption,
     ForceFlag,
@@ -24,12 +25,12 @@ from h3data.commands.executors import ExecutorOption
 from h3data.commands.options import OfTasks, TaskNotes, command_of
 from h3data.progress import progress
 from h3data.render.light.sources import LightMode
-from h3data_pipelines.arguments import result_of
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest, evaluate_task
 from h3data_pipelines.jobs.skill_evaluations import evaluate_skills
 
 if TYPE_CHECKING:
-    from h3data_pipelines.arguments import Body, FilePath, Paths, Policies, Rules, Scenes, TaskChoice
+    from h3data.commands.arguments import FilePath, Paths
+    from h3data_pipelines.arguments import Body, Policies, Rules, Scenes, TaskChoice
     from h3data_pipelines.jobs.evaluation_runs import EvaluationResult
     from h3data_pipelines.jobs.skill_evaluations import SkillEvaluationResult
 

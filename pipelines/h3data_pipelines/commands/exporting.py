@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from h3data.commands.arguments import result_of
 from h3data.commands.command import (
     BackendOption,
     ForceFlag,
@@ -32,7 +33,6 @@ from h3data.recording import Recording
 from h3data.recording.episodes import StoredEpisode, common_cameras
 from h3data.recording.finding import find_episodes
 from h3data.recording.storage import place
-from h3data_pipelines.arguments import result_of
 from h3data_pipelines.execution.processes import core_count
 from h3data_pipelines.hub.provenance import read_commands, write_commands
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from typing import Literal
 
     from h3data.bodies.people.rigid_parts import PeopleStyle
-    from h3data_pipelines.arguments import FilePath, Paths
+    from h3data.commands.arguments import FilePath, Paths
 
 log = logging.getLogger(__name__)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from h3data.commands.arguments import result_of
 from h3data.commands.command import (
     AssetsOption,
     BackendOption,
@@ -39,7 +40,6 @@ from h3data.progress import progress
 from h3data.recording.storage import AnyPath, place
 from h3data.scene.scene_sets import find_scene_set
 from h3data.terminal import counted
-from h3data_pipelines.arguments import result_of
 from h3data_pipelines.hub.provenance import write_commands
 from h3data_pipelines.jobs.episode_files import (
     FileJobs,
@@ -66,9 +66,10 @@ if TYPE_CHECKING:
     from typing import Literal
 
     from h3data.bodies.people.rigid_parts import PeopleStyle
+    from h3data.commands.arguments import FilePath, Paths
     from h3data.recording import DatasetWriter
     from h3data.render.light.sources import LightMode
-    from h3data_pipelines.arguments import Agents, Body, FilePath, Paths, Policies, Rules, Scenes, TaskChoice
+    from h3data_pipelines.arguments import Agents, Body, Policies, Rules, Scenes, TaskChoice
 
 COMMIT_STEPS = 30_000
 """Steps after which episodes are committed: about a minute of one core's work is lost when the process is killed. Not seconds:

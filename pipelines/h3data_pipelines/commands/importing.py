@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from h3data.commands.arguments import result_of
 from h3data.commands.command import ForceFlag, JsonFlag, Outcome
 from h3data.commands.options import command_of
 from h3data.pseudonyms import participant_key_path
-from h3data_pipelines.arguments import result_of
 from h3data_pipelines.assets.scene_reports import text_table
 from h3data_pipelines.jobs.imports import ImportResult, import_files
 
 if TYPE_CHECKING:
-    from h3data_pipelines.arguments import FilePath, Paths
+    from h3data.commands.arguments import FilePath, Paths
 
 
 def import_(

@@ -13,18 +13,18 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from h3data.commands.arguments import result_of
 from h3data.commands.command import DryRunFlag, ForceFlag, JsonFlag, Outcome, write_text
 from h3data.commands.options import command_of
 from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
 from h3data.recording.storage import local
-from h3data_pipelines.arguments import result_of
 from h3data_pipelines.hub.provenance import read_commands
 
 if TYPE_CHECKING:
+    from h3data.commands.arguments import FilePath
     from h3data.metrics import MetricsTable
     from h3data.recording import Dataset, Recording
-    from h3data_pipelines.arguments import FilePath
 
 log = logging.getLogger(__name__)
 

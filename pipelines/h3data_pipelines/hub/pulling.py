@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from h3data.commands.arguments import result_of
 from h3data.commands.command import ForceFlag, JsonFlag, Outcome, claim_folder, keeping, remove_dataset
 from h3data.commands.options import command_of
 from h3data.errors import FormatError, InputError
@@ -17,12 +18,11 @@ from h3data.files import size_text
 from h3data.progress import progress
 from h3data.recording.storage import local
 from h3data.terminal import counted
-from h3data_pipelines.arguments import result_of
 from h3data_pipelines.hub.checksums import PARTS, require_checksums
 from h3data_pipelines.hub.client import TYPE, checked_repo, hub_api, hub_errors
 
 if TYPE_CHECKING:
-    from h3data_pipelines.arguments import FilePath
+    from h3data.commands.arguments import FilePath
 
 _THREADS = 4
 _BESIDE = ("README.md", "card.jpg")

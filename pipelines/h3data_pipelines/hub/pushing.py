@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
+from h3data.commands.arguments import result_of
 from h3data.commands.command import JsonFlag, Outcome, keeping
 from h3data.commands.options import command_of
 from h3data.errors import InputError
@@ -16,14 +17,13 @@ from h3data.files import size_text
 from h3data.progress import progress
 from h3data.recording.storage import local
 from h3data.terminal import counted
-from h3data_pipelines.arguments import result_of
 from h3data_pipelines.hub.card import CARD, PICTURE, write_card
 from h3data_pipelines.hub.checksums import FILE as CHECKSUMS
 from h3data_pipelines.hub.checksums import PARTS, checksums_of, files_of, to_json
 from h3data_pipelines.hub.client import TYPE, checked_repo, hub_api, hub_errors
 
 if TYPE_CHECKING:
-    from h3data_pipelines.arguments import FilePath
+    from h3data.commands.arguments import FilePath
 
 VERSION_TAG = "v3.0"
 """LeRobot loads the revision that is tagged with the version of its format."""

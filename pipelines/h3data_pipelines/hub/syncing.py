@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from h3data.commands.arguments import result_of
 from h3data.commands.command import DryRunFlag, JsonFlag, Outcome, keeping
 from h3data.commands.options import command_of
 from h3data.errors import FormatError, InputError
@@ -18,10 +19,9 @@ from h3data.progress import progress
 from h3data.recording.parquet.files import is_dataset, write_atomic
 from h3data.recording.storage import AnyPath, RemotePath, open_binary, place, sizes_below
 from h3data.terminal import counted
-from h3data_pipelines.arguments import result_of
 
 if TYPE_CHECKING:
-    from h3data_pipelines.arguments import FilePath
+    from h3data.commands.arguments import FilePath
 
 _THREADS = 8
 _BLOCK = 1 << 20

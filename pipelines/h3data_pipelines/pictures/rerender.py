@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from h3data.commands.arguments import result_of
 from h3data.commands.command import (
     BackendOption,
     DryRunFlag,
@@ -39,7 +40,6 @@ from h3data.recording.parquet.files import is_dataset
 from h3data.recording.storage import local, place
 from h3data.replay import CameraTrack, Replay, camera_track
 from h3data.terminal import counted
-from h3data_pipelines.arguments import result_of
 from h3data_pipelines.execution.processes import core_count
 from h3data_pipelines.jobs.camera_log import CameraLog
 from h3data_pipelines.outputs import Format, OutputName, Target
@@ -47,9 +47,9 @@ from h3data_pipelines.pictures.rendering import frames_per_second, render_files
 
 if TYPE_CHECKING:
     from h3data.bodies.people.rigid_parts import PeopleStyle
+    from h3data.commands.arguments import FilePath, Paths
     from h3data.render import Output
     from h3data.render.light.sources import LightMode
-    from h3data_pipelines.arguments import FilePath, Paths
 
 
 MAX_SIDE_PX = 8192
