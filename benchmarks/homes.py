@@ -1,4 +1,4 @@
-"""How long a procedural home takes: CPU seconds of this process, median and worst of some seeds, everything warm."""
+"""Time to generate a home: CPU seconds of this process, as the median and the worst of several seeds, with warm caches."""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
-"""How deep people and robots are in walls and furniture, by FCL, in 50 episodes of each task in the homes of
-``h3-homes/test``, or in as many as ``--episodes`` says.
+"""Depth by which people and robots overlap walls and furniture, measured by FCL.
+
+It plays 50 episodes of each task in the homes of ``h3-homes/test``, or as many as ``--episodes`` says.
 
 ``penetration.<task>.above_2cm`` is the share of steps in which any part of any agent is deeper than 2 cm, outside contact that
 it intends: while an agent picks or places, the hand, the forearm and what it holds may be in what the object lies on.

@@ -1,4 +1,4 @@
-"""What a user waits for: importing the package, the help, the demo, a report of 1,000 episodes, checking as many."""
+"""Waiting times of a user: importing the package, showing help, the demo, a report on 1,000 episodes, and validating them."""
 
 from __future__ import annotations
 

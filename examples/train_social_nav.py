@@ -58,7 +58,7 @@ def flat(observation: dict[str, Tensor]) -> Tensor:
 
 
 def roll_out(env: Any, learner: Learner, dice: torch.Generator, x: Tensor) -> tuple[dict[str, Tensor], Tensor]:
-    """What happens in `ROLLOUT` steps, [T, W, ...] each, and what is seen after them."""
+    """Collects `ROLLOUT` steps, arrays [T, W, ...], and returns them with the observation that follows."""
     rows = []
     for _ in range(ROLLOUT):
         begins, before, chosen = env.play.ended.clone(), env.play.followed.clone(), learner.policy(x)

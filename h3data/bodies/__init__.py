@@ -1,4 +1,4 @@
-"""Who moves: people (skeleton, skin, motion clips) and robots (URDF), their meshes and collision shapes."""
+"""Bodies of agents: people (skeleton, skin, motion clips) and robots (URDF), with meshes and collision shapes."""
 
 from h3data.bodies.names import load_humanoid
 from h3data.bodies.people.clips import Clip

@@ -173,7 +173,7 @@ def _both_sides(entries: Mapping[str, str]) -> dict[str, str]:
 
 
 def _bare(name: str) -> str:
-    """What of a name counts: programs put spaces, dots, hyphens and underscores for each other (``Bip01 L Thigh``)."""
+    """Returns a joint name for comparison: lower case, without spaces, dots, hyphens and underscores (``Bip01 L Thigh``)."""
     return "".join(letter for letter in name.rpartition(":")[2].lower() if letter.isalnum())
 
 

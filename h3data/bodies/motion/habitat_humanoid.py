@@ -84,7 +84,7 @@ class ReachGrid:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HabitatMotion:
-    """What a ``*_motion_data_smplx.pkl`` holds."""
+    """Contents of a ``*_motion_data_smplx.pkl``: a walk, the posture of standing still, and grids of reaching poses."""
 
     walk: HabitatClip
     stop_joints: Array

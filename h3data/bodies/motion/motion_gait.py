@@ -115,7 +115,7 @@ def walks_as(body: Humanoid, motion: Motion, *, name: str = "") -> Humanoid:
 
 
 def cycle_of(clip: Clip, body: Humanoid) -> Cycle:
-    """What a gait needs of a clip that was fitted to a body.
+    """Returns the walking cycle of a clip that was fitted to a body.
 
     Raises:
         InputError: the clip is none of somebody who walks forwards with both feet on one floor.
@@ -259,7 +259,10 @@ def _between(values: Array, share: Array) -> Array:
 
 
 def _roll(legs: Legs, pitch: Array) -> Array:
-    """How far an ankle is above and forward of a flat foot's, [T, 2] [m], where it pitches [T] [deg] about heel or ball."""
+    """Returns the displacement of an ankle, up and forward from a flat foot's, [T, 2] [m].
+
+    The foot pitches by [T] [deg] about its heel or ball.
+    """
     pivot = np.where((pitch > 0)[:, None], legs.feet[0, 0], legs.feet[0, 1])
     off = pivot - (rotation(X, -pitch) @ pivot[..., None])[..., 0]
     return off[:, 1:]
