@@ -38,11 +38,23 @@ help-all: help
 setup: $(INSTALLED)  ## .venv with what h3data needs, and no more
 
 $(INSTALLED): pyproject.toml constraints.txt
-	@echo "Installing h3data into $(VENV): 1.5 GB on disk, one to five minutes."
+	@echo "Installing h3data into $(VENV): 2.2 GB on disk, one to five minutes."
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@$(MAKE) --no-print-directory torch-for-cpu
-	$(PIP) $(NO_BYTECODE) -c constraints.txt -e .
+	@echo "The largest packages first, by two processes: a pip keeps one core busy."
+	@trap 'kill $$one $$other' INT TERM; $(ALONE) $(LARGE_1) & one=$$!; $(ALONE) $(LARGE_2) & other=$$!; \
+		wait $$one; wait $$other; true
+	$(EDITABLE) -e .
 	touch $@
+
+# Each without what it needs, so that no package is in both lists. What fails here is left to the pip that installs h3data.
+LARGE_1 := torch sympy networkx pyarrow av pillow shapely zstandard \
+	hatchling editables packaging pathspec pluggy tomlkit trove-classifiers
+LARGE_2 := rerun-sdk numpy scipy numba llvmlite opencv-python-headless cython
+ALONE := $(PIP) $(NO_BYTECODE) -c constraints.txt --no-deps --progress-bar off
+# without an environment of its own for hatchling, which is there by then
+BUILT_HERE = `$(BIN)/python -c "import editables, hatchling" 2>/dev/null && echo --no-build-isolation`
+EDITABLE = $(PIP) $(NO_BYTECODE) -c constraints.txt $(BUILT_HERE)
 
 # The torch of PyPI for Linux brings gigabytes of CUDA. pip takes a CPU build by itself where one of the same version is at hand.
 TORCH := $(shell grep '^torch==' constraints.txt)
@@ -59,7 +71,7 @@ dev: $(DEV)  ## .venv with everything that tests and checks need as well
 
 $(DEV): $(INSTALLED)
 	@echo "Installing what tests and checks need into $(VENV): another 1 GB, one to five minutes."
-	$(PIP) $(NO_BYTECODE) -c constraints.txt -e ".[dev]"
+	$(EDITABLE) -e ".[dev]"
 	touch $@
 
 # kernels of navmeshes, of Habitat's sliding, of pictures for a GPU and the like, which `h3data warmup` leaves to who needs them
