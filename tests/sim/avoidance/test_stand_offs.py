@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -449,6 +451,19 @@ def test_who_gives_way_to_a_driver_on_errands_gets_away_from_them(seed: int) -> 
     """They turned on the spot, stopped at every corner, and stood where the driver came after them: up to 396 steps."""
     recording, _, _ = standoff.play(seed, "errands")
     assert standoff.stand_offs(recording, standoff._home(seed % standoff.HOMES)[1]) == []
+
+
+@pytest.mark.slow
+def test_episodes_are_played_by_several_processes_and_not_twice(tmp_path: Path) -> None:
+    file = tmp_path / "rows.jsonl"
+    rows = list(standoff.played([10, 12, 18], file, workers=2))
+    assert [row["seed"] for row in rows] == [10, 12, 18]
+    lines = file.read_text().splitlines()
+    assert len(lines) == 3
+    file.write_text("\n".join(lines[:2]) + "\n")
+    again = list(standoff.played([10, 12, 18], file))
+    assert json.dumps(again) == json.dumps(rows)
+    assert file.read_text().splitlines() == lines
 
 
 def test_who_has_errands_goes_on_where_somebody_waits(rooms: FreeSpace) -> None:
