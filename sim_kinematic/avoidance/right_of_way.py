@@ -288,9 +288,9 @@ class RightOfWay:
         request = self._requests.get(number)
         if request is not None and request.stays_steps:
             return False
+        if self._stalled[number] > AVOIDANCE.held_off_steps:
+            return True
         still, me = self._still[other] - AVOIDANCE.held_up_steps, self._walkers[number]
-        if self._stalled[number] > AVOIDANCE.held_off_steps:  # who leaves will soon be past
-            return still >= 0 or math.dist(me.xz, self._walkers[other].xz) < math.dist(me.xz, self._place[other][:2])
         looks = still > 0 and still % AVOIDANCE.looks_steps == 0 and me.yields and len(me.path) > 0
         return looks and not self._gets_around(me, self._walkers[other], AVOIDANCE.passing_m[-1])
 

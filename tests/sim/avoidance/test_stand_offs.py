@@ -300,17 +300,6 @@ def test_nobody_turns_back_before_they_are_out_of_reach_of_whom_they_flee() -> N
     raise AssertionError("they do not come back")
 
 
-def test_nobody_flees_from_who_leaves(rooms: FreeSpace) -> None:
-    """A robot had got past them, and was still beside them: they went a long way around it, 305 steps in all."""
-    figures, rules = face_to_face(rooms, asks=False)
-    me, driven = figures
-    driven.obeys, driven.path, driven.xz = False, NO_PATH, np.array([5.4, 2.0])
-    for step in range(60):
-        rules.update()
-        assert me.aside is None, step
-        driven.xz = driven.xz + np.array([0.02, 0.0])
-
-
 def test_who_waits_for_who_is_driven_waits_once(rooms: FreeSpace) -> None:
     """Whose way became another one while they waited, waited a second time: 130 steps before they gave way."""
     figures, rules = face_to_face(rooms, asks=False)
@@ -457,7 +446,7 @@ def test_who_shuts_a_dead_end_lets_the_other_out() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [32, 94, 195, 10072, 10234, 10315, 10415])
+@pytest.mark.parametrize("seed", [32, 94, 195, 10072, 10234, 10299, 10315])
 def test_who_gives_way_to_a_driver_on_errands_gets_away_from_them(seed: int) -> None:
     """They turned on the spot, stopped at every corner, and stood where the driver came after them: up to 396 steps."""
     recording, _, _ = standoff.play(seed, "errands")
