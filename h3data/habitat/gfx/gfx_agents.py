@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import load_robot, robot_names
+from h3data.bodies.people.skeleton import HUMAN_ROOT_HEIGHT_M
 from h3data.geometry import IDENTITY_POSE, ground_pose, quat_rotate, quat_sign_continuous
 from h3data.limits import MAX_AGENTS, check_count, check_size
 from h3data.recording.records import Agent, AssetRef, Body
@@ -19,9 +20,6 @@ from h3data.recording.records import Agent, AssetRef, Body
 ROBOT_BASE_HEIGHT_M = {"spot": 0.48, "fetch": 0.0}
 """Height of a robot's base link over the floor [m], habitat-lab's ``base_offset`` (spec/habitat.md 0). Our own robots, which
 our exports name, say theirs; for the rest 0 is assumed."""
-
-HUMAN_ROOT_HEIGHT_M = 0.9
-"""Height of a humanoid's root over the floor [m], habitat-lab's ``base_offset`` (spec/habitat.md 0)."""
 
 PERSON_ROOT_PREFIX = "h3data_person_root_"
 """User transforms of our own exports: before the number of a rig, habitat-lab's root of that person. The instance of a rig has

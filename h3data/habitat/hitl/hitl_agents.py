@@ -14,21 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import load_humanoid, load_robot
-from h3data.bodies.motion.habitat_humanoid import BASE_HEIGHT_M, HABITAT_JOINTS
-from h3data.bodies.people.humanoid_file import ADULTS
-from h3data.bodies.people.skeleton import JOINT_INDEX, JOINT_NAMES
+from h3data.bodies.motion.habitat_humanoid import HABITAT_JOINTS
+from h3data.bodies.motion.walk_synthesis import (
+    SYNTHETIC_BODY,
+    fitting_body,
+    floor_below,
+    walk_columns,
+)
+from h3data.bodies.people.skeleton import HUMAN_ROOT_HEIGHT_M, JOINT_NAMES
 from h3data.geometry import Array, ground_pose, quat_rotate, quat_sign_continuous
-from h3data.habitat.hitl.walk_synthesis import walk_columns
 from h3data.recording.records import Agent
 
 AgentKind = Literal["robot", "human"]
 JointOrder = Literal["habitat", "smplx"]
 
-SYNTHETIC_BODY = "neutral_0"
-"""Body of people of whom only the root is known."""
 LEVEL_RAD = 2e-3
 """A robot's base only rotates about the vertical; a walking or standing person's pelvis tilts by more than this."""
-SAME_FLOOR_M = 0.15
 _ROBOTS = {"spot": ("quad_arm", 0.48), "fetch": ("lift_arm", 0.0), "stretch": ("lift_arm", 0.0)}
 """Built-in model that stands in for each of Habitat's robots, and the height of its base link over the floor [m]."""
 
@@ -72,7 +73,7 @@ def robot_named_in(*texts: str) -> str:
 
 def root_height_m(kind: AgentKind, robot: str) -> float:
     """Height of the logged root over the floor [m]."""
-    return BASE_HEIGHT_M if kind == "human" else _ROBOTS[robot][1]
+    return HUMAN_ROOT_HEIGHT_M if kind == "human" else _ROBOTS[robot][1]
 
 
 def add_agents(
@@ -155,24 +156,6 @@ def _posed_person(
     return Agent(name=name, kind="human", model=f"humanoid/{body}", semantic_id=100), columns, note
 
 
-def fitting_body(roots: Array, joints: Array, floor: Array) -> str:
-    """The built-in body whose lower foot is nearest, in the median, to its height when standing."""
-    rows = np.flatnonzero(np.isfinite(roots).all(1) & np.isfinite(joints).all((1, 2)) & np.isfinite(floor))
-    rows = rows[:: max(1, len(rows) // 32)]
-    if not len(rows):
-        return SYNTHETIC_BODY
-    feet = [JOINT_INDEX["left_foot"], JOINT_INDEX["right_foot"]]
-
-    def gap(name: str) -> float:
-        body = load_humanoid(name)
-        standing = body.joint_matrices_free(np.array([[0, 0, 0, 0, 0, 0, 1.0]]), np.tile([0, 0, 0, 1.0], (1, 54, 1)))
-        rest = body.joint_offsets[0, 1] + standing[0, feet, 1, 3].min()
-        low = body.joint_matrices_free(roots[rows], joints[rows])[:, feet, 1, 3].min(axis=1)
-        return abs(float(np.median(low - floor[rows])) - float(rest))
-
-    return min(ADULTS, key=gap)
-
-
 def _walking_person(
     name: str, track: AgentTrack, time_ns: NDArray[np.int64], robot_floor: Array | None
 ) -> tuple[Agent, dict[str, NDArray[Any]], dict[str, Any]]:
@@ -184,26 +167,6 @@ def _walking_person(
         name=name, kind="human", model=f"humanoid/{SYNTHETIC_BODY}", semantic_id=100, motion_names=body.motion_names
     )
     return agent, columns, {"recorded": ["root"], "synthesised": ["body", "floor", "joints"]}
-
-
-def floor_below(height: Array, robot_floor: Array | None, window: int = 31) -> Array:
-    """Height of the floor [T] under roots at heights [T] [m].
-
-    The up and down of walking is filtered out; on the robot's storey the result is the robot's floor.
-    """
-    if not len(height):
-        return height
-    padded = np.pad(height, window // 2, mode="edge")
-    known = np.lib.stride_tricks.sliding_window_view(padded, window)
-    middle = np.where(np.isfinite(known).any(1), _nanmedian(known), np.nan) - BASE_HEIGHT_M
-    if robot_floor is None:
-        return middle
-    return np.where(np.abs(robot_floor - middle) < SAME_FLOOR_M, robot_floor, middle)
-
-
-def _nanmedian(values: Array) -> Array:
-    filled = np.where(np.isfinite(values).any(axis=1, keepdims=True), values, 0.0)
-    return np.nanmedian(filled, axis=1)
 
 
 def _on_floor(roots: Array, *, forward: Literal[0, 2], floor: Array) -> NDArray[np.float32]:

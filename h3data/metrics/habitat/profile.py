@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from h3data.geometry import pose_to_matrix
 from h3data.metrics.episode import Notes, first_moments
-from h3data.metrics.habitat.config import HabitatConfig
 from h3data.metrics.habitat.definitions import MAIN_METRICS, PAPER_RELEASE_METRICS, TRANSFORM
 from h3data.metrics.habitat.reward import (
     MAIN,
@@ -26,6 +25,7 @@ from h3data.metrics.habitat.reward import (
     total_reward,
 )
 from h3data.metrics.habitat.stats import HabitatTrack, backup_and_yield, social_nav_stats
+from h3data.metrics.habitat_settings import HabitatConfig
 from h3data.metrics.metric import INF, Metric, Series
 from h3data.metrics.profile import GFX_REPLAY, Computed, Profile
 from h3data.metrics.report_layout import Milestone, ReportLayout

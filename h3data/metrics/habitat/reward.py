@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.metrics.habitat.config import HabitatConfig, RewardConfig, SuccessConfig
 from h3data.metrics.habitat.stats import HabitatTrack, unit_vectors
+from h3data.metrics.habitat_settings import HabitatConfig, RewardConfig, SuccessConfig
 
 MAIN, PAPER_RELEASE = "habitat", "habitat@0.3.0"
 

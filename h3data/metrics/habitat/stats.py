@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.metrics.habitat.config import StatsConfig
+from h3data.metrics.habitat_settings import StatsConfig
 
 _SENTINEL = 1500
 """Value of ``has_found_human_step`` before the human is found, whatever the configuration."""

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Robot, humanoid_names, load_humanoid, load_robot, robot_names
+from h3data.bodies.motion.walk_synthesis import SYNTHETIC_BODY, fitting_body, floor_below, walk_columns
 from h3data.bodies.people.skeleton import JOINT_NAMES, PARENTS
 from h3data.geometry import (
     Array,
@@ -28,8 +29,6 @@ from h3data.geometry import (
     quat_rotate,
     quat_sign_continuous,
 )
-from h3data.habitat.hitl.hitl_agents import SYNTHETIC_BODY, fitting_body, floor_below
-from h3data.habitat.hitl.walk_synthesis import walk_columns
 from h3data.mesh.mesh import Mesh, Texture
 from h3data.mesh.primitives import box_mesh
 from h3data.recording.assets.library import AssetLibrary

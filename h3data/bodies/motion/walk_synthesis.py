@@ -1,4 +1,7 @@
-"""Synthesises a walk for people of whom only the path is known: clips played by distance and by turn."""
+"""Makes people of recordings that hold little of them: a walk for a path of roots, a built-in body for postures.
+
+A walk is clips played by distance and by turn.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Humanoid
+from h3data.bodies import Humanoid, load_humanoid
 from h3data.bodies.people.clips import STAND_BELOW_MPS
+from h3data.bodies.people.humanoid_file import ADULTS
+from h3data.bodies.people.skeleton import HUMAN_ROOT_HEIGHT_M, JOINT_INDEX
 from h3data.geometry import Array, heading_from_quat, wrap_angle
 
+SYNTHETIC_BODY = "neutral_0"
+"""Body of people of whom only the root is known."""
+SAME_FLOOR_M = 0.15
+"""A floor nearer than this to the robot's is the robot's [m]."""
 WINDOW_S = 0.5
 """Speeds are means over this time."""
 TURN_ABOVE_RAD_S = 0.4
@@ -88,3 +97,41 @@ def _ramps(time: Array, *, opens: bool, closes: bool) -> Array:
     if closes:
         ramp = np.minimum(ramp, (time[-1] - time) / BLEND_S)
     return ramp
+
+
+def fitting_body(roots: Array, joints: Array, floor: Array) -> str:
+    """The built-in body whose lower foot is nearest, in the median, to its height when standing."""
+    rows = np.flatnonzero(np.isfinite(roots).all(1) & np.isfinite(joints).all((1, 2)) & np.isfinite(floor))
+    rows = rows[:: max(1, len(rows) // 32)]
+    if not len(rows):
+        return SYNTHETIC_BODY
+    feet = [JOINT_INDEX["left_foot"], JOINT_INDEX["right_foot"]]
+
+    def gap(name: str) -> float:
+        body = load_humanoid(name)
+        standing = body.joint_matrices_free(np.array([[0, 0, 0, 0, 0, 0, 1.0]]), np.tile([0, 0, 0, 1.0], (1, 54, 1)))
+        rest = body.joint_offsets[0, 1] + standing[0, feet, 1, 3].min()
+        low = body.joint_matrices_free(roots[rows], joints[rows])[:, feet, 1, 3].min(axis=1)
+        return abs(float(np.median(low - floor[rows])) - float(rest))
+
+    return min(ADULTS, key=gap)
+
+
+def floor_below(height: Array, robot_floor: Array | None, window: int = 31) -> Array:
+    """Height of the floor [T] under roots at heights [T] [m].
+
+    The up and down of walking is filtered out; on the robot's storey the result is the robot's floor.
+    """
+    if not len(height):
+        return height
+    padded = np.pad(height, window // 2, mode="edge")
+    known = np.lib.stride_tricks.sliding_window_view(padded, window)
+    middle = np.where(np.isfinite(known).any(1), _nanmedian(known), np.nan) - HUMAN_ROOT_HEIGHT_M
+    if robot_floor is None:
+        return middle
+    return np.where(np.abs(robot_floor - middle) < SAME_FLOOR_M, robot_floor, middle)
+
+
+def _nanmedian(values: Array) -> Array:
+    filled = np.where(np.isfinite(values).any(axis=1, keepdims=True), values, 0.0)
+    return np.nanmedian(filled, axis=1)
