@@ -12,6 +12,7 @@ from typing import Any
 MOVED = {
     "h3data.habitat.asset_folders": "h3data.recording.assets.folders",
     "h3data.habitat.asset_library": "h3data.recording.assets.library",
+    "h3data.habitat.episodes.episode_summary": "h3data.recording.task_episodes.episode_summary",
     "h3data.habitat.episodes.partnr_goals": "h3data.recording.task_episodes.partnr_goals",
     "h3data.habitat.episodes.rearrange_episode": "h3data.recording.task_episodes.rearrange_episode",
     "h3data.habitat.episodes.social_nav_episodes": "h3data.recording.task_episodes.social_nav_episodes",

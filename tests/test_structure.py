@@ -54,14 +54,9 @@ AGAINST_THE_LAYERS = {
     "h3data.formats.builtin_formats": [
         "h3data.exporters.csv_tables",
         "h3data.exporters.foxglove.foxglove_file",
-        "h3data.exporters.gfx_replay_export",
         "h3data.exporters.gltf_animation",
-        "h3data.exporters.habitat.episodes",
         "h3data.exporters.lerobot_export",
         "h3data.exporters.robomimic",
-        "h3data.habitat.gfx.gfx_replay",
-        "h3data.habitat.hitl.hitl_paper_logs",
-        "h3data.habitat.hitl.hitl_sessions",
     ],
     "h3data.kernels.digests": ["sim_kinematic"],  # whose kernels are ours
     "h3data.metrics.table_files": ["h3data.metrics"],  # no module: a key in the metadata of Parquet files

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -48,6 +49,32 @@ def template_mesh(name: str, file: Path, roots: Sequence[Path]) -> Mesh:
     return replace(mesh, vertices=placed.astype(np.float32))
 
 
+def scenes_with_objects(
+    scenes: Sequence[Scene], objects: Path, assets: Sequence[str | Path]
+) -> tuple[list[Scene], int, Mapping[str, Mapping[str, Any]]]:
+    """The scenes with objects of the YCB set or of Habitat's object configs, how many, and facts of every object."""
+    from h3data.habitat.object_models import load_object_models, with_object_models
+
+    models = load_object_models(objects, assets=assets)
+    changed = [with_object_models(scene, models) for scene in scenes]
+    facts = {name: model.facts() for name, model in models.items()}
+    return [scene for scene, _ in changed], sum(count for _, count in changed), facts
+
+
+def write_dataset(
+    scenes: Sequence[Scene],
+    folder: str | Path,
+    *,
+    name: str | None = None,
+    split_building: bool = False,
+    force: bool = False,
+) -> Path:
+    """Writes scenes as a scene dataset; see `export_habitat_dataset`, which is imported at first use."""
+    from h3data.exporters.habitat.scenes import export_habitat_dataset
+
+    return export_habitat_dataset(scenes, folder, name=name, split_building=split_building, force=force)
+
+
 HABITAT = SceneReader(
     endings=HABITAT_ENDINGS,
     read=read_scene,
@@ -55,4 +82,6 @@ HABITAT = SceneReader(
     open_collection=load_scene_dataset,
     scenes_in=lambda path: load_scene_dataset(path).scenes,
     object_mesh=template_mesh,
+    write_collection=write_dataset,
+    with_objects=scenes_with_objects,
 )
