@@ -10,6 +10,12 @@ from types import ModuleType
 from typing import Any
 
 MOVED = {
+    "h3data.bodies.motion.habitat_humanoid": "h3data_habitat.motion.habitat_humanoid",
+    "h3data.bodies.motion.habitat_motion": "h3data_habitat.motion.habitat_motion",
+    "h3data.bodies.motion.habitat_pick": "h3data_habitat.motion.habitat_pick",
+    "h3data.exporters.gfx_replay_export": "h3data_habitat.exporters.gfx_replay_export",
+    "h3data.exporters.habitat": "h3data_habitat.exporters",
+    "h3data.habitat": "h3data_habitat",
     "h3data.habitat.asset_folders": "h3data.recording.assets.folders",
     "h3data.habitat.asset_library": "h3data.recording.assets.library",
     "h3data.habitat.episodes.episode_summary": "h3data.recording.task_episodes.episode_summary",
@@ -21,12 +27,13 @@ MOVED = {
     "h3data.habitat.hitl.session_manifest": "h3data.recording.session_manifest",
     "h3data.habitat.hitl.walk_synthesis": "h3data.bodies.motion.walk_synthesis",
     "h3data.habitat.navmesh": "h3data.scene.navmesh",
-    "h3data.habitat.navmesh.navmesh_file": "h3data.habitat.navmesh_file",
+    "h3data.habitat.navmesh.navmesh_file": "h3data_habitat.navmesh_file",
     "h3data.habitat.placeholders": "h3data.recording.assets.placeholders",
     "h3data.habitat.scene_names": "h3data.scene.open",
     "h3data.habitat.scenes.object_handles": "h3data.recording.assets.handles",
     "h3data.habitat.skinned_meshes": "h3data.recording.assets.skinned_meshes",
     "h3data.habitat.stand_ins": "h3data.recording.assets.stand_ins",
+    "h3data.metrics.habitat": "h3data_habitat.metrics",
     "h3data.metrics.habitat.config": "h3data.metrics.habitat_settings",
     "h3data.scene.homes": "h3data_homes",
     "h3data_pipelines.command": "h3data.commands.command",

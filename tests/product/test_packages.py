@@ -14,6 +14,7 @@ from tests.paths import ROOT
 PLACES = {
     "h3data": ".",
     "sim_kinematic": ".",
+    "h3data_habitat": "pipelines",
     "h3data_homes": "pipelines",
     "h3data_pipelines": "pipelines",
     "h3data_training": "pipelines",

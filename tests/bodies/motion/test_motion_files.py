@@ -17,10 +17,10 @@ from h3data.bodies import JOINT_INDEX, load_humanoid
 from h3data.bodies.motion.amass import read_amass
 from h3data.bodies.motion.bvh import BvhWarning, parse_bvh
 from h3data.bodies.motion.bvh_motion import load_name_table, read_bvh
-from h3data.bodies.motion.habitat_motion import read_habitat_motion
 from h3data.bodies.motion.motion_clip import Motion, in_start_frame, same_motion
 from h3data.bodies.motion.motion_files import ReadOptions, load_motion, motion_kind, read_motion, save_motion
 from h3data.errors import FormatError, H3DataError, InputError
+from h3data_habitat.motion.habitat_motion import read_habitat_motion
 from tests.bodies.motion.motion_writers import (
     CONVENTIONS,
     SCHEMES,
