@@ -22,7 +22,6 @@ from h3data.npz_arrays import npz_arrays, npz_names
 from h3data.plugins import Registry
 
 FORMAT = "h3data-motion/1"
-SUFFIXES = (".npz", ".pkl", ".bvh")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +48,8 @@ class MotionReader:
     """Whether a file is of this kind: by its first 256 bytes and, of an npz, the names of its arrays."""
     read: Callable[[Path, ReadOptions], Motion]
     """The motion in a file."""
+    suffixes: tuple[str, ...]
+    """Endings of such files, in lower case: `h3data motion import` collects them from folders."""
 
 
 def motion_kind(path: str | Path) -> str:
@@ -166,15 +167,17 @@ def _check(entry: Any) -> None:
 MOTIONS: Registry[MotionReader] = Registry(
     "h3data.motions",
     {
-        "motion": MotionReader(fits=_is_ours, read=lambda path, options: load_motion(path)),
+        "motion": MotionReader(fits=_is_ours, read=lambda path, options: load_motion(path), suffixes=(".npz",)),
+        "habitat": "",  # of h3data_habitat
         "bvh": MotionReader(
             fits=_is_bvh,
             read=lambda path, o: read_bvh(path, names=o.names, unit_m=o.unit_m, source=o.source),
+            suffixes=(".bvh",),
         ),
-        "habitat": "",  # of h3data_habitat
         "amass": MotionReader(
             fits=lambda start, names: is_amass(tuple(names)),
             read=lambda path, o: read_amass(path, up=o.up, fps=o.fps, source=o.source),
+            suffixes=(".npz",),
         ),
     },
     what="kind of motion file",
@@ -187,3 +190,9 @@ MOTIONS: Registry[MotionReader] = Registry(
 def _readers(path: tuple[str, ...]) -> dict[str, MotionReader]:
     """All readers, as of one ``sys.path``: looking for installed packages takes 30 ms."""
     return MOTIONS.load_all()
+
+
+def motion_suffixes() -> tuple[str, ...]:
+    """Endings of the motion files that can be read."""
+    readers = _readers(tuple(sys.path)).values()
+    return tuple(dict.fromkeys(suffix for reader in readers for suffix in reader.suffixes))

@@ -52,4 +52,4 @@ def habitat_clip_motion(clip: HabitatClip, *, name: str, source: str = "") -> Mo
     )
 
 
-HABITAT = MotionReader(fits=_fits, read=_read)
+HABITAT = MotionReader(fits=_fits, read=_read, suffixes=(".pkl", ".npz"))
