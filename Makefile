@@ -33,7 +33,7 @@ help:
 help-all: help
 	$(call list,\#\#\#)
 
-.PHONY: setup dev demo kernels check-kernels warm test test-all test-browser test-ray test-lowest check check-docs docs check-lerobot check-gltf web check-web format bench wheel smoke sbom check-tag check-workflows api api-diff changelog clean
+.PHONY: setup dev demo kernels check-kernels warm test test-all test-browser test-ray test-packages test-lowest check check-docs docs check-lerobot check-gltf web check-web format bench wheel smoke sbom check-tag check-workflows api api-diff changelog clean
 
 setup: $(INSTALLED)  ## .venv with what h3data needs, and no more
 
@@ -106,6 +106,13 @@ test-browser: dev  ### h3data play in Chromium (skipped, and says why, where it 
 
 test-ray: dev  ### jobs on a Ray cluster of four nodes on this machine, some of which are killed
 	$(PYTEST) -m slow -rs tests/pipelines/test_ray.py
+
+PACKAGES := build/packages
+test-packages: dev  ### the wheel without each of its packages in turn: what needs it names it, everything else works
+	rm -rf $(PACKAGES)
+	$(EPOCH) $(BIN)/python -m build --no-isolation --wheel --outdir $(PACKAGES)
+	$(BIN)/python -m zipfile -e $(PACKAGES)/h3data-*.whl $(PACKAGES)/site
+	H3DATA_SITE=$(CURDIR)/$(PACKAGES)/site $(PYTEST) -m "slow or not slow" --durations 6 tests/product/test_packages.py
 
 LOWEST := .venv-lowest
 LOWEST_EXTRAS := gltf env rays robomimic foxglove hitl sql hub frames notebook

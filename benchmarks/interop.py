@@ -29,7 +29,7 @@ def peak_mib():
         return next(int(line.split()[1]) / 1024 for line in file if line.startswith("VmHWM"))
 """
 _OPEN = """
-from h3data.habitat.scenes.scene_instance import load_habitat_scene
+from h3data_habitat.scenes.scene_instance import load_habitat_scene
 from h3data.mesh.loading import load_mesh
 start = time.perf_counter()
 mesh = load_mesh(sys.argv[2]) if sys.argv[1] == "mesh" else load_habitat_scene(sys.argv[2])

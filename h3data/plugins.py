@@ -187,7 +187,9 @@ class Registry(Generic[T]):
 
         Args:
             group: the group of entry points, such as ``h3data.tasks``.
-            built_in: ``module:name`` of each built-in entry, or the object itself if it is cheap to import, by name.
+            built_in: ``module:name`` of each built-in entry, or the object itself if it is cheap to import, by name. An entry
+                point of a package that comes with this one takes the place of the entry of its name; ``""`` only keeps a
+                place in the order for it.
             what: what an entry is called in error texts, such as "task" or "metric profile".
             check: raises an `InputError` that names the missing or wrong field of a loaded object.
         """
@@ -199,12 +201,13 @@ class Registry(Generic[T]):
     @cached_property
     def _own(self) -> dict[str, Plugin]:
         """The entries of packages that come with this one, whether they are there or not."""
-        return {name: Plugin(name, value) for name, value in own_entries(self.group).items() if name not in self._table}
+        return {name: Plugin(name, value) for name, value in own_entries(self.group).items()}
 
     @cached_property
     def _built_in(self) -> dict[str, Plugin]:
         """The entries of the table, then those of the packages that come with this one and are there."""
-        return self._table | {name: entry for name, entry in self._own.items() if _is_there(entry.value)}
+        there = {name: entry for name, entry in self._own.items() if _is_there(entry.value)}
+        return {name: entry for name, entry in (self._table | there).items() if entry.value != ""}
 
     def _load_built_in(self, name: str) -> Any:
         """An entry of the table, or of a package that comes with this one.
@@ -277,7 +280,7 @@ class Registry(Generic[T]):
         return {
             name: str(entry.value).partition(":")[0].partition(".")[0]
             for name, entry in self._own.items()
-            if name not in self._built_in
+            if not _is_there(entry.value)
         }
 
     def load_all(self) -> dict[str, T]:

@@ -30,7 +30,7 @@ AREAS = {
     "SCENE": ("scenes and homes", "scenes", "h3data/scene pipelines/h3data_homes"),
     "MESH": ("meshes and images", "meshes", "h3data/mesh"),
     "BODY": ("people, robots and motion", "bodies", "h3data/bodies pipelines/h3data_pipelines/assets"),
-    "HABITAT": ("files of Habitat", "habitat", "h3data/habitat pipelines/h3data_habitat"),
+    "HABITAT": ("files of Habitat", "habitat", "pipelines/h3data_habitat"),
     "RECORDING": ("recordings and datasets", "format", "h3data/recording"),
     "REPLAY": ("replay", "replay", "h3data/replay"),
     "RENDER": ("pictures", "rendering", "h3data/render pipelines/h3data_pipelines/pictures"),

@@ -65,11 +65,11 @@ def test_the_built_in_table_is_sound() -> None:
         "habitat-episodes",
         "csv",
     ]
-    for one in BUILT_IN:
+    for one in FORMATS.load_all().values():
         for field in ("read", "write"):
             if getattr(one, field) is not None:
                 assert callable(load(one, field))  # its module exists
-        for reference in re.findall(r"h3data\.[\w.]+", one.hint):
+        for reference in re.findall(r"h3data_habitat\.[\w.]+", one.hint):
             module, _, name = reference.rpartition(".")
             assert callable(load_reference(f"{module}:{name}"))
 

@@ -1,5 +1,7 @@
 """Registries: built-in entries, installed entry points, ``module:name``, and what happens when plug-ins are broken."""
 
+from typing import Any
+
 import pytest
 
 from h3data.errors import InputError, MissingExtraError, PluginError
@@ -92,3 +94,12 @@ def test_a_built_in_name_cannot_be_taken_over(install) -> None:
     with pytest.warns(PluginWarning, match=r"'join' is built in; acme:ZETA of acme 1.2 cannot replace it") as caught:
         assert registry().names() == ("join", "loads")
     assert len(caught) == 1, "an entry point that names the same object as the table is no conflict"
+
+
+def test_a_package_of_ours_takes_the_place_that_the_table_keeps_for_its_entry() -> None:
+    kept = Registry[Any]("h3data.profiles", {"first": 1, "habitat": "", "nobody": "", "last": 2}, what="profile")
+    assert kept.names()[:3] == ("first", "habitat", "last")
+    assert kept.get("habitat").name == "habitat"
+    assert kept.get("last") == 2
+    with pytest.raises(InputError, match="Unknown profile 'nobody'"):
+        kept.get("nobody")

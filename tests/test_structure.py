@@ -18,6 +18,7 @@ PACKAGES = {
     "h3data_play": ROOT / "viewers" / "h3data_play",
     "h3data_studies": ROOT / "viewers" / "h3data_studies",
     "h3data_homes": ROOT / "pipelines" / "h3data_homes",
+    "h3data_habitat": ROOT / "pipelines" / "h3data_habitat",
     "h3data_training": ROOT / "pipelines" / "h3data_training",
     "h3data_pipelines": ROOT / "pipelines" / "h3data_pipelines",
     "h3data_kernels": ROOT / "pipelines" / "h3data_kernels",
@@ -27,6 +28,7 @@ LAYERS = (
     "h3data",
     "sim_kinematic",
     "h3data_homes",
+    "h3data_habitat",
     "h3data_viewers",
     "h3data_play",
     "h3data_studies",
@@ -54,14 +56,9 @@ AGAINST_THE_LAYERS = {
     "h3data.formats.builtin_formats": [
         "h3data.exporters.csv_tables",
         "h3data.exporters.foxglove.foxglove_file",
-        "h3data.exporters.gfx_replay_export",
         "h3data.exporters.gltf_animation",
-        "h3data.exporters.habitat.episodes",
         "h3data.exporters.lerobot_export",
         "h3data.exporters.robomimic",
-        "h3data.habitat.gfx.gfx_replay",
-        "h3data.habitat.hitl.hitl_paper_logs",
-        "h3data.habitat.hitl.hitl_sessions",
     ],
     "h3data.kernels.digests": ["sim_kinematic"],  # whose kernels are ours
     "h3data.metrics.table_files": ["h3data.metrics"],  # no module: a key in the metadata of Parquet files

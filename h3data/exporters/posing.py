@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid
 from h3data.bodies.people.humanoid import SkinnedMesh as PersonMesh
+from h3data.bodies.people.skeleton import HUMAN_ROOT_HEIGHT_M
 from h3data.errors import SceneError
 from h3data.exporters.posed_parts import PosedCamera, PosedPart, Skeleton
 from h3data.geometry import (
@@ -19,7 +20,6 @@ from h3data.geometry import (
     quat_from_heading,
     quat_sign_continuous,
 )
-from h3data.habitat.gfx.gfx_agents import HUMAN_ROOT_HEIGHT_M
 from h3data.mesh.glb_write import Influences
 from h3data.recording import Body
 from h3data.recording.assets.skinned_meshes import SkinnedMesh

@@ -1,4 +1,8 @@
-"""The built-in file formats, and how each is recognised. Order matters: the first format that fits is taken."""
+"""The built-in file formats, and how each is recognised. Order matters: the first format that fits is taken.
+
+Habitat's are recognised here, so that a message can name them; what reads and writes them comes from h3data_habitat by the
+group ``h3data.formats``, whose entries take the places of the rows with their names.
+"""
 
 from __future__ import annotations
 
@@ -67,10 +71,6 @@ BUILT_IN = (
         begins=_REPLAY_BEGINS,
         members=_is_replay,
         suffixes=(".json", ".json.gz"),
-        read="h3data.habitat.gfx.gfx_replay:read_gfx_replay",
-        read_options=("fps",),
-        write="h3data.exporters.gfx_replay_export:export_gfx_replay",
-        write_options=("assets", "person_detail", "people"),
     ),
     Format(
         name="hitl_session",
@@ -83,16 +83,12 @@ BUILT_IN = (
         title="an episode of a human-in-the-loop session (habitat-lab rearrange_v2)",
         members=_has("session", "episode", "frames"),
         suffixes=(".json", ".json.gz"),
-        read="h3data.habitat.hitl.hitl_sessions:read_hitl_episode",
-        read_options=("assets",),
     ),
     Format(
         name="hitl_log",
         title="a human-in-the-loop log of the first generation (habitat-lab rearrange)",
         members=lambda m, name: "steps" in m and not m.keys().isdisjoint(("episode_id", "scene_id", "start_time")),
         suffixes=(".pkl.gz", ".json", ".json.gz"),
-        read="h3data.habitat.hitl.hitl_paper_logs:read_hitl_log",
-        read_options=("fps", "assets"),
     ),
     Format(
         name="rearrange_episodes",
@@ -146,14 +142,11 @@ BUILT_IN = (
         name="pickle",
         title="a pickle",
         begins=re.compile(b"\x80[\x03-\x05]"),
-        read="h3data.habitat.hitl.hitl_paper_logs:read_hitl_log",
-        read_options=("fps", "assets"),
     ),
     Format(
         name="navmesh",
         title="a Habitat navmesh",
         begins=_magic(b"TESM"),
-        hint="read it with h3data.habitat.navmesh_file.read_navmesh",
     ),
     Format(name="mcap", title="an MCAP log", begins=_magic(b"\x89MCAP0\r\n")),
     Format(
@@ -200,9 +193,6 @@ BUILT_IN = (
     Format(
         name="habitat_episodes",
         title="rearrangement episodes of Habitat, with their scenes",
-        write="h3data.exporters.habitat.episodes:export_habitat_episodes",
-        target="folder",
-        many=True,
     ),
     Format(name="csv", title="CSV tables", write="h3data.exporters.csv_tables:export_csv", target="folder"),
 )

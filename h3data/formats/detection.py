@@ -72,9 +72,10 @@ def detect(path: str | os.PathLike[str]) -> Format:
     """
     file = SourceFile.of(path)
     try:
-        built_in = format_by_beginning(file.head)
+        built_in = _by_beginning(file.head)
         if built_in is JSON:
             built_in = _format_by_members(file)
+        built_in = _registered(built_in)
     except FormatError:
         return replace(UNKNOWN, title="a damaged gzip archive")
     if built_in.read is not None:
@@ -84,6 +85,23 @@ def detect(path: str | os.PathLike[str]) -> Format:
 
 def format_by_beginning(head: bytes) -> Format:
     """The built-in format of a file that begins with ``head``; `JSON` where its members must be asked."""
+    return _registered(_by_beginning(head))
+
+
+def _registered(recognised: Format) -> Format:
+    """The format of this name with its reader, writer and advice; without its package, advice to install it."""
+    if recognised not in BUILT_IN:
+        return recognised
+    package = FORMATS.missing().get(recognised.name)
+    if package is None:
+        return FORMATS.get(recognised.name)
+    return replace(
+        recognised,
+        hint=f"its package {package} is not in this installation; install h3data as a whole",
+    )
+
+
+def _by_beginning(head: bytes) -> Format:
     text = head.removeprefix(BYTE_ORDER_MARK)
     for one in BUILT_IN:
         if one.begins is not None and one.begins.match(text):
@@ -169,8 +187,11 @@ def export_format(name: str) -> Format:
         InputError: nothing can be exported to it.
         PluginError: it comes from a plug-in that cannot be used.
     """
+    key = name if ":" in name else name.replace("-", "_")
+    if key in FORMATS.missing():
+        return FORMATS.get(key)  # fails, and says which package has it
     try:
-        chosen = FORMATS.get(name if ":" in name else name.replace("-", "_"))
+        chosen = FORMATS.get(key)
     except InputError:
         chosen = None
     if chosen is not None and chosen.write is not None:

@@ -33,8 +33,8 @@ PROFILES: Registry[Profile | tuple[Profile, ...]] = Registry(
     "h3data.profiles",
     {
         "paper": "h3data.metrics.paper.profiles:PROFILES",
-        "habitat": "h3data.metrics.habitat.profile:MAIN_PROFILE",
-        "habitat@0.3.0": "h3data.metrics.habitat.profile:PAPER_RELEASE_PROFILE",
+        "habitat": "",  # of h3data_habitat
+        "habitat@0.3.0": "",
         "field": "h3data.metrics.field.profile:PROFILE",
         "partnr": "h3data.metrics.partnr:PROFILE",
         ANY_TASK: "h3data.metrics.any_task:PROFILE",

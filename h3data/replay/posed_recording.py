@@ -19,11 +19,11 @@ from h3data.bodies.people.turning import TurningFeet, turned, turning_feet
 from h3data.bodies.robots.trot import legs_are_posed, trot
 from h3data.errors import FormatError, InputError
 from h3data.geometry import Array, pose_to_matrix
-from h3data.habitat.stand_ins import named_box, with_stand_ins
 from h3data.plugins import names_from_data
 from h3data.recording import Agent, AssetRef, Body, Recording
 from h3data.recording.assets.folders import clean_path
 from h3data.recording.assets.library import AssetLibrary
+from h3data.recording.assets.stand_ins import named_box, with_stand_ins
 from h3data.recording.records import JOINTS
 from h3data.render.light.sources import LightMode, check_light
 from h3data.replay.link_poses import LinkPoses
@@ -58,7 +58,7 @@ class PosedRecording:
         light: Light in images: ``flat``, the same everywhere, or ``baked``, from windows, sun and lamps
             (`h3data.render.light`).
         stand_ins: Whether plain things stand in for missing assets instead of marked ones: built-in robots and people in the
-            recorded postures, and boxes with names (`h3data.habitat.stand_ins`). `recording` then names these bodies.
+            recorded postures, and boxes with names (`h3data.recording.assets.stand_ins`). `recording` then names these bodies.
     """
 
     def __init__(

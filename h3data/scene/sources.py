@@ -96,9 +96,35 @@ class SceneGenerator:
     """How to name a scene, in whole sentences below that list."""
 
 
+class WriteCollection(Protocol):
+    """Writes scenes as a new collection."""
+
+    def __call__(
+        self,
+        scenes: Sequence[Scene],
+        folder: str | Path,
+        *,
+        name: str | None = None,
+        split_building: bool = False,
+        force: bool = False,
+    ) -> Path:
+        """The file of the collection in the new ``folder``; ``split_building``: walls and floors as objects of their own."""
+        ...
+
+
+class WithObjects(Protocol):
+    """Puts objects in the places of movable things of scenes."""
+
+    def __call__(
+        self, scenes: Sequence[Scene], objects: Path, assets: Sequence[str | Path]
+    ) -> tuple[list[Scene], int, Mapping[str, Mapping[str, Any]]]:
+        """The scenes with objects of a folder, how many things were replaced, and facts of every object by name."""
+        ...
+
+
 @dataclass(frozen=True, kw_only=True)
 class SceneReader:
-    """Reads scenes from files of one maker."""
+    """Reads scenes from files of one maker, and may write such files."""
 
     endings: Sequence[str]
     """Endings of the files' names, in lower case."""
@@ -111,6 +137,10 @@ class SceneReader:
     """Names of the scenes in such a file."""
     object_mesh: Callable[[str, Path, Sequence[Path]], Mesh] | None = None
     """The mesh of an object template: `object_mesh`."""
+    write_collection: WriteCollection | None = None
+    """Writes scenes as a new collection."""
+    with_objects: WithObjects | None = None
+    """Puts objects of the maker's files in the places of movable things."""
 
 
 def _check(entry: Any) -> None:
@@ -168,6 +198,15 @@ def recorded_spec(source: Mapping[str, Any]) -> SceneSpec | None:
     if generator is None:
         return None
     return generator.Spec(**{name: value for name, value in source.items() if name != "kind"})
+
+
+def scene_files(maker: str) -> SceneReader:
+    """The reader and writer of a maker's files, such as ``habitat``.
+
+    Raises:
+        InputError: the package that has it is not installed.
+    """
+    return cast(SceneReader, SCENES.get(maker))
 
 
 def object_mesh(name: str, file: Path, roots: Sequence[Path]) -> Mesh:

@@ -13,12 +13,7 @@ import pytest
 from scipy.spatial import ConvexHull, cKDTree
 
 from h3data.errors import InputError, SceneError
-from h3data.exporters.habitat import scenes as export_module
-from h3data.exporters.habitat.scenes import NAVMESH_SETTINGS, export_habitat, export_habitat_dataset
 from h3data.geometry import quat_from_axis_angle, transform_points
-from h3data.habitat.navmesh_file import read_navmesh
-from h3data.habitat.scenes.colliders import part_mesh, part_points
-from h3data.habitat.scenes.scene_instance import load_habitat_scene
 from h3data.mesh.glb_write import glb_bytes
 from h3data.mesh.loading import load_mesh
 from h3data.render import Renderer, look_at, pinhole
@@ -40,6 +35,11 @@ from h3data.scene import (
 )
 from h3data.scene.articulation import joints_of, posed
 from h3data.scene.navmesh.navmesh import NavMeshSettings
+from h3data_habitat.exporters import scenes as export_module
+from h3data_habitat.exporters.scenes import NAVMESH_SETTINGS, export_habitat, export_habitat_dataset
+from h3data_habitat.navmesh_file import read_navmesh
+from h3data_habitat.scenes.colliders import part_mesh, part_points
+from h3data_habitat.scenes.scene_instance import load_habitat_scene
 from h3data_homes import HomeSpec, build_home
 
 S = 0.5**0.5

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from h3data.errors import InputError, SceneError
-from h3data.habitat.object_models import load_object_models, with_object_models
 from h3data.scene import Scene, load_scene
+from h3data_habitat.object_models import load_object_models, with_object_models
 from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 
@@ -93,7 +93,7 @@ def test_configs_of_habitat(tmp_path: Path) -> None:
 
 
 def boxes(scene: Scene) -> dict[str, np.ndarray]:
-    from h3data.habitat.object_models import _world_box
+    from h3data_habitat.object_models import _world_box
 
     return {i.name: _world_box(scene.assets[i.asset], i) for i in scene.instances if i.motion == "kinematic"}
 

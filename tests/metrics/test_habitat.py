@@ -12,11 +12,11 @@ import pytest
 from h3data.errors import InputError
 from h3data.geometry import ground_pose
 from h3data.metrics import MissingColumnsError, measure, series_of
-from h3data.metrics.habitat.config import HabitatConfig, StatsConfig
-from h3data.metrics.habitat.profile import STILL_M
-from h3data.metrics.habitat.reward import goal_errors
-from h3data.metrics.habitat.stats import HabitatTrack, _found_step, social_nav_stats
+from h3data.metrics.habitat_settings import HabitatConfig, StatsConfig
 from h3data.recording.records import STEP_NS, Agent, Episode, Recording
+from h3data_habitat.metrics.profile import STILL_M
+from h3data_habitat.metrics.reward import goal_errors
+from h3data_habitat.metrics.stats import HabitatTrack, _found_step, social_nav_stats
 from tests.paths import REFERENCE
 
 FOLDER = REFERENCE / "socialnav"

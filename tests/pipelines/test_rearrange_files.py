@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import h3data
-from h3data.exporters.habitat.scenes import export_habitat
 from h3data.geometry import pose_to_matrix
 from h3data.recording import recordings_equal
 from h3data.scene.open import open_scene
+from h3data_habitat.exporters.scenes import export_habitat
 from h3data_homes import HomeSpec
 from h3data_pipelines.cli import main
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec

@@ -13,7 +13,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from h3data.exporters.habitat.scenes import export_habitat
 from h3data.geometry import IDENTITY_POSE, quat_from_axis_angle
 from h3data.render.sheets.scene_map import (
     ISLAND_COLOR,
@@ -41,6 +40,7 @@ from h3data.scene import (
 )
 from h3data.scene.open import named_scenes
 from h3data.scene.validation import Problem, find_problems, free_space_for_validation, hull_fills_hollows
+from h3data_habitat.exporters.scenes import export_habitat
 from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.assets.scene_reports import validate_scene
 from h3data_pipelines.cli import main
@@ -458,7 +458,7 @@ def test_map_shows_islands_receptacles_and_problems() -> None:
 @pytest.mark.slow
 def test_map_of_a_home_without_ceiling_layer(home: Scene, tmp_path: Path) -> None:
     """An exported home has its ceiling in the stage; from above one must look into the rooms all the same."""
-    from h3data.habitat.scenes.scene_instance import load_habitat_scene
+    from h3data_habitat.scenes.scene_instance import load_habitat_scene
 
     again = load_habitat_scene(export_habitat(home, tmp_path / "x"))
     ours, _ = plan_picture(home, pixels_per_m=20)
@@ -488,11 +488,11 @@ def test_episodes_of_an_export_lead_to_its_scenes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """From the working directory of the export, as Habitat's own; and h3data finds them when the folder has moved."""
-    from h3data.habitat.episodes.episode_files import read_episodes
-    from h3data.habitat.episodes.episode_scenes import scene_of_episode
     from h3data.recording.task_episodes.rearrange_episode import instance_handles
     from h3data.recording.task_episodes.social_nav_episodes import read_social_nav
     from h3data.scene.sources import SceneFile
+    from h3data_habitat.episodes.episode_files import read_episodes
+    from h3data_habitat.episodes.episode_scenes import scene_of_episode
 
     monkeypatch.chdir(tmp_path)
     homes = [{"id": f"home_{k}", "seed": 20000 + k, "preset": "small"} for k in range(2)]

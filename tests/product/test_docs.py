@@ -278,6 +278,7 @@ def test_sources_name_pages_as_the_command_shows_them() -> None:
     for package in (
         "h3data",
         "sim_kinematic",
+        "pipelines/h3data_habitat",
         "pipelines/h3data_homes",
         "pipelines/h3data_pipelines",
         "pipelines/h3data_training",

@@ -1,25 +1,37 @@
-"""Each package above the simulator can be left out: what needs it says so, and everything else works."""
+"""Each package above the simulator can be left out: what needs it says so, and everything else works.
+
+An installation is a folder with the packages, all but one, and a process that finds them there and nowhere else. They are those
+of this checkout or, where H3DATA_SITE names the folder, of an unpacked wheel with its entry points (`make test-packages`). The
+packages that they depend on are those of this environment, so what this leaves open is whether pip finds them.
+"""
 
 from __future__ import annotations
 
 import json
+import os
+import pickle
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from h3data_pipelines.cli import main
 from tests.paths import ROOT
 
+SITE = os.environ.get("H3DATA_SITE")
+"""Folder of an unpacked wheel; None: the packages of this checkout are used."""
 PLACES = {
     "h3data": ".",
     "sim_kinematic": ".",
+    "h3data_habitat": "pipelines",
     "h3data_homes": "pipelines",
     "h3data_pipelines": "pipelines",
     "h3data_training": "pipelines",
     "h3data_play": "viewers",
     "h3data_studies": "viewers",
     "h3data_viewers": "viewers",
+    "h3data_kernels": "pipelines",  # a wheel of its own, so that nothing is compiled here
 }
 SCRIPT = """
 import contextlib, io, json, sys
@@ -40,11 +52,20 @@ print(json.dumps(said))
 """
 
 
-def run_without(package: str, tree: Path, commands: list[list[str]]) -> dict[str, tuple[int, str]]:
-    """Exit codes and output of commands in an installation that has all packages but one."""
+def install_without(package: str, tree: Path) -> None:
+    """Fills ``tree`` with links to all packages but one."""
     for name, place in PLACES.items():
         if name != package:
-            (tree / name).symlink_to(ROOT / place / name)
+            (tree / name).symlink_to(
+                ROOT / place / name if SITE is None or name == "h3data_kernels" else Path(SITE, name)
+            )
+    for metadata in Path(SITE).glob("h3data-*.dist-info") if SITE is not None else ():
+        (tree / metadata.name).symlink_to(metadata)
+
+
+def run_without(package: str, tree: Path, commands: list[list[str]]) -> dict[str, tuple[int, str]]:
+    """Exit codes and output of commands in an installation that has all packages but one."""
+    install_without(package, tree)
     done = subprocess.run(
         [sys.executable, "-P", "-c", SCRIPT, str(ROOT), str(tree), json.dumps(commands)],
         capture_output=True,
@@ -83,9 +104,7 @@ def test_learning_on_a_device_names_the_package_that_has_it(tmp_path: Path) -> N
         "try:\n    h3data.make('social_nav', scenes='small:1', device='cpu')\n"
         "except InputError as error:\n    said['make'] = [2, str(error)]\nfor words in commands:",
     )
-    for name, place in PLACES.items():
-        if name != "h3data_training":
-            (tmp_path / name).symlink_to(ROOT / place / name)
+    install_without("h3data_training", tmp_path)
     done = subprocess.run(
         [sys.executable, "-P", "-c", script, str(ROOT), str(tmp_path), "[]"],
         capture_output=True,
@@ -127,3 +146,93 @@ def test_what_writes_files_of_viewers_names_their_package(tmp_path: Path) -> Non
         assert "h3data_viewers" in text
     assert not out.exists()
     assert said["study report --help"][0] == 0
+
+
+def test_files_of_habitat_name_their_package(tmp_path: Path) -> None:
+    tree, out = tmp_path / "tree", tmp_path / "out"
+    tree.mkdir()
+    replay, motion, mesh = (tmp_path / name for name in ("a.gfx_replay.json", "walk.pkl", "a.navmesh"))
+    replay.write_text('{"keyframes": []}')
+    motion.write_bytes(pickle.dumps({"walk_motion": {}}))
+    mesh.write_bytes(b"TESM")
+    refused = [
+        ["import", str(replay), "-o", str(out)],
+        ["import", str(tmp_path), "-o", str(out)],
+        ["motion", "import", str(motion), "-o", str(out)],
+        ["info", str(mesh)],
+        ["metrics", str(out), "--profile", "habitat"],
+        ["export", str(out), "--to", "gfx-replay", "-o", str(out)],
+    ]
+    said = run_without("h3data_habitat", tree, [["metrics", "list"], *refused])
+    assert said["metrics list"][0] == 0
+    for words in refused:
+        code, text = said[" ".join(words)]
+        assert code == 2, f"{words}: {text}"
+        assert "h3data_habitat" in text, f"{words}: {text}"
+    assert not out.exists()
+
+
+PLAYED = "--episodes 1 --max-steps 20 --workers 1"
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a home, a dataset played in it, its gfx-replay, a file of its episodes and a motion file of Habitat."""
+    here = tmp_path_factory.mktemp("files")
+    for command in (
+        f"scenes export small:3 --to glb -o {here}",
+        f"generate social_nav --scenes {here}/home_small_3.glb {PLAYED} --save-episodes {here}/episodes.json.gz -o {here}/ds",
+        f"export {here}/ds#0 --to gfx-replay -o {here}/walk.gfx_replay.json",
+    ):
+        assert main(command.split()) == 0
+    (here / "walk.pkl").write_bytes(pickle.dumps({"walk_motion": {}}))
+    return here
+
+
+NEEDING = {
+    "h3data_habitat": (
+        "import {files}/walk.gfx_replay.json -o {out}/imported",
+        "metrics {files}/ds --profile habitat --workers 1",
+        "export {files}/ds#0 --to gfx-replay -o {out}/again.gfx_replay.json",
+        "export {files}/ds#0 --to habitat-episodes -o {out}/episodes",
+        "info {files}/episodes.json.gz",
+        "generate social_nav --episodes-file {files}/episodes.json.gz --workers 1 -o {out}/of_file",
+        "scenes export {files}/home_small_3.glb -o {out}/dataset",
+        "motion import {files}/walk.pkl -o {out}/motions",
+    ),
+    "h3data_homes": ("scenes show small:1 -o {out}/plan.png",),
+    "h3data_viewers": ("view {files}/ds#0 -o {out}/walk.rrd", "report {files}/ds -o {out}/report.html"),
+    "h3data_play": (),
+    "h3data_studies": (),
+    "h3data_training": (),
+}
+"""Commands that need a package and end by themselves; the commands of the last three run on, and are refused above."""
+NEED_MORE = ("motion import", "export {files}/ds#0 --to habitat-episodes")
+"""Beginnings of those that also need a whole file or another task to succeed, and so are only refused."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("package", NEEDING)
+def test_work_is_done_without_a_package(package: str, files: Path, tmp_path: Path) -> None:
+    tree, out = tmp_path / "tree", tmp_path / "out"
+    tree.mkdir()
+    works = [
+        f"generate social_nav --scenes {files}/home_small_3.glb {PLAYED} -o {out}/ds",
+        f"info {files}/ds#0",
+        f"metrics {files}/ds --workers 1",
+        "metrics list",
+        f"validate {files}/ds",
+        f"replay {files}/ds#0 --verify",
+        f"rerender {files}/ds#0 --camera robot_arm --size 64x48 --workers 1 -o {out}/pictures",
+        f"export {files}/ds#0 --to csv -o {out}/tables",
+        f"scenes show {files}/home_small_3.glb -o {out}/home.png",
+    ]
+    others = (words for other, commands in NEEDING.items() if other != package for words in commands)
+    works += [words.format(files=files, out=out) for words in others if not words.startswith(NEED_MORE)]
+    refused = [words.format(files=files, out=out) for words in NEEDING[package]]
+    said = run_without(package, tree, [words.split() for words in (*works, *refused)])
+    for words in works:
+        assert said[words][0] == 0, f"{words}: {said[words][1]}"
+    for words in refused:
+        assert said[words][0] == 2, f"{words}: {said[words][1]}"
+        assert package in said[words][1], f"{words}: {said[words][1]}"

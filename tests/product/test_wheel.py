@@ -54,6 +54,7 @@ def test_the_wheel_works_outside_the_repository(script: str, says: str, tmp_path
     assert {n for n in top if not n.endswith(".dist-info")} == {
         "h3data",
         "sim_kinematic",
+        "h3data_habitat",
         "h3data_homes",
         "h3data_pipelines",
         "h3data_training",

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from bake.home_sets import set_text, updated_card
 from h3data.builtin import builtin_root
 from h3data.errors import FormatError, InputError
-from h3data.exporters.habitat.scenes import export_habitat
 from h3data.scene import save_scene, scene_digest
 from h3data.scene.open import listed_scenes, named_scenes, open_scene
 from h3data.scene.scene_sets import SceneSet, builtin_sets, find_scene_set, read_scene_set
 from h3data.scene.sources import SceneFile
+from h3data_habitat.exporters.scenes import export_habitat
 from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.assets.scene_reports import validate_scene
 

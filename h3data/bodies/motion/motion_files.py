@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import io
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import numpy as np
 
 from h3data.bodies.motion.amass import Up, is_amass, read_amass
 from h3data.bodies.motion.bvh_motion import read_bvh
-from h3data.bodies.motion.habitat_humanoid import HABITAT_JOINTS, HabitatClip
-from h3data.bodies.motion.habitat_motion import motion_parts, read_habitat_motion, read_habitat_sequence
-from h3data.bodies.motion.motion_clip import Motion, in_start_frame
-from h3data.bodies.people.skeleton import JOINT_COUNT, JOINT_INDEX, JOINT_NAMES
+from h3data.bodies.motion.motion_clip import Motion
+from h3data.bodies.people.skeleton import JOINT_NAMES
 from h3data.errors import FormatError, InputError
 from h3data.files import part_file
-from h3data.geometry import normalized, quat_from_matrix
 from h3data.npz_arrays import npz_arrays, npz_names
-from h3data.safe_pickle import is_pickle
+from h3data.plugins import Registry
 
-MotionKind = Literal["motion", "amass", "habitat", "bvh"]
 FORMAT = "h3data-motion/1"
-SUFFIXES = (".npz", ".pkl", ".bvh")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,8 +40,20 @@ class ReadOptions:
     """Origin and licence, kept with the motion."""
 
 
-def motion_kind(path: str | Path) -> MotionKind:
-    """Format of a motion file, detected by its content.
+@dataclass(frozen=True, kw_only=True)
+class MotionReader:
+    """Reads motion files of one kind; other packages add theirs as entry points of the group ``h3data.motions``."""
+
+    fits: Callable[[bytes, Sequence[str]], bool]
+    """Whether a file is of this kind: by its first 256 bytes and, of an npz, the names of its arrays."""
+    read: Callable[[Path, ReadOptions], Motion]
+    """The motion in a file."""
+    suffixes: tuple[str, ...]
+    """Endings of such files, in lower case: `h3data motion import` collects them from folders."""
+
+
+def motion_kind(path: str | Path) -> str:
+    """Format of a motion file, detected by its content: ``motion`` (ours), ``bvh``, ``amass`` or that of a plug-in.
 
     Raises:
         FormatError: it holds no motion that is read; the message says what it looks like.
@@ -57,75 +67,33 @@ def motion_kind(path: str | Path) -> MotionKind:
         raise InputError(f"Cannot read a motion file ({error.strerror or error}): {path}", code="H3-BODY-052") from None
     if not start:
         raise FormatError(f"Expected a motion file, this one is empty: {path}", code="H3-BODY-046")
-    if start.removeprefix(b"\xef\xbb\xbf").lstrip()[:9].upper() == b"HIERARCHY":
-        return "bvh"
-    if is_pickle(start):
-        return "habitat"
+    names = npz_names(path) if start.startswith(b"PK") else ()
+    for kind, reader in _readers(tuple(sys.path)).items():
+        if reader.fits(start, names):
+            return kind
+    missing = ", ".join(f"{package} ({kind})" for kind, package in MOTIONS.missing().items())
+    hint = f" Hint: this installation lacks {missing}; install h3data as a whole." if missing else ""
     if not start.startswith(b"PK"):
         raise FormatError(
-            f"Expected a motion file (npz, pickle or BVH), this is something else: {path}", code="H3-BODY-047"
+            f"Expected a motion file (npz, pickle or BVH), this is something else: {path}{hint}", code="H3-BODY-047"
         )
-    names = npz_names(path)
-    if {"format", "quats", "pelvis"} <= set(names):
-        return "motion"
-    if "pose_motion" in names or "walk_motion" in names:
-        return "habitat"
-    if is_amass(names):
-        return "amass"
     shape_only = "betas" in names
     what = "the shape of a person, without motion" if shape_only else "no motion that is known"
-    raise FormatError(f"This npz holds {what}: {', '.join(names[:12]) or 'no arrays'}: {path}", code="H3-BODY-045")
+    raise FormatError(
+        f"This npz holds {what}: {', '.join(names[:12]) or 'no arrays'}: {path}{hint}", code="H3-BODY-045"
+    )
 
 
-def read_motion(
-    path: str | Path, *, kind: MotionKind | Literal["auto"] = "auto", options: ReadOptions | None = None
-) -> Motion:
-    """The motion in a file of any kind that is read: ours, AMASS, Habitat (sequence or walk), BVH.
+def read_motion(path: str | Path, *, kind: str = "auto", options: ReadOptions | None = None) -> Motion:
+    """The motion in a file of any kind that is read: ours, AMASS, BVH, Habitat (sequence or walk), or that of a plug-in.
 
     Raises:
         FormatError: it is of another kind, or damaged; the message names the file and the key or line.
         InputError: there is no such file.
     """
-    path, o = Path(path), options or ReadOptions()
-    kind = motion_kind(path) if kind == "auto" else kind
-    if kind == "motion":
-        return load_motion(path)
-    if kind == "amass":
-        return read_amass(path, up=o.up, fps=o.fps, source=o.source)
-    if kind == "bvh":
-        return read_bvh(path, names=o.names, unit_m=o.unit_m, source=o.source)
-    return _habitat(path, o.source)
-
-
-def _habitat(path: Path, source: str) -> Motion:
-    """A Habitat sequence, or the walk of its motion file."""
-    if "pose_motion" in motion_parts(path):
-        clip = read_habitat_sequence(path)
-    else:
-        clip = read_habitat_motion(path).walk
-    return habitat_clip_motion(
-        clip, name=path.stem, source=source or f"Habitat motion file {path.name}; licence unknown"
-    )
-
-
-def habitat_clip_motion(clip: HabitatClip, *, name: str, source: str = "") -> Motion:
-    """A clip of Habitat's humanoids as motion; its root frames have y up and the axes of our body frame.
-
-    Raises:
-        FormatError: a root is no rotation.
-    """
-    rotation = clip.roots[:, :3, :3]
-    if np.abs(rotation @ np.swapaxes(rotation, 1, 2) - np.eye(3)).max() > 1e-2 or np.linalg.det(rotation).min() < 0:
-        raise FormatError(
-            f"transform_array: Expected rotations and places, one is sheared, scaled or mirrored: {name}",
-            code="H3-BODY-048",
-        )
-    quats = np.empty((len(clip.joints), JOINT_COUNT, 4))
-    quats[:, 0] = quat_from_matrix(rotation)
-    quats[:, [JOINT_INDEX[joint] for joint in HABITAT_JOINTS]] = clip.joints
-    return in_start_frame(
-        Motion(name=name, fps=clip.fps, quats=normalized(quats), pelvis=clip.roots[:, :3, 3].copy(), source=source)
-    )
+    path = Path(path)
+    reader = MOTIONS.get(motion_kind(path) if kind == "auto" else kind)
+    return reader.read(path, options or ReadOptions())
 
 
 # --- ours -----------------------------------------------------------------------------------------------------------------
@@ -178,3 +146,53 @@ def load_motion(path: str | Path | io.BytesIO) -> Motion:
         )  # fmt: skip
     except FormatError as error:
         raise FormatError(f"{error} File: {path}", code=error.code) from None
+
+
+# --- kinds ----------------------------------------------------------------------------------------------------------------
+def _is_ours(start: bytes, names: Sequence[str]) -> bool:
+    return {"format", "quats", "pelvis"} <= set(names)
+
+
+def _is_bvh(start: bytes, names: Sequence[str]) -> bool:
+    return start.removeprefix(b"\xef\xbb\xbf").lstrip()[:9].upper() == b"HIERARCHY"
+
+
+def _check(entry: Any) -> None:
+    if not isinstance(entry, MotionReader):
+        raise InputError(
+            f"Expected an h3data.bodies.motion.motion_files.MotionReader, got {entry!r:.60}.", code="H3-BODY-158"
+        )
+
+
+MOTIONS: Registry[MotionReader] = Registry(
+    "h3data.motions",
+    {
+        "motion": MotionReader(fits=_is_ours, read=lambda path, options: load_motion(path), suffixes=(".npz",)),
+        "habitat": "",  # of h3data_habitat
+        "bvh": MotionReader(
+            fits=_is_bvh,
+            read=lambda path, o: read_bvh(path, names=o.names, unit_m=o.unit_m, source=o.source),
+            suffixes=(".bvh",),
+        ),
+        "amass": MotionReader(
+            fits=lambda start, names: is_amass(tuple(names)),
+            read=lambda path, o: read_amass(path, up=o.up, fps=o.fps, source=o.source),
+            suffixes=(".npz",),
+        ),
+    },
+    what="kind of motion file",
+    check=_check,
+)
+"""Readers of motion files by kind; the first that fits reads a file."""
+
+
+@cache
+def _readers(path: tuple[str, ...]) -> dict[str, MotionReader]:
+    """All readers, as of one ``sys.path``: looking for installed packages takes 30 ms."""
+    return MOTIONS.load_all()
+
+
+def motion_suffixes() -> tuple[str, ...]:
+    """Endings of the motion files that can be read."""
+    readers = _readers(tuple(sys.path)).values()
+    return tuple(dict.fromkeys(suffix for reader in readers for suffix in reader.suffixes))

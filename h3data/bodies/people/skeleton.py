@@ -35,6 +35,8 @@ _BODY = (
     ("right_eye_smplhf", "head"),
 )
 FINGERS = ("index", "middle", "pinky", "ring", "thumb")
+HUMAN_ROOT_HEIGHT_M = 0.9
+"""Height of a standing humanoid's root over the floor [m], habitat-lab's ``base_offset`` (spec/habitat.md 0)."""
 
 
 def _with_fingers() -> tuple[tuple[str, str], ...]:

@@ -1,7 +1,7 @@
 """Robot and person, row by row: distance, facing, found, backing up, yielding, as the paper counts them.
 
 The one definition of "found" for the paper's metrics and whatever follows it; habitat-lab's own is in
-`h3data.metrics.habitat.stats`.
+`h3data_habitat.metrics.stats`.
 """
 
 # NumPy, so that a command over a few episodes does not import numba (0.25 s); a kernel (`encounter_kernel`), a third of the

@@ -120,7 +120,7 @@ def rearrangement_entry(
     """A Habitat episode that carries a record; `write_episodes` writes it, `read_rearrangement` gets it back.
 
     Habitat itself plays ``rigid_objects`` (in the order of their configs) and ``targets``, which
-    `h3data.exporters.habitat.episodes` fills in; h3data needs neither.
+    `h3data_habitat.exporters.episodes` fills in; h3data needs neither.
     """
     _require_finite(record)
     names = targets or {}

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, load_humanoid
 from h3data.bodies.motion.motion_clip import Motion
 from h3data.bodies.motion.motion_cycle import trim_to_cycle
-from h3data.bodies.motion.motion_files import SUFFIXES, MotionKind, ReadOptions, motion_kind, read_motion, save_motion
+from h3data.bodies.motion.motion_files import ReadOptions, motion_kind, motion_suffixes, read_motion, save_motion
 from h3data.bodies.motion.motion_retarget import foot_report, retarget
 from h3data.commands.command import ForceFlag, Group, JsonFlag, Outcome, claim_file
 from h3data.errors import FormatError, H3DataError, InputError
@@ -99,7 +99,7 @@ class MotionImport:
     def _convert(
         self, path: Path, target: Path, body: Humanoid | None, options: ReadOptions, written: set[Path]
     ) -> dict[str, Any]:
-        kind: MotionKind = motion_kind(path) if self.kind == "auto" else self.kind
+        kind = motion_kind(path) if self.kind == "auto" else self.kind
         motion = read_motion(path, kind=kind, options=options)
         if target in written:
             raise InputError(
@@ -226,13 +226,14 @@ def _options(
 
 def _collect(paths: tuple[Path, ...], out: Path) -> list[tuple[Path, Path]]:
     """Pairs of input file and output file; files from a folder keep their relative paths."""
+    suffixes = motion_suffixes()
     sources: list[tuple[Path, Path]] = []
     for path in paths:
         if path.is_dir():
-            files = sorted(p for p in path.rglob("*") if p.is_file() and p.suffix.lower() in SUFFIXES)
+            files = sorted(p for p in path.rglob("*") if p.is_file() and p.suffix.lower() in suffixes)
             if not files:
                 raise InputError(
-                    f"Expected {', '.join(SUFFIXES)} files, there are none in this folder: {path}", code="H3-BODY-137"
+                    f"Expected {', '.join(suffixes)} files, there are none in this folder: {path}", code="H3-BODY-137"
                 )
             sources += [(p, out / p.relative_to(path).parent / f"{p.stem}.npz") for p in files]
         elif path.exists():

@@ -37,7 +37,7 @@ from h3data.scene.open import (
     preset_names,
 )
 from h3data.scene.scene_sets import SceneSet, find_scene_set
-from h3data.scene.sources import SceneFile
+from h3data.scene.sources import SceneFile, scene_files
 from h3data_pipelines.assets.scene_reports import (
     AGENT_HEIGHT_M,
     AGENT_RADIUS_M,
@@ -250,42 +250,38 @@ class ScenesExport:
 
     def _with_objects(self, scenes: Sequence[Scene]) -> tuple[list[Scene], dict[str, Any]]:
         """The scenes with the objects in them; how many things they are, and their masses and grasps by name."""
-        from h3data.habitat.object_models import load_object_models, with_object_models
-
+        with_objects = scene_files("habitat").with_objects
         assert self.objects is not None
-        models = load_object_models(self.objects, assets=self.assets)
-        changed = [with_object_models(scene, models) for scene in scenes]
+        assert with_objects is not None
         movable = sum(i.motion == "kinematic" for scene in scenes for i in scene.instances)
-        replaced = sum(count for _, count in changed)
+        changed, replaced, models = with_objects(scenes, self.objects, self.assets)
         if not replaced:
             raise InputError(
                 f"No object of {self.objects} fits in the place of a movable thing of these scenes. Expected objects that are "
                 f"at most 8 cm larger than a thing; {len(models)} objects were read, and there are {movable} things.",
                 code="H3-BODY-154",
             )
-        return [scene for scene, _ in changed], {
-            "replaced": replaced, "movable": movable, "models": {name: model.facts() for name, model in models.items()},
-        }  # fmt: skip
+        return changed, {"replaced": replaced, "movable": movable, "models": models}
 
     def _to_habitat(self, scenes: Sequence[Scene], sets: Sequence[SceneSet]) -> tuple[list[Path], str]:
-        from h3data.exporters.habitat.scenes import export_habitat_dataset
-        from h3data.habitat.episodes.episode_files import write_episodes
-        from h3data.habitat.scenes.scene_dataset import DATASET_ENDING
+        from h3data.recording.task_episodes.episode_files import episode_files
 
+        habitat = scene_files("habitat")
+        assert habitat.write_collection is not None
         stems = [re.sub(r"[^A-Za-z0-9_-]+", "_", s.label) for s in sets]
         name = stems[0] if sets else None
-        config = f"{name}{DATASET_ENDING}"
-        episode_files = {
+        config = f"{name}{habitat.collection}"
+        sampled = {
             f"social_nav_{stem}.json.gz": _episodes(scene_set, self.episodes, self.out, config)
             for stem, scene_set in zip(stems, sets, strict=True)
         }
-        dataset = export_habitat_dataset(
+        dataset = habitat.write_collection(
             scenes, self.out, name=name, split_building=self.split_building, force=self.force
         )
-        for file, episodes in episode_files.items():
+        for file, episodes in sampled.items():
             if len(episodes):
                 (self.out / "episodes").mkdir(exist_ok=True)
-                write_episodes(_with_targets(episodes, self.out), self.out / "episodes" / file)
+                episode_files().write(_with_targets(episodes, self.out), self.out / "episodes" / file)
         return sorted(p for p in self.out.rglob("*") if p.is_file()), str(dataset)
 
     def _to_glb(self, scenes: Sequence[Scene]) -> tuple[list[Path], str]:

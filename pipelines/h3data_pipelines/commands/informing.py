@@ -105,11 +105,12 @@ def _of_dataset(dataset: Dataset) -> tuple[str, dict[str, Any]]:
 
 
 def _of_episode_file(path: Path) -> tuple[str, dict[str, Any]]:
-    from h3data.habitat.episodes.episode_files import read_episodes
-    from h3data.habitat.episodes.episode_summary import summary_of
+    from h3data.recording.task_episodes.episode_files import episode_files
+    from h3data.recording.task_episodes.episode_summary import summary_of
 
+    files = episode_files()
     try:
-        summary = summary_of(read_episodes(path))
+        summary = summary_of(files.read(path))
     except H3DataError as error:
         return f"{path}: {error}", {"path": str(path), "error": str(error), "code": error.code}
     text = f"{path}: {counted(summary.episodes, 'episode')}\n{summary.to_text()}"

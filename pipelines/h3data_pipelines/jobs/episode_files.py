@@ -130,16 +130,15 @@ def file_jobs(
         FormatError: damaged. InputError: an option contradicts the file, or none of its episodes can be played.
         SceneError: no scene is found.
     """
-    from h3data.habitat.episodes.episode_files import read_episodes
-    from h3data.habitat.episodes.episode_scenes import scene_of_episode
+    from h3data.recording.task_episodes.episode_files import episode_files
     from sim_kinematic.motion.randomness import episode_seed
 
-    choices = checked(choices)
+    choices, files = checked(choices), episode_files()
     storage = choices.found_task.storage()
     given = {"seed": seed != 0, "spawn_distance": choices.spawn_distance is not None}
     if not storage.samples_starts:
         refuse_beside("--episodes-file", **given)
-    read = read_episodes(path)
+    read = files.read(path)
     there, digest = read.episodes, _digest(path, read)
     jobs: list[Job] = []
     stand_ins: dict[str, None] = {}
@@ -152,7 +151,7 @@ def file_jobs(
             if stored is None:
                 raise InputError(_not_of_task(entry, choices.found_task, path), code="H3-JOB-015")
             rules = storage.rules(stored)
-            source = scene_of_episode(entry, stored, path.parent, assets=assets, allow_missing=allow_missing)
+            source = files.scene_of(entry, stored, path.parent, assets=assets, allow_missing=allow_missing)
             stand_ins |= dict.fromkeys(storage.stand_ins(stored, source))
         except H3DataError as fault:
             faults.append(fault)
@@ -179,11 +178,11 @@ def file_jobs(
 
 def _digest(path: Path, read: EpisodeSet) -> str:
     """SHA-256 (hex) of the file; of a set that is split by scene also of its episodes."""
-    from h3data.habitat.episodes.episode_json import encode_episode
+    from h3data.recording.task_episodes.episode_files import episode_files
 
-    digest = hashlib.sha256(path.read_bytes())
+    encode, digest = episode_files().encode, hashlib.sha256(path.read_bytes())
     for entry in read.episodes if read.contents else ():
-        digest.update(encode_episode(entry))
+        digest.update(encode(entry))
     return digest.hexdigest()
 
 
@@ -243,9 +242,10 @@ def save_episodes(jobs: Sequence[Job], path: Path) -> tuple[str, ...]:
     Raises:
         SceneError: none can be sampled.
     """
-    from h3data.habitat.episodes.episode_files import write_episodes
+    from h3data.recording.task_episodes.episode_files import episode_files
     from h3data.recording.task_episodes.rearrange_episode import EpisodeSet
 
+    files = episode_files()
     entries: list[FileEntry] = []
     faults: dict[int, H3DataError] = {}
     for job in progress(jobs, desc="episodes", unit="episode", at_least=5):
@@ -262,5 +262,5 @@ def save_episodes(jobs: Sequence[Job], path: Path) -> tuple[str, ...]:
     if not entries:
         raise next(iter(faults.values()))
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_episodes(EpisodeSet(episodes=tuple(entries)), path)
+    files.write(EpisodeSet(episodes=tuple(entries)), path)
     return tuple(f"episode {index} of {path.name}: {fault}" for index, fault in faults.items())

@@ -10,10 +10,10 @@ from typing import Any, Literal
 from h3data.commands.command import claim_file, keeping, recording_stem
 from h3data.errors import FormatError, H3DataError, InputError
 from h3data.formats import FORMATS, Format, SourceFile, detect, import_suffixes, load
-from h3data.habitat.hitl.session_manifest import SessionManifest, read_manifest
 from h3data.progress import progress
 from h3data.recording import Recording
 from h3data.recording.assets.library import AssetLibrary
+from h3data.recording.session_manifest import SessionManifest, read_manifest
 from h3data.replay import Replay
 from h3data.terminal import counted
 
@@ -84,7 +84,7 @@ def import_files(
         paths: Files, and folders that are walked.
         out: Folder of the recordings; files of a folder keep their place below it.
         assets: Folders below which recorded asset files are searched (default: H3DATA_ASSETS).
-        manifest: CSV table of participants and conditions (`h3data.habitat.hitl.session_manifest`).
+        manifest: CSV table of participants and conditions (`h3data.recording.session_manifest`).
         fps: Steps per second of files without times.
         strict: Whether recordings with warnings or missing assets are refused.
         force: Whether existing recordings are replaced.
@@ -246,6 +246,8 @@ def _jobs(paths: Sequence[Path], out: Path) -> list[ImportJob]:
     for path in paths:
         if path.is_dir():
             suffixes = import_suffixes()
+            if not suffixes:
+                FORMATS.get("gfx_replay")  # fails, and says which package has it
             files = sorted(p for p in path.rglob("*") if p.is_file() and p.name.endswith(suffixes))
             files.sort(key=lambda p: not p.name.endswith(".pkl.gz"))  # stable: logs that are not rounded come first
             if not files:

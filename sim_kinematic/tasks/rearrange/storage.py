@@ -14,8 +14,8 @@ from h3data.bodies import Robot, load_humanoid, load_robot
 from h3data.bodies.motion.walk_names import split_walk
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array, quat_rotate
-from h3data.habitat.episodes.episode_objects import read_object_template, search_in, search_of, with_objects
 from h3data.plugins import names_from_data
+from h3data.recording.task_episodes.episode_files import episode_files
 from h3data.recording.task_episodes.partnr_goals import Placement
 from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode as FileEntry
 from h3data.recording.task_episodes.stored_episodes import plain
@@ -119,9 +119,7 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
         """Names of object assets that are not installed, in whose place boxes are used."""
         if not record.objects or not (record.com_frames or isinstance(source, SceneFile)):
             return ()  # a home that is built again has its things
-        search = search_in(source, record.object_paths)
-        read = [read_object_template(config, search) for config in {thing.config: None for thing in record.objects}]
-        return tuple(found.missing for found in read if found.missing)
+        return tuple(episode_files().stand_ins(source, record.objects, record.object_paths))
 
     def episode(self, record: StoredRearrangement, place: EpisodePlace) -> RearrangeEpisode:
         """Episode of a record in an opened scene; parts that the record lacks are sampled with its seed."""
@@ -172,13 +170,13 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
 
     def _furnished(self, record: StoredRearrangement, place: EpisodePlace) -> tuple[Scene, tuple[Target, ...]]:
         """The scene with the episode's own objects, and what has to go where in it."""
-        scene, origins = place.scene, {}
+        scene = place.scene
+        origins: Mapping[str, Array] = {}
         # an exported home lacks what moves; the home itself, built again, has it
         built = {i.name for i in scene.instances} if scene.source.get("kind") == "home" else set()
         objects = [thing for thing in record.objects if thing.name not in built]
         if objects:
-            search = search_of(scene, record.object_paths, place.assets)
-            scene, origins = with_objects(scene, objects, search)
+            scene, origins = episode_files().add_objects(scene, objects, record.object_paths, place.assets)
         movable = {i.name for i in scene.instances if i.motion == "kinematic"}
         lost = [goal.object for goal in (*record.goals, *record.placements) if goal.object not in movable]
         if lost:

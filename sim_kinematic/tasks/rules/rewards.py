@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
 from h3data.kernels import kernel
-from h3data.metrics.habitat.config import HabitatConfig
+from h3data.metrics.habitat_settings import HabitatConfig
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.sensing.sensor import facing
 from sim_kinematic.tasks.rules.predicates import is_found

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from h3data.bodies import JOINT_INDEX, JOINT_NAMES, Humanoid, load_humanoid
-from h3data.bodies.motion.habitat_humanoid import HABITAT_JOINTS
 from h3data.bodies.motion.motion_clip import Motion, in_start_frame
 from h3data.bodies.people.skeleton import FINGERS, PARENTS
+from h3data_habitat.motion.habitat_humanoid import HABITAT_JOINTS
 
 Z_UP = Rotation.from_euler("x", 90, degrees=True)
 """From y up to z up."""

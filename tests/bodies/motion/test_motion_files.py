@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,13 +15,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from h3data.bodies import JOINT_INDEX, load_humanoid
+from h3data.bodies.motion import motion_files
 from h3data.bodies.motion.amass import read_amass
 from h3data.bodies.motion.bvh import BvhWarning, parse_bvh
 from h3data.bodies.motion.bvh_motion import load_name_table, read_bvh
-from h3data.bodies.motion.habitat_motion import read_habitat_motion
 from h3data.bodies.motion.motion_clip import Motion, in_start_frame, same_motion
 from h3data.bodies.motion.motion_files import ReadOptions, load_motion, motion_kind, read_motion, save_motion
 from h3data.errors import FormatError, H3DataError, InputError
+from h3data_habitat.motion.habitat_motion import read_habitat_motion
+from h3data_pipelines.cli import main
 from tests.bodies.motion.motion_writers import (
     CONVENTIONS,
     SCHEMES,
@@ -39,6 +42,30 @@ BODY = 22
 @pytest.fixture(scope="module")
 def walk() -> Motion:
     return walked(load_humanoid("male_1"), seconds=1.0, fps=30)
+
+
+READS_WALKS = """
+from h3data.bodies.motion.motion_files import MotionReader, load_motion
+
+READER = MotionReader(fits=lambda start, names: start.startswith(b"WALK "), suffixes=(".walk",),
+                      read=lambda path, options: load_motion(path.read_text().split()[1]))
+"""
+
+
+def test_a_plug_in_reads_its_motion_files(
+    walk: Motion, tmp_path: Path, install_package: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "in").mkdir()
+    save_motion(walk, tmp_path / "a.npz")
+    file = tmp_path / "in" / "a.walk"
+    file.write_text(f"WALK {tmp_path / 'a.npz'}")
+    with pytest.raises(FormatError, match="this is something else"):
+        motion_kind(file)
+    install_package("acme", "h3data.motions", {"acme_walk": "acme:READER"}, READS_WALKS)
+    motion_files._readers.cache_clear()  # as in the next process: pip has changed a folder that was already on sys.path
+    assert motion_kind(file) == "acme_walk"
+    assert main(["motion", "import", str(tmp_path / "in"), "-o", str(tmp_path / "out")]) == 0
+    assert np.array_equal(load_motion(tmp_path / "out" / "a.npz").quats, walk.quats)
 
 
 # --- the record -----------------------------------------------------------------------------------------------------------

@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 from h3data.errors import FormatError, InputError
 from h3data.formats import detect
 from h3data.geometry import pose_from_matrix, pose_to_matrix
-from h3data.habitat.episodes.episode_files import read_episodes, write_episodes
 from h3data.recording.task_episodes.rearrange_episode import (
     ContentFile,
     EpisodeSet,
@@ -29,6 +28,7 @@ from h3data.recording.task_episodes.rearrange_episode import (
     instance_handles,
     object_poses,
 )
+from h3data_habitat.episodes.episode_files import read_episodes, write_episodes
 
 IDENTITY = np.eye(4).tolist()
 HABITAT_KEYS = {

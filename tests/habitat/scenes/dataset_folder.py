@@ -8,8 +8,8 @@ from typing import Any
 
 import trimesh
 
-from h3data.habitat.scenes.scene_instance import load_habitat_scene
 from h3data.scene.records import Scene
+from h3data_habitat.scenes.scene_instance import load_habitat_scene
 
 CHEST = """<robot name="chest">
   <link name="base"><inertial><origin xyz="0 0 0.5"/></inertial>

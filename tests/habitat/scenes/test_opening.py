@@ -15,9 +15,9 @@ import trimesh
 import h3data
 from h3data.errors import FormatError, H3DataError, MissingAssetError, SceneError
 from h3data.formats import SourceFile, detect
-from h3data.habitat.scenes.scene_instance import load_habitat_scene
 from h3data.scene import save_scene, scene_digest
 from h3data.scene.records import instance_bounds
+from h3data_habitat.scenes.scene_instance import load_habitat_scene
 from h3data_pipelines.cli import main
 from tests.habitat.scenes.dataset_folder import Dataset
 

@@ -11,25 +11,25 @@ import numpy as np
 import pytest
 
 from h3data.geometry import pose_to_matrix
-from h3data.habitat.navmesh_file import read_navmesh
-from h3data.habitat.scenes.articulated import (
-    default_positions,
-    joint_order,
-    link_frames,
-    pose_of_links,
-    read_links,
-)
-from h3data.habitat.scenes.config_keys import IGNORED, IGNORED_FILES, READ, KeyNotes, ignored_table
-from h3data.habitat.scenes.lights import read_lights
-from h3data.habitat.scenes.scene_dataset import DATASET_ENDING, load_scene_dataset
-from h3data.habitat.scenes.scene_instance import HABITAT_ENDINGS, load_habitat_scene
-from h3data.habitat.scenes.semantics import read_rooms
 from h3data.mesh.loading import MESH_SUFFIXES
 from h3data.render import Renderer
 from h3data.render.camera import pinhole
 from h3data.render.sheets.scene_map import render_scene
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.navmesh.navmesh import free_space_from_navmesh
+from h3data_habitat.navmesh_file import read_navmesh
+from h3data_habitat.scenes.articulated import (
+    default_positions,
+    joint_order,
+    link_frames,
+    pose_of_links,
+    read_links,
+)
+from h3data_habitat.scenes.config_keys import IGNORED, IGNORED_FILES, READ, KeyNotes, ignored_table
+from h3data_habitat.scenes.lights import read_lights
+from h3data_habitat.scenes.scene_dataset import DATASET_ENDING, load_scene_dataset
+from h3data_habitat.scenes.scene_instance import HABITAT_ENDINGS, load_habitat_scene
+from h3data_habitat.scenes.semantics import read_rooms
 from tests.paths import HABITAT_SIM, ROOT
 
 ASSETS = HABITAT_SIM / "data" / "test_assets"

@@ -11,11 +11,11 @@ import pytest
 import trimesh
 
 from h3data.errors import FormatError, H3DataError, MissingAssetError, SceneError
-from h3data.habitat.scenes.receptacles import largest_rectangle
-from h3data.habitat.scenes.scene_instance import load_habitat_scene
 from h3data.mesh.loading import node_box
 from h3data.mesh.mesh import Mesh
 from h3data.scene.records import Box, Hull, Scene, instance_bounds
+from h3data_habitat.scenes.receptacles import largest_rectangle
+from h3data_habitat.scenes.scene_instance import load_habitat_scene
 from tests.paths import TEST_ASSETS
 
 needs_real = pytest.mark.skipif(not TEST_ASSETS.is_dir(), reason="habitat-sim's test assets are not on this machine")

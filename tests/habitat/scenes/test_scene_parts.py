@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 from h3data.errors import MissingAssetError, SceneError
 from h3data.geometry import quat_rotate
-from h3data.habitat.scenes.colliders import part_points
-from h3data.habitat.scenes.collision_geometry import MAX_PARTS, hull_shapes
-from h3data.habitat.scenes.scene_instance import load_habitat_scene
-from h3data.habitat.scenes.semantics import polygon_rectangles
 from h3data.mesh.mesh import Mesh
 from h3data.scene import load_scene, save_scene, scene_digest
 from h3data.scene.records import Scene, instance_bounds
+from h3data_habitat.scenes.colliders import part_points
+from h3data_habitat.scenes.collision_geometry import MAX_PARTS, hull_shapes
+from h3data_habitat.scenes.scene_instance import load_habitat_scene
+from h3data_habitat.scenes.semantics import polygon_rectangles
 from tests.habitat.scenes.dataset_folder import CHEST, Dataset
 
 S = 0.5**0.5

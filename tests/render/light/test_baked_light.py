@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from h3data.files import evict
 from h3data.geometry import IDENTITY_POSE
-from h3data.habitat.scenes.config_keys import KeyNotes
-from h3data.habitat.scenes.lights import read_lights
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.primitives import box_mesh
 from h3data.render import Renderer, RenderInstance, RenderScene, look_at, pinhole
@@ -24,6 +22,8 @@ from h3data.render.light.outdoors import EYE_M, outdoors, with_view
 from h3data.render.light.sources import Lamp, LightSources, sources_of
 from h3data.scene import Asset, Instance, LightSource, Scene
 from h3data.scene.records import instance_matrix
+from h3data_habitat.scenes.config_keys import KeyNotes
+from h3data_habitat.scenes.lights import read_lights
 from h3data_homes import HomeSpec, build_home
 
 

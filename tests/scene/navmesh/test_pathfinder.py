@@ -18,12 +18,12 @@ from hypothesis import strategies as st
 from shapely.geometry import LineString, Polygon, box
 
 from h3data.errors import InputError
-from h3data.habitat.navmesh_file import read_navmesh
 from h3data.scene import FreeSpace
 from h3data.scene.freespace.build import build_from_walkable
 from h3data.scene.navmesh._surface import REACH_M, Surface, contains, height, nearest
 from h3data.scene.navmesh.navmesh import free_space_from_navmesh
 from h3data.scene.navmesh.pathfinder import MultiGoalShortestPath, PathFinder, ShortestPath
+from h3data_habitat.navmesh_file import read_navmesh
 from tests.examples import examples
 from tests.scene.navmesh.test_navmesh import REAL, ROOMS, mesh_of, needs_real, rect, room
 

@@ -410,7 +410,9 @@ def test_who_drives_to_an_errand_gets_on_as_others_do(rooms: FreeSpace) -> None:
     count, far = standoff.stand_offs, [float("nan")] * 400
     assert count(recorded(400, 2.0), rooms, [(1, 9.0 - 0.004 * k) for k in range(400)]) == []
     assert count(recorded(400, 2.0), rooms, [(1, 9.0)] * 400) == [(0, 399)]
-    assert count(recorded(400, 2.0), rooms, [(k // 100, 9.0 - k // 100) for k in range(400)]) == [(0, 399)]  # other errands
+    assert count(recorded(400, 2.0), rooms, [(k // 100, 9.0 - k // 100) for k in range(400)]) == [
+        (0, 399)
+    ]  # other errands
     assert count(recorded(400, 2.0), rooms, list(enumerate(far))) == [(0, 399)]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from h3data.errors import InputError
-from h3data.metrics.habitat.config import HabitatConfig
+from h3data.metrics.habitat_settings import HabitatConfig
 from sim_kinematic.tasks.rules.rewards import (
     REARRANGE_REWARDS,
     Encounter,

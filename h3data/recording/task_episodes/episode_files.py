@@ -1,0 +1,76 @@
+"""Files of episodes that are to be played: what reads and writes them is found by the group ``h3data.episode_files``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from h3data.errors import InputError
+from h3data.geometry import Array
+from h3data.plugins import Registry
+from h3data.recording.task_episodes.rearrange_episode import EpisodeSet, RearrangeEpisode
+from h3data.recording.task_episodes.stored_episodes import StoredEpisode
+from h3data.recording.task_episodes.stored_rearrangements import EpisodeObject
+from h3data.scene.records import Scene
+from h3data.scene.sources import SceneSource
+
+
+class SceneOfEpisode(Protocol):
+    """Finds the scene of an episode."""
+
+    def __call__(
+        self,
+        episode: RearrangeEpisode,
+        stored: StoredEpisode | None,
+        folder: Path,
+        *,
+        assets: Sequence[str | Path] = (),
+        allow_missing: bool = False,
+    ) -> SceneSource:
+        """How to get the scene of an episode that was read from a file in ``folder``; ``stored`` is its record, if any."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeFiles:
+    """One kind of episode files, and of the objects that episodes in them add to their scenes."""
+
+    read: Callable[[Path], EpisodeSet]
+    """The episodes of a file."""
+    write: Callable[[EpisodeSet, Path], None]
+    """Writes episodes as a file."""
+    encode: Callable[[RearrangeEpisode], bytes]
+    """An episode as it stands in a file."""
+    scene_of: SceneOfEpisode
+    """Where the scene of an episode is."""
+    add_objects: Callable[
+        [Scene, Sequence[EpisodeObject], Sequence[str], Sequence[str]], tuple[Scene, Mapping[str, Array]]
+    ]
+    """Called with a scene, an episode's objects, the folders of their templates and asset folders: the scene with the objects,
+    and by name the center of mass [3] [m] of each in its asset's axes. Boxes stand in for templates that are not there."""
+    stand_ins: Callable[[SceneSource, Sequence[EpisodeObject], Sequence[str]], Sequence[str]]
+    """Called with a scene's source, an episode's objects and the folders of their templates: for which objects boxes stand in,
+    and why."""
+
+
+def _check(entry: Any) -> None:
+    if not isinstance(entry, EpisodeFiles):
+        raise InputError(
+            f"Expected an h3data.recording.task_episodes.episode_files.EpisodeFiles, got {entry!r:.60}.",
+            code="H3-RECORDING-128",
+        )
+
+
+EPISODE_FILES: Registry[EpisodeFiles] = Registry("h3data.episode_files", {}, what="kind of episode files", check=_check)
+"""Kinds of episode files by name."""
+
+
+def episode_files() -> EpisodeFiles:
+    """The kind of episode files that h3data reads and writes: those of Habitat, with our records in them.
+
+    Raises:
+        InputError: the package that has it is not installed.
+    """
+    return EPISODE_FILES.get("habitat")

@@ -1,0 +1,98 @@
+"""Where the scene of a stored episode is: a scene that can be generated again, or a file beside the episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from h3data.errors import H3DataError, SceneError
+from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode
+from h3data.recording.task_episodes.stored_episodes import StoredEpisode
+from h3data.scene import scene_digest
+from h3data.scene.open import open_scene
+from h3data.scene.sources import SceneFile, SceneSource, SceneSpec, recorded_spec
+from h3data_habitat.scene_files import dataset_at, find_scene_file, folders_of
+from h3data_habitat.scenes.scene_dataset import DATASET_ENDING
+
+
+def scene_of_episode(
+    episode: RearrangeEpisode,
+    stored: StoredEpisode | None,
+    folder: Path,
+    *,
+    assets: Sequence[str | Path] = (),
+    allow_missing: bool = False,
+) -> SceneSource:
+    """How to get the scene of an episode that was read from a file in ``folder``; ``stored`` is its record, if it has one.
+
+    A home is built again and must have the same content; if it has not, since the generator has changed, or if it is no
+    home, the file is taken that the episode names: below ``folder``, the folder above it, the working directory or the
+    asset folders (default: H3DATA_ASSETS); or the dataset that lies there, when the folder of an export has been moved.
+    The other options are those of `load_habitat_scene`.
+
+    Raises:
+        SceneError: neither is there; the message says why.
+    """
+    source = {} if stored is None else stored.scene_source
+    home = _home(source)
+    if stored is not None and home is not None and stored.scene_sha256 in ("", _digest(home)):
+        return home
+    found = _named_file(episode, folder, tuple(map(str, assets)))
+    if found is None:
+        config, scene = source.get("config"), source.get("scene")
+        if isinstance(config, str) and Path(config).is_file():
+            of_dataset = config.endswith(DATASET_ENDING) and isinstance(scene, str)
+            found = config, str(scene) if of_dataset else ""
+    if found is not None:
+        options = {"assets": tuple(map(str, assets)), "allow_missing": allow_missing}
+        return SceneFile(path=found[0], scene=found[1], **options)
+    why = "it is no home, and " if source else ""
+    why = "this version of h3data makes another home from its specification, and " if home is not None else why
+    named = " or ".join(
+        name for name in (episode.scene_id, episode.scene_dataset_config) if name not in ("", "default")
+    )
+    raise SceneError(
+        f"Cannot find the scene {episode.scene_id!r} of episode {episode.episode_id!r}: {why}there is no file {named} in "
+        f"{folder} or above it, in the working directory, or below the folders of assets= and H3DATA_ASSETS.",
+        code="H3-HABITAT-032",
+    )
+
+
+def _named_file(episode: RearrangeEpisode, folder: Path, assets: tuple[str, ...]) -> tuple[str, str] | None:
+    """Path of the dataset and name of its scene, or path of a scene and nothing."""
+    scene = Path(episode.scene_id).name.split(".")[0]
+    for root in (folder, folder.parent, Path()):
+        for config, file in (
+            (root / episode.scene_dataset_config, root / episode.scene_id),
+            (root / Path(episode.scene_dataset_config).name, root / "scenes" / Path(episode.scene_id).name),
+        ):
+            if config.name.endswith(DATASET_ENDING) and config.is_file() and _has_scene(config, scene):
+                return str(config), scene
+            if file.is_file():
+                return str(file), ""
+    folders = folders_of(assets)
+    config = find_scene_file(episode.scene_dataset_config, folders)
+    if config is not None and _has_scene(config, scene):
+        return str(config), scene
+    file = find_scene_file(episode.scene_id, folders)
+    return None if file is None else (str(file), "")
+
+
+@lru_cache(maxsize=4096)
+def _has_scene(config: Path, scene: str) -> bool:
+    found, _ = dataset_at(str(config)).find("scene_instances", scene)
+    return found is not None and found.handle == scene
+
+
+def _home(source: Mapping[str, Any]) -> SceneSpec | None:
+    try:
+        return recorded_spec(source)
+    except (TypeError, H3DataError):
+        return None
+
+
+@lru_cache(maxsize=128)
+def _digest(home: SceneSpec) -> str:
+    return scene_digest(open_scene(home))

@@ -1,0 +1,70 @@
+"""Where the files that Habitat's configs name are looked for, and which folders a config may reach."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from h3data.errors import SceneError
+from h3data.mesh.loading import is_file
+from h3data.recording.assets.folders import AssetFolders
+from h3data_habitat.scenes.scene_dataset import DATASET_ENDING
+
+_LEVELS = 4
+"""How far above a config its dataset's config is looked for."""
+
+
+class ReferencedFiles:
+    """Finds the files of one scene.
+
+    As in habitat-sim a path is tried as it stands (absolute, or relative to the working directory), then relative to
+    the config that names it; after that below the user's asset folders (`AssetFolders`: with the known aliases of
+    dataset folders, or H3DATA_ASSETS). A file must lie in the config's dataset, in a folder ``data`` around it, in the
+    working directory or in an asset folder: a dataset from elsewhere cannot make us open other files.
+    """
+
+    def __init__(self, config: Path, assets: Sequence[str | Path] | None = None) -> None:
+        self._folders = AssetFolders(assets)
+        self._inside = (*trusted_folders(config), Path.cwd(), *(Path(os.path.abspath(r)) for r in self._folders.roots))
+        self.missing: dict[str, tuple[Path, ...]] = {}
+        """Where each file was looked for that was not found."""
+
+    def find(self, name: str, folder: Path) -> Path | None:
+        """The file that a config in ``folder`` means; None if it is nowhere.
+
+        Raises:
+            SceneError: it lies outside the folders that may be reached.
+        """
+        tried = tuple(Path(os.path.abspath(p)) for p in dict.fromkeys((Path(name), folder / name)))
+        outside: Path | None = None
+        for path in tried:
+            if is_file(path):
+                if any(path.is_relative_to(root) for root in self._inside):
+                    return path
+                outside = path
+        found = self._folders.resolve(name)
+        if found is not None:
+            return found
+        if outside is not None:
+            raise SceneError(
+                f"{name!r} leads out of the dataset, so it is not opened. Hint: give the folder that holds it as an asset "
+                f"folder (assets=[DIR] or H3DATA_ASSETS). {outside}",
+                code="H3-HABITAT-118",
+            )
+        self.missing[name] = (*tried, *self._folders.roots)
+        return None
+
+
+def trusted_folders(config: Path) -> tuple[Path, ...]:
+    """The folder of the dataset to which a config belongs, and the nearest folder ``data`` around it, if there is one.
+
+    The dataset's folder is the nearest one above with a ``*.scene_dataset_config.json``, else the one that holds the
+    config's folder (YCB: ``configs`` beside ``meshes``). Links are not followed: what is linked into a dataset is in it.
+    """
+    above = Path(os.path.abspath(config)).parents
+    dataset = next((f for f in above[:_LEVELS] if any(f.glob("*" + DATASET_ENDING))), None)
+    if dataset is None:
+        dataset = above[1] if len(above) > 2 else above[0]  # never the root of the file system
+    data = next((f for f in above if f.name == "data"), None)
+    return (dataset,) if data is None else (dataset, data)
