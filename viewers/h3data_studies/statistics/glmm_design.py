@@ -2,7 +2,7 @@
 
 # Written out because patsy and formulaic code fixed effects only and neither detects separation, which is frequent in
 # studies (nobody collides while alone) and which glmer reports as an estimate of about 20 with an enormous standard
-# error. tests/stats/test_mixed_models.py holds coefficient names and estimates to lme4 1.1-31 on tests/data/glmm.
+# error. tests/studies/test_mixed_models.py holds coefficient names and estimates to lme4 1.1-31 on tests/data/glmm.
 
 from __future__ import annotations
 

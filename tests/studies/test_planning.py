@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from h3data.errors import FormatError, InputError
-from h3data.metrics import (
-    anonymous_id,
+from h3data.metrics import anonymous_id
+from h3data_studies.analysis import (
     latin_square,
     plan_sessions,
     read_session,

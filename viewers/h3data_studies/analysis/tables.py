@@ -5,10 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from h3data.errors import InputError
-from h3data.metrics import Metric, Profile, StudyAnalysis, StudyModel, analyse_study
-from h3data.metrics.report_layout import StudyLayout
-from h3data.metrics.studies.analysis import FittedMeans, study_layout, without_hint
-from h3data_viewers.html_report.report_charts import study_charts
+from h3data.metrics import Metric, Profile
+from h3data.metrics.report_layout import FailedEpisodes, StepsModel, StudyLayout
+from h3data_studies.analysis.estimates import (
+    FittedMeans,
+    StudyAnalysis,
+    StudyModel,
+    analyse_study,
+    study_layout,
+    without_hint,
+)
+from h3data_studies.analysis.ranks import rank_table
+from h3data_viewers.html_report.report_charts import mean_charts
 from h3data_viewers.html_report.report_data import Run
 from h3data_viewers.html_report.report_paper import metric_column
 from h3data_viewers.html_report.report_tables import (
@@ -16,6 +24,7 @@ from h3data_viewers.html_report.report_tables import (
     Column,
     Row,
     Section,
+    StudyTables,
     Table,
     counted,
     mean_cell,
@@ -25,23 +34,36 @@ from h3data_viewers.html_report.report_tables import (
 )
 
 
-def study_tables(runs: Sequence[Run], model: StudyModel) -> tuple[list[Table], list[str], str]:
-    """The tables of estimated means and of pairwise contrasts of one task and charts of the means, or none of them and why.
+def study_tables(
+    runs: Sequence[Run], *, steps: StepsModel = "auto", failed: FailedEpisodes = "leave-out"
+) -> StudyTables:
+    """Tables of estimated means, of pairwise contrasts and of ranks, with charts of the means.
 
     Args:
-        runs: Runs of one task; their episodes without a participant or condition are left out.
-        model: Choices of the analysis.
+        runs: Runs of one task; those without participants are compared with the others by their ranks alone.
+        steps: Model of the steps, as in `StudyModel`.
+        failed: Episodes without success, as in `StudyModel`.
     """
-    profile = runs[0].profile
+    studied = [run for run in runs if any(e.studied for e in run.episodes)]
+    task, profile = studied[0].task, studied[0].profile
+    layout, tables, charts, missing = study_layout(profile), [], {}, ""
     try:
-        analysis = analyse_study([e.metrics for run in runs for e in run.episodes], profile, model)
+        model = StudyModel(steps=steps, failed=failed)
+        analysis = analyse_study([e.metrics for run in studied for e in run.episodes], profile, model)
     except InputError as fault:
-        return [], [], str(fault).partition(" Hint:")[0].rstrip(".")
-    task, layout = runs[0].task, study_layout(profile)
-    tables = [_means_table(task, analysis, profile, layout)]
-    if analysis.models:
-        tables.append(_contrast_table(task, analysis, layout))
-    return tables, study_charts(analysis, [run.name for run in runs]), ""
+        missing = str(fault).partition(" Hint:")[0].rstrip(".")
+    else:
+        tables.append(_means_table(task, analysis, profile, layout))
+        if analysis.models:
+            tables.append(_contrast_table(task, analysis, layout))
+        means = {
+            name: {condition: (e.mean, e.low, e.high) for condition, e in by_condition.items()}
+            for name, by_condition in analysis.estimates.items()
+        }
+        names = [run.name for run in studied]
+        charts[tables[0].key] = mean_charts(analysis.metrics, analysis.conditions, means, names)
+    ranks = rank_table(runs)
+    return StudyTables(tables=tuple(tables if ranks is None else [*tables, ranks]), charts=charts, missing=missing)
 
 
 def _means_table(task: str, analysis: StudyAnalysis, profile: Profile, layout: StudyLayout) -> Table:
@@ -66,7 +88,7 @@ def _means_table(task: str, analysis: StudyAnalysis, profile: Profile, layout: S
         sections.append(Section(title=f"{paper.paper}, as published", rows=tuple(published), published=True))
         notes.append(f"Published numbers: {paper.source}.")
     return Table(
-        key=key_of("hitl", task),
+        key=_key_of("hitl", task),
         title="Human-in-the-loop study",
         caption=f"Human-in-the-loop study: estimated means over {analysis.participants} participants with 95 % intervals, by "
         f"the metrics profile {profile.name}.",
@@ -98,7 +120,7 @@ def _contrast_table(task: str, analysis: StudyAnalysis, layout: StudyLayout) -> 
     unit = next((m.unit for m in analysis.metrics if m.name == analysis.compared and m.unit != "1"), "")
     several = len(analysis.models) > 1
     return Table(
-        key=key_of("contrasts", task),
+        key=_key_of("contrasts", task),
         title=f"Pairwise contrasts of {analysis.compared}",
         caption=f"Post hoc pairwise differences of the estimated means of {analysis.compared}; p adjusted by Tukey's method.",
         name_head="Conditions",
@@ -125,7 +147,7 @@ def _contrasts(model: FittedMeans, order: Sequence[str]) -> dict[str, list[Cell]
     return cells
 
 
-def key_of(table: str, task: str) -> str:
+def _key_of(table: str, task: str) -> str:
     """Key of a table of a study: ``hitl`` for rearrangement, the paper's task, ``hitl_<task>`` for others."""
     return table if task == "rearrange" else f"{table}_{task}"
 

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.metrics.studies.planning import Session, study_rows
-from h3data.stats import Adjustment, Family, SeparationError, contrasts, fit_glmm, marginal_means, wilson_interval
+from h3data.stats import wilson_interval
+from h3data_studies.analysis.planning import Session, study_rows
+from h3data_studies.statistics import Adjustment, Family, SeparationError, contrasts, fit_glmm, marginal_means
 
 _GROUPS = ("participant", "scene", "observation")
 

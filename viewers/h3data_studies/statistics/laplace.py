@@ -4,9 +4,9 @@ Bates, Maechler, Bolker, Walker 2015, "Fitting Linear Mixed-Effects Models Using
 computational notes of lme4. The random intercepts are b = theta * u with u ~ N(0, I); eta = X beta + sum_k theta_k Z_k u_k.
 """
 
-# Written out because no maintained pure-Python package has this likelihood (see `h3data.stats`). Checked against lme4
+# Written out because no maintained pure-Python package has this likelihood (see `__init__`). Checked against lme4
 # 1.1-31 (log-likelihoods and modes of tests/data/glmm) and against a plain dense Laplace approximation that
-# tests/stats/test_mixed_models.py computes with scipy.optimize.
+# tests/studies/test_mixed_models.py computes with scipy.optimize.
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.stats.glmm_design import MixedDesign
-from h3data.stats.nested_elimination import NestedElimination
+from h3data_studies.statistics.glmm_design import MixedDesign
+from h3data_studies.statistics.nested_elimination import NestedElimination
 
 Array: TypeAlias = NDArray[np.floating[Any]]
 

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from h3data.errors import InputError
-from h3data.metrics.studies.analysis import study_layout
-from h3data.stats import RankAgreement, rank_agreement
+from h3data_studies.analysis.estimates import study_layout
+from h3data_studies.statistics import RankAgreement, rank_agreement
 from h3data_viewers.html_report.report_data import Run
 from h3data_viewers.html_report.report_episode import ReportEpisode
 from h3data_viewers.html_report.report_tables import NAN, Cell, Column, Row, Section, Table, mean_cell, number

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from h3data.stats import GlmmFit, fit_glmm
+from h3data_studies.statistics import GlmmFit, fit_glmm
 from tests.paths import DATA
 
 FOLDER = DATA / "glmm"

@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 
 from h3data.errors import InputError
-from h3data.stats import MarginalMeans, contrasts, contrasts_text, fit_glmm, marginal_means, relative_efficiency
-from tests.stats.glmm_reference import FITS, columns, reference, stored_fit
+from h3data_studies.statistics import (
+    MarginalMeans,
+    contrasts,
+    contrasts_text,
+    fit_glmm,
+    marginal_means,
+    relative_efficiency,
+)
+from tests.studies.glmm_reference import FITS, columns, reference, stored_fit
 
 
 def means_of(name: str) -> MarginalMeans:

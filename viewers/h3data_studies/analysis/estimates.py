@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 
@@ -18,22 +18,19 @@ from h3data.errors import H3DataError, InputError
 from h3data.metrics.episode import EpisodeMetrics
 from h3data.metrics.metric import NAN, Metric
 from h3data.metrics.profile import Profile
-from h3data.metrics.report_layout import StudyLayout
-from h3data.stats import (
+from h3data.metrics.report_layout import FailedEpisodes, StepsModel, StudyLayout
+from h3data.stats import bootstrap_interval, wilson_interval
+from h3data.terminal import aligned
+from h3data_studies.statistics import (
     Contrast,
     GlmmFit,
     MarginalMeans,
-    bootstrap_interval,
     contrasts,
     fit_glmm,
     marginal_means,
     relative_efficiency,
-    wilson_interval,
 )
-from h3data.terminal import aligned
 
-StepsModel = Literal["auto", "poisson", "observation"]
-Failed = Literal["leave-out", "limit"]
 GROUPS = ("participant", "scene")
 """Columns with random intercepts in the paper's models."""
 
@@ -45,13 +42,13 @@ class StudyModel:
     steps: StepsModel = "auto"
     """``poisson``: the paper's model. ``observation``: with a random intercept per episode, for counts that vary more than
     Poisson allows. ``auto``: the paper's unless it is over-dispersed. An over-dispersed model is never shown alone."""
-    failed: Failed = "leave-out"
+    failed: FailedEpisodes = "leave-out"
     """Episodes without success have no steps to success and are left out, or count the longest duration E (``limit``)."""
     random: tuple[str, ...] = GROUPS
     """Random intercepts; those with one level are left out."""
 
     def __post_init__(self) -> None:
-        for name, value, choices in (("steps", self.steps, StepsModel), ("failed", self.failed, Failed)):
+        for name, value, choices in (("steps", self.steps, StepsModel), ("failed", self.failed, FailedEpisodes)):
             if value not in get_args(choices):
                 raise InputError(
                     f"Expected {name} to be one of {', '.join(get_args(choices))}, got {value!r}.", code="H3-METRIC-032"

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import kendalltau, spearmanr
 
 from h3data.errors import InputError
-from h3data.stats import rank_agreement
+from h3data_studies.statistics import rank_agreement
 
 
 @pytest.mark.parametrize("seed", range(8))

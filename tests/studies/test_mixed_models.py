@@ -15,11 +15,11 @@ from scipy.special import gammaln
 from scipy.stats import norm, poisson
 
 from h3data.errors import InputError
-from h3data.stats import SeparationError, fit_glmm
-from h3data.stats.glmm_design import mixed_design
-from h3data.stats.laplace import LaplaceModel
-from h3data.stats.mixed_models import _newton
-from tests.stats.glmm_reference import CROSSED, FITS, columns, reference, stored_fit
+from h3data_studies.statistics import SeparationError, fit_glmm
+from h3data_studies.statistics.glmm_design import mixed_design
+from h3data_studies.statistics.laplace import LaplaceModel
+from h3data_studies.statistics.mixed_models import _newton
+from tests.studies.glmm_reference import CROSSED, FITS, columns, reference, stored_fit
 
 
 def r_name(name: str) -> str:
@@ -268,7 +268,7 @@ def test_separation_by_a_covariate_is_seen():
 
 def test_a_fit_that_does_not_converge_says_so(monkeypatch):
     for name in ("_DECREMENT", "_ROUNDING"):
-        monkeypatch.setattr(f"h3data.stats.mixed_models.{name}", -1.0)
+        monkeypatch.setattr(f"h3data_studies.statistics.mixed_models.{name}", -1.0)
     fit = fit_glmm(base(), "y", "poisson", fixed=["c"], random=["p"])
     assert not fit.converged
     assert "NOT CONVERGED" in fit.to_text()

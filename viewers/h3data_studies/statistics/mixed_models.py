@@ -1,6 +1,6 @@
 """Generalised linear mixed models with crossed random intercepts: maximum likelihood by Laplace's approximation."""
 
-# Written out because no maintained pure-Python package fits these by maximum likelihood (see `h3data.stats`). Checked
+# Written out because no maintained pure-Python package fits these by maximum likelihood (see `__init__`). Checked
 # against lme4 1.1-31 on four simulated data sets (tests/data/glmm/make_reference.R): estimates, standard errors,
 # deviations, modes and log-likelihoods within 0.1%.
 
@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
-from h3data.stats.glmm_design import Family, FixedDesign, MixedDesign, mixed_design
-from h3data.stats.laplace import LaplaceModel, Mode
+from h3data_studies.statistics.glmm_design import Family, FixedDesign, MixedDesign, mixed_design
+from h3data_studies.statistics.laplace import LaplaceModel, Mode
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -1,6 +1,6 @@
 """Estimated marginal means of a mixed model, their pairwise contrasts, and relative efficiency, as in R's emmeans."""
 
-# No Python package has emmeans' grids and contrasts for mixed models (see `h3data.stats`). tests/stats/test_posthoc.py compares
+# No Python package has emmeans' grids and contrasts for mixed models (see `__init__`). tests/studies/test_posthoc.py compares
 # means, standard errors, intervals and contrasts with emmeans 1.8.4 on tests/data/glmm, and the published study's
 # differences and efficiencies with its published means.
 
@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.stats.glmm_design import Family
 from h3data.stats.intervals import check_confidence
-from h3data.stats.mixed_models import GlmmFit
 from h3data.stats.multiple_tests import adjust_p_values
+from h3data_studies.statistics.glmm_design import Family
+from h3data_studies.statistics.mixed_models import GlmmFit
 
 Scale = Literal["link", "response"]
 Adjustment = Literal["tukey", "holm", "none"]
