@@ -18,7 +18,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from h3data.bodies.motion.bvh import read_bvh_file
 from h3data.errors import FormatError, H3DataError
 from h3data.formats import detect
 from h3data.habitat.episodes.episode_files import read_episodes
@@ -34,6 +33,7 @@ from h3data.npz_arrays import npz_arrays
 from h3data.recording import AssetRef, read_mcap, write_mcap
 from h3data.recording.assets.library import AssetLibrary
 from h3data.replay import Replay
+from h3data_motion.bvh import read_bvh_file
 from h3data_pipelines.cli import main
 from tests.examples import examples
 

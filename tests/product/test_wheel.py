@@ -54,7 +54,9 @@ def test_the_wheel_works_outside_the_repository(script: str, says: str, tmp_path
     assert {n for n in top if not n.endswith(".dist-info")} == {
         "h3data",
         "sim_kinematic",
+        "h3data_exporters",
         "h3data_homes",
+        "h3data_motion",
         "h3data_pipelines",
         "h3data_training",
         "h3data_viewers",

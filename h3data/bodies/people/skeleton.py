@@ -53,3 +53,20 @@ JOINT_INDEX: dict[str, int] = {name: i for i, name in enumerate(JOINT_NAMES)}
 PARENTS: tuple[int, ...] = tuple(JOINT_INDEX[parent] if parent else -1 for _, parent in _ROWS)
 JOINT_COUNT = len(JOINT_NAMES)
 PARENT_ARRAY = np.array(PARENTS)
+
+HABITAT_BASE_HEIGHT_M = 0.9
+"""Height above the floor of the frame that places a humanoid of Habitat [m]."""
+
+
+def _depth_first(side: str) -> list[str]:
+    arm = [f"{side}_{part}" for part in ("collar", "shoulder", "elbow", "wrist")]
+    return arm + [f"{side}_{finger}{k}" for finger in FINGERS for k in (1, 2, 3)]
+
+
+HABITAT_JOINTS: tuple[str, ...] = (
+    *(f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle", "foot")),
+    *("spine1", "spine2", "spine3", "neck", "head", "jaw", "left_eye_smplhf", "right_eye_smplhf"),
+    *_depth_first("left"),
+    *_depth_first("right"),
+)
+"""The 54 joints in the order of Habitat's joint vectors: depth first over the SMPL-X tree, without the pelvis."""

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import load_humanoid, load_robot
-from h3data.bodies.motion.habitat_humanoid import BASE_HEIGHT_M, HABITAT_JOINTS
 from h3data.bodies.people.humanoid_file import ADULTS
-from h3data.bodies.people.skeleton import JOINT_INDEX, JOINT_NAMES
+from h3data.bodies.people.skeleton import HABITAT_BASE_HEIGHT_M, HABITAT_JOINTS, JOINT_INDEX, JOINT_NAMES
 from h3data.geometry import Array, ground_pose, quat_rotate, quat_sign_continuous
 from h3data.habitat.hitl.walk_synthesis import walk_columns
 from h3data.recording.records import Agent
@@ -72,7 +71,7 @@ def robot_named_in(*texts: str) -> str:
 
 def root_height_m(kind: AgentKind, robot: str) -> float:
     """Height of the logged root over the floor [m]."""
-    return BASE_HEIGHT_M if kind == "human" else _ROBOTS[robot][1]
+    return HABITAT_BASE_HEIGHT_M if kind == "human" else _ROBOTS[robot][1]
 
 
 def add_agents(
@@ -195,7 +194,7 @@ def floor_below(height: Array, robot_floor: Array | None, window: int = 31) -> A
         return height
     padded = np.pad(height, window // 2, mode="edge")
     known = np.lib.stride_tricks.sliding_window_view(padded, window)
-    middle = np.where(np.isfinite(known).any(1), _nanmedian(known), np.nan) - BASE_HEIGHT_M
+    middle = np.where(np.isfinite(known).any(1), _nanmedian(known), np.nan) - HABITAT_BASE_HEIGHT_M
     if robot_floor is None:
         return middle
     return np.where(np.abs(robot_floor - middle) < SAME_FLOOR_M, robot_floor, middle)

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies.motion.habitat_humanoid import BASE_HEIGHT_M, HABITAT_JOINTS
+from h3data.bodies.people.skeleton import HABITAT_BASE_HEIGHT_M, HABITAT_JOINTS
 from h3data.errors import FormatError
 from h3data.formats import SourceFile
 from h3data.geometry import Array, ground_pose
@@ -233,7 +233,7 @@ def _posture(part: Array) -> tuple[Array, Array]:
     forward, place = base[:, 0, :3], base[:, 3, :3]
     heading = np.arctan2(-forward[:, 2], forward[:, 0])
     return joints / np.linalg.norm(joints, axis=2, keepdims=True), ground_pose(
-        place[:, [0, 2]], heading, place[:, 1] - BASE_HEIGHT_M
+        place[:, [0, 2]], heading, place[:, 1] - HABITAT_BASE_HEIGHT_M
     )
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from h3data.bodies.motion.walk_names import split_walk
+from h3data.bodies.names import split_walk
 from h3data.errors import InputError
 from h3data.recording import Recording
 from h3data.recording.task_episodes.rearrange_episode import Matrix, RearrangeEpisode, RigidObject

@@ -16,7 +16,16 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-PACKAGES = ("h3data", "sim_kinematic", "h3data_pipelines", "h3data_viewers", "h3data_training", "h3data_homes")
+PACKAGES = (
+    "h3data",
+    "sim_kinematic",
+    "h3data_pipelines",
+    "h3data_viewers",
+    "h3data_training",
+    "h3data_homes",
+    "h3data_motion",
+    "h3data_exporters",
+)
 _DECIDES = ("numpy", "scipy", "numba")
 
 

@@ -16,8 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from h3data.bodies import load_humanoid
-from h3data.bodies.motion.habitat_humanoid import HABITAT_JOINTS
-from h3data.bodies.people.skeleton import JOINT_NAMES
+from h3data.bodies.people.skeleton import HABITAT_JOINTS, JOINT_NAMES
 from h3data.errors import FormatError, H3DataError
 from h3data.geometry import quat_from_axis_angle, quat_from_heading
 from h3data.habitat.hitl.hitl_agents import infer_joint_order

@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies.motion.motion_clip import Motion, pelvis_heading
-from h3data.bodies.motion.motion_retarget import retarget
 from h3data.bodies.people.clips import CLIP_FRAMES, Clip
 from h3data.bodies.people.foot_planting import (
     ANKLE,
@@ -35,6 +33,8 @@ from h3data.geometry import (
     quat_sign_continuous,
     wrap_angle,
 )
+from h3data_motion.clip import Motion, pelvis_heading
+from h3data_motion.retarget import retarget
 
 COMPARED = 22
 """Joints of the body; fingers and face say nothing about a cycle."""

@@ -133,10 +133,10 @@ class _Export:
     """One file while it is written; messages come in the order of their times."""
 
     def __init__(self, recording: Recording, posed: Posed, mcap: Writer, cameras: Sequence[FoxgloveCamera]) -> None:
-        from h3data.exporters.foxglove import messages as foxglove_messages
-        from h3data.exporters.foxglove.frames import WORLD
-        from h3data.exporters.foxglove.scene import FoxgloveScene
-        from h3data.exporters.foxglove.video import PictureStream
+        from h3data_exporters.foxglove import messages as foxglove_messages
+        from h3data_exporters.foxglove.frames import WORLD
+        from h3data_exporters.foxglove.scene import FoxgloveScene
+        from h3data_exporters.foxglove.video import PictureStream
 
         self._messages, self._world = foxglove_messages, WORLD
         self._recording, self._posed, self._mcap, self._cameras = recording, posed, mcap, cameras

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from h3data.errors import InputError, MissingExtraError
-from h3data.exporters.transitions import Transitions, transitions_of
 from h3data.files import part_file, size_text
 from h3data.formats import Exported, ExportRequest
 from h3data.recording.records import Recording
 from h3data.terminal import counted
+from h3data_exporters.transitions import Transitions, transitions_of
 
 
 def write_robomimic(recordings: Iterable[Recording], path: str | Path, *, agent: str | None = None) -> int:

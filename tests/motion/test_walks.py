@@ -11,14 +11,14 @@ import pytest
 import h3data
 from benchmarks.motion import SHARED, figures_of, motion_of
 from h3data.bodies import JOINT_INDEX, load_humanoid, names
-from h3data.bodies.motion import walk_import
-from h3data.bodies.motion.motion_clip import Motion, in_start_frame
-from h3data.bodies.motion.motion_files import read_motion, save_motion
-from h3data.bodies.motion.walk_import import walk_of
 from h3data.bodies.people.planted_gait import planted_states, pose_planted
 from h3data.errors import FormatError, InputError
 from h3data.geometry import Array, ground_pose, pose_to_matrix, quat_from_heading, quat_multiply
 from h3data.recording import write_mcap
+from h3data_motion import walks
+from h3data_motion.clip import Motion, in_start_frame
+from h3data_motion.files import read_motion, save_motion
+from h3data_motion.walks import walk_of
 from sim_kinematic.agents.roster import make_roster, with_motion
 from sim_kinematic.tasks.resume import resume, verify
 
@@ -43,8 +43,8 @@ def walk_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def forget() -> None:
     """As in another process."""
-    walk_import._files.clear()
-    walk_import.walk_file.cache_clear()
+    names._files.clear()
+    walks.walk_file.cache_clear()
     names.load_humanoid.cache_clear()
 
 
@@ -140,7 +140,7 @@ def test_a_floor_elsewhere_and_a_cut_outside_are_repaired() -> None:
     cut[280:, 2] += 1.0
     body = load_humanoid("neutral_0")
     strides = [
-        float(walk_import.walks_as(body, walk_of(replace(motion, pelvis=pelvis))).stride_m(SPEED))
+        float(walks.walks_as(body, walk_of(replace(motion, pelvis=pelvis))).stride_m(SPEED))
         for pelvis in (motion.pelvis, low, cut)
     ]
     np.testing.assert_allclose(strides, strides[0], rtol=0.01)
@@ -183,9 +183,7 @@ def test_generate_gives_everybody_the_walk(walk_file: Path, tmp_path: Path) -> N
         agent.model for recording in h3data.open(tmp_path / "ds") for agent in recording.agents if agent.kind == "human"
     ]
     assert len(people) == 4
-    assert {model.partition("+")[2] for model in people} == {
-        walk_import.keep_walk(walk_import.walk_file(str(walk_file)))
-    }
+    assert {model.partition("+")[2] for model in people} == {names.keep_walk(walks.walk_file(str(walk_file)))}
     assert "humanoid/male_1" in {model.partition("+")[0] for model in people}
     h3data.generate("wander", tmp_path / "ds", agents=["robot", "human", "male_1"], resume=True, **options)
     with pytest.raises(InputError):

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies.motion.motion_clip import Motion
-from h3data.bodies.motion.motion_retarget import retarget
 from h3data.bodies.people.clips import Clip
 from h3data.bodies.people.humanoid import Humanoid
 from h3data.render.sheets.people_sheet import STRIDE_SPACING_M, lined_up
+from h3data_motion.clip import Motion
+from h3data_motion.retarget import retarget
 
 
 def motion_picture(

@@ -14,14 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from h3data.bodies import JOINT_INDEX, load_humanoid
-from h3data.bodies.motion.amass import read_amass
-from h3data.bodies.motion.bvh import BvhWarning, parse_bvh
-from h3data.bodies.motion.bvh_motion import load_name_table, read_bvh
-from h3data.bodies.motion.habitat_motion import read_habitat_motion
-from h3data.bodies.motion.motion_clip import Motion, in_start_frame, same_motion
-from h3data.bodies.motion.motion_files import ReadOptions, load_motion, motion_kind, read_motion, save_motion
 from h3data.errors import FormatError, H3DataError, InputError
-from tests.bodies.motion.motion_writers import (
+from h3data_motion.amass import read_amass
+from h3data_motion.bvh import BvhWarning, parse_bvh
+from h3data_motion.bvh_motion import load_name_table, read_bvh
+from h3data_motion.clip import Motion, in_start_frame, same_motion
+from h3data_motion.files import ReadOptions, load_motion, motion_kind, read_motion, save_motion
+from h3data_motion.habitat_motion import read_habitat_motion
+from tests.motion.motion_writers import (
     CONVENTIONS,
     SCHEMES,
     amass_arrays,

@@ -28,7 +28,7 @@ class Motion:
     """Poses of the 55-joint skeleton over time, in the start frame: x forward, y up, z right, as the agent root frame.
 
     The origin lies below the pelvis of the first frame, which looks along x. Heights are as recorded: which of them is
-    the floor is found when the motion is fitted to a body (`h3data.bodies.motion.motion_retarget.retarget`).
+    the floor is found when the motion is fitted to a body (`h3data_motion.retarget.retarget`).
 
     Raises:
         FormatError: shapes do not fit, a number is not finite, or a rotation is not a unit quaternion.

@@ -15,19 +15,19 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter1d
 
 from h3data.bodies import JOINT_INDEX, Humanoid, load_humanoid
-from h3data.bodies.motion.motion_clip import Motion, same_motion
-from h3data.bodies.motion.motion_cycle import find_loop, trim_to_cycle
-from h3data.bodies.motion.motion_files import load_motion, read_motion
-from h3data.bodies.motion.motion_retarget import foot_report, retarget
 from h3data.bodies.people.clips import clip_table, sample_clips
 from h3data.bodies.people.foot_planting import ANKLE, leg_frames, legs_to, runs, sole_points
 from h3data.errors import InputError
 from h3data.geometry import ground_pose, quat_from_rotvec, quat_multiply
 from h3data.recording import Recording, open_recording, write_mcap
-from h3data.recording.motion_recording import motion_columns, motion_recording
 from h3data.replay import Replay
+from h3data_motion.clip import Motion, same_motion
+from h3data_motion.cycle import find_loop, trim_to_cycle
+from h3data_motion.files import load_motion, read_motion
+from h3data_motion.recording import motion_columns, motion_recording
+from h3data_motion.retarget import foot_report, retarget
 from h3data_pipelines.cli import main
-from tests.bodies.motion.motion_writers import amass_arrays, bvh_text, placed, turned, walked, write_all
+from tests.motion.motion_writers import amass_arrays, bvh_text, placed, turned, walked, write_all
 from tests.paths import EXAMPLES
 
 BODIES = ("male_1", "female_3", "neutral_2")

@@ -17,12 +17,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.bodies.people.skeleton import FINGERS, JOINT_NAMES
+from h3data.bodies.people.skeleton import HABITAT_BASE_HEIGHT_M, HABITAT_JOINTS, JOINT_NAMES
 from h3data.errors import InputError
 from h3data.geometry import Array, normalized, pose_from_matrix, quat_to_matrix
 
-BASE_HEIGHT_M = 0.9
-"""The base frame's origin above the floor."""
 MIN_TURN_DEG = 5.0
 """Directions nearer than this are taken at once."""
 TURN_STEP_DEG = 20.0
@@ -36,19 +34,6 @@ DIRECTIONAL_TURN_FACTOR = 20
 """Times the usual turn per step, when it is told where to look."""
 CONTROL_HZ = 120.0
 
-
-def _depth_first(side: str) -> list[str]:
-    arm = [f"{side}_{part}" for part in ("collar", "shoulder", "elbow", "wrist")]
-    return arm + [f"{side}_{finger}{k}" for finger in FINGERS for k in (1, 2, 3)]
-
-
-HABITAT_JOINTS: tuple[str, ...] = (
-    *(f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle", "foot")),
-    *("spine1", "spine2", "spine3", "neck", "head", "jaw", "left_eye_smplhf", "right_eye_smplhf"),
-    *_depth_first("left"),
-    *_depth_first("right"),
-)
-"""The 54 joints in the order of Habitat's joint vectors: depth first over the SMPL-X tree, without the pelvis."""
 
 Hand = Literal["left", "right"]
 
@@ -162,7 +147,7 @@ class HabitatHumanoid:
             self._turn_step = float(np.degrees(ang_speed / control_hz))
         self._frames_per_step = int(walk.fps / frames_per_second)
         self.frame = 0
-        self.reset(base_matrix((0, BASE_HEIGHT_M, 0), (1, 0, 0)))
+        self.reset(base_matrix((0, HABITAT_BASE_HEIGHT_M, 0), (1, 0, 0)))
 
     def reset(self, base: ArrayLike) -> None:
         """Stand at a base frame [4, 4]; the walk goes on at the frame where it was."""
@@ -378,6 +363,6 @@ def sequence_pose(clip: HabitatClip, frame: int, start: ArrayLike) -> tuple[Arra
     """
     frame = int(np.clip(frame, 0, len(clip.joints) - 1))
     root = np.array(clip.roots[frame], np.float64)
-    place = np.asarray(start, np.float64)[:3, 3] - (0, BASE_HEIGHT_M, 0)
+    place = np.asarray(start, np.float64)[:3, 3] - (0, HABITAT_BASE_HEIGHT_M, 0)
     root[:3, 3] += place - np.asarray(clip.roots[0], np.float64)[:3, 3]
     return np.asarray(clip.joints[frame], np.float64), root

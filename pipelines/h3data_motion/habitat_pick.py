@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from h3data.bodies.motion.habitat_humanoid import HabitatHumanoid
+from h3data_motion.habitat_humanoid import HabitatHumanoid
 
 HAND_START_M = np.array([0.2, 0.2, 0.0])
 """Where the hand's way begins, in the base frame [m]."""

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from h3data.bodies.motion.habitat_humanoid import HABITAT_JOINTS, HabitatHumanoid, reach_coordinates, sequence_pose
-from h3data.bodies.motion.habitat_motion import read_habitat_motion, read_habitat_sequence
-from h3data.bodies.motion.habitat_pick import HabitatPick
-from h3data.bodies.people.skeleton import JOINT_NAMES
+from h3data.bodies.people.skeleton import HABITAT_JOINTS, JOINT_NAMES
 from h3data.errors import FormatError, InputError
+from h3data_motion.habitat_humanoid import HabitatHumanoid, reach_coordinates, sequence_pose
+from h3data_motion.habitat_motion import read_habitat_motion, read_habitat_sequence
+from h3data_motion.habitat_pick import HabitatPick
 
 STOP, WALK, TURN, DIRECTIONAL, GAIT, HALF_WALK = range(6)
 

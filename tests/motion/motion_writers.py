@@ -1,6 +1,6 @@
 """Motion files of other programs, written from our own walks: for tests, and for the picture in the docs.
 
-``python tests/bodies/motion/motion_writers.py FOLDER`` writes one file of each kind.
+``python tests/motion/motion_writers.py FOLDER`` writes one file of each kind.
 """
 
 from __future__ import annotations
@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from h3data.bodies import JOINT_INDEX, JOINT_NAMES, Humanoid, load_humanoid
-from h3data.bodies.motion.habitat_humanoid import HABITAT_JOINTS
-from h3data.bodies.motion.motion_clip import Motion, in_start_frame
-from h3data.bodies.people.skeleton import FINGERS, PARENTS
+from h3data.bodies.people.skeleton import FINGERS, HABITAT_JOINTS, PARENTS
+from h3data_motion.clip import Motion, in_start_frame
 
 Z_UP = Rotation.from_euler("x", 90, degrees=True)
 """From y up to z up."""

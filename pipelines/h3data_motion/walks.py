@@ -1,29 +1,24 @@
-"""From a capture to the few seconds of it that become a walk, and the walks that this process knows (`h3data.bodies.names`)."""
+"""From a capture to the few seconds of it that become a walk; `h3data.bodies.names` asks for it by the group `h3data.walks`."""
 
 from __future__ import annotations
 
-import hashlib
 import io
-from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from h3data.bodies.motion.motion_clip import Motion
-from h3data.bodies.motion.motion_cycle import find_loop
-from h3data.bodies.motion.motion_files import load_motion, motion_bytes, read_motion
-from h3data.bodies.motion.motion_gait import walks_as
-from h3data.bodies.motion.motion_retarget import retarget
-from h3data.bodies.motion.walk_names import ATTACHED, JOIN, STORED, split_walk
 from h3data.bodies.people.humanoid import Humanoid
 from h3data.bodies.people.humanoid_file import load_humanoid
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, Array
+from h3data_motion.clip import Motion
+from h3data_motion.cycle import find_loop
+from h3data_motion.files import load_motion, motion_bytes, read_motion
+from h3data_motion.gait import walks_as
+from h3data_motion.retarget import retarget
 
-DIGITS = 16
 LEAST_FPS, KEPT_FPS = 20.0, 60.0
 """Fewer frames a second leave four for a swinging foot; more are not kept."""
 CUT_M, CUT_MPS2 = 0.02, 25.0
@@ -35,64 +30,16 @@ CYCLE_S, MARGIN_S = (0.6, 2.2), 0.4
 GAP_SHARE = 0.75
 """The end of a cycle may differ from its start by this share of how poses differ from their mean; opposite ones have 1.3."""
 
-_files: dict[str, bytes] = {}
+
+def walking(body: Humanoid, data: bytes, *, name: str) -> Humanoid:
+    """A body called ``name`` that walks as the contents of a motion file say."""
+    return walks_as(body, load_motion(io.BytesIO(data)), name=name)
 
 
-def stored_name(model: str) -> str:
-    """The name by which recordings know a body with a motion; others as they are.
-
-    Raises:
-        InputError: there is no such motion file, or nobody walks in it.
-    """
-    body, motion = split_walk(model)
-    if not motion or motion.startswith(STORED):
-        return model
-    return f"{body}{JOIN}{keep_walk(walk_file(motion))}"
-
-
-def keep_walk(data: bytes) -> str:
-    """Makes a walk known to this process, from the contents of its file; returns its name."""
-    name = STORED + hashlib.sha256(data).hexdigest()[:DIGITS]
-    _files.setdefault(name, data)
-    return name
-
-
-def keep_walks(attachments: Mapping[str, bytes]) -> None:
-    """Makes the walks among a recording's attachments known to this process."""
-    for name, data in attachments.items():
-        if name.startswith(ATTACHED):
-            keep_walk(bytes(data))
-
-
-def walk_attachments(models: Iterable[str]) -> dict[str, bytes]:
-    """The files of the walks that stored names of bodies contain, as attachments of a recording."""
-    names = sorted({split_walk(model)[1] for model in models} - {""})
-    return {f"{ATTACHED}{name.removeprefix(STORED)}.npz": _kept(name) for name in names}
-
-
-def walk_facts(models: Iterable[str]) -> dict[str, Any]:
-    """What recordings say about the walks that stored names of bodies contain, by the name of the attachment."""
-    facts = {}
-    for name, data in walk_attachments(models).items():
-        motion = load_motion(io.BytesIO(data))
-        facts[name] = {"name": motion.name, "source": motion.source, "sha256": hashlib.sha256(data).hexdigest()}
-    return facts
-
-
-def _kept(name: str) -> bytes:
-    if name not in _files:
-        raise InputError(
-            f"The motion {name} is not at hand: it is an attachment of the recording that names it. Hint: open that recording "
-            "first, or name the file that the motion was imported from.",
-            code="H3-BODY-060",
-        )
-    return _files[name]
-
-
-def walking(body: Humanoid, motion: str) -> Humanoid:
-    """A body that walks as a motion, the path of a file or a stored name, says."""
-    name = motion if motion.startswith(STORED) else keep_walk(walk_file(motion))
-    return walks_as(body, load_motion(io.BytesIO(_kept(name))), name=f"{body.name}{JOIN}{name}")
+def facts(data: bytes) -> dict[str, str]:
+    """What recordings say about a walk, from the contents of its file."""
+    motion = load_motion(io.BytesIO(data))
+    return {"name": motion.name, "source": motion.source}
 
 
 @lru_cache(maxsize=16)

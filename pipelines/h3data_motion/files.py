@@ -9,17 +9,17 @@ from typing import Literal
 
 import numpy as np
 
-from h3data.bodies.motion.amass import Up, is_amass, read_amass
-from h3data.bodies.motion.bvh_motion import read_bvh
-from h3data.bodies.motion.habitat_humanoid import HABITAT_JOINTS, HabitatClip
-from h3data.bodies.motion.habitat_motion import motion_parts, read_habitat_motion, read_habitat_sequence
-from h3data.bodies.motion.motion_clip import Motion, in_start_frame
-from h3data.bodies.people.skeleton import JOINT_COUNT, JOINT_INDEX, JOINT_NAMES
+from h3data.bodies.people.skeleton import HABITAT_JOINTS, JOINT_COUNT, JOINT_INDEX, JOINT_NAMES
 from h3data.errors import FormatError, InputError
 from h3data.files import part_file
 from h3data.geometry import normalized, quat_from_matrix
 from h3data.npz_arrays import npz_arrays, npz_names
 from h3data.safe_pickle import is_pickle
+from h3data_motion.amass import Up, is_amass, read_amass
+from h3data_motion.bvh_motion import read_bvh
+from h3data_motion.clip import Motion, in_start_frame
+from h3data_motion.habitat_humanoid import HabitatClip
+from h3data_motion.habitat_motion import motion_parts, read_habitat_motion, read_habitat_sequence
 
 MotionKind = Literal["motion", "amass", "habitat", "bvh"]
 FORMAT = "h3data-motion/1"

@@ -14,8 +14,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from h3data.bodies.motion.bvh import Bvh, read_bvh_file
-from h3data.bodies.motion.motion_clip import Motion, in_start_frame
 from h3data.bodies.people.skeleton import JOINT_COUNT, JOINT_INDEX, JOINT_NAMES, PARENTS
 from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
@@ -27,6 +25,8 @@ from h3data.geometry import (
     quat_multiply,
     quat_to_matrix,
 )
+from h3data_motion.bvh import Bvh, read_bvh_file
+from h3data_motion.clip import Motion, in_start_frame
 
 BUILTIN_TABLES = (
     "cmu", "cgspeed", "daz", "mixamo", "rokoko", "xsens", "lafan", "smpl", "smplx", "unreal", "biped", "vrm", "vroid",

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.bodies.motion.motion_clip import Motion, pelvis_heading
-from h3data.bodies.motion.motion_retarget import retarget
 from h3data.bodies.people.humanoid import Humanoid
 from h3data.geometry import IDENTITY_POSE, ground_pose, heading_from_quat, quat_multiply, quat_rotate
 from h3data.recording.records import STEP_NS, Agent, AssetRef, Body, Episode, Recording
+from h3data_motion.clip import Motion, pelvis_heading
+from h3data_motion.retarget import retarget
 
 TILE_M = 1.0
 TILE_COLORS = ((222, 224, 228), (198, 202, 208))

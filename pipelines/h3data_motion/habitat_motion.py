@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies.motion.habitat_humanoid import HabitatClip, HabitatMotion, Hand, ReachGrid
 from h3data.errors import FormatError, InputError
 from h3data.npz_arrays import MAX_BYTES, npz_members
 from h3data.safe_pickle import is_pickle, load_pickle
+from h3data_motion.habitat_humanoid import HabitatClip, HabitatMotion, Hand, ReachGrid
 
 HANDS: tuple[Hand, ...] = ("left", "right")
 

@@ -11,13 +11,13 @@ import tyro
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, load_humanoid
-from h3data.bodies.motion.motion_clip import Motion
-from h3data.bodies.motion.motion_cycle import trim_to_cycle
-from h3data.bodies.motion.motion_files import SUFFIXES, MotionKind, ReadOptions, motion_kind, read_motion, save_motion
-from h3data.bodies.motion.motion_retarget import foot_report, retarget
 from h3data.commands.command import ForceFlag, Group, JsonFlag, Outcome, claim_file
 from h3data.errors import FormatError, H3DataError, InputError
 from h3data.progress import progress
+from h3data_motion.clip import Motion
+from h3data_motion.cycle import trim_to_cycle
+from h3data_motion.files import SUFFIXES, MotionKind, ReadOptions, motion_kind, read_motion, save_motion
+from h3data_motion.retarget import foot_report, retarget
 
 KindChoice = Annotated[
     Literal["auto", "motion", "amass", "habitat", "bvh"],
@@ -196,7 +196,7 @@ class MotionShow:
 
     def _write_strips(self, motions: list[Motion], body: Humanoid, target: Path) -> None:
         from h3data.render.image_files import write_image
-        from h3data.render.sheets.motion_sheet import clip_picture, motion_picture
+        from h3data_motion.pictures import clip_picture, motion_picture
 
         strips = []
         for motion in motions:
@@ -303,9 +303,9 @@ def write_video(motion: Motion, body: Humanoid, name: str, target: Path) -> int:
 
     ``name`` is that of a built-in body or the path of the body's .npz file.
     """
-    from h3data.recording.motion_recording import motion_recording
     from h3data.render import VideoWriter
     from h3data.replay import Replay, follow_camera
+    from h3data_motion.recording import motion_recording
 
     replay = Replay(motion_recording(motion, body, model=f"humanoid/{name}"))
     track = follow_camera(replay)

@@ -13,8 +13,6 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from h3data.bodies.motion.motion_clip import Motion
-from h3data.bodies.motion.motion_cycle import trim_to_cycle
 from h3data.bodies.people.clips import JOG_ABOVE_MPS, TO_ROOT, Clip, Gaits
 from h3data.bodies.people.gait import stand_posture
 from h3data.bodies.people.humanoid import Humanoid
@@ -22,6 +20,8 @@ from h3data.bodies.people.legs import SIDES, Legs, Posture, X, lowest_point, rot
 from h3data.bodies.people.skeleton import FINGERS, JOINT_INDEX
 from h3data.errors import InputError
 from h3data.geometry import Array, quat_conjugate, quat_multiply, quat_nlerp, quat_rotate, quat_sign_continuous
+from h3data_motion.clip import Motion
+from h3data_motion.cycle import trim_to_cycle
 
 SPEEDS_MPS = (0.3, 4.0)
 LEAST_STRIDE_M = 0.35

@@ -12,13 +12,13 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from h3data.errors import InputError
-from h3data.exporters.transitions import transitions_of
 from h3data.formats import Exported, ExportRequest
 from h3data.recording.parquet.videos import EpisodeVideo
 from h3data.recording.parquet.writer import DatasetWriter
 from h3data.recording.records import Recording
 from h3data.recording.storage import AnyPath, RemotePath, place
 from h3data.terminal import counted
+from h3data_exporters.transitions import transitions_of
 
 VideosOf = Callable[[int, Recording], AbstractContextManager[Sequence[EpisodeVideo]]]
 """Videos of the episode with this number, of all its steps but the last; their files may go at the end of the block."""
