@@ -28,7 +28,7 @@ ROOTS = ("h3data", "sim_kinematic", "pipelines", "viewers")
 NOT_SHIPPED = ("pipelines/bake", "pipelines/h3data_kernels")
 AREAS = {
     "SCENE": ("scenes and homes", "scenes", "h3data/scene pipelines/h3data_homes"),
-    "MESH": ("meshes and images", "meshes", "h3data/mesh"),
+    "MESH": ("meshes and images", "meshes", "h3data/mesh pipelines/h3data_meshes"),
     "BODY": ("people, robots and motion", "bodies", "h3data/bodies pipelines/h3data_motion pipelines/h3data_pipelines/assets"),
     "HABITAT": ("files of Habitat", "habitat", "h3data/habitat pipelines/h3data_habitat"),
     "RECORDING": ("recordings and datasets", "format", "h3data/recording"),

@@ -16,6 +16,7 @@ PLACES = {
     "sim_kinematic": ".",
     "h3data_exporters": "pipelines",
     "h3data_homes": "pipelines",
+    "h3data_meshes": "pipelines",
     "h3data_motion": "pipelines",
     "h3data_pipelines": "pipelines",
     "h3data_training": "pipelines",

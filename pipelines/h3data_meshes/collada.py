@@ -23,7 +23,7 @@ from h3data.geometry import Array, normalized
 from h3data.mesh.gltf_primitives import DEFAULT_COLOR, MAX_TRIANGLES
 from h3data.mesh.images import image_texture
 from h3data.mesh.mesh import Mesh, Texture
-from h3data.mesh.readers.polygons import triangulated, with_holes
+from h3data_meshes.polygons import triangulated, with_holes
 
 _log = logging.getLogger(__name__)
 

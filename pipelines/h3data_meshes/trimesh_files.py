@@ -15,8 +15,8 @@ from h3data.files import path_inside
 from h3data.mesh.gltf_primitives import DEFAULT_COLOR
 from h3data.mesh.images import picture_texture
 from h3data.mesh.mesh import Mesh, Texture
-from h3data.mesh.readers.material_files import material_uv, mtl_with_plain_names
-from h3data.mesh.readers.polygon_files import obj_of_triangles, ply_of_triangles
+from h3data_meshes.material_files import material_uv, mtl_with_plain_names
+from h3data_meshes.polygon_files import obj_of_triangles, ply_of_triangles
 
 _log = logging.getLogger(__name__)
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.geometry import Array
-from h3data.mesh.readers.polygons import triangulated
+from h3data_meshes.polygons import triangulated
 
 # --- OBJ ----------------------------------------------------------------------------------------------------------------
 _OBJ_POLYGON = re.compile(rb"^[ \t]*f(?:[ \t]+[^\s#]+){4,}", re.MULTILINE)
