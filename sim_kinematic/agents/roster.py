@@ -38,7 +38,7 @@ class AgentSpec:
     name: str
     """Name in recordings: the kind, numbered where there are several of it."""
     model: str
-    """What `load_robot` or `load_humanoid` takes: the name of a body, or a path."""
+    """Name of a body or a path, as `load_robot` and `load_humanoid` take it."""
     body: Body
 
 
