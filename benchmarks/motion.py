@@ -44,14 +44,14 @@ import numpy as np
 import h3data
 from benchmarks.penetration import DEFAULT_ROBOT, EPISODES
 from h3data.bodies import JOINT_INDEX, Humanoid, load_humanoid, load_robot
-from h3data.bodies.motion.motion_files import read_motion
-from h3data.bodies.motion.motion_retarget import retarget
 from h3data.bodies.people.foot_planting import LEG_JOINTS, sole_points
 from h3data.bodies.robots.trot import trot
 from h3data.geometry import Array, ground_pose, heading_from_quat, transform_points, wrap_angle
 from h3data.recording import Recording
-from h3data.recording.motion_recording import motion_columns
 from h3data.replay import Replay
+from h3data_motion.files import read_motion
+from h3data_motion.recording import motion_columns
+from h3data_motion.retarget import retarget
 from sim_kinematic.motion.spec import STEP_S
 
 Emit = Callable[[str, float, str], None]

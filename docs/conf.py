@@ -30,7 +30,9 @@ MODULES = {
     "h3data.scene": "Homes, generated or read, and the floor on which agents can walk.",
     "h3data.bodies": "People and robots: skeletons, skins, motion, kinematics.",
     "h3data.metrics": "Metrics of recordings and tables of them.",
-    "h3data.stats": "Statistics for studies and comparisons.",
+    "h3data_studies.analysis": "Plans, power and analysis of studies with people.",
+    "h3data_studies.statistics": "Mixed models and contrasts for studies with people.",
+    "h3data.stats": "Statistics for comparisons.",
 }
 
 ASTERISK = re.compile(r"(``.*?``|`[^`]*`)|\*")

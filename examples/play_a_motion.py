@@ -6,11 +6,11 @@ walk.bvh is a file of motion capture: BVH, AMASS (.npz) or Habitat's (.pkl); BOD
 import sys
 
 from h3data.bodies import load_humanoid
-from h3data.bodies.motion.motion_files import read_motion
-from h3data.bodies.motion.motion_retarget import foot_report, retarget
-from h3data.recording.motion_recording import motion_recording
 from h3data.render import VideoWriter
 from h3data.replay import Replay, follow_camera
+from h3data_motion.files import read_motion
+from h3data_motion.recording import motion_recording
+from h3data_motion.retarget import foot_report, retarget
 
 if len(sys.argv) < 3:
     sys.exit(__doc__)

@@ -4,8 +4,15 @@ import sys
 
 from PIL import Image, ImageDraw, ImageFont
 
-from h3data.metrics import plan_sessions, simulate_study
-from h3data.stats import MarginalMeans, contrasts, contrasts_text, fit_glmm, marginal_means, relative_efficiency
+from h3data_studies.analysis import plan_sessions, simulate_study
+from h3data_studies.statistics import (
+    MarginalMeans,
+    contrasts,
+    contrasts_text,
+    fit_glmm,
+    marginal_means,
+    relative_efficiency,
+)
 
 
 def draw(means: MarginalMeans, path: str) -> None:

@@ -28,13 +28,13 @@ ROOTS = ("h3data", "sim_kinematic", "pipelines", "viewers")
 NOT_SHIPPED = ("pipelines/bake", "pipelines/h3data_kernels")
 AREAS = {
     "SCENE": ("scenes and homes", "scenes", "h3data/scene pipelines/h3data_homes"),
-    "MESH": ("meshes and images", "meshes", "h3data/mesh"),
-    "BODY": ("people, robots and motion", "bodies", "h3data/bodies pipelines/h3data_pipelines/assets"),
+    "MESH": ("meshes and images", "meshes", "h3data/mesh pipelines/h3data_meshes"),
+    "BODY": ("people, robots and motion", "bodies", "h3data/bodies pipelines/h3data_motion pipelines/h3data_pipelines/assets"),
     "HABITAT": ("files of Habitat", "habitat", "pipelines/h3data_habitat"),
     "RECORDING": ("recordings and datasets", "format", "h3data/recording"),
     "REPLAY": ("replay", "replay", "h3data/replay"),
     "RENDER": ("pictures", "rendering", "h3data/render pipelines/h3data_pipelines/pictures"),
-    "EXPORT": ("exports", "export", "h3data/exporters"),
+    "EXPORT": ("exports", "export", "h3data/exporters pipelines/h3data_exporters"),
     "METRIC": ("metrics", "metrics", "h3data/metrics"),
     "STATS": ("statistics", "statistics", "h3data/stats"),
     "FORMAT": ("file formats", "format", "h3data/formats h3data/npz_arrays.py h3data/safe_pickle.py h3data/limits.py"),

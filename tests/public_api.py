@@ -32,10 +32,15 @@ OURS = re.compile(r"(h3data|sim_kinematic)(_\w+)?(\.|$)")
 
 def public_modules() -> list[str]:
     """Names of the modules of which every name in ``__all__`` is promised."""
-    package = ROOT / "h3data"
-    files = [package / "__init__.py", *package.glob("*.py"), *package.glob("*/__init__.py")]
+    package, studies = ROOT / "h3data", ROOT / "viewers" / "h3data_studies"
+    files = [
+        package / "__init__.py",
+        *package.glob("*.py"),
+        *package.glob("*/__init__.py"),
+        *studies.glob("*/__init__.py"),
+    ]
     public = {file for file in files if re.search(r"^__all__\b", file.read_text(encoding="utf-8"), re.MULTILINE)}
-    names = (".".join(file.relative_to(ROOT).with_suffix("").parts) for file in public)
+    names = (".".join(file.relative_to(ROOT).with_suffix("").parts).removeprefix("viewers.") for file in public)
     return sorted(name.removesuffix(".__init__") for name in names)
 
 

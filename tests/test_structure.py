@@ -17,8 +17,11 @@ PACKAGES = {
     "h3data_viewers": ROOT / "viewers" / "h3data_viewers",
     "h3data_play": ROOT / "viewers" / "h3data_play",
     "h3data_studies": ROOT / "viewers" / "h3data_studies",
+    "h3data_exporters": ROOT / "pipelines" / "h3data_exporters",
     "h3data_homes": ROOT / "pipelines" / "h3data_homes",
     "h3data_habitat": ROOT / "pipelines" / "h3data_habitat",
+    "h3data_meshes": ROOT / "pipelines" / "h3data_meshes",
+    "h3data_motion": ROOT / "pipelines" / "h3data_motion",
     "h3data_training": ROOT / "pipelines" / "h3data_training",
     "h3data_pipelines": ROOT / "pipelines" / "h3data_pipelines",
     "h3data_kernels": ROOT / "pipelines" / "h3data_kernels",
@@ -27,8 +30,11 @@ PACKAGES = {
 LAYERS = (
     "h3data",
     "sim_kinematic",
+    "h3data_exporters",
     "h3data_homes",
     "h3data_habitat",
+    "h3data_meshes",
+    "h3data_motion",
     "h3data_viewers",
     "h3data_play",
     "h3data_studies",
@@ -53,13 +59,7 @@ AGAINST_THE_LAYERS = {
         "sim_kinematic.envs.stepper",
         "sim_kinematic.envs.vector",
     ],
-    "h3data.formats.builtin_formats": [
-        "h3data.exporters.csv_tables",
-        "h3data.exporters.foxglove.foxglove_file",
-        "h3data.exporters.gltf_animation",
-        "h3data.exporters.lerobot_export",
-        "h3data.exporters.robomimic",
-    ],
+    "h3data.formats.builtin_formats": ["h3data.exporters.gltf_animation"],
     "h3data.kernels.digests": ["sim_kinematic"],  # whose kernels are ours
     "h3data.metrics.table_files": ["h3data.metrics"],  # no module: a key in the metadata of Parquet files
     "h3data.plugins": ["h3data_pipelines"],  # whether a command runs

@@ -1,13 +1,30 @@
-"""People by name: `load_humanoid`."""
+"""Names of people, and the walks that this process knows.
+
+Somebody who walks as a motion is named by a body, a plus, and the motion, as in ``female_0+walk.npz``. Recordings name the
+motion by ``motion:`` and 16 hex digits of the SHA-256 of its file, which is an attachment of theirs. What is in such files,
+the package of motions knows (`h3data.walks`).
+"""
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
-from h3data.bodies.motion.walk_names import split_walk
 from h3data.bodies.people import humanoid_file
 from h3data.bodies.people.humanoid import Humanoid
+from h3data.errors import InputError
+from h3data.plugins import Registry
+
+JOIN, STORED = "+", "motion:"
+ATTACHED = "motion_"
+"""Beginning of the name of an attachment that is a walk: ``motion_<digits>.npz``."""
+DIGITS = 16
+
+_READERS: Registry[Any] = Registry("h3data.walks", {}, what="reader of motion files")
+_files: dict[str, bytes] = {}
 
 
 @lru_cache(maxsize=64)
@@ -26,6 +43,81 @@ def load_humanoid(name: str | Path) -> Humanoid:
     body, motion = split_walk(str(name))
     if not motion:
         return humanoid_file.load_humanoid(name)
-    from h3data.bodies.motion.walk_import import walking
+    walk = _stored(motion)
+    person = humanoid_file.load_humanoid(body)
+    return _reader().walking(person, _kept(walk), name=f"{person.name}{JOIN}{walk}")
 
-    return walking(humanoid_file.load_humanoid(body), motion)
+
+def split_walk(model: str) -> tuple[str, str]:
+    """The body and the motion of a name; the motion is empty where none is named. An existing file is a body."""
+    if JOIN not in model or Path(model).exists():
+        return model, ""
+    body, _, motion = model.partition(JOIN)
+    return body, motion
+
+
+def stored_name(model: str) -> str:
+    """The name by which recordings know a body with a motion; others as they are.
+
+    Raises:
+        InputError: there is no such motion file, or nobody walks in it.
+    """
+    body, motion = split_walk(model)
+    return f"{body}{JOIN}{_stored(motion)}" if motion else model
+
+
+def keep_walk(data: bytes) -> str:
+    """Makes a walk known to this process, from the contents of its file; returns its name."""
+    name = STORED + hashlib.sha256(data).hexdigest()[:DIGITS]
+    _files.setdefault(name, data)
+    return name
+
+
+def keep_walks(attachments: Mapping[str, bytes]) -> None:
+    """Makes the walks among a recording's attachments known to this process."""
+    for name, data in attachments.items():
+        if name.startswith(ATTACHED):
+            keep_walk(bytes(data))
+
+
+def walk_attachments(models: Iterable[str]) -> dict[str, bytes]:
+    """The files of the walks that stored names of bodies contain, as attachments of a recording."""
+    names = sorted({split_walk(model)[1] for model in models} - {""})
+    return {f"{ATTACHED}{name.removeprefix(STORED)}.npz": _kept(name) for name in names}
+
+
+def walk_facts(models: Iterable[str]) -> dict[str, Any]:
+    """What recordings say about the walks that stored names of bodies contain, by the name of the attachment."""
+    return {
+        name: {**_reader().facts(data), "sha256": hashlib.sha256(data).hexdigest()}
+        for name, data in walk_attachments(models).items()
+    }
+
+
+def walk_file(path: str) -> bytes:
+    """The contents of the file that keeps the walk in a motion file.
+
+    Raises:
+        InputError: there is no such file, or nobody walks in it.
+        FormatError: it is no motion file.
+    """
+    return _reader().walk_file(path)
+
+
+def _reader() -> Any:
+    return _READERS.get("motion")
+
+
+def _stored(motion: str) -> str:
+    """The name by which recordings know a motion, which is a stored name or the path of a file."""
+    return motion if motion.startswith(STORED) else keep_walk(walk_file(motion))
+
+
+def _kept(name: str) -> bytes:
+    if name not in _files:
+        raise InputError(
+            f"The motion {name} is not at hand: it is an attachment of the recording that names it. Hint: open that recording "
+            "first, or name the file that the motion was imported from.",
+            code="H3-BODY-060",
+        )
+    return _files[name]

@@ -15,7 +15,8 @@ from h3data.plugins import Registry
 EXECUTORS: Registry[Callable[[str, int], AbstractContextManager[Executor]]] = Registry(
     "h3data.executors", {}, what="executor"
 )
-"""What opens an executor, given what follows ``://`` in its name (with the name; empty where nothing does) and the workers."""
+"""Functions that open an executor, given what follows ``://`` in its name (with the name; empty where nothing does) and the
+workers."""
 
 ExecutorOption = Annotated[
     str,

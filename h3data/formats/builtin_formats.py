@@ -170,31 +170,9 @@ BUILT_IN = (
         write_options=("assets", "person_detail", "people", "stand_ins"),
     ),
     Format(
-        name="foxglove",
-        title="a log for Foxglove and Lichtblick",
-        write="h3data.exporters.foxglove.foxglove_file:export_foxglove",
-        write_options=("assets", "people", "stand_ins", "cameras"),
-    ),
-    Format(
-        name="lerobot",
-        title="a LeRobot dataset",
-        write="h3data.exporters.lerobot_export:export_lerobot",
-        write_options=("agent", "assets", "people", "stand_ins", "cameras"),
-        target="dataset",
-        many=True,
-    ),
-    Format(
-        name="robomimic",
-        title="demonstrations for robomimic",
-        write="h3data.exporters.robomimic:export_robomimic",
-        write_options=("agent",),
-        many=True,
-    ),
-    Format(
         name="habitat_episodes",
         title="rearrangement episodes of Habitat, with their scenes",
     ),
-    Format(name="csv", title="CSV tables", write="h3data.exporters.csv_tables:export_csv", target="folder"),
 )
 JSON = Format(name="json", title="JSON of an unknown kind")
 UNKNOWN = Format(name="unknown", title="a file of an unknown kind")

@@ -133,7 +133,7 @@ def _value(value: Any) -> str:
 
 
 _FOREIGN = ("builtins", "numpy", "numba", "math", "cmath", "heapq", "_heapq", "operator", "_operator")
-"""What numba compiles by itself; its version is part of the name of a folder of kernels."""
+"""Packages that numba compiles by itself; its version is part of the name of a folder of kernels."""
 
 
 def _constant(value: Any) -> str:

@@ -28,7 +28,7 @@ class Look:
     factor: NDArray[np.float64]
     """Linear base colour, shape [3]."""
     alpha: Alpha = "OPAQUE"
-    """What opacity means: nothing, a cut at ``cutoff``, or how much is seen of what is behind."""
+    """Meaning of opacity: nothing, a cut at ``cutoff``, or how much is seen of what is behind."""
     cutoff: float = 0.5
     opacity: float = 1.0
     texture: Texture | None = None

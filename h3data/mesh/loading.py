@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -11,19 +11,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import H3DataError, MissingAssetError, SceneError
-from h3data.geometry import normalized
+from h3data.geometry import Array, normalized
 from h3data.mesh.gltf import GltfFile, local_matrix
 from h3data.mesh.gltf_primitives import DEFAULT_COLOR, PlainMesh
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.mesh_operations import joined
-from h3data.mesh.readers.collada import read_collada
-from h3data.mesh.readers.trimesh_files import FilesBeside, read_with_trimesh
+from h3data.plugins import Registry
 
 __all__ = ["DEFAULT_COLOR", "MESH_SUFFIXES", "frame_rotation", "is_file", "load_mesh", "load_parts", "node_box"]
 
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
-_READABLE = (*MESH_SUFFIXES, ".dae")
 _GLTF_SUFFIXES = (".glb", ".gltf")
+READERS: Registry[Callable[[Path], Iterable[tuple[Mesh, Array]]]] = Registry(
+    "h3data.meshes", {}, what="reader of mesh files"
+)
+"""Readers of files other than glTF by suffix without its dot: parts of a file with the 4x4 matrices that place them."""
 
 Vector3 = tuple[float, float, float]
 
@@ -58,10 +60,10 @@ def load_mesh(
     path = Path(path)
     if not is_file(path):
         raise MissingAssetError(f"There is no such mesh file. Hint: check the asset roots. {path}", code="H3-MESH-022")
-    if path.suffix.lower() not in _READABLE:
+    if not _is_gltf(path) and path.suffix.lower()[1:] not in (*READERS.names(), *READERS.missing()):
+        readable = ", ".join((*_GLTF_SUFFIXES, *(f".{name}" for name in READERS.names())))
         raise SceneError(
-            f"Cannot read a mesh of type {path.suffix!r}. Expected one of {', '.join(_READABLE)}: {path}",
-            code="H3-MESH-023",
+            f"Cannot read a mesh of type {path.suffix!r}. Expected one of {readable}: {path}", code="H3-MESH-023"
         )
     up3, front3 = _vector3(up), _vector3(front)
     return _load_cached(str(path), path.stat().st_mtime_ns, up3, front3, float(units_m))
@@ -169,18 +171,15 @@ def load_parts(
     path, rotation = Path(path), frame_rotation(_vector3(up), _vector3(front))
     to_metres = np.eye(4)
     to_metres[:3, :3] = rotation * units_m
+    reader = None if _is_gltf(path) else READERS.get(path.suffix.lower()[1:])
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # such values are refused below
-            if _is_gltf(path):
+            if reader is None:
                 parts = [
                     _placed(part, to_metres @ matrix) for part, matrix in GltfFile(path).parts() if len(part.faces)
                 ]
-            elif path.suffix.lower() == ".dae":
-                beside = FilesBeside(path)
-                parts = [_placed(part.mesh, to_metres @ part.matrix) for part in read_collada(path, beside.get)]
-                beside.warn()
             else:
-                parts = [_placed(part, to_metres) for part in read_with_trimesh(path)]
+                parts = [_placed(part, to_metres @ matrix) for part, matrix in reader(path)]
     except Exception as fault:
         raise unreadable(fault, path) from None
     if not parts:

@@ -1,4 +1,6 @@
-"""Task metrics of recordings, from their columns alone: profiles, tables, comparisons of runs, plans of studies."""
+"""Task metrics of recordings, from their columns alone: profiles, tables, comparisons of runs."""
+
+from typing import TYPE_CHECKING
 
 from h3data.metrics.batch import measure_files, measure_tables
 from h3data.metrics.differences import Differences, compare_runs, compare_tables
@@ -19,46 +21,28 @@ from h3data.metrics.registry import (
 )
 from h3data.metrics.report_layout import Milestone, PublishedRow, PublishedTable, ReportLayout
 from h3data.metrics.requirements import MissingColumnsError, UnmeasurableError, find_agents
-from h3data.metrics.studies.analysis import Estimate, FittedMeans, StudyAnalysis, StudyModel, analyse_study
-from h3data.metrics.studies.planning import (
-    Block,
-    Session,
-    latin_square,
-    plan_sessions,
-    read_session,
-    study_rows,
-    write_sessions,
-)
-from h3data.metrics.studies.power import Power, simulate_power, simulate_study
 from h3data.metrics.table import MetricsTable, Summary, measure_many, tabulate
 from h3data.metrics.table_files import events_of, write_events, write_series, write_table
+from h3data.moved import refuse_renamed
 from h3data.pseudonyms import anonymous_id
 
 __all__ = [
     "PROFILES",
-    "Block",
     "Computed",
     "Differences",
     "EpisodeMetrics",
-    "Estimate",
-    "FittedMeans",
     "Metric",
     "MetricsTable",
     "Milestone",
     "MissingColumnsError",
-    "Power",
     "Profile",
     "PublishedRow",
     "PublishedTable",
     "ReportLayout",
-    "Session",
-    "StudyAnalysis",
-    "StudyModel",
     "Summary",
     "UnmeasurableError",
     "all_metrics",
     "all_profiles",
-    "analyse_study",
     "anonymous_id",
     "compare_runs",
     "compare_tables",
@@ -68,23 +52,19 @@ __all__ = [
     "find_agents",
     "find_metric",
     "find_profile",
-    "latin_square",
     "list_metrics",
     "measure",
     "measure_files",
     "measure_many",
     "measure_tables",
     "metrics_of",
-    "plan_sessions",
     "profiles_named",
-    "read_session",
     "series_of",
-    "simulate_power",
-    "simulate_study",
-    "study_rows",
     "tabulate",
     "write_events",
     "write_series",
-    "write_sessions",
     "write_table",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = refuse_renamed(__name__)

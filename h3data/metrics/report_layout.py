@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,6 +76,12 @@ class Milestone:
     """Caption of the key frame: ``finds the person``."""
     metric: str
     """Metric that is undefined where a recording cannot tell; such episodes are left out of the chart."""
+
+
+StepsModel = Literal["auto", "poisson", "observation"]
+"""Model of the steps of a study, as `h3data_studies.analysis.StudyModel` explains."""
+FailedEpisodes = Literal["leave-out", "limit"]
+"""Episodes of a study without success: left out of the steps, or counted as the longest duration."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -38,7 +38,7 @@ class MissingColumnsError(UnmeasurableError):
 
 
 def require_whole(recording: Recording) -> None:
-    """Refuses an episode of a LeRobot export (`h3data.exporters.lerobot_export`).
+    """Refuses an episode of a LeRobot export (`h3data_exporters.lerobot`).
 
     Its last row, in which an episode succeeds or ends in contact, is left out there, so its metrics would be wrong.
 

@@ -19,7 +19,7 @@ from h3data.recording.records import InputEvent, Recording
 CLIENT, CONNECTED, DISCONNECTED, SLIP = "client", "connected", "disconnected", "slip"
 """Kinds of raw input: a message as it came, somebody who came or went, steps that were not played in time."""
 NOTHING, AWAY, STEERS = "-", "away", "steers"
-"""What a player wants at a step, besides the kind of the last message: nothing, not connected, moving by keys or sticks."""
+"""Wishes of a player at a step, besides the kind of the last message: nothing, not connected, moving by keys or sticks."""
 _STREAMS = ("hand", "head")
 """Messages that are sent all the time beside others."""
 
@@ -32,7 +32,7 @@ class LiveInput:
     """The agent that they played."""
     messages: int
     asked: tuple[str, ...]
-    """What they had asked for last, at each row: `NOTHING`, `STEERS`, `AWAY`, or the kind of a message such as ``pick``."""
+    """Last wish of the player at each row: `NOTHING`, `STEERS`, `AWAY`, or the kind of a message such as ``pick``."""
     rtt_ms: NDArray[np.float32]
     """Round-trip time at each row, [T] [ms]; NaN where it was not measured."""
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _HEAD_BYTES = 1 << 16
 FOXGLOVE_SUFFIX = ".foxglove.mcap"
-"""Suffix of exports for Foxglove (`h3data.exporters.foxglove.foxglove_file`), which lie beside recordings but are none."""
+"""Suffix of exports for Foxglove (`h3data_exporters.foxglove.foxglove_file`), which lie beside recordings but are none."""
 
 
 def logs_in(folder: AnyPath, *, below: bool = False) -> list[AnyPath]:

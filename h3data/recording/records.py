@@ -300,7 +300,7 @@ class RecordingHeader:
 def _keep_walks(attachments: Mapping[str, bytes]) -> None:
     """Makes the imported walks of people known, which their models name."""
     if any(name != "scene.glb" for name in attachments):  # importing bodies takes a while
-        from h3data.bodies.motion.walk_import import keep_walks
+        from h3data.bodies.names import keep_walks
 
         keep_walks(attachments)
 

@@ -33,7 +33,7 @@ _SECRET = re.compile(
     re.I,
 )
 _DENIED = re.compile(r"ACCESS_DENIED|Access ?Denied|PERMISSION_DENIED|AuthorizationPermissionMismatch|Forbidden")
-"""How S3, Google's and Azure's stores say so, in what pyarrow passes on."""
+"""Words by which the stores of S3, Google and Azure deny access, in the messages that pyarrow passes on."""
 _URI = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+):/(?P<double>/?)(?P<rest>.*)", re.DOTALL)
 
 

@@ -20,8 +20,6 @@ from h3data.scene.records import Articulation, Asset, Instance, Part, Scene, ins
 
 AJAR = 0.6
 """A part is open from this share of its range on: hands get in."""
-NEARLY_CLOSED = 0.02
-"""And shut up to this share."""
 
 ON_M, STACK_M = 0.02, 0.1
 """Largest distances beside or below a receptacle, and above it, at which an object lies on it [m]."""

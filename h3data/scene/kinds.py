@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from h3data.scene.records import Scene
 
 Grasp = Literal["body", "rim", "handle", "top", "edge", "none"]
-"""What a hand takes hold of: the whole thing around its middle, the rim of an open vessel, a handle, its top, a flat edge
+"""Part that a hand takes hold of: the whole thing around its middle, the rim of an open vessel, a handle, its top, a flat edge
 (plates, books, boards); nothing, if it is too heavy or fixed."""
 Role = Literal["thing", "furniture", "wall", "building"]
 
@@ -36,13 +36,13 @@ class Kind(msgspec.Struct, frozen=True, kw_only=True, eq=False, forbid_unknown_f
     """A typical mass."""
     grasp: Grasp = "none"
     hold_m: tuple[float, float, float] | None = None
-    """Where a handle is [m]; None = the place that follows from ``grasp``."""
+    """Position of the handle [m]; None = the place that follows from ``grasp``."""
     generation: int = 2
     """The first generation of homes in which it occurs."""
     storeys: int = 1
     """The smallest number of storeys of the homes in which it occurs."""
     model: msgspec.Raw = msgspec.Raw()
-    """How the generator of homes makes it, as JSON; empty for kinds that functions of the generator make."""
+    """Model from which the generator of homes makes it, as JSON; empty for kinds that functions of the generator make."""
 
 
 def _read_catalogue() -> dict[str, Kind]:

@@ -276,7 +276,8 @@ class Scene:
     lights: tuple[LightSource, ...] | None = None
     """Light sources; None if unknown, empty if there are no lamps (Habitat then shows flat colours)."""
     source: Mapping[str, Any] = field(default_factory=dict)
-    """How to obtain the scene again, e.g. ``{"kind": "home", "preset": "small", "seed": 7}``, or Habitat's files."""
+    """Source from which the scene is obtained again, e.g. ``{"kind": "home", "preset": "small", "seed": 7}``, or Habitat's
+    files."""
     articulations: tuple[Articulation, ...] = ()
     """Things that open; `h3data.scene.articulation` poses them."""
 

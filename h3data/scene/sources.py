@@ -81,7 +81,7 @@ class SceneGenerator:
     """Scenes that are made of a name and a seed, such as ``small:3``."""
 
     names: Sequence[str]
-    """What may stand before the colon."""
+    """Names that may stand before the colon."""
     named: Callable[[str, int], SceneSpec]
     """The spec that a name and a seed stand for."""
     Spec: Callable[..., SceneSpec]
@@ -93,7 +93,7 @@ class SceneGenerator:
     listed: Mapping[str, SceneSize] = field(default_factory=dict)
     """The names that ``h3data scenes list`` shows."""
     about: str = ""
-    """How to name a scene, in whole sentences below that list."""
+    """Help on the names of scenes, in whole sentences, shown below that list."""
 
 
 class WriteCollection(Protocol):
@@ -132,7 +132,7 @@ class SceneReader:
     collection: str = ""
     """Ending, one of `endings`, of files that hold several scenes, named as ``path#scene``; empty if none do."""
     open_collection: Callable[[Path], Any] | None = None
-    """What `h3data.open` gives for such a file."""
+    """Function that makes the object that `h3data.open` returns for such a file."""
     scenes_in: Callable[[Path], Sequence[str]] = lambda _: ()
     """Names of the scenes in such a file."""
     object_mesh: Callable[[str, Path, Sequence[Path]], Mesh] | None = None

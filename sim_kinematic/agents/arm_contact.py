@@ -26,7 +26,7 @@ class ArmTouch(NamedTuple):
     thing: str
     """The instance of the scene."""
     depth_m: float
-    """How deep [m], of the deepest contact between the two (`h3data`'s `Contact.depth_m` says how exact that is)."""
+    """Depth [m] of the deepest contact between the two (`h3data`'s `Contact.depth_m` says how exact that is)."""
     point: NDArray[np.float64]
     """A point in the overlap, world, shape [3] [m]."""
 

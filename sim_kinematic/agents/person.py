@@ -57,7 +57,7 @@ from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 from sim_kinematic.motion.state import HumanState
 
 CARRY = (0.27, 0.80, 0.15)
-"""Where a hand carries something: forward, up, to its side, in heights of the shoulder."""
+"""Position in which a hand carries something: forward, up, to its side, in heights of the shoulder."""
 HAND_SPEED_MPS, HAND_LEAST_S = 0.9, 0.4
 """Mean speed of a hand on its line, and the time that even a short one takes."""
 JOINT_STEP_RAD = 0.18
@@ -100,7 +100,7 @@ class MotionResult:
     hand_error_m: float = 0.0
     """Distance from where the hand (or what it puts down) should be to where it is, or would be, nearest [m]."""
     base_motion: BaseMotion | None = None
-    """Where to stand instead (see `Person.approach`); None when that does not help either."""
+    """Motion to a place from which the target is reached (see `Person.approach`); None when that does not help either."""
 
 
 Skill = Generator[object, None, MotionResult]
@@ -133,12 +133,12 @@ class Transition(NamedTuple):
     """How far a person has got from one kind of motion to another, such as from walking to reaching."""
 
     kind: str = ""
-    """What the last pose was of: ``walk``, ``reach``, or nothing where it was set from outside."""
+    """Kind of the last pose: ``walk``, ``reach``, or nothing where it was set from outside."""
     quats: Array | None = None
     """Pose [55, 4] in which the previous kind of motion was left; None where there was none."""
     pelvis: Array | None = None
     left: float = 0.0
-    """How much of it is still shown, from 1 to 0."""
+    """Share of it that is still shown, from 1 to 0."""
 
 
 class Person:
@@ -161,16 +161,16 @@ class Person:
         self.body, self.spec, self.free = body, spec, free
         self._drawn = HumanState.zeros(1)
         self.tilts: dict[Hand, float] = {"left": 0.0, "right": 0.0}
-        """How far a thing turns with the hand that holds it, 0 (it stays upright) to 1."""
+        """Share of the hand's tilt by which a held thing turns, 0 (it stays upright) to 1."""
         self._close: dict[Hand, float] = {"left": 0.0, "right": 0.0}
-        """How close to the body each hand carries what it holds, 0 (held out) to 1."""
+        """Closeness to the body at which each hand carries what it holds, 0 (held out) to 1."""
         self.objects: dict[str, Array] = {name: np.array(pose, np.float64) for name, pose in (objects or {}).items()}
         self.held: dict[Hand, Held] = {}
         self.base = np.array(base_pose, np.float64)
         self._offsets = np.ascontiguousarray(body.joint_offsets, np.float64)
         tables = body.gait_tables if free is None else on_floor(body.gait_tables, free)
         self.walk = PlantedWalk(tables, self.base)
-        """Where the feet are, and what they do."""
+        """State of the feet: positions, and whether they stand or swing."""
         self.transition = Transition()
         self.sizes: dict[str, float] = dict(sizes or {})
         self.look_at: Array | None = None

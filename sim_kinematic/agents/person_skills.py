@@ -33,9 +33,9 @@ from sim_kinematic.motion.stride import CREEP_MPS, Strider
 TURN_PATIENCE_STEPS = 10
 """Steps for which a person waits for room to turn on the spot; after them they turn while walking."""
 BACK_AFTER_STEPS, BACK_STEPS = 20, 15
-"""Who cannot step aside for this long, because any step would touch somebody, first goes back this many steps."""
+"""Somebody who cannot step aside for the first number of steps, because any step would touch somebody, goes back the second."""
 HALT_STEPS = 30
-"""Who is turned away while walking first comes to a stand, for which this is time enough."""
+"""Steps in which a person comes to a stand who is told to turn while walking."""
 SHUFFLE_MPS, AWAY_MPS = 0.4, 0.6
 """Speeds at which people step sideways and back: without turning, and while they turn to where they go."""
 ASIDE_LEG_M = 0.05

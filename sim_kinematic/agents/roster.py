@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from h3data.bodies import Robot, humanoid_names, is_robot, load_humanoid, load_robot, robot_name, robot_names
-from h3data.bodies.motion.walk_names import JOIN, split_walk
+from h3data.bodies.names import JOIN, split_walk
 from h3data.bodies.people.look.wardrobe import split_outfit
 from h3data.bodies.people.random_humanoid import is_random
 from h3data.errors import InputError, SceneError, suggest
@@ -38,7 +38,7 @@ class AgentSpec:
     name: str
     """Name in recordings: the kind, numbered where there are several of it."""
     model: str
-    """What `load_robot` or `load_humanoid` takes: the name of a body, or a path."""
+    """Name of a body or a path, as `load_robot` and `load_humanoid` take it."""
     body: Body
 
 
@@ -105,7 +105,7 @@ def _stored(model: str) -> str:
     """The name by which recordings know a person; ``+walk.npz`` alone is the default body."""
     if JOIN not in model:
         return model
-    from h3data.bodies.motion.walk_import import stored_name
+    from h3data.bodies.names import stored_name
 
     return stored_name(with_body(model, HUMAN_BODY))
 

@@ -25,7 +25,7 @@ SKILLS = (
     "nav_to_object", "nav_to_goal", "pick", "place", "wait", "move_forward", "move_backward", "turn_left", "turn_right",
     "control",
 )  # fmt: skip
-"""What there is; recordings number them in this order."""
+"""All skills; recordings number them in this order."""
 PRIMITIVES = {
     "move_forward": (1.0, 0.0, 4),
     "move_backward": (-1.0, 0.0, 4),
@@ -42,7 +42,7 @@ OPENING_SKILLS = ("nav_to_handle", "open", "close")
 ALL_SKILLS = (*DRIVEN_SKILLS, *OPENING_SKILLS)
 """All skills, as recordings in such homes number them."""
 CHOICE_WAIT_STEPS = 5
-"""How long `choices` wait."""
+"""Duration of ``wait`` in `choices` [steps]."""
 REASONS = {
     "already_closed": "It is closed already.",
     "already_held": "It is in this agent's hand already.",
@@ -89,9 +89,9 @@ class Action(NamedTuple):
     """Index of the object (or of the object whose goal it is) of the skills that have one; of
     `OPENING_SKILLS`, of the joint."""
     steps: int = 30
-    """How long ``wait`` waits."""
+    """Duration of ``wait`` [steps]."""
     command: Any = ()
-    """Of ``control``: forward and left turn of the base, each arm joint, grip; -1..1 of what a step allows; of a
+    """Command of ``control``: forward and left turn of the base, each arm joint, grip; -1..1 of what a step allows; of a
     person a `sim_kinematic.agents.driven.commands.PersonCommand`. Of a driven person's ``place`` the point in the world [3]
     [m], of ``hand_over`` the robot's number."""
 

@@ -192,7 +192,7 @@ class HumanPlan(NamedTuple):
     """Plan of the scripted person, which does not depend on the robot."""
 
     xz: NDArray[np.float64]
-    """Where the person is after each step, shape [steps, 2] [m]."""
+    """Positions of the person after each step, shape [steps, 2] [m]."""
     goals: list[NDArray[np.float64]]
     """The points that the person walks to, one after the other, ``(x, z)`` each [m]."""
 

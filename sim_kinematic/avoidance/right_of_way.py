@@ -68,9 +68,9 @@ class _Request:
     stayed: int = 0
     """Steps since it got there."""
     chose_at: tuple[float, float, float] | None = None
-    """Where the other, who is driven from outside, stood when the agent last chose anew what to do."""
+    """Position of the other, who is driven from outside, when the agent last chose anew what to do."""
     seen: NDArray[np.float64] = field(default_factory=lambda: np.full(2, np.nan))
-    """Where they were [2] at the last look."""
+    """Position [2] of the other at the last look."""
 
 
 class RightOfWay:

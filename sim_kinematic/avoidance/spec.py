@@ -10,7 +10,7 @@ class Footprint(NamedTuple):
     """Discs along the x axis of an agent that stand for it on the floor."""
 
     offsets_m: tuple[float, ...]
-    """Where their centres are."""
+    """Offsets of their centres along the heading."""
     radius_m: float
 
     @property
@@ -133,9 +133,9 @@ class AvoidanceSpec:
     beside_m: tuple[float, float] = (0.65, 0.9)
     """An agent is on the path of a person, or of a robot, if the centre of one of its discs is this close to it."""
     asks_idle_m: float = 2.5
-    """How far ahead an agent asks idle agents to step aside."""
+    """Distance ahead within which an agent asks idle agents to step aside."""
     asks_moving_m: float = 1.6
-    """How far ahead it asks agents that are going somewhere themselves."""
+    """Distance ahead within which it asks agents that are going somewhere themselves."""
     keeps_free_m: float = 5.0
     """Length of the other's path that is kept free by stepping aside."""
     returns_m: float = 1.5

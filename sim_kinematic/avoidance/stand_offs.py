@@ -18,7 +18,7 @@ class TaskProgress(NamedTuple):
     busy: bool
     """Whether the agent has something to do."""
     leg: Hashable
-    """What it does now; another value is another way to go."""
+    """Current activity; another value means another path."""
     left_m: Callable[[], float]
     """Gives the length of the path that it has still to go; infinite: it goes nowhere."""
     completed: int
@@ -39,7 +39,7 @@ class Encounter:
     """Whether one of them has waited for the other, who is driven from outside."""
     completed: tuple[int, ...] = ()
     legs: dict[int, tuple[Hashable, float]] = field(default_factory=dict)
-    """What each was about, and how far it had to go when that began or they met."""
+    """Activity of each agent, and its distance to go when that began or they met."""
 
 
 class StandOffs:

@@ -26,7 +26,7 @@ from sim_kinematic.contact.frames import body_shapes, shape_frames
 SUPPORT_M, SUPPORT_RADIUS_M = 0.12, 0.02
 """A thing in which the capsule from a point so far down is, of this radius, is what lies at that point rests on."""
 FLOOR_M = 0.02
-"""What lies on the floor lower than this, such as a rug, is stood on."""
+"""Height up to which agents stand on what lies on the floor, such as a rug [m]."""
 HOMES_KEPT = 64
 """Homes whose furniture stays in FCL; a set has fewer."""
 REACH_MARGIN_M = 0.05

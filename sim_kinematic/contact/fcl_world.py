@@ -35,7 +35,7 @@ class Contact(NamedTuple):
     """Index of the shape in ``a`` (for a scene: into ``names``)."""
     index_b: int
     depth_m: float
-    """How far they overlap along ``normal``, positive [m]. Exact between boxes and balls; FCL's iterations for capsules,
+    """Depth of their overlap along ``normal``, positive [m]. Exact between boxes and balls; FCL's iterations for capsules,
     cylinders and hulls never give less than the least depth, but up to a few centimetres more when it is deep."""
     point: NDArray[np.float64]
     """A point in the overlap, world, shape [3] [m]."""

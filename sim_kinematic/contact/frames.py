@@ -15,7 +15,7 @@ from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.motion.state import AgentState, HumanState, RobotState, WorldState
 
 Body = Robot | Humanoid
-"""What an agent looks like."""
+"""Body of an agent."""
 
 
 def require_bodies(state: WorldState, bodies: tuple[Body, ...]) -> None:

@@ -20,7 +20,7 @@ class Overlap(NamedTuple):
     first: str
     second: str
     depth_m: float
-    """How deep the deepest pair of their parts overlaps [m]: the shorter of FCL's depth, which is too great for deep round
+    """Depth of the deepest overlap of two of their parts [m]: the shorter of FCL's depth, which is too great for deep round
     parts and hulls, and the way along an axis that parts their bounds."""
     point: NDArray[np.float64]
     """A point in the overlap, world, shape [3] [m]."""

@@ -41,7 +41,7 @@ class BaseSpec:
     allow_back: bool = True
     """Whether it drives backwards."""
     slide: Slide = "strict"
-    """What happens at a wall. ``strict``: no disc ever enters an obstacle. ``habitat``: as Habitat's base action, step for
+    """Behaviour at a wall. ``strict``: no disc ever enters an obstacle. ``habitat``: as Habitat's base action, step for
     step; it moves by the disc that is worst off, so others may get into walls (research: navigation-and-stepping 3.2)."""
     habitat: HabitatSlideSpec = HabitatSlideSpec()
     """Parameters for ``slide="habitat"``."""

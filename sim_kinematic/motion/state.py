@@ -85,7 +85,7 @@ class HumanState(_Arrays):
     distance: NDArray[np.float64]
     """Distance walked since the start [m], drives the phase of the walking cycle; shape [W]."""
     set_off: NDArray[np.float64]
-    """What `distance` was when the person last set off from standing [m]: there the cycle began anew; shape [W]."""
+    """Value of `distance` when the person last set off from standing [m]: there the cycle began anew; shape [W]."""
     blend: NDArray[np.float64]
     """0 = standing, 1 = walking, shape [W]."""
     arms: NDArray[np.float64]

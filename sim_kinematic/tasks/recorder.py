@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot, robot_digest
-from h3data.bodies.motion.walk_names import JOIN
+from h3data.bodies.names import JOIN
 from h3data.plugins import REFERENCE, own_version, trust
 from h3data.recording import (
     Agent,
@@ -221,7 +221,7 @@ def describe(
     people = [member.model for member in episode.roster if member.kind == "human"]
     walks: dict[str, bytes] = {}
     if any(JOIN in model for model in people):
-        from h3data.bodies.motion.walk_import import walk_attachments, walk_facts
+        from h3data.bodies.names import walk_attachments, walk_facts
 
         walks, info["motions"] = walk_attachments(people), walk_facts(people)
     external = [k for k, policy in enumerate(policies) if policy.is_external]

@@ -23,7 +23,7 @@ from h3data.scene import FreeSpace, Scene, load_scene
 MAX_STEPS = 1_000_000
 """Longer episodes are not simulated again: nine hours."""
 _OF_THE_RUN = ("job", "recovered", "resumed_from", "counterfactual", "human_reactive", "deciding_since")
-"""What ``info`` says about how a recording came to be; it does not hold for one made from it."""
+"""Entries of ``info`` on the origin of a recording, which do not hold for one made from it."""
 
 Columns = Mapping[str, NDArray[Any]]
 

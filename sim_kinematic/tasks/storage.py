@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from h3data.bodies import load_robot
-from h3data.bodies.motion.walk_names import JOIN, split_walk
+from h3data.bodies.names import JOIN, split_walk
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array
 from h3data.plugins import names_from_data

@@ -25,13 +25,13 @@ pytest.importorskip("foxglove_schemas_protobuf", reason='needs the extra: pip in
 
 from h3data.bodies.people.skeleton import JOINT_NAMES
 from h3data.errors import InputError, MissingExtraError
-from h3data.exporters.foxglove import foxglove_file
-from h3data.exporters.foxglove.foxglove_file import FoxgloveCamera, write_foxglove
 from h3data.exporters.posing import posed_parts
 from h3data.geometry import pose_to_matrix, quat_from_heading
 from h3data.recording import AssetRef, Body, Episode, Event, InputEvent, Recording, SkillSpan
 from h3data.render import pinhole
 from h3data.replay import Replay, camera_track
+from h3data_exporters.foxglove import foxglove_file
+from h3data_exporters.foxglove.foxglove_file import FoxgloveCamera, write_foxglove
 from h3data_habitat.gfx.gfx_replay import read_gfx_replay
 from h3data_homes import HomeSpec, build_home
 from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
@@ -297,7 +297,7 @@ def test_recorded_rigs_are_cut_into_pieces(real: Path, tmp_path: Path) -> None:
     turn=st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1),
 )
 def test_a_model_undoes_the_viewers_turn(scale: tuple[float, ...], turn: tuple[float, ...]) -> None:
-    from h3data.exporters.foxglove.messages import model
+    from h3data_exporters.foxglove.messages import model
 
     pose = np.array([1.0, 2, 3, *(np.array(turn) / np.linalg.norm(turn))])
     made = model(b"", pose, np.array(scale))

@@ -18,7 +18,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from h3data.bodies.motion.bvh import read_bvh_file
 from h3data.errors import FormatError, H3DataError
 from h3data.formats import detect
 from h3data.limits import MAX_AGENTS
@@ -34,6 +33,7 @@ from h3data_habitat.gfx.gfx_keyframes import KEYFRAME_BYTES
 from h3data_habitat.gfx.gfx_replay import read_gfx_replay
 from h3data_habitat.hitl.hitl_paper_logs import read_hitl_log
 from h3data_habitat.hitl.hitl_sessions import read_hitl_episode
+from h3data_motion.bvh import read_bvh_file
 from h3data_pipelines.cli import main
 from tests.examples import examples
 

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from h3data.errors import MissingAssetError, SceneError
+from h3data.errors import InputError, MissingAssetError, SceneError
+from h3data.mesh import loading
 from h3data.mesh.gltf_primitives import nearest_texels
 from h3data.mesh.loading import frame_rotation, load_mesh
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.primitives import box_mesh, capsule_mesh, is_primitive, primitive_mesh
+from h3data.plugins import Plugin, Registry
 from h3data.recording.assets.placeholders import placeholder_mesh, striped_box
 from h3data.srgb import linear_to_srgb, srgb_to_linear
 from tests.paths import TEST_ASSETS
@@ -254,3 +256,19 @@ def test_real_chair_origin_is_off_its_box_centre() -> None:
     np.testing.assert_allclose(-chair.bounds.mean(0), [0.0740, 0.2070, -0.0059], atol=1e-4)
     assert chair.normals is not None
     assert len(np.unique(chair.textures[0].pixels, axis=0)) > 10
+
+
+def test_other_packages_read_other_mesh_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cube = box_mesh((1.0, 1.0, 1.0))
+    upwards = np.eye(4)
+    upwards[1, 3] = 2.0
+    readers = Registry("h3data.meshes", {"cube": lambda path: [(cube, upwards)]}, what="reader of mesh files")
+    readers.__dict__["_own"] = {"dae": Plugin("dae", "h3data_absent:collada_parts")}  # a package that is not installed
+    monkeypatch.setattr(loading, "READERS", readers)
+    for name in ("one.cube", "one.dae", "one.xyz"):
+        (tmp_path / name).touch()
+    np.testing.assert_allclose(load_mesh(tmp_path / "one.cube").vertices, cube.vertices + np.array([0, 2, 0]))
+    with pytest.raises(InputError, match="reader of mesh files 'dae' needs the package h3data_absent"):
+        load_mesh(tmp_path / "one.dae")
+    with pytest.raises(SceneError, match=r"Expected one of \.glb, \.gltf, \.cube: "):
+        load_mesh(tmp_path / "one.xyz")

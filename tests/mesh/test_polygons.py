@@ -11,7 +11,7 @@ from PIL import Image
 
 from h3data.mesh.loading import load_mesh
 from h3data.mesh.mesh import Mesh
-from h3data.mesh.readers.polygons import triangulated, with_holes
+from h3data_meshes.polygons import triangulated, with_holes
 
 U: list[tuple[float, float]] = [(0, 0), (3, 0), (3, 3), (2, 3), (2, 1), (1, 1), (1, 3), (0, 3)]
 SHAPES: dict[str, tuple[list[tuple[float, float]], float]] = {

@@ -10,7 +10,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from h3data.bodies.motion.motion_files import save_motion
 from h3data.bodies.people.planted_gait import planted_states, pose_planted
 from h3data.errors import InputError
 from h3data.geometry import heading_from_quat, pose_multiply, wrap_angle
@@ -18,6 +17,7 @@ from h3data.kernels import compiled_count
 from h3data.recording import read_mcap
 from h3data.recording.live_input import CLIENT
 from h3data.replay.validation import validate_recording
+from h3data_motion.files import save_motion
 from h3data_play.app import App, Hud
 from h3data_play.live import EpisodeFactory, LiveGame
 from h3data_play.messages import decode
@@ -28,7 +28,7 @@ from sim_kinematic.motion.step import discs_at
 from sim_kinematic.tasks.episode import agent_base
 from sim_kinematic.tasks.resume import verify
 from sim_kinematic.tasks.runner import Session, StepResult
-from tests.bodies.motion.test_walk_import import walk
+from tests.motion.test_walks import walk
 
 
 def table(out: Path, **changes: Any) -> EpisodeFactory:

@@ -26,10 +26,10 @@ import pytest
 import h3data
 from h3data.bodies import load_humanoid
 from h3data_pipelines.cli import main
-from tests.bodies.motion.motion_writers import amass_arrays, bvh_text, walked
 from tests.habitat.hitl.test_hostile_files import frame, session
 from tests.habitat.hitl.test_session_metrics import tidied, user
 from tests.hub_server import WRITER, served
+from tests.motion.motion_writers import amass_arrays, bvh_text, walked
 from tests.paths import DOCS, ROOT
 
 pytestmark = pytest.mark.slow
@@ -54,7 +54,7 @@ ABSENT = {
     "bodies bake": "the extra bodies",
     "import supersuit": "SuperSuit; tests/sim/envs wraps environments by it where it is installed",
     "flat.navmesh": "a navmesh of Habitat; tests/scene/navmesh runs these calls",
-    "female_0_motion_data_smplx.pkl": "Habitat's motion of a person; tests/bodies/motion runs these calls",
+    "female_0_motion_data_smplx.pkl": "Habitat's motion of a person; tests/motion runs these calls",
     "run(person": "walking frames of its own; tests/sim run these calls",
 }
 """Parts of commands and blocks that need what tests do not have."""

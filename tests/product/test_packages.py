@@ -25,7 +25,10 @@ PLACES = {
     "h3data": ".",
     "sim_kinematic": ".",
     "h3data_habitat": "pipelines",
+    "h3data_exporters": "pipelines",
     "h3data_homes": "pipelines",
+    "h3data_meshes": "pipelines",
+    "h3data_motion": "pipelines",
     "h3data_pipelines": "pipelines",
     "h3data_training": "pipelines",
     "h3data_play": "viewers",
@@ -83,6 +86,7 @@ def run_without(package: str, tree: Path, commands: list[list[str]]) -> dict[str
         ("h3data_play", {"play", "study"}),
         ("h3data_studies", {"study"}),
         ("h3data_training", {"train"}),
+        ("h3data_motion", {"motion"}),
     ],
 )
 def test_a_package_that_is_not_there_costs_only_its_commands(package: str, lost: set[str], tmp_path: Path) -> None:
@@ -91,7 +95,7 @@ def test_a_package_that_is_not_there_costs_only_its_commands(package: str, lost:
     said = run_without(package, tmp_path, asked)
     assert all(said[f"{word} --help"][0] == 0 for word in others)
     listed = said["--help"][1]
-    for word in ("view", "report", "play", "study", "train"):
+    for word in ("view", "report", "play", "study", "train", "motion"):
         assert (f"\n  {word} " in listed) is (word not in lost)
     for word in lost:
         assert said[word][0] == 2

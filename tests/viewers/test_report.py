@@ -22,6 +22,7 @@ from h3data.geometry import ground_pose
 from h3data.metrics import measure_files
 from h3data.metrics.batch import Part
 from h3data.metrics.paper.published import published_results
+from h3data.plugins import Registry
 from h3data.recording import DatasetWriter, Recording, open_recording
 from h3data.recording.records import STEP_NS, Agent, Episode
 from h3data_pipelines.cli import main
@@ -458,6 +459,14 @@ def test_rates_of_people_who_always_answer_alike_are_plain_shares(tmp_path: Path
     study = next(t for t in report.tables if t.key == "hitl")
     assert [row.cells[0].text for row in study.sections[0].rows] == ["0.67 [0.48, 0.81]"] * 2
     assert any("CR: plain shares" in note and "always alike" in note for note in study.notes)
+
+
+def test_without_the_package_of_studies_a_report_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    nothing: Registry[Callable[..., object]] = Registry("h3data.nothing", {}, what="section of reports")
+    monkeypatch.setattr("h3data_viewers.html_report.report.SECTIONS", nothing)
+    report = make_report([write(tmp_path / "ds", dispersed_study())], pictures=0)
+    assert "rearrange" not in [table.key for table in report.tables], "all episodes are of participants"
+    assert any("study in social rearrangement: Unknown section of reports 'study'" in why for why in report.missing)
 
 
 def dispersed_study(*, task: str = "rearrange") -> list[Recording]:

@@ -11,10 +11,10 @@ from pathlib import Path
 import msgspec
 
 from h3data.errors import InputError, did_you_mean
-from h3data.metrics import plan_sessions
 from h3data.scene.open import named_scenes
 from h3data_play.live import EpisodeFactory
 from h3data_play.plan import PlayPlan
+from h3data_studies.analysis.planning import plan_sessions
 from h3data_studies.design import Block, Condition, Consent, Design, Exclude, Form, Place, StudyPlan, Text
 from h3data_studies.exclusions import PARTICIPANT_MEASURES, TRIAL_MEASURES
 from h3data_studies.forms import BUILTIN, checked_answers, resolved

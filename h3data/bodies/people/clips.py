@@ -60,7 +60,7 @@ class Clip:
     stance: float
     """Share of the cycle that one foot spends on the floor, from its heel strike on (left 0, right 0.5)."""
     start_phase: float = 0.0
-    """Where to begin from standing: the left foot is where it stands, the right one in the air beside it."""
+    """Phase at which a walk begins from standing: the left foot is where it stands, the right one in the air beside it."""
     turn_rad: float = 0.0
     """Turn of the root to the left per cycle, of clips that turn on the spot: the phase advances by turn / turn_rad."""
     quats: Array

@@ -50,7 +50,7 @@ class Contacts:
     touching: NDArray[np.bool_]
     """Shape [T, 2]: left, right."""
     slide_m: Array
-    """How far the lowest point of a touching sole moved along the floor since the frame before, shape [T, 2]."""
+    """Distance by which the lowest point of a touching sole moved along the floor since the frame before, shape [T, 2]."""
 
 
 def leg_frames(body: Humanoid, quats: Array, pelvis: Array) -> Array:

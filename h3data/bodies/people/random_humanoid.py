@@ -29,10 +29,11 @@ PREFIX = "random:"
 SHAPE_SPACE = "bodies/shape_space.toml"
 DIRECTIONS = 10
 ADULT_AGE = (0.6, 1.0)
-"""Of a phenotype; children are below, 1 is the oldest."""
+"""Range of the age of an adult phenotype; children are below it, and 1 is the oldest."""
 ADULT_HEIGHT_M = (1.5, 1.95)
 LARGEST_SUM = 2.2
-"""Of the absolute weights of all bodies, which sum to 1: a combination is nearer to the built-in ones the smaller it is."""
+"""Largest sum of the absolute weights of all bodies, which themselves sum to 1: a combination is nearer to the built-in ones
+the smaller it is."""
 COMBINED = (
     "bind_rotation", "bind_position", "joint_offsets", "capsule_start", "capsule_end", "capsule_radius", "feet",
     "ankle_height", "height_m", "walk", "jog",

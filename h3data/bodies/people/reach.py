@@ -86,7 +86,7 @@ class ReachResult:
     nearest_valid: Array
     """The target itself when reached, else a valid point near it, shape [3] [m]: exact to about 2 cm."""
     base_motion: BaseMotion | None
-    """How to move the base so that the target is reached from there; zero when it is already, None when nothing helps (too
+    """Motion of the base after which the target is reached; zero when it is reached already, None when nothing helps (too
     high, below the floor)."""
 
     @property

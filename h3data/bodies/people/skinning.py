@@ -207,18 +207,3 @@ def skin_chunks(operator: csr_array, matrices: Array) -> Iterator[tuple[slice, N
 def _product(operator: csr_array, matrices: Array, joint_count: int) -> NDArray[np.float32]:
     palette = matrices[:, :, :3].transpose(1, 3, 0, 2).astype(np.float32).reshape(4 * joint_count, 3 * len(matrices))
     return (operator @ palette).reshape(-1, len(matrices), 3).swapaxes(0, 1)
-
-
-def apply_skin_dense(
-    vertices: NDArray[np.float32],
-    joints: NDArray[np.integer],
-    weights: NDArray[np.float32],
-    matrices: Array,
-) -> Array:
-    """The plain definition in float64, frame by frame, [T, V, 3]: the reference that tests hold `apply_skin` against."""
-    homogeneous = np.concatenate([vertices, np.ones((len(vertices), 1))], axis=1)
-    frames = []
-    for frame in matrices.astype(np.float64):
-        blended = np.sum(frame[joints] * weights.astype(np.float64)[..., None, None], axis=1)
-        frames.append(np.einsum("vij,vj->vi", blended, homogeneous)[:, :3])
-    return np.stack(frames)

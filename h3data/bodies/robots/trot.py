@@ -27,7 +27,8 @@ SMOOTH_STEPS = 9
 DUTY = 0.55
 """Fraction of the cycle in which a foot stands."""
 LIFT_M, EVEN_LIFT_M = 0.05, 0.08
-"""How high a swinging foot is lifted, and was before schema 1.5: thighs then stuck out 4 cm behind the discs of the base."""
+"""Height to which a swinging foot is lifted now, and was lifted before schema 1.5: thighs then stuck out 4 cm behind the
+discs of the base."""
 TUCK = 0.7
 """A swinging foot is drawn towards its place at rest by up to this share of its distance from it, half-way. In 24 episodes,
 hind legs were more than 2 cm in walls in 21 steps without it, in 11 with 0.4 and in 1 to 3 with this."""
@@ -43,7 +44,7 @@ legs of `quad_arm` were too short for the steps below, with none the upper ones 
 JUMP_M = 0.5
 """A base that moves farther in one step was put there: the trot begins anew."""
 MAX_STRETCH = 0.999
-"""Of the length of a leg, so that the knee keeps its side."""
+"""Largest stretch as a share of the length of a leg, so that the knee keeps its side."""
 _BLOCK_STEPS = 4096
 """Worked out at once: the matrices of a long track would take a hundred times its memory."""
 

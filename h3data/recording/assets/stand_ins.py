@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Robot, humanoid_names, load_humanoid, load_robot, robot_names
-from h3data.bodies.motion.walk_synthesis import SYNTHETIC_BODY, fitting_body, floor_below, walk_columns
 from h3data.bodies.people.skeleton import JOINT_NAMES, PARENTS
+from h3data.bodies.walk_synthesis import SYNTHETIC_BODY, fitting_body, floor_below, walk_columns
 from h3data.geometry import (
     Array,
     pose_inverse,

@@ -56,7 +56,7 @@ class RearrangeEpisode(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """One episode, as habitat-lab's ``RearrangeEpisode``. Episodes of navigation datasets have no objects."""
 
     episode_id: str | int
-    """As in the file. habitat-lab's rearrange loader forgets it and counts 0, 1, ... in the order of the file."""
+    """Id as in the file. habitat-lab's rearrange loader forgets it and counts 0, 1, ... in the order of the file."""
     scene_id: str
     scene_dataset_config: str = "default"
     additional_obj_config_paths: tuple[str, ...] = ()
@@ -100,7 +100,7 @@ class ContentFile(msgspec.Struct, frozen=True, kw_only=True):
 
     name: str
     episodes: int
-    """How many of the set's episodes are in it; the files follow each other."""
+    """Number of the set's episodes in this file; the files follow each other."""
     extra: Mapping[str, Any] = msgspec.field(default_factory=dict)
 
 
@@ -113,7 +113,7 @@ class EpisodeSet(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     contents: tuple[ContentFile, ...] = ()
     """The files that hold the episodes, where the dataset is split by scene; replace it by () to write one file."""
     warnings: tuple[str, ...] = ()
-    """What is odd about the file, though it can be used."""
+    """Oddities of the file, which can be used all the same."""
 
     def __len__(self) -> int:
         return len(self.episodes)

@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from h3data.bodies.motion.walk_names import split_walk
+from h3data.bodies.names import split_walk
 from h3data.errors import InputError
 from h3data.recording import Recording
 from h3data.recording.task_episodes.rearrange_episode import Matrix, RearrangeEpisode, RigidObject
@@ -31,7 +31,7 @@ class SocialNavEpisode(msgspec.Struct, frozen=True, kw_only=True):
     human_goals: tuple[tuple[float, float], ...]
     """Floor points ``(x, z)`` that the person walks to one after the other, on shortest paths [m]."""
     goals_within_m: float = 0.0
-    """How far a goal may be from the one that was truly walked to: 0 = exact."""
+    """Largest distance of a goal from the one that was truly walked to [m]; 0 = exact."""
     goals_complete: bool = True
     """Whether the person needs no further goal in ``max_steps``; not so where an episode ended early."""
     floor_y: float = 0.0
@@ -44,7 +44,7 @@ class SocialNavEpisode(msgspec.Struct, frozen=True, kw_only=True):
     scene_sha256: str = ""
     """Digest of the scene (`h3data.scene.scene_digest`), to tell that it is the same home."""
     scene_source: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    """How to get the scene again: generator and seed, or file."""
+    """Source from which the scene is made again: generator and seed, or file."""
     rules: Mapping[str, Any] = msgspec.field(default_factory=dict)
     """Speeds, distances and so on, as ``SocialNavSpec`` names them."""
     recording: str = ""

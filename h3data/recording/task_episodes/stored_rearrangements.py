@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from h3data.bodies.motion.walk_names import split_walk
+from h3data.bodies.names import split_walk
 from h3data.errors import InputError
 from h3data.geometry import pose_from_matrix
 from h3data.recording import Recording
@@ -46,7 +46,7 @@ class StoredGoal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     start: list[float]
     """pose7 in the world at the beginning."""
     position: list[float]
-    """Where its origin has to come to be, [3] [m]."""
+    """Position to which its origin has to come, [3] [m]."""
     source: str = msgspec.field(name="from")
     """The receptacle it lies on, ``instance|receptacle``; empty if unknown."""
     destination: str = msgspec.field(name="to")
@@ -58,7 +58,7 @@ class EpisodeObject(msgspec.Struct, frozen=True, kw_only=True):
     """An object that the episode adds to the scene."""
 
     name: str
-    """Of its instance: Habitat's handle, ``024_bowl_:0000``."""
+    """Name of its instance, Habitat's handle: ``024_bowl_:0000``."""
     config: str
     """File name of its template."""
     pose: tuple[float, ...]
@@ -95,7 +95,7 @@ class StoredRearrangement(msgspec.Struct, frozen=True, kw_only=True):
     sampled_sha256: str = ""
     """`content_digest` of an episode that follows from its seed alone; it tells whether somebody has edited it."""
     instruction: str = ""
-    """What the agents are told, where the file says so."""
+    """Instruction to the agents; empty if the file has none."""
 
 
 def content_digest(record: StoredRearrangement) -> str:

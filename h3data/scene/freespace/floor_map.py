@@ -32,9 +32,10 @@ class FloorMap:
     """Distance from cell centres to the nearest obstacle or border of the floor, not inflated: an agent fits where it is
     at least ``radius_m``; negative in obstacles and off the floor. Shape [nx, nz] [m]."""
     polygon: MultiPolygon
-    """Where the centre may be: floor minus obstacles, shrunk by the radius. Its polygons are the islands, largest first."""
+    """Area in which the centre may be: floor minus obstacles, shrunk by the radius. Its polygons are the islands, largest
+    first."""
     graph: Graph
     """Visibility graph over the corners of ``polygon``, with all shortest paths."""
     heights: NDArray[np.float64] = field(default_factory=LEVEL.copy)
-    """How high the floor is at a place, where stairs join storeys (`h3data.scene.floor_heights`), shape [K, 10]; K = 0: at
+    """Height of the floor at a place, where stairs join storeys (`h3data.scene.floor_heights`), shape [K, 10]; K = 0: at
     ``floor_y`` everywhere."""

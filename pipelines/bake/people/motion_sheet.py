@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import JOINT_INDEX, Humanoid, load_humanoid
-from h3data.bodies.motion.motion_clip import Motion, in_start_frame
-from h3data.bodies.motion.motion_files import save_motion
 from h3data.bodies.people.planted_gait import planted_states, pose_planted
 from h3data.geometry import Array, ground_pose, quat_from_axis_angle, quat_multiply
 from h3data.render.image_files import write_image
 from h3data.render.sheets.people_sheet import lined_up
+from h3data_motion.clip import Motion, in_start_frame
+from h3data_motion.files import save_motion
 
 FRAMES, EVERY, WIDTH = 12, 3, 1920
 SPACING_M = 1.15

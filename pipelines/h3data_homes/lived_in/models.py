@@ -34,10 +34,6 @@ _SHELL_CHAIR = (
     soft("accent", 0, 0.56, -0.43, 0.94, 0.42, 0.08, 0.02),
     tuple(line("metal", 0.022, (0.3 * x, 0.48, 0.3 * z), (0.46 * x, 0, 0.44 * z)) for x in (-1, 1) for z in (-1, 1)),
 )
-_ROUND_TABLE = (
-    lathe("wood", (0, 0.9), (0.48, 0.9), (0.5, 0.93), (0.5, 1.0), (0, 1.0), n=24),
-    tuple(line("wood_dark", 0.035, (0.2 * x, 0.9, 0.2 * z), (0.34 * x, 0, 0.34 * z)) for x in (-1, 1) for z in (-1, 1)),
-)
 _SLAB_TABLE = (
     box("wood", 0, 0.86, 0, 1, 0.14, 1, bevel=0.01),
     tuple(box("metal", 0.4 * s, 0, 0, 0.03, 0.86, 0.8) for s in (-1, 1)),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from h3data.commands.command import Command, Group
 from h3data.plugins import Registry
 from h3data_pipelines.assets.bodies import BODIES
-from h3data_pipelines.assets.motion import MOTION
 from h3data_pipelines.assets.robots import ROBOTS
 from h3data_pipelines.assets.scenes import SCENES
 from h3data_pipelines.commands.benchmarking import BENCHMARK
@@ -52,7 +51,7 @@ TABLE: dict[str, type[Command] | Group | None] = {
     "study": None,
     "scenes": SCENES,
     "bodies": BODIES,
-    "motion": MOTION,
+    "motion": None,
     "robots": ROBOTS,
     "replay": ReplayCommand,
     "convert": Convert,

@@ -88,7 +88,7 @@ class Validate:
             steps = len(recording)
             findings = validate_recording(recording, assets=library)
             if self.parts and not any(finding.severity == "error" for finding in findings):  # else it may not be posed
-                from sim_kinematic.agents.penetration import penetration_findings
+                from h3data_pipelines.commands.penetration import penetration_findings
 
                 findings += penetration_findings(recording)
             for video in source.read_videos():

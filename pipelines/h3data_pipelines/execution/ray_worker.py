@@ -24,6 +24,9 @@ PACKAGES = (
     "h3data_training",
     "h3data_habitat",
     "h3data_homes",
+    "h3data_meshes",
+    "h3data_motion",
+    "h3data_exporters",
 )
 _DECIDES = ("numpy", "scipy", "numba")
 

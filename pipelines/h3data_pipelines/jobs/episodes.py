@@ -206,7 +206,7 @@ class Choices:
     @property
     def _motion(self) -> str:
         """Suffix of a person's name that names the motion file of their walk; empty without one."""
-        from h3data.bodies.motion.walk_names import JOIN
+        from h3data.bodies.names import JOIN
 
         return "" if self.motion is None else JOIN + self.motion
 
@@ -439,11 +439,11 @@ def checked(choices: Choices) -> Choices:
 
 def stored_person(name: str) -> str:
     """The name of a person by which episodes are known: a motion by its digest, not by its path."""
-    from h3data.bodies.motion.walk_names import JOIN
+    from h3data.bodies.names import JOIN
 
     if JOIN not in name:
         return name
-    from h3data.bodies.motion.walk_import import stored_name
+    from h3data.bodies.names import stored_name
 
     return stored_name(name)
 

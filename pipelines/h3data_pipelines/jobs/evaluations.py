@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import glob
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -164,9 +164,3 @@ def chosen_names(asked: Sequence[str], there: Sequence[str]) -> tuple[str, ...]:
     if not names:
         raise InputError("Expected at least one policy and partner by name, or all; got none.", code="H3-JOB-050")
     return tuple(map(stamped, names))
-
-
-def mean_solo_steps(rows: Sequence[Mapping[str, Any]]) -> float:
-    """Mean steps of the person alone over the episodes; NaN where nobody was alone."""
-    steps = {row["index"]: row["solo_steps"] for row in rows if "solo_steps" in row}
-    return sum(steps.values()) / len(steps) if steps else float("nan")

@@ -44,7 +44,7 @@ class Place:
     """Puts down what is held."""
 
     point: Vector
-    """Where the origin of the object comes to be, in the world, [3] [m]."""
+    """Position of the object's origin afterwards, in the world, [3] [m]."""
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ edges (1 of 16 goals in small homes is 2.1 cm in one)."""
 UPRIGHT = 0.7
 """A contact counts as one from the side where the vertical part of its normal is smaller."""
 SUPPORT_M = 0.05
-"""What carries a thing is at most this far below it."""
+"""Largest distance of a thing from the surface below that carries it [m]."""
 APART_M = 0.01
 """Least gap between the circles of two things that stand side by side, as where episodes are sampled."""
 FALL_STEP_M, FALL_HALVINGS = 0.02, 6

@@ -63,10 +63,10 @@ class DrivenPerson(PersonActor):
     command: tuple[float, float] = (0.0, 0.0)
     """Forward and left turn of the last step, -1..1; zero while a skill runs."""
     _shares: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
-    """How far the left and the right arm are at their targets, 0..1."""
+    """Progress of the left and the right arm towards their targets, 0..1."""
     _targets: list[HandTarget] = field(default_factory=lambda: [HandTarget((0.0, 0.0, 0.0))] * 2)
     _points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((2, 3)))
-    """Where the palms are led to now [2, 3] [m]: the targets, but no faster than a hand moves."""
+    """Points to which the palms are led now, [2, 3] [m]: the targets, but no faster than a hand moves."""
     _head: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
     _drives: bool = False
 

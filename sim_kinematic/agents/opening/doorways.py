@@ -18,7 +18,7 @@ from sim_kinematic.agents.stands import nearest_stand
 DETOUR_M = 4.0
 """Agents rather walk so much farther than open a door."""
 BESIDE_M = 1.0
-"""Where nobody can stand because a door is closed, it is at most so far away."""
+"""Largest distance from a closed door of a place where nobody can stand because of it [m]."""
 OPEN_SHARE = 0.95
 """Doors that are open by this share of their range are not in the way."""
 

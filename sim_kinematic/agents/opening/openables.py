@@ -34,7 +34,7 @@ SHRUNK_M = 0.008
 PASSES_M = 0.03
 """Agents are hit when their disc is this deep in a part."""
 TALL_M = 1.8
-"""What is higher over the floor passes over everybody's head."""
+"""Height over the floor above which a part passes over everybody's head [m]."""
 
 
 @dataclass(eq=False)
@@ -47,7 +47,7 @@ class ArticulatedParts:
     discs: Callable[[int], NDArray[np.float64]] = field(default=lambda _: np.zeros((0, 3)))
     """Gives the discs ``(x, z, radius)`` [N, 3] of an agent."""
     agents: int = 0
-    """How many agents there are."""
+    """Number of agents."""
     doors: frozenset[int] = frozenset()
     """Joints of the doors between rooms: they are opened from both sides, and the walls are not in their way."""
     _scenes: dict[bytes, Scene] = field(default_factory=dict)

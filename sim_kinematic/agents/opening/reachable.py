@@ -24,7 +24,7 @@ class ReachQuery(NamedTuple):
     scene: Scene
     """Home with the doors and drawers around the place open."""
     point: Array
-    """Where the place is then, shape [3] [m]."""
+    """Position of the place then, shape [3] [m]."""
     taken: NDArray[np.float64]
     """Floor points [P, 2] over which open parts stand."""
     opened: tuple[tuple[ArticulatedParts, int], ...] = ()

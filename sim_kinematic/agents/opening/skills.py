@@ -77,7 +77,7 @@ class Leading:
         self.openables, self.k = openables, k
         self.way = openables.way(k, opens=opens)
         self.handles = handle_way(openables, k, self.way)
-        """Where the handle comes to be, [T, 3]."""
+        """Positions of the handle while the part moves, [T, 3]."""
         self._waited = 0
 
     @property

@@ -29,7 +29,7 @@ LINE_RADIUS_M = 0.01
 FRAMES = 8
 """Postures that are looked at between the resting one and the one over the point."""
 HELD_M = 0.05
-"""What the hand carries is taken for a ball of this radius."""
+"""Radius of the ball that stands for the object in the hand [m]."""
 WAYS_KEPT = 1000
 """Paths of a robot's arm that are remembered, 12 kB each; a home has about 450."""
 ANSWERS_KEPT = 10_000
@@ -66,7 +66,7 @@ class ArmClearance:
         )  # fmt: skip
         joints = joints_of(scene)
         self._drawers = {name for name, k in joints.owner.items() if joints.parts[k][1].joint.kind == "prismatic"}
-        """What is taken from a drawer is taken from inside it, past its rim."""
+        """Drawers: an object is taken from inside a drawer, past its rim."""
         self._ways = _arm_ways(robot)
         self._open: dict[tuple[bytes, bytes], bool] = {}
         self._clear: dict[tuple[bytes, bytes], bool] = {}

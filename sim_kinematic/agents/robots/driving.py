@@ -96,7 +96,7 @@ class RobotDriver:
         self._gave_up: list[NDArray] = []
         """Places [2] that it did not get to; next time it goes elsewhere, if it can."""
         self._held_up = np.full(3, np.inf), 0
-        """Where it was when it last got on stepping aside, and how many steps ago."""
+        """Position at the last progress in stepping aside, and the number of steps since."""
 
     @property
     def is_robot(self) -> bool:

@@ -24,7 +24,8 @@ standing stands again where it is placed."""
 ALL_DIRECTIONS = 6
 """Joints that an arm needs for a given position and orientation."""
 FREE_YAW_RAD = 0.7
-"""How far the hand of an arm with fewer joints may turn from the reach direction; more would reach around things."""
+"""Largest angle by which the hand of an arm with fewer joints may turn from the reach direction; more would reach around
+things."""
 BEARINGS_RAD = (0.0, -np.pi / 2, np.pi / 2, np.pi)
 """Directions in which an arm is tried: ahead, right, left, behind."""
 DISTANCES_M = tuple(0.45 + 0.05 * k for k in range(15))
@@ -74,9 +75,9 @@ class _StretchedArm(NamedTuple):
     """How far an arm gets."""
 
     shoulder: Array
-    """Where its first joint is in the agent root frame [3] [m]."""
+    """Position of its first joint in the agent root frame [3] [m]."""
     wrist: Array
-    """Where the last point is whose place follows from the pose of the hand, from there, in the frame of the hand's link [3]
+    """Position of the last point whose place follows from the pose of the hand, from there, in the frame of the hand's link [3]
     [m]."""
     length_m: float
     """Largest distance from one to the other [m]."""

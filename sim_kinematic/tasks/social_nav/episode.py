@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies.motion.walk_names import split_walk
+from h3data.bodies.names import split_walk
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array
 from h3data.plugins import names_from_data

@@ -16,7 +16,6 @@ from h3data.bodies import JOINT_INDEX, JOINT_NAMES, Humanoid, humanoid_names, lo
 from h3data.bodies.people.humanoid_file import ADULTS, from_planes, to_planes
 from h3data.bodies.people.look.colors import SLOTS
 from h3data.bodies.people.look.patches import vertex_normals
-from h3data.bodies.people.skinning import apply_skin_dense
 from h3data.bodies.people.skinning_torch import TorchSkin
 from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
@@ -28,6 +27,21 @@ FEW = ("female_0", "male_1", "neutral_2")
 """A short, a tall and a heavy one."""
 ROOT = np.array([[0, 0, 0, 0, 0, 0, 1.0]])
 UNIT = np.array([0, 0, 0, 1.0])
+
+
+def apply_skin_dense(
+    vertices: np.ndarray,
+    joints: np.ndarray,
+    weights: np.ndarray,
+    matrices: np.ndarray,
+) -> np.ndarray:
+    """The plain definition in float64, frame by frame, [T, V, 3]."""
+    homogeneous = np.concatenate([vertices, np.ones((len(vertices), 1))], axis=1)
+    frames = []
+    for frame in matrices.astype(np.float64):
+        blended = np.sum(frame[joints] * weights.astype(np.float64)[..., None, None], axis=1)
+        frames.append(np.einsum("vij,vj->vi", blended, homogeneous)[:, :3])
+    return np.stack(frames)
 
 
 @pytest.fixture(params=EVERYBODY)

@@ -16,8 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from h3data.bodies import load_humanoid
-from h3data.bodies.motion.walk_synthesis import walk_columns
 from h3data.bodies.people.skeleton import JOINT_NAMES
+from h3data.bodies.walk_synthesis import walk_columns
 from h3data.errors import FormatError, H3DataError
 from h3data.geometry import quat_from_axis_angle, quat_from_heading
 from h3data.recording import read_mcap, write_mcap

@@ -145,7 +145,7 @@ class Play:
         if self.human_walk is not None:
             rules["human_walk"] = self.human_walk
         if self.motion is not None:
-            from h3data.bodies.motion.walk_import import walk_file
+            from h3data.bodies.names import walk_file
 
             walk_file(str(self.motion.resolve()))  # refuses what cannot be played
         return {

@@ -41,7 +41,8 @@ class StudyFit:
         """Fits the models and returns means and differences."""
         import json
 
-        from h3data.metrics import StudyModel, analyse_study, find_profile, measure_files
+        from h3data.metrics import find_profile, measure_files
+        from h3data_studies.analysis import StudyModel, analyse_study
 
         if not self.recordings:
             raise InputError("Expected at least one recording (.mcap) or dataset.", code="H3-METRIC-002")

@@ -72,7 +72,8 @@ class StudyReport:
 
     def run(self) -> Outcome:
         """Measures the study's recordings and writes the report."""
-        from h3data.metrics import StudyModel, analyse_study, find_profile, measure_files
+        from h3data.metrics import find_profile, measure_files
+        from h3data_studies.analysis import StudyModel, analyse_study
         from h3data_studies.answers import answer_rows, check_rows, form_means
         from h3data_studies.exclusions import exclusions, focus_rows
         from h3data_studies.files import open_store, open_study
@@ -113,8 +114,8 @@ class StudyReport:
             more = [t for t in (_forms_table(design, used), _rules_table(design, rules)) if t is not None]
             title = f"{design.name}, version {design.version}" + (" (scripted participants)" if _bots(people) else "")
             write_report(
-                files, page, title=title, pictures=self.pictures, study=model, more=more, folder=folder,
-                command=command_line("study report", self),
+                files, page, title=title, pictures=self.pictures, study_model=self.model, failed=self.failed, more=more,
+                folder=folder, command=command_line("study report", self),
             )  # fmt: skip
         else:
             page.unlink(missing_ok=True)  # of an earlier report
@@ -160,10 +161,10 @@ class StudyCompare:
 
     def run(self) -> Outcome:
         """Returns a table of both rankings and their agreement."""
+        from h3data_studies.analysis.ranks import rank_table
         from h3data_studies.exclusions import exclusions
         from h3data_studies.files import open_store, open_study
         from h3data_viewers.html_report.report_data import gather
-        from h3data_viewers.html_report.report_ranks import rank_table
         from h3data_viewers.html_report.report_tables import to_markdown
 
         folder, design = open_study(self.study)

@@ -123,7 +123,6 @@ class ReportCommand:
 
     def run(self) -> Outcome:
         """Writes the report, and its tables as Markdown and LaTeX if asked to."""
-        from h3data.metrics import StudyModel
         from h3data_viewers.html_report.report import replay_folder, write_report
         from h3data_viewers.html_report.report_reading import lost_part
 
@@ -149,7 +148,7 @@ class ReportCommand:
             report = write_report(
                 self.datasets, self.out, title=self.title, pictures=self.pictures, assets=self.assets, people=self.people,
                 light=self.light, stand_ins=self.stand_ins,
-                study=StudyModel(steps=self.study_model, failed=self.failed),
+                study_model=self.study_model, failed=self.failed,
                 unseen_partners=self.unseen_partners, seeds=self.seeds, replays=self.replays,
                 spread=partial(executor.run, lost=lost_part),
                 command=f"{command_line('report', self)} -o {shlex.quote(self.out.name)}",

@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from html import escape
@@ -18,10 +18,11 @@ from pathlib import Path
 from string import Template
 
 from h3data.bodies.people.rigid_parts import PeopleStyle
+from h3data.errors import InputError
 from h3data.files import part_file
-from h3data.metrics import StudyModel
 from h3data.metrics.batch import Spread
-from h3data.plugins import own_version
+from h3data.metrics.report_layout import FailedEpisodes, StepsModel
+from h3data.plugins import Registry, own_version
 from h3data.progress import progress
 from h3data.render.light.sources import LightMode
 from h3data_viewers.html_report.report_charts import (
@@ -49,11 +50,12 @@ from h3data_viewers.html_report.report_pictures import (
     ranked_by,
     trajectory_figures,
 )
-from h3data_viewers.html_report.report_ranks import rank_table
 from h3data_viewers.html_report.report_reading import Found
-from h3data_viewers.html_report.report_study import key_of, study_tables
-from h3data_viewers.html_report.report_tables import Table, to_html, to_latex, to_markdown
+from h3data_viewers.html_report.report_tables import StudyTables, Table, to_html, to_latex, to_markdown
 from h3data_viewers.html_report.report_text import TASKS, absences, beginning, episode_list, meanings, task_name
+
+SECTIONS: Registry[Callable[..., StudyTables]] = Registry("h3data.report_sections", {}, what="section of reports")
+"""The section ``study`` of the package of studies: a function of the runs of a task and of the model of its steps."""
 
 _BESIDE = 4
 """With more partners than this, heat maps stand below each other."""
@@ -93,7 +95,8 @@ def make_report(
     people: PeopleStyle = "skin",
     light: LightMode = "flat",
     stand_ins: bool = False,
-    study: StudyModel | None = None,
+    study_model: StepsModel = "auto",
+    failed: FailedEpisodes = "leave-out",
     unseen_partners: Sequence[str] = (),
     seeds: Sequence[str] = (),
     more: Sequence[Table] = (),
@@ -104,14 +107,14 @@ def make_report(
 ) -> Report:
     """The report of datasets, logs and folders of logs; ``pictures`` episodes at most are shown with key frames.
 
-    ``assets`` are folders of the files that foreign recordings name; ``people``, ``light`` and ``stand_ins`` are
-    those of the key frames, as in `h3data.replay.Replay`; ``study`` chooses the models of
-    episodes that participants did under conditions, ``unseen_partners`` names the partners of the zero-shot population,
-    ``seeds`` has patterns of policies that differ by their training seed alone and are one row (`gather`); ``more`` are
-    tables of what is not in recordings, each in a section of its own; ``folder`` is that of all
-    paths, from which the page names them; ``replays`` takes HTML replays of the episodes with key
-    frames, which link them; ``spread`` may have other processes or machines read and measure the recordings; ``command`` is
-    the command that makes the report, for its last line.
+    ``assets`` are folders of the files that foreign recordings name; ``people``, ``light`` and ``stand_ins`` are those of
+    the key frames, as in `h3data.replay.Replay`; ``study_model`` and ``failed`` choose the model of episodes that
+    participants did under conditions, as the options of ``h3data report`` do; ``unseen_partners`` names the partners of the
+    zero-shot population, ``seeds`` has patterns of policies that differ by their training seed alone and are one row
+    (`gather`); ``more`` are tables of what is not in recordings, each in a section of its own; ``folder`` is that of all
+    paths, from which the page names them; ``replays`` takes HTML replays of the episodes with key frames, which link them;
+    ``spread`` may have other processes or machines read and measure the recordings; ``command`` is the command that makes
+    the report, for its last line.
 
     Raises:
         InputError: there is no recording, or episodes that cannot share a table; see `gather`.
@@ -122,8 +125,8 @@ def make_report(
     data = gather(paths, unseen_partners=unseen_partners, seeds=seeds, spread=spread)
     title = title or _title(data)
     missing: list[str] = []
-    charts: dict[str, list[str]] = {}
-    tables = _paper_tables(data, missing, study or StudyModel(), charts)
+    studies = _studies(data, missing, study_model, failed)
+    tables = _paper_tables(data, missing, studies)
     pairs = paired_tables(data)
     if len(data.runs) > 1 and not pairs:
         several = ", and runs of several training seeds are not paired" if any(run.seeds for run in data.runs) else ""
@@ -134,7 +137,7 @@ def make_report(
         runs, tail = data.of_task(task), f" in {task_name(task)}" if len(data.tasks) > 1 else ""
         partners = partner_tables(runs, runs[0].profile.report.by_partner or ranked_by(runs[0].profile))
         heat += partners
-        body += _task_sections(task, runs, [*tables, *partners], charts, plans, missing, tail)
+        body += _task_sections(task, runs, tables, partners, studies.get(task), plans, missing, tail)
         if chosen := highlights(runs, pictures):
             body.append(_highlighted(task, chosen, plans, posed, light, tail, replays, folder))
     if any(not e.recorded for e in data.episodes):
@@ -178,7 +181,8 @@ def write_report(
     people: PeopleStyle = "skin",
     light: LightMode = "flat",
     stand_ins: bool = False,
-    study: StudyModel | None = None,
+    study_model: StepsModel = "auto",
+    failed: FailedEpisodes = "leave-out",
     unseen_partners: Sequence[str] = (),
     seeds: Sequence[str] = (),
     more: Sequence[Table] = (),
@@ -197,7 +201,8 @@ def write_report(
         people=people,
         light=light,
         stand_ins=stand_ins,
-        study=study,
+        study_model=study_model,
+        failed=failed,
         unseen_partners=unseen_partners,
         seeds=seeds,
         more=more,
@@ -225,12 +230,12 @@ def _section(key: str, title: str, html: str) -> Part:
     return key, title, f'<section id="{escape(key)}"><h2>{escape(title)}</h2>{html}</section>'
 
 
-def _paper_tables(data: ReportData, missing: list[str], study: StudyModel, charts: dict[str, list[str]]) -> list[Table]:
-    """Tables of all tasks; what is ``missing``, and ``charts`` of studies by key of their table, are added to."""
+def _paper_tables(data: ReportData, missing: list[str], studies: Mapping[str, StudyTables]) -> list[Table]:
+    """Tables of all tasks, with those of ``studies`` by task; what is ``missing`` is added to."""
     others = [task_table(task_name(t), data.of_task(t)) for t in data.tasks if t not in TASKS]
-    studies = _study_tables(data, missing, study, charts)
+    of_studies = [table for study in studies.values() for table in study.tables]
     if len(others) == len(data.tasks):
-        return [*others, *studies]  # of a study of another task nobody expects the paper's tables
+        return [*others, *of_studies]  # of a study of another task nobody expects the paper's tables
     tables = []
     if runs := data.of_task("social_nav"):
         tables.append(social_nav_table(runs))
@@ -242,28 +247,30 @@ def _paper_tables(data: ReportData, missing: list[str], study: StudyModel, chart
         missing.append("Social rearrangement (train-pop and ZSC-pop): there are no episodes of it.")
     if not any(e.studied for e in data.episodes):
         missing.append("Human-in-the-loop study and its contrasts: no episodes of participants under conditions.")
-    return [*tables, *studies, *others]
+    return [*tables, *of_studies, *others]
 
 
-def _study_tables(data: ReportData, missing: list[str], study: StudyModel, charts: dict[str, list[str]]) -> list[Table]:
-    """Tables of the episodes that participants did under conditions, of each task."""
-    tables = []
+def _studies(data: ReportData, missing: list[str], model: StepsModel, failed: FailedEpisodes) -> dict[str, StudyTables]:
+    """Tables of the episodes that participants did under conditions, by task."""
+    studies = {}
     for task in data.tasks:
-        runs = [run for run in data.of_task(task) if any(e.studied for e in run.episodes)]
-        if runs:
-            found, charts[key_of("hitl", task)], why = study_tables(runs, study)
-            ranks = rank_table(data.of_task(task))
-            tables += found if ranks is None else [*found, ranks]
+        if any(e.studied for run in data.of_task(task) for e in run.episodes):
+            try:
+                studies[task] = SECTIONS.get("study")(data.of_task(task), steps=model, failed=failed)
+                why = studies[task].missing
+            except InputError as fault:  # the package of studies is not there
+                why = str(fault).partition(" Hint:")[0].rstrip(".")
             if why:
                 missing.append(f"Human-in-the-loop study in {task_name(task)}: {why}.")
-    return tables
+    return studies
 
 
 def _task_sections(
     task: str,
     runs: Sequence[Run],
     tables: Sequence[Table],
-    charts: Mapping[str, Sequence[str]],
+    partners: Sequence[Table],
+    study: StudyTables | None,
     plans: Plans,
     missing: list[str],
     tail: str,
@@ -276,13 +283,9 @@ def _task_sections(
             f"<h3>Compared with the paper</h3>{names}{_panels(estimate_charts(runs))}" if task == "social_nav" else ""
         )
         parts.append(_section(task, table.title, to_html(table) + beside))
-    keys = [*(key_of(name, task) for name in ("hitl", "contrasts")), f"ranks_{task}"]
-    parts += [
-        _section(t.key, t.title + tail, to_html(t) + (_panels(charts[t.key]) if charts.get(t.key) else ""))
-        for t in tables
-        if t.key in keys
-    ]
-    partners = [t for t in tables if t.key.startswith(f"partners_{task}_")]
+    for table in () if study is None else study.tables:
+        charts = study.charts.get(table.key, ()) if study is not None else ()
+        parts.append(_section(table.key, table.title + tail, to_html(table) + (_panels(charts) if charts else "")))
     if partners:
         heats = "".join(f"<div>{to_html(t, sortable=False)}</div>" for t in partners)
         css = "heats" if len(partners[0].columns) <= _BESIDE else "heats rows"

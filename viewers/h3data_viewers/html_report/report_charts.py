@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.metrics import Metric, StudyAnalysis, metrics_of
+from h3data.metrics import Metric, metrics_of
 from h3data.metrics.paper.published import published_results
 from h3data_viewers.html_report.report_data import Run
 from h3data_viewers.html_report.report_episode import GRID_S
@@ -71,31 +71,46 @@ def _estimates(metric: Metric, runs: Sequence[Run], paper: Sequence) -> str:
     return _figure(svg, f"{metric.name}: {metric.title.lower()}")
 
 
-def study_charts(analysis: StudyAnalysis, names: Sequence[str]) -> list[str]:
-    """One panel per metric of a study: the estimated means of conditions with intervals; ``names`` are those of all runs."""
-    colours = {c: series_class(names.index(c) if c in names else k) for k, c in enumerate(analysis.conditions)}
-    return [figure for metric in analysis.metrics if (figure := _study_chart(metric, analysis, colours))]
+def mean_charts(
+    metrics: Sequence[Metric],
+    conditions: Sequence[str],
+    estimates: Mapping[str, Mapping[str, tuple[float, float, float]]],
+    names: Sequence[str],
+) -> list[str]:
+    """One panel per metric of a study: the estimated means of conditions with intervals.
+
+    ``estimates`` has mean, lower and upper end, or NaN, by metric and condition; ``names`` are those of all runs.
+    """
+    colours = {c: series_class(names.index(c) if c in names else k) for k, c in enumerate(conditions)}
+    panels = (_mean_chart(metric, conditions, estimates[metric.name], colours) for metric in metrics)
+    return [figure for figure in panels if figure]
 
 
-def _study_chart(metric: Metric, analysis: StudyAnalysis, colours: Mapping[str, str]) -> str:
-    means = {c: e for c in analysis.conditions if (e := analysis.estimates[metric.name].get(c)) and np.isfinite(e.mean)}
+def _mean_chart(
+    metric: Metric,
+    conditions: Sequence[str],
+    estimates: Mapping[str, tuple[float, float, float]],
+    colours: Mapping[str, str],
+) -> str:
+    means = {c: estimates[c] for c in conditions if c in estimates and np.isfinite(estimates[c][0])}
     if not means:
         return ""
-    ends = [v for e in means.values() for v in (e.mean, e.high) if np.isfinite(v)]
-    high = 1.0 if metric.range == (0.0, 1.0) else max(ends) * 1.08 or 1.0
-    bottom = 8 + _ROW * len(analysis.conditions)
-    told = "; ".join(f"{c} {e.mean:.2f}" for c, e in means.items())
-    svg = Svg(_WIDTH, bottom + 38, f"{metric.title}, estimated means: {told}")
-    x = linear(0, high, _LABEL, _WIDTH - 12)
-    x_axis(svg, x, ticks(0, high, 4), (_LABEL, 2.0, _WIDTH - 12, bottom), title=_unit(metric))
-    for k, condition in enumerate(analysis.conditions):
+    ends = [v for mean, _, upper in means.values() for v in (mean, upper) if np.isfinite(v)]
+    most = 1.0 if metric.range == (0.0, 1.0) else max(ends) * 1.08 or 1.0
+    bottom = 8 + _ROW * len(conditions)
+    alt = "; ".join(f"{c} {mean:.2f}" for c, (mean, _, _) in means.items())
+    svg = Svg(_WIDTH, bottom + 38, f"{metric.title}, estimated means: {alt}")
+    x = linear(0, most, _LABEL, _WIDTH - 12)
+    x_axis(svg, x, ticks(0, most, 4), (_LABEL, 2.0, _WIDTH - 12, bottom), title=_unit(metric))
+    for k, condition in enumerate(conditions):
         y = 8 + _ROW * (k + 0.5)
         svg.text(_LABEL - 8, y + 4, condition, "label", anchor="end", most=16)
-        if (e := means.get(condition)) is None:
+        if condition not in means:
             continue
-        if np.isfinite(e.low):
-            svg.line(x(e.low), y, x(e.high), y, f"whisker {colours[condition]}")
-        svg.circle(x(e.mean), y, 5, f"dot {colours[condition]}", title=f"{e.mean:.3f} [{e.low:.3f}, {e.high:.3f}]")
+        mean, low, high = means[condition]
+        if np.isfinite(low):
+            svg.line(x(low), y, x(high), y, f"whisker {colours[condition]}")
+        svg.circle(x(mean), y, 5, f"dot {colours[condition]}", title=f"{mean:.3f} [{low:.3f}, {high:.3f}]")
     return _figure(svg, f"{metric.name}: {metric.title.lower()}, estimated means with 95 % intervals")
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from html import escape
 
 NAN = float("nan")
@@ -94,6 +95,17 @@ class Table:
             else:
                 spans.append((column.group, 1))
         return spans
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyTables:
+    """What a report shows of the episodes of one task that participants did under conditions."""
+
+    tables: tuple[Table, ...] = ()
+    charts: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    """Charts below a table, as SVG, by the key of the table."""
+    missing: str = ""
+    """Reason why there are no tables of means; empty if there are."""
 
 
 # --- numbers ----------------------------------------------------------------------------------------------------------

@@ -15,10 +15,10 @@ SLOTS = (
     "skin", "sclera", "iris", "pupil", "brows", "hair", "scarf", "top", "top trim", "shirt", "bottom", "bottom trim",
     "legs", "shoes", "soles", "buttons",
 )  # fmt: skip
-"""What has a color of its own. ``shirt`` is seen under a jacket, ``legs`` are tights or socks."""
+"""Parts that have a color of their own. ``shirt`` is seen under a jacket, ``legs`` are tights or socks."""
 SLOT = {name: k for k, name in enumerate(SLOTS)}
 PAINTS = ("lips", "blush", "lashes", "lids", "lines", "stubble", "scalp", "legs")
-"""What is painted on skin, from the first on: each moves the color towards one of its own."""
+"""Paints on skin, in the order in which they are applied: each moves the color towards one of its own."""
 
 Color = tuple[int, int, int]
 """sRGB, 0..255."""
@@ -33,11 +33,11 @@ class Complexion:
     hair: Color
     iris: Color = (70, 52, 40)
     lips: float = 0.5
-    """How red the lips are, 0..1."""
+    """Redness of the lips, 0..1."""
     blush: float = 0.35
     lashes: float = 0.8
     lines: float = 0.0
-    """How deep the lines of age are, 0..1."""
+    """Depth of the lines of age, 0..1."""
     stubble: float = 0.0
     """Shadow of a shaved beard, 0..1."""
 

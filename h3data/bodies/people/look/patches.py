@@ -30,7 +30,7 @@ class Patch:
     corners: NDArray[np.uint16]
     """Three vertices of the base under each vertex, shape [V, 3]."""
     shares: Floats
-    """How much each of the three counts; they sum to 1, shape [V, 3]."""
+    """Weight of each of the three; the weights sum to 1, shape [V, 3]."""
     lift: Floats
     """Along the base's normal [m], shape [V]."""
     offset: Floats | None

@@ -120,7 +120,7 @@ HAIRSTYLES = (
     "crop", "short", "swept", "tousled", "bob", "long", "tail", "bun", "curls", "waves", "receding", "scarf",
 )  # fmt: skip
 SCALP = {"receding": 0.12, "crop": 0.85}
-"""How much the scalp has the color of hair, where not as usual."""
+"""Share of the color of hair in the scalp, by hair style, where it is not the usual one."""
 SCALP_USUAL = 0.6
 
 

@@ -1,1 +1,0 @@
-"""Motion clips of other sources: files, retargeting, cycles."""

@@ -1,1 +1,0 @@
-"""Readers of mesh files that are not glTF: Collada, and OBJ, PLY and STL through trimesh."""

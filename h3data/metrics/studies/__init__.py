@@ -1,1 +1,0 @@
-"""Studies with people: plan, power, analysis."""

@@ -1,0 +1,26 @@
+"""Recordings in the formats of other tools: CSV tables, Foxglove, LeRobot, robomimic."""
+
+from h3data.formats import Format
+
+FOXGLOVE = Format(
+    name="foxglove",
+    title="a log for Foxglove and Lichtblick",
+    write="h3data_exporters.foxglove.foxglove_file:export_foxglove",
+    write_options=("assets", "people", "stand_ins", "cameras"),
+)
+LEROBOT = Format(
+    name="lerobot",
+    title="a LeRobot dataset",
+    write="h3data_exporters.lerobot:export_lerobot",
+    write_options=("agent", "assets", "people", "stand_ins", "cameras"),
+    target="dataset",
+    many=True,
+)
+ROBOMIMIC = Format(
+    name="robomimic",
+    title="demonstrations for robomimic",
+    write="h3data_exporters.robomimic:export_robomimic",
+    write_options=("agent",),
+    many=True,
+)
+CSV = Format(name="csv", title="CSV tables", write="h3data_exporters.csv_tables:export_csv", target="folder")

@@ -1,0 +1,150 @@
+"""Recordings as a LeRobot v3.0 dataset for training: our dataset with the columns that its policies look for."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from h3data.errors import InputError
+from h3data.formats import Exported, ExportRequest
+from h3data.recording.parquet.videos import EpisodeVideo
+from h3data.recording.parquet.writer import DatasetWriter
+from h3data.recording.records import Recording
+from h3data.recording.storage import AnyPath, RemotePath, place
+from h3data.terminal import counted
+from h3data_exporters.transitions import transitions_of
+
+VideosOf = Callable[[int, Recording], AbstractContextManager[Sequence[EpisodeVideo]]]
+"""Videos of the episode with this number, of all its steps but the last; their files may go at the end of the block."""
+
+
+def write_lerobot(
+    recordings: Iterable[Recording],
+    root: str | Path | RemotePath,
+    *,
+    agent: str | None = None,
+    overwrite: bool = False,
+    videos_of: VideosOf | None = None,
+) -> int:
+    """Write a dataset of transitions (`transitions_of`) into a folder; returns the number of episodes.
+
+    Beside the columns of the recording, which stay as they are (h3data docs format) but for ``sim.*`` and ``state_hash`` (the
+    simulator's own, and LeRobot's loader fails on unsigned 64-bit numbers), each frame has ``observation.state``
+    (the agent's base pose, joints, ...), ``action`` (what it did in that state), ``next.reward``, ``next.done`` and
+    ``next.success``. Rows without an action after them, the last of each episode, are left out.
+    ``recordings`` are gone through twice, first for the widest columns: give a list, not a generator.
+
+    Raises:
+        InputError: there is no recording, one has no actions, or it does not fit the dataset.
+    """
+    first = next(iter(recordings), None)
+    if first is None:
+        raise InputError("There is no recording to write.", code="H3-EXPORT-027")
+    fps = round(1e9 / _with_transitions(first, agent).episode.dt_ns)  # refused before a folder is made
+    widest = (_with_transitions(recording, agent) for recording in recordings)
+    with DatasetWriter(root, fps=fps, overwrite=overwrite, like=widest) as out:
+        for number, recording in enumerate(recordings):
+            with videos_of(number, recording) if videos_of else nullcontext(()) as videos:
+                out.add(_with_transitions(recording, agent), videos=videos)
+        return len(out)
+
+
+def export_lerobot(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
+    """Exports recordings for ``h3data export --to lerobot``."""
+    cameras = tuple(dict.fromkeys(request.cameras or request.stored_cameras))
+    counts = {"copied": 0, "rendered": 0}
+
+    @contextmanager
+    def videos_of(number: int, recording: Recording) -> Iterator[Sequence[EpisodeVideo]]:
+        frames = len(recording) - 1
+        # the last frame, which a copy leaves out, stays in its statistics
+        stored = {video.feature.camera: replace(video, length=frames) for video in request.stored_videos(number)}
+        wanted = [camera for camera in cameras if camera not in stored]
+        with TemporaryDirectory(prefix="h3data-") as folder:
+            rendered = iter(_rendered(recording, wanted, Path(folder), frames, request) if wanted else ())
+            yield [stored[camera] if camera in stored else next(rendered) for camera in cameras]
+        counts["rendered"] += len(wanted)
+        counts["copied"] += len(cameras) - len(wanted)
+
+    with _appearing_whole(place(request.out)) as root:
+        count = write_lerobot(recordings, root, agent=request.agent, videos_of=videos_of if cameras else None)
+    text = f"{request.out}: {counted(count, 'episode')} as a LeRobot v3.0 dataset"
+    if cameras:
+        text += f", with videos of {', '.join(cameras)} ({counts['rendered']} rendered, {counts['copied']} copied)"
+    return Exported(text=text, data={"episodes": count, "cameras": list(cameras), "videos": counts})
+
+
+def _rendered(
+    recording: Recording, cameras: Sequence[str], folder: Path, frames: int, request: ExportRequest
+) -> list[EpisodeVideo]:
+    from h3data.exporters.camera_videos import render_videos
+
+    return render_videos(
+        recording,
+        cameras,
+        folder,
+        steps=frames,
+        threads=request.threads,
+        assets=request.assets,
+        stand_ins=request.stand_ins,
+        light=recording.episode.info.get("light", "flat" if request.stored_cameras else "baked"),
+        backend=request.backend,
+        progress=lambda items, total: request.progress(items, total, "frame"),
+    )
+
+
+@contextmanager
+def _appearing_whole(root: AnyPath) -> Iterator[AnyPath]:
+    """A folder to write a dataset into that gets the name ``root`` at the end of the block and is deleted on an exception.
+
+    In an object store, which cannot rename, it is ``root`` itself.
+    """
+    if isinstance(root, RemotePath):
+        yield root
+        return
+    if root.exists() and (not root.is_dir() or any(root.iterdir())):
+        raise InputError(
+            f"The output folder exists and is not empty. Use force=True to overwrite it, or another name: {root}",
+            code="H3-EXPORT-028",
+        )
+    part = root.with_name(f"{root.name}.part")
+    shutil.rmtree(part, ignore_errors=True)  # of a run that was killed
+    try:
+        yield part
+        part.replace(root)
+    except BaseException as error:
+        shutil.rmtree(part, ignore_errors=True)
+        if isinstance(error, InputError) and isinstance(error.__cause__, OSError):
+            why = error.__cause__.strerror or error.__cause__
+            raise InputError(
+                f"Could not write the dataset ({why}); nothing of it is kept: {root}", code="H3-EXPORT-029"
+            ) from error
+        raise
+
+
+def _with_transitions(recording: Recording, agent: str | None) -> Recording:
+    found = transitions_of(recording, agent=agent)
+    steps = len(found)
+    done = np.zeros(steps, np.bool_)
+    done[-1] = True
+    extra = {
+        "observation.state": found.flat_state[:-1],
+        "action": found.action,
+        "next.reward": found.reward,
+        "next.done": done,
+        "next.success": found.reward > 0,
+    }
+    names = {"observation.state": list(found.state_names), "action": list(found.action_names)}
+    columns = {
+        name: values[:-1]
+        for name, values in recording.columns.items()
+        if values.dtype != np.uint64 and not name.startswith("sim.")
+    }
+    info = {**recording.episode.info, "lerobot": {"agent": recording.agents[found.agent].name, "names": names}}
+    return replace(recording, episode=replace(recording.episode, info=info), columns={**columns, **extra})

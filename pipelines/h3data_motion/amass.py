@@ -1,0 +1,168 @@
+"""AMASS and other SMPL motion: npz files of axis-angle rotations, for SMPL-X, SMPL-H and SMPL skeletons.
+
+The skeletons of SMPL differ in length, not in meaning: their rotations apply to ours by index (research/humanoids.md 2).
+``trans`` is not the pelvis: that is ``J0(betas) + trans``, and J0 is known to the model file alone. It is a constant, so
+only heights are off, which fitting to a body finds again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies.people.skeleton import JOINT_COUNT
+from h3data.errors import FormatError
+from h3data.geometry import Array, normalized, quat_from_axis_angle, quat_from_rotvec
+from h3data.npz_arrays import npz_arrays, npz_names
+from h3data_motion.clip import Motion, in_start_frame, turned_frames
+
+FPS_KEYS = ("mocap_framerate", "mocap_frame_rate", "frame_rate", "framerate", "fps")
+ROOT_KEYS, BODY_KEYS, TRANS_KEYS = ("root_orient", "global_orient"), ("pose_body", "body_pose"), ("trans", "transl")
+HAND_KEY, JAW_KEY, EYE_KEY, POSES_KEY = "pose_hand", "pose_jaw", "pose_eye", "poses"
+READ_KEYS = (*FPS_KEYS, *ROOT_KEYS, *BODY_KEYS, *TRANS_KEYS, HAND_KEY, JAW_KEY, EYE_KEY, POSES_KEY)
+
+_BODY, _HANDS = range(22), range(25, 55)
+LAYOUTS: dict[int, tuple[tuple[int, int], ...]] = {
+    55: tuple((j, j) for j in range(55)),
+    52: tuple(zip(range(52), (*_BODY, *_HANDS), strict=True)),
+    24: tuple((j, j) for j in _BODY),  # joints 22 and 23 are SMPL's hands, which ours has no place for
+    22: tuple((j, j) for j in _BODY),
+}
+"""Number of joints in a file: which of them is which of ours."""
+MAX_ANGLE_RAD = 8 * np.pi
+"""A rotation vector longer than this is not in radians."""
+
+Up = Literal["z", "y"]
+
+
+def is_amass(names: tuple[str, ...]) -> bool:
+    """Whether an npz with these arrays holds SMPL motion."""
+    return POSES_KEY in names or any(k in names for k in BODY_KEYS)
+
+
+def read_amass(path: str | Path, *, up: Up = "z", fps: float | None = None, source: str = "") -> Motion:
+    """Reads motion from an npz file in the layout of AMASS.
+
+    The file has ``poses`` [T, 3n] of 55, 52, 24 or 22 joints, or ``root_orient`` with ``pose_body`` (and ``pose_hand``,
+    ``pose_jaw``, ``pose_eye``); further ``trans`` and the frame rate.
+
+    Args:
+        path: npz file; pickled members are not read.
+        up: axis of the file's world that points up: z in AMASS, y in some other sets.
+        fps: frames per second, if the file does not say.
+        source: origin and licence; AMASS' own terms are named if empty.
+
+    Raises:
+        FormatError: an array is missing or of the wrong shape, or a number is not finite; the message names its key.
+        InputError: there is no such file.
+    """
+    path = Path(path)
+    data = npz_arrays(path, READ_KEYS)
+    where = str(path)
+    if not is_amass(tuple(data)):
+        held = ", ".join(npz_names(path)[:12]) or "nothing"
+        raise FormatError(
+            f"Expected poses, or root_orient with pose_body; the file has {held}: {where}", code="H3-BODY-003"
+        )
+    rotvecs = _joint_rotvecs(data, where)
+    trans = _numbers(data, _key(data, TRANS_KEYS, where), (len(rotvecs), 3), where)
+    quats = np.tile([0.0, 0, 0, 1], (len(rotvecs), JOINT_COUNT, 1))
+    for theirs, ours in LAYOUTS[rotvecs.shape[1]]:
+        quats[:, ours] = quat_from_rotvec(rotvecs[:, theirs])
+    turn = quat_from_axis_angle(np.array([1.0, 0, 0]), -np.pi / 2 if up == "z" else 0.0)
+    quats, pelvis = turned_frames(turn, quats, trans)
+    return in_start_frame(
+        Motion(
+            name=path.stem, fps=_fps(data, where) if fps is None else fps, quats=normalized(quats), pelvis=pelvis,
+            source=source or f"AMASS layout, {path.name}; under the terms of its data set",
+        )
+    )  # fmt: skip
+
+
+def _joint_rotvecs(data: Mapping[str, NDArray[Any]], where: str) -> Array:
+    """Axis-angle vectors [T, n, 3] of n joints, n a key of `LAYOUTS`."""
+    if any(k in data for k in BODY_KEYS):
+        body_key = _key(data, BODY_KEYS, where)
+        body = _flat(data, body_key, where)
+        if body.shape[1] not in (63, 69):
+            raise FormatError(
+                f"{body_key}: Expected 21 (or SMPL's 23) joints times 3, got {body.shape[1]} columns: {where}",
+                code="H3-BODY-010",
+            )
+        parts = [_numbers(data, _key(data, ROOT_KEYS, where), (len(body), 3), where), body[:, :63]]
+        extra = (JAW_KEY, 3), (EYE_KEY, 6), (HAND_KEY, 90)
+        if HAND_KEY in data or JAW_KEY in data:
+            parts += [
+                _numbers(data, key, (len(body), width), where) if key in data else np.zeros((len(body), width))
+                for key, width in extra
+            ]
+        return np.concatenate(parts, axis=1).reshape(len(body), -1, 3)
+    poses = _flat(data, POSES_KEY, where)
+    if poses.shape[1] % 3 or poses.shape[1] // 3 not in LAYOUTS:
+        known = ", ".join(f"{3 * n} ({n} joints)" for n in LAYOUTS)
+        raise FormatError(
+            f"{POSES_KEY}: Expected columns for one of {known}, got {poses.shape[1]}: {where}", code="H3-BODY-004"
+        )
+    return poses.reshape(len(poses), -1, 3)
+
+
+def _key(data: Mapping[str, NDArray[Any]], keys: tuple[str, ...], where: str) -> str:
+    for key in keys:
+        if key in data:
+            return key
+    raise FormatError(
+        f"Expected {' or '.join(keys)}, found only {', '.join(data) or 'nothing known'}: {where}", code="H3-BODY-001"
+    )
+
+
+def _flat(data: Mapping[str, NDArray[Any]], key: str, where: str) -> Array:
+    """An array [T, ...] as [T, n], with at least one frame; rotations in radians."""
+    array = data[key]
+    if array.ndim < 2 or not array.size:
+        raise FormatError(
+            f"{key}: Expected one row per frame, got shape {list(array.shape)}: {where}", code="H3-BODY-005"
+        )
+    flat = _numbers(data, key, (len(array), -1), where)
+    if np.abs(flat).max() > MAX_ANGLE_RAD:
+        raise FormatError(
+            f"{key}: Expected axis-angle vectors in radians, got {np.abs(flat).max():.1f}: {where}", code="H3-BODY-006"
+        )
+    return flat
+
+
+def _numbers(data: Mapping[str, NDArray[Any]], key: str, shape: tuple[int, ...], where: str) -> Array:
+    array = data[key]
+    if array.dtype.kind not in "fiu":
+        raise FormatError(f"{key}: Expected numbers, got {array.dtype}: {where}", code="H3-BODY-007")
+    try:
+        out = array.astype(np.float64).reshape(shape)
+    except ValueError:
+        raise FormatError(
+            f"{key}: Expected shape {list(shape)}, got {list(array.shape)}: {where}", code="H3-BODY-011"
+        ) from None
+    if not np.isfinite(out).all():
+        frame = int(np.nonzero(~np.isfinite(out).all(axis=1))[0][0])
+        raise FormatError(f"{key}: Expected finite numbers, frame {frame} has others: {where}", code="H3-BODY-008")
+    if np.abs(out).max(initial=0) > 1e6:
+        raise FormatError(
+            f"{key}: Expected metres or radians, got {np.abs(out).max():.3g}: {where}", code="H3-BODY-009"
+        )
+    return out
+
+
+def _fps(data: Mapping[str, NDArray[Any]], where: str) -> float:
+    for key in FPS_KEYS:
+        if key in data:
+            array = data[key]
+            if array.size != 1 or array.dtype.kind not in "fiu" or not 0 < float(array.reshape(())) < 1e4:
+                raise FormatError(f"{key}: Expected frames per second, got {array!r}: {where}", code="H3-BODY-012")
+            return float(array.reshape(()))
+    raise FormatError(
+        f"No frame rate: expected one of {', '.join(FPS_KEYS)}. Hint: give it yourself, h3data motion import --fps 120. "
+        f"File: {where}",
+        code="H3-BODY-002",
+    )

@@ -1,0 +1,141 @@
+"""From a capture to the few seconds of it that become a walk; `h3data.bodies.names` asks for it by the group `h3data.walks`."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from h3data.bodies.people.humanoid import Humanoid
+from h3data.bodies.people.humanoid_file import load_humanoid
+from h3data.errors import InputError
+from h3data.geometry import IDENTITY_POSE, Array
+from h3data_motion.clip import Motion
+from h3data_motion.cycle import find_loop
+from h3data_motion.files import load_motion, motion_bytes, read_motion
+from h3data_motion.gait import walks_as
+from h3data_motion.retarget import retarget
+
+LEAST_FPS, KEPT_FPS = 20.0, 60.0
+"""Fewer frames a second leave four for a swinging foot; more are not kept."""
+CUT_M, CUT_MPS2 = 0.02, 25.0
+"""Joints jump where their mean change of velocity in a frame is larger than this: a length, and an acceleration besides."""
+PACE_S, WALKS_SHARE, LEAST_MPS = 0.6, 0.7, 0.3
+"""A person walks while their speed over `PACE_S` is above this share of the fastest, and the fastest above `LEAST_MPS`."""
+CYCLE_S, MARGIN_S = (0.6, 2.2), 0.4
+"""Length of a cycle of two steps, and what is kept before and after it."""
+GAP_SHARE = 0.75
+"""The end of a cycle may differ from its start by this share of how poses differ from their mean; opposite ones have 1.3."""
+
+
+def walking(body: Humanoid, data: bytes, *, name: str) -> Humanoid:
+    """A body called ``name`` that walks as the contents of a motion file say."""
+    return walks_as(body, load_motion(io.BytesIO(data)), name=name)
+
+
+def facts(data: bytes) -> dict[str, str]:
+    """What recordings say about a walk, from the contents of its file."""
+    motion = load_motion(io.BytesIO(data))
+    return {"name": motion.name, "source": motion.source}
+
+
+@lru_cache(maxsize=16)
+def walk_file(path: str) -> bytes:
+    """The contents of the file that keeps the walk in a motion file.
+
+    Raises:
+        InputError: there is no such file, or nobody walks in it.
+        FormatError: it is no motion file.
+    """
+    if not Path(path).is_file():
+        raise InputError(f"Expected a motion file (.npz, .pkl, .bvh), there is none there: {path}", code="H3-BODY-061")
+    return motion_bytes(walk_of(read_motion(path)))
+
+
+def walk_of(motion: Motion) -> Motion:
+    """The part of a motion that becomes a walk: its best cycle, and a little before and after it.
+
+    Raises:
+        InputError: it has too few frames a second, or nobody walks in it for a cycle without a cut.
+    """
+    if motion.fps < LEAST_FPS:
+        raise InputError(
+            f"Motion {motion.name!r}: expected at least {LEAST_FPS:g} frames per second, got {motion.fps:g}: a swinging foot "
+            "has too few.",
+            code="H3-BODY-062",
+        )
+    if motion.duration_s < CYCLE_S[0] + 0.1:
+        raise InputError(
+            f"Motion {motion.name!r} lasts {motion.duration_s:.2f} s; a cycle of two steps needs {CYCLE_S[0] + 0.1:.1f} s.",
+            code="H3-BODY-063",
+        )
+    if motion.fps > KEPT_FPS:
+        motion = motion.resampled(KEPT_FPS)
+    body = load_humanoid("neutral_0")
+    part = _longest_walk(_uncut(replace(motion, body=""), body))
+    fitted = retarget(part, body)
+    loop = find_loop(fitted, body, min_s=CYCLE_S[0], max_s=CYCLE_S[1])
+    if loop.gap_m > GAP_SHARE * loop.spread_m:
+        raise InputError(
+            f"Motion {motion.name!r}: expected steps that repeat, the best cycle ends {100 * loop.gap_m:.0f} cm from where it "
+            f"starts. Hint: take a part with some steps straight ahead.",
+            code="H3-BODY-064",
+        )
+    kept = part.part(max(loop.start_s - MARGIN_S, 0.0), loop.end_s + MARGIN_S)
+    walks_as(body, kept)  # refuses what cannot be played
+    return kept
+
+
+def _walked(motion: Motion) -> Motion:
+    """The longest part of a motion in which somebody walks steadily."""
+    count = max(2, round(PACE_S * motion.fps))
+    pace = np.linalg.norm(motion.pelvis[count:, ::2] - motion.pelvis[:-count, ::2], axis=1) * motion.fps / count
+    fastest = float(np.percentile(pace, 95))
+    if fastest < LEAST_MPS:
+        raise InputError(
+            f"Motion {motion.name!r}: expected somebody who walks, this one gets on by {fastest:.2f} m/s at most. Hint: is the "
+            "unit of the file right (--unit-m of h3data motion import)?",
+            code="H3-BODY-065",
+        )
+    start, end = max(_runs(pace > WALKS_SHARE * fastest), key=lambda run: run[1] - run[0])
+    return motion.part(start / motion.fps, (end - 1 + count) / motion.fps)
+
+
+def _uncut(motion: Motion, body: Humanoid) -> list[Motion]:
+    """The parts of a motion between its jump cuts that are long enough for a cycle."""
+    at = np.tile(IDENTITY_POSE, (len(motion), 1))
+    places = body.joint_matrices(at, motion.quats, motion.pelvis)[:, :22, :3, 3]
+    jumps = np.linalg.norm(np.diff(places, n=2, axis=0), axis=-1).mean(axis=1)
+    whole = np.ones(len(motion), bool)
+    whole[1:-1] = jumps < CUT_M + CUT_MPS2 / motion.fps**2
+    least = (CYCLE_S[0] + 0.1) * motion.fps
+    runs = [(start, end) for start, end in _runs(whole) if end - start >= least]
+    if not runs:
+        raise InputError(
+            f"Motion {motion.name!r}: expected {CYCLE_S[0] + 0.1:.1f} s without a jump, there are none. Hint: is it cut "
+            "together, or are joints missing in some frames?",
+            code="H3-BODY-066",
+        )
+    return [motion.part(start / motion.fps, (end - 1) / motion.fps) for start, end in runs]
+
+
+def _longest_walk(parts: list[Motion]) -> Motion:
+    """The longest walk in any of the parts."""
+    walks, faults = [], []
+    for part in parts:
+        try:
+            walks.append(_walked(part))
+        except InputError as fault:
+            faults.append(fault)
+    if not walks:
+        raise faults[0]
+    return max(walks, key=lambda walk: walk.duration_s)
+
+
+def _runs(holds: Array) -> list[tuple[int, int]]:
+    """First and one after the last index of each run that holds."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], holds, [False]]).astype(np.int8)))
+    return [(int(start), int(end)) for start, end in edges.reshape(-1, 2)]
