@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from h3data.bodies import JOINT_INDEX, load_humanoid
 from h3data.errors import FormatError, H3DataError, InputError
 from h3data_habitat.motion.habitat_motion import read_habitat_motion
-from h3data_motion import motion_files
+from h3data_motion import files as motion_files
 from h3data_motion.amass import read_amass
 from h3data_motion.bvh import BvhWarning, parse_bvh
 from h3data_motion.bvh_motion import load_name_table, read_bvh
