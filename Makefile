@@ -108,7 +108,7 @@ test-ray: dev  ### jobs on a Ray cluster of four nodes on this machine, some of 
 	$(PYTEST) -m slow -rs tests/pipelines/test_ray.py
 
 LOWEST := .venv-lowest
-LOWEST_EXTRAS := gltf env rays robomimic foxglove hitl sql hub frames notebook
+LOWEST_EXTRAS := gltf env rays robomimic foxglove hitl remote sql hub frames notebook
 LOWEST_TESTS := tests/recording tests/mesh tests/scene tests/stats tests/export tests/metrics tests/bodies/robots tests/sim/envs \
 	tests/pipelines/test_parsing.py tests/pipelines/test_sql.py tests/pipelines/test_sync.py tests/viewers/test_rerun_view.py
 test-lowest:  ### the oldest versions that pyproject.toml allows, of all but torch (constraints.txt); an environment of its own

@@ -19,6 +19,7 @@ PACKAGES = {
     "h3data_studies": ROOT / "viewers" / "h3data_studies",
     "h3data_homes": ROOT / "pipelines" / "h3data_homes",
     "h3data_training": ROOT / "pipelines" / "h3data_training",
+    "h3data_remote": ROOT / "pipelines" / "h3data_remote",
     "h3data_pipelines": ROOT / "pipelines" / "h3data_pipelines",
     "h3data_kernels": ROOT / "pipelines" / "h3data_kernels",
     "bake": ROOT / "pipelines" / "bake",
@@ -31,6 +32,7 @@ LAYERS = (
     "h3data_play",
     "h3data_studies",
     "h3data_training",
+    "h3data_remote",
     "h3data_pipelines",
 )
 """Packages from the lowest to the highest."""

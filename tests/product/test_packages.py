@@ -17,6 +17,7 @@ PLACES = {
     "h3data_homes": "pipelines",
     "h3data_pipelines": "pipelines",
     "h3data_training": "pipelines",
+    "h3data_remote": "pipelines",
     "h3data_play": "viewers",
     "h3data_studies": "viewers",
     "h3data_viewers": "viewers",
@@ -62,6 +63,7 @@ def run_without(package: str, tree: Path, commands: list[list[str]]) -> dict[str
         ("h3data_play", {"play", "study"}),
         ("h3data_studies", {"study"}),
         ("h3data_training", {"train"}),
+        ("h3data_remote", {"serve"}),
     ],
 )
 def test_a_package_that_is_not_there_costs_only_its_commands(package: str, lost: set[str], tmp_path: Path) -> None:
@@ -70,7 +72,7 @@ def test_a_package_that_is_not_there_costs_only_its_commands(package: str, lost:
     said = run_without(package, tmp_path, asked)
     assert all(said[f"{word} --help"][0] == 0 for word in others)
     listed = said["--help"][1]
-    for word in ("view", "report", "play", "study", "train"):
+    for word in ("view", "report", "play", "study", "train", "serve"):
         assert (f"\n  {word} " in listed) is (word not in lost)
     for word in lost:
         assert said[word][0] == 2

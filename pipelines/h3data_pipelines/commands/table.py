@@ -39,6 +39,7 @@ TABLE: dict[str, type[Command] | Group | None] = {
     "evaluate": Evaluate,
     "train": None,
     "play": None,
+    "serve": None,
     "import": Import,
     "export": Export,
     "rerender": Rerender,
