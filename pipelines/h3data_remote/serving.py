@@ -60,7 +60,11 @@ class ShownView:
             raise PolicyServerError(
                 f"The request lacks: {', '.join(lacks)}. The metadata say what to send.", code="H3-REMOTE-044"
             )
-        return {name: np.asarray(self._entries[name]) for name in names}
+        shown = {name: np.asarray(self._entries[name]) for name in names}
+        strange = [name for name, values in shown.items() if values.dtype.kind not in "biuf" or not values.ndim]
+        if strange:
+            raise PolicyServerError(f"Expected arrays of numbers, got something else in: {', '.join(strange)}.")
+        return shown
 
     def __getattr__(self, name: str) -> Any:
         raise PolicyServerError(
