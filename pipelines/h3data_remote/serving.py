@@ -63,7 +63,9 @@ class ShownView:
         shown = {name: np.asarray(self._entries[name]) for name in names}
         strange = [name for name, values in shown.items() if values.dtype.kind not in "biuf" or not values.ndim]
         if strange:
-            raise PolicyServerError(f"Expected arrays of numbers, got something else in: {', '.join(strange)}.")
+            raise PolicyServerError(
+                f"Expected arrays of numbers, got something else in: {', '.join(strange)}.", code="H3-REMOTE-060"
+            )
         return shown
 
     def __getattr__(self, name: str) -> Any:

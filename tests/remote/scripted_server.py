@@ -24,7 +24,7 @@ def websocket_server(handle: Callable[[ServerConnection], object]) -> Iterator[s
         with suppress(ConnectionClosed):
             handle(connection)
 
-    with serve(guarded, "127.0.0.1", 0, compression=None, max_size=None) as server:
+    with serve(guarded, "127.0.0.1", 0, compression=None, max_size=None, close_timeout=0.2) as server:
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
         yield f"ws://127.0.0.1:{server.socket.getsockname()[1]}"
