@@ -33,7 +33,7 @@ help:
 help-all: help
 	$(call list,\#\#\#)
 
-.PHONY: setup dev demo kernels check-kernels warm test test-all test-browser test-ray test-lowest check check-docs docs check-lerobot check-gltf web check-web format bench wheel smoke sbom check-tag check-workflows api api-diff changelog clean
+.PHONY: setup dev demo kernels check-kernels warm test test-all test-browser test-ray test-lowest check check-docs docs check-openpi check-lerobot check-gltf web check-web format bench wheel smoke sbom check-tag check-workflows api api-diff changelog clean
 
 setup: $(INSTALLED)  ## .venv with what h3data needs, and no more
 
@@ -120,6 +120,9 @@ test-lowest:  ### the oldest versions that pyproject.toml allows, of all but tor
 		--override $(LOWEST)/overrides.txt -r pyproject.toml $(addprefix --extra ,$(LOWEST_EXTRAS)) "moto[server]>=5.2.5"
 	$(LOWEST)/bin/python -m pip install -q --no-deps --no-build-isolation -e .
 	NUMBA_CACHE_DIR=$(LOWEST)/kernels $(LOWEST)/bin/python -m pytest $(LOWEST_TESTS)
+
+check-openpi: dev  ### policy servers against openpi's own client, in both directions; an environment of its own (150 MB)
+	$(PYTEST) -m slow -rs tests/remote
 
 docs: dev  ## the documentation site, offline, into build/docs
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[docs]"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import socket
+import subprocess
 import sys
 import threading
 import time
@@ -435,6 +436,16 @@ def test_built_in_adapters_can_be_read() -> None:
 def test_people_are_not_moved_by_servers() -> None:
     with pytest.raises(InputError, match="move robots"):
         h3data.simulate("wander", "small:3", agents={"human": "ws://127.0.0.1:1"}, max_steps=3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("missing", ["websockets", "zmq"])
+def test_a_missing_package_names_the_extra(missing: str) -> None:
+    code = f"import sys; sys.modules['{missing}'] = None; from h3data_pipelines.cli import main; sys.exit(main(sys.argv[1:]))"
+    for words in (["serve", "--policy", "stand_still"], ["evaluate", "social_nav", "--policies", "ws://h", "-o", "x"]):
+        done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
+        assert done.returncode == 2
+        assert done.stderr.count("pip install 'h3data[remote]'") == done.stderr.count("\n") == 1
 
 
 # --- several worlds ---------------------------------------------------------------------------------------------------
