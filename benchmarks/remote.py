@@ -13,7 +13,9 @@ from h3data_remote.wire import OPENPI
 from sim_kinematic.policies.assignment import make_policy
 from sim_kinematic.tasks.registry import find_task
 
-CALLS = 200
+CALLS = 50
+BATCHES = 6
+"""Of which the fastest counts: other programs on the machine make the caches of all others cold."""
 SERVER = """
 import sys
 import numpy as np
@@ -49,7 +51,7 @@ def run(emit: Callable[[str, float, str], None]) -> None:
 
 
 def _costs(adapter: Adapter) -> tuple[float, float]:
-    """Median CPU time of this process for a call, and for its part after the observation was made [ms]."""
+    """CPU time of this process for a call, and for its part after the observation was made: least of medians [ms]."""
     import subprocess
     import sys
 
@@ -63,7 +65,7 @@ def _costs(adapter: Adapter) -> tuple[float, float]:
         game = session("social_nav", "small:3", agents={"robot": "still"})
         policy = make_policy(find_task("social_nav"), game.episode, 0, address).policy
         whole, wire = [], []
-        for _ in range(CALLS):
+        for _ in range(CALLS * BATCHES):
             game.step()
             view = game.observe("robot")
             begun = time.process_time()
@@ -73,7 +75,8 @@ def _costs(adapter: Adapter) -> tuple[float, float]:
             ended = time.process_time()
             whole.append(ended - begun)
             wire.append(ended - shown)
-        return float(np.median(whole[10:])) * 1e3, float(np.median(wire[10:])) * 1e3
+        medians = np.median(np.reshape([whole, wire], (2, BATCHES, CALLS)), axis=-1).min(-1) * 1e3
+        return float(medians[0]), float(medians[1])
     finally:
         process.kill()
         process.wait()

@@ -100,7 +100,8 @@ def _array(data: bytes | memoryview, dtype: np.dtype[Any], shape: Any, *, fortra
 def _pack_openpi(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         _checked_dtype(value.dtype.str)
-        return {b"__ndarray__": True, b"data": value.tobytes(), b"dtype": value.dtype.str, b"shape": value.shape}
+        data = value.data if value.ndim and value.size and value.flags.c_contiguous else value.tobytes()
+        return {b"__ndarray__": True, b"data": data, b"dtype": value.dtype.str, b"shape": value.shape}
     if isinstance(value, np.float64):
         return float(value)
     if isinstance(value, np.generic):

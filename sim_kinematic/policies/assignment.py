@@ -203,7 +203,7 @@ def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
                 code="H3-POLICY-065",
             )
         return policy_servers().get(found["scheme"])(name, task, kind, spec)
-    if found := SERVED.fullmatch(name):
+    if (found := SERVED.fullmatch(name)) and found["scheme"] in policy_servers().names():
         raise InputError(
             f"The policy was that of the server {found['name']!r} ({found['digest']}), whose address is not recorded. "
             f"Hint: start it, and name its address: --policy {found['scheme']}://host:port.",
