@@ -16,7 +16,15 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-PACKAGES = ("h3data", "sim_kinematic", "h3data_pipelines", "h3data_viewers", "h3data_training", "h3data_remote", "h3data_homes")
+PACKAGES = (
+    "h3data",
+    "sim_kinematic",
+    "h3data_pipelines",
+    "h3data_viewers",
+    "h3data_training",
+    "h3data_remote",
+    "h3data_homes",
+)
 _DECIDES = ("numpy", "scipy", "numba")
 
 
