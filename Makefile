@@ -33,7 +33,7 @@ help:
 help-all: help
 	$(call list,\#\#\#)
 
-.PHONY: setup dev demo kernels check-kernels warm test test-all test-browser test-ray test-packages test-lowest check check-docs docs check-lerobot check-gltf web check-web format bench wheel smoke sbom check-tag check-workflows api api-diff changelog clean
+.PHONY: setup dev demo kernels check-kernels warm test test-all test-browser test-ray test-packages test-lowest check check-docs docs check-openpi check-lerobot check-gltf web check-web format bench wheel smoke sbom check-tag check-workflows api api-diff changelog clean
 
 setup: $(INSTALLED)  ## .venv with what h3data needs, and no more
 
@@ -115,7 +115,7 @@ test-packages: dev  ### the wheel without each of its packages in turn: what nee
 	H3DATA_SITE=$(CURDIR)/$(PACKAGES)/site $(PYTEST) -m "slow or not slow" --durations 6 tests/product/test_packages.py
 
 LOWEST := .venv-lowest
-LOWEST_EXTRAS := gltf env rays robomimic foxglove hitl sql hub frames notebook
+LOWEST_EXTRAS := gltf env rays robomimic foxglove hitl remote sql hub frames notebook
 LOWEST_TESTS := tests/recording tests/mesh tests/scene tests/stats tests/studies/test_mixed_models.py tests/export tests/metrics \
 	tests/bodies/robots tests/sim/envs \
 	tests/pipelines/test_parsing.py tests/pipelines/test_sql.py tests/pipelines/test_sync.py tests/viewers/test_rerun_view.py
@@ -128,6 +128,9 @@ test-lowest:  ### the oldest versions that pyproject.toml allows, of all but tor
 		--override $(LOWEST)/overrides.txt -r pyproject.toml $(addprefix --extra ,$(LOWEST_EXTRAS)) "moto[server]>=5.2.5"
 	$(LOWEST)/bin/python -m pip install -q --no-deps --no-build-isolation -e .
 	NUMBA_CACHE_DIR=$(LOWEST)/kernels $(LOWEST)/bin/python -m pytest $(LOWEST_TESTS)
+
+check-openpi: dev  ### policy servers against openpi's own client, in both directions; an environment of its own (150 MB)
+	$(PYTEST) -m slow -rs tests/remote
 
 docs: dev  ## the documentation site, offline, into build/docs
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[docs]"

@@ -51,6 +51,11 @@ def names_from_data() -> Iterator[None]:
         _FROM_DATA.reset(token)
 
 
+def come_from_data() -> bool:
+    """Whether names come from a file now (`names_from_data`), and not from the user."""
+    return _FROM_DATA.get()
+
+
 def trust(*modules: str) -> None:
     """Lets data name objects of these modules, and of modules within them, until this process and those it starts end.
 

@@ -23,6 +23,7 @@ PACKAGES = {
     "h3data_meshes": ROOT / "pipelines" / "h3data_meshes",
     "h3data_motion": ROOT / "pipelines" / "h3data_motion",
     "h3data_training": ROOT / "pipelines" / "h3data_training",
+    "h3data_remote": ROOT / "pipelines" / "h3data_remote",
     "h3data_pipelines": ROOT / "pipelines" / "h3data_pipelines",
     "h3data_kernels": ROOT / "pipelines" / "h3data_kernels",
     "bake": ROOT / "pipelines" / "bake",
@@ -39,6 +40,7 @@ LAYERS = (
     "h3data_play",
     "h3data_studies",
     "h3data_training",
+    "h3data_remote",
     "h3data_pipelines",
 )
 """Packages from the lowest to the highest."""

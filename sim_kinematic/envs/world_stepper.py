@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.bodies import Robot
 from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.render.light.sources import LightMode
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
-from sim_kinematic.contact.frames import Body
 from sim_kinematic.envs.stepper import DEFAULTS, Info, Options, checked_actions, gymnasium
 from sim_kinematic.motion.state import HumanState
 from sim_kinematic.policies.assignment import resolve_policy
@@ -21,9 +19,9 @@ from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.agent_pictures import picture_names
 from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names
-from sim_kinematic.sensing.table import PAIR_SENSORS, SensorContext
+from sim_kinematic.sensing.table import PAIR_SENSORS
 from sim_kinematic.tasks.describe import in_words
-from sim_kinematic.tasks.play import WorldRollout
+from sim_kinematic.tasks.play import WorldRollout, resting_arm
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 from sim_kinematic.tasks.task import Task
 from sim_kinematic.world import Command, DriveCommand, GaitCommand, PoseCommand, WaypointCommand
@@ -157,15 +155,22 @@ class WorldStepper:
         """Command of an agent that is not controlled by actions."""
         own, scripted = self.play.world.state.agents[k], isinstance(self._walkers[0][k], WaypointPolicy)
         if scripted and self.spec.human.stride is not None:
-            walkers = [self._walkers[w][k] for w in range(self.worlds)]
-            moves = np.array([who.stride(own.xz[w], own.heading.item(w)) for w, who in enumerate(walkers)])
+            striding = [self._walkers[w][k] for w in range(self.worlds)]
+            moves = np.array([who.stride(own.xz[w], own.heading.item(w)) for w, who in enumerate(striding)])
             return PoseCommand(moves[:, :2], moves[:, 2])
         if scripted:  # only those who have arrived need a new way point
             gap = self._targets[k] - own.xz
             for w in np.flatnonzero(np.hypot(gap[:, 0], gap[:, 1]) <= self.spec.human.arrive_m):
                 self._targets[k][w] = self._walkers[w][k].target(own.xz[w])
             return WaypointCommand(self._targets[k])
-        choices = [self._walkers[w][k].act(self.task.view(self.play, k, w)) for w in range(self.worlds)]
+        walkers = [self._walkers[w][k] for w in range(self.worlds)]
+        views = [self.task.view(self.play, k, w) for w in range(self.worlds)]
+        together = getattr(walkers[0], "act_together", None)  # policies of one server, which may answer for all at once
+        choices = (
+            together(walkers, views)
+            if together is not None
+            else [who.act(view) for who, view in zip(walkers, views, strict=True)]
+        )
         if hasattr(choices[0], "gait"):
             gait = HumanState.zeros(self.worlds)
             for w, choice in enumerate(choices):
@@ -183,7 +188,7 @@ class WorldStepper:
     def observe(self, agent: str) -> Arrays:
         """Observations of an agent in all worlds, [W, ...] each."""
         own = self._sets[self.numbers[agent]]
-        moment = self._moment(self.numbers[agent])
+        moment = self.play.sensor_context(self.numbers[agent])
         sensors = self.task.sensors(self.source.roster[self.numbers[agent]].kind)
         exact: Arrays = {name: sensors[name].of(moment) for name in own.states}
         if own.pictures.names:
@@ -223,7 +228,7 @@ class WorldStepper:
         numbers = list(self.numbers.values())
         states = []
         for k in numbers:
-            arm = _arm(roster[k].body)
+            arm = resting_arm(roster[k].body)
             states.append(
                 {
                     name: sensor.limits(len(arm) if name == "arm_joints" else 1)
@@ -246,31 +251,6 @@ class WorldStepper:
             )
             for k, own, limits in zip(numbers, chosen, states, strict=True)
         }
-
-    def _moment(self, k: int) -> SensorContext:
-        world = self.play.world
-        kinds = [member.kind for member in world.roster]
-        other = next((n for n, kind in enumerate(kinds) if kind != kinds[k]), (k + 1) % len(kinds))
-        now, before = world.state.agents, world.before.agents
-        mine = [p for p, pair in enumerate(world.pairs) if k in pair]
-
-        return SensorContext(
-            self.spec,
-            world.bases[k],
-            self.play.memory,
-            self.play.episodes,
-            world,
-            k,
-            now[k],
-            before[k],
-            world.start.agents[k],
-            now[other],
-            before[other],
-            world.blocked[:, k],
-            np.asarray(world.touching[:, mine].any(1)),
-            _arm(world.roster[k].body),
-            lambda: world.geodesic(k, other),
-        )
 
     def _pictures(self, own: ObservationSet) -> Arrays:
         result: Arrays = {}
@@ -306,8 +286,3 @@ class WorldStepper:
                 light=light,
             )
         return self._renderers[home, worlds, light]
-
-
-def _arm(body: Body) -> Array:
-    """Resting positions of a robot's arm joints, [n]; [0] of a person or of a robot without a hand."""
-    return body.rest[list(body.arm_columns)].astype(np.float64) if isinstance(body, Robot) else np.zeros(0)

@@ -1,17 +1,19 @@
 """Lookup of policies by name.
 
 A name is looked up in the task, in the policies of every task (`COMMON`), and in installed packages (entry point group
-``h3data.policies``). It may also be ``module:name`` or a file of weights (``weights:FILE``).
+``h3data.policies``). It may also be ``module:name``, a file of weights (``weights:FILE``) or the address of a policy server
+(``ws://host:port``), whose scheme is an entry point of the group ``h3data.policy_servers``.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
-from h3data.errors import InputError, suggest
-from h3data.plugins import Registry
+from h3data.errors import InputError, UntrustedNameError, suggest
+from h3data.plugins import Registry, come_from_data
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import BaseSpec
@@ -65,12 +67,29 @@ class AssignedPolicy(NamedTuple):
         return bool(getattr(self.policy, "takes_commands", False))
 
 
+ADDRESS = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]*)://.*", re.DOTALL)
+"""A name that is the address of a policy server."""
+SERVED = re.compile(r"(?P<scheme>[a-z]+):(?P<name>[^:,]+)@(?P<digest>[0-9a-f]{12})")
+"""The name of a policy server in recordings: its own name, and a digest of what it says about itself."""
+
+
+def is_address(name: str) -> bool:
+    """Whether the name of a policy is the address of a policy server."""
+    return ADDRESS.fullmatch(name) is not None
+
+
 PolicyChoice = str | Policy | External | AssignedPolicy | Callable[..., Any]
-"""The name of a policy, ``weights:FILE``, ``module:name``; a policy; a function ``(view, base)``; `External` for somebody who
-decides outside."""
+"""The name of a policy, ``weights:FILE``, ``module:name``, ``ws://host:port``; a policy; a function ``(view, base)``;
+`External` for somebody who decides outside."""
 Chosen = str | Any | Sequence[Any]
 Assigned = Mapping[str, Chosen]
 KINDS = {"robot": "robot", "human": "human", "person": "human"}
+
+
+@cache
+def policy_servers() -> Registry[Any]:
+    """What finds policies behind addresses, by scheme: ``(address, task, kind, spec)`` gives a `PolicyMaker`."""
+    return Registry("h3data.policy_servers", {}, what="scheme of a policy's address")
 
 
 @cache
@@ -151,7 +170,8 @@ def resolve_policy(task: Task, kind: str, choice: PolicyChoice, spec: Any = None
     Args:
         task: What is played; its `Task.named_policy` is asked first, then its tables, those of every task and plug-ins.
         kind: ``robot`` or ``human``.
-        choice: A name, ``weights:FILE`` or ``module:name``; a policy, its class, a function ``(view, base)``, or `External`.
+        choice: A name, ``weights:FILE``, ``module:name`` or the address of a policy server; a policy, its class, a function
+            ``(view, base)``, or `External`.
         spec: The rules, which files of weights must fit; None where episodes say them.
 
     Raises:
@@ -176,6 +196,19 @@ def resolve_policy(task: Task, kind: str, choice: PolicyChoice, spec: Any = None
 
 
 def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
+    if found := ADDRESS.fullmatch(name):
+        if come_from_data():
+            raise UntrustedNameError(
+                "A file names the address of a policy server; only the user may. Hint: --policy ws://host:port.",
+                code="H3-POLICY-065",
+            )
+        return policy_servers().get(found["scheme"])(name, task, kind, spec)
+    if (found := SERVED.fullmatch(name)) and found["scheme"] in policy_servers().names():
+        raise InputError(
+            f"The policy was that of the server {found['name']!r} ({found['digest']}), whose address is not recorded. "
+            f"Hint: start it, and name its address: --policy {found['scheme']}://host:port.",
+            code="H3-POLICY-064",
+        )
     made = task.named_policy(kind, name, spec)
     if made is not None:
         return made
@@ -208,7 +241,7 @@ def unknown_policy(task: Task, kind: str, name: str) -> InputError:
         )
     return InputError(
         f"Unknown {'policy' if kind == 'robot' else 'partner'} {name!r}."
-        f"{suggest(name, there, more=', weights:FILE or module:name')}{weights_hint(name)}",
+        f"{suggest(name, there, more=', weights:FILE, module:name or ws://host:port')}{weights_hint(name)}",
         code="H3-POLICY-002",
     )
 

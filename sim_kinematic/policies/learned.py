@@ -202,9 +202,13 @@ class LearnedNavigation:
 
     def __call__(self, view: SocialNavView, spec: BaseSpec) -> Velocity:
         """Velocity of the base for a view of the robot."""
-        out = self.network(navigation_input(view, spec, self.network.observations))
+        out = self.network(self.look(view, spec))
         forward, turn = np.clip(np.nan_to_num(out, nan=0.0), -1, 1).tolist()
         return Velocity(forward, turn, "follow" if view.met else "find")
+
+    def look(self, view: SocialNavView, spec: BaseSpec) -> NDArray[np.float32]:
+        """The network's input of a moment, [in]."""
+        return navigation_input(view, spec, self.network.observations)
 
 
 class VisualNavigation:

@@ -24,6 +24,11 @@ RESUMED = "resumed"
 """Reason recorded for a skill that is interrupted because another policy takes over, which may continue it."""
 
 
+def is_remote(policy: Any) -> bool:
+    """Whether a policy lies behind a server, which is not asked for what is recorded."""
+    return bool(getattr(policy, "is_remote", False))
+
+
 class NotRecorded(InputError):
     """The episode takes another course than the recording, so that it asks for a command where none was recorded."""
 
@@ -41,11 +46,13 @@ class RecordedVelocities:
     """Repeats recorded base velocities up to a step, then hands over to another policy.
 
     That policy, if there is one, is asked at every step since it decides, and its answers are dropped until ``until``: any
-    policy may hold a memory or an action between decisions, functions and networks included, and then has both.
+    policy may hold a memory or an action between decisions, functions and networks included, and then has both. One that is
+    `is_remote` is asked from ``until`` on alone.
     """
 
     def __init__(self, choices: Mapping[int, Any], *, until: int, own: Any, since: int = 0) -> None:
-        self._choices, self._until, self._own, self.since = choices, until, own, since
+        self._choices, self._until, self._own = choices, until, own
+        self.since = max(since, until) if is_remote(own) else since
 
     @classmethod
     def of(

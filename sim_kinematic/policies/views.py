@@ -17,6 +17,10 @@ from sim_kinematic.motion.state import NOBODY
 if TYPE_CHECKING:
     from sim_kinematic.policies.traffic import Traffic
 
+Observe = Callable[..., dict[str, NDArray[Any]]]
+"""``observe(names, size=None, light="flat")``: what the agent is shown now, by the names of its environments' observations
+(h3data docs environments) and as they show it; pictures in some size (`sim_kinematic.sensing.eyes.PictureSize`)."""
+
 
 class AgentView(NamedTuple):
     """Observation of privileged policies in any task: the map, and all agents' poses now and one step ago."""
@@ -40,6 +44,8 @@ class AgentView(NamedTuple):
     """`Episode.extra`."""
     traffic: Callable[[], Traffic]
     """Returns how the agents of this world heed each other, which those that wander share."""
+    observe: Observe | None = None
+    """What the agent is shown, by name; None: nobody measures it."""
 
     @property
     def xz(self) -> Array:
@@ -80,6 +86,8 @@ class SocialNavView(NamedTuple):
     pictures: Callable[..., dict[str, NDArray[Any]]] | None = None
     """Takes pictures of the robot as `sim_kinematic.sensing.eyes.see`: ``pictures(names, size, light="flat")`` with a size
     (width, height) or None. They are costly, so only a policy that sees asks for them. None: nobody takes pictures."""
+    observe: Observe | None = None
+    """What the agent is shown, by name; None: nobody measures it."""
 
 
 class RearrangeView(NamedTuple):
@@ -123,6 +131,8 @@ class RearrangeView(NamedTuple):
     barrier: Callable[[int, bool], int] = lambda k, at_goal: -1
     """Gives the number of the door or drawer that has to be opened first to take an object, or (True) to bring it from there to
     its goal; -1: none."""
+    observe: Observe | None = None
+    """What the agent is shown, by name; None: nobody measures it."""
 
     def left_to_do(self) -> list[int]:
         """Objects that are not at their goals and that the other does not hold."""

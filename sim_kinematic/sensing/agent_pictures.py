@@ -5,7 +5,7 @@ They are depth and colours of each of its cameras, and the output of the humanoi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -61,7 +61,7 @@ class AgentPictures:
 
     def __init__(
         self, body: Body, names: Sequence[str], *, agent: int, depth_size: tuple[int, int] | None = None,
-        rgb_size: tuple[int, int] | None = None,
+        rgb_size: tuple[int, int] | None = None, sizes: Mapping[str, tuple[int, int]] | None = None,
     ) -> None:  # fmt: skip
         """Selects the pictures of one agent.
 
@@ -72,23 +72,27 @@ class AgentPictures:
             depth_size: width and height of depth, masks and boxes [px]; None is each camera's own. The field of view does not
                 change.
             rgb_size: width and height of colours, likewise.
+            sizes: width and height of single pictures by name, before the two above.
 
         Raises:
             InputError: a size is less than 1 x 1.
         """
-        for size in filter(None, (depth_size, rgb_size)):
+        own = dict(sizes or {})
+        for size in filter(None, (depth_size, rgb_size, *own.values())):
             if len(size) != 2 or min(size) < 1:
                 raise InputError(
                     f"Expected a picture of at least 1 x 1 pixels (width, height), got {size}.", code="H3-SIM-039"
                 )
         self.names = tuple(name for name in names if name in picture_names(body))
         self._agent = agent
-        self._lenses = {n: _lens(body, n, rgb_size if n.endswith("_rgb") else depth_size) for n in self.names}
+        self._lenses = {
+            n: _lens(body, n, own.get(n, rgb_size if n.endswith("_rgb") else depth_size)) for n in self.names
+        }
         self._detects_from = 0
         if set(DETECTORS) & set(self.names) and isinstance(body, Robot):
-            own = body.camera(PREFIX + ARM)
+            arm = body.camera(PREFIX + ARM)
             lens = next(self._lenses[name] for name in self.names if name in DETECTORS)
-            self._detects_from = int(DETECTED_PIXELS * lens.width * lens.height / (own.width * own.height))
+            self._detects_from = int(DETECTED_PIXELS * lens.width * lens.height / (arm.width * arm.height))
 
     @property
     def in_colour(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -18,10 +18,13 @@ from sim_kinematic.sensing.agent_pictures import AgentPictures
 from sim_kinematic.sensing.camera_sensor import StateRenderer
 from sim_kinematic.sensing.sensor import scaled_depth
 
+PictureSize = tuple[int, int] | Mapping[str, tuple[int, int]] | None
+"""Width and height of all pictures, or of some by name [pixels]; None: that of each camera."""
+
 
 def see(
     state: WorldState, scene: Scene, bodies: Sequence[Body], names: Sequence[str], *, agent: int,
-    size: tuple[int, int] | None = None, floor: Floor = 0.0, speed_mps: float | None = None, objects: Sequence[str] = (),
+    size: PictureSize = None, floor: Floor = 0.0, speed_mps: float | None = None, objects: Sequence[str] = (),
     frames: Sequence[Array] | None = None, light: LightMode = "flat", lit_as: Scene | None = None,
 ) -> dict[str, NDArray[Any]]:  # fmt: skip
     """Named pictures of an agent, exact, as `sim_kinematic.sensing.observation_set` shows them.
@@ -32,7 +35,7 @@ def see(
         bodies: Of all agents in the order of the state.
         names: Some of `sim_kinematic.sensing.agent_pictures.picture_names`.
         agent: Whose eyes.
-        size: Width and height [pixels]; None is each camera's own.
+        size: Width and height [pixels], one for all or by name of a picture; None is each camera's own.
         floor: Its map, or the height of its floor [m].
         speed_mps: At which people walk, which chooses their clips.
         objects: Names of the instances that the state moves.
@@ -46,8 +49,15 @@ def see(
     seen_in, like = (light, lit_as) if any(name.endswith("_rgb") for name in names) else ("flat", None)
     rendered = _renderer(scene, tuple(bodies), tuple(objects), speed_mps, seen_in, like, threading.get_ident())
     rendered.pose(state, floor=floor, frames=frames)
-    pictures = AgentPictures(bodies[agent], names, agent=agent, depth_size=size, rgb_size=size).take(rendered)
+    by_name = size if isinstance(size, Mapping) else dict.fromkeys(names, size) if size is not None else {}
+    sizes = tuple((name, tuple(each)) for name, each in by_name.items())
+    pictures = _pictures(bodies[agent], tuple(names), agent, sizes).take(rendered)
     return {name: scaled_depth(p[0]) if name.endswith("_depth") else p[0] for name, p in pictures.items()}
+
+
+@lru_cache(maxsize=64)
+def _pictures(body: Body, names: tuple[str, ...], agent: int, sizes: tuple[tuple[str, Any], ...]) -> AgentPictures:
+    return AgentPictures(body, names, agent=agent, sizes=dict(sizes))
 
 
 @lru_cache(maxsize=4)  # packing a home costs as much as some hundred pictures

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Collection, Generator, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
-from h3data.errors import H3DataError, InputError
+from h3data.errors import H3DataError, InputError, suggest
 from h3data.geometry import Array
 from h3data.moved import refuse_renamed
 from h3data.recording import STEP_NS, Event, SkillSpan
@@ -23,6 +23,8 @@ from sim_kinematic.policies.policy import GaitAction, PoseAction, RecordedPose, 
 from sim_kinematic.policies.traffic import Traffic
 from sim_kinematic.policies.views import AgentView
 from sim_kinematic.policies.waypoints import WaypointPolicy
+from sim_kinematic.sensing.agent_pictures import picture_names
+from sim_kinematic.sensing.table import Sensor, SensorContext
 from sim_kinematic.tasks.episode import Episode, StepOutcome, agent_floor
 from sim_kinematic.world import (
     Command,
@@ -35,7 +37,9 @@ from sim_kinematic.world import (
     World,
 )
 
-if not TYPE_CHECKING:
+if TYPE_CHECKING:
+    from sim_kinematic.sensing.eyes import PictureSize
+else:
     __getattr__ = refuse_renamed(__name__)
 
 Columns = dict[str, NDArray[Any]]
@@ -111,6 +115,10 @@ class Rules(Protocol):
         """Returns the observation of an agent's policy in one world."""
         ...
 
+    def sensors(self, kind: str) -> Mapping[str, Sensor]:
+        """Returns the observations of agents of a kind, beyond pictures, by name."""
+        ...
+
     def end_reason(self, play: WorldRollout, world: int) -> str:
         """Returns the word recorded in ``info["ended"]`` for an episode that the rules have ended."""
         ...
@@ -167,6 +175,8 @@ class WorldRollout:
         self._commands: list[Command] = []
         self._words: list[str] = []
         self._checked = False
+        self._sensors: dict[int, AgentSensors] = {}
+        """Sensors of the agents for which observations were requested."""
         self._traffic: dict[int, Traffic] = {}
         """Traffic of the worlds for which it was requested."""
 
@@ -223,14 +233,61 @@ class WorldRollout:
             self.spec.human,
             episode.extra,
             partial(self._traffic_of, world),
+            partial(self.observe, agent, world),
         )
+
+    def sensor_context(self, agent: int) -> SensorContext:
+        """What the sensors of an agent measure now, in all worlds."""
+        world = self.world
+        kinds = [member.kind for member in world.roster]
+        other = next((n for n, kind in enumerate(kinds) if kind != kinds[agent]), (agent + 1) % len(kinds))
+        now, before = world.state.agents, world.before.agents
+        mine = [p for p, pair in enumerate(world.pairs) if agent in pair]
+        return SensorContext(
+            self.spec,
+            world.bases[agent],
+            self.memory,
+            self.episodes,
+            world,
+            agent,
+            now[agent],
+            before[agent],
+            world.start.agents[agent],
+            now[other],
+            before[other],
+            world.blocked[:, agent],
+            np.asarray(world.touching[:, mine].any(1)),
+            resting_arm(world.roster[agent].body),
+            lambda: world.geodesic(agent, other),
+        )
+
+    def observe(
+        self, agent: int, world: int, names: Sequence[str], size: PictureSize = None, light: LightMode = "flat"
+    ) -> dict[str, NDArray[Any]]:
+        """Named observations of an agent in one world now, exact, as environments show them.
+
+        Raises:
+            InputError: it has no observation of such a name.
+        """
+        if agent not in self._sensors:
+            self._sensors[agent] = AgentSensors.of(self.task, self.world.roster[agent])
+        own, shown = self._sensors[agent], {}
+        own.check(names)
+        measured = [name for name in names if name in own.sensors]
+        context = self.sensor_context(agent) if measured else None
+        for name in measured:
+            sensor, low, high = own.sensors[name]
+            shown[name] = np.minimum(np.maximum(sensor.of(context)[world], low), high).astype(np.float32)
+        if len(measured) < len(names):
+            shown |= self.pictures(agent, world, [name for name in names if name in own.pictures], size, light)
+        return shown
 
     def pictures(
         self,
         agent: int,
         world: int,
         names: Sequence[str],
-        size: tuple[int, int] | None,
+        size: PictureSize,
         light: LightMode = "flat",
     ) -> dict[str, NDArray[Any]]:
         """Named pictures of an agent now, as `sim_kinematic.sensing.eyes.see`."""
@@ -413,3 +470,42 @@ def checked_outcome(task: Rules, outcome: Any, worlds: int) -> StepOutcome:
                 code="H3-TASK-008",
             )
     return outcome
+
+
+class AgentSensors(NamedTuple):
+    """What one agent can be shown."""
+
+    agent: str
+    sensors: Mapping[str, tuple[Sensor, Array, Array]]
+    """Each with its least and greatest values."""
+    pictures: frozenset[str]
+
+    @classmethod
+    def of(cls, task: Rules, member: AgentSpec) -> AgentSensors:
+        """The sensors and pictures of an agent."""
+        arm, sensors = len(resting_arm(member.body)), {}
+        for name, sensor in task.sensors(member.kind).items():
+            limits = sensor.limits(arm if name == "arm_joints" else 1)
+            sensors[name] = sensor, np.asarray(limits.low, np.float64), np.asarray(limits.high, np.float64)
+        return cls(member.name, sensors, frozenset(picture_names(member.body)))
+
+    def check(self, names: Sequence[str]) -> None:
+        """Raises an `InputError` if there is no such observation; it lists what there is."""
+        check_observations(names, (self.sensors, self.pictures), self.agent)
+
+
+def resting_arm(body: Humanoid | Robot) -> Array:
+    """Resting positions of a robot's arm joints, [n]; [0] of a person or of a robot without a hand."""
+    return body.rest[list(body.arm_columns)].astype(np.float64) if isinstance(body, Robot) else np.zeros(0)
+
+
+def check_observations(names: Sequence[str], known: Sequence[Collection[str]], agent: str) -> None:
+    """Checks that an agent has observations of these names.
+
+    Raises:
+        InputError: it has not; the message lists what there is.
+    """
+    for name in names:
+        if not any(name in some for some in known):
+            there = [each for some in known for each in sorted(some)]
+            raise InputError(f"Unknown observation {name!r} of {agent}.{suggest(name, there)}", code="H3-TASK-071")

@@ -116,7 +116,7 @@ def verify_episode(recording: Recording, task: Task, episode: Episode, people: A
         raise InputError(
             f"Expected a recording of {', '.join(member.kind for member in episode.roster)}, got "
             f"{', '.join(agent.kind for agent in recording.agents)}.",
-            code="H3-TASK-071",
+            code="H3-TASK-072",
         )
     assigned = task.assign(episode, {} if people is None else {"human": people})
     own = [

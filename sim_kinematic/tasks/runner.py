@@ -6,8 +6,9 @@ that bring their own clock, such as a live server or a learning algorithm.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -15,10 +16,10 @@ import msgspec
 from h3data.errors import InputError, suggest
 from h3data.moved import refuse_renamed
 from h3data.recording import STEP_NS, Event, InputEvent, Recording, RecordingHeader, SkillSpan
-from sim_kinematic.agents.skills import sentence
+from sim_kinematic.agents.skills import Action, sentence
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy
 from sim_kinematic.policies.policy import External
-from sim_kinematic.policies.recorded import COMMAND
+from sim_kinematic.policies.recorded import COMMAND, is_remote
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import Rollout
 from sim_kinematic.tasks.recorder import Recorder, Sink, describe
@@ -61,10 +62,11 @@ def run(
     *,
     steps: int | None = None,
     progress: Callable[[int], object] | None = None,
+    note: Callable[[int, Any], object] | None = None,
 ) -> str:
     """Plays an episode to its end, or for ``steps`` at most, under the policies of ``play``; returns what ended it.
 
-    ``progress`` is called with 1 after every step.
+    ``progress`` is called with 1 after every step, ``note`` with the number of an agent and its choice that no column holds.
     """
     if steps == 0:
         return play.ended
@@ -72,7 +74,10 @@ def run(
     while not turns.over:
         if turns.asked is not None:
             number = turns.asked
-            turns.answer(policies[number].policy.act(play.view(number)))
+            choice = policies[number].policy.act(play.view(number))
+            if note is not None and _needs_note(policies[number].policy, choice):
+                note(number, choice)
+            turns.answer(choice)
             continue
         done += 1
         if recorder is not None:
@@ -115,11 +120,40 @@ def simulate(
     play = task.play(episode, assigned, measure=False)
     recorder = Recorder(header, play, sink(header) if sink is not None else None)
     try:
-        run(play, recorder, progress=progress)
-        return recorder.finish({**task.final_info(episode, play, assigned), **(info or {})})
+        run(play, recorder, progress=progress, note=partial(_record, task, recorder))
+        return recorder.finish({**task.final_info(episode, play, assigned), **policies_info(assigned), **(info or {})})
     except BaseException:
         recorder.abort()
         raise
+
+
+def _needs_note(policy: Any, choice: Any) -> bool:
+    """Whether a choice is recorded as raw input: commands of a server to an arm are in no column."""
+    return isinstance(choice, Action) and is_remote(policy)
+
+
+def _record(task: Task, recorder: Recorder, number: int, choice: Any, reason: str = "") -> None:
+    """Takes down a choice as raw input; ``reason``: why it interrupted a running skill."""
+    step = len(recorder)
+    payload = {"agent": number, "step": step, "choice": task.choice_to_json(choice)}
+    if reason:
+        payload["interrupts"] = reason
+    recorder.input(
+        InputEvent(time_ns=step * STEP_NS, kind=COMMAND, user=number, payload=msgspec.json.encode(payload).decode())
+    )
+
+
+def policies_info(policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+    """Entries of a recording's info that policies themselves know at the end, such as how long a server took.
+
+    A policy that has some returns them from ``recorded_info()``; lists of several policies are joined.
+    """
+    found: dict[str, Any] = {}
+    for assigned in policies:
+        facts = getattr(assigned.policy, "recorded_info", None)
+        for name, value in (facts() if facts is not None else {}).items():
+            found[name] = [*found.get(name, []), *value] if isinstance(value, list) else value
+    return found
 
 
 # --- callers that bring their own clock -------------------------------------------------------------------------------
@@ -289,10 +323,14 @@ class Session:
         while self._turns.asked is not None:
             number = self._turns.asked
             if number in self._inboxes:
-                choice = self._choice(number)
-                self._record(number, choice)
+                choice, inbox = self._choice(number), self._inboxes[number]
+                reason, inbox.reason = inbox.reason, ""
+                _record(self.task, self.recorder, number, choice, reason)
             else:
-                choice = self.policies[number].policy.act(self.play.view(number))
+                policy = self.policies[number].policy
+                choice = policy.act(self.play.view(number))
+                if _needs_note(policy, choice):
+                    _record(self.task, self.recorder, number, choice)
             self._turns.answer(choice)
         events_before, skills_before = len(self.recorder.events), len(self.recorder.skills)
         self.recorder.add()
@@ -320,7 +358,7 @@ class Session:
             if not self.play.over:
                 self.play.ended = "closed"
             found = self.task.final_info(self.episode, self.play, self.policies)
-            self._closed = self.recorder.finish({**found, **(info or {})})
+            self._closed = self.recorder.finish({**found, **policies_info(self.policies), **(info or {})})
         return self._closed
 
     def abort(self) -> None:
@@ -345,12 +383,3 @@ class Session:
             inbox.latest, inbox.has_news = inbox.pending, False
             return inbox.latest
         return self.task.idle_choice(self.play, number, inbox.latest)
-
-    def _record(self, number: int, choice: Any) -> None:
-        step, inbox = len(self.recorder), self._inboxes[number]
-        payload = {"agent": number, "step": step, "choice": self.task.choice_to_json(choice)}
-        if inbox.reason:
-            payload["interrupts"], inbox.reason = inbox.reason, ""
-        self.recorder.input(
-            InputEvent(time_ns=step * STEP_NS, kind=COMMAND, user=number, payload=msgspec.json.encode(payload).decode())
-        )

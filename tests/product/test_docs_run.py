@@ -41,6 +41,7 @@ NOT_RUN = {
     "index.md": "shows commands of README",
     "headset.md": "needs a headset; tests/play/test_browser.py plays in an emulated one",
     "play.md": "its commands wait for players; tests/play plays them",
+    "remote-policies.md": "its commands need servers; tests/remote has them",
     "study.md": "its commands wait for participants; tests/studies takes part",
 }
 OPEN = 'import h3data\nrecording = h3data.open("episode.mcap")\n'

@@ -61,6 +61,7 @@ def test_the_wheel_works_outside_the_repository(script: str, says: str, tmp_path
         "h3data_motion",
         "h3data_pipelines",
         "h3data_training",
+        "h3data_remote",
         "h3data_viewers",
         "h3data_play",
         "h3data_studies",
@@ -70,6 +71,7 @@ def test_the_wheel_works_outside_the_repository(script: str, says: str, tmp_path
         names
     )
     assert {"h3data_viewers/html_report/page/page.css", "h3data/metrics/paper/published.toml"} <= set(names)
+    assert {f"h3data_remote/adapters/{name}.toml" for name in ("h3data", "openpi", "gr00t")} <= set(names)
     assert {f"h3data_viewers/html_replay/page/replay.{kind}" for kind in ("js", "css", "html")} <= set(names)
     pages = {
         str(p.relative_to(ROOT / "docs"))

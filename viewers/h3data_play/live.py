@@ -37,6 +37,7 @@ from h3data_play.wire import BUSY, ENDED, TOUCH, WALL, Columns, PackedStep, Stat
 from sim_kinematic.agents.roster import HUMAN_BODY
 from sim_kinematic.policies.assignment import AssignedPolicy, make_policy, resolve_policy
 from sim_kinematic.policies.policy import External
+from sim_kinematic.policies.recorded import recorded_commands
 from sim_kinematic.tasks.episode import Episode, with_options
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.runner import Session, StepResult
@@ -141,9 +142,10 @@ class EpisodeFactory:
             numbers.append(agents[nth])
         return tuple(numbers)
 
-    def partner_of(self, episode: Episode, number: int) -> str | AssignedPolicy | None:
+    def partner_of(self, episode: Episode, number: int) -> str | AssignedPolicy:
         """What an agent that nobody plays follows, called as the plan calls it: recordings hold no paths of this machine."""
         plan = self.plan
+        assert plan.partner is not None
         if plan.partner_here == plan.partner:
             return plan.partner
         assert plan.partner_here is not None
@@ -221,9 +223,18 @@ class LiveGame:
         plan, episode = table.plan, table.episode(index)
         names = {episode.roster[k].name: External(interrupts_when_close=False) for k in table.numbers}
         policies: dict[str, Any] = dict(names)
+        self.waited_for: dict[int, Any] = {}
+        """Policies behind servers by agent: they decide beside the clock, and their commands are recorded as players' are."""
         if plan.partner not in (None, "solo"):
-            others = {k: m.name for k, m in enumerate(episode.roster) if k not in table.numbers}
-            policies |= {name: table.partner_of(episode, k) for k, name in others.items()}
+            for k in (k for k in range(len(episode.roster)) if k not in table.numbers):
+                assigned = make_policy(table.task, episode, k, table.partner_of(episode, k))
+                in_background = getattr(assigned.policy, "in_background", None)
+                if in_background is not None:
+                    self.waited_for[k] = in_background()
+                    assigned = assigned._replace(policy=External(interrupts_when_close=False))
+                policies[episode.roster[k].name] = assigned
+        self._told: dict[int, dict[int, Any]] = {}
+        """Their recorded commands by agent and step, while a game is played again."""
         self.sink: PatientSink | None = None
         self.leftover: Path | None = None
         """What the game began from, until that is in its own log."""
@@ -279,6 +290,7 @@ class LiveGame:
     def abort(self) -> None:
         """Leaves the game as the log that is on the disk, for a later server."""
         self.session.abort()
+        self._let_go()
         if self.sink is not None:
             self.sink.abort()
 
@@ -326,6 +338,10 @@ class LiveGame:
             command = driver.command()
             if command is not None:
                 session.act(driver.name, command)
+        step = len(session.recorder)
+        for number, policy in self.waited_for.items():
+            name, told = session.episode.roster[number].name, self._told.get(number, {})
+            session.act(name, told[step] if step in told else policy.command(session.observe(name)))
         result: StepResult = session.step()
         sentences = {number: driver.after(result) for number, driver in self.drivers.items()}
         self.ended = self.app.step(result) or result.ended
@@ -376,7 +392,7 @@ class LiveGame:
 
         Returns None, and leaves no file, if no step was played.
         """
-        session = self.session
+        session, facts = self.session, self._let_go()
         if len(session.recorder) == 0:
             session.recorder.abort()
             if self.path is not None:
@@ -384,7 +400,15 @@ class LiveGame:
             return None
         hitl = session.recorder.header.episode.info["hitl"]
         ended = {"ended": self.ended} if self.ended and not session.ended else {}
-        return session.close({**ended, "hitl": {**hitl, "slipped": self.slipped}, **(info or {})})
+        return session.close({**ended, "hitl": {**hitl, "slipped": self.slipped}, **facts, **(info or {})})
+
+    def _let_go(self) -> dict[str, Any]:
+        """Ends the conversations with servers; returns what the recording says about them."""
+        found: list[Any] = []
+        for policy in self.waited_for.values():
+            found += policy.recorded_info()["remote"]
+            policy.close()
+        return {"remote": found} if found else {}
 
     # --- after a crash ------------------------------------------------------------------------------------------------
     def play_again(self, recording: Recording) -> None:
@@ -393,6 +417,8 @@ class LiveGame:
         Raises:
             H3DataError: the states came out otherwise: another version of the simulator.
         """
+        commands = recorded_commands(recording, self.session.task.choice_from_json)
+        self._told = {k: {one.step: one.choice for one in commands.get(k, ())} for k in self.waited_for}
         events = [event for event in recording.inputs if event.kind in (CLIENT, CONNECTED, DISCONNECTED, SLIP)]
         at = 0
         for step in range(len(recording) + 1):

@@ -151,7 +151,7 @@ class Worker:
                 "agents": list(table.numbers),
                 "facts": table.task.precompute(game.session.episode),
             }
-            game.session.abort()
+            game.abort()
             self._prepared = {(plan, index): prepared} | dict(list(self._prepared.items())[:7])
         return self._prepared[plan, index]
 
@@ -241,7 +241,7 @@ class Worker:
             running = self.games.pop(key, None)
             self._no_room.pop(key, None)
             if running is not None:
-                running.game.session.abort()
+                running.game.abort()
             text = with_code(fault) if isinstance(fault, H3DataError) else f"{type(fault).__name__}: {fault}"
             self.channel.send("failed", key, text)
 
@@ -278,7 +278,7 @@ class Worker:
         for running in self.games.values():
             try:
                 if not finish:
-                    running.game.session.abort()
+                    running.game.abort()
                 elif running.over or running.game.close() is not None:
                     running.game.retry()
                     if not running.game.fault:

@@ -40,6 +40,7 @@ TABLE: dict[str, type[Command] | Group | None] = {
     "benchmark": BENCHMARK,
     "train": None,
     "play": None,
+    "serve": None,
     "import": Import,
     "export": Export,
     "rerender": Rerender,

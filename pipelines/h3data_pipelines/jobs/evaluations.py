@@ -99,8 +99,11 @@ def failed_evaluation(job: Evaluation, fault: Exception) -> dict[str, Any]:
 
 
 def _named(recording: Recording, policy: str, partners: Sequence[str]) -> Recording:
-    """The recording with the names under which the table lists it."""
-    info = {**recording.episode.info, "policy": policy, **({"partners": list(partners)} if partners else {})}
+    """The recording with the names under which the table lists it, but no address, which means nothing later."""
+    from sim_kinematic.policies.assignment import is_address
+
+    named = {} if is_address(policy) else {"policy": policy}
+    info = {**recording.episode.info, **named, **({"partners": list(partners)} if partners else {})}
     return replace(recording, episode=replace(recording.episode, info=info))
 
 

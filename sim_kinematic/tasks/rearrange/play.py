@@ -53,15 +53,19 @@ from sim_kinematic.motion.state import NOBODY, WorldState
 from sim_kinematic.motion.step import APART_TOLERANCE_M, discs_at
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.rearrange import HighLevelPolicy
+from sim_kinematic.policies.rearrange_observations import SENSES, observe
 from sim_kinematic.policies.skills.names import skills_of
 from sim_kinematic.policies.views import RearrangeView
+from sim_kinematic.sensing.agent_pictures import picture_names
 from sim_kinematic.tasks.episode import agent_base
-from sim_kinematic.tasks.play import Columns
+from sim_kinematic.tasks.play import Columns, check_observations
 from sim_kinematic.tasks.rearrange.episode import PAIR, RearrangeEpisode, body_indices
 from sim_kinematic.tasks.rearrange.oracle import errands_of
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
 
-if not TYPE_CHECKING:
+if TYPE_CHECKING:
+    from sim_kinematic.sensing.eyes import PictureSize
+else:
     __getattr__ = refuse_renamed(__name__)
 
 Row = dict[str, Any]
@@ -475,7 +479,7 @@ class RearrangeRollout:
             starts=self.starts, hand=lambda: me.hand_pose, arm=me.arm,
             start=self.episode.starts[runner.number], before=self.before[runner.number], collision=self.collision,
             contact=isinstance(me, RobotActor) and bool(me.state.contact[0]),
-            barrier=partial(self.barrier, me),
+            barrier=partial(self.barrier, me), observe=partial(self.observe, runner.number),
         )  # fmt: skip
 
     def errand(self, number: int) -> TaskProgress:
@@ -552,8 +556,25 @@ class RearrangeRollout:
             for actor in self.actors
         ]
 
+    def observe(
+        self, agent: int, names: Sequence[str], size: PictureSize = None, light: LightMode = "flat"
+    ) -> dict[str, NDArray[Any]]:
+        """Named observations of an agent now, as environments show them.
+
+        Raises:
+            InputError: it has no observation of such a name.
+        """
+        member = self.episode.roster[agent]
+        pictures = picture_names(member.body)
+        check_observations(names, (SENSES, pictures), member.name)
+        measured = [name for name in names if name not in pictures]
+        shown: dict[str, NDArray[Any]] = dict(observe(self.view(agent), measured)) if measured else {}
+        if len(measured) < len(names):
+            shown |= self.pictures(agent, [name for name in names if name in pictures], size, light)
+        return shown
+
     def pictures(
-        self, agent: int, names: Sequence[str], size: tuple[int, int] | None, light: LightMode = "flat"
+        self, agent: int, names: Sequence[str], size: PictureSize, light: LightMode = "flat"
     ) -> dict[str, NDArray[Any]]:
         """Named pictures from the cameras of an agent at the present step, as `sim_kinematic.sensing.eyes.see` renders them.
 

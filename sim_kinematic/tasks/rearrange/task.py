@@ -44,6 +44,7 @@ from sim_kinematic.policies.recorded import (
     RecordedCommands,
     RecordedPolicy,
     deciding_since,
+    is_remote,
     recorded_choices,
     recorded_commands,
 )
@@ -411,7 +412,8 @@ class Rearrange(Task):
                     joints=joints,
                 )  # fmt: skip
                 if assigned.policy is not None:
-                    policy.own, policy.since = assigned.policy, until if changed[k] else min(since, until)
+                    begins = until if changed[k] or is_remote(assigned.policy) else min(since, until)
+                    policy.own, policy.since = assigned.policy, begins
             if k in commands or on_track:  # of a recording that was continued, only the steps before
                 policy = RecordedCommands(commands.get(k, []), until=min(since or until, until), own=policy)
             policies.append(assigned._replace(policy=policy))

@@ -215,6 +215,7 @@ class SocialNav(Task):
             was_person.xz[world].copy() if step else None,
             self._future(play, step),
             partial(play.pictures, agent, world),
+            partial(play.observe, agent, world),
         )
 
     def _future(self, play: WorldRollout, step: int) -> Callable[[], NDArray[np.float64]] | None:

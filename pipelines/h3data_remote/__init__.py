@@ -1,0 +1,4 @@
+"""Policies behind servers (openpi's websocket, GR00T's ZeroMQ), and a server for ours. Needs the extra ``remote``.
+
+h3data docs remote-policies says what an adapter file holds.
+"""

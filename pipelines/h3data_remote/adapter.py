@@ -1,0 +1,255 @@
+"""What a policy server is shown, under which keys, and what its answers mean: a file for each robot and model."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data.render.light.sources import LightMode
+from h3data_remote.wire import PolicyServerError
+from sim_kinematic.contact.frames import Body
+from sim_kinematic.sensing.agent_pictures import DETECTORS, AgentPictures, picture_names
+
+FOLDER = Path(__file__).parent / "adapters"
+Pixels = Annotated[int, msgspec.Meta(ge=1, le=4096)]
+Seconds = Annotated[float, msgspec.Meta(gt=0, le=3600)]
+
+
+class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One entry of an observation."""
+
+    sensor: str | Annotated[list[str], msgspec.Meta(min_length=1)]
+    """Name of an observation (h3data docs environments); several are joined, one after the other."""
+    size: tuple[Pixels, Pixels] | None = None
+    """Width and height of a picture; None: the camera's own."""
+    pad: bool = False
+    """Whether a picture keeps its proportions, between black bars, instead of being stretched."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the observations."""
+        return (self.sensor,) if isinstance(self.sensor, str) else tuple(self.sensor)
+
+
+class Adapter(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """How a server's requests and answers are made."""
+
+    name: Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,40}$")] = "adapter"
+    """Recorded as the policy's name where the server has none."""
+    observation: dict[str, Entry] = {}
+    """What is shown, by key; in GR00T's protocol keys such as ``video.arm`` name a group and an entry."""
+    light: LightMode = "flat"
+    """Light in colours: ``baked``, from windows, sun and lamps, or ``flat``."""
+    prompt: str = ""
+    """Key of the instruction in words; empty: it is not sent."""
+    session: bool = False
+    """Whether the episode's seed, the step, whether it is the first, and a name of the episode's run are sent too, as
+    ``h3data/seed``, ``h3data/step``, ``h3data/reset`` and ``h3data/session``."""
+    actions: str | Annotated[list[str], msgspec.Meta(min_length=1)] = "actions"
+    """Key of the chunk of actions in an answer; of several, the columns follow each other."""
+    columns: list[Annotated[int, msgspec.Meta(ge=0)]] = []
+    """Columns of a chunk that are the robot's, in this order; empty: all."""
+    action: Literal["base", "control"] = "base"
+    """``base``: forward and turn, in -1..1 of the limits. ``control``, in tasks with objects: also a number for each joint of
+    the arm and one for the grip, likewise."""
+    hold: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 1
+    """Actions of a chunk that are carried out before the server is asked again, one for each step of 1/30 s."""
+    timeout_s: Seconds = 30.0
+    first_timeout_s: Seconds = 300.0
+    """Of the first answer of a server, which may have to compile its model."""
+    deadline_s: Annotated[float, msgspec.Meta(ge=0, le=60)] = 0.5
+    """In live play: how long the last action goes on while an answer is late; then the robot stands."""
+
+
+DEFAULTS: Mapping[str, str] = {"ws": "h3data", "wss": "h3data", "zmq": "gr00t"}
+"""Name of the adapter by the scheme of an address, for servers that bring none of their own."""
+
+
+def built_in_adapters() -> tuple[str, ...]:
+    """Names of the adapters that come with the package."""
+    return tuple(sorted(path.stem for path in FOLDER.glob("*.toml")))
+
+
+def read_adapter(name: str) -> Adapter:
+    """The adapter of a name or TOML file.
+
+    Raises:
+        InputError: there is none, or it is malformed; the message names the field.
+    """
+    file = FOLDER / f"{name}.toml" if name in built_in_adapters() else Path(name)
+    try:
+        data = tomllib.loads(file.read_text("utf-8"))
+    except OSError:
+        raise InputError(
+            f"There is no adapter {name!r}. Expected a TOML file or one of: {', '.join(built_in_adapters())}.",
+            code="H3-REMOTE-006",
+        ) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
+        raise InputError(f"The adapter {name} is no TOML file: {fault}", code="H3-REMOTE-007") from None
+    return adapter_of({"name": file.stem, **data}, f"The adapter {name}")
+
+
+def adapter_of(table: Any, what: str) -> Adapter:
+    """The adapter that a table describes.
+
+    Raises:
+        InputError: it is malformed; the message begins with ``what``.
+    """
+    try:
+        return msgspec.convert(table, Adapter)
+    except msgspec.ValidationError as fault:
+        raise InputError(f"{what} is malformed: {str(fault).replace('`', '')}", code="H3-REMOTE-008") from None
+
+
+class Observer:
+    """Makes the observations that an adapter asks for of a robot."""
+
+    def __init__(self, adapter: Adapter, body: Body, *, batched: bool) -> None:
+        """Looks up cameras and sizes.
+
+        Args:
+            adapter: What is shown.
+            body: The robot.
+            batched: Whether arrays begin with axes for worlds and time, as GR00T's do.
+
+        Raises:
+            InputError: a picture is asked for in two sizes, or joined with others.
+        """
+        self._entries, self._light, self._batched = adapter.observation, adapter.light, batched
+        pictures = picture_names(body)
+        self._padded: dict[str, tuple[int, int]] = {}
+        self.sizes: dict[str, tuple[int, int]] = {}
+        """Width and height at which pictures are rendered, by name."""
+        self.names = tuple(dict.fromkeys(name for entry in self._entries.values() for name in entry.names))
+        for key, entry in self._entries.items():
+            drawn = [name for name in entry.names if name in pictures]
+            if drawn and len(entry.names) > 1:
+                raise InputError(
+                    f"The adapter {adapter.name} joins the picture {drawn[0]} with others in {key!r}.",
+                    code="H3-REMOTE-010",
+                )
+            if not drawn or entry.size is None:
+                continue
+            size = _fitting(body, drawn[0], entry.size) if entry.pad else entry.size
+            if self.sizes.setdefault(drawn[0], size) != size:
+                raise InputError(f"The adapter {adapter.name} shows {drawn[0]} in two sizes.", code="H3-REMOTE-011")
+            if entry.pad:
+                self._padded[key] = entry.size
+
+    def observation(self, view: Any) -> dict[str, Any]:
+        """The entries by key, for a view of `sim_kinematic.policies.views`.
+
+        Raises:
+            InputError: the robot has no such observation.
+        """
+        if not self.names:
+            return {}
+        if getattr(view, "observe", None) is None:
+            raise InputError(
+                "This task's views show nothing by name (observe), which a policy server needs.", code="H3-REMOTE-009"
+            )
+        shown = view.observe(self.names, self.sizes, self._light)
+        return {key: self._entry(key, [shown[name] for name in entry.names]) for key, entry in self._entries.items()}
+
+    def _entry(self, key: str, parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+        values = parts[0] if len(parts) == 1 else np.concatenate([part.ravel() for part in parts])
+        if key in self._padded:
+            values = padded(values, self._padded[key])
+        return values[None, None] if self._batched else values
+
+
+def _fitting(body: Body, name: str, size: tuple[int, int]) -> tuple[int, int]:
+    """The largest size within ``size`` that has the proportions of the camera."""
+    if name in DETECTORS and name == "humanoid_detector":
+        return size
+    height, width = AgentPictures(body, (name,), agent=0).limits(name).shape[:2]
+    scale = min(size[0] / width, size[1] / height)
+    return max(round(width * scale), 1), max(round(height * scale), 1)
+
+
+def padded(picture: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
+    """The picture [h, w, n] in the middle of a black one of ``size`` (width, height), [H, W, n]."""
+    height, width = picture.shape[:2]
+    out = np.zeros((size[1], size[0], *picture.shape[2:]), picture.dtype)
+    top, left = (size[1] - height) // 2, (size[0] - width) // 2
+    out[top : top + height, left : left + width] = picture
+    return out
+
+
+def nested(entries: Mapping[str, Any]) -> dict[str, Any]:
+    """Entries ``group.name`` as maps within a map."""
+    found: dict[str, Any] = {}
+    for key, value in entries.items():
+        group, dot, name = key.partition(".")
+        if dot:
+            found.setdefault(group, {})[name] = value
+        else:
+            found[key] = value
+    return found
+
+
+def chunk_of(
+    answer: Mapping[str, Any], adapter: Adapter, width: int, server: str, *, batched: bool
+) -> NDArray[np.float32]:
+    """The actions of an answer that will be carried out, [hold, width] in -1..1.
+
+    Args:
+        answer: Of the server.
+        adapter: Says where they are.
+        width: Numbers of one action.
+        server: Address, for messages.
+        batched: Whether the first axis of an answer is for worlds.
+
+    Raises:
+        PolicyServerError: there are none, or of another shape, or not finite.
+    """
+    keys = [adapter.actions] if isinstance(adapter.actions, str) else adapter.actions
+    parts = [_part(answer, key, server, batched=batched) for key in keys]
+    if len({len(part) for part in parts}) > 1:
+        raise PolicyServerError(
+            f"The policy server at {server} gives chunks of different lengths for {', '.join(keys)}.",
+            code="H3-REMOTE-001",
+        )
+    chunk = np.concatenate(parts, axis=1)
+    if adapter.columns and max(adapter.columns) < chunk.shape[1]:
+        chunk = chunk[:, adapter.columns]
+    if chunk.shape[1] != width or len(chunk) < adapter.hold:
+        raise PolicyServerError(
+            f"Expected at least {adapter.hold} actions of {width} numbers in {', '.join(keys)} from the policy server at "
+            f"{server}, got shape {list(chunk.shape)}. Hint: actions, columns and hold of the adapter say which are meant.",
+            code="H3-REMOTE-002",
+        )
+    chunk = chunk[: adapter.hold]
+    if not np.isfinite(chunk).all():
+        raise PolicyServerError(
+            f"The policy server at {server} answers with numbers that are not finite in {', '.join(keys)}.",
+            code="H3-REMOTE-003",
+        )
+    return np.clip(chunk, -1.0, 1.0).astype(np.float32)
+
+
+def _part(answer: Mapping[str, Any], key: str, server: str, *, batched: bool) -> NDArray[np.float64]:
+    if key not in answer:
+        there = ", ".join(map(str, list(answer)[:10])) or "nothing"
+        raise PolicyServerError(
+            f"Expected {key!r} in the answer of the policy server at {server}, got: {there}.", code="H3-REMOTE-004"
+        )
+    try:
+        values = np.asarray(answer[key], np.float64)
+    except (TypeError, ValueError):
+        values = np.zeros(())
+    values = values[0] if batched and values.ndim == 3 and len(values) else values
+    values = values[None] if values.ndim == 1 and not batched else values
+    if values.ndim != 2:
+        raise PolicyServerError(
+            f"Expected actions [H, D] in {key!r} from the policy server at {server}, got shape {list(values.shape)}.",
+            code="H3-REMOTE-005",
+        )
+    return values

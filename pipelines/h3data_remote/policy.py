@@ -1,0 +1,351 @@
+"""A robot's policy behind a server: ``--policy ws://host:port`` and ``zmq://host:port``."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import time
+import uuid
+import weakref
+from collections import deque
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data_remote.adapter import DEFAULTS, Adapter, Observer, adapter_of, chunk_of, nested, read_adapter
+from h3data_remote.background import BackgroundPolicy
+from h3data_remote.connections import Address, Connection, connect
+from h3data_remote.privileged import packed_episode, view_to_wire
+from h3data_remote.wire import PolicyServerError
+from sim_kinematic.agents.skills import CONTROL, Action
+from sim_kinematic.policies.assignment import AssignedPolicy, PolicyMaker
+from sim_kinematic.policies.policy import Velocity
+
+OWN = "h3data"
+"""Entry of a server's metadata that is for us: ``name``, ``adapter``, ``batch``, ``view``."""
+MOST_METADATA = 4096
+"""Bytes of a server's metadata, as JSON, that are recorded; larger ones are recorded by their digest alone."""
+_ANSWERED: set[str] = set()
+"""Servers that have answered this process before, so that they need not compile any more."""
+
+
+def policy_server(address: str, task: Any, kind: str, spec: Any = None) -> PolicyMaker:
+    """What makes the policy of a server for an episode: the entry points ``ws``, ``wss`` and ``zmq``.
+
+    Args:
+        address: As `Address.of` reads it.
+        task: What is played.
+        kind: Of the agent.
+        spec: Its rules, where a job is checked before it begins: then the server must be there.
+
+    Raises:
+        InputError: it is no address, there is no such adapter, or the agent is no robot.
+        PolicyServerError: nobody answers.
+    """
+    if kind != "robot":
+        raise InputError(
+            f"Policy servers move robots; a {kind} of {task.name} needs another policy.", code="H3-REMOTE-033"
+        )
+    where = Address.of(address)
+    chosen = read_adapter(where.adapter) if where.adapter else None
+
+    def made(episode: Any, number: int) -> AssignedPolicy:
+        policy = RemotePolicy(where, chosen, task, episode, number)
+        return AssignedPolicy(policy, policy.name, kind)
+
+    if spec is not None:
+        connection = connect(where)
+        try:
+            adapter_for(connection, where, chosen)
+        finally:
+            connection.close()
+    return made
+
+
+def adapter_for(connection: Connection, where: Address, chosen: Adapter | None) -> Adapter:
+    """The adapter that the user has chosen, else that of the server, else the default of its protocol.
+
+    Raises:
+        InputError: that of the server is malformed.
+    """
+    if chosen is not None:
+        return chosen
+    own = connection.metadata.get(OWN)
+    if isinstance(own, dict) and "adapter" in own:
+        return adapter_of(own["adapter"], f"The adapter of the policy server at {where}")
+    return read_adapter(DEFAULTS[where.scheme])
+
+
+class RemotePolicy:
+    """Asks a server what a robot does, and carries out its chunks of actions one step at a time.
+
+    Each episode has a connection of its own, by which servers know that a new one begins.
+    """
+
+    is_remote = True
+    """What is recorded of it is repeated without asking it (`sim_kinematic.policies.recorded`)."""
+
+    def __init__(self, where: Address, chosen: Adapter | None, task: Any, episode: Any, number: int) -> None:
+        """Connects to the server.
+
+        Args:
+            where: Its address.
+            chosen: Adapter; None is the server's own, or the default.
+            task: What is played.
+            episode: In which.
+            number: Of the robot among the agents.
+
+        Raises:
+            PolicyServerError: nobody answers, or not as a policy server.
+            InputError: the adapter does not fit the robot or the task.
+        """
+        self.where, self._chosen, self._batched = where, chosen, where.scheme == "zmq"
+        self._body = body = episode.roster[number].body
+        self._seed, self._instruction = int(episode.seed), task.instruction(episode)
+        self._with_objects = not task.uses_common_policies
+        self._task, self._episode, self._number, self._session = task, episode, number, uuid.uuid4().hex
+        self._connect()
+        adapter = self.adapter
+        self._arm = len(body.require_arm()) + 1 if self._with_objects else 0
+        if adapter.action == "control" and not self._with_objects:
+            raise InputError(
+                f"The adapter {adapter.name} moves an arm (action = control), for which {task.name} has no use. "
+                "Expected: base.",
+                code="H3-REMOTE-034",
+            )
+        self.width = 2 + self._arm * (adapter.action == "control")
+        """Numbers of one action."""
+        own = self.connection.metadata.get(OWN)
+        self._shows_view = isinstance(own, dict) and own.get("view") is True
+        if self._shows_view and self._with_objects:
+            raise InputError(
+                f"The policy at {where} is for bases that drive; {task.name} has objects to bring as well.",
+                code="H3-REMOTE-035",
+            )
+        self._observer = Observer(adapter, body, batched=self._batched)
+        self.name = _name(self.connection.metadata, adapter, where)
+        """As recordings hold it: protocol, name and a digest of metadata and adapter, and no address."""
+        self._rows: deque[NDArray[np.float32]] = deque()
+        self._step, self._skill, self._skills = -1, "", task.skills.get("robot", ())
+        self._waits: list[float] = []
+        self._infers: list[float] = []
+
+    def _connect(self) -> None:
+        self.connection: Connection = connect(self.where)
+        self._is_new = True
+        self._closing = weakref.finalize(self, self.connection.close)
+        self.adapter = adapter_for(self.connection, self.where, self._chosen)
+
+    def reconnect(self) -> None:
+        """Begins a new conversation, after one that failed.
+
+        Raises:
+            PolicyServerError: nobody answers.
+        """
+        self.close()
+        self._connect()
+
+    def close(self) -> None:
+        """Ends the conversation; happens by itself when the policy is no longer used."""
+        self._closing()
+
+    # --- one decision -------------------------------------------------------------------------------------------------
+    def act(self, view: Any) -> Velocity | Action:
+        """The next action of the present chunk; of a new one where it is used up, or where steps were left out.
+
+        Raises:
+            PolicyServerError: the server is gone or late, or answers with something that is no chunk.
+        """
+        if view.step != self._step + 1:
+            self._rows.clear()
+        self._step = view.step
+        if not self._rows:
+            self._rows.extend(self.fetch(self.request(view)))
+        return self.choice(self._rows.popleft(), view)
+
+    def request(self, view: Any) -> dict[str, Any]:
+        """What is sent about a moment."""
+        adapter = self.adapter
+        entries = self._observer.observation(view)
+        if adapter.prompt:
+            entries[adapter.prompt] = [[self._instruction]] if self._batched else self._instruction
+        if adapter.session:
+            entries |= {
+                "h3data/seed": self._seed,
+                "h3data/step": int(view.step),
+                "h3data/reset": self._is_new,
+                "h3data/session": self._session,
+            }
+        if self._shows_view:
+            if self._is_new:
+                entries["h3data/episode"] = packed_episode(self._task, self._episode)
+            entries |= {"h3data/agent": self._number, "h3data/view": view_to_wire(view)}
+        self._is_new = False
+        return nested(entries) if self._batched else entries
+
+    def fetch(self, request: dict[str, Any]) -> NDArray[np.float32]:
+        """Actions [hold, width] that the server answers with.
+
+        Raises:
+            PolicyServerError: there are none in time, or of another kind.
+        """
+        server = str(self.where)
+        timeout_s = self.adapter.timeout_s if server in _ANSWERED else self.adapter.first_timeout_s
+        begun = time.perf_counter()
+        answer = self.connection.ask(request, timeout_s)
+        self._waits.append((time.perf_counter() - begun) * 1e3)
+        _ANSWERED.add(server)
+        said = answer.get("h3data/skill")
+        self._skill = said if said in self._skills else ""
+        timing = answer.get("server_timing")
+        if isinstance(timing, dict) and isinstance(timing.get("infer_ms"), int | float):
+            self._infers.append(float(timing["infer_ms"]))
+        try:
+            return chunk_of(answer, self.adapter, self.width, server, batched=self._batched)
+        except PolicyServerError:
+            self.close()  # no later answer of it is trusted
+            raise
+
+    def choice(self, row: NDArray[np.float32], view: Any) -> Velocity | Action:
+        """The choice that one action [width] means in the task."""
+        if self._with_objects:
+            rest = [] if len(row) > 2 else [0.0] * self._arm
+            return Action(CONTROL, command=(*map(float, row), *rest))
+        return Velocity(float(row[0]), float(row[1]), self._skill or _usual_skill(view))
+
+    # --- several worlds -----------------------------------------------------------------------------------------------
+    @property
+    def takes_batches(self) -> bool:
+        """Whether the server answers for several worlds at once."""
+        own = self.connection.metadata.get(OWN)
+        return self._batched or (isinstance(own, dict) and own.get("batch") is True)
+
+    @staticmethod
+    def act_together(policies: Sequence[RemotePolicy], views: Sequence[Any]) -> list[Velocity | Action]:
+        """What `act` of each of some policies of one server returns, with one request for all whose chunks are used up.
+
+        Servers that take no batches are asked one after the other.
+
+        Raises:
+            PolicyServerError: as `act`.
+        """
+        first = policies[0]
+        asking = [
+            k for k, (p, v) in enumerate(zip(policies, views, strict=True)) if not p._rows or v.step != p._step + 1
+        ]
+        if len(asking) > 1 and first.takes_batches:
+            requests = [policies[k].request(views[k]) for k in asking]
+            for k, chunk in zip(asking, first._fetch_batch(requests), strict=True):
+                policies[k]._rows = deque(chunk)
+                policies[k]._step = views[k].step - 1
+                if policies[k] is not first:
+                    policies[k]._waits.append(first._waits[-1])
+        return [policy.act(view) for policy, view in zip(policies, views, strict=True)]
+
+    def _fetch_batch(self, requests: Sequence[dict[str, Any]]) -> list[NDArray[np.float32]]:
+        """The chunks of several requests, which go out as one: along the axis of worlds, or as a list."""
+        server, count = str(self.where), len(requests)
+        begun = time.perf_counter()
+        answer = self.connection.ask(
+            _joined(requests) if self._batched else {"batch": list(requests)}, self.adapter.timeout_s
+        )
+        self._waits.append((time.perf_counter() - begun) * 1e3)
+        if self._batched:
+            answers = [
+                {
+                    key: value[k : k + 1]
+                    for key, value in answer.items()
+                    if isinstance(value, np.ndarray) and len(value) == count
+                }
+                for k in range(count)
+            ]
+        else:
+            answers = answer.get("batch")
+        if not isinstance(answers, list) or len(answers) != count or not all(isinstance(one, dict) for one in answers):
+            raise PolicyServerError(
+                f"Expected {count} answers to a batch from the policy server at {server}.", code="H3-REMOTE-036"
+            )
+        return [chunk_of(one, self.adapter, self.width, server, batched=self._batched) for one in answers]
+
+    # --- beside the steps ---------------------------------------------------------------------------------------------
+    def in_background(self) -> BackgroundPolicy:
+        """The same policy for callers that cannot wait for a server."""
+        return BackgroundPolicy(self)
+
+    def recorded_info(self) -> dict[str, Any]:
+        """What a recording says about the server: who it is, and how long it took."""
+        metadata = {key: value for key, value in self.connection.metadata.items() if key != OWN}
+        fits = len(_json(metadata)) <= MOST_METADATA
+        return {
+            "remote": [
+                {
+                    "policy": self.name,
+                    "protocol": "gr00t" if self._batched else "openpi",
+                    "adapter": msgspec.to_builtins(self.adapter),
+                    "metadata": msgspec.json.decode(_json(metadata)) if fits else {"sha256": _digest(metadata)},
+                    "calls": len(self._waits),
+                    **({"wait_ms": _summary(self._waits)} if self._waits else {}),
+                    **({"infer_ms": _summary(self._infers)} if self._infers else {}),
+                }
+            ]
+        }
+
+
+def _joined(requests: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Nested requests of one world each as one of all, along the first axis of arrays and lists."""
+    first = requests[0]
+    joined: dict[str, Any] = {}
+    for key, value in first.items():
+        values = [request[key] for request in requests]
+        if isinstance(value, dict):
+            joined[key] = _joined(values)
+        elif isinstance(value, np.ndarray):
+            joined[key] = np.concatenate(values)
+        elif isinstance(value, list):
+            joined[key] = [one for each in values for one in each]
+        else:
+            joined[key] = values
+    return joined
+
+
+def _usual_skill(view: Any) -> str:
+    """What a robot of social navigation is doing, where its server does not say."""
+    met = getattr(view, "met", None)
+    return "" if met is None else "follow" if met else "find"
+
+
+def _name(metadata: dict[str, Any], adapter: Adapter, where: Address) -> str:
+    own = metadata.get(OWN)
+    said = own.get("name") if isinstance(own, dict) else metadata.get("name")
+    name = re.sub(r"[^A-Za-z0-9_.-]+", "_", said)[:40].strip("_") if isinstance(said, str) else ""
+    digest = _digest([metadata, msgspec.to_builtins(adapter)])
+    return f"{'zmq' if where.scheme == 'zmq' else 'ws'}:{name or adapter.name}@{digest[:12]}"
+
+
+def _json(value: Any) -> bytes:
+    """A value as JSON; what JSON cannot hold is described in words."""
+    return msgspec.json.encode(_plain(value), order="sorted")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {(key if isinstance(key, str) else repr(key)): _plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value if isinstance(value, str | int | float | bool | None) else repr(value)
+
+
+def _digest(value: Any) -> str:
+    return hashlib.sha256(_json(value)).hexdigest()
+
+
+def _summary(values: Sequence[float]) -> dict[str, float]:
+    return {"median": round(float(np.median(values)), 3), "p95": round(float(np.percentile(values, 95)), 3)}

@@ -1,0 +1,119 @@
+"""Views of privileged policies on the wire, for servers of ours whose planners know the map and where everybody is.
+
+The episode goes out once, as a recording of a step in which nobody moves; then the plain fields of each view do. What a
+view can ask the simulator for, such as pictures, stays behind.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from h3data.plugins import names_from_data
+from h3data.recording import read_mcap, write_mcap
+from h3data.scene import FreeSpace, Scene
+from h3data_remote.wire import PolicyServerError
+from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.policies.policy import Still
+from sim_kinematic.policies.views import AgentView, SocialNavView
+from sim_kinematic.tasks.episode import Episode, agent_base, agent_floor
+from sim_kinematic.tasks.recorder import Recorder, describe
+from sim_kinematic.tasks.registry import reference_of
+from sim_kinematic.tasks.resimulation import scene_and_map
+from sim_kinematic.tasks.runner import run
+from sim_kinematic.tasks.task import Task
+
+VIEWS = {view.__name__: view for view in (SocialNavView, AgentView)}
+
+
+def packed_episode(task: Task, episode: Episode) -> bytes:
+    """An episode as a recording file: scene, rules, agents and starts."""
+    policies = [AssignedPolicy(Still(), "still", member.kind) for member in episode.roster]
+    play = task.play(episode, policies, measure=False)
+    recorder = Recorder(describe(task, episode, policies, reference=reference_of(task)), play)
+    run(play, recorder, steps=1)  # recordings have columns, so that there is a first step, in which nobody decides
+    recording = recorder.finish({})
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "episode.mcap")
+        write_mcap(recording, file)
+        return file.read_bytes()
+
+
+def unpacked_episode(task: Task, packed: Any) -> Episode:
+    """The episode that `packed_episode` packed.
+
+    Raises:
+        PolicyServerError: it is of another task.
+        H3DataError: it is malformed.
+    """
+    if not isinstance(packed, bytes):
+        raise PolicyServerError(
+            f"Expected an episode of {task.name} with the first request, got none.", code="H3-REMOTE-038"
+        )
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "episode.mcap")
+        file.write_bytes(packed)
+        recording = read_mcap(file)
+    name = str(recording.episode.info.get("task") or recording.episode.task)
+    if name != task.name:
+        raise PolicyServerError(f"This server plays {task.name}, the episode is of {name}.", code="H3-REMOTE-039")
+    glb = recording.attachments["scene.glb"]
+    with names_from_data():
+        return task.restore(recording, lambda radius, height: _map(glb, radius, height))
+
+
+@lru_cache(maxsize=8)
+def _map(glb: bytes, radius_m: float, height_m: float) -> tuple[Scene, FreeSpace]:
+    return scene_and_map(glb, radius_m, height_m)
+
+
+def view_to_wire(view: NamedTuple) -> dict[str, Any]:
+    """The plain fields of a view, by name."""
+    fields = {name: value for name, value in view._asdict().items() if _is_plain(value)}
+    return {"view": type(view).__name__, **fields}
+
+
+def _is_plain(value: Any) -> bool:
+    if isinstance(value, tuple):
+        return all(map(_is_plain, value)) and not hasattr(value, "_fields")
+    return value is None or isinstance(value, str | bool | int | float | np.ndarray | np.generic)
+
+
+def view_from_wire(fields: Any, episode: Episode, number: int) -> Any:
+    """The view with these plain fields; the map and the rules are those of the episode.
+
+    Raises:
+        PolicyServerError: it is none that this server knows.
+    """
+    kind = VIEWS.get(str(fields.get("view"))) if isinstance(fields, dict) else None
+    if kind is None or not 0 <= number < len(episode.roster):
+        raise PolicyServerError(f"Expected a view, one of: {', '.join(VIEWS)}.", code="H3-REMOTE-040")
+    told: Mapping[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in fields.items()
+        if name in kind._fields
+    }
+    rules = {
+        "free": agent_floor(episode, number),
+        "bases": tuple(agent_base(episode, k) for k, member in enumerate(episode.roster) if member.kind == "robot"),
+        "walker": episode.spec.human,
+        "extra": episode.extra,
+        "traffic": _no_traffic,
+    }
+    known = {name: value for name, value in rules.items() if name in kind._fields}
+    try:
+        return kind(**{**told, **known})
+    except TypeError as fault:
+        raise PolicyServerError(f"The view is malformed: {fault}", code="H3-REMOTE-041") from None
+
+
+def _no_traffic() -> Any:
+    raise PolicyServerError(
+        "This policy heeds everybody in the world that it plays in, and cannot decide behind a server.",
+        code="H3-REMOTE-037",
+    )
