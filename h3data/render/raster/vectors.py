@@ -15,7 +15,12 @@ from numba.extending import intrinsic as _numba_intrinsic
 
 LANES = 8
 # NUMBA_CPU_NAME compiles for other processors, as for the shipped kernels
-_AVX = get_host_cpu_features().get("avx", False) and config.CPU_NAME in (None, "host", "x86-64-v3", "x86-64-v4")
+_AVX = get_host_cpu_features().get("avx", False) and getattr(config, "CPU_NAME", None) in (
+    None,
+    "host",
+    "x86-64-v3",
+    "x86-64-v4",
+)
 FLOAT = ir.FloatType()
 INT = ir.IntType(32)
 INT64 = ir.IntType(64)

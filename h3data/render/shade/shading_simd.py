@@ -292,7 +292,8 @@ def write_colors(typing_context, strip_at, row_bytes, bytes_at, rgb_at):
         strip_at, row_bytes, bytes_at, rgb_at = arguments
         byte = ir.IntType(8)
         for lane in range(LANES):
-            at, pixel = b.add(strip_at, ir.Constant(INT64, 4 * lane)), None
+            at = b.add(strip_at, ir.Constant(INT64, 4 * lane))
+            pixel: Any = None
             for channel in range(3):
                 value = load(b, b.add(bytes_at, b.zext(load(b, at, 0, INT), INT64)), 0, byte)
                 value = b.shl(b.zext(value, INT), ir.Constant(INT, 8 * channel))
