@@ -17,6 +17,13 @@ MAX_DEPTH_MM = 65535
 
 def write_png(path: str | os.PathLike[str], image: NDArray) -> None:
     """Writes RGB uint8 [H, W, 3] or grey uint8 / uint16 [H, W] as PNG."""
+    data = png_bytes(image)
+    with part_file(path) as part:
+        part.write_bytes(data)
+
+
+def png_bytes(image: NDArray) -> bytes:
+    """RGB uint8 [H, W, 3] or grey uint8 / uint16 [H, W] as a PNG file."""
     import cv2
 
     is_rgb = image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.uint8
@@ -29,8 +36,7 @@ def write_png(path: str | os.PathLike[str], image: NDArray) -> None:
     ok, data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]) if is_rgb else image, _png_options())
     if not ok:
         raise InputError(f"OpenCV could not encode an image of shape {list(image.shape)} as PNG.", code="H3-RENDER-040")
-    with part_file(path) as part:
-        part.write_bytes(data.tobytes())
+    return data.tobytes()
 
 
 def _png_options() -> list[int]:
@@ -94,7 +100,9 @@ def depth_to_mm(depth: NDArray[np.floating]) -> NDArray[np.uint16]:
 def _to_mm(depth, out):
     for k in range(len(depth)):
         d = depth[k]
-        out[k] = int(min(max(np.rint(d * 1000), 1), MAX_DEPTH_MM)) if d > 0 else 0
+        mm = min(max(np.rint(d * 1000.0), 1.0), float(MAX_DEPTH_MM))
+        # by way of int32, for which there are vector instructions
+        out[k] = np.uint16(np.int32(mm)) if d > 0 else np.uint16(0)
 
 
 def stored_ids(ids: NDArray[np.integer]) -> NDArray[np.uint16]:

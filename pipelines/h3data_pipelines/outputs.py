@@ -108,9 +108,11 @@ class _FolderSink:
     picture: ToPicture
 
     def prepare(self, image: NDArray[Any], step: int) -> None:
-        from h3data.render import write_png
+        from h3data.render.image_files import png_bytes
 
-        write_png(self.folder / f"{step:06d}.png", self.picture(image, step))
+        # under its name at once: the folder has its own name only when it is complete
+        with open(f"{self.folder}/{step:06d}.png", "wb") as file:
+            file.write(png_bytes(self.picture(image, step)))
 
     def write(self, frame: None) -> None:
         pass

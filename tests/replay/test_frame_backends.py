@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.recording import Recording, write_mcap
+from h3data.recording import Dataset, Recording, write_mcap
 from h3data.render import Output
 from h3data.render.renderer import gpu_fault
 from h3data.replay import CameraTrack, Replay, camera_track
@@ -83,6 +83,29 @@ def test_without_a_gpu_it_is_refused_in_one_sentence(
         assert main([*map(str, words), "--backend", "gpu", "--json"]) == 2
         assert "There is no GPU to draw with" in json.loads(capsys.readouterr().out)["error"]
     assert [path.name for path in tmp_path.iterdir()] == ["walk.mcap"]
+
+
+@pytest.mark.parametrize(("first", "other"), [pytest.param("cpu", "gpu", marks=pytest.mark.slow), ("gpu", "cpu")])
+def test_a_resumed_dataset_keeps_its_back_end(
+    first: str, other: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    renderer = stage_module.Stage.renderer
+    monkeypatch.setattr(stage_module, "gpu_fault", lambda: "")
+    monkeypatch.setattr(stage_module.Stage, "renderer", lambda self, _="cpu", **options: renderer(self, **options))
+
+    def generate(*words: str) -> tuple[int, Any]:
+        options = ["--homes", "1", "--max-steps", "6", "--camera", "robot_arm", "--light", "flat", "--json"]
+        code = main(["generate", "social_nav", *options, *words, "-o", str(tmp_path / "ds")])
+        return code, json.loads(capsys.readouterr().out)
+
+    assert generate("--episodes", "1", "--backend", first)[0] == 0
+    code, said = generate("--episodes", "2", "--resume", "--backend", other)
+    assert code == 2
+    assert f"Hint: --backend {first}" in said["error"]
+    code, said = generate("--episodes", "2", "--resume", "--backend", "auto")
+    assert (code, said["new"]) == (0, 1)
+    made_by = {json.loads(row["info"]).get("backend", "cpu") for row in Dataset(tmp_path / "ds").episodes.to_pylist()}
+    assert made_by == {first}
 
 
 def apart(got: NDArray[Any], want: NDArray[Any]) -> NDArray[np.float64]:

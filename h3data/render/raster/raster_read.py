@@ -29,10 +29,14 @@ def read_parallel_depth(nearness, reach, depth):
 @kernel(boundscheck=False)
 def read_ids(words, draws, ids_of_instances, ids):
     """Fills an id per pixel [H, W] from a table per instance [I], -1 in the background."""
+    last, found = np.int32(-1), np.int32(-1)
     for y in range(ids.shape[0]):
         for x in range(ids.shape[1]):
             word = words[y, x]
-            ids[y, x] = ids_of_instances[draws[word >> 7, INSTANCE]] if word >= 0 else np.int32(-1)
+            if word != last:  # neighbours mostly show the same triangle
+                last = word
+                found = ids_of_instances[draws[word >> 7, INSTANCE]] if word >= 0 else np.int32(-1)
+            ids[y, x] = found
 
 
 @kernel(boundscheck=False)

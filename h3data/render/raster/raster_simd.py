@@ -7,7 +7,7 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 
-from h3data.render.raster.vectors import FLOAT, INT, INT8, LANES, Vec, fma, intrinsic, lanes, load, splat, store
+from h3data.render.raster.vectors import FLOAT, INT, INT8, LANES, Vec, fma, intrinsic, lanes, load, opaque, splat, store
 
 NEAR_M = 0.02
 """Triangles nearer than this [m] take the exact homogeneous path. Not a near plane: nothing is cut away."""
@@ -72,8 +72,8 @@ def blend_block(typing_context, inv_z_at, word_at, e0, e1, e2, inv_z, e0_dx, e1_
         old_words = load(builder, word_at, 0, INT8)
         inside = edge0.minimum(edge1).minimum(edge2).compare(">=", 0.0)
         keep = (inside & nearness.compare(">", old)).value
-        store(builder, builder.select(keep, nearness.value, old.value), inv_z_at)
-        store(builder, builder.select(keep, splat(builder, word, INT8), old_words), word_at)
+        store(builder, opaque(builder, builder.select(keep, nearness.value, old.value)), inv_z_at)
+        store(builder, opaque(builder, builder.select(keep, splat(builder, word, INT8), old_words)), word_at)
         return context.get_dummy_value()
 
     return types.void(_p, _p, _f, _f, _f, _f, _f, _f, _f, _f, _i), codegen

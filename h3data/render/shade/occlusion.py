@@ -166,13 +166,16 @@ def _occlude(source, drawn, factor, height, width, table, out, again):
                     for k in range(count):
                         before[p, k] = planes[p, r, c + k]
             occlusion_block(inv_z_at, z_at, planes_at, plane_bytes, np.uintp(x), np.uintp(y), np.uintp(row), table_at)
+            if not again:
+                for k in range(count):
+                    raw[r, c + k] = final[r, c + k]
+                continue
             for k in range(count):
                 amount = final[r, c + k]
-                if again:
-                    final[r, c + k] = before[3, k]
-                    for p in range(3):
-                        if planes[p, r, c + k] != before[p, k]:
-                            changed[y, x + k] = 1
+                final[r, c + k] = before[3, k]
+                for p in range(3):
+                    if planes[p, r, c + k] != before[p, k]:
+                        changed[y, x + k] = 1
                 if changed[y, x + k] or amount != raw[r, c + k]:
                     touched[y, x // 8 + 1] = 1
                 raw[r, c + k] = amount
@@ -196,7 +199,7 @@ def _occlude(source, drawn, factor, height, width, table, out, again):
             k = np.uintp((y * row + 8 * b) * 4)
             slope_at = planes_at + plane_bytes + k
             blur_block(inv_z_at + k, slope_at, sharpness_at + k, half_at + k, amount_at + k, row_bytes)
-            for k in range(min(8, width - 8 * b)):
+            for k in range(min(8, width - 8 * b) if again else 0):
                 if final[r, c + k] != before[3, k]:
                     changed[y, 8 * b + k] = 1
     _clear_edges(planes, height, width)
@@ -243,8 +246,8 @@ def _clear_edges(planes, height, width):
 
 
 @kernel_part()
-def dim_row(occlusion, strength, y, near, strip, marks):
-    """Dims an image row of linear levels (the first three rows of ``strip`` [.., W + 8]), given its 1/z ``near`` [W + 8].
+def dim_row(occlusion, strength, y, width, near_at, strip, marks):
+    """Dims an image row of linear levels (the first three rows of ``strip`` [.., W + 8]), given the address of its 1/z [W + 8].
 
     Blocks of 8 pixels none of which is marked as shaded (`marks`) are left out.
     """
@@ -252,11 +255,11 @@ def dim_row(occlusion, strength, y, near, strip, marks):
     row_bytes, plane_bytes = np.uintp(inv_z.shape[1] * 4), np.uintp(inv_z.size * 4)
     first = np.uintp(((y // 2 + EDGE_ROWS) * inv_z.shape[1] + EDGE) * 4)
     inv_z_at, planes_at = np.uintp(inv_z.ctypes.data) + first, np.uintp(planes.ctypes.data) + first
-    near_at, strip_at = np.uintp(near.ctypes.data), np.uintp(strip.ctypes.data)
+    strip_at = np.uintp(strip.ctypes.data)
     strip_bytes = np.uintp(strip.shape[1] * 4)
     between = y & 1
     lower_bytes, half_row = row_bytes * np.uintp(between), np.float32(0.5 * between)
-    for x in range(0, len(near) - 8, 8):
+    for x in range(0, width, 8):
         if not any_shaded(marks, x):
             continue
         c, f = np.uintp(x // 2 * 4), np.uintp(x * 4)

@@ -44,11 +44,14 @@ from h3data.render.shade.shading_simd import (
     RAY,
     TONE_LIMIT,
     TONE_SIZE,
+    equal_words,
+    even_nearness,
     gloss_block,
     light_block,
     light_coordinates_block,
     sky_block,
     texture_block,
+    write_colors,
 )
 from h3data.render.shade.surface import Surface
 from h3data.render.shade.textures_simd import LEVEL_WORDS, ONE_LEVEL
@@ -98,6 +101,8 @@ class Light:
 
 
 _SHOULDER = 0.75
+_PADDING = np.int32(-3)
+"""Word beyond the end of a row, which ends its last run."""
 _MIXED = np.int32(-2)
 """Marks pixels whose four samples show an edge, in a row of words."""
 _SMOOTH_DEPTH = np.float32(0.01)
@@ -235,11 +240,13 @@ def _shade_image(
     strip = np.zeros((6, width + 8), np.int32)  # 8 more: blocks may overrun
     sample = np.zeros((6, 8), np.int32)
     coordinates = np.zeros((3, width + 8), np.float32)
-    row = np.zeros(width, np.int32)
+    row = np.full(width + 8, _PADDING, np.int32)
     marks = np.full(width + 8, SHADED, np.uint8)
     near = np.zeros(width + 8, np.float32)
     owners, rays = np.zeros(width + 8, np.float32), np.zeros(RAY_WORDS, np.float32)
     scratch = np.zeros((SCRATCH_ROWS, 8), np.float32)
+    row_at, inv_z_at = np.uintp(row.ctypes.data), np.uintp(target.inv_z.ctypes.data)
+    inv_z_bytes = np.uintp(target.inv_z.shape[1] * 4)
     near_at, owners_at = np.uintp(near.ctypes.data), np.uintp(owners.ctypes.data)
     strip_at, sample_at = np.uintp(strip.ctypes.data), np.uintp(sample.ctypes.data)
     strip_bytes, sample_bytes = np.uintp(strip.shape[1] * 4), np.uintp(sample.shape[1] * 4)
@@ -247,6 +254,7 @@ def _shade_image(
     if view.parallel:  # all rays have the same direction
         axes[:, :2] = 0
     linear, byte_of_level = tables
+    bytes_at, rgb_at = np.uintp(byte_of_level.ctypes.data), np.uintp(rgb.ctypes.data)
     fx, fy, cx, cy = view.intrinsics[0], view.intrinsics[1], view.intrinsics[2], view.intrinsics[3]
     pixel = (factor / fx, factor / fy)
     tiles_across = -(-width // TILE_X)
@@ -254,7 +262,7 @@ def _shade_image(
         if again and not mark_row(marks, target.tile_drawn, occlusion.changed, cast_changed, factor, y, width):
             continue
         if fine:
-            _fine_row_words(geometry, surface, target, patches, y, row)
+            _fine_row_words(geometry, surface, target, patches, y, row, width)
         else:
             for x in range(width):  # by element: to copy slices, numba compiles an error text for 2 s
                 row[x] = words[y, x]
@@ -265,6 +273,12 @@ def _shade_image(
         while x < width:
             word = row[x]
             end = x + 1
+            if word != _MIXED:  # to the end of the run
+                equal = equal_words(row_at + np.uintp(end * 4), word)
+                end += equal
+                while equal == 8:
+                    equal = equal_words(row_at + np.uintp(end * 4), word)
+                    end += equal
             if word == _MIXED and not marks[x]:
                 pass
             elif word == _MIXED:
@@ -304,8 +318,6 @@ def _shade_image(
                 for a in range(3):
                     strip[a, x] >>= 2
             else:
-                while end < width and row[end] == word:
-                    end += 1
                 u, step = ((x + 0.5) * factor - cx) / fx, pixel[0]
                 low, high = x, end
                 if again:
@@ -327,9 +339,14 @@ def _shade_image(
                         low, high = next_blocks(marks, x, low, end)
             x = end
         if strength > 0:
-            for x in range(width):
-                near[x] = target.inv_z[y * factor, x * factor] if row[x] != _MIXED else FAR_PADDING
-            dim_row(occlusion, strength, y, near, strip, marks)
+            line_at = inv_z_at + np.uintp(y * factor) * inv_z_bytes
+            if fine:
+                for x in range(0, width, 8):
+                    at = np.uintp(x * 4)
+                    even_nearness(line_at + at + at, row_at + at, _MIXED, np.float32(FAR_PADDING), near_at + at)
+                near[width:] = 0
+                line_at = near_at
+            dim_row(occlusion, strength, y, width, line_at, strip, marks)
         if blocked:
             for k in range(tiles_across):
                 tile = tile_row + k
@@ -351,7 +368,11 @@ def _shade_image(
                         cast, tile, rays, near_at + at, owners_at + at, only, strip_at + at, strip_bytes, scratch
                     )
         if rgb.size:
-            for x in range(width):
+            begin = 0 if again else width // 8 * 8  # where all pixels are shaded, eight are written at once
+            for x in range(0, begin, 8):
+                line_at = rgb_at + np.uintp((y * width + x) * 3)
+                write_colors(strip_at + np.uintp(x * 4), strip_bytes, bytes_at, line_at)
+            for x in range(begin, width):
                 if marks[x] & SHADED:
                     for a in range(3):
                         rgb[y, x, a] = byte_of_level[strip[a, x]]
@@ -363,10 +384,10 @@ def _shade_image(
 
 
 @kernel_part()
-def _fine_row_words(geometry, surface, target, patches, y, row):
+def _fine_row_words(geometry, surface, target, patches, y, row, width):
     """Fills the words of an image row [W]: of one of the four samples where they show one surface, else `_MIXED`."""
     words, inv_z = target.words, target.inv_z
-    for x in range(len(row)):
+    for x in range(width):
         word = words[2 * y, 2 * x]
         row[x] = word
         right, lower, both = words[2 * y, 2 * x + 1], words[2 * y + 1, 2 * x], words[2 * y + 1, 2 * x + 1]

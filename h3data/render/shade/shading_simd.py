@@ -4,9 +4,25 @@ from __future__ import annotations
 
 from typing import Any
 
+from llvmlite import ir
 from numba import types
 
-from h3data.render.raster.vectors import FLOAT, FLOAT8, INT8, INT64, Vec, fma, intrinsic, lanes, load, splat, store
+from h3data.render.raster.vectors import (
+    FLOAT,
+    FLOAT8,
+    INT,
+    INT8,
+    INT64,
+    LANES,
+    Vec,
+    fma,
+    intrinsic,
+    lanes,
+    load,
+    pick,
+    splat,
+    store,
+)
 from h3data.render.shade.textures_simd import level_of_detail, texel
 
 TONE_SIZE = 8192
@@ -234,6 +250,63 @@ def sky_block(typing_context, block_at, light_at, strip_at, row_bytes):
         for _ in range(3):
             store(b, (height * 0.0).value, strip_at)
             strip_at = b.add(strip_at, row_bytes)
+        return context.get_dummy_value()
+
+    p = types.uintp
+    return types.void(p, p, p, p), codegen
+
+
+@intrinsic
+def equal_words(typing_context, address, word):
+    """How many of the 8 int32 numbers at ``address`` equal ``word`` before the first one that does not."""
+
+    def codegen(context, b, signature, arguments):
+        address, word = arguments
+        differ = b.icmp_signed("!=", load(b, address, 0, INT8), splat(b, word, INT8))
+        bits = b.zext(b.bitcast(differ, ir.IntType(LANES)), INT)
+        return b.cttz(b.or_(bits, ir.Constant(INT, 1 << LANES)), ir.Constant(ir.IntType(1), 1))
+
+    return types.int32(types.uintp, types.int32), codegen
+
+
+@intrinsic
+def even_nearness(typing_context, inv_z_at, words_at, word, instead, out_at):
+    """Stores every second one of 16 float32 numbers, but ``instead`` where the int32 number at ``words_at`` is ``word``."""
+
+    def codegen(context, b, signature, arguments):
+        inv_z_at, words_at, word, instead, out_at = arguments
+        even = pick(b, load(b, inv_z_at), load(b, inv_z_at, 4 * LANES), range(0, 2 * LANES, 2))
+        replaced = b.icmp_signed("==", load(b, words_at, 0, INT8), splat(b, word, INT8))
+        store(b, b.select(replaced, splat(b, instead), even), out_at)
+        return context.get_dummy_value()
+
+    p = types.uintp
+    return types.void(p, p, types.int32, types.float32, p), codegen
+
+
+@intrinsic
+def write_colors(typing_context, strip_at, row_bytes, bytes_at, rgb_at):
+    """Writes red, green and blue (uint8) of 8 pixels: those at ``bytes_at`` for the levels in a strip's first three rows."""
+
+    def codegen(context, b, signature, arguments):
+        strip_at, row_bytes, bytes_at, rgb_at = arguments
+        byte = ir.IntType(8)
+        for lane in range(LANES):
+            at = b.add(strip_at, ir.Constant(INT64, 4 * lane))
+            pixel: Any = None
+            for channel in range(3):
+                value = load(b, b.add(bytes_at, b.zext(load(b, at, 0, INT), INT64)), 0, byte)
+                value = b.shl(b.zext(value, INT), ir.Constant(INT, 8 * channel))
+                pixel = value if pixel is None else b.or_(pixel, value)
+                at = b.add(at, row_bytes)
+            # four bytes at once: the next pixel overwrites the fourth, and the last pixel does not write it
+            target = b.add(rgb_at, ir.Constant(INT64, 3 * lane))
+            parts = [(pixel, 0)]
+            if lane == LANES - 1:
+                parts = [(b.trunc(pixel, ir.IntType(16)), 0), (b.trunc(b.lshr(pixel, ir.Constant(INT, 16)), byte), 2)]
+            for part, offset in parts:
+                pointer = b.inttoptr(b.add(target, ir.Constant(INT64, offset)), part.type.as_pointer())
+                b.store(part, pointer).align = 1
         return context.get_dummy_value()
 
     p = types.uintp

@@ -166,7 +166,7 @@ def find_benchmark(name: str) -> Benchmark:
     raise InputError(
         f"There is no benchmark {name!r}{did_you_mean(name, labels)}. Expected one of {', '.join(labels)}, or a folder with "
         f"{DEFINITION}.",
-        code="H3-OPTION-080",
+        code="H3-OPTION-097",
     )
 
 

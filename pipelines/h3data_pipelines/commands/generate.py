@@ -339,11 +339,20 @@ class Generate:
             raise InputError(
                 f"The videos of {self.out} are in {light} light, as --light {light} makes them.", code="H3-OPTION-040"
             )
+        backend = self.backend
+        if played is not None and self.cameras:
+            # of one back end all: `auto` goes on with the one that it found
+            backend = played.episode.info.get("backend", "cpu")
+            if self.backend not in ("auto", backend):
+                raise InputError(
+                    f"The videos of {self.out} are those of the back end {backend}. Hint: --backend {backend}, or another -o.",
+                    code="H3-OPTION-080",
+                )
         waiting: list[RenderedVideo] = []
         uncommitted, failures = 0, 0
         bar = progress(total=len(writer) + len(jobs), initial=len(writer), desc="simulate", unit="episode")
         filming = VideoJob(
-            self.cameras, threads=executor.threads, people=self.people, light=self.light, backend=self.backend
+            self.cameras, threads=executor.threads, people=self.people, light=self.light, backend=backend
         )
         with bar, closing(film_jobs(jobs, filming=filming, executor=executor)) as results:
             for filmed in results:

@@ -87,7 +87,10 @@ def film_job(job: Job, filming: VideoJob) -> RenderedVideo:
     if not filming.cameras or is_failed(recording):
         return RenderedVideo(recording)
     from h3data.exporters.camera_videos import render_videos
+    from h3data.replay.stage import chosen_backend
 
+    # that of this machine: a resumed run goes on with it
+    drawn_by = chosen_backend(filming.backend)
     with TemporaryDirectory(prefix="h3data-", ignore_cleanup_errors=True) as folder:
         try:
             videos = render_videos(
@@ -97,11 +100,12 @@ def film_job(job: Job, filming: VideoJob) -> RenderedVideo:
                 threads=filming.threads,
                 people=filming.people,
                 light=filming.light,
-                backend=filming.backend,
+                backend=drawn_by,
             )
         except InputError as error:
             raise InputError(f"Episode {job.index}: {error}", code=error.code) from None
-        recording = with_info(recording, light=filming.light)
+        made_by = {} if drawn_by == "cpu" else {"backend": drawn_by}
+        recording = with_info(recording, light=filming.light, **made_by)
         return RenderedVideo(recording, tuple((video, Path(str(video.path)).read_bytes()) for video in videos))
 
 
