@@ -8,8 +8,9 @@ search for: the geodesic distance and where it leads are looked up (`h3data_trai
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import torch
@@ -17,10 +18,10 @@ from torch import Tensor
 
 from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError
-from h3data_training.torch import seen
 from h3data_training.torch.contact import TouchTest
 from h3data_training.torch.episodes import EpisodeBank
 from h3data_training.torch.geodesic import Lattices, shortest_way
+from h3data_training.torch.seen import clearance, shown
 from h3data_training.torch.state import HumanTensors, RobotTensors
 from h3data_training.torch.step import (
     Grids,
@@ -29,10 +30,10 @@ from h3data_training.torch.step import (
     move_humans,
     refuse_stairs,
     walk_humans,
-    wrap_angle,
 )
 from sim_kinematic.avoidance.robot_base import base_of
-from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
+from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.sensing.table import FOLLOWER, Pose
 from sim_kinematic.tasks.rules.rewards import PaperReward
 
 
@@ -95,6 +96,53 @@ class Play(NamedTuple):
         """All of it, in a fixed order."""
         for part in self:
             yield from (part if isinstance(part, tuple) else (part,))
+
+
+class FollowerContext(NamedTuple):
+    """Robots of social navigation in W worlds."""
+
+    play: Play
+    grids: Grids
+    """Grids of the worlds' floors."""
+    height: Tensor
+    """Heights of the floors [W] [m]."""
+
+    @property
+    def xp(self) -> ModuleType:
+        """The array namespace."""
+        return torch
+
+    @property
+    def now(self) -> RobotTensors:
+        """Robots."""
+        return self.play.robot
+
+    @property
+    def before(self) -> Pose:
+        """Robots before the last step."""
+        return Pose(self.play.before_xz, self.play.before_heading)
+
+    @property
+    def other(self) -> HumanTensors:
+        """People."""
+        return self.play.human
+
+    @property
+    def other_before(self) -> Pose:
+        """People before the last step."""
+        return Pose(self.play.human_before_xz, None)
+
+    def floor_y(self) -> Tensor:
+        """Heights of the floors [W] [m]."""
+        return self.height
+
+    def path(self) -> tuple[Tensor, Tensor]:
+        """The shortest path to the person: its length [W] [m], and a point in the direction in which it begins [W, 2]."""
+        return self.play.geodesic, self.play.robot.xz + self.play.towards
+
+    def clearance(self, points: Tensor) -> Tensor:
+        """Signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
+        return clearance(self.grids, points)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -237,22 +285,13 @@ class SocialNavTensors:
         return torch.where(before.geodesic.isfinite(), before.geodesic, torch.hypot(gap[:, 0], gap[:, 1]))
 
     # --- what the robot is shown --------------------------------------------------------------------------------------
-    def observation(self, name: str, play: Play) -> Tensor:
-        """One that needs no picture, as in `sim_kinematic.sensing.table`, float32 [W, ...]."""
-        robot, human = play.robot, play.human
-        if name == "humanoid_gps":
-            shown = seen.polar(seen.in_base_frame(robot.xz, robot.heading, human.xz))
-        elif name == "humanoid_velocity":
-            shown = seen.in_base_frame(play.human_before_xz, robot.heading, human.xz) / STEP_S
-        elif name == "way":
-            shown = seen.way(robot, play.geodesic, play.towards)
-        elif name == "range_scan":
-            shown = seen.range_scan(self._grids.at(self._drawn.place[play.episode]), robot)
-        elif name == "egomotion":
-            shown = seen.egomotion(play.before_xz, play.before_heading, robot)
-        elif name == "localization":
-            floor_y = self._drawn.floor_y[self._drawn.place[play.episode]]
-            shown = torch.stack([robot.xz[:, 0], floor_y, robot.xz[:, 1], wrap_angle(robot.heading)], -1)
-        else:
-            raise InputError(f"On a device there is no observation {name!r}.", code="H3-TRAIN-075")
-        return shown.float()
+    def observations(self, names: Sequence[str], play: Play) -> dict[str, Tensor]:
+        """Those of `sim_kinematic.sensing.table.FOLLOWER`, float32 [W, n] each.
+
+        Raises:
+            InputError: there is no such observation on a device.
+        """
+        if strangers := [name for name in names if name not in FOLLOWER]:
+            raise InputError(f"On a device there is no observation {strangers[0]!r}.", code="H3-TRAIN-075")
+        place = self._drawn.place[play.episode]
+        return shown(FollowerContext(play, self._grids.at(place), self._drawn.floor_y[place]), names)
