@@ -26,14 +26,15 @@ from h3data_training.torch.state import HumanTensors, RobotTensors
 from h3data_training.torch.step import (
     Grids,
     drive_robots,
-    heading_direction,
     move_humans,
     refuse_stairs,
     walk_humans,
 )
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.sensing.sensor import facing
 from sim_kinematic.sensing.table import FOLLOWER, Pose
+from sim_kinematic.tasks.rules.predicates import is_found
 from sim_kinematic.tasks.rules.rewards import PaperReward
 
 
@@ -255,34 +256,25 @@ class SocialNavTensors:
 
     def _judged(self, before: Play, now: Play) -> Play:
         """With what the step was worth: the paper's reward (`sim_kinematic.tasks.rules.rewards.SocialNavReward`)."""
-        rules, worth, going = self.spec, self.paper, ~before.ended
-        gap = now.human.xz - now.robot.xz
-        straight = torch.hypot(gap[:, 0], gap[:, 1])
-        ahead = heading_direction(now.robot.heading)
-        faces = (gap * ahead).sum(-1) / straight.clamp_min(1e-12)
-        distance = torch.where(now.geodesic.isfinite(), now.geodesic, straight)
-        was = self._last_distance(before)
-        looks = faces > rules.facing_dot
-        kept = (distance > rules.near_m) & (distance <= rules.far_m)
-        moved = torch.where(distance <= rules.near_m, distance - was, was - distance)
-        reward = torch.where(kept, worth.kept, moved) + worth.slack
-        reward = reward + worth.facing * torch.where(distance <= worth.facing_within_m, faces, 0.0)
-        followed = torch.where(before.ended, 0, before.followed + (kept & looks))
-        success = followed >= worth.follow_steps
-        reward = reward + worth.success * (success & (before.followed < worth.follow_steps))
-        here = (now.geodesic >= rules.near_m) & (now.geodesic <= rules.far_m) & looks
+        rules, going = self.spec, ~before.ended
+        faces = facing(now.robot.xz, now.robot.heading, now.human.xz, xp=torch)
+        reward, followed, success = self.paper.of(
+            self._distance(now), self._distance(before), faces, before.followed, rules, xp=torch
+        )
         ends = now.collides if rules.end_on_collision else torch.zeros_like(now.collides)
         terminated = going & ((ends | success) if self._end_on_success else ends)
         truncated = going & (now.steps >= rules.max_steps)
         return now._replace(
-            ended=terminated | truncated, found=going & (before.found | here), followed=followed,
-            reward=torch.where(going, reward, 0.0), terminated=terminated, truncated=truncated,
+            ended=terminated | truncated, found=going & (before.found | is_found(now.geodesic, faces, rules)),
+            followed=torch.where(going, followed, 0), reward=torch.where(going, reward, 0.0), terminated=terminated,
+            truncated=truncated,
         )  # fmt: skip
 
     @staticmethod
-    def _last_distance(before: Play) -> Tensor:
-        gap = before.human.xz - before.robot.xz
-        return torch.where(before.geodesic.isfinite(), before.geodesic, torch.hypot(gap[:, 0], gap[:, 1]))
+    def _distance(play: Play) -> Tensor:
+        """Length of the shortest path from robot to person, or the straight distance where there is none, [W] [m]."""
+        gap = play.human.xz - play.robot.xz
+        return torch.where(play.geodesic.isfinite(), play.geodesic, torch.hypot(gap[:, 0], gap[:, 1]))
 
     # --- what the robot is shown --------------------------------------------------------------------------------------
     def observations(self, names: Sequence[str], play: Play) -> dict[str, Tensor]:

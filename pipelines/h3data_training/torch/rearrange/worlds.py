@@ -34,6 +34,7 @@ from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.motion.spec import OracleSpec
 from sim_kinematic.sensing.sensor import agents_within_threshold
 from sim_kinematic.tasks.rearrange.play import TRACK
+from sim_kinematic.tasks.rules.predicates import is_object_at
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
 
 
@@ -209,8 +210,7 @@ class RearrangeTensors:
     def at_goal(self, hands: Hands, places: Places) -> Tensor:
         """Which objects are at their goals and in nobody's hand, bool [W, K]."""
         goals = self.tables.spots[places.episode, self.bank.objects :]
-        gap = hands.objects - goals
-        return (hands.held_by == NOBODY) & (gap.square().sum(-1).sqrt() < self.spec.at_goal_m)
+        return (hands.held_by == NOBODY) & is_object_at(hands.objects, goals, distance_m=self.spec.at_goal_m, xp=torch)
 
     def close(self, xz: Tensor, heading: Tensor, other: Tensor) -> Tensor:
         """Whether others [W, 2] are in the ellipse around agents in which skills may be interrupted, bool [W]."""
