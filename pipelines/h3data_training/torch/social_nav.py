@@ -21,6 +21,7 @@ from h3data.errors import InputError
 from h3data_training.torch.contact import TouchTest
 from h3data_training.torch.episodes import EpisodeBank
 from h3data_training.torch.geodesic import Lattices, shortest_way
+from h3data_training.torch.rules import refuse_others
 from h3data_training.torch.seen import clearance, shown
 from h3data_training.torch.state import HumanTensors, RobotTensors
 from h3data_training.torch.step import (
@@ -179,11 +180,7 @@ class SocialNavTensors:
         self.device = torch.device(device)
         self.dtype = dtype or (torch.float64 if self.device.type == "cpu" else torch.float32)
         self.spec, self.bank, self.paper = spec, bank, PaperReward()
-        if spec.robot.slide != "strict":
-            raise InputError(
-                f"On a device robots slide strictly only, not as {spec.robot.slide!r}. Hint: leave out device.",
-                code="H3-TRAIN-074",
-            )
+        refuse_others("social_nav", spec)
         self._end_on_success = end_on_success
         self._grids = Grids.of(bank.floors, self.device, self.dtype)
         refuse_stairs(bank.floors)

@@ -372,8 +372,9 @@ def test_bad_actions(bank: RearrangeBank) -> None:
 def test_other_rules_are_refused(episodes: list[RearrangeEpisode]) -> None:
     for rules, message in (
         ({"oracle": None}, "skills are the oracle ones"),
-        ({"human": NATURAL_WALKER}, "people turn on the spot"),
-        ({"robot": replace(HOME_BASE, slide="habitat")}, "slide strictly"),
+        ({"human": NATURAL_WALKER}, "stride of WalkerSpec"),
+        ({"arm_rad_s": 8.0}, "arm_rad_s of RearrangeSpec is inf"),
+        ({"robot": replace(HOME_BASE, slide="habitat")}, "slide of BaseSpec is 'strict'"),
     ):
         with pytest.raises(InputError, match=message):
             RearrangeBank.of([replace(e, spec=replace(e.spec, **rules)) for e in episodes])

@@ -346,7 +346,7 @@ def test_what_a_device_does_not_know_is_refused(bank: EpisodeBank, caplog: pytes
     wrong("paper", reward="habitat")
     wrong("whole number", num_envs=0)
     wrong("Unknown device", device="toaster")
-    wrong("strictly", spec=replace(RULES, robot=replace(RULES.robot, slide="habitat")))
+    wrong("slide of BaseSpec", spec=replace(RULES, robot=replace(RULES.robot, slide="habitat")))
     if not torch.cuda.is_available():
         wrong("no GPU", device="cuda")
     with pytest.raises(InputError, match="H3-TRAIN-060"):

@@ -21,6 +21,7 @@ from h3data.bodies import Robot, load_robot
 from h3data.errors import InputError
 from h3data.geometry import Array, quat_to_matrix
 from h3data_training.torch.geodesic import Lattices, Way, shortest_way
+from h3data_training.torch.rules import refuse_others
 from h3data_training.torch.seen import clearance, shown
 from h3data_training.torch.skills.arm import Arm, Hand, placed, seen_by, turned
 from h3data_training.torch.skills.bank import SkillBank
@@ -180,8 +181,9 @@ class SkillTensors:
         body = load_robot(robot)
         self.arm = Arm(body, self.device, dtype)
         own = base_of(body, base or HOME_BASE)
-        if own.slide != "strict":
-            raise InputError(f"On a device robots slide strictly only, not as {own.slide!r}.", code="H3-TRAIN-072")
+        refuse_others("base of a skill", own)
+        refuse_others("skill", self.rules)
+        refuse_others("arm of a skill", self.arm_rules)
         grids = Grids.of(bank.floors, self.device, dtype)
         self.drive = Drive(grids=grids, base=own, carrying=carrying_base_of(body, own))
         self.lattices = Lattices.of(bank.floors, self.device, dtype)
