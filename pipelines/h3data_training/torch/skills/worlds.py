@@ -31,7 +31,7 @@ from h3data_training.torch.step import Grids, heading_direction
 from sim_kinematic.agents.robots.hand_reach import hand_target, reach_posture
 from sim_kinematic.avoidance.robot_base import base_of, carrying_base_of
 from sim_kinematic.motion.spec import HOME_BASE, ArmSpec, BaseSpec, SkillSpec
-from sim_kinematic.motion.state import NOBODY, ROBOT
+from sim_kinematic.motion.state import ROBOT
 from sim_kinematic.sensing.sensor import FAR_M
 from sim_kinematic.sensing.table import OF_SKILLS, Pose
 from sim_kinematic.tasks.rearrange.skill_starts import Skill
@@ -138,7 +138,7 @@ class SkillContext(NamedTuple):
     @property
     def held_by(self) -> Tensor:
         """Who holds the object in the hand, [W, 1]."""
-        return torch.where(self.play.held == NOTHING, NOBODY, ROBOT)[:, None]
+        return self.play.held.clamp_max(ROBOT)[:, None]  # an empty hand holds object -1, which is nobody's number
 
     def path(self) -> tuple[Tensor, Tensor]:
         """The shortest path to the stand: its length [W] [m], and a point in the direction in which it begins [W, 2]."""
