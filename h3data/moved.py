@@ -129,6 +129,8 @@ RENAMED = {
     "sim_kinematic.policies.policy.StrideTo": "PoseAction",
     "sim_kinematic.policies.policy.Towards": "WaypointAction",
     "sim_kinematic.sensing.table.Moment": "SensorContext",
+    "sim_kinematic.sensing.sensor.humanoid_gps": "gps_compass",
+    "sim_kinematic.sensing.sensor.nav_goal": "gps_compass",
     "sim_kinematic.tasks.episode.Outcome": "StepOutcome",
     "sim_kinematic.tasks.play.Play": "Rollout",
     "sim_kinematic.tasks.play.WorldPlay": "WorldRollout",

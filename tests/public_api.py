@@ -131,6 +131,8 @@ def _type(annotation: Any) -> str:
 
 def _value(value: Any) -> str:
     """A default as text that is the same in every process."""
+    if isinstance(value, ModuleType):
+        return value.__name__
     named = getattr(value, "__qualname__", None)
     return named or re.sub(r" at 0x[0-9a-f]+", "", " ".join(repr(value).split()))
 

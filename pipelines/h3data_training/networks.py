@@ -19,7 +19,6 @@ from sim_kinematic.policies.networks.resnet_lstm import ResNetLSTM, pixels_of
 from sim_kinematic.policies.visual_policy import (
     PATCH,
     PICTURES,
-    SPEED_MPS,
     STRIDES,
     VisualPolicy,
     lengths,
@@ -27,40 +26,19 @@ from sim_kinematic.policies.visual_policy import (
     picture_in,
     picture_length,
 )
+from sim_kinematic.sensing.encodings import OF_COMMANDS
 
 Shown = Mapping[str, Tensor]
 
 
-def polar(seen: Tensor) -> Tensor:
-    """As `sim_kinematic.policies.visual_policy.polar`, [n, 2] -> [n, 6]."""
-    d, a = seen[:, :1], seen[:, 1:]
-    return torch.cat([d / 5, (-d / 2).exp(), (-d).exp(), a.cos(), a.sin(), a / math.pi], 1)
-
-
-def spot(seen: Tensor) -> Tensor:
-    """As `sim_kinematic.policies.visual_policy.spot`, [n, 3] -> [n, 8]."""
-    d = seen.square().sum(1, keepdim=True).sqrt()
-    return torch.cat([seen / SPEED_MPS, seen / (d + 0.1), (-2 * d).exp(), (-8 * d).exp()], 1)
-
-
-def _encoded(name: str, seen: Tensor) -> Tensor:
-    if name in ("humanoid_gps", "way", "target_gps_compass"):
-        return polar(seen)
-    if name in ("target_sensor", "resting_sensor"):
-        return spot(seen)
-    if name == "arm_joints":
-        return seen / math.pi
-    return seen if name in ("humanoid_detector", "is_holding") else seen / SPEED_MPS
-
-
 def actor_numbers(shown: Shown, last: Tensor, names: tuple[str, ...]) -> Tensor:
     """Everything that the actor is told beside the picture, with the last action [n, A]."""
-    return torch.cat([*(_encoded(n, shown[n]) for n in names if n not in PICTURES), last], 1)
+    return torch.cat([*(OF_COMMANDS[n].of(torch, shown[n]) for n in names if n not in PICTURES), last], 1)
 
 
 def critic_numbers(shown: Shown, over: Tensor, names: tuple[str, ...]) -> Tensor:
     """Everything that the critic is told, and whether the episode is ``over`` [n]."""
-    return torch.cat([*(_encoded(n, shown[n]) for n in names), over[:, None].float()], 1)
+    return torch.cat([*(OF_COMMANDS[n].of(torch, shown[n]) for n in names), over[:, None].float()], 1)
 
 
 def critic_length(settings: Settings) -> int:

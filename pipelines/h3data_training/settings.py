@@ -8,12 +8,12 @@ from typing import Any
 
 from h3data.errors import InputError
 from h3data.render.light.sources import LightMode, check_light
-from sim_kinematic.policies.visual_policy import BASE_ACTIONS, OF_SOCIAL_NAV, PATCH, PICTURES
+from sim_kinematic.policies.visual_policy import BASE_ACTIONS, PATCH, PICTURES
+from sim_kinematic.sensing.encodings import DETECTOR, OF_SOCIAL_NAV
+from sim_kinematic.sensing.table import HUMANOID_GPS, PAPER_OBSERVATIONS
 
-PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", "humanoid_gps")
-"""What the paper's policy sees (appendix, social navigation)."""
 NETWORKS = ("cnn_gru", "resnet18_lstm")
-CRITIC = ("humanoid_gps", "humanoid_velocity", "egomotion", "way", "range_scan")
+CRITIC = tuple(name for name in OF_SOCIAL_NAV if name != DETECTOR)
 """What the critic of social navigation is told."""
 
 
@@ -217,7 +217,7 @@ RECIPES: dict[str, Settings] = {
         updates=16_276,
     ),
     "tiny": Settings(
-        episodes_per_home=8, observations=("humanoid_gps", "range_scan"), picture_size=(32, 24), worlds=512, rollout=16,
+        episodes_per_home=8, observations=(HUMANOID_GPS, "range_scan"), picture_size=(32, 24), worlds=512, rollout=16,
         channels=(8, 16, 16), features=32, hidden=64, rate=2e-3, entropy=0.0, minutes=10.0,
     ),
 }  # fmt: skip

@@ -19,7 +19,7 @@ from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.agent_pictures import picture_names
 from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names
-from sim_kinematic.sensing.table import PAIR_SENSORS
+from sim_kinematic.sensing.table import STATE_OBSERVATIONS
 from sim_kinematic.tasks.describe import in_words
 from sim_kinematic.tasks.play import WorldRollout, resting_arm
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
@@ -31,9 +31,6 @@ if TYPE_CHECKING:
 
     from sim_kinematic.sensing.camera_sensor import StateRenderer
     from sim_kinematic.sensing.watching import DebugRenderer
-
-STATE_OBSERVATIONS = ("humanoid_gps", "egomotion")
-"""Default observations: they cost no picture."""
 
 
 class WorldStepper:
@@ -190,7 +187,7 @@ class WorldStepper:
         own = self._sets[self.numbers[agent]]
         moment = self.play.sensor_context(self.numbers[agent])
         sensors = self.task.sensors(self.source.roster[self.numbers[agent]].kind)
-        exact: Arrays = {name: sensors[name].of(moment) for name in own.states}
+        exact: Arrays = {name: np.asarray(sensors[name].of(moment), np.float64) for name in own.states}
         if own.pictures.names:
             exact |= self._pictures(own)
         return own.shown(exact, [episode.seed for episode in self.play.episodes], self.play.steps.tolist())
@@ -231,9 +228,9 @@ class WorldStepper:
             arm = resting_arm(roster[k].body)
             states.append(
                 {
-                    name: sensor.limits(len(arm) if name == "arm_joints" else 1)
+                    name: sensor.limits(len(arm) if sensor.times == "joints" else 1)
                     for name, sensor in self.task.sensors(roster[k].kind).items()
-                    if not (lone and name in PAIR_SENSORS) and (name != "arm_joints" or len(arm))
+                    if not (lone and sensor.of_other) and (sensor.times != "joints" or len(arm))
                 }
             )
         known = [(*own, *picture_names(roster[k].body)) for own, k in zip(states, numbers, strict=True)]

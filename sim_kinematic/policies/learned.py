@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
@@ -24,7 +24,9 @@ from sim_kinematic.policies.network import Network
 from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.policies.visual_policy import VisualPolicy
-from sim_kinematic.sensing.sensor import egomotion, gps_compass, humanoid_velocity, localization, range_scan, way
+from sim_kinematic.sensing.encodings import OF_COMMANDS
+from sim_kinematic.sensing.sensor import first_point
+from sim_kinematic.sensing.table import FOLLOWER, TABLE, Pose
 
 PREFIX = "weights:"
 SHIPPED_IN: Mapping[str, Mapping[str, str]] = {
@@ -156,48 +158,57 @@ def _kind_of(network: str) -> type[VisualPolicy] | type[SkillPolicyNetwork]:
 
 
 # --- social navigation --------------------------------------------------------------------------------------------------
-def _egomotion(view: SocialNavView, spec: BaseSpec) -> Floats:
-    del spec
-    if view.robot_before is None:
-        return np.zeros(3)
-    return egomotion(*view.robot_before, view.robot_xz, view.robot_heading)
+class NavigationContext:
+    """What a robot of social navigation is told of a view, as a `sim_kinematic.sensing.table.Context` of one world."""
+
+    xp = np
+
+    def __init__(self, view: SocialNavView, spec: BaseSpec) -> None:
+        self._view, self._spec = view, spec
+        self.now = Pose(view.robot_xz, np.asarray(view.robot_heading))
+        self.other = Pose(view.human_xz, None)
+
+    @property
+    def before(self) -> Pose:
+        """The robot one step ago; at the start where it is."""
+        return self.now if self._view.robot_before is None else Pose(*self._view.robot_before)
+
+    @property
+    def other_before(self) -> Pose:
+        """The person one step ago; at the start where they are."""
+        return self.other if self._view.human_before is None else Pose(self._view.human_before, None)
+
+    def floor_y(self) -> Floats:
+        """Height of the floor where the robot is, [] [m]."""
+        return np.asarray(self._view.free.height_at(self._view.robot_xz))
+
+    def path(self) -> tuple[Floats, Floats]:
+        """The shortest path to the person: its length [] [m] and its first way point [2] [m]."""
+        view, beyond_m = self._view, self._spec.disc_radius_m / 2
+        point = first_point(view.free, view.robot_xz, view.human_xz, view.geodesic_m, beyond_m=beyond_m)
+        return np.asarray(view.geodesic_m), point
+
+    def clearance(self, points: Floats) -> Floats:
+        """Signed distance [n] [m] of points [n, 2] to the nearest obstacle."""
+        return self._view.free.signed_distance(points)
 
 
-def _humanoid_velocity(view: SocialNavView, spec: BaseSpec) -> Floats:
-    del spec
-    before = view.human_xz if view.human_before is None else view.human_before
-    return humanoid_velocity(view.robot_heading, before, view.human_xz)
-
-
-def _way(view: SocialNavView, spec: BaseSpec) -> Floats:
-    return way(
-        view.free, view.robot_xz, view.robot_heading, view.human_xz, view.geodesic_m, beyond_m=spec.disc_radius_m / 2
-    )
-
-
-NAVIGATION_INPUTS: Mapping[str, Callable[[SocialNavView, BaseSpec], Floats]] = {
-    "humanoid_gps": lambda view, spec: gps_compass(view.robot_xz, view.robot_heading, view.human_xz),
-    "egomotion": _egomotion,
-    "localization": lambda view, spec: localization(
-        view.robot_xz, view.robot_heading, float(view.free.height_at(view.robot_xz))
-    ),
-    "humanoid_velocity": _humanoid_velocity,
-    "way": _way,
-    "range_scan": lambda view, spec: range_scan(view.free, view.robot_xz, view.robot_heading),
-}
-"""What a network for social navigation may be shown: the observations of the training environment that need no picture."""
+def told(view: SocialNavView, spec: BaseSpec, names: Iterable[str]) -> dict[str, Floats]:
+    """The named observations of a moment, some of `FOLLOWER`, float64 [n] each."""
+    moment = NavigationContext(view, spec)
+    return {name: np.asarray(TABLE[name].of(moment), np.float64) for name in names}
 
 
 def navigation_input(view: SocialNavView, spec: BaseSpec, names: tuple[str, ...]) -> NDArray[np.float32]:
     """The named observations of a moment, one after the other, [in] float32."""
-    return np.concatenate([NAVIGATION_INPUTS[name](view, spec) for name in names]).astype(np.float32)
+    return np.concatenate(list(told(view, spec, names).values())).astype(np.float32)
 
 
 class LearnedNavigation:
     """A robot of social navigation whose base velocity is the output [2] of a network, clipped to -1..1."""
 
     def __init__(self, network: Network) -> None:
-        require(network, "social_nav", NAVIGATION_INPUTS, outputs=2)
+        require(network, "social_nav", FOLLOWER, outputs=2)
         self.network = network
 
     def __call__(self, view: SocialNavView, spec: BaseSpec) -> Velocity:
@@ -227,7 +238,7 @@ class VisualNavigation:
         Raises:
             FormatError: the network is for another task or another robot.
         """
-        require(network, "social_nav", {**visual_policy.PICTURES, **visual_policy.ENCODINGS}, outputs=2)
+        require(network, "social_nav", (*visual_policy.PICTURES, *OF_COMMANDS), outputs=2)
         if robot and robot != network.card.robot:
             raise FormatError(
                 f"These weights drive the robot {network.card.robot}, the episode has {robot}.", code="H3-POLICY-020"
@@ -256,8 +267,8 @@ class VisualNavigation:
             InputError: the view has no eyes.
         """
         card = self.network.card
-        pictures = tuple(n for n in card.observations if n not in NAVIGATION_INPUTS)
-        shown = {n: NAVIGATION_INPUTS[n](view, spec) for n in card.observations if n in NAVIGATION_INPUTS}
+        pictures = tuple(n for n in card.observations if n not in FOLLOWER)
+        shown: dict[str, NDArray[Any]] = dict(told(view, spec, (n for n in card.observations if n in FOLLOWER)))
         if pictures and view.pictures is None:
             raise InputError(
                 f"The policy needs {' and '.join(pictures)}, and nobody takes pictures here.", code="H3-POLICY-021"
@@ -289,7 +300,7 @@ def navigation_of(network: AnyNetwork, *, robot: str = "") -> LearnedNavigation 
     return LearnedNavigation(network)
 
 
-def require(network: Network | VisualPolicy, task: str, known: Mapping[str, Any], *, outputs: int) -> None:
+def require(network: Network | VisualPolicy, task: str, known: Collection[str], *, outputs: int) -> None:
     """Refuse a network that is for another task, is shown what we do not have, or answers with other numbers.
 
     Raises:

@@ -27,6 +27,7 @@ from h3data.errors import FormatError, InputError
 from h3data.files import part_file
 from h3data.kernels import kernel
 from h3data.render.light.sources import LightMode
+from sim_kinematic.sensing.encodings import DETECTOR, OF_COMMANDS
 
 FILE_FORMAT = "h3data.policy/1"
 PATCH = 4
@@ -35,67 +36,9 @@ PICTURES = {"arm_depth": 1, "arm_rgb": 3}
 """Pictures that a network may be shown, one of them, and how many planes they have."""
 STRIDES = (1, 2, 2)
 """Strides of the three convolutions, which are 3 x 3 with a margin of 1."""
-SPEED_MPS = 2.5
-"""Velocities and ranges are divided by this, the robot's speed limit."""
-
 Floats = NDArray[np.floating]
 
 
-def polar(seen: NDArray[np.floating]) -> Floats:
-    """Distance [m] and angle [rad] as numbers that a network reads easily, [6]."""
-    d, a = float(seen[0]), float(seen[1])
-    return np.array([d / 5, np.exp(-d / 2), np.exp(-d), np.cos(a), np.sin(a), a / np.pi], np.float32)
-
-
-def _scaled(seen: NDArray[np.floating]) -> Floats:
-    return np.asarray(seen, np.float32) / np.float32(SPEED_MPS)
-
-
-def spot(seen: NDArray[np.floating]) -> Floats:
-    """A point [3] [m] as numbers that a network reads easily, [8]: as it is, its direction, and how near it is."""
-    point = np.asarray(seen, np.float32)
-    d = np.sqrt(np.sum(point * point))
-    return np.concatenate(
-        [point / np.float32(SPEED_MPS), point / (d + np.float32(0.1)), [np.exp(-2 * d), np.exp(-8 * d)]]
-    )
-
-
-def _as_it_is(seen: NDArray[np.floating]) -> Floats:
-    return np.asarray(seen, np.float32)
-
-
-def _turns(seen: NDArray[np.floating]) -> Floats:
-    return np.asarray(seen, np.float32) / np.float32(np.pi)
-
-
-ENCODINGS = {
-    "humanoid_gps": (polar, 2, 6),
-    "humanoid_detector": (_as_it_is, 1, 1),
-    "humanoid_velocity": (_scaled, 2, 2),
-    "egomotion": (_scaled, 3, 3),
-    "way": (polar, 2, 6),
-    "range_scan": (_scaled, 12, 12),
-    "target_gps_compass": (polar, 2, 6),
-    "target_sensor": (spot, 3, 8),
-    "resting_sensor": (spot, 3, 8),
-    "is_holding": (_as_it_is, 1, 1),
-    "arm_joints": (_turns, 0, 0),
-}
-"""Observations that a network may be shown beside a picture: their encoding, their length, and the length it gives; of
-``arm_joints`` both are the number of joints, `lengths`."""
-OF_SKILLS = (
-    "way",
-    "range_scan",
-    "egomotion",
-    "target_gps_compass",
-    "target_sensor",
-    "resting_sensor",
-    "is_holding",
-    "arm_joints",
-)
-"""Numbers that policies of skills observe."""
-OF_SOCIAL_NAV = ("humanoid_gps", "humanoid_detector", "humanoid_velocity", "egomotion", "way", "range_scan")
-"""Numbers that policies of social navigation observe."""
 BASE_ACTIONS, GRIP_ACTIONS = 2, 1
 """Numbers of an action that move the base, and that close the hand where the arm's joints move."""
 
@@ -271,11 +214,11 @@ class VisualPolicy:
         for name in self.observations:
             if name in PICTURES:
                 continue
-            encode, (length, _) = ENCODINGS[name][0], lengths(name, self.card.actions)
+            encoding, (length, _) = OF_COMMANDS[name], lengths(name, self.card.actions)
             if name not in shown or np.shape(shown[name]) != (length,):
                 got = list(np.shape(shown[name])) if name in shown else "none"
                 raise InputError(f"Expected the observation {name} [{length}], got {got}.", code="H3-POLICY-036")
-            parts.append(encode(shown[name]))
+            parts.append(encoding.of(np, np.asarray(shown[name], encoding.dtype)))
         return np.concatenate([*parts, last]).astype(np.float32)
 
     def _picture(self, shown: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
@@ -335,10 +278,9 @@ def picture_in(observations: tuple[str, ...]) -> str | None:
 
 def lengths(name: str, actions: int) -> tuple[int, int]:
     """Numbers of an observation, and of its encoding, where an action has so many numbers."""
-    if name == "arm_joints":
-        joints = max(actions - BASE_ACTIONS - GRIP_ACTIONS, 0)
-        return joints, joints
-    return ENCODINGS[name][1:]
+    encoding = OF_COMMANDS[name]
+    repeat = max(actions - BASE_ACTIONS - GRIP_ACTIONS, 0) if encoding.times == "joints" else 1
+    return repeat * encoding.given, repeat * encoding.length
 
 
 def number_count(observations: tuple[str, ...], actions: int = BASE_ACTIONS) -> int:
@@ -358,7 +300,7 @@ def _faults(kind: type[VisualPolicy], card: PolicyCard, arrays: Mapping[str, Flo
     """Everything that does not fit together, in words."""
     if card.network != kind.kind:
         return [f"unknown network {card.network!r}, expected {kind.kind}"]
-    known = (*PICTURES, *ENCODINGS)
+    known = (*PICTURES, *OF_COMMANDS)
     strangers = [n for n in card.observations if n not in known]
     if strangers:
         return [f"unknown observations {', '.join(strangers)}, there are {', '.join(known)}"]
@@ -370,7 +312,7 @@ def _faults(kind: type[VisualPolicy], card: PolicyCard, arrays: Mapping[str, Flo
         return [f"an action has {card.actions} numbers, expected {BASE_ACTIONS} to 32"]
     if not 1 <= card.hold <= 30:
         return [f"actions are held for {card.hold} steps, expected 1 to 30"]
-    if {*PICTURES, "humanoid_detector"} & set(card.observations):
+    if {*PICTURES, DETECTOR} & set(card.observations):
         fault = "a width and a height" if card.picture_size is None else kind.size_fault(card.picture_size)
         if fault:
             return [f"the picture size is {card.picture_size}, expected {fault}"]

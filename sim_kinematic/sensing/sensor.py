@@ -1,6 +1,8 @@
 """What the agents observe, as pure functions on arrays: any leading axes (worlds first), float64 in SI units.
 
-Places on the floor are ``(x, z)``, headings as in h3data docs conventions. Where Habitat has the sensor, this is its value
+Functions with the argument ``xp``, an array namespace, are the same on the CPU (``numpy``) and on a device (``torch``), where
+all arguments are tensors. `sim_kinematic.sensing.table` is the table of sensors that are made of them. Places on the floor
+are ``(x, z)``, headings as in h3data docs conventions. Where Habitat has the sensor, this is its value
 (spec/habitat.md 1.5, 2.5); tests/sim/sensing/test_sensors.py compares them with outputs of the real code. All are exact;
 noise is added by `with_noise` and `depth_with_noise`, where wanted. Pictures: `sim_kinematic.sensing.camera_sensor`.
 """
@@ -15,12 +17,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
-from h3data.geometry import heading_direction, quat_conjugate, quat_rotate, wrap_angle
+from h3data.geometry import quat_conjugate, quat_rotate, wrap_angle
 from h3data.kernels import kernel
+from h3data.moved import refuse_renamed
 from sim_kinematic.motion.spec import STEP_S
 
 if TYPE_CHECKING:
     from h3data.scene import FreeSpace
+else:
+    __getattr__ = refuse_renamed(__name__)
 
 Floats = NDArray[np.floating]
 
@@ -49,10 +54,30 @@ def scaled_depth(depth: Any, limits_m: tuple[float, float] = DEPTH_RANGE_M) -> A
 
 
 # --- where things are ---------------------------------------------------------------------------------------------------
-def in_base_frame(robot_xz: ArrayLike, heading: ArrayLike, point_xz: ArrayLike) -> Floats:
+def stacked(xp: Any, *columns: Any) -> Any:
+    """Columns [...] of numbers side by side, [..., n]; on the CPU columns may be numbers, but for the first."""
+    if xp is not np:
+        return xp.stack(columns, -1)
+    out = np.empty((*columns[0].shape, len(columns)))  # for a few numbers `np.stack` takes three times as long
+    for k, column in enumerate(columns):
+        out[..., k] = column
+    return out
+
+
+def _wrapped(xp: Any, angle: Any) -> Any:
+    """Angles in [-pi, pi)."""
+    if xp is np:
+        return wrap_angle(np.asarray(angle, np.float64))
+    return angle - 2.0 * math.pi * xp.floor(angle / (2.0 * math.pi) + 0.5)  # exact for small angles of 32 bits
+
+
+def in_base_frame(robot_xz: Any, heading: Any, point_xz: Any, *, xp: Any = np) -> Any:
     """Points ``(x, z)`` [..., 2] as seen from a base at [..., 2] with heading [...]: ``(forward, left)`` [..., 2] [m]."""
-    gap, heading = _gaps(robot_xz, heading, point_xz)
-    return _in_frames(gap.reshape(-1, 2), heading.reshape(-1)).reshape(gap.shape)
+    if xp is np:
+        gap, heading = _gaps(robot_xz, heading, point_xz)
+        return _in_frames(gap.reshape(-1, 2), heading.reshape(-1)).reshape(gap.shape)
+    gap, x, z = point_xz - robot_xz, xp.cos(heading), -xp.sin(heading)
+    return stacked(xp, gap[..., 0] * x + gap[..., 1] * z, gap[..., 0] * z - gap[..., 1] * x)
 
 
 def _gaps(xz: ArrayLike, heading: ArrayLike, other_xz: ArrayLike) -> tuple[Floats, Floats]:
@@ -74,51 +99,50 @@ def _in_frames(gap, heading):
     return out
 
 
-def gps_compass(robot_xz: ArrayLike, heading: ArrayLike, point_xz: ArrayLike) -> Floats:
+def gps_compass(robot_xz: Any, heading: Any, point_xz: Any, *, xp: Any = np) -> Any:
     """Polar place of points: ``(distance [m], angle [rad])`` [..., 2]; the angle is positive to the RIGHT.
 
     Of a person this is Habitat's ``goal_to_agent_gps_compass``, the paper's humanoid GPS; of a navigation goal, its
     point-goal; of objects and goals its ``obj_start_gps_compass`` and ``obj_goal_gps_compass``.
     """
-    seen = in_base_frame(robot_xz, heading, point_xz)
+    seen = in_base_frame(robot_xz, heading, point_xz, xp=xp)
     ahead, left = seen[..., 0], seen[..., 1]
-    out = np.empty(seen.shape)
-    out[..., 0], out[..., 1] = np.hypot(ahead, left), -np.arctan2(left, ahead)
-    return out
+    return stacked(xp, xp.hypot(ahead, left), -xp.arctan2(left, ahead))
 
 
-humanoid_gps = gps_compass
-nav_goal = gps_compass
-
-
-def other_agent_gps(own_xz: ArrayLike, other_xz: ArrayLike) -> Floats:
+def other_agent_gps(own_xz: Any, other_xz: Any, *, xp: Any = np) -> Any:
     """Own place minus the other's, world axes ``(x, z)`` [..., 2] [m], as in Habitat: without heading (spec/habitat.md 1.5)."""
-    return np.asarray(own_xz, np.float64) - np.asarray(other_xz, np.float64)
+    if xp is np:
+        own_xz, other_xz = np.asarray(own_xz, np.float64), np.asarray(other_xz, np.float64)
+    return own_xz - other_xz
 
 
 def agents_within_threshold(
-    own_xz: ArrayLike, heading: ArrayLike, other_xz: ArrayLike, *, ahead_m: float = 2.0, aside_m: float = 1.5
-) -> NDArray[np.bool_]:
+    own_xz: Any, heading: Any, other_xz: Any, *, ahead_m: float = 2.0, aside_m: float = 1.5,
+    xp: Any = np,
+) -> Any:  # fmt: skip
     """Whether the other agent is inside the ellipse with these half axes around the own base, bool [...]."""
-    seen = in_base_frame(own_xz, heading, other_xz)
+    seen = in_base_frame(own_xz, heading, other_xz, xp=xp)
     return (seen[..., 0] / ahead_m) ** 2 + (seen[..., 1] / aside_m) ** 2 < 1.0
 
 
-def localization(xz: ArrayLike, heading: ArrayLike, floor_y: ArrayLike = 0.0) -> Floats:
+def localization(xz: Any, heading: Any, floor_y: Any = 0.0, *, xp: Any = np) -> Any:
     """``(x, y, z, heading)`` [..., 4] of a base, the heading in [-pi, pi)."""
-    xz = np.asarray(xz, np.float64)
-    y = np.broadcast_to(np.asarray(floor_y, np.float64), xz.shape[:-1])
-    turn = np.broadcast_to(wrap_angle(np.asarray(heading, np.float64)), xz.shape[:-1])
-    return np.stack([xz[..., 0], y, xz[..., 1], turn], axis=-1)
+    place: Any = np.asarray(xz, np.float64) if xp is np else xz
+    return stacked(xp, place[..., 0], floor_y, place[..., 1], _wrapped(xp, heading))
 
 
-def localization_in_start_frame(
-    start_xz: ArrayLike, start_heading: ArrayLike, xz: ArrayLike, heading: ArrayLike
-) -> Floats:
+def localization_in_start_frame(start_xz: Any, start_heading: Any, xz: Any, heading: Any, *, xp: Any = np) -> Any:
     """``(x, y, z, heading)`` [..., 4] of a base in the agent root frame that it began in: x forward, y up, z right."""
-    seen = in_base_frame(start_xz, start_heading, xz)
-    turn = wrap_angle(np.asarray(heading, np.float64) - np.asarray(start_heading, np.float64))
-    return np.stack([seen[..., 0], np.zeros_like(seen[..., 0]), -seen[..., 1], turn], axis=-1)
+    seen = in_base_frame(start_xz, start_heading, xz, xp=xp)
+    return stacked(xp, seen[..., 0], xp.zeros_like(seen[..., 0]), -seen[..., 1], _turned(xp, start_heading, heading))
+
+
+def _turned(xp: Any, before: Any, now: Any) -> Any:
+    """By how much a heading has changed, in [-pi, pi)."""
+    if xp is np:
+        before, now = np.asarray(before, np.float64), np.asarray(now, np.float64)
+    return _wrapped(xp, now - before)
 
 
 def in_frame(pose: ArrayLike, points: ArrayLike) -> Floats:
@@ -131,7 +155,7 @@ def in_frame(pose: ArrayLike, points: ArrayLike) -> Floats:
     return np.asarray(quat_rotate(quat_conjugate(p[..., 3:]), np.asarray(points, np.float64) - p[..., :3]))
 
 
-def humanoid_velocity(robot_heading: ArrayLike, before_xz: ArrayLike, xz: ArrayLike, *, dt: float = STEP_S) -> Floats:
+def humanoid_velocity(robot_heading: Any, before_xz: Any, xz: Any, *, dt: float = STEP_S, xp: Any = np) -> Any:
     """Velocity of a person along the axes of a robot's base: ``(forward, left)`` [..., 2] [m/s].
 
     It is the velocity over the ground, not relative to the robot.
@@ -141,22 +165,27 @@ def humanoid_velocity(robot_heading: ArrayLike, before_xz: ArrayLike, xz: ArrayL
         before_xz: position of the person one step ago [..., 2] [m].
         xz: position now [..., 2] [m].
         dt: duration of a step [s].
+        xp: array namespace.
     """
-    return in_base_frame(before_xz, robot_heading, xz) / dt
+    return in_base_frame(before_xz, robot_heading, xz, xp=xp) / dt
 
 
-def way(
-    free: FreeSpace, xz: ArrayLike, heading: float, goal_xz: ArrayLike, length_m: float, *, beyond_m: float
-) -> Floats:  # fmt: skip
-    """The shortest way from a base to ``goal_xz`` [2], by the map: ``(length [m], angle at which it begins [rad])`` [2].
+def way(xz: Any, heading: Any, length_m: Any, point_xz: Any, *, xp: Any = np) -> Any:
+    """The shortest way from a base, by the map: ``(length [m], angle at which it begins [rad])`` [..., 2].
 
-    The angle is to the first way point farther than ``beyond_m``, positive to the RIGHT. ``length_m`` is that of
+    The angle is to a point on the way [..., 2] (`first_point`), positive to the RIGHT. ``length_m`` [...] is that of
     `FreeSpace.geodesic`; a way that does not exist counts as `FAR_M`, straight ahead.
     """
-    if not np.isfinite(length_m):
-        return np.array([FAR_M, 0.0])
-    point = free.next_waypoint(xz, goal_xz, beyond_m=beyond_m)
-    return np.append(min(length_m, FAR_M), gps_compass(xz, heading, point)[1])
+    angle = gps_compass(xz, heading, point_xz, xp=xp)[..., 1]
+    return stacked(xp, length_m.clip(None, FAR_M), xp.where(xp.isfinite(length_m), angle, 0.0))
+
+
+def first_point(free: FreeSpace, xz: Floats, goal_xz: ArrayLike, length_m: float, *, beyond_m: float) -> Floats:
+    """The first way point from ``xz`` [2] to ``goal_xz`` [2] that is farther than ``beyond_m``, [2] [m].
+
+    It is ``xz`` where there is no way, whose length ``length_m`` is infinite.
+    """
+    return free.next_waypoint(xz, goal_xz, beyond_m=beyond_m) if np.isfinite(length_m) else xz
 
 
 def path_points(
@@ -173,32 +202,33 @@ def path_points(
     return np.stack([np.interp(lengths_m, walked, path[:, axis]) for axis in range(2)], -1)
 
 
-def range_scan(free: FreeSpace, xz: ArrayLike, heading: ArrayLike) -> Floats:
+def range_scan(clearance: Callable[[Any], Any], xz: Any, heading: Any, *, xp: Any = np) -> Any:
     """Free distance around bases [..., 2] as a laser scanner in their middle measures it, [..., RANGES] [m].
 
-    The first direction is straight ahead, the others follow to the LEFT. Distances are at most `RANGE_M`; people are
-    not seen. The method is sphere tracing in the distance grid (Hart, 1996) with `RANGE_STRIDES` strides: a ray that
-    grazes a wall may end too early.
+    ``clearance`` gives the distance [..., RANGES] [m] of points [..., RANGES, 2] to the nearest obstacle, negative inside of
+    one, as `FreeSpace.signed_distance` does. The first direction is straight ahead, the others follow to the LEFT. Distances
+    are at most `RANGE_M`; people are not seen. The method is sphere tracing (Hart, 1996) with `RANGE_STRIDES` strides: a ray
+    that grazes a wall may end too early.
     """
-    along = np.asarray(heading, np.float64)[..., None] + 2 * np.pi / RANGES * np.arange(RANGES)
-    direction, start = heading_direction(along), np.asarray(xz, np.float64)[..., None, :]
-    reach = np.zeros(along.shape)
+    if xp is np:
+        xz, heading = np.asarray(xz, np.float64), np.asarray(heading, np.float64)
+    along = stacked(xp, *(heading + 2 * np.pi / RANGES * k for k in range(RANGES)))
+    direction, start = stacked(xp, xp.cos(along), -xp.sin(along)), xz[..., None, :]
+    reach = xp.zeros_like(along)
     for _ in range(RANGE_STRIDES):
-        left = free.signed_distance(start + reach[..., None] * direction)
-        reach = np.minimum(reach + np.maximum(left, 0.0), RANGE_M)
+        left = clearance(start + reach[..., None] * direction)
+        reach = (reach + left.clip(0.0, None)).clip(None, RANGE_M)
     return reach
 
 
 # --- the robot itself ---------------------------------------------------------------------------------------------------
 def egomotion(
-    before_xz: ArrayLike, before_heading: ArrayLike, xz: ArrayLike, heading: ArrayLike, *, dt: float = STEP_S
-) -> Floats:
+    before_xz: Any, before_heading: Any, xz: Any, heading: Any, *, dt: float = STEP_S,
+    xp: Any = np,
+) -> Any:  # fmt: skip
     """Velocity of a base in its frame before the step: ``(forward [m/s], left [m/s], turn [rad/s])`` [..., 3]."""
-    moved = in_base_frame(before_xz, before_heading, xz)
-    turn = wrap_angle(np.asarray(heading, np.float64) - np.asarray(before_heading, np.float64))
-    out = np.empty((*moved.shape[:-1], 3))
-    out[..., :2], out[..., 2] = moved, turn
-    return out / dt
+    moved = in_base_frame(before_xz, before_heading, xz, xp=xp)
+    return stacked(xp, moved[..., 0], moved[..., 1], _turned(xp, before_heading, heading)) / dt
 
 
 def arm_joints(joints: ArrayLike, columns: tuple[int, ...]) -> Floats:
@@ -249,10 +279,15 @@ def _but_last(used: ArrayLike) -> NDArray[np.bool_]:
     return begun & after
 
 
-def facing(xz: ArrayLike, heading: ArrayLike, other_xz: ArrayLike) -> Floats:
+def facing(xz: Any, heading: Any, other_xz: Any, *, xp: Any = np) -> Any:
     """Cosine [...] between an agent's forward axis and the direction to a point; 0 where they coincide."""
-    gap, heading = _gaps(xz, heading, other_xz)
-    return _facing(gap.reshape(-1, 2), heading.reshape(-1)).reshape(gap.shape[:-1])[()]
+    if xp is np:
+        gap, heading = _gaps(xz, heading, other_xz)
+        return _facing(gap.reshape(-1, 2), heading.reshape(-1)).reshape(gap.shape[:-1])[()]
+    gap = other_xz - xz
+    straight = xp.hypot(gap[..., 0], gap[..., 1])
+    ahead = gap[..., 0] * xp.cos(heading) + gap[..., 1] * -xp.sin(heading)
+    return ahead / xp.where(straight > 0.0, straight, 1.0)
 
 
 @kernel(error_model="numpy")

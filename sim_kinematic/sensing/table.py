@@ -1,20 +1,22 @@
-"""The observations that agents of any task can be shown beside pictures: one table, a row per sensor.
+"""The sensors of all tasks beside pictures: one table, a row per sensor.
 
-A sensor of one's own is one more row: ``{**SENSORS, "goal": Sensor(...)}`` returned by `Task.sensors`.
+A row is a function of a `Context`, over the array namespace of the moment: the same row serves environments and policies on the
+CPU (``numpy``), weights files, training, and worlds on a device (``torch``). A sensor of one's own is one more row:
+``{**SENSORS, "goal": Sensor(...)}`` returned by `Task.sensors`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.geometry import Array, ground_pose
 from h3data.moved import refuse_renamed
-from sim_kinematic.motion.spec import BaseSpec
-from sim_kinematic.motion.state import AgentState
+from sim_kinematic.motion.spec import STEP_S, BaseSpec
+from sim_kinematic.motion.state import NOBODY, AgentState
 from sim_kinematic.sensing.agent_pictures import Limits
 from sim_kinematic.sensing.sensor import (
     FAR_M,
@@ -22,27 +24,121 @@ from sim_kinematic.sensing.sensor import (
     RANGE_M,
     RANGES,
     egomotion,
+    first_point,
     gps_compass,
     humanoid_velocity,
     in_frame,
     localization,
     localization_in_start_frame,
+    other_agent_gps,
     range_scan,
     way,
 )
-from sim_kinematic.world import World
 
-if not TYPE_CHECKING:
+if TYPE_CHECKING:
+    from sim_kinematic.world import World
+else:
     __getattr__ = refuse_renamed(__name__)
 
 JOINT_MOST = 10.0
 """Bound of joint positions [rad or m]."""
-PAIR_SENSORS = ("humanoid_gps", "humanoid_velocity", "way", "humanoid_in_start_frame")
-"""Sensors of another agent, which a lone one does not have."""
+NEARER_M = 3.0
+"""Nobody gets nearer to anything by more than this in a second."""
+AHEAD_M = (1.0, 2.5)
+"""``path_ahead`` tells where the shortest path is after so much of it: what a hurrying agent walks in 0.4 s and in a second."""
+Times = Literal["once", "objects", "joints", "choices"]
+Ending = Literal["done", "failed", "aborted"]
+
+
+class Pose(NamedTuple):
+    """Where bases are."""
+
+    xz: Any
+    """[..., 2] [m]."""
+    heading: Any
+    """[...] [rad]."""
+
+
+class Context(Protocol):
+    """What sensors are computed from: one agent in each of some worlds [...], now. It need not have all of this.
+
+    Arrays are those of the namespace ``xp``; ``now``, ``before`` (one step ago), ``start``, ``other`` and ``other_before`` have
+    ``xz`` and ``heading`` as a `Pose`. Places of K objects, ``objects``, ``starts`` and ``goals``, are [..., K, 3].
+    """
+
+    xp: Any
+    agent: Any
+    """Number of the agent."""
+    now: Any
+    before: Any
+    start: Any
+    other: Any
+    """The other agent."""
+    other_before: Any
+    contact: Any
+    """The agent touched an obstacle in the last step, bool [...]."""
+    touching: Any
+    """It touches another agent, bool [...]."""
+    arm: Any
+    """Joint positions of its arm [..., n]; of a person [..., 0]."""
+    held_by: Any
+    """Number of the agent that holds each object, [..., K]."""
+    objects: Any
+    starts: Any
+    goals: Any
+    at_goal: Any
+    """Which objects are at their goals, bool [..., K]."""
+    close: Any
+    """The other is inside the ellipse in which skills may be interrupted, bool [...]."""
+    steps: Any
+    """Steps since the episode began [...]."""
+    target: Any
+    """What a skill is to reach [..., 3] [m]."""
+    resting: Any
+    """Where the hand would be at rest [..., 3] [m]."""
+
+    def floor_y(self) -> Any:
+        """Heights of the floor where the agent is, [...] [m]."""
+        ...
+
+    def path(self) -> tuple[Any, Any]:
+        """The shortest path to where the agent is to go: its length [...] [m] and a point near its beginning [..., 2] [m]."""
+        ...
+
+    def clearance(self, points: Any) -> Any:
+        """Signed distance [..., n] [m] of points [..., n, 2] to the nearest obstacle."""
+        ...
+
+    def in_hand(self, points: Any) -> Any:
+        """World points [..., n, 3] in the frame of the hand."""
+        ...
+
+    def from_start(self, points: Any) -> Any:
+        """World points [..., n, 3] in the agent root frame of the start."""
+        ...
+
+    def other_root(self) -> Any:
+        """Root of the other agent in the world [..., 3] [m]."""
+        ...
+
+    def ways(self, end: Literal["objects", "goals"], *, other: bool, then: bool = False) -> Any:
+        """Lengths of the shortest paths from the agent or the other to objects or goals, [..., K] [m].
+
+        With ``then`` from where the agent was a second ago.
+        """
+        ...
+
+    def ahead(self, *, other: bool) -> Any:
+        """Points `AHEAD_M` further on, on the agent's or the other's path to each object, [..., K, n, 2] [m]."""
+        ...
+
+    def ended(self, outcome: Ending) -> Any:
+        """One of the agent's C choices is 1: the last one, if it ended so, [..., C]."""
+        ...
 
 
 class SensorContext(NamedTuple):
-    """One agent of each world, now."""
+    """One agent of each world, now: the `Context` of worlds whose agents drive and walk, on the CPU."""
 
     spec: Any
     """The task's rules."""
@@ -66,79 +162,241 @@ class SensorContext(NamedTuple):
     touching: NDArray[np.bool_]
     """It touches another agent, [W]."""
     arm: Array
-    """Joint positions of its arm, which rests, [n]; of a person [0]."""
+    """Joint positions of its arm, which rests, [W, n]; of a person [W, 0]."""
     distance: Callable[[], Array]
     """Length of the shortest path to the other agent [m], [W]."""
+    xp: Any = np
+
+    @property
+    def held_by(self) -> NDArray[np.int64]:
+        """Number of the agent that holds each object, [W, K]."""
+        return self.world.state.held_by
+
+    def floor_y(self) -> Array:
+        """Heights of the floor where the agent is, [W] [m]."""
+        return self.world.heights(self.now.xz)
+
+    def path(self) -> tuple[Array, Array]:
+        """The shortest path to the other agent: its length [W] [m] and its first way point [W, 2] [m]."""
+        begun, lengths, points = self.base.disc_radius_m / 2, self.distance(), np.empty_like(self.now.xz)
+        for free, rows in self.world.groups:
+            for w in rows.tolist():
+                points[w] = first_point(free, self.now.xz[w], self.other.xz[w], float(lengths[w]), beyond_m=begun)
+        return lengths, points
+
+    def clearance(self, points: Array) -> Array:
+        """Signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
+        left = np.empty(points.shape[:-1])
+        for free, rows in self.world.groups:
+            left[rows] = free.signed_distance(points[rows])
+        return left
+
+    def from_start(self, points: Array) -> Array:
+        """World points [W, n, 3] in the agent root frame of the start."""
+        xz = self.start.xz
+        return np.asarray(in_frame(ground_pose(xz, self.start.heading, self.world.heights(xz)), points))
+
+    def other_root(self) -> Array:
+        """Root of the other agent in the world [W, 3] [m]."""
+        xz = self.other.xz
+        return np.stack([xz[:, 0], self.world.heights(xz), xz[:, 1]], -1)
 
 
 class Sensor(NamedTuple):
     """An observation that is no picture."""
 
-    of: Callable[[Any], NDArray[np.floating]]
-    """Values [W, n] of a `SensorContext`."""
+    of: Callable[[Any], Any]
+    """Values [..., n] of a `Context`, of worlds whose agents drive and walk [W, n] of a `SensorContext`."""
     low: ArrayLike
+    """Least values of one unit of it, so many numbers,"""
     high: ArrayLike
+    """and the greatest ones."""
+    unit: tuple[str, ...] = ()
+    """Unit of each of these numbers, empty for plain ones; none: all are plain."""
+    frame: str = ""
+    """Axes in which they are given: ``base`` (forward, left, or an angle to the right), ``world``, ``start`` (the agent root
+    frame of the start: x forward, y up, z right), ``hand``."""
+    times: Times = "once"
+    """How often the unit is repeated: once, for each object, joint of the arm or choice."""
+    of_other: bool = False
+    """It tells something of another agent, which a lone one does not have."""
+
+    @property
+    def width(self) -> int:
+        """Numbers of one unit."""
+        return int(np.size(self.low))
 
     def limits(self, repeat: int = 1) -> Limits:
         """The space of one world's values."""
-        low, high = (np.array(bound, np.float32).repeat(repeat) for bound in (self.low, self.high))
+        low, high = (np.tile(np.atleast_1d(np.array(bound, np.float32)), repeat) for bound in (self.low, self.high))
         return Limits(low, high, low.shape, np.float32)
 
 
-def _other_from_start(moment: SensorContext) -> NDArray[np.floating]:
-    heights = moment.world.heights
-    start = ground_pose(moment.start.xz, moment.start.heading, heights(moment.start.xz))
-    other = ground_pose(moment.other.xz, moment.other.heading, heights(moment.other.xz))
-    return in_frame(start, other[:, None, :3])[:, 0]
+# --- shapes -------------------------------------------------------------------------------------------------------------
+def _flat(m: Context, values: Any) -> Any:
+    """Values [..., K, ...] of each object as one row, [..., n]."""
+    return values.reshape((*m.now.heading.shape, -1))
 
 
-def _path_to_other(moment: SensorContext) -> NDArray[np.floating]:
-    begun = moment.base.disc_radius_m / 2
-    xz, heading, other = moment.now.xz, moment.now.heading.tolist(), moment.other.xz
-    length = moment.distance().tolist()
-    values = np.zeros((len(xz), 2))
-    for free, rows in moment.world.groups:
-        values[rows] = [way(free, xz[w], heading[w], other[w], length[w], beyond_m=begun) for w in rows]
-    return values
+def _polar_of(m: Context, points_xz: Any) -> Any:
+    """Distance and angle of points [..., n, 2], [..., 2 n]."""
+    return _flat(m, gps_compass(m.now.xz[..., None, :], m.now.heading[..., None], points_xz, xp=m.xp))
 
 
-def _range_scan(moment: SensorContext) -> NDArray[np.floating]:
-    values = np.zeros((len(moment.now.xz), RANGES))
-    for free, rows in moment.world.groups:
-        values[rows] = range_scan(free, moment.now.xz[rows], moment.now.heading[rows])
-    return values
+_POLAR: Any = {"low": (0.0, -np.pi), "high": (FAR_M, np.pi), "unit": ("m", "rad"), "frame": "base"}
+_POINT: Any = {"low": (-FAR_M,) * 3, "high": (FAR_M,) * 3, "unit": ("m",) * 3}
+_POSE: Any = {
+    "low": (*_POINT["low"], -np.pi), "high": (*_POINT["high"], np.pi), "unit": (*_POINT["unit"], "rad"),
+}  # fmt: skip
+_MOVES: Any = {"low": (-FAST,) * 2, "high": (FAST,) * 2, "unit": ("m/s",) * 2, "frame": "base"}
+_FLAG: Any = {"low": (0.0,), "high": (1.0,)}
+_WAYS: Any = {"low": (0.0,), "high": (FAR_M,), "unit": ("m",), "times": "objects"}
+_AHEAD: Any = {name: side * len(AHEAD_M) for name, side in _POLAR.items() if name != "frame"}
 
 
-SENSORS: Mapping[str, Sensor] = {
-    "humanoid_gps": Sensor(lambda m: gps_compass(m.now.xz, m.now.heading, m.other.xz), [0.0, -np.pi], [FAR_M, np.pi]),
+def _gps(points: Callable[[Context], Any]) -> Sensor:
+    return Sensor(lambda m: _polar_of(m, points(m)[..., 0:3:2]), **_POLAR, times="objects")
+
+
+def _in_hand(points: Callable[[Context], Any]) -> Sensor:
+    return Sensor(lambda m: _flat(m, m.in_hand(points(m))), **_POINT, frame="hand", times="objects")
+
+
+def _from_start(points: Callable[[Context], Any]) -> Sensor:
+    return Sensor(lambda m: _flat(m, m.from_start(points(m))), **_POINT, frame="start", times="objects")
+
+
+def _one_of_choices(outcome: Ending) -> Sensor:
+    return Sensor(lambda m: m.ended(outcome), **_FLAG, times="choices")
+
+
+def _ways(end: Literal["objects", "goals"], *, other: bool = False) -> Sensor:
+    return Sensor(lambda m: m.ways(end, other=other), **_WAYS, of_other=other)
+
+
+def _path_ahead(*, other: bool) -> Sensor:
+    def seen(m: Context) -> Any:
+        points = m.ahead(other=other)
+        return _polar_of(m, points.reshape((*m.now.heading.shape, -1, 2)))
+
+    return Sensor(seen, **_AHEAD, frame="base", times="objects", of_other=other)
+
+
+def _approach(m: Context) -> Any:
+    """How much shorter the other's way to each object has become over their known track, a second [..., K] [m]."""
+    return (m.ways("objects", other=True, then=True) - m.ways("objects", other=True)).clip(-NEARER_M, NEARER_M)
+
+
+_OTHER_GPS = Sensor(lambda m: gps_compass(m.now.xz, m.now.heading, m.other.xz, xp=m.xp), **_POLAR, of_other=True)
+_OTHER_VELOCITY = Sensor(
+    lambda m: humanoid_velocity(m.now.heading, m.other_before.xz, m.other.xz, xp=m.xp), **_MOVES, of_other=True
+)
+
+# --- the table ----------------------------------------------------------------------------------------------------------
+HUMANOID_GPS = "humanoid_gps"
+"""The paper's name of distance and direction of the other agent."""
+TABLE: Mapping[str, Sensor] = {
+    # of any agent
+    HUMANOID_GPS: _OTHER_GPS,
     "egomotion": Sensor(
-        lambda m: egomotion(m.before.xz, m.before.heading, m.now.xz, m.now.heading), [-FAST] * 3, [FAST] * 3
+        lambda m: egomotion(m.before.xz, m.before.heading, m.now.xz, m.now.heading, xp=m.xp),
+        (-FAST,) * 3, (FAST,) * 3, ("m/s", "m/s", "rad/s"), "base",
     ),
-    "localization": Sensor(
-        lambda m: localization(m.now.xz, m.now.heading, m.world.heights(m.now.xz)),
-        [-FAR_M] * 3 + [-np.pi],
-        [FAR_M] * 3 + [np.pi],
+    "localization": Sensor(lambda m: localization(m.now.xz, m.now.heading, m.floor_y(), xp=m.xp), **_POSE, frame="world"),
+    "humanoid_velocity": _OTHER_VELOCITY,
+    "way": Sensor(lambda m: way(m.now.xz, m.now.heading, *m.path(), xp=m.xp), **_POLAR, of_other=True),
+    "range_scan": Sensor(
+        lambda m: range_scan(m.clearance, m.now.xz, m.now.heading, xp=m.xp),
+        (0.0,) * RANGES, (RANGE_M,) * RANGES, ("m",) * RANGES, "base",
     ),
-    "humanoid_velocity": Sensor(
-        lambda m: humanoid_velocity(m.now.heading, m.other_before.xz, m.other.xz), [-FAST] * 2, [FAST] * 2
-    ),
-    "way": Sensor(_path_to_other, [0.0, -np.pi], [FAR_M, np.pi]),
-    "range_scan": Sensor(_range_scan, [0.0] * RANGES, [RANGE_M] * RANGES),
     "localization_in_start_frame": Sensor(
-        lambda m: localization_in_start_frame(m.start.xz, m.start.heading, m.now.xz, m.now.heading),
-        [-FAR_M] * 3 + [-np.pi],
-        [FAR_M] * 3 + [np.pi],
+        lambda m: localization_in_start_frame(m.start.xz, m.start.heading, m.now.xz, m.now.heading, xp=m.xp), **_POSE,
+        frame="start",
     ),
-    "humanoid_in_start_frame": Sensor(_other_from_start, [-FAR_M] * 3, [FAR_M] * 3),
-    "collision": Sensor(lambda m: np.stack([m.contact, m.touching], -1).astype(np.float64), [0.0] * 2, [1.0] * 2),
-    "is_holding": Sensor(lambda m: np.zeros((m.world.worlds, 1)), [0.0], [1.0]),
-    "arm_joints": Sensor(lambda m: np.tile(m.arm, (m.world.worlds, 1)), [-JOINT_MOST], [JOINT_MOST]),
-}
-"""``humanoid_gps``: distance [m] and angle [rad], positive to the right, of the other agent. ``egomotion``: forward, left
-[m/s] and turn [rad/s] of the last step. ``localization``: x, y, z [m] and heading [rad] in the world.
-``humanoid_velocity``: forward and left [m/s] of the other's last step. ``way``: length of the shortest path to the other [m]
-and the angle at which it begins [rad]. ``range_scan``: free distance in 12 directions [m]. ``collision``: with an obstacle,
-with another agent."""
+    "humanoid_in_start_frame": Sensor(
+        lambda m: m.from_start(m.other_root()[..., None, :])[..., 0, :], **_POINT, frame="start", of_other=True
+    ),
+    "collision": Sensor(lambda m: m.xp.stack([m.contact, m.touching], -1), (0.0,) * 2, (1.0,) * 2),
+    "is_holding": Sensor(lambda m: (m.held_by == m.agent).any(-1)[..., None], **_FLAG),
+    "arm_joints": Sensor(lambda m: m.arm, (-JOINT_MOST,), (JOINT_MOST,), ("rad",), times="joints"),
+    # of rearrangement
+    "obj_start_gps_compass": _gps(lambda m: m.starts),
+    "obj_goal_gps_compass": _gps(lambda m: m.goals),
+    "obj_start_sensor": _in_hand(lambda m: m.starts),
+    "obj_goal_sensor": _in_hand(lambda m: m.goals),
+    "other_agent_gps": Sensor(
+        lambda m: other_agent_gps(m.now.xz, m.other.xz, xp=m.xp), (-FAR_M,) * 2, (FAR_M,) * 2, ("m",) * 2, "world",
+        of_other=True,
+    ),
+    "obj_gps_compass": _gps(lambda m: m.objects),
+    "obj_sensor": _in_hand(lambda m: m.objects),
+    "holds": Sensor(lambda m: m.held_by == m.agent, **_FLAG, times="objects"),
+    "held_by_other": Sensor(lambda m: (m.held_by != m.agent) & (m.held_by != NOBODY), **_FLAG, times="objects"),
+    "at_goal": Sensor(lambda m: m.at_goal, **_FLAG, times="objects"),
+    "other_gps_compass": _OTHER_GPS,
+    "close": Sensor(lambda m: m.close[..., None], **_FLAG, of_other=True),
+    "obj_start_in_start_frame": _from_start(lambda m: m.starts),
+    "obj_goal_in_start_frame": _from_start(lambda m: m.goals),
+    "obj_in_start_frame": _from_start(lambda m: m.objects),
+    "last_done": _one_of_choices("done"),
+    "interrupted": _one_of_choices("aborted"),
+    "last_failed": _one_of_choices("failed"),
+    "way_to_objects": _ways("objects"),
+    "way_to_goals": _ways("goals"),
+    "other_way_to_objects": _ways("objects", other=True),
+    "other_way_to_goals": _ways("goals", other=True),
+    "other_approach": Sensor(_approach, (-NEARER_M,), (NEARER_M,), ("m",), times="objects", of_other=True),
+    "path_ahead": _path_ahead(other=False),
+    "other_path_ahead": _path_ahead(other=True),
+    "other_velocity": _OTHER_VELOCITY,
+    "elapsed_s": Sensor(lambda m: m.steps[..., None] * STEP_S, (0.0,), (FAR_M,), ("s",)),
+    # of a robot with one skill to learn
+    "target_gps_compass": Sensor(lambda m: gps_compass(m.now.xz, m.now.heading, m.target[..., 0:3:2], xp=m.xp), **_POLAR),
+    "target_sensor": Sensor(lambda m: m.in_hand(m.target[..., None, :])[..., 0, :], **_POINT, frame="hand"),
+    "resting_sensor": Sensor(lambda m: m.in_hand(m.resting[..., None, :])[..., 0, :], **_POINT, frame="hand"),
+}  # fmt: skip
+"""Every sensor by name (h3data docs environments)."""
+
+
+def _rows(*names: str) -> Mapping[str, Sensor]:
+    return {name: TABLE[name] for name in names}
+
+
+OF_SKILLS = (
+    "way", "range_scan", "egomotion", "target_gps_compass", "target_sensor", "resting_sensor", "is_holding", "arm_joints",
+)  # fmt: skip
+"""What a learned skill is shown beside a picture."""
+SENSORS = _rows(*list(TABLE)[: list(TABLE).index("arm_joints") + 1])
+"""Sensors of agents of any task whose agents drive and walk."""
+SENSES = _rows(
+    *(name for name in TABLE if name not in ("humanoid_velocity", "way", "range_scan", "target_gps_compass", "target_sensor",
+                                              "resting_sensor"))
+)  # fmt: skip
+"""Sensors of agents of rearrangement."""
+FOLLOWER = (HUMANOID_GPS, "egomotion", "localization", "humanoid_velocity", "way", "range_scan")
+"""What a robot that follows a person may be told, wherever it learns or plays: on the CPU and on devices."""
+STATE_OBSERVATIONS = (HUMANOID_GPS, "egomotion")
+"""Default observations of agents that drive and walk: they cost no picture."""
+PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", HUMANOID_GPS)
+"""What the paper's policy of social navigation sees (appendix). Needs a picture in every step."""
+HABITAT_SENSES = (
+    "arm_depth", "is_holding", "obj_start_gps_compass", "obj_goal_gps_compass", "other_agent_gps", "obj_start_sensor",
+    "obj_goal_sensor",
+)  # fmt: skip
+"""What Habitat's configuration shows the upper layer (spec/habitat.md 2.5). Needs a picture in every step."""
+PAPER_SENSES = (
+    *(name for name in HABITAT_SENSES if name != "other_agent_gps"),
+    HUMANOID_GPS,
+    "arm_joints",
+    "egomotion",
+)
+"""What the paper says that the robot has (section 4.2): depth, arm joints, egomotion, the person's distance and direction; and
+of the task what Habitat shows. Needs a picture in every step."""
+STATE_SENSES = (
+    "obj_gps_compass", "obj_goal_gps_compass", "holds", "held_by_other", "at_goal", "other_gps_compass", "last_done",
+    "interrupted",
+)  # fmt: skip
+"""All that a policy without memory needs to do the task of rearrangement."""
 
 
 def sensors_of(kind: str) -> Mapping[str, Sensor]:

@@ -257,7 +257,7 @@ class WorldRollout:
             before[other],
             world.blocked[:, agent],
             np.asarray(world.touching[:, mine].any(1)),
-            resting_arm(world.roster[agent].body),
+            np.tile(resting_arm(world.roster[agent].body), (world.worlds, 1)),
             lambda: world.geodesic(agent, other),
         )
 
@@ -485,7 +485,7 @@ class AgentSensors(NamedTuple):
         """The sensors and pictures of an agent."""
         arm, sensors = len(resting_arm(member.body)), {}
         for name, sensor in task.sensors(member.kind).items():
-            limits = sensor.limits(arm if name == "arm_joints" else 1)
+            limits = sensor.limits(arm if sensor.times == "joints" else 1)
             sensors[name] = sensor, np.asarray(limits.low, np.float64), np.asarray(limits.high, np.float64)
         return cls(member.name, sensors, frozenset(picture_names(member.body)))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -18,6 +18,7 @@ from h3data_training.envs.torch_env import Tensors, TorchEnv
 from h3data_training.torch.social_nav import Play, SocialNavTensors
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.sensing.sensor import DETECTED_PIXELS, HUMAN_ID, scaled_depth
+from sim_kinematic.sensing.table import FOLLOWER, STATE_OBSERVATIONS, TABLE
 from sim_kinematic.tasks.describe import in_words
 from sim_kinematic.tasks.sources import Scenes
 
@@ -30,23 +31,12 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-TorchObservation = Literal[
-    "arm_depth",
-    "arm_rgb",
-    "humanoid_detector",
-    "humanoid_gps",
-    "egomotion",
-    "localization",
-    "humanoid_velocity",
-    "way",
-    "range_scan",
-]
-"""What a device shows; as in `sim_kinematic.sensing.table`."""
 PICTURED = ("arm_depth", "arm_rgb", "humanoid_detector")
-"""Those that need a picture, and so a GPU."""
+"""Observations that need a picture, and so a GPU."""
+OBSERVATIONS = (*PICTURED, *FOLLOWER)
+"""What a device shows; as in `sim_kinematic.sensing.table`."""
 OUTPUTS: dict[str, Output] = {"arm_depth": "depth", "humanoid_detector": "semantic"}
 """Outputs of the arm's depth camera that they come from."""
-STATE: tuple[TorchObservation, ...] = ("humanoid_gps", "egomotion")
 ARM, ARM_RGB = "robot_arm", "robot_arm_rgb"
 ASKED = "Hint: light='flat' asks for it."
 NO_BAKED_LIGHT = "On a device colours are in flat light. Hint: light='flat', or leave out device for baked light."
@@ -72,7 +62,7 @@ class SocialNavTorchEnv(TorchEnv[Play]):
         *,
         device: torch.device | str = "cuda",
         dtype: torch.dtype | None = None,
-        observations: Sequence[TorchObservation] = STATE,
+        observations: Sequence[str] = STATE_OBSERVATIONS,
         spec: SocialNavSpec | None = None,
         reward: str = "paper",
         end_on_success: bool = False,
@@ -113,10 +103,10 @@ class SocialNavTorchEnv(TorchEnv[Play]):
         from h3data_training.torch.episodes import EpisodeBank
         from sim_kinematic.tasks.social_nav import TRAINING
 
-        unknown = sorted(set(observations) - set(get_args(TorchObservation)))
+        unknown = sorted(set(observations) - set(OBSERVATIONS))
         if unknown or not observations or isinstance(observations, str):
             raise InputError(
-                f"On a device there are {', '.join(get_args(TorchObservation))}, got {observations!r}.",
+                f"On a device there are {', '.join(OBSERVATIONS)}, got {observations!r}.",
                 code="H3-ENV-008",
             )
         if reward != "paper":
@@ -191,7 +181,7 @@ class SocialNavTorchEnv(TorchEnv[Play]):
     def _moved(self) -> Tensors:
         """A step but for its pictures."""
         self._keep(self.sim.step(self.play, self._action))
-        return {name: self.sim.observation(name, self.play) for name in self._names if name not in PICTURED}
+        return self.sim.observations([name for name in self._names if name not in PICTURED], self.play)
 
     def _make_cameras(self, size: tuple[int, int] | None, *, compile: bool, robot: str, human: str) -> TensorCameras:
         from h3data_training.torch.cameras import TensorCameras
@@ -246,12 +236,11 @@ class SocialNavTorchEnv(TorchEnv[Play]):
         """Space of the observations of one world."""
         from sim_kinematic.envs.stepper import gymnasium
         from sim_kinematic.sensing.observation_set import box
-        from sim_kinematic.sensing.table import SENSORS
 
         spaces: dict[str, Any] = {
             name: gymnasium.spaces.Box(0.0, 1.0, (1,), np.float32)
             if name == "humanoid_detector"
-            else box(SENSORS[name].limits())
+            else box(TABLE[name].limits())
             for name in self._names
             if name not in ("arm_depth", "arm_rgb")
         }

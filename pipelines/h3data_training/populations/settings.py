@@ -11,6 +11,7 @@ from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import WALKERS
 from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS, WITHOUT_OTHER
 from sim_kinematic.policies.rearrange import POPULATIONS
+from sim_kinematic.sensing.table import HUMANOID_GPS
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 
 ROBOT = "robot"
@@ -21,7 +22,7 @@ NAMES = ("learn_single", *POPULATIONS, "learn_pop")
 """The paper's populations."""
 LONGEST = {"paper": 750, "natural": 1500}
 """Length of an episode by how people walk: that of the paper, and ours, whose people walk at 1.3 m/s."""
-ABLATIONS = ("humanoid_gps", "primitives")
+ABLATIONS = (HUMANOID_GPS, "primitives")
 """What a robot can be trained without (paper, additional ablations): knowing where the person is; the primitives of
 navigation."""
 LEAST_CHUNKS = 12
@@ -153,7 +154,7 @@ class PopulationSettings:
 
     def observations_of(self, agent: str) -> tuple[str, ...]:
         """Observations of a learner, the ``robot`` or a ``human``."""
-        return WITHOUT_OTHER if agent == ROBOT and "humanoid_gps" in self.without else OBSERVATIONS
+        return WITHOUT_OTHER if agent == ROBOT and HUMANOID_GPS in self.without else OBSERVATIONS
 
     def partner_of(self, seed: int, episode: int) -> str:
         """The partner in a training episode: in every P consecutive ones each of P partners once, in random order."""

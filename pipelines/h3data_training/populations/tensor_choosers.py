@@ -19,7 +19,6 @@ from h3data_training.torch.rearrange.skills import NAV_GOAL, NAV_OBJECT, PICK, P
 from h3data_training.torch.rearrange.state import ABORTED, DONE, FREE, NOBODY, Play
 from h3data_training.torch.rearrange.worlds import RearrangeTensors
 from sim_kinematic.policies.choosers.chooser_network import (
-    ENCODINGS,
     OBSERVATIONS,
     SKILLS_WITH_OBJECT,
     SkillPolicyNetwork,
@@ -27,6 +26,7 @@ from sim_kinematic.policies.choosers.chooser_network import (
     rest_count,
 )
 from sim_kinematic.policies.choosers.recurrent_chooser import ALERT_M, ALERT_STEPS
+from sim_kinematic.sensing.encodings import OF_CHOICES
 
 Arrays = Mapping[str, Tensor]
 
@@ -125,8 +125,8 @@ class TensorSkillPolicy:
         kind, holder = view.choices.kind[running], of_object(play.held_by, view.choices.target[running])
         busy, since = does.skill != FREE, play.steps - self._thought
         walks = busy & ((kind == NAV_OBJECT) | (kind == NAV_GOAL))
-        taken = (kind == NAV_OBJECT) & (holder != NOBODY) & (holder != view.who)
-        gap = view.other - view.xz
+        taken = (kind == NAV_OBJECT) & (holder != NOBODY) & (holder != view.agent)
+        gap = view.other.xz - view.now.xz
         alert = torch.hypot(gap[:, 0], gap[:, 1]) < ALERT_M
         stops = walks & (taken | (alert & (since >= ALERT_STEPS)) | (since >= self._hold))
         does = does._replace(
@@ -174,29 +174,18 @@ def encode(
     """Inputs of each object [W, K, F] and the rest [W, R] (`sim_kinematic.policies.choosers.chooser_network.encoded`)."""
     each, rest, own = [], [], SKILLS_WITH_OBJECT * objects
     for name in observations:
-        encoding, seen = ENCODINGS.get(name), shown[name]
+        encoding, seen = OF_CHOICES.get(name), shown[name]
         if encoding is None:
             each.append(seen[:, :own].reshape(-1, SKILLS_WITH_OBJECT, objects).transpose(1, 2))
             rest.append(seen[:, own:])
-        elif encoding.is_of_objects:
-            each.append(_inputs(name, seen.reshape(-1, objects, encoding.given)))
+        elif encoding.times == "objects":
+            each.append(encoding.of(torch, seen.reshape(-1, objects, encoding.given)))
             if hides(name, observations):
                 each[-1] = each[-1] * (1 - shown["held_by_other"])[..., None]
         else:
-            rest.append(_inputs(name, seen))
+            rest.append(encoding.of(torch, seen))
     assert rest[-1].shape[1] == rest_count(agent)
     return torch.cat(each, -1), torch.cat(rest, -1)
-
-
-def _inputs(name: str, seen: Tensor) -> Tensor:
-    if name.endswith(("gps_compass", "path_ahead")):
-        d, a = seen[..., 0::2], seen[..., 1::2]
-        return torch.cat([d / 5, torch.exp(-d), a.cos(), a.sin()], -1)
-    if name == "other_velocity":
-        return seen / 2.5
-    if "way_to" in name:
-        return torch.cat([seen.clamp_max(30.0) / 10, torch.exp(-seen / 2)], -1)
-    return seen / 50 if name == "elapsed_s" else seen
 
 
 def scored(arrays: Arrays, each: Tensor, rest: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
@@ -227,11 +216,11 @@ def scored(arrays: Arrays, each: Tensor, rest: Tensor, state: Tensor) -> tuple[T
 
 def allowed(view: View) -> Tensor:
     """Which choices make sense to try, bool [W, C] (`sim_kinematic.policies.choosers.recurrent_chooser.allowed`)."""
-    numbers = every_choice(view.choices, len(view.xz))
+    numbers = every_choice(view.choices, len(view.now.xz))
     kind, k, objects = view.choices.kind[numbers], view.choices.target[numbers], view.sim.bank.objects
     held = view.play.held_by
     lies = ((held == NOBODY) & ~view.sim.at_goal(view.hands, view.places)).gather(1, k)
-    empty, mine = ~(held == view.who).any(1, keepdim=True), (held == view.who).gather(1, k)
+    empty, mine = ~(held == view.agent).any(1, keepdim=True), (held == view.agent).gather(1, k)
     fetches = (kind == NAV_OBJECT) | (kind == PICK)
     handles = (kind == PICK) | (kind == PLACE)
     came = torch.where(handles, numbers - 2 * objects, numbers)

@@ -8,8 +8,9 @@ search for: the geodesic distance and where it leads are looked up (`h3data_trai
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import torch
@@ -17,22 +18,24 @@ from torch import Tensor
 
 from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError
-from h3data_training.torch import seen
 from h3data_training.torch.contact import TouchTest
 from h3data_training.torch.episodes import EpisodeBank
 from h3data_training.torch.geodesic import Lattices, shortest_way
+from h3data_training.torch.rules import refuse_others
+from h3data_training.torch.seen import clearance, shown
 from h3data_training.torch.state import HumanTensors, RobotTensors
 from h3data_training.torch.step import (
     Grids,
     drive_robots,
-    heading_direction,
     move_humans,
     refuse_stairs,
     walk_humans,
-    wrap_angle,
 )
 from sim_kinematic.avoidance.robot_base import base_of
-from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
+from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.sensing.sensor import facing
+from sim_kinematic.sensing.table import FOLLOWER, Pose
+from sim_kinematic.tasks.rules.predicates import is_found
 from sim_kinematic.tasks.rules.rewards import PaperReward
 
 
@@ -97,6 +100,53 @@ class Play(NamedTuple):
             yield from (part if isinstance(part, tuple) else (part,))
 
 
+class FollowerContext(NamedTuple):
+    """Robots of social navigation in W worlds."""
+
+    play: Play
+    grids: Grids
+    """Grids of the worlds' floors."""
+    height: Tensor
+    """Heights of the floors [W] [m]."""
+
+    @property
+    def xp(self) -> ModuleType:
+        """The array namespace."""
+        return torch
+
+    @property
+    def now(self) -> RobotTensors:
+        """Robots."""
+        return self.play.robot
+
+    @property
+    def before(self) -> Pose:
+        """Robots before the last step."""
+        return Pose(self.play.before_xz, self.play.before_heading)
+
+    @property
+    def other(self) -> HumanTensors:
+        """People."""
+        return self.play.human
+
+    @property
+    def other_before(self) -> Pose:
+        """People before the last step."""
+        return Pose(self.play.human_before_xz, None)
+
+    def floor_y(self) -> Tensor:
+        """Heights of the floors [W] [m]."""
+        return self.height
+
+    def path(self) -> tuple[Tensor, Tensor]:
+        """The shortest path to the person: its length [W] [m], and a point in the direction in which it begins [W, 2]."""
+        return self.play.geodesic, self.play.robot.xz + self.play.towards
+
+    def clearance(self, points: Tensor) -> Tensor:
+        """Signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
+        return clearance(self.grids, points)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Drawn:
     """The bank on the device."""
@@ -130,11 +180,7 @@ class SocialNavTensors:
         self.device = torch.device(device)
         self.dtype = dtype or (torch.float64 if self.device.type == "cpu" else torch.float32)
         self.spec, self.bank, self.paper = spec, bank, PaperReward()
-        if spec.robot.slide != "strict":
-            raise InputError(
-                f"On a device robots slide strictly only, not as {spec.robot.slide!r}. Hint: leave out device.",
-                code="H3-TRAIN-074",
-            )
+        refuse_others("social_nav", spec)
         self._end_on_success = end_on_success
         self._grids = Grids.of(bank.floors, self.device, self.dtype)
         refuse_stairs(bank.floors)
@@ -207,52 +253,34 @@ class SocialNavTensors:
 
     def _judged(self, before: Play, now: Play) -> Play:
         """With what the step was worth: the paper's reward (`sim_kinematic.tasks.rules.rewards.SocialNavReward`)."""
-        rules, worth, going = self.spec, self.paper, ~before.ended
-        gap = now.human.xz - now.robot.xz
-        straight = torch.hypot(gap[:, 0], gap[:, 1])
-        ahead = heading_direction(now.robot.heading)
-        faces = (gap * ahead).sum(-1) / straight.clamp_min(1e-12)
-        distance = torch.where(now.geodesic.isfinite(), now.geodesic, straight)
-        was = self._last_distance(before)
-        looks = faces > rules.facing_dot
-        kept = (distance > rules.near_m) & (distance <= rules.far_m)
-        moved = torch.where(distance <= rules.near_m, distance - was, was - distance)
-        reward = torch.where(kept, worth.kept, moved) + worth.slack
-        reward = reward + worth.facing * torch.where(distance <= worth.facing_within_m, faces, 0.0)
-        followed = torch.where(before.ended, 0, before.followed + (kept & looks))
-        success = followed >= worth.follow_steps
-        reward = reward + worth.success * (success & (before.followed < worth.follow_steps))
-        here = (now.geodesic >= rules.near_m) & (now.geodesic <= rules.far_m) & looks
+        rules, going = self.spec, ~before.ended
+        faces = facing(now.robot.xz, now.robot.heading, now.human.xz, xp=torch)
+        reward, followed, success = self.paper.of(
+            self._distance(now), self._distance(before), faces, before.followed, rules, xp=torch
+        )
         ends = now.collides if rules.end_on_collision else torch.zeros_like(now.collides)
         terminated = going & ((ends | success) if self._end_on_success else ends)
         truncated = going & (now.steps >= rules.max_steps)
         return now._replace(
-            ended=terminated | truncated, found=going & (before.found | here), followed=followed,
-            reward=torch.where(going, reward, 0.0), terminated=terminated, truncated=truncated,
+            ended=terminated | truncated, found=going & (before.found | is_found(now.geodesic, faces, rules)),
+            followed=torch.where(going, followed, 0), reward=torch.where(going, reward, 0.0), terminated=terminated,
+            truncated=truncated,
         )  # fmt: skip
 
     @staticmethod
-    def _last_distance(before: Play) -> Tensor:
-        gap = before.human.xz - before.robot.xz
-        return torch.where(before.geodesic.isfinite(), before.geodesic, torch.hypot(gap[:, 0], gap[:, 1]))
+    def _distance(play: Play) -> Tensor:
+        """Length of the shortest path from robot to person, or the straight distance where there is none, [W] [m]."""
+        gap = play.human.xz - play.robot.xz
+        return torch.where(play.geodesic.isfinite(), play.geodesic, torch.hypot(gap[:, 0], gap[:, 1]))
 
     # --- what the robot is shown --------------------------------------------------------------------------------------
-    def observation(self, name: str, play: Play) -> Tensor:
-        """One that needs no picture, as in `sim_kinematic.sensing.table`, float32 [W, ...]."""
-        robot, human = play.robot, play.human
-        if name == "humanoid_gps":
-            shown = seen.polar(seen.in_base_frame(robot.xz, robot.heading, human.xz))
-        elif name == "humanoid_velocity":
-            shown = seen.in_base_frame(play.human_before_xz, robot.heading, human.xz) / STEP_S
-        elif name == "way":
-            shown = seen.way(robot, play.geodesic, play.towards)
-        elif name == "range_scan":
-            shown = seen.range_scan(self._grids.at(self._drawn.place[play.episode]), robot)
-        elif name == "egomotion":
-            shown = seen.egomotion(play.before_xz, play.before_heading, robot)
-        elif name == "localization":
-            floor_y = self._drawn.floor_y[self._drawn.place[play.episode]]
-            shown = torch.stack([robot.xz[:, 0], floor_y, robot.xz[:, 1], wrap_angle(robot.heading)], -1)
-        else:
-            raise InputError(f"On a device there is no observation {name!r}.", code="H3-TRAIN-075")
-        return shown.float()
+    def observations(self, names: Sequence[str], play: Play) -> dict[str, Tensor]:
+        """Those of `sim_kinematic.sensing.table.FOLLOWER`, float32 [W, n] each.
+
+        Raises:
+            InputError: there is no such observation on a device.
+        """
+        if strangers := [name for name in names if name not in FOLLOWER]:
+            raise InputError(f"On a device there is no observation {strangers[0]!r}.", code="H3-TRAIN-075")
+        place = self._drawn.place[play.episode]
+        return shown(FollowerContext(play, self._grids.at(place), self._drawn.floor_y[place]), names)

@@ -9,10 +9,10 @@ The file is that of `sim_kinematic.policies.visual_policy`: arrays and a card, n
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from sim_kinematic.agents.skills import PRIMITIVES
 from sim_kinematic.policies.visual_policy import PolicyCard, affine, digest_of
+from sim_kinematic.sensing.encodings import OF_CHOICES
+from sim_kinematic.sensing.table import SENSES
 
 Floats = NDArray[np.floating]
 KIND = "gru_chooser"
@@ -30,11 +32,8 @@ OBSERVATIONS = (
     "other_approach", "path_ahead", "other_path_ahead", "holds", "held_by_other", "at_goal", "other_gps_compass",
     "other_velocity", "close", "elapsed_s", "last_done", "last_failed", "interrupted",
 )  # fmt: skip
-"""What a chooser is shown, in this order (`sim_kinematic.policies.rearrange_observations.SENSES`)."""
-OF_OTHER = (
-    "other_way_to_objects", "other_way_to_goals", "other_approach", "other_path_ahead", "other_gps_compass", "other_velocity",
-    "close",
-)  # fmt: skip
+"""What a chooser is shown, in this order (`sim_kinematic.sensing.table.SENSES`)."""
+OF_OTHER = tuple(name for name in OBSERVATIONS if SENSES[name].of_other)
 """Observations that tell where the other agent is."""
 WITHOUT_OTHER = tuple(name for name in OBSERVATIONS if name not in OF_OTHER)
 """Observations of a chooser without the paper's humanoid GPS."""
@@ -45,44 +44,6 @@ PLACES = ("obj_gps_compass", "way_to_objects", "path_ahead")
 gets zeros there."""
 
 
-class Encoding(NamedTuple):
-    """Conversion of the numbers of an observation to inputs of the network."""
-
-    of: Callable[[Floats], Floats]
-    """Units [n, given] -> [n, length]."""
-    given: int
-    length: int
-    is_of_objects: bool
-
-
-def _polar(seen: Floats) -> Floats:
-    d, a = seen[:, 0::2], seen[:, 1::2]
-    return np.concatenate([d / 5, np.exp(-d), np.cos(a), np.sin(a)], 1)
-
-
-def _length(seen: Floats) -> Floats:
-    return np.concatenate([np.minimum(seen, 30.0) / 10, np.exp(-seen / 2)], 1)
-
-
-def _plain(seen: Floats) -> Floats:
-    return seen
-
-
-ENCODINGS: Mapping[str, Encoding] = {
-    **dict.fromkeys(("obj_gps_compass", "obj_goal_gps_compass"), Encoding(_polar, 2, 4, True)),
-    **dict.fromkeys(
-        ("way_to_objects", "way_to_goals", "other_way_to_objects", "other_way_to_goals"), Encoding(_length, 1, 2, True)
-    ),
-    **dict.fromkeys(("other_approach", "holds", "held_by_other", "at_goal"), Encoding(_plain, 1, 1, True)),
-    **dict.fromkeys(("path_ahead", "other_path_ahead"), Encoding(_polar, 4, 8, True)),
-    "other_gps_compass": Encoding(_polar, 2, 4, False),
-    "other_velocity": Encoding(lambda seen: seen / 2.5, 2, 2, False),
-    "close": Encoding(_plain, 1, 1, False),
-    "elapsed_s": Encoding(lambda seen: seen / 50, 1, 1, False),
-}
-"""Of the observations that are not one of the choices."""
-
-
 def rest_count(agent: str) -> int:
     """How many choices have no object: ``wait`` and a robot's primitives."""
     return 1 + (len(PRIMITIVES) if agent == "robot" else 0)
@@ -90,9 +51,9 @@ def rest_count(agent: str) -> int:
 
 def input_lengths(agent: str, observations: tuple[str, ...] = OBSERVATIONS) -> tuple[int, int]:
     """Lengths of the inputs of one object, without its number, and of the rest."""
-    encodings = [ENCODINGS[name] for name in observations if name in ENCODINGS]
-    of_object = sum(e.length for e in encodings if e.is_of_objects)
-    rest = sum(e.length for e in encodings if not e.is_of_objects)
+    encodings = [OF_CHOICES[name] for name in observations if name in OF_CHOICES]
+    of_object = sum(e.length for e in encodings if e.times == "objects")
+    rest = sum(e.length for e in encodings if e.times == "once")
     choosing = len(observations) - len(encodings)
     return of_object + choosing * SKILLS_WITH_OBJECT, rest + choosing * rest_count(agent)
 
@@ -109,10 +70,12 @@ def encoded(
     """
     each, rest = [], []
     for name in observations:
-        encoding = ENCODINGS.get(name)
+        encoding = OF_CHOICES.get(name)
         own = SKILLS_WITH_OBJECT * objects
         length = (
-            own + rest_count(agent) if encoding is None else encoding.given * (objects if encoding.is_of_objects else 1)
+            own + rest_count(agent)
+            if encoding is None
+            else encoding.given * (objects if encoding.times == "objects" else 1)
         )
         seen = np.asarray(shown.get(name, ()), np.float32)
         if seen.shape != (length,):
@@ -122,12 +85,12 @@ def encoded(
         if encoding is None:
             each.append(seen[:own].reshape(SKILLS_WITH_OBJECT, objects).T)
             rest.append(seen[own:])
-        elif encoding.is_of_objects:
-            each.append(encoding.of(seen.reshape(objects, encoding.given)))
+        elif encoding.times == "objects":
+            each.append(encoding.of(np, seen.reshape(objects, encoding.given)))
             if hides(name, observations):
                 each[-1] = each[-1] * (1 - np.asarray(shown["held_by_other"], np.float32))[:, None]
         else:
-            rest.append(encoding.of(seen[None])[0])
+            rest.append(encoding.of(np, seen[None])[0])
     return np.concatenate(each, 1).astype(np.float32), np.concatenate(rest).astype(np.float32)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from h3data.geometry import Array
 from h3data.scene import FreeSpace
-from sim_kinematic.sensing.sensor import egomotion, gps_compass, in_frame, range_scan, way
+from sim_kinematic.motion.state import NOBODY, ROBOT
+from sim_kinematic.sensing.sensor import first_point, in_frame
+from sim_kinematic.sensing.table import TABLE, Pose
 
 Floats = NDArray[np.floating]
 
@@ -46,22 +48,33 @@ class SkillView(NamedTuple):
         return float(self.free.geodesic(self.xz, self.stand_xz, max_snap_m=1.0))
 
 
-def _way(view: SkillView) -> Floats:
-    return way(view.free, view.xz, view.heading, view.stand_xz, view.path_m, beyond_m=view.beyond_m)
+class SkillContext:
+    """A view as a `sim_kinematic.sensing.table.Context` of one world: the path leads to the stand."""
 
+    xp = np
+    agent = ROBOT
 
-SENSES: Mapping[str, Callable[[SkillView], Floats]] = {
-    "way": _way,
-    "target_gps_compass": lambda view: gps_compass(view.xz, view.heading, view.point[[0, 2]]),
-    "target_sensor": lambda view: in_frame(view.hand, view.point[None])[0],
-    "resting_sensor": lambda view: in_frame(view.hand, view.resting[None])[0],
-    "arm_joints": lambda view: view.arm,
-    "is_holding": lambda view: np.array([view.holds], np.float64),
-    "range_scan": lambda view: range_scan(view.free, view.xz, view.heading),
-    "egomotion": lambda view: egomotion(*view.before, view.xz, view.heading),
-}
+    def __init__(self, view: SkillView) -> None:
+        self._view, self.arm, self.target, self.resting = view, view.arm, view.point, view.resting
+        self.now = Pose(view.xz, np.asarray(view.heading))
+        self.before = Pose(*view.before)
+        self.held_by = np.array([ROBOT if view.holds else NOBODY])
+
+    def path(self) -> tuple[Floats, Floats]:
+        """The shortest path to the stand: its length [] [m] and its first way point [2] [m]."""
+        view, length = self._view, self._view.path_m
+        return np.asarray(length), first_point(view.free, view.xz, view.stand_xz, length, beyond_m=view.beyond_m)
+
+    def clearance(self, points: Floats) -> Floats:
+        """Signed distance [n] [m] of points [n, 2] to the nearest obstacle."""
+        return self._view.free.signed_distance(points)
+
+    def in_hand(self, points: Floats) -> Floats:
+        """World points [n, 3] in the frame of the hand."""
+        return in_frame(self._view.hand, points)
 
 
 def observe(view: SkillView, names: Sequence[str]) -> dict[str, NDArray[np.float32]]:
-    """The named observations, float32."""
-    return {name: np.asarray(SENSES[name](view), np.float32) for name in names}
+    """The named observations, some of `sim_kinematic.sensing.table.OF_SKILLS`, float32."""
+    moment = SkillContext(view)
+    return {name: np.asarray(TABLE[name].of(moment), np.float32) for name in names}

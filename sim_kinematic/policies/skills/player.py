@@ -13,8 +13,9 @@ from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.skills import Action, Skill, SkillResult
 from sim_kinematic.motion.spec import SkillSpec
 from sim_kinematic.motion.state import NOBODY
-from sim_kinematic.policies.skills.observations import SENSES, SkillView, observe
+from sim_kinematic.policies.skills.observations import SkillView, observe
 from sim_kinematic.policies.visual_policy import BASE_ACTIONS, VisualPolicy
+from sim_kinematic.sensing.table import OF_SKILLS
 
 TASKS = {"skill_nav": ("nav_to_object", "nav_to_goal"), "skill_pick": ("pick",), "skill_place": ("place",)}
 """The skills of the upper layer that a policy file stands for, by the task on its card."""
@@ -47,7 +48,7 @@ class NetworkSkill:
             raise FormatError(
                 f"These weights drive the robot {card.robot}, the episode has {robot}.", code="H3-POLICY-058"
             )
-        known = (PICTURE, *SENSES)
+        known = (PICTURE, *OF_SKILLS)
         strangers = [name for name in card.observations if name not in known]
         if strangers:
             raise FormatError(

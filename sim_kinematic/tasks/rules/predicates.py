@@ -5,6 +5,8 @@ They are Habitat's PDDL predicates (spec/habitat.md 2.2) and those of social nav
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -20,10 +22,12 @@ ROBOT_AT_M = 2.0
 """A robot at most this far from a thing is at it: the domain's value; 3.0 in Habitat's task file is never read."""
 
 
-def is_object_at(position: ArrayLike, goal: ArrayLike, *, distance_m: float = OBJECT_AT_M) -> Flags:
-    """``object_at``: whether objects [..., 3] are nearer to goals [..., 3] than this, in space."""
-    gap = np.asarray(position, np.float64) - np.asarray(goal, np.float64)
-    return np.linalg.norm(gap, axis=-1) < distance_m
+def is_object_at(position: Any, goal: Any, *, distance_m: float = OBJECT_AT_M, xp: Any = np) -> Any:
+    """``object_at``: whether objects [..., 3] are nearer to goals [..., 3] than this, in space; arrays or tensors."""
+    if xp is np:
+        position, goal = np.asarray(position, np.float64), np.asarray(goal, np.float64)
+    gap = position - goal
+    return xp.sqrt((gap * gap).sum(-1)) < distance_m
 
 
 def is_robot_at_position(
@@ -58,7 +62,6 @@ def is_free(held_by: ArrayLike) -> Flags:
     return np.asarray(held_by) == NOBODY
 
 
-def is_found(geodesic_m: ArrayLike, facing_dot: ArrayLike, spec: SocialNavSpec) -> Flags:
-    """Whether the robot has the person at the right distance and faces them, [...] (paper section 4.1)."""
-    distance = np.asarray(geodesic_m)
-    return (distance >= spec.near_m) & (distance <= spec.far_m) & (np.asarray(facing_dot) > spec.facing_dot)
+def is_found(geodesic_m: Any, facing_dot: Any, spec: SocialNavSpec) -> Any:
+    """Whether the robot has the person at the right distance and faces them (paper section 4.1), arrays or tensors [...]."""
+    return (geodesic_m >= spec.near_m) & (geodesic_m <= spec.far_m) & (facing_dot > spec.facing_dot)

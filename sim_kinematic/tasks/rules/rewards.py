@@ -8,7 +8,6 @@ habitat-lab's main branch (spec/habitat.md 1.7, 2.1).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -16,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
-from h3data.kernels import kernel
 from h3data.metrics.habitat_settings import HabitatConfig
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.sensing.sensor import facing
@@ -81,6 +79,30 @@ class PaperReward:
     facing_within_m: float = 3.0
     slack: float = -0.1
     follow_steps: int = 400
+
+    def of(
+        self, distance: Any, before: Any, faces: Any, followed: Any, rules: SocialNavSpec, *, xp: Any = np
+    ) -> tuple[Any, Any, Any]:
+        """What a step is worth, by arrays or tensors [W].
+
+        Args:
+            distance: distance between robot and person after the step [m].
+            before: distance before it [m].
+            faces: `facing` of the robot towards the person after the step.
+            followed: steps in which the person was followed before this one.
+            rules: distances and angle at which the robot follows.
+            xp: array namespace.
+
+        Returns:
+            The reward; the steps in which the person has been followed now; whether these are enough.
+        """
+        near = distance <= rules.near_m
+        kept = (distance <= rules.far_m) & ~near
+        count = followed + (kept & (faces > rules.facing_dot))
+        success = count >= self.follow_steps
+        reward = xp.where(kept, self.kept, xp.where(near, distance - before, before - distance)) + self.slack
+        reward = reward + self.facing * xp.where(distance <= self.facing_within_m, faces, 0.0)
+        return reward + self.success * (success & (followed < self.follow_steps)), count, success
 
 
 class SocialNavReward:
@@ -148,14 +170,11 @@ class SocialNavReward:
         self, seen: Encounter, faces: NDArray, straight: NDArray, geodesic: NDArray, collides: NDArray
     ) -> RewardStep:
         del seen
-        rules, worth = self.rules, self.paper
         distance = np.where(np.isfinite(geodesic), geodesic, straight)
-        reward, success = np.empty(len(distance)), np.empty(len(distance), np.bool_)
-        _pay_paper(
-            distance, self._distance, faces, self.followed, (rules.near_m, rules.far_m, rules.facing_dot),
-            (worth.success, worth.kept, worth.facing, worth.facing_within_m, worth.slack, worth.follow_steps), reward, success,
-        )  # fmt: skip
-        return RewardStep(reward, success, collides & rules.end_on_collision)
+        before = np.where(np.isnan(self._distance), distance, self._distance)
+        reward, self.followed[:], success = self.paper.of(distance, before, faces, self.followed, self.rules)
+        self._distance[:] = distance
+        return RewardStep(reward, success, collides & self.rules.end_on_collision)
 
     def _step_habitat(
         self, seen: Encounter, faces: NDArray, straight: NDArray, geodesic: NDArray, collides: NDArray
@@ -211,25 +230,6 @@ class SocialNavReward:
             new[w] = cell not in self._cells[w]
             self._cells[w].add(cell)
         return new
-
-
-@kernel(error_model="numpy")
-def _pay_paper(distance, last, faces, followed, rules, worth, reward, success):
-    """What a step is worth in each world, by the published formula; takes the ``last`` distances and counts on."""
-    near, far, facing_dot = rules
-    success_worth, kept_worth, facing_worth, facing_within, slack, follow_steps = worth
-    for w in range(len(distance)):
-        now = distance[w]
-        before = now if math.isnan(last[w]) else last[w]
-        kept = near < now <= far
-        moved = now - before if now <= near else before - now
-        had = followed[w] >= follow_steps
-        followed[w] += kept and faces[w] > facing_dot
-        success[w] = followed[w] >= follow_steps
-        paid = (kept_worth if kept else moved) + slack
-        paid += facing_worth * (faces[w] if now <= facing_within else 0.0)
-        reward[w] = paid + success_worth * (success[w] and not had)
-        last[w] = now
 
 
 def _each(values: NDArray, shape: tuple[int, ...]) -> NDArray:

@@ -48,10 +48,6 @@ TRAINING = SocialNavSpec(spawn_distance_m=3.0)
 """The paper's rules for training: both start at least 3 m apart (appendix, social navigation)."""
 
 
-PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", "humanoid_gps")
-"""Observations of the paper's policy (appendix, social navigation), which need a picture in every step."""
-
-
 @dataclass(eq=False)
 class SocialNavState:
     """Memory of the rules for W worlds, [W] each."""

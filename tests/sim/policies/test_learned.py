@@ -23,13 +23,14 @@ from h3data.scene import FreeSpace
 from h3data_pipelines.cli import main
 from sim_kinematic.agents.skills import Action, choices
 from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec
-from sim_kinematic.policies.learned import NAVIGATION_INPUTS, LearnedNavigation, navigation_input, network_of, stamped
+from sim_kinematic.policies.learned import LearnedNavigation, navigation_input, network_of, stamped
 from sim_kinematic.policies.learned_chooser import chooser_input
 from sim_kinematic.policies.network import FILE_FORMAT, Network, from_torch, load_network, save_network
 from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.policies.rearrange import Chooser, robot_policy
 from sim_kinematic.policies.social_nav import policy_by_name
 from sim_kinematic.policies.views import RearrangeView, SocialNavView
+from sim_kinematic.sensing.table import FOLLOWER
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.resume import verify
 from tests.sim.steppers import social_nav_env
@@ -190,7 +191,7 @@ def test_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, we
 
 # --- social navigation --------------------------------------------------------------------------------------------------
 def test_it_is_shown_what_the_training_environment_shows() -> None:
-    names = tuple(NAVIGATION_INPUTS)
+    names = FOLLOWER
     spec = SocialNavSpec(max_steps=25, spawn_distance_m=3.0)
     env = social_nav_env("small:1", spec=spec, observations=names)
     seen = [env.reset(seed=3)[0]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,9 @@ from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
 from sim_kinematic.motion.state import NOBODY, ROBOT
 from sim_kinematic.motion.step import integrate
 from sim_kinematic.sensing import sensor as sensors
+from sim_kinematic.sensing import table
 from sim_kinematic.tasks.rules import predicates
-from tests.paths import REAL
+from tests.paths import REAL, ROOT
 
 GOLDEN = REAL / "habitat-lab" / "reference" / "rearrange" / "predicates_sensors.json"
 needs_real = pytest.mark.skipif(not GOLDEN.is_file(), reason="needs the real Habitat files in ../shared/real")
@@ -64,9 +66,9 @@ def test_sensors_equal_habitats(golden: dict[str, np.ndarray]) -> None:
         "other_agent_gps_1": sensors.other_agent_gps(human[0], robot[0]),
         "agents_within_threshold_0": sensors.agents_within_threshold(*robot, human[0]),
         "agents_within_threshold_1": sensors.agents_within_threshold(*human, robot[0]),
-        "goal_to_agent_gps_compass_0": sensors.nav_goal(*robot, target),
-        "goal_to_agent_gps_compass_1": sensors.nav_goal(*human, target),
-        "nav_goal_is_human_gps_compass": sensors.humanoid_gps(*robot, human[0]),
+        "goal_to_agent_gps_compass_0": sensors.gps_compass(*robot, target),
+        "goal_to_agent_gps_compass_1": sensors.gps_compass(*human, target),
+        "nav_goal_is_human_gps_compass": sensors.gps_compass(*robot, human[0]),
         "robot_localization": sensors.localization(*robot, golden["robot_base_pos"][:, 1]),
         "human_localization": sensors.localization(*human, golden["human_base_pos"][:, 1]),
     }.items():
@@ -167,9 +169,9 @@ def test_a_range_scan_measures_the_way_to_walls() -> None:
     free = FreeSpace.from_scene(build_home(HomeSpec(preset="small", seed=1)))
     rng = np.random.default_rng(0)
     xz, heading = free.sample(rng, 200), rng.uniform(-np.pi, np.pi, 200)
-    seen = sensors.range_scan(free, xz, heading)
+    seen = sensors.range_scan(free.signed_distance, xz, heading)
     assert seen.shape == (200, sensors.RANGES)
-    np.testing.assert_array_equal(seen[3], sensors.range_scan(free, xz[3], heading[3]))
+    np.testing.assert_array_equal(seen[3], sensors.range_scan(free.signed_distance, xz[3], heading[3]))
     angle = heading[:, None] + np.radians(30) * np.arange(12)
     direction = np.stack([np.cos(angle), -np.sin(angle)], -1)
     ends = free.signed_distance(xz[:, None] + seen[..., None] * direction)
@@ -179,7 +181,9 @@ def test_a_range_scan_measures_the_way_to_walls() -> None:
         free.signed_distance(xz[:, None] + 0.999 * seen[..., None] * direction) > -1e-3
     ).all()  # never through a wall
     assert np.quantile(ends[reached], 0.9) < 0.05
-    turned = sensors.range_scan(free, xz, heading + np.radians(30))  # what was 30 degrees to the left is straight ahead
+    turned = sensors.range_scan(
+        free.signed_distance, xz, heading + np.radians(30)
+    )  # what was 30 degrees to the left is straight ahead
     np.testing.assert_allclose(turned[:, :-1], seen[:, 1:], atol=1e-6)
 
 
@@ -190,10 +194,13 @@ def test_a_way_is_the_shortest_and_begins_at_its_first_corner() -> None:
         path = free.path(a, b)
         corner = next((p for p in path[1:] if np.hypot(*(p - a)) > 0.2), b)
         heading = float(np.arctan2(-(corner - a)[1], (corner - a)[0]))
-        length, angle = sensors.way(free, a, heading + 0.3, b, float(free.geodesic(a, b)), beyond_m=0.2)
+        shortest = free.geodesic(a, b)
+        point = sensors.first_point(free, a, b, float(shortest), beyond_m=0.2)
+        length, angle = sensors.way(a, heading + 0.3, shortest, point)
         assert length == pytest.approx(np.hypot(*np.diff(path, axis=0).T).sum())
         assert angle == pytest.approx(0.3)  # it looks too far to the left: the way begins to the right
-    np.testing.assert_array_equal(sensors.way(free, a, 0.0, b, np.inf, beyond_m=0.2), [sensors.FAR_M, 0.0])
+    nowhere = sensors.first_point(free, a, b, np.inf, beyond_m=0.2)
+    np.testing.assert_array_equal(sensors.way(a, 0.0, np.asarray(np.inf), nowhere), [sensors.FAR_M, 0.0])
 
 
 def test_her_velocity_is_seen_along_the_robots_axes() -> None:
@@ -201,3 +208,28 @@ def test_her_velocity_is_seen_along_the_robots_axes() -> None:
     np.testing.assert_allclose(
         seen, [[2.5, 0.0], [0.0, -2.5]], atol=1e-12
     )  # heading pi / 2 faces -Z: +X is to its right
+
+
+# --- one table ----------------------------------------------------------------------------------------------------------
+def test_the_name_of_a_sensor_is_written_where_it_is_defined_and_where_users_type_it() -> None:
+    packages = (ROOT / name for name in ("h3data", "sim_kinematic", "pipelines", "viewers"))
+    files = [f for package in packages for f in package.rglob("*.py") if '"humanoid_gps"' in f.read_text()]
+    assert {f.relative_to(ROOT).as_posix() for f in files} == {
+        "sim_kinematic/sensing/table.py",
+        "pipelines/h3data_training/commands/training.py",
+    }
+
+
+def test_the_documentation_describes_every_sensor_of_environments() -> None:
+    text = (ROOT / "docs" / "environments.md").read_text().split("### Numbers")[1].split("### Noise")[0]
+    rows = [line.split("|") for line in text.splitlines() if line.startswith("| `")]
+    described: dict[str, str] = {}
+    for names, shapes in ((re.findall(r"`(\w+)`", row[1]), re.findall(r"\[([^]]+)\]", row[2])) for row in rows):
+        described |= dict(zip(names, shapes if len(shapes) == len(names) > 1 else shapes[:1] * len(names), strict=True))
+    assert set(described) == {*table.SENSORS, *table.SENSES}
+    for name, shape in described.items():
+        sensor = table.TABLE[name]
+        if sensor.times == "objects":
+            assert shape == ("K" if sensor.width == 1 else f"{sensor.width} K"), name
+        elif sensor.times == "once":
+            assert shape == str(sensor.width), name

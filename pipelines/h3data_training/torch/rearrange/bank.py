@@ -17,6 +17,7 @@ from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.scene import Scene
+from h3data_training.torch.rules import refuse_others
 from h3data_training.torch.step import Floor, refuse_stairs
 from sim_kinematic.agents.oracle.ways import Ways
 from sim_kinematic.policies.rearrange import partner_plan, planner
@@ -233,12 +234,7 @@ def _check(episodes: Sequence[RearrangeEpisode]) -> None:
             "leave out device.",
             code="H3-TRAIN-061",
         )
-    if first.spec.robot.slide != "strict" or first.spec.human.stride is not None:
-        raise InputError(
-            "On a device robots slide strictly and people turn on the spot. Hint: BaseSpec() and WalkerSpec(), as in "
-            "ORACLE_RULES, or leave out device.",
-            code="H3-TRAIN-062",
-        )
+    refuse_others("rearrange", first.spec)
     for episode in episodes:
         kinds = tuple(member.kind for member in episode.roster)
         models = [[member.model for member in one.roster] for one in (episode, first)]

@@ -1,9 +1,9 @@
-"""Observations on a device: the numbers of `sim_kinematic.policies.rearrange_observations`, by the same names."""
+"""Observations on a device: the rows of `sim_kinematic.sensing.table` for W worlds of rearrangement."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from types import ModuleType
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -14,10 +14,10 @@ from h3data_training.torch.rearrange.skills import Choices, Hands, every_choice,
 from h3data_training.torch.rearrange.state import ABORTED, DONE, FAILED, NOBODY, Play, SubGoal
 from h3data_training.torch.rearrange.tables import Places
 from h3data_training.torch.rearrange.worlds import RearrangeTensors
-from h3data_training.torch.step import heading_direction, wrap_angle
-from sim_kinematic.motion.spec import STEP_S
-from sim_kinematic.policies.rearrange_observations import AHEAD_M, NEARER_M
+from h3data_training.torch.seen import shown
+from h3data_training.torch.state import HumanTensors, RobotTensors
 from sim_kinematic.sensing.sensor import FAR_M
+from sim_kinematic.sensing.table import AHEAD_M, SENSES, Ending, Pose
 from sim_kinematic.tasks.rearrange.play import TRACK
 
 THEN = 1
@@ -58,17 +58,15 @@ class Paths(NamedTuple):
 
 
 class View(NamedTuple):
-    """Everything that one agent of each world may know."""
+    """Everything that one agent of each world may know, as sensors read it (`sim_kinematic.sensing.table`)."""
 
     sim: RearrangeTensors
     play: Play
     places: Places
     choices: Choices
     does: SubGoal
-    xz: Tensor
-    heading: Tensor
-    other: Tensor
-    """Where the other is, [W, 2]."""
+    now: RobotTensors | HumanTensors
+    other: RobotTensors | HumanTensors
     contact: Tensor
     paths: Paths | None = None
 
@@ -79,12 +77,17 @@ class View(NamedTuple):
         is_robot = agent == "robot"
         return cls(
             sim=sim, play=play, places=sim.tables.at(play.episode), choices=sim.choices(agent),
-            does=play.robot_does if is_robot else play.human_does, xz=own.xz, heading=own.heading, other=other.xz,
+            does=play.robot_does if is_robot else play.human_does, now=own, other=other,
             contact=play.robot.contact if is_robot else torch.zeros_like(play.robot.contact), paths=paths,
         )  # fmt: skip
 
     @property
-    def who(self) -> int:
+    def xp(self) -> ModuleType:
+        """The array namespace."""
+        return torch
+
+    @property
+    def agent(self) -> int:
         """Number of the agent: robot 0, person 1."""
         return self.choices.who
 
@@ -100,105 +103,95 @@ class View(NamedTuple):
         return Hands(self.play.objects, self.play.held_by, self.play.moved, self.play.placed_by)
 
     @property
+    def before(self) -> Pose:
+        """Agents before the last step."""
+        return self._before(self.agent)
+
+    @property
+    def other_before(self) -> Pose:
+        """The others before the last step."""
+        return self._before(1 - self.agent)
+
+    def _before(self, who: int) -> Pose:
+        return Pose(self.play.before[:, who, :2], self.play.before[:, who, 2])
+
+    @property
+    def touching(self) -> Tensor:
+        """Whether the agents touch, bool [W]."""
+        return self.play.collides
+
+    @property
+    def held_by(self) -> Tensor:
+        """Number of the agent that holds each object, [W, K]."""
+        return self.play.held_by
+
+    @property
+    def objects(self) -> Tensor:
+        """Where objects are, [W, K, 3] [m]."""
+        return self.play.objects
+
+    @property
+    def starts(self) -> Tensor:
+        """Where objects were at first, [W, K, 3] [m]."""
+        return self.sim.tables.spots[self.play.episode, : self.sim.bank.objects]
+
+    @property
+    def goals(self) -> Tensor:
+        """Where objects are to go, [W, K, 3] [m]."""
+        return self.sim.tables.spots[self.play.episode, self.sim.bank.objects :]
+
+    @property
+    def at_goal(self) -> Tensor:
+        """Which objects are at their goals, bool [W, K]."""
+        return self.sim.at_goal(self.hands, self.places)
+
+    @property
     def close(self) -> Tensor:
         """Whether the other agent is close, bool [W]."""
-        return self.sim.close(self.xz, self.heading, self.other)
+        return self.sim.close(self.now.xz, self.now.heading, self.other.xz)
 
-    def spots(self, at_goal: int) -> Tensor:
-        """Floor points of objects' starts (0) or goals (1), [W, K, 2]."""
-        k = self.sim.bank.objects
-        return self.sim.tables.spots[self.play.episode, at_goal * k : (at_goal + 1) * k, 0::2]
+    @property
+    def steps(self) -> Tensor:
+        """Steps since the episode began, [W]."""
+        return self.play.steps
 
-    def gps(self, points: Tensor) -> Tensor:
-        """Distance and angle, positive to the right, of points [W, n, 2]: [W, 2 n]."""
-        gap, ahead = points - self.xz[:, None], heading_direction(self.heading)[:, None]
-        forward = (gap * ahead).sum(-1)
-        left = gap[..., 0] * ahead[..., 1] - gap[..., 1] * ahead[..., 0]
-        return torch.stack([torch.hypot(forward, left), -torch.atan2(left, forward)], -1).flatten(1)
+    def floor_y(self) -> Tensor:
+        """Heights of the floors, [W] [m]."""
+        return self.sim.tables.floor_y[self.places.place]
 
-    def ways(self, who: int, when: int = 0) -> tuple[Tensor, Tensor]:
-        """Lengths of the shortest paths from agent ``who`` to the objects and to their goals, [W, K] [m] each.
+    def ways(self, end: Literal["objects", "goals"], *, other: bool, then: bool = False) -> Tensor:
+        """Lengths of the shortest paths from the agent or the other to objects or goals, [W, K] [m].
 
-        ``when`` is 0 for the agent's present position, 1 for the one `THEN` steps ago. The length to an object that is
-        held is the straight distance, as tables have no paths to agents.
+        With ``then`` from the position `THEN` steps ago. The length to an object that is held is the straight distance, as
+        tables have no paths to agents.
         """
         play, count, paths = self.play, self.sim.bank.objects, self.known_paths
+        who, when = 1 - self.agent if other else self.agent, THEN if then else 0
         lengths = paths.lengths[:, who, when]
+        if end == "goals":
+            return lengths[:, count:]
         gap = play.objects[..., 0::2] - paths.xz[:, who, when, None]
         lies = torch.where(play.moved, lengths[:, count:], lengths[:, :count])
-        held = play.held_by != NOBODY
-        return torch.where(held, torch.hypot(gap[..., 0], gap[..., 1]), lies), lengths[:, count:]
+        return torch.where(play.held_by != NOBODY, torch.hypot(gap[..., 0], gap[..., 1]), lies)
 
-    def approach(self) -> Tensor:
-        """How much shorter the other's way to each object has become over their known track, [W, K] [m]."""
-        them = 1 - self.who
-        return (self.ways(them, THEN)[0] - self.ways(them)[0]).clamp(-NEARER_M, NEARER_M)
+    def ahead(self, *, other: bool) -> Tensor:
+        """Where the agent or the other would be `AHEAD_M` further on (`Paths.ahead`), [W, K, n, 2]."""
+        return self.known_paths.ahead[:, 1 - self.agent if other else self.agent]
 
-    def path_ahead(self, who: int) -> Tensor:
-        """Where agent ``who`` would be `AHEAD_M` further on, as this one sees it (`Paths.ahead`), [W, K * 4]."""
-        return self.gps(self.known_paths.ahead[:, who].flatten(1, 2))
-
-    def other_velocity(self) -> Tensor:
-        """Of the other agent over the ground, along the axes of this one, [W, 2] [m/s]."""
-        moved, ahead = self.other - self.play.before[:, 1 - self.who, :2], heading_direction(self.heading)
-        forward = (moved * ahead).sum(-1)
-        return torch.stack([forward, moved[:, 0] * ahead[:, 1] - moved[:, 1] * ahead[:, 0]], -1) / STEP_S
-
-    def ended(self, outcome: int) -> Tensor:
+    def ended(self, outcome: Ending) -> Tensor:
         """One of the choices is 1: the last one, if it ended so, [W, C]."""
-        return one_of(self.does.last, len(self.choices)) & (self.does.outcome == outcome)[:, None]
+        code = {"done": DONE, "failed": FAILED, "aborted": ABORTED}[outcome]
+        return one_of(self.does.last, len(self.choices)) & (self.does.outcome == code)[:, None]
 
     def allowed(self) -> Tensor:
         """Which choices the agent's hand allows, bool [W, C] (`sim_kinematic.agents.skills.Objects.why_not`)."""
-        return precondition(self.choices, every_choice(self.choices, len(self.xz)), self.hands)
-
-    def egomotion(self) -> Tensor:
-        """Forward velocity, left velocity and turn rate in the last step, [W, 3] [m/s, rad/s]."""
-        before = self.play.before[:, self.who]
-        moved, ahead = self.xz - before[:, :2], heading_direction(before[:, 2])
-        forward = (moved * ahead).sum(-1)
-        left = moved[:, 0] * ahead[:, 1] - moved[:, 1] * ahead[:, 0]
-        return torch.stack([forward, left, wrap_angle(self.heading - before[:, 2])], -1) / STEP_S
-
-    def localization(self) -> Tensor:
-        """Position and heading of the agent, (x, y, z, heading) [W, 4]."""
-        floor_y = self.sim.tables.floor_y[self.places.place]
-        return torch.stack([self.xz[:, 0], floor_y, self.xz[:, 1], wrap_angle(self.heading)], -1)
+        return precondition(self.choices, every_choice(self.choices, len(self.now.xz)), self.hands)
 
 
-def _other_gps(v: View) -> Tensor:
-    return v.gps(v.other[:, None])
-
-
-OBSERVED: Mapping[str, Callable[[View], Tensor]] = {
-    "is_holding": lambda v: (v.play.held_by == v.who).any(1, keepdim=True),
-    "obj_start_gps_compass": lambda v: v.gps(v.spots(0)),
-    "obj_goal_gps_compass": lambda v: v.gps(v.spots(1)),
-    "obj_gps_compass": lambda v: v.gps(v.play.objects[..., 0::2]),
-    "holds": lambda v: v.play.held_by == v.who,
-    "held_by_other": lambda v: (v.play.held_by != v.who) & (v.play.held_by != NOBODY),
-    "at_goal": lambda v: v.sim.at_goal(v.hands, v.places),
-    "other_gps_compass": _other_gps,
-    "humanoid_gps": _other_gps,
-    "other_agent_gps": lambda v: v.xz - v.other,
-    "close": lambda v: v.close[:, None],
-    "localization": View.localization,
-    "egomotion": View.egomotion,
-    "collision": lambda v: torch.stack([v.contact, v.play.collides], -1),
-    "last_done": lambda v: v.ended(DONE),
-    "last_failed": lambda v: v.ended(FAILED),
-    "interrupted": lambda v: v.ended(ABORTED),
-    "way_to_objects": lambda v: v.ways(v.who)[0],
-    "way_to_goals": lambda v: v.ways(v.who)[1],
-    "other_way_to_objects": lambda v: v.ways(1 - v.who)[0],
-    "other_way_to_goals": lambda v: v.ways(1 - v.who)[1],
-    "other_approach": View.approach,
-    "path_ahead": lambda v: v.path_ahead(v.who),
-    "other_path_ahead": lambda v: v.path_ahead(1 - v.who),
-    "other_velocity": View.other_velocity,
-    "elapsed_s": lambda v: v.play.steps[:, None] * STEP_S,
-}
-"""By name, [W, n]."""
+OBSERVED = tuple(
+    name for name, sensor in SENSES.items() if sensor.frame not in ("hand", "start") and sensor.times != "joints"
+)
+"""Sensors of a device: not those of the hand and of the start frame, which worlds there do not keep."""
 OF_PATHS = (
     "way_to_objects", "way_to_goals", "other_way_to_objects", "other_way_to_goals", "other_approach", "path_ahead",
     "other_path_ahead",
@@ -222,4 +215,4 @@ def observed(view: View, names: tuple[str, ...]) -> dict[str, Tensor]:
     """The named observations, each float32 [W, n]."""
     if view.paths is None and any(name in OF_PATHS for name in names):
         view = view._replace(paths=Paths.of(view.sim, view.play, view.places))
-    return {name: OBSERVED[name](view).float() for name in names}
+    return shown(view, names)

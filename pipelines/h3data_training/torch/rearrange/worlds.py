@@ -32,7 +32,9 @@ from h3data_training.torch.step import Grids, heading_direction
 from sim_kinematic.agents.robots.hand_reach import reach_bearing
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.motion.spec import OracleSpec
+from sim_kinematic.sensing.sensor import agents_within_threshold
 from sim_kinematic.tasks.rearrange.play import TRACK
+from sim_kinematic.tasks.rules.predicates import is_object_at
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
 
 
@@ -75,7 +77,6 @@ class RearrangeTensors:
         )
         self.orders = torch.as_tensor(bank.orders(partner), device=self.device)
         """Plan of each episode of the bank, [N, K]."""
-        self._near = torch.tensor(bank.spec.near_m, dtype=self.dtype, device=self.device)
 
     def choices(self, agent: str) -> Choices:
         """What an agent chooses among."""
@@ -209,14 +210,12 @@ class RearrangeTensors:
     def at_goal(self, hands: Hands, places: Places) -> Tensor:
         """Which objects are at their goals and in nobody's hand, bool [W, K]."""
         goals = self.tables.spots[places.episode, self.bank.objects :]
-        gap = hands.objects - goals
-        return (hands.held_by == NOBODY) & (gap.square().sum(-1).sqrt() < self.spec.at_goal_m)
+        return (hands.held_by == NOBODY) & is_object_at(hands.objects, goals, distance_m=self.spec.at_goal_m, xp=torch)
 
     def close(self, xz: Tensor, heading: Tensor, other: Tensor) -> Tensor:
         """Whether others [W, 2] are in the ellipse around agents in which skills may be interrupted, bool [W]."""
-        gap, c, s = other - xz, heading.cos(), heading.sin()
-        ahead, aside = c * gap[:, 0] - s * gap[:, 1], s * gap[:, 0] + c * gap[:, 1]
-        return (ahead / self._near[0]) ** 2 + (aside / self._near[1]) ** 2 < 1
+        ahead_m, aside_m = self.spec.near_m
+        return agents_within_threshold(xz, heading, other, ahead_m=ahead_m, aside_m=aside_m, xp=torch)  # type: ignore[arg-type]
 
     def touching(self, robot: RobotTensors, human: HumanTensors) -> Tensor:
         """Whether the discs of robot and person overlap, bool [W]."""

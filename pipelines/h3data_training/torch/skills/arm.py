@@ -158,8 +158,8 @@ def placed(hand: Hand, xz: Tensor, heading: Tensor, floor_y: Tensor) -> Hand:
 
 
 def seen_by(hand: Hand, points: Tensor) -> Tensor:
-    """World points [W, 3] in the frames of hands in the world, [W, 3]."""
-    return ((points - hand.point)[:, :, None] * hand.axes).sum(-2)
+    """World points [..., 3] in the frames of hands in the world, [..., 3]."""
+    return ((points - hand.point)[..., None] * hand.axes).sum(-2)
 
 
 def turned(axes: Tensor, by: Tensor) -> Tensor:

@@ -10,12 +10,13 @@ import math
 import torch
 from torch import Tensor
 
-from h3data_training.torch import seen
 from h3data_training.torch.skills.arm import placed
 from h3data_training.torch.skills.worlds import SkillPlay, SkillTensors
+from h3data_training.torch.state import RobotTensors
 from h3data_training.torch.step import wrap_angle
 from sim_kinematic.agents.robots.hand_reach import reach_bearing
 from sim_kinematic.motion.spec import STEP_S
+from sim_kinematic.sensing.sensor import in_base_frame
 
 ARRIVED_M, NEARLY_M = 0.1, 0.4
 """At its stand it turns to the target; with the arm out it may then be as far from there as this."""
@@ -42,12 +43,12 @@ def taught(sim: SkillTensors, play: SkillPlay, hold: int, *, by_sight: bool = Fa
     robot, base = play.robot, sim.drive.base
     point = sim.points(play)
     turn_most, drive_most = (limit * STEP_S * hold for limit in (base.max_turn_rad_s, base.max_speed_mps))
-    along = _bearing(seen.in_base_frame(robot.xz, robot.heading, robot.xz + play.towards))
+    along = _bearing(_seen(robot, robot.xz + play.towards))
     back = (play.way < 2 * NEARLY_M) & (along.abs() > math.pi / 2)
     error = wrap_angle(torch.where(back, along + math.pi, along))
     speed = torch.where(error.abs() < ALIGNED_RAD, error.cos() * (play.way / drive_most).clamp_max(1.0), 0.0)
     forward, turn = torch.where(back, -speed, speed), error
-    target = seen.in_base_frame(robot.xz, robot.heading, point[:, 0:3:2])
+    target = _seen(robot, point[:, 0:3:2])
     aside = wrap_angle(_bearing(target) - reach_bearing(sim.arm.robot))
     if sim.skill == "nav":  # it has arrived before its stand, facing the target
         near = play.way < 1.0
@@ -61,7 +62,7 @@ def taught(sim: SkillTensors, play: SkillPlay, hold: int, *, by_sight: bool = Fa
         left, arrived = torch.where(left < AROUND_M, torch.minimum(left, off), left), IN_REACH_M
     near = (left < arrived) | ((unfolded > 0.5) & (left < NEARLY_M))
     hand = placed(sim.arm.hand(play.joints), robot.xz, robot.heading, sim.floors(play)).point
-    reached = seen.in_base_frame(robot.xz, robot.heading, hand[:, 0:3:2])
+    reached = _seen(robot, hand[:, 0:3:2])
     short = ((target - reached)[:, 0] / drive_most).clamp(-0.5, 0.5) * (unfolded > 0.8)
     forward, turn = torch.where(near, short, forward), torch.where(near, aside, turn)
     holds = play.held == sim.targets(play)
@@ -75,6 +76,11 @@ def taught(sim: SkillTensors, play: SkillPlay, hold: int, *, by_sight: bool = Fa
     still = (~finished).to(forward)
     base_action = torch.stack([forward * still, (turn / turn_most).clamp(-1.0, 1.0) * still], -1)
     return torch.cat([base_action, joints.clamp(-1.0, 1.0), grips[:, None]], 1).float()
+
+
+def _seen(robot: RobotTensors, points: Tensor) -> Tensor:
+    """Floor points [W, 2] as robots see them: forward and left [W, 2] [m]."""
+    return in_base_frame(robot.xz, robot.heading, points, xp=torch)  # type: ignore[arg-type]
 
 
 def _bearing(seen_from: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ position and its rotation are as on the CPU. Unlike there, paths are looked up (
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,8 +20,9 @@ from torch import Tensor
 from h3data.bodies import Robot, load_robot
 from h3data.errors import InputError
 from h3data.geometry import Array, quat_to_matrix
-from h3data_training.torch import seen
 from h3data_training.torch.geodesic import Lattices, Way, shortest_way
+from h3data_training.torch.rules import refuse_others
+from h3data_training.torch.seen import clearance, shown
 from h3data_training.torch.skills.arm import Arm, Hand, placed, seen_by, turned
 from h3data_training.torch.skills.bank import SkillBank
 from h3data_training.torch.skills.driving import Drive
@@ -29,7 +31,9 @@ from h3data_training.torch.step import Grids, heading_direction
 from sim_kinematic.agents.robots.hand_reach import hand_target, reach_posture
 from sim_kinematic.avoidance.robot_base import base_of, carrying_base_of
 from sim_kinematic.motion.spec import HOME_BASE, ArmSpec, BaseSpec, SkillSpec
+from sim_kinematic.motion.state import ROBOT
 from sim_kinematic.sensing.sensor import FAR_M
+from sim_kinematic.sensing.table import OF_SKILLS, Pose
 from sim_kinematic.tasks.rearrange.skill_starts import Skill
 
 NOTHING = -1
@@ -94,6 +98,61 @@ def _reaching(robot: Robot, bank: SkillBank) -> Array:
     return reach_posture(robot, targets).joint_pos[:, columns][which.ravel()]
 
 
+class SkillContext(NamedTuple):
+    """Robots with a skill to learn in W worlds, as sensors read them (`sim_kinematic.sensing.table`)."""
+
+    play: SkillPlay
+    grids: Grids
+    """Grids of the worlds' floors."""
+    hand: Hand
+    target: Tensor
+    """[W, 3] [m]."""
+    resting: Tensor
+    """[W, 3] [m]."""
+
+    @property
+    def xp(self) -> ModuleType:
+        """The array namespace."""
+        return torch
+
+    @property
+    def agent(self) -> int:
+        """Number of the robot."""
+        return ROBOT
+
+    @property
+    def now(self) -> RobotTensors:
+        """Robots."""
+        return self.play.robot
+
+    @property
+    def before(self) -> Pose:
+        """Robots before the last step."""
+        return Pose(self.play.before_xz, self.play.before_heading)
+
+    @property
+    def arm(self) -> Tensor:
+        """Joints of the arm [W, n]."""
+        return self.play.joints
+
+    @property
+    def held_by(self) -> Tensor:
+        """Who holds the object in the hand, [W, 1]."""
+        return self.play.held.clamp_max(ROBOT)[:, None]  # an empty hand holds object -1, which is nobody's number
+
+    def path(self) -> tuple[Tensor, Tensor]:
+        """The shortest path to the stand: its length [W] [m], and a point in the direction in which it begins [W, 2]."""
+        return self.play.way, self.play.robot.xz + self.play.towards
+
+    def clearance(self, points: Tensor) -> Tensor:
+        """Signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
+        return clearance(self.grids, points)
+
+    def in_hand(self, points: Tensor) -> Tensor:
+        """World points [W, n, 3] in the frames of the hands."""
+        return seen_by(Hand(self.hand.point[:, None], self.hand.axes[:, None]), points)
+
+
 class SkillTensors:
     """W worlds, each in an episode of a bank; when it is over, the next step begins the one after it."""
 
@@ -122,8 +181,9 @@ class SkillTensors:
         body = load_robot(robot)
         self.arm = Arm(body, self.device, dtype)
         own = base_of(body, base or HOME_BASE)
-        if own.slide != "strict":
-            raise InputError(f"On a device robots slide strictly only, not as {own.slide!r}.", code="H3-TRAIN-072")
+        refuse_others("base of a skill", own)
+        refuse_others("skill", self.rules)
+        refuse_others("arm of a skill", self.arm_rules)
         grids = Grids.of(bank.floors, self.device, dtype)
         self.drive = Drive(grids=grids, base=own, carrying=carrying_base_of(body, own))
         self.lattices = Lattices.of(bank.floors, self.device, dtype)
@@ -329,20 +389,10 @@ class SkillTensors:
         Raises:
             InputError: there is no such observation.
         """
-        robot, place, point = play.robot, self._place[play.episode], self._point[play.episode]
+        if strangers := [name for name in names if name not in OF_SKILLS]:
+            raise InputError(f"On a device there is no observation {strangers[0]!r} of skills.", code="H3-TRAIN-073")
+        robot, place = play.robot, self._place[play.episode]
         floor_y = self._floor_y[place]
         hand = placed(self.arm.hand(play.joints), robot.xz, robot.heading, floor_y)
-        known = {
-            "way": lambda: seen.way(robot, play.way, play.towards),
-            "target_gps_compass": lambda: seen.polar(seen.in_base_frame(robot.xz, robot.heading, point[:, 0:3:2])),
-            "target_sensor": lambda: seen_by(hand, point),
-            "resting_sensor": lambda: seen_by(hand, self._resting(robot, floor_y)),
-            "arm_joints": lambda: play.joints,
-            "is_holding": lambda: (play.held != NOTHING)[:, None],
-            "range_scan": lambda: seen.range_scan(self.drive.grids.at(place), robot),
-            "egomotion": lambda: seen.egomotion(play.before_xz, play.before_heading, robot),
-        }
-        strangers = [name for name in names if name not in known]
-        if strangers:
-            raise InputError(f"On a device there is no observation {strangers[0]!r} of skills.", code="H3-TRAIN-073")
-        return {name: known[name]().float() for name in names}
+        grids = self.drive.grids.at(place)
+        return shown(SkillContext(play, grids, hand, self._point[play.episode], self._resting(robot, floor_y)), names)

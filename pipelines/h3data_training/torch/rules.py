@@ -1,0 +1,100 @@
+"""Which rules of tasks hold on a device. What is not listed is refused by its name: no rule is silently ignored."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any, NamedTuple
+
+from h3data.errors import InputError
+from sim_kinematic.motion.spec import ArmSpec, BaseSpec, OracleSpec, SkillSpec, SocialNavSpec, WalkerSpec
+from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeSpec
+
+Names = Mapping[type, tuple[str, ...]]
+
+
+class Held(NamedTuple):
+    """The rules of a task that hold on a device."""
+
+    like: Any
+    """Rules that a device plays; others differ from them only in what follows."""
+    ported: Names
+    """Fields of each spec that a device reads. Specs among them are looked into."""
+    drawn: Names
+    """Fields that act on the CPU, where episodes are drawn, or on agents that no device has."""
+
+
+_BASE = (
+    "max_speed_mps", "max_turn_rad_s", "max_lateral_mps", "allow_back", "disc_offsets_m", "disc_radius_m",
+    "slide_iterations", "clearance_tolerance_m", "contact_tolerance_m", "keeps_speed",
+)  # fmt: skip
+_WALKER = ("speed_mps", "turn_rad_s", "turn_before_walk_rad", "arrive_m", "blend_s")
+_SCRIPTED = ("maneuvers",)
+"""Scripts drive no robot here."""
+_SAMPLED = ("spawn_distance_m", "agent_radius_m", "agent_height_m")
+HELD: Mapping[str, Held] = {
+    "social_nav": Held(
+        SocialNavSpec(),
+        {
+            SocialNavSpec: ("max_steps", "near_m", "far_m", "facing_dot", "end_on_collision", "robot", "human"),
+            BaseSpec: _BASE,
+            WalkerSpec: _WALKER,
+        },
+        # arms always swing here (h3data docs gpu); with strides, people are where the bank says after each step
+        {SocialNavSpec: _SAMPLED, BaseSpec: _SCRIPTED, WalkerSpec: ("clearance_m", "arms", "stride")},
+    ),
+    "rearrange": Held(
+        ORACLE_RULES,
+        {
+            RearrangeSpec: (
+                "max_steps", "objects", "at_goal_m", "near_m", "end_on_collision", "reward", "robot", "human", "oracle",
+            ),
+            BaseSpec: _BASE,
+            WalkerSpec: _WALKER,
+            OracleSpec: ("robot_steps", "person_steps", "reach_m", "reach_rad", "person_radius_m"),
+        },
+        # oracle skills open nothing, take things without a grip and walk along tables of paths; agents touch where discs do
+        {
+            RearrangeSpec: (*_SAMPLED, "carry_m", "open_m", "object_radius_m", "floor_moves", "grip_m"),
+            BaseSpec: _SCRIPTED,
+            WalkerSpec: ("clearance_m", "arms"),
+        },
+    ),
+    "base of a skill": Held(BaseSpec(), {BaseSpec: _BASE}, {BaseSpec: _SCRIPTED}),
+    "skill": Held(
+        SkillSpec(),
+        {
+            SkillSpec: (
+                "nav_steps", "arm_steps", "near_m", "facing_dot", "rest_m", "place_m", "slack", "contact", "facing",
+                "facing_within_m", "nav_success", "pick_success", "place_success", "placed", "lost",
+            )
+        },
+        {SkillSpec: ("nav_start_m", "arm_start_m", "arm_most_m")},
+    ),
+    "arm of a skill": Held(ArmSpec(), {ArmSpec: ("joint_step", "grasp_m")}, {}),
+}  # fmt: skip
+"""By task, and by part of a learned skill."""
+
+
+def refuse_others(task: str, rules: Any) -> None:
+    """Refuses rules of a task that do not hold on a device.
+
+    Raises:
+        InputError: a field that a device does not read has another value than it has in `Held.like`.
+    """
+    held = HELD[task]
+    _refuse(held, rules, held.like)
+
+
+def _refuse(held: Held, rules: Any, like: Any) -> None:
+    spec = type(rules)
+    for name in (f.name for f in fields(rules)):
+        value, usual = getattr(rules, name), getattr(like, name)
+        if name in held.ported.get(spec, ()):
+            if is_dataclass(value) and type(value) is type(usual):
+                _refuse(held, value, usual)
+        elif name not in held.drawn.get(spec, ()) and value != usual:
+            raise InputError(
+                f"On a device, {name} of {spec.__name__} is {usual!r}, not {value!r}. Hint: change it, or leave out device.",
+                code="H3-ENV-034",
+            )

@@ -1,0 +1,238 @@
+"""One table of sensors: each row gives the same with NumPy and with torch, and worlds on a device show what the CPU shows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cache
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("shapely")
+pytest.importorskip("fcl")
+
+from h3data_training.torch.episodes import EpisodeBank  # noqa: E402
+from h3data_training.torch.rearrange.observations import OBSERVED, OF_PATHS, View, observed  # noqa: E402
+from h3data_training.torch.social_nav import Play, SocialNavTensors  # noqa: E402
+from sim_kinematic.agents.skills import CONTROL, Action  # noqa: E402
+from sim_kinematic.motion.state import NOBODY  # noqa: E402
+from sim_kinematic.policies.rearrange_observations import exact  # noqa: E402
+from sim_kinematic.policies.skills.observations import observe  # noqa: E402
+from sim_kinematic.sensing.encodings import DETECTOR, OF_CHOICES, OF_COMMANDS, Encoding  # noqa: E402
+from sim_kinematic.sensing.table import AHEAD_M, FOLLOWER, OF_SKILLS, TABLE, Pose  # noqa: E402
+from sim_kinematic.tasks.runner import DecisionLoop  # noqa: E402
+from tests.sim.steppers import Batch  # noqa: E402
+from tests.training.torch import test_rearrange, test_skills, test_social_nav  # noqa: E402
+
+pytestmark = pytest.mark.usefixtures("one_torch_thread")
+WORLDS, OBJECTS, JOINTS, CHOICES = 5, 2, 7, 13
+COUNTS = {"once": 1, "objects": OBJECTS, "joints": JOINTS, "choices": CHOICES}
+
+
+# --- each row is one function -------------------------------------------------------------------------------------------
+class AnyContext:
+    """A moment that has everything, of random numbers, in the array namespace ``xp``: of one world, or of `WORLDS`."""
+
+    def __init__(self, xp: ModuleType, *, one: bool = False) -> None:
+        rng = np.random.default_rng(0)
+
+        def array(values: Any) -> Any:
+            return xp.asarray(values[0] if one else values)
+
+        def numbers(*axes: int) -> Any:
+            return array(rng.uniform(-4, 4, (WORLDS, *axes)))
+
+        def flags(*axes: int) -> Any:
+            return array(rng.random((WORLDS, *axes)) < 0.5)
+
+        self.xp, self.agent = xp, 0
+        self.now, self.before, self.start, self.other, self.other_before = (
+            Pose(numbers(2), numbers()) for _ in range(5)
+        )
+        self.contact, self.touching, self.close, self.at_goal = flags(), flags(), flags(), flags(OBJECTS)
+        self.arm, self.height, self.length = numbers(JOINTS), numbers(), numbers()
+        self.objects, self.starts, self.goals = numbers(OBJECTS, 3), numbers(OBJECTS, 3), numbers(OBJECTS, 3)
+        self.target, self.resting, self.point = numbers(3), numbers(3), numbers(2)
+        self.held_by = array(rng.integers(NOBODY, 2, (WORLDS, OBJECTS)))
+        self.steps = array(rng.integers(0, 900, WORLDS))
+        self.points = numbers(OBJECTS, len(AHEAD_M), 2)
+        lengths = rng.uniform(0, 9, (WORLDS, 8, OBJECTS))
+        self.lengths = array(lengths)
+        self.endings = array(np.eye(CHOICES)[rng.integers(0, CHOICES, WORLDS)])
+
+    def floor_y(self) -> Any:
+        return self.height
+
+    def path(self) -> tuple[Any, Any]:
+        endless = self.xp.asarray(np.inf)
+        return self.xp.where(self.length > 2.0, endless, self.length * self.length), self.point
+
+    def clearance(self, points: Any) -> Any:
+        return 0.2 + 0.2 * self.xp.sin(points[..., 0]) * self.xp.cos(points[..., 1])
+
+    def in_hand(self, points: Any) -> Any:
+        return points - self.goals[..., :1, :]
+
+    def from_start(self, points: Any) -> Any:
+        return points - self.objects[..., :1, :]
+
+    def other_root(self) -> Any:
+        return self.resting
+
+    def ways(self, end: str, *, other: bool, then: bool = False) -> Any:
+        return self.lengths[..., 4 * then + 2 * other + (end == "goals"), :]
+
+    def ahead(self, *, other: bool) -> Any:
+        return self.points + other
+
+    def ended(self, outcome: str) -> Any:
+        return self.endings * len(outcome)
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_a_row_is_the_same_function_of_arrays_and_tensors(name: str) -> None:
+    sensor = TABLE[name]
+    values = np.asarray(sensor.of(AnyContext(np)), np.float64)
+    limits = sensor.limits(COUNTS[sensor.times])
+    assert values.shape == (WORLDS, *limits.shape)
+    assert len(sensor.unit) in (0, sensor.width)
+    assert np.shape(sensor.low) == np.shape(sensor.high) == (sensor.width,)
+    assert np.ptp(values), "nothing that tells worlds apart"
+    on_device = sensor.of(AnyContext(torch))
+    within = 1e-6 if on_device.dtype == torch.float32 else 1e-12  # whole numbers times a float are of 32 bits
+    np.testing.assert_allclose(on_device.double().numpy(), values, rtol=within, atol=within)
+    np.testing.assert_array_equal(np.asarray(sensor.of(AnyContext(np, one=True)), np.float64), values[0])
+
+
+@pytest.mark.parametrize(
+    ("family", "name"), [(f, n) for f, known in {"commands": OF_COMMANDS, "choices": OF_CHOICES}.items() for n in known]
+)
+def test_a_network_reads_a_sensor_the_same_in_numpy_and_torch(family: str, name: str) -> None:
+    encoding: Encoding = (OF_COMMANDS if family == "commands" else OF_CHOICES)[name]
+    assert encoding.given == (1 if name == DETECTOR else TABLE[name].width)
+    assert encoding.times == ("once" if name == DETECTOR else TABLE[name].times)
+    seen = np.random.default_rng(0).uniform(0, 3, (6, encoding.given))
+    read = encoding.of(np, seen.astype(encoding.dtype))
+    assert read.shape == (6, encoding.length)
+    assert read.dtype == encoding.dtype
+    on_device = encoding.of(torch, torch.as_tensor(seen, dtype=torch.float32))
+    assert on_device.dtype == torch.float32
+    np.testing.assert_allclose(on_device.numpy(), read, rtol=2e-6, atol=1e-6)
+    one = encoding.of(np, seen[0].astype(encoding.dtype))
+    np.testing.assert_array_equal(one, read[0])
+
+
+# --- worlds on a device -------------------------------------------------------------------------------------------------
+Pairs = dict[str, list[tuple[Any, Any]]]
+
+
+def _social_nav() -> Pairs:
+    """A robot that chases a person in 8 worlds."""
+    found: Pairs = {name: [] for name in FOLLOWER}
+    bank = EpisodeBank.draw(test_social_nav.HOMES, 6, seed=test_social_nav.SEED, spec=test_social_nav.RULES)
+    index = np.arange(8) % len(bank)
+    batch = Batch(test_social_nav.HOMES, worlds=8, spec=test_social_nav.RULES, observations=FOLLOWER)
+    batch.begin(test_social_nav.SEED, index)
+    sim, rng = SocialNavTensors(bank, device="cpu", spec=test_social_nav.RULES), np.random.default_rng(1)
+    play = sim.step(Play.before_the_first(torch.tensor(index - 1), torch.float64), torch.zeros(8, 2))
+    for _ in range(50):
+        shown, seen = sim.observations(FOLLOWER, play), batch.observe()
+        for name in FOLLOWER:
+            found[name].append((seen[name], shown[name].numpy()))
+        actions = test_social_nav.chase(seen["humanoid_gps"], rng)
+        batch.step(actions)
+        play = sim.step(play, torch.tensor(actions))
+    return found
+
+
+def _rearrange() -> Pairs:
+    """Robot and person in 4 worlds, each with errands of its own."""
+    names = SHOWN["rearrange"]
+    found: Pairs = {name: [] for name in names}
+    pair = test_rearrange.Pair(
+        test_rearrange.drawn(6, oracle=test_rearrange.QUICK, max_steps=330)[:4], outside=test_rearrange.KINDS
+    )
+    rng, shown = np.random.default_rng(5), {}
+
+    def compare(n: int, play: Any) -> None:
+        if not n:
+            views = {kind: View.of(pair.sim, pair.state, kind) for kind in test_rearrange.KINDS}
+            shown.update({kind: (observed(view, names), view.allowed()) for kind, view in views.items()})
+        for agent, kind in enumerate(test_rearrange.KINDS):
+            mine, mask = shown[kind]
+            known = pair.known[kind]
+            np.testing.assert_array_equal(mask[n], [not play.objects.why_not(agent, action) for action in known])
+            for name, values in exact(play.view(agent), names).items():
+                found[name].append((values[None], mine[name][n : n + 1].numpy()))
+
+    for step in range(135):
+        pair.step(pair.random(rng), compare if step % 3 == 0 and not pair.turns[0].over else None)
+    return found
+
+
+def _skill() -> Pairs:
+    """A robot that is to place an object, in 6 worlds."""
+    found: Pairs = {name: [] for name in OF_SKILLS}
+    episode = test_skills.sampled_episode()
+    starts = test_skills.starts_of(episode, "place", 6)
+    sim, now = test_skills.worlds(episode, "place", starts)
+    plays = [test_skills.play_of(episode, start, {}) for start in starts]
+    turns = [DecisionLoop(play) for play in plays]
+    rng = np.random.default_rng(2)
+    for _ in range(12):
+        command = rng.uniform(-1, 1, (len(starts), 10))
+        command[:, -1] = 1.0
+        before = [(play.robots[0].xz.copy(), play.robots[0].heading) for play in plays]
+        now = sim.step(now._replace(ended=torch.zeros_like(now.ended)), torch.as_tensor(command))
+        shown = sim.observations(OF_SKILLS, now)
+        for w, (play, turn) in enumerate(zip(plays, turns, strict=True)):
+            turn.answer(Action(CONTROL, command=tuple(command[w])))
+            turn.go_on()
+            for name, values in observe(test_skills.view_of(play, starts[w], before[w]), OF_SKILLS).items():
+                found[name].append((values[None], shown[name][w : w + 1].numpy()))
+    return found
+
+
+@cache
+def shown_by(task: str) -> Mapping[str, tuple[Any, Any]]:
+    """What the CPU and a device have shown of a task, [N, n] each, by sensor."""
+    run: Callable[[], Pairs] = {"social_nav": _social_nav, "rearrange": _rearrange, "skill": _skill}[task]
+    both = {name: tuple(np.concatenate(side) for side in zip(*pairs, strict=True)) for name, pairs in run().items()}
+    return {name: (cpu, device) for name, (cpu, device) in both.items()}
+
+
+SHOWN = {
+    "social_nav": FOLLOWER,
+    "rearrange": tuple(name for name in OBSERVED if TABLE[name].times != "choices" and name != "elapsed_s"),
+    "skill": OF_SKILLS,
+}
+"""What is compared: all but how skills ended and how long an episode lasts, of which one world is a step ahead of the other
+where an agent is asked."""
+
+
+@pytest.mark.parametrize(("task", "name"), [(task, name) for task, names in SHOWN.items() for name in names])
+def test_a_device_shows_what_the_cpu_shows(task: str, name: str) -> None:
+    cpu, device = shown_by(task)[name]
+    assert cpu.shape == device.shape
+    assert len(cpu) >= 72
+    if name not in ("way", *OF_PATHS):
+        np.testing.assert_allclose(device, cpu, rtol=0, atol=2e-5 if task == "skill" else 1e-5)
+    elif name == "way":  # looked up, not searched for: exact where the way is straight
+        assert np.median(np.abs(device[:, 0] - cpu[:, 0]) / np.maximum(cpu[:, 0], 0.3)) < 0.01
+        turned = np.abs(np.exp(1j * device[:, 1]) - np.exp(1j * cpu[:, 1]))
+        assert np.quantile(turned, 0.8) < np.radians(20)
+        if task == "social_nav":
+            straight = np.isclose(cpu[:, 0], shown_by(task)["humanoid_gps"][0][:, 0], atol=1e-6)
+            assert 0.01 < straight.mean() < 0.97
+            assert turned[straight].max() < 1e-3
+    elif "rad" in TABLE[name].unit:
+        (mine, turned), (theirs, angle) = ((side[:, 0::2], side[:, 1::2]) for side in (device, cpu))
+        astray = np.abs(mine * np.exp(1j * turned) - theirs * np.exp(1j * angle))
+        assert np.quantile(astray, 0.75) < 0.02
+        assert np.quantile(astray, 0.95) < 0.5
+    else:
+        assert np.quantile(np.abs(device - cpu), 0.5) < 0.02
+        assert np.quantile(np.abs(device - cpu), 0.9) < 0.5
