@@ -24,8 +24,9 @@ from sim_kinematic.policies.assignment import as_policy, is_address, plugin_poli
 from sim_kinematic.policies.learned import LearnedNavigation, VisualNavigation, is_learned, network_of
 from sim_kinematic.policies.network import Network
 from sim_kinematic.policies.policy import FunctionPolicy
-from sim_kinematic.policies.visual_policy import ENCODINGS, VisualPolicy
+from sim_kinematic.policies.visual_policy import VisualPolicy
 from sim_kinematic.sensing.agent_pictures import DETECTORS
+from sim_kinematic.sensing.table import TABLE
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.registry import find_task
 
@@ -165,7 +166,7 @@ def adapter_of_network(network: Network | VisualPolicy) -> Adapter:
     """What clients send to a network: the observations and sizes that it has learned from."""
     if isinstance(network, VisualPolicy):
         card = network.card
-        drawn = [name for name in card.observations if name not in ENCODINGS or name in DETECTORS]
+        drawn = [name for name in card.observations if name not in TABLE or name in DETECTORS]
         entries = {name: Entry(name, card.picture_size if name in drawn else None) for name in card.observations}
         return Adapter(observation=entries, light=card.light, session=True, hold=card.hold)
     return Adapter(observation={name: Entry(name) for name in network.observations}, session=True)
