@@ -42,6 +42,9 @@ MOVED = {
     "sim_kinematic.envs.social_nav_torch_env": "h3data_training.envs.social_nav_torch_env",
     "sim_kinematic.envs.torch_env": "h3data_training.envs.torch_env",
     "sim_kinematic.policies.pictured": "sim_kinematic.policies.visual_policy",
+    "sim_kinematic.tasks.rearrange.storage": "sim_kinematic.tasks.rearrange.codec",
+    "sim_kinematic.tasks.social_nav.storage": "sim_kinematic.tasks.social_nav.codec",
+    "sim_kinematic.tasks.storage": "sim_kinematic.tasks.codec",
     "sim_kinematic.torch": "h3data_training.torch",
 }
 """New name of each module that was renamed; modules in a package that has moved as a whole follow its name."""

@@ -10,7 +10,8 @@ from h3data.scene import FreeSpace, Scene
 from sim_kinematic.motion.spec import NATURAL_WALKER, SocialNavSpec, WalkerSpec
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
-from sim_kinematic.tasks.rearrange.task import SOLO, Rearrange
+from sim_kinematic.tasks.rearrange.solo import SOLO
+from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.runner import simulate
 from sim_kinematic.tasks.social_nav import SocialNav
 from sim_kinematic.tasks.wander import Wander

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec, WalkerSpec
+from sim_kinematic.tasks.codec import EpisodeCodec, TaskCodec
 from sim_kinematic.tasks.episode import Episode, StepOutcome, TaskSpec
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
@@ -11,14 +12,13 @@ from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.runner import Session
 from sim_kinematic.tasks.social_nav import SocialNav
-from sim_kinematic.tasks.storage import EpisodeStorage, TaskStorage
 from sim_kinematic.tasks.task import Task
 from sim_kinematic.tasks.wander import Wander
 
 __all__ = [
     "BaseSpec",
     "Episode",
-    "EpisodeStorage",
+    "EpisodeCodec",
     "Rearrange",
     "RearrangeSpec",
     "Session",
@@ -26,8 +26,8 @@ __all__ = [
     "SocialNavSpec",
     "StepOutcome",
     "Task",
+    "TaskCodec",
     "TaskSpec",
-    "TaskStorage",
     "WalkerSpec",
     "Wander",
     "WorldRollout",

@@ -98,7 +98,11 @@ class Rules(Protocol):
 
     skills: ClassVar[Mapping[str, tuple[str, ...]]]
     columns: ClassVar[Mapping[str, Any]]
-    records_judgement: ClassVar[bool]
+
+    @property
+    def codec(self) -> Any:
+        """Says whether reward and success are recorded (`sim_kinematic.tasks.codec.EpisodeCodec`)."""
+        ...
 
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
         """Prepares the worlds ``rows`` [n], whose episodes have just begun."""
@@ -166,7 +170,7 @@ class WorldRollout:
         self.spans: list[SkillSpan] = []
         self._commands: list[Command] = []
         self._words: list[str] = []
-        self._checked = False
+        self._checked, self._records_judgement = False, bool(task.codec.records_judgement)
         self._traffic: dict[int, Traffic] = {}
         """Traffic of the worlds for which it was requested."""
 
@@ -333,7 +337,7 @@ class WorldRollout:
                 since = distance - own.set_off.item(0)
                 numbers += (x, z, heading, since, own.blend.item(0), *own.arms[0].tolist(), code)
         judged = {name: values[0] for name, values in self.outcome.columns.items()}
-        if self.task.records_judgement:
+        if self._records_judgement:
             judged |= {"metrics.reward": self.outcome.reward[0], "metrics.success": self.outcome.success[0]}
         return (*numbers, judged, self.world.touching[0])
 
@@ -365,7 +369,7 @@ class WorldRollout:
             result["metrics.collision"] = np.array([row[-1].any() for row in snapshots])
         if contact:
             result["metrics.robot_contact"] = np.any(contact, axis=0)
-        judgement = {"metrics.reward": np.float32, "metrics.success": np.bool_} if self.task.records_judgement else {}
+        judgement = {"metrics.reward": np.float32, "metrics.success": np.bool_} if self._records_judgement else {}
         for name, dtype in {**self.task.columns, **judgement}.items():
             result[name] = np.array([row[-2][name] for row in snapshots]).astype(dtype)
         return result

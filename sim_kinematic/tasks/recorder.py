@@ -5,7 +5,6 @@ Steps become blocks of columns that go to a sink; events, skills and raw input a
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -29,10 +28,11 @@ from h3data.recording import (
     state_hash,
 )
 from h3data.recording import Episode as EpisodeRecord
-from h3data.scene import Scene, save_scene, scene_digest
+from h3data.scene import Scene
 from h3data.scene.kinds import categories_of
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.tasks.codec import scene_attachment
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import Columns, Rollout
 from sim_kinematic.tasks.task import Task
@@ -202,8 +202,8 @@ def describe(
     scene = episode.scene
     file, digest = scene_attachment(scene)
     info = {
-        **task.info(episode, policies),
-        "instruction": task.instruction(episode),
+        **task.codec.info(episode, policies),
+        "instruction": task.codec.instruction(episode),
         "scene_source": dict(scene.source),
         "scene_sha256": digest,
         "categories": categories_of(scene),
@@ -228,7 +228,7 @@ def describe(
     if external:
         info["external"] = external
     record = EpisodeRecord(
-        uid=task.uid(episode, policies),
+        uid=task.codec.uid(episode, policies),
         episode_id=episode_id,
         task=task.name,
         scene=scene.name,
@@ -273,14 +273,6 @@ def _usual_agent(task: Task, member: AgentSpec) -> Agent:
         motion_names=tuple(clip.name for clip in body.clips) if task.clip_coded else (),
         skill_names=skills,
     )
-
-
-@lru_cache(maxsize=4)
-def scene_attachment(scene: Scene) -> tuple[bytes, str]:
-    """The scene file and its digest: the same for all episodes in this home."""
-    buffer = io.BytesIO()
-    save_scene(scene, buffer)
-    return buffer.getvalue(), scene_digest(scene)
 
 
 @lru_cache(maxsize=4)

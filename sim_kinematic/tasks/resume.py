@@ -19,6 +19,7 @@ from h3data.recording import Event, InputEvent, Recording, SkillSpan, state_hash
 from h3data.replay.recorded_robots import check_recorded_robots
 from sim_kinematic.policies.assignment import KINDS, AssignedPolicy
 from sim_kinematic.policies.recorded import NotRecorded
+from sim_kinematic.tasks.codec import POLICY_ENTRIES
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import Columns, Rollout
 from sim_kinematic.tasks.recorder import Recorder, finished
@@ -126,9 +127,11 @@ def counterfactual(recording: Recording, policy: Any, *, step: int = 0) -> Recor
 def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps_people: bool) -> Recording:
     require_step(recording, step)
     task, episode = _restored(recording)
-    new = task.changed_policies(recording, chosen)
-    assigned = _assigned(task, episode, recording, new, strict=True, keeps_people=keeps_people)
-    named = task.recorded_names(recording)
+    codec = task.codec
+    codec.check_changes(recording, chosen)
+    codec.load_precomputed(episode, recording.episode.info)
+    assigned = _assigned(task, episode, recording, chosen, strict=True, keeps_people=keeps_people)
+    named = codec.policy_names(recording)
     changed = [one.name != name for one, name in zip(assigned, named, strict=True)]
     policies = task.recorded_policies(recording, episode, assigned, until=step, changed=changed)
     played = _Played(
@@ -139,15 +142,18 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
     # beside a kept track, what was measured of the person may differ in its last bits
     require_kept(recording, step, played.columns, played.ended, robots if keeps_people and task.clip_coded else None)
     came = origin(recording, step)
-    info = {**task.run_info(episode, assigned), **task.continued_info(policies)}
+    told = codec.info(episode, assigned)
+    info = {name: told[name] for name in POLICY_ENTRIES if name in told}
+    names = [told[name] for name in ("policy", "partner") if name in told]
+    info["deciding_since"] = [getattr(one.policy, "since", 0) for one in policies]
     if keeps_people:
-        info |= {"ended": played.ended, **task.kept_info(recording, episode, played.play)}
+        info |= {"ended": played.ended, **codec.precompute(episode)}
         info |= {"counterfactual": {**came, **played.track}, "human_reactive": False}
     else:
-        info |= {**task.final_info(episode, played.play, assigned), **task.kept_info(recording, episode, played.play)}
+        info |= {**codec.final_info(episode, played.play, assigned), **codec.precompute(episode)}
         info |= {"resumed_from": came}
     what = "counterfactual" if keeps_people else "resume"
-    label = ":".join([what, str(step), *task.run_names(assigned)])
+    label = ":".join([what, str(step), *names])
     header = header_from(recording, label)
     return finished(header, played.columns, info, played.skills, played.events, played.inputs)
 
@@ -193,20 +199,30 @@ class _Played:
         kept = {
             name: recording.columns[name][:rows]
             for name in self.columns
-            if name in recording.columns and task.is_kept_column(name, people)
+            if name in recording.columns and _is_kept(name, people)
         }
         self.columns |= kept
         self.columns["state_hash"] = state_hash({n: a for n, a in self.columns.items() if n != "state_hash"})
+        cut_short: dict[str, Any] = {} if task.clip_coded else {"outcome": "running", "reason": ""}
         cut = [
-            span if span.end_step < rows else replace(span, end_step=rows - 1, **task.cut_span)
+            span if span.end_step < rows else replace(span, end_step=rows - 1, **cut_short)
             for span in recording.skills
             if span.agent in people and span.start_step < rows
         ]
         robots = [span for span in self.skills if span.agent not in people]
-        self.skills = task.merged_spans(robots, cut)
-        if task.clip_coded:
+        self.skills = (*robots, *cut)
+        if not task.clip_coded:  # skills that have a result are recorded when they end
+            self.skills = tuple(sorted(self.skills, key=lambda span: span.end_step))
+        else:
             theirs = [e for e in recording.events if e.agent in people and e.step < rows]
             self.events = tuple(sorted([*theirs, *self.events], key=lambda event: event.step))
+
+
+def _is_kept(column: str, people: Sequence[int]) -> bool:
+    """Whether a column is taken from the recording where people keep their tracks: what they hold is simulated again."""
+    if column.startswith("sim."):
+        return True
+    return column.startswith(tuple(f"agent_{k}." for k in people)) and not column.endswith("grasp_body")
 
 
 def _restored(recording: Recording) -> tuple[Task, Episode]:
@@ -221,7 +237,7 @@ def _restored(recording: Recording) -> tuple[Task, Episode]:
     check_recorded_robots(recording)
     file = recording.attachments["scene.glb"]
     with names_from_data():
-        return task, task.restore(recording, lambda radius, height: scene_and_map(file, radius, height))
+        return task, task.codec.restore(recording, lambda radius, height: scene_and_map(file, radius, height))
 
 
 def _assigned(
@@ -235,7 +251,7 @@ def _assigned(
     recorded: Collection[int] = (),
 ) -> list[AssignedPolicy]:
     """The policy of each agent: the one that is chosen, else the recording's own; none for those in ``recorded``."""
-    named = task.recorded_names(recording)
+    named = task.codec.policy_names(recording)
     result = []
     for k, member in enumerate(episode.roster):
         choice = _chosen_for(episode, k, new)

@@ -116,7 +116,7 @@ def simulate(
     recorder = Recorder(header, play, sink(header) if sink is not None else None)
     try:
         run(play, recorder, progress=progress)
-        return recorder.finish({**task.final_info(episode, play, assigned), **(info or {})})
+        return recorder.finish({**task.codec.final_info(episode, play, assigned), **(info or {})})
     except BaseException:
         recorder.abort()
         raise
@@ -319,7 +319,7 @@ class Session:
         if self._closed is None:
             if not self.play.over:
                 self.play.ended = "closed"
-            found = self.task.final_info(self.episode, self.play, self.policies)
+            found = self.task.codec.final_info(self.episode, self.play, self.policies)
             self._closed = self.recorder.finish({**found, **(info or {})})
         return self._closed
 

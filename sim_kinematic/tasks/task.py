@@ -7,33 +7,51 @@ A task of one's own is a subclass of `Task` with a frozen `TaskSpec`, found by e
 
 from __future__ import annotations
 
-import uuid
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import H3DataError, InputError
 from h3data.geometry import Array
-from h3data.recording import Agent, Body, Recording, SkillSpan
-from h3data.scene import FreeSpace, Scene, scene_digest
+from h3data.recording import Agent, Body, Recording
+from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, common_floor, make_roster, sample_places
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, PolicyMaker, assign, make_policy
 from sim_kinematic.policies.policy import Still, Velocity
 from sim_kinematic.policies.recorded import RecordedTrack, RecordedVelocities, deciding_since, recorded_commands
-from sim_kinematic.tasks.episode import MAX_STEPS, Episode, StepOutcome, TaskSpec, rules_dict
+from sim_kinematic.tasks.codec import EpisodeCodec, TaskCodec
+from sim_kinematic.tasks.episode import Episode, StepOutcome, TaskSpec
 from sim_kinematic.tasks.play import Rollout, WorldRollout
-from sim_kinematic.tasks.storage import EpisodeStorage, TaskStorage
 
 if TYPE_CHECKING:
     from h3data.scene.scene_sets import SceneSet
     from sim_kinematic.sensing.table import Sensor
 
-_RENAMED = {"foresight": "precompute", "hindsight": "final_info", "recall": "load_precomputed"}
-"""New names of methods of tasks."""
+_MOVED = {
+    **{
+        name: f"EpisodeCodec.{name}, of Task.codec,"
+        for name in (
+            "instruction",
+            "info",
+            "uid",
+            "final_info",
+            "precompute",
+            "load_precomputed",
+            "restore",
+            "records_judgement",
+        )
+    },
+    "foresight": "EpisodeCodec.precompute, of Task.codec,",
+    "hindsight": "EpisodeCodec.final_info, of Task.codec,",
+    "recall": "EpisodeCodec.load_precomputed, of Task.codec,",
+    "storage": "Task.codec",
+    "recorded_names": "EpisodeCodec.policy_names, of Task.codec,",
+    "changed_policies": "EpisodeCodec.check_changes, of Task.codec,",
+}
+"""Where members of tasks of earlier versions are now."""
 
 
 class Task:
@@ -52,9 +70,6 @@ class Task:
     """Metrics profile of its recordings: a name or ``module:name``; empty: the profile of its name, else the generic one."""
     columns: ClassVar[Mapping[str, Any]] = {}
     """dtype of each column in `StepOutcome.columns`."""
-    records_judgement: ClassVar[bool] = True
-    """Whether each step's reward and success are recorded (``metrics.reward``, ``metrics.success``), for the metrics profile
-    ``task``. The built-in tasks, whose metrics follow from other columns, do without."""
     skills: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     """Names of what agents of a kind report to be doing; a kind without any has no skill column."""
     commanded: ClassVar[Mapping[str, Mapping[str, tuple[str, ...]]]] = {}
@@ -72,9 +87,9 @@ class Task:
     """Names of further options of its environments, which it finds in ``WorldRollout.options``."""
 
     def __init_subclass__(cls) -> None:
-        for old, new in _RENAMED.items():
+        for old, new in _MOVED.items():
             if old in vars(cls):  # it would never be called
-                raise H3DataError(f"The method {cls.__name__}.{old} of a task is called {new} now.", code="H3-TASK-070")
+                raise H3DataError(f"The member {cls.__name__}.{old} of a task is {new} now.", code="H3-TASK-070")
         if "name" not in vars(cls):
             cls.name = "".join(f"_{c.lower()}" if c.isupper() else c for c in cls.__name__).lstrip("_")
 
@@ -160,10 +175,11 @@ class Task:
     def check_env_options(self, options: Mapping[str, Any]) -> None:
         """Raises an `InputError` if the value of one of `env_options` is not allowed; by default all are."""
 
-    # --- episode files ------------------------------------------------------------------------------------------------
-    def storage(self) -> EpisodeStorage[Any]:
-        """How its episodes are stored in files; by default starts, agents, rules and `Episode.extra`."""
-        return TaskStorage(self.name, self.Spec, self.check_roster)
+    # --- what it is elsewhere -----------------------------------------------------------------------------------------
+    @property
+    def codec(self) -> EpisodeCodec[Any]:
+        """Writes and reads its episodes: in episode files, in recordings, in words; by default a `TaskCodec`."""
+        return TaskCodec(self)
 
     # --- datasets and evaluations -------------------------------------------------------------------------------------
     bodies_in_agents: ClassVar[bool] = False
@@ -282,85 +298,18 @@ class Task:
         del episode
         return agents
 
-    def instruction(self, episode: Episode) -> str:
-        """The task in words, as one would tell it to a robot; recorded in ``info["instruction"]``.
-
-        LeRobot datasets have it for every frame, and policies that are conditioned on language learn from it. By default the
-        task's name in words.
-        """
-        del episode
-        return self.name.replace("_", " ").strip() or "act"
-
-    def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Entries of ``episode.info`` that are known from the start, besides scene and bodies: enough for `restore`."""
-        names = {kind: ",".join(p.name for p in policies if p.kind == kind) for kind in ("robot", "human")}
-        info: dict[str, Any] = {
-            "policy": names["robot"],
-            "partner": names["human"],
-            "max_steps": episode.spec.max_steps,
-            "spec": rules_dict(episode.spec),
-            "starts": episode.starts.tolist(),
-        }
-        if episode.extra:
-            info["extra"] = dict(episode.extra)
-        return info
-
-    def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
-        """Identity of an episode's recording: the same inputs give the same one."""
-        who = ",".join(f"{member.model}:{policy.name}" for member, policy in zip(episode.roster, policies, strict=True))
-        starts = episode.starts.tolist()
-        what = f"{self.name}:{scene_digest(episode.scene)}:{who}:{episode.seed}:{episode.spec}:{starts}:{episode.extra}"
-        return str(uuid.uuid5(uuid.NAMESPACE_URL, f"h3data:{what}"))
-
-    def final_info(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Entries of ``episode.info`` that are known only after the last step."""
-        del episode, policies
-        return {"ended": play.ended}
-
-    def precompute(self, episode: Episode) -> dict[str, Any]:
-        """Computes facts about an episode that `final_info` needs, take long, and do not depend on how it is played.
-
-        The result is plain data, so that another process can compute it.
-        """
-        del episode
-        return {}
-
-    def load_precomputed(self, episode: Episode, facts: Mapping[str, Any]) -> None:
-        """Stores the facts that another process has computed with `precompute`, for which a live world must not wait."""
-
     # --- simulating again (sim_kinematic.tasks.resume) -----------------------------------------------------------------
-    cut_span: ClassVar[Mapping[str, Any]] = {}
-    """Changes to a kept person's skill that the end of the recording cuts short."""
-
     def needed_columns(self, recording: Recording) -> list[str]:
         """Columns without which a recording cannot be simulated again."""
         robots = [k for k, agent in enumerate(recording.agents) if agent.kind == "robot"]
         names = ("action", "skill") if self.skills.get("robot") else ("action",)
         return [f"agent_{k}.{name}" for k in robots for name in names]
 
-    def recorded_names(self, recording: Recording) -> list[str]:
-        """Name of each agent's policy, as recorded."""
-        info, names = recording.episode.info, []
-        for kind, entry in (("robot", "policy"), ("human", "partner")):
-            count = sum(agent.kind == kind for agent in recording.agents)
-            listed = str(info.get(entry) or self.defaults[kind]).split(",")
-            names += listed * count if len(listed) == 1 else listed
-        return names
-
     def recorded_policy(self, episode: Episode, number: int, name: Any) -> AssignedPolicy:
         """The policy with a recorded name, or one that is chosen instead."""
         if name == "external":
             return AssignedPolicy(Still(), "external", episode.roster[number].kind)
         return make_policy(self, episode, number, name)
-
-    def changed_policies(self, recording: Recording, chosen: dict[str, Any]) -> dict[str, Any]:
-        """The choices that differ from what the recording did by itself.
-
-        Raises:
-            InputError: agents of this task follow no such thing.
-        """
-        del recording
-        return chosen
 
     def agents_with_recorded_decisions(self, recording: Recording) -> set[int]:
         """Numbers of the agents whose every decision is recorded, so that verifying asks no policy of theirs."""
@@ -371,7 +320,7 @@ class Task:
             if f"agent_{k}.action" in recording.columns and (agent.kind == "robot" or k in commanded)
         }
         # those who wander share how they heed each other, so that one of them who is asked needs the others asked too
-        wanderers = {k for k, name in enumerate(self.recorded_names(recording)) if name == "wander"}
+        wanderers = {k for k, name in enumerate(self.codec.policy_names(recording)) if name == "wander"}
         return decided if wanderers <= decided else decided - wanderers
 
     def recorded_policies(
@@ -402,24 +351,6 @@ class Task:
             policies.append(assigned._replace(policy=policy))
         return policies
 
-    def run_info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Names of the policies, as `info` gives them."""
-        info = self.info(episode, policies)
-        return {name: info[name] for name in ("policy", "partner") if name in info}
-
-    def run_names(self, policies: Sequence[AssignedPolicy]) -> list[str]:
-        """Names that tell apart two recordings continued from one step."""
-        return [",".join(p.name for p in policies if p.kind == kind) for kind in ("robot", "human")]
-
-    def continued_info(self, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Further entries of a continued recording's info: since which step each agent's policy decides."""
-        return {"deciding_since": [getattr(assigned.policy, "since", 0) for assigned in policies]}
-
-    def kept_info(self, recording: Recording, episode: Episode, play: Rollout) -> dict[str, Any]:
-        """Entries that a continued recording takes over."""
-        del recording, episode, play
-        return {}
-
     def keep_people(
         self, play: Rollout, recording: Recording, since: int
     ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
@@ -429,55 +360,3 @@ class Task:
             if member.kind == "human":
                 play.policies[k] = play.policies[k]._replace(policy=RecordedTrack(recording, k, member.body))
         return {}, None
-
-    def is_kept_column(self, name: str, people: Sequence[int]) -> bool:
-        """Whether a column is taken from the recording where people keep their tracks."""
-        return name.startswith((*(f"agent_{k}." for k in people), "sim."))
-
-    def merged_spans(self, robots: Sequence[SkillSpan], people: Sequence[SkillSpan]) -> tuple[SkillSpan, ...]:
-        """Skills of robots and of people who keep their tracks, in the order in which they are recorded."""
-        return (*robots, *people)
-
-    def restore(self, recording: Recording, scene: Callable[[float, float], tuple[Scene, FreeSpace]]) -> Episode:
-        """The episode that a recording was made of; ``scene(radius_m, height_m)`` gives its scene and map.
-
-        Raises:
-            InputError: the recording lacks something or its info is malformed; the message names it.
-        """
-        return restored(self, recording, scene)
-
-
-def restored(task: Task, recording: Recording, scene: Callable[[float, float], tuple[Scene, FreeSpace]]) -> Episode:
-    """`Task.restore` for episodes whose info is that of `Task.info`."""
-    info, agents = recording.episode.info, recording.agents
-    lacks = [name for name in ("spec", "starts") if name not in info]
-    if lacks:
-        raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.", code="H3-TASK-023")
-    try:
-        spec = msgspec.convert({"robot": {}, "human": {}, **info["spec"]}, task.Spec)
-        starts = np.array(msgspec.convert(info["starts"], list[tuple[float, float, float]]), np.float64)
-    except (msgspec.ValidationError, TypeError) as fault:
-        raise InputError(
-            f"The recording's info is malformed: {str(fault).replace('`', '')}", code="H3-TASK-030"
-        ) from None
-    if not 0 < spec.max_steps <= MAX_STEPS:
-        raise InputError(
-            f"Expected 1 to {MAX_STEPS} steps, the recording's rules say {spec.max_steps}.", code="H3-TASK-063"
-        )
-    roster = make_roster([f"{agent.kind}:{agent.model.partition('/')[2]}" for agent in agents])
-    if [member.kind for member in roster] != [agent.kind for agent in agents]:
-        raise InputError(f"Expected robots, then people, got: {[agent.kind for agent in agents]}.", code="H3-TASK-024")
-    home, free = scene(spec.agent_radius_m, spec.agent_height_m)
-    if starts.shape != (len(agents), 3) or not np.isfinite(starts).all() or not free.is_navigable(starts[:, :2]).all():
-        raise InputError(
-            f"Expected starts on the free floor for {len(agents)} agents, got: {starts.tolist()}.", code="H3-TASK-027"
-        )
-    return Episode(
-        scene=home,
-        free=free,
-        seed=recording.episode.seed,
-        spec=spec,
-        roster=roster,
-        starts=starts,
-        extra=dict(info.get("extra", {})),
-    )

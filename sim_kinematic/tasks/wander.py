@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import uuid
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -16,10 +15,55 @@ from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.tasks.codec import TaskCodec, scene_attachment, uid_of
 from sim_kinematic.tasks.episode import Episode, StepOutcome, rules_dict
 from sim_kinematic.tasks.play import WorldRollout
-from sim_kinematic.tasks.recorder import scene_attachment
 from sim_kinematic.tasks.task import Task
+
+
+class WanderCodec(TaskCodec):
+    """Writes the names of all policies in one list."""
+
+    records_judgement: ClassVar[bool] = False
+
+    def instruction(self, episode: Episode) -> str:
+        """Instruction in words, the same for all episodes."""
+        del episode
+        return "walk about the home"
+
+    def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """Rules, starts and, where they differ from the default, policies for the recording's info."""
+        info: dict[str, Any] = {
+            "max_steps": episode.spec.max_steps,
+            "spec": rules_dict(episode.spec),
+            "starts": episode.starts.tolist(),
+        }
+        others = [policy.name for policy in policies]
+        if set(others) != {"wander"}:
+            info["policies"] = others
+        return info
+
+    def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
+        """Identifier derived from scene, bodies, seed, rules and, where they differ from the default, policies."""
+        digest = scene_attachment(episode.scene)[1]
+        models = ",".join(member.model for member in episode.roster)
+        what = f"wander:{digest}:{models}:{episode.seed}:{episode.spec.max_steps}:{episode.spec}"
+        others = [policy.name for policy in policies]
+        what += "" if set(others) == {"wander"} else f":{','.join(others)}"
+        return uid_of(what)
+
+    def policy_names(self, recording: Recording) -> list[str]:
+        """Name of each agent's policy; ``wander`` where the recording names none."""
+        names = recording.episode.info.get("policies", ["wander"] * len(recording.agents))
+        return [str(name) for name in names]
+
+    def check_changes(self, recording: Recording, chosen: Mapping[str, Any]) -> None:
+        """Raises an `InputError` if a policy is chosen, which this task does not support."""
+        if chosen:
+            what = "policy" if "robot" in chosen else "partner"
+            raise InputError(
+                f"Nobody in recordings of wander follows a {what}. Hint: leave it out.", code="H3-TASK-067"
+            )
 
 
 class Wander(Task):
@@ -32,7 +76,6 @@ class Wander(Task):
     defaults: ClassVar[Mapping[str, str]] = {"robot": "wander", "human": "wander"}
 
     bodies_in_agents: ClassVar[bool] = True
-    records_judgement: ClassVar[bool] = False
 
     def default_spec(self) -> SocialNavSpec:
         """Rules of social navigation, with this task's number of steps."""
@@ -41,6 +84,11 @@ class Wander(Task):
     def recorded_default(self, kind: str) -> str | None:
         """None: jobs name no policies for this task."""
         return None
+
+    @property
+    def codec(self) -> WanderCodec:
+        """Codec of episodes whose recordings name all policies in one list."""
+        return WanderCodec(self)
 
     def sample_starts(
         self,
@@ -69,55 +117,3 @@ class Wander(Task):
         play.memory = world.touching.copy()
         nothing = np.zeros(world.worlds, np.bool_)
         return StepOutcome(reward=np.zeros(world.worlds), terminated=nothing, success=nothing, events=events)
-
-    def instruction(self, episode: Episode) -> str:
-        """Instruction in words, the same for all episodes."""
-        del episode
-        return "walk about the home"
-
-    def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Rules, starts and, where they differ from the default, policies for the recording's info."""
-        info: dict[str, Any] = {
-            "max_steps": episode.spec.max_steps,
-            "spec": rules_dict(episode.spec),
-            "starts": episode.starts.tolist(),
-        }
-        others = [policy.name for policy in policies]
-        if set(others) != {"wander"}:
-            info["policies"] = others
-        return info
-
-    def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
-        """Identifier derived from scene, bodies, seed, rules and, where they differ from the default, policies."""
-        digest = scene_attachment(episode.scene)[1]
-        models = ",".join(member.model for member in episode.roster)
-        what = f"h3data:wander:{digest}:{models}:{episode.seed}:{episode.spec.max_steps}:{episode.spec}"
-        others = [policy.name for policy in policies]
-        what += "" if set(others) == {"wander"} else f":{','.join(others)}"
-        return str(uuid.uuid5(uuid.NAMESPACE_URL, what))
-
-    def run_info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Nothing: `info` names the policies."""
-        return {}
-
-    def run_names(self, policies: Sequence[AssignedPolicy]) -> list[str]:
-        """No names."""
-        return []
-
-    def recorded_names(self, recording: Recording) -> list[str]:
-        """Name of each agent's policy; ``wander`` where the recording names none."""
-        names = recording.episode.info.get("policies", ["wander"] * len(recording.agents))
-        return [str(name) for name in names]
-
-    def changed_policies(self, recording: Recording, chosen: dict[str, Any]) -> dict[str, Any]:
-        """No choices.
-
-        Raises:
-            InputError: a policy is chosen, which this task does not support.
-        """
-        if chosen:
-            what = "policy" if "robot" in chosen else "partner"
-            raise InputError(
-                f"Nobody in recordings of wander follows a {what}. Hint: leave it out.", code="H3-TASK-067"
-            )
-        return chosen

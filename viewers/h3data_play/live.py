@@ -242,7 +242,7 @@ class LiveGame:
             info = {**order.info, "hitl": {**info["hitl"], **order.hitl}}
         self.index, self.path, self.share_in, self.slipped = index, path, plan.out, 0
         if order is not None and order.facts:
-            table.task.load_precomputed(episode, order.facts)
+            table.task.codec.load_precomputed(episode, order.facts)
         self.session = Session(
             table.task, episode, policies, sink=None if path is None else sink, episode_id=str(index), info=info
         )

@@ -95,7 +95,7 @@ class Job:
         """Scene, starts and rules, ready to run."""
         from h3data.scene.open import open_free_space, open_scene
         from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, make_roster
-        from sim_kinematic.tasks.storage import EpisodePlace
+        from sim_kinematic.tasks.codec import EpisodePlace
 
         task, spec = self.found_task, self.spec
         scene = open_scene(self.source)
@@ -104,7 +104,7 @@ class Job:
         if self.drawn_with is not None:
             rules, robot = self.drawn_with, self.robot or ROBOT_BODY
             floor = open_free_space(self.source, rules.agent_radius_m, rules.agent_height_m)
-            stored = task.storage().record(task.episode(scene, seed=self.seed, spec=rules, free=floor, robot=robot))
+            stored = task.codec.record(task.episode(scene, seed=self.seed, spec=rules, free=floor, robot=robot))
         if stored is not None:
             place = EpisodePlace(
                 scene=scene,
@@ -115,7 +115,7 @@ class Job:
                 human=self.human,
                 assets=self.source.assets if isinstance(self.source, SceneFile) else (),
             )
-            return task.without_robots(task.storage().episode(stored, place), self.policy)
+            return task.without_robots(task.codec.episode(stored, place), self.policy)
         roster = make_roster(self.agents or task.agents, robot=self.robot or ROBOT_BODY, human=self.human or HUMAN_BODY)
         return task.without_robots(task.sample(scene, free, self.seed, spec, roster), self.policy)
 

@@ -32,7 +32,7 @@ from sim_kinematic.agents.opening.skills import stands_before
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import HANDS
 from sim_kinematic.agents.robots.arm_clearance import arm_clearance
-from sim_kinematic.agents.roster import AgentSpec, kinds_of, make_roster, sample_places
+from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, kinds_of, make_roster, sample_places
 from sim_kinematic.agents.stands import handle_stands, nearest_stand, person_stands, robot_fits, robot_stands
 from sim_kinematic.agents.waypoint_walker import walking_path
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
@@ -205,6 +205,12 @@ class RearrangeEpisode(Episode):
         roster = make_roster(agents, robot=self.pair[0], human=self.pair[1])
         starts = starts_of(self.scene, self.free, self.seed, self.spec, self.pair_starts, roster)
         return replace(self, roster=roster, starts=starts)
+
+
+def pair_of(roster: Sequence[AgentSpec]) -> tuple[str, str]:
+    """Bodies of the first robot and the first person; the default ones where there is none."""
+    models = {member.kind: member.model for member in reversed(roster)}
+    return models.get("robot", ROBOT_BODY), models.get("human", HUMAN_BODY)
 
 
 def body_indices(episode: RearrangeEpisode) -> list[int]:

@@ -7,25 +7,21 @@ bodies.
 
 from __future__ import annotations
 
-import re
-import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
 
-import msgspec
 import numpy as np
 
 from h3data.bodies import Robot, load_humanoid, load_robot
 from h3data.errors import InputError
-from h3data.recording import Agent, Body, Recording, SkillSpan
-from h3data.recording.task_episodes.stored_rearrangements import StoredGoal
+from h3data.recording import Agent, Body, Recording
 from h3data.scene import FreeSpace, Scene, joint_names
 from sim_kinematic.agents.driven.commands import STAND, action_of, command_from_json, command_to_json, interrupts_skill
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.robots.skills import checked_command
-from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, common_floor, kinds_of, make_roster
+from sim_kinematic.agents.roster import AgentSpec, common_floor, kinds_of
 from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, DRIVEN_SKILLS, OPENING_SKILLS, SKILLS, Action, sentence
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, PolicyMaker
@@ -37,7 +33,6 @@ from sim_kinematic.policies.rearrange import (
     partner_plan,
     partner_policy,
     planner,
-    population_of,
     robot_policy,
 )
 from sim_kinematic.policies.recorded import (
@@ -47,28 +42,23 @@ from sim_kinematic.policies.recorded import (
     recorded_choices,
     recorded_commands,
 )
-from sim_kinematic.tasks.episode import MAX_STEPS, Episode
+from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import Rollout
+from sim_kinematic.tasks.rearrange.codec import RearrangeCodec
 from sim_kinematic.tasks.rearrange.episode import (
-    PAIR,
     RearrangeEpisode,
     RearrangeSpec,
-    body_indices,
     draw_episode,
+    pair_of,
     rules_in,
     starts_of,
 )
 from sim_kinematic.tasks.rearrange.kept_track import KeptTrack, follow_track
 from sim_kinematic.tasks.rearrange.play import RearrangeRollout
-from sim_kinematic.tasks.rearrange.storage import RearrangeStorage, goal_record, rules_to_json, target_of
-from sim_kinematic.tasks.recorder import scene_attachment
+from sim_kinematic.tasks.rearrange.solo import SOLO
 from sim_kinematic.tasks.resimulation import is_counterfactual
-from sim_kinematic.tasks.runner import run
-from sim_kinematic.tasks.social_nav.episode import Starts
 from sim_kinematic.tasks.task import Task
 
-SOLO = "solo"
-"""Policy of recordings in which no robot is beside the person."""
 SHORT_WAIT = Action("wait", steps=1)
 
 
@@ -91,7 +81,6 @@ class Rearrange(Task):
         "human": dict.fromkeys((*PARTNERS, *SHIPPED_PARTNERS), partner_policy),
     }
     defaults: ClassVar[Mapping[str, str]] = {"robot": "complement", "human": "both"}
-    cut_span: ClassVar[Mapping[str, Any]] = {"outcome": "running", "reason": ""}
 
     def check_roster(self, roster: Sequence[AgentSpec]) -> None:
         """Raises an `InputError` if a robot of the roster has no arm."""
@@ -125,74 +114,10 @@ class Rearrange(Task):
             pair_starts=starts,
         )
 
-    def storage(self) -> RearrangeStorage:
-        """Storage of episodes with objects and goals, in our files and Habitat's."""
-        return RearrangeStorage()
-
-    def restore(
-        self, recording: Recording, scene: Callable[[float, float], tuple[Scene, FreeSpace]]
-    ) -> RearrangeEpisode:
-        """Episode of a recording, from the rules, starts and goals in its info.
-
-        Raises:
-            InputError: the recording lacks one of them.
-        """
-        info, agents = recording.episode.info, recording.agents
-        lacks = [name for name in ("spec", "goals") if name not in info]
-        if lacks:
-            raise InputError(
-                f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.", code="H3-TASK-023"
-            )
-        kinds = tuple(agent.kind for agent in agents)
-        own = {"robot": "robot_start", "human": "human_start"}
-        try:
-            rules = dict(msgspec.convert(info["spec"], dict[str, Any]))
-            rules["arm_rad_s"] = np.inf if rules.get("arm_rad_s", 0.0) is None else rules.get("arm_rad_s", 8.0)
-            rules = {"robot": {}, "human": {}, "people_give_way": False, **rules}  # as before there were such rules
-            spec = msgspec.convert(rules, RearrangeSpec)
-            goals = msgspec.convert(info["goals"], list[StoredGoal])
-            listed = info["starts"] if "starts" in info else [info[own[kind]] for kind in kinds]
-            starts = np.array(msgspec.convert(listed, list[tuple[float, float, float]]), np.float64)
-        except (msgspec.ValidationError, KeyError) as fault:
-            raise InputError(
-                f"The recording's info is malformed: {str(fault).replace('`', '')}", code="H3-TASK-030"
-            ) from None
-        roster = make_roster([f"{agent.kind}:{agent.model.partition('/')[2]}" for agent in agents])
-        if kinds_of(roster) != kinds:
-            raise InputError(f"Expected robots, then people, got: {list(kinds)}.", code="H3-TASK-024")
-        if spec.max_steps > MAX_STEPS or len(goals) != spec.objects:
-            raise InputError(
-                f"Expected at most {MAX_STEPS} steps and a goal for each of {spec.objects} objects, got "
-                f"{spec.max_steps} steps and {len(goals)} goals.",
-                code="H3-TASK-025",
-            )
-        home, free = scene(spec.agent_radius_m, spec.agent_height_m)
-        things = {instance.name for instance in home.instances}
-        numbers = [[*goal.start, *goal.position] for goal in goals]
-        if not all(len(n) == 10 and np.isfinite(n).all() for n in numbers) or not {g.object for g in goals} <= things:
-            raise InputError(
-                "Expected goals of things in the scene, with a pose7 start and a position [3] of finite numbers.",
-                code="H3-TASK-026",
-            )
-        fits = starts.shape == (len(roster), 3) and np.isfinite(starts).all()
-        if not fits or not free.is_navigable(starts[:, :2]).all():
-            raise InputError(
-                f"Expected starts on the free floor for {len(roster)} agents, got: {starts.tolist()}.",
-                code="H3-TASK-027",
-            )
-        first = [starts[kinds.index(kind)] if kind in kinds else np.full(3, np.nan) for kind in PAIR]
-        return RearrangeEpisode(
-            scene=home,
-            free=free,
-            seed=recording.episode.seed,
-            spec=spec,
-            roster=roster,
-            starts=starts,
-            targets=tuple(map(target_of, goals)),
-            pair=pair_of(roster),
-            pair_starts=Starts.of(np.array(first)),
-            wording=str(info.get("instruction") or ""),
-        )
+    @property
+    def codec(self) -> RearrangeCodec:
+        """Codec of episodes with objects and goals, in our files and Habitat's."""
+        return RearrangeCodec(self)
 
     def assign(self, episode: Episode, chosen: Assigned | None = None) -> list[AssignedPolicy]:
         """Policies of all agents; ``solo``, which removes the robots beforehand, needs none."""
@@ -299,70 +224,6 @@ class Rearrange(Task):
             return agents
         return tuple(replace(agent, skill_names=ALL_SKILLS) for agent in agents)
 
-    def instruction(self, episode: Episode) -> str:
-        """Instruction of the episode file, or one sentence that names each object and its goal."""
-        assert isinstance(episode, RearrangeEpisode)
-        if episode.wording:
-            return episode.wording
-        errands = [f"bring the {spoken(t.name) or 'object'} to {_there(t.destination)}" for t in episode.targets]
-        return " and ".join(errands)
-
-    def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Policies, rules, starts, objects and goals for the recording's info."""
-        assert isinstance(episode, RearrangeEpisode)
-        return {
-            **self.run_info(episode, policies),
-            "max_steps": episode.spec.max_steps,
-            "spec": rules_to_json(episode.spec),
-            **({"skills": episode.spec.skills} if episode.spec.skills else {}),
-            **_starts(episode),
-            "goal_objects": body_indices(episode),
-            "goals": [msgspec.to_builtins(goal_record(target)) for target in episode.targets],
-        }
-
-    def run_info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Names of the robots' policy, of the partners, of their plans and of their population."""
-        partner = ",".join(p.name for p in policies if p.kind == "human")
-        return {
-            "policy": _robots_policy(policies),
-            "partner": partner,
-            "partner_plan": ",".join(p.plan for p in policies if p.plan),
-            "population": population_of(partner),
-        }
-
-    def run_names(self, policies: Sequence[AssignedPolicy]) -> list[str]:
-        """Names of the robots' policy and of the partners, which tell apart two continuations of one recording."""
-        return [_robots_policy(policies), ",".join(p.name for p in policies if p.kind == "human")]
-
-    def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
-        """Identifier derived from scene, agents, seed, policies and rules; for episodes from files also from their places."""
-        assert isinstance(episode, RearrangeEpisode)
-        digest, kinds = scene_attachment(episode.scene)[1], kinds_of(episode.roster)
-        (policy, partner), (robot, human) = self.run_names(policies), episode.pair
-        what = f"h3data:rearrange:{digest}:{robot}:{human}:{episode.seed}:{policy}:{partner}:{episode.spec}"
-        if kinds not in (PAIR, ("human",)):
-            what += ":" + ",".join(member.model for member in episode.roster)
-        if not episode.is_sampled:
-            what += f":{episode.pair_starts.places.tolist()}:{[goal_record(target) for target in episode.targets]}"
-        return str(uuid.uuid5(uuid.NAMESPACE_URL, what))
-
-    def final_info(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """``solo_steps`` is ``L_human``, by which relative efficiency is measured."""
-        assert isinstance(play, RearrangeRollout)
-        assert isinstance(episode, RearrangeEpisode)
-        alone = [policy.plan for policy in policies] == ["both"]
-        return {"ended": play.ended, "solo_steps": play.step + 1 if alone else solo_steps_of(episode)}
-
-    def precompute(self, episode: Episode) -> dict[str, Any]:
-        """Number of steps in which the first person alone would finish, for relative metrics."""
-        assert isinstance(episode, RearrangeEpisode)
-        return {"solo_steps": solo_steps_of(episode)}
-
-    def load_precomputed(self, episode: Episode, facts: Mapping[str, Any]) -> None:
-        """Stores the solo steps that another process has computed with `precompute`."""
-        if "solo_steps" in facts:
-            vars(episode)[_SOLO_STEPS] = int(facts["solo_steps"])
-
     # --- simulating again ---------------------------------------------------------------------------------------------
     def recorded_policy(self, episode: Episode, number: int, name: Any) -> AssignedPolicy:
         """Policy with a recorded name; an agent that was controlled from outside stands still."""
@@ -417,12 +278,6 @@ class Rearrange(Task):
             policies.append(assigned._replace(policy=policy))
         return policies
 
-    def kept_info(self, recording: Recording, episode: Episode, play: Rollout) -> dict[str, Any]:
-        """Solo steps of the recording, which a continuation takes over."""
-        assert isinstance(episode, RearrangeEpisode)
-        solo = recording.episode.info.get("solo_steps")
-        return {"solo_steps": solo_steps_of(episode) if solo is None else solo}
-
     def keep_people(
         self, play: Rollout, recording: Recording, since: int
     ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
@@ -439,14 +294,6 @@ class Rearrange(Task):
         keep(0)
         return {"track_from": first}, keep
 
-    def is_kept_column(self, name: str, people: Sequence[int]) -> bool:
-        """Whether a column belongs to a person who keeps the recorded track; what they hold is simulated again."""
-        return any(name.startswith(f"agent_{k}.") for k in people) and not name.endswith("grasp_body")
-
-    def merged_spans(self, robots: Sequence[SkillSpan], people: Sequence[SkillSpan]) -> tuple[SkillSpan, ...]:
-        """Skills of robots and of people who keep their tracks, by the step in which they end."""
-        return tuple(sorted((*robots, *people), key=lambda span: span.end_step))
-
 
 def _robot_action(command: Any, robot: Robot) -> Action:
     """The action by which a robot follows a velocity (forward, turn): its arm and its grip stay as they are."""
@@ -460,68 +307,6 @@ def _robot_action(command: Any, robot: Robot) -> Action:
             code="H3-TASK-029",
         )
     return Action(CONTROL, command=(float(forward), float(turn), *[0.0] * (len(robot.require_arm()) + 1)))
-
-
-_SOLO_STEPS = "_solo_steps"
-
-
-def solo_steps_of(episode: RearrangeEpisode) -> int:
-    """Number of steps in which one person alone brings all objects to their goals, ``L_human`` in the paper.
-
-    It is at most ``max_steps``, and is computed by simulating the first person, or the first robot where there are no
-    people. The episode object caches it.
-    """
-    if _SOLO_STEPS not in vars(episode):
-        vars(episode)[_SOLO_STEPS] = _simulated_solo_steps(episode)
-    return vars(episode)[_SOLO_STEPS]
-
-
-def _simulated_solo_steps(episode: RearrangeEpisode) -> int:
-    kinds = kinds_of(episode.roster)
-    first = kinds.index("human") if "human" in kinds else 0
-    alone = episode.only(first)
-    plan = AssignedPolicy(planner("both", episode.seed, len(episode.targets)), "both", kinds[first], "both")
-    play = RearrangeRollout(alone, [plan])
-    run(play)
-    return play.step + 1
-
-
-def spoken(name: str) -> str:
-    """The kind of thing that an instance or receptacle is named after: ``tv_stand_0|top_left`` is a "tv stand".
-
-    Habitat's names have numbers at both ends and colons (``003_cracker_box_:0000``), or are hashes, which have no words.
-    """
-    instance = name.partition("|")[0].partition(":")[0].rpartition("/")[2]
-    words = [word for word in re.split(r"[_\W]+", instance) if word and not _HASH.fullmatch(word)]
-    return re.sub(r"^(\d+ )+|( \d+)+$", "", " ".join(words)) or ("" if _HASH.search(instance) else instance)
-
-
-_HASH = re.compile(r"(?=[0-9a-f]*\d)[0-9a-f]{12,}")
-
-
-def _there(destination: str) -> str:
-    words = spoken(destination)
-    return f"the {words}" if words else "its goal"
-
-
-def pair_of(roster: Sequence[AgentSpec]) -> tuple[str, str]:
-    """Bodies of the first robot and the first person; the default ones where there is none."""
-    models = {member.kind: member.model for member in reversed(roster)}
-    return models.get("robot", ROBOT_BODY), models.get("human", HUMAN_BODY)
-
-
-def _robots_policy(policies: Sequence[AssignedPolicy]) -> str:
-    """Names of the robots' policies; `SOLO` for a person alone, and nothing for several people."""
-    alone = [policy.kind for policy in policies] == ["human"]
-    return SOLO if alone else ",".join(policy.name for policy in policies if policy.kind == "robot")
-
-
-def _starts(episode: RearrangeEpisode) -> dict[str, list[Any]]:
-    """Starts ``(x, z, heading)``: of robot and person as sampled, else of each agent."""
-    if kinds_of(episode.roster) in (PAIR, ("human",)):
-        robot, human = episode.pair_starts.places.tolist()
-        return {"robot_start": robot, "human_start": human}
-    return {"starts": episode.starts.tolist()}
 
 
 def _track_from(recording: Recording) -> int:

@@ -101,7 +101,7 @@ def test_recordings_from_before_know_nothing_of_it(recording: Recording, episode
     assert recording.episode.info["spec"]["floor_moves"] is True
     rules = {name: value for name, value in recording.episode.info["spec"].items() if name != "floor_moves"}
     old = replace(recording, episode=replace(recording.episode, info={**recording.episode.info, "spec": rules}))
-    restored = REARRANGE.restore(old, lambda *_: (episode.scene, episode.free))
+    restored = REARRANGE.codec.restore(old, lambda *_: (episode.scene, episode.free))
     assert restored.spec.floor_moves is False
 
 

@@ -35,7 +35,7 @@ from sim_kinematic.policies.rearrange import (
 )
 from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
-from sim_kinematic.tasks.rearrange.task import solo_steps_of
+from sim_kinematic.tasks.rearrange.solo import solo_steps_of
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
 from tests.simulated import rearrange_episode, simulate_rearrange
 
