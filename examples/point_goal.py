@@ -21,7 +21,16 @@ from h3data.geometry import wrap_angle
 from h3data.policies import AgentView, Velocity
 from h3data.recording import Event
 from h3data.sensors import SENSORS, Sensor, gps_compass
-from h3data.tasks import Episode, StepOutcome, Task, TaskSpec, WorldRollout, generator
+from h3data.tasks import (
+    Control,
+    Episode,
+    StepOutcome,
+    Task,
+    TaskSpec,
+    VelocityControl,
+    WorldRollout,
+    generator,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +61,7 @@ class PointGoal(Task):
 
     Spec = PointGoalSpec
     columns: ClassVar[Mapping[str, Any]] = {"metrics.goal_distance": np.float32, "metrics.disturbs": np.bool_}
-    skills: ClassVar[Mapping[str, tuple[str, ...]]] = {"robot": ("drive", "wait")}
+    control: ClassVar[Control] = VelocityControl({"robot": ("drive", "wait")})
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": {"drive_to_goal": drive_to_goal}}
     defaults: ClassVar[Mapping[str, str]] = {"robot": "drive_to_goal", "human": "waypoints"}
 

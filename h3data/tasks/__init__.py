@@ -5,6 +5,7 @@ from __future__ import annotations
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.tasks.codec import EpisodeCodec, TaskCodec
+from sim_kinematic.tasks.control import Control, VelocityControl
 from sim_kinematic.tasks.episode import Episode, StepOutcome, TaskSpec
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
@@ -17,6 +18,7 @@ from sim_kinematic.tasks.wander import Wander
 
 __all__ = [
     "BaseSpec",
+    "Control",
     "Episode",
     "EpisodeCodec",
     "Rearrange",
@@ -28,6 +30,7 @@ __all__ = [
     "Task",
     "TaskCodec",
     "TaskSpec",
+    "VelocityControl",
     "WalkerSpec",
     "Wander",
     "WorldRollout",

@@ -253,7 +253,7 @@ def _make(
         from sim_kinematic.envs.vector import TaskVectorEnv
 
         many: Any
-        if found.batched:
+        if found.control.batched:
             many = stepper_class(found, scenes, worlds=num_envs, **given)
         else:
             many = ManySteppers(lambda: stepper_class(found, scenes, **given), num_envs)
@@ -271,7 +271,7 @@ def _make(
 
 
 def _stepper_class(task: Task) -> Any:
-    if task.batched:
+    if task.control.batched:
         from sim_kinematic.envs.world_stepper import WorldStepper
 
         return WorldStepper

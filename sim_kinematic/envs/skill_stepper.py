@@ -131,7 +131,7 @@ class SkillStepper:
         for kind in KINDS:
             if kind not in chosen:
                 chosen[kind] = self._partner if isinstance(self._partner, str) else self._partner(episode.seed)
-        self.play = self.task.play(episode, self.task.assign(episode, chosen))
+        self.play = self.task.control.rollout(self.task, episode, self.task.assign(episode, chosen))
         self._turns = DecisionLoop(self.play)
         self._steps, self._reward = 0, 0.0
         self._go_on({})
@@ -153,7 +153,7 @@ class SkillStepper:
         for agent, action in actions.items():
             choice = self._chosen(agent, action)
             if agent in choosing:
-                chosen[KINDS.index(agent)] = self.task.checked_choice(play, KINDS.index(agent), choice)
+                chosen[KINDS.index(agent)] = self.task.control.checked(play, KINDS.index(agent), choice)
         self._steps, self._reward = 0, 0.0
         self._go_on(chosen)
         ended = play.ended if self.is_over else ""

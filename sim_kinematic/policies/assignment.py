@@ -179,7 +179,9 @@ def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
     made = task.named_policy(kind, name, spec)
     if made is not None:
         return made
-    own = {**COMMON[kind], **task.policies.get(kind, {})} if task.uses_common_policies else task.policies.get(kind, {})
+    own = (
+        {**COMMON[kind], **task.policies.get(kind, {})} if task.control.common_policies else task.policies.get(kind, {})
+    )
     plugins = plugin_policies()
     if name in own:
         found = own[name]
@@ -192,7 +194,7 @@ def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
 
 def policy_names(task: Task, kind: str) -> list[str]:
     """Names of the policies that agents of a kind can have in a task, without those of plug-ins."""
-    common = COMMON[kind] if task.uses_common_policies else {}
+    common = COMMON[kind] if task.control.common_policies else {}
     return list(dict.fromkeys((*task.policies.get(kind, {}), *common)))
 
 

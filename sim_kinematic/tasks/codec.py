@@ -247,7 +247,7 @@ class TaskCodec(EpisodeCodec[TaskRecord]):
             load_robot(place.robot)  # of the user, as a name of the file may not be
         with nullcontext() if place.agents else names_from_data():
             roster = make_roster(names, robot=place.robot or ROBOT_BODY, human=place.human or HUMAN_BODY)
-        self.task.check_roster(roster)
+        self.task.control.check_roster(roster)
         starts = np.array(record.starts, np.float64).reshape(-1, 3)
         if len(starts) != len(roster):
             raise InputError(

@@ -61,6 +61,11 @@ class Episode:
     def __post_init__(self) -> None:
         object.__setattr__(self, "free", common_floor(self.roster, self.free))
 
+    @property
+    def moving(self) -> dict[str, Array]:
+        """Instances of the scene that agents may move, with their poses [7] at the start, in the order of the recording."""
+        return {}
+
 
 @lru_cache(maxsize=256)
 def agent_base(episode: Episode, number: int) -> BaseSpec:

@@ -68,6 +68,11 @@ class Rollout(Protocol):
         """Whether the last step has been played."""
         ...
 
+    @property
+    def reward(self) -> float:
+        """Reward of the last step."""
+        ...
+
     def turns(self) -> Generator[int | None, Any, None]:
         """Generator that plays the episode to its end.
 
@@ -96,7 +101,8 @@ class Rollout(Protocol):
 class Rules(Protocol):
     """Methods of a task that `WorldRollout` calls; `sim_kinematic.tasks.task.Task` explains them."""
 
-    skills: ClassVar[Mapping[str, tuple[str, ...]]]
+    control: ClassVar[Any]
+    """Says what agents report to be doing (`sim_kinematic.tasks.control.Control`)."""
     columns: ClassVar[Mapping[str, Any]]
 
     @property
@@ -264,6 +270,11 @@ class WorldRollout:
         return int(self.steps[0])
 
     @property
+    def reward(self) -> float:
+        """Reward of the first world's last step."""
+        return float(self.outcome.reward[0])
+
+    @property
     def over(self) -> bool:
         """Whether the rules or the time limit have ended the first world's episode."""
         return bool(self.outcome.terminated[0] or self.out_of_time[0])
@@ -319,7 +330,7 @@ class WorldRollout:
     def snapshot(self) -> tuple[Any, ...]:
         """State of the first world after a step, as plain numbers; `columns` makes blocks of them."""
         numbers: list[float] = []
-        state, before, skills = self.world.state, self.world.before, self.task.skills
+        state, before, skills = self.world.state, self.world.before, self.task.control.skills
         for k, (member, own) in enumerate(zip(self.world.roster, state.agents, strict=True)):
             words = skills.get(member.kind, ())
             (x, z), heading = own.xz[0].tolist(), own.heading.item(0)  # Python floats: half the time of NumPy's
@@ -361,7 +372,7 @@ class WorldRollout:
             else:
                 result |= {agent + name: values for name, values in self._motion_columns(k, body, own).items()}
             result[agent + "grasp_body"] = np.full(steps, -1, np.int32)
-            if self.task.skills.get(member.kind):
+            if self.task.control.skills.get(member.kind):
                 result[agent + "skill"] = own[-1].astype(np.int32)
         if self.world.pairs:
             gaps = [np.hypot(*(places[b] - places[a]).T) for a, b in self.world.pairs]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot, robot_digest
 from h3data.bodies.motion.walk_names import JOIN
+from h3data.geometry import Array
 from h3data.plugins import REFERENCE, own_version, trust
 from h3data.recording import (
     Agent,
@@ -239,21 +240,28 @@ def describe(
     return RecordingHeader(
         episode=record,
         assets=tuple(AssetRef(name=name, uri=f"scene:{name}") for name in scene.assets),
-        bodies=task.bodies(episode, scene_bodies(scene)),
-        agents=task.recorded_agents(
-            episode, tuple(_agent(task, *pair) for pair in zip(episode.roster, policies, strict=True))
+        bodies=_moving(scene_bodies(scene), episode.moving),
+        agents=tuple(
+            task.control.recorded_agent(_agent(task, member), episode, is_external=policy.is_external)
+            for member, policy in zip(episode.roster, policies, strict=True)
         ),
         attachments={"scene.glb": file, **walks},
     )
 
 
-def _agent(task: Task, member: AgentSpec, policy: AssignedPolicy) -> Agent:
-    agent = _usual_agent(task, member)
-    return replace(agent, **task.commanded.get(member.kind, {})) if policy.is_external else agent
+def _moving(bodies: tuple[Body, ...], poses: Mapping[str, Array]) -> tuple[Body, ...]:
+    """Bodies of the scene, of which those with poses may move."""
+    numbers = {name: k for k, name in enumerate(poses)}
+    return tuple(
+        replace(body, pose=poses[body.name].astype(np.float32), moving=numbers[body.name])
+        if body.name in numbers
+        else body
+        for body in bodies
+    )
 
 
-def _usual_agent(task: Task, member: AgentSpec) -> Agent:
-    body, skills = member.body, task.skills.get(member.kind, ())
+def _agent(task: Task, member: AgentSpec) -> Agent:
+    body, skills = member.body, task.control.skills.get(member.kind, ())
     if isinstance(body, Robot):
         return Agent(
             name=member.name,
@@ -270,7 +278,7 @@ def _usual_agent(task: Task, member: AgentSpec) -> Agent:
         kind="human",
         model=f"humanoid/{member.model}",
         semantic_id=100,
-        motion_names=tuple(clip.name for clip in body.clips) if task.clip_coded else (),
+        motion_names=tuple(clip.name for clip in body.clips) if task.control.clip_coded else (),
         skill_names=skills,
     )
 

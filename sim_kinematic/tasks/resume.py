@@ -17,7 +17,7 @@ from h3data.errors import H3DataError, InputError, UntrustedNameError
 from h3data.plugins import names_from_data
 from h3data.recording import Event, InputEvent, Recording, SkillSpan, state_hash
 from h3data.replay.recorded_robots import check_recorded_robots
-from sim_kinematic.policies.assignment import KINDS, AssignedPolicy
+from sim_kinematic.policies.assignment import KINDS, AssignedPolicy, make_policy
 from sim_kinematic.policies.recorded import NotRecorded
 from sim_kinematic.tasks.codec import POLICY_ENTRIES
 from sim_kinematic.tasks.episode import Episode
@@ -78,8 +78,15 @@ def verify(recording: Recording) -> Verification:
     steps = len(recording)
     if not steps:
         return Verification(steps=0, difference=None)
-    own = _assigned(task, episode, recording, {}, strict=False, recorded=task.agents_with_recorded_decisions(recording))
-    policies = task.recorded_policies(recording, episode, own, until=steps)
+    own = _assigned(
+        task,
+        episode,
+        recording,
+        {},
+        strict=False,
+        recorded=task.control.decided(recording, task.codec.policy_names(recording)),
+    )
+    policies = task.control.recorded_policies(recording, episode, own, until=steps)
     played = _Played(
         task, episode, policies, recording, steps=steps, keeps_people=is_counterfactual(recording), since=steps
     )
@@ -133,14 +140,16 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
     assigned = _assigned(task, episode, recording, chosen, strict=True, keeps_people=keeps_people)
     named = codec.policy_names(recording)
     changed = [one.name != name for one, name in zip(assigned, named, strict=True)]
-    policies = task.recorded_policies(recording, episode, assigned, until=step, changed=changed)
+    policies = task.control.recorded_policies(recording, episode, assigned, until=step, changed=changed)
     played = _Played(
         task, episode, policies, recording, steps=len(recording) if keeps_people else None, keeps_people=keeps_people,
         since=step,
     )  # fmt: skip
     robots = [n for n in played.columns if any(n.startswith(f"agent_{k}.") for k in _numbers(recording, "robot"))]
     # beside a kept track, what was measured of the person may differ in its last bits
-    require_kept(recording, step, played.columns, played.ended, robots if keeps_people and task.clip_coded else None)
+    require_kept(
+        recording, step, played.columns, played.ended, robots if keeps_people and task.control.clip_coded else None
+    )
     came = origin(recording, step)
     told = codec.info(episode, assigned)
     info = {name: told[name] for name in POLICY_ENTRIES if name in told}
@@ -166,13 +175,13 @@ class _Played:
         self, task: Task, episode: Episode, policies: Sequence[AssignedPolicy], recording: Recording, *,
         steps: int | None, keeps_people: bool, since: int = 0,
     ) -> None:  # fmt: skip
-        self.play: Rollout = task.play(episode, policies, measure=False)
+        self.play: Rollout = task.control.rollout(task, episode, policies, measure=False)
         self.track: dict[str, Any] = {}
         recorder = Recorder(header_from(recording, "again"), self.play)
         most = episode.spec.max_steps if steps is None else min(steps, episode.spec.max_steps)
         keep = None
         if keeps_people:
-            self.track, keep = task.keep_people(self.play, recording, since)
+            self.track, keep = task.control.keep_people(self.play, recording, since)
         unrecorded = ""
         try:
             if most:
@@ -203,7 +212,7 @@ class _Played:
         }
         self.columns |= kept
         self.columns["state_hash"] = state_hash({n: a for n, a in self.columns.items() if n != "state_hash"})
-        cut_short: dict[str, Any] = {} if task.clip_coded else {"outcome": "running", "reason": ""}
+        cut_short: dict[str, Any] = {} if task.control.clip_coded else {"outcome": "running", "reason": ""}
         cut = [
             span if span.end_step < rows else replace(span, end_step=rows - 1, **cut_short)
             for span in recording.skills
@@ -211,7 +220,7 @@ class _Played:
         ]
         robots = [span for span in self.skills if span.agent not in people]
         self.skills = (*robots, *cut)
-        if not task.clip_coded:  # skills that have a result are recorded when they end
+        if not task.control.clip_coded:  # skills that have a result are recorded when they end
             self.skills = tuple(sorted(self.skills, key=lambda span: span.end_step))
         else:
             theirs = [e for e in recording.events if e.agent in people and e.step < rows]
@@ -233,7 +242,7 @@ def _restored(recording: Recording) -> tuple[Task, Episode]:
             code="H3-TASK-037",
         )
     task = task_of(recording)
-    require(recording, columns=task.needed_columns(recording))
+    require(recording, columns=task.control.needed_columns(recording))
     check_recorded_robots(recording)
     file = recording.attachments["scene.glb"]
     with names_from_data():
@@ -261,9 +270,9 @@ def _assigned(
         try:
             if choice is None:
                 with names_from_data():
-                    result.append(task.recorded_policy(episode, k, named[k]))
+                    result.append(_policy(task, episode, k, named[k]))
             else:
-                result.append(task.recorded_policy(episode, k, choice))
+                result.append(_policy(task, episode, k, choice))
         except H3DataError as fault:
             if choice is not None:
                 raise
@@ -274,6 +283,13 @@ def _assigned(
                 ) from None
             result.append(AssignedPolicy(None, named[k], member.kind))
     return result
+
+
+def _policy(task: Task, episode: Episode, number: int, choice: Any) -> AssignedPolicy:
+    """The policy with a recorded name, or one that is chosen instead; whoever decided outside is not here."""
+    if choice == "external":
+        return AssignedPolicy(task.control.still(episode, number), "external", episode.roster[number].kind)
+    return make_policy(task, episode, number, choice)
 
 
 def _chosen_for(episode: Episode, number: int, new: dict[str, Any]) -> Any:

@@ -55,6 +55,17 @@ class DecisionLoop:
             self.asked, self.over = None, True
 
 
+def rollout(task: Task, episode: Episode, policies: Assigned | None = None, *, measure: bool = True) -> Rollout:
+    """One episode of a task under policies, by agent or kind, ready for `run`.
+
+    ``measure=False`` leaves out what only rewards need.
+
+    Raises:
+        InputError: no such policy or agent.
+    """
+    return task.control.rollout(task, episode, task.assign(episode, policies), measure=measure)
+
+
 def run(
     play: Rollout,
     recorder: Recorder | None = None,
@@ -112,7 +123,7 @@ def simulate(
     """
     assigned = task.assign(episode, policies)
     header = describe(task, episode, assigned, episode_id=episode_id, reference=reference_of(task))
-    play = task.play(episode, assigned, measure=False)
+    play = task.control.rollout(task, episode, assigned, measure=False)
     recorder = Recorder(header, play, sink(header) if sink is not None else None)
     try:
         run(play, recorder, progress=progress)
@@ -194,7 +205,7 @@ class Session:
                 self._inboxes[number] = _Inbox(assigned.policy)
                 assigned = assigned._replace(policy=self._inboxes[number])
             self.policies.append(assigned)
-        self.play = task.play(episode, self.policies)
+        self.play = task.control.rollout(task, episode, self.policies)
         header = describe(task, episode, self.policies, episode_id=episode_id, reference=reference_of(task))
         if info:
             header = replace(header, episode=replace(header.episode, info={**header.episode.info, **info}))
@@ -229,7 +240,7 @@ class Session:
         """Names of the agents controlled from outside that wait for a command, because none of their skills is running."""
         if self.play.over:
             return ()
-        return tuple(self.episode.roster[k].name for k in self._inboxes if not self.task.is_busy(self.play, k))
+        return tuple(self.episode.roster[k].name for k in self._inboxes if not self.task.control.is_busy(self.play, k))
 
     def observe(self, agent: str) -> Any:
         """Observation that a privileged policy of this agent would get now (`Task.view`)."""
@@ -246,9 +257,9 @@ class Session:
             InputError: the agent is not controlled from outside, or the command is malformed.
         """
         number, inbox = self._controlled(agent)
-        choice = self.task.checked_choice(self.play, number, command)
+        choice = self.task.control.checked(self.play, number, command)
         inbox.pending, inbox.has_news = choice, True
-        inbox.is_urgent = self.task.interrupts_running(self.play, number, choice)
+        inbox.is_urgent = self.task.control.interrupts(self.play, number, choice)
 
     def refusal(self, agent: str, command: Any) -> str | None:
         """Reason why an agent could not carry out a command now, as a sentence; None if it could. Nothing is carried out.
@@ -257,7 +268,7 @@ class Session:
             InputError: the agent is not controlled from outside, or the command is malformed.
         """
         number, _ = self._controlled(agent)
-        return self.task.refusal(self.play, number, self.task.checked_choice(self.play, number, command))
+        return self.task.control.refusal(self.play, number, self.task.control.checked(self.play, number, command))
 
     def _controlled(self, agent: str) -> tuple[int, _Inbox]:
         number = self.number(agent)
@@ -272,7 +283,7 @@ class Session:
         """Plays one step.
 
         An agent that must decide and has no new command continues with its last one, or does nothing
-        (`Task.idle_choice`).
+        (`Control.idle`).
 
         Raises:
             InputError: the episode is over.
@@ -299,7 +310,7 @@ class Session:
         skills = tuple(self.recorder.skills[skills_before:])
         return StepResult(
             step=len(self.recorder) - 1,
-            reward=self.task.last_reward(self.play),
+            reward=self.play.reward,
             events=tuple(self.recorder.events[events_before:]),
             skills=skills,
             refused={
@@ -344,11 +355,11 @@ class Session:
         if inbox.has_news:
             inbox.latest, inbox.has_news = inbox.pending, False
             return inbox.latest
-        return self.task.idle_choice(self.play, number, inbox.latest)
+        return self.task.control.idle(self.play, number, inbox.latest)
 
     def _record(self, number: int, choice: Any) -> None:
         step, inbox = len(self.recorder), self._inboxes[number]
-        payload = {"agent": number, "step": step, "choice": self.task.choice_to_json(choice)}
+        payload = {"agent": number, "step": step, "choice": self.task.control.to_json(choice)}
         if inbox.reason:
             payload["interrupts"], inbox.reason = inbox.reason, ""
         self.recorder.input(

@@ -7,49 +7,62 @@ A task of one's own is a subclass of `Task` with a frozen `TaskSpec`, found by e
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import H3DataError, InputError
+from h3data.errors import H3DataError
 from h3data.geometry import Array
-from h3data.recording import Agent, Body, Recording
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, common_floor, make_roster, sample_places
 from sim_kinematic.motion.randomness import generator
-from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, PolicyMaker, assign, make_policy
-from sim_kinematic.policies.policy import Still, Velocity
-from sim_kinematic.policies.recorded import RecordedTrack, RecordedVelocities, deciding_since, recorded_commands
+from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, PolicyMaker, assign
 from sim_kinematic.tasks.codec import EpisodeCodec, TaskCodec
+from sim_kinematic.tasks.control import Control, VelocityControl
 from sim_kinematic.tasks.episode import Episode, StepOutcome, TaskSpec
-from sim_kinematic.tasks.play import Rollout, WorldRollout
+from sim_kinematic.tasks.play import WorldRollout
 
 if TYPE_CHECKING:
     from h3data.scene.scene_sets import SceneSet
     from sim_kinematic.sensing.table import Sensor
 
-_MOVED = {
+_CODEC = {
     **{
-        name: f"EpisodeCodec.{name}, of Task.codec,"
-        for name in (
-            "instruction",
-            "info",
-            "uid",
-            "final_info",
-            "precompute",
-            "load_precomputed",
-            "restore",
-            "records_judgement",
-        )
+        name: name for name in ("instruction", "info", "uid", "final_info", "precompute", "load_precomputed", "restore")
     },
-    "foresight": "EpisodeCodec.precompute, of Task.codec,",
-    "hindsight": "EpisodeCodec.final_info, of Task.codec,",
-    "recall": "EpisodeCodec.load_precomputed, of Task.codec,",
+    "records_judgement": "records_judgement",
+    "foresight": "precompute",
+    "hindsight": "final_info",
+    "recall": "load_precomputed",
+    "recorded_names": "policy_names",
+    "changed_policies": "check_changes",
+}
+_CONTROL = {
+    **{
+        name: name
+        for name in ("batched", "skills", "clip_coded", "check_roster", "is_busy", "refusal", "needed_columns")
+    },
+    **{name: name for name in ("recorded_policies", "keep_people")},
+    "checked_choice": "checked",
+    "idle_choice": "idle",
+    "interrupts_running": "interrupts",
+    "choice_to_json": "to_json",
+    "choice_from_json": "from_json",
+    "uses_common_policies": "common_policies",
+    "commanded": "recorded_agent",
+    "recorded_agents": "recorded_agent",
+    "agents_with_recorded_decisions": "decided",
+    "recorded_policy": "still",
+    "play": "rollout",
+}
+_MOVED = {
+    **{old: f"EpisodeCodec.{new}, of Task.codec," for old, new in _CODEC.items()},
+    **{old: f"Control.{new}, of Task.control," for old, new in _CONTROL.items()},
     "storage": "Task.codec",
-    "recorded_names": "EpisodeCodec.policy_names, of Task.codec,",
-    "changed_policies": "EpisodeCodec.check_changes, of Task.codec,",
+    "bodies": "Episode.moving",
+    "last_reward": "Rollout.reward",
 }
 """Where members of tasks of earlier versions are now."""
 
@@ -57,7 +70,7 @@ _MOVED = {
 class Task:
     """Base class of tasks. Class attributes declare; methods have defaults that suit robots and people who move about.
 
-    Hooks take W worlds at once; ``batched = False`` promises W = 1 only.
+    Hooks take W worlds at once, or one where `Task.control` plays one at a time.
     """
 
     name: ClassVar[str] = ""
@@ -65,22 +78,17 @@ class Task:
     Spec: ClassVar[type[Any]] = TaskSpec
     agents: ClassVar[tuple[str, ...]] = ("robot", "human")
     """Default roster (`sim_kinematic.agents.roster.make_roster`)."""
-    batched: ClassVar[bool] = True
     profile: ClassVar[str] = ""
     """Metrics profile of its recordings: a name or ``module:name``; empty: the profile of its name, else the generic one."""
+    control: ClassVar[Control] = VelocityControl()
+    """What its agents are told to do: velocities and way points, or skills. It says what carries choices out, how they are
+    recorded, and what agents report to be doing."""
     columns: ClassVar[Mapping[str, Any]] = {}
     """dtype of each column in `StepOutcome.columns`."""
-    skills: ClassVar[Mapping[str, tuple[str, ...]]] = {}
-    """Names of what agents of a kind report to be doing; a kind without any has no skill column."""
-    commanded: ClassVar[Mapping[str, Mapping[str, tuple[str, ...]]]] = {}
-    """Fields of the recorded `Agent` that differ for an agent controlled from outside, by kind of agent."""
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     """Policies by kind of agent and name, beside those that every task has (`sim_kinematic.policies.policy`)."""
     defaults: ClassVar[Mapping[str, str]] = {"robot": "wander", "human": "waypoints"}
     """Name of the policy of each kind where none is chosen."""
-    uses_common_policies: ClassVar[bool] = True
-    """Whether `sim_kinematic.policies.assignment.COMMON` fit its agents."""
-
     env_defaults: ClassVar[Mapping[str, Any]] = {}
     """Options of its environments that differ from the usual ones."""
     env_options: ClassVar[tuple[str, ...]] = ()
@@ -129,9 +137,6 @@ class Task:
         free = free or FreeSpace.from_scene(scene, radius_m=spec.agent_radius_m, height_m=spec.agent_height_m)
         roster = make_roster(self.agents if agents is None else agents, robot=robot, human=human)
         return self.sample(scene, free, seed, spec, roster)
-
-    def check_roster(self, roster: Sequence[AgentSpec]) -> None:
-        """Raises an `InputError` if an agent cannot play the task; by default all can."""
 
     def sample_starts(
         self, scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: Sequence[AgentSpec], stream: str = "starts"
@@ -206,17 +211,7 @@ class Task:
         del policy
         return episode
 
-    # --- playing ------------------------------------------------------------------------------------------------------
-    def play(self, episode: Episode, policies: Sequence[AssignedPolicy] = (), *, measure: bool = True) -> Rollout:
-        """One episode, ready for `sim_kinematic.tasks.runner.run`.
-
-        ``measure=False`` leaves out what only rewards need.
-        """
-        play = WorldRollout(self, episode.spec, episode.roster, measure=measure)
-        play.begin([episode])
-        play.policies = list(policies)
-        return play
-
+    # --- policies -----------------------------------------------------------------------------------------------------
     def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
         """What makes the policy that a name means in this task beyond its tables; None: look in the tables.
 
@@ -237,126 +232,3 @@ class Task:
             InputError: no such policy, or no such agent.
         """
         return assign(self, episode, chosen or {})
-
-    # --- commands from outside ----------------------------------------------------------------------------------------
-    def checked_choice(self, play: Rollout, number: int, choice: Any) -> Any:
-        """A command from outside in the form that the play takes.
-
-        Raises:
-            InputError: it is malformed.
-        """
-        if not hasattr(choice, "forward") and np.shape(choice) == (2,):
-            choice = Velocity(float(choice[0]), float(choice[1]))
-        if not (hasattr(choice, "forward") and hasattr(choice, "turn")):
-            raise InputError(f"Expected a command (forward, turn) in -1..1, got {choice!r}.", code="H3-TASK-064")
-        if not np.isfinite([choice.forward, choice.turn]).all():
-            raise InputError(f"Actions must be finite, got {(choice.forward, choice.turn)}.", code="H3-TASK-065")
-        return choice
-
-    def idle_choice(self, play: Rollout, number: int, last: Any) -> Any:
-        """The choice of an agent controlled from outside that was told nothing new: to go on as before."""
-        return Velocity(0.0, 0.0) if last is None else last
-
-    def is_busy(self, play: Rollout, number: int) -> bool:
-        """Whether an agent goes on with something by itself until it ends or a command interrupts it."""
-        del play, number
-        return False
-
-    def interrupts_running(self, play: Rollout, number: int, choice: Any) -> bool:
-        """Whether a command from outside interrupts what the agent is doing; by default all do."""
-        del play, number, choice
-        return True
-
-    def refusal(self, play: Rollout, number: int, choice: Any) -> str | None:
-        """Why a command, as `checked_choice` returned it, would be refused now, as a sentence; None: it would not."""
-        del play, number, choice
-        return None
-
-    def choice_to_json(self, choice: Any) -> Any:
-        """A choice as JSON types, for the recorded raw input."""
-        return {"forward": float(choice.forward), "turn": float(choice.turn), "skill": choice.skill}
-
-    def choice_from_json(self, data: Any) -> Any:
-        """The choice that `choice_to_json` wrote."""
-        return Velocity(float(data["forward"]), float(data["turn"]), str(data.get("skill", "")))
-
-    def last_reward(self, play: Rollout) -> float:
-        """Reward of the last step of a play of one world."""
-        return float(play.outcome.reward[0])  # type: ignore[attr-defined]
-
-    # --- recording ----------------------------------------------------------------------------------------------------
-    clip_coded: ClassVar[bool] = True
-    """Whether people are recorded as motion clips, else joint by joint."""
-
-    def bodies(self, episode: Episode, bodies: tuple[Body, ...]) -> tuple[Body, ...]:
-        """The recording's bodies: those of the scene, of which a task may say which ones move."""
-        del episode
-        return bodies
-
-    def recorded_agents(self, episode: Episode, agents: tuple[Agent, ...]) -> tuple[Agent, ...]:
-        """The recording's agents, which may have more to tell in some episodes."""
-        del episode
-        return agents
-
-    # --- simulating again (sim_kinematic.tasks.resume) -----------------------------------------------------------------
-    def needed_columns(self, recording: Recording) -> list[str]:
-        """Columns without which a recording cannot be simulated again."""
-        robots = [k for k, agent in enumerate(recording.agents) if agent.kind == "robot"]
-        names = ("action", "skill") if self.skills.get("robot") else ("action",)
-        return [f"agent_{k}.{name}" for k in robots for name in names]
-
-    def recorded_policy(self, episode: Episode, number: int, name: Any) -> AssignedPolicy:
-        """The policy with a recorded name, or one that is chosen instead."""
-        if name == "external":
-            return AssignedPolicy(Still(), "external", episode.roster[number].kind)
-        return make_policy(self, episode, number, name)
-
-    def agents_with_recorded_decisions(self, recording: Recording) -> set[int]:
-        """Numbers of the agents whose every decision is recorded, so that verifying asks no policy of theirs."""
-        commanded = recorded_commands(recording, self.choice_from_json)
-        decided = {
-            k
-            for k, agent in enumerate(recording.agents)
-            if f"agent_{k}.action" in recording.columns and (agent.kind == "robot" or k in commanded)
-        }
-        # those who wander share how they heed each other, so that one of them who is asked needs the others asked too
-        wanderers = {k for k, name in enumerate(self.codec.policy_names(recording)) if name == "wander"}
-        return decided if wanderers <= decided else decided - wanderers
-
-    def recorded_policies(
-        self,
-        recording: Recording,
-        episode: Episode,
-        own: Sequence[AssignedPolicy],
-        *,
-        until: int,
-        changed: Sequence[bool] = (),
-    ) -> list[AssignedPolicy]:
-        """For each agent a policy that repeats its first ``until`` recorded decisions, then hands over to ``own``.
-
-        A scripted person has no recorded decisions: its own policy decides again.
-        """
-        commands, policies = recorded_commands(recording, self.choice_from_json), []
-        for k, (member, assigned, since) in enumerate(zip(episode.roster, own, deciding_since(recording), strict=True)):
-            policy = assigned.policy
-            if member.kind == "robot" or k in commands:
-                first = until if changed and changed[k] else min(since, until)
-                policy = RecordedVelocities.of(recording, k, commands.get(k), until=until, own=policy, since=first)
-            elif policy is None:
-                raise InputError(
-                    f"The person's own policy {assigned.name!r} is not at hand, and {member.name} was not controlled "
-                    "from outside: nothing says how they decided.",
-                    code="H3-TASK-066",
-                )
-            policies.append(assigned._replace(policy=policy))
-        return policies
-
-    def keep_people(
-        self, play: Rollout, recording: Recording, since: int
-    ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
-        """Puts people on their recorded tracks; returns facts about that for the info, and what to call after each step."""
-        del since
-        for k, member in enumerate(play.episode.roster):
-            if member.kind == "human":
-                play.policies[k] = play.policies[k]._replace(policy=RecordedTrack(recording, k, member.body))
-        return {}, None

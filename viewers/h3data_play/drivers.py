@@ -300,7 +300,7 @@ class SkillDriver(Driver):
     @property
     def runs(self) -> bool:
         """Whether a skill is running."""
-        return self.session.task.is_busy(self.session.play, self.number)
+        return self.session.task.control.is_busy(self.session.play, self.number)
 
     @property
     def busy(self) -> bool:

@@ -401,7 +401,7 @@ def checked(choices: Choices) -> Choices:
         load_humanoid(human)
     bodies = {name: body for name, body in (("robot", choices.robot), ("human", human)) if body is not None}
     roster = make_roster(task.agents if choices.agents is None else choices.agents, **bodies)
-    task.check_roster(roster)
+    task.control.check_roster(roster)
     kinds = kinds_of(roster)
     if choices.motion is not None:
         if "human" not in kinds:

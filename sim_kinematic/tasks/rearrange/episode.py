@@ -182,6 +182,11 @@ class RearrangeEpisode(Episode):
     """Whether the episode follows from its seed and the rules; else its identity includes starts and targets."""
 
     @property
+    def moving(self) -> dict[str, Array]:
+        """The objects at their starts."""
+        return {target.name: target.start for target in self.targets}
+
+    @property
     def robot(self) -> Robot:
         """Body of the robot for which it was sampled."""
         return load_robot(self.pair[0])

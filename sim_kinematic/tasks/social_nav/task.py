@@ -30,6 +30,7 @@ from sim_kinematic.policies.social_nav import EXPERTS, POLICIES, ROBOT_SKILLS, p
 from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.sensor import facing
+from sim_kinematic.tasks.control import Control, VelocityControl
 from sim_kinematic.tasks.episode import Episode, StepOutcome, agent_base, agent_floor
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rules.predicates import is_found
@@ -91,7 +92,7 @@ class SocialNav(Task):
         "metrics.geodesic_agents": np.float32,
         "metrics.facing": np.float32,
     }
-    skills: ClassVar[Mapping[str, tuple[str, ...]]] = {"robot": ROBOT_SKILLS, "human": HUMAN_SKILLS}
+    control: ClassVar[Control] = VelocityControl({"robot": ROBOT_SKILLS, "human": HUMAN_SKILLS})
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": {**POLICIES, **SHIPPED_IN["social_nav"]}}
     defaults: ClassVar[Mapping[str, str]] = {"robot": "rollout_expert", "human": "waypoints"}
     env_defaults: ClassVar[Mapping[str, Any]] = {"spec": TRAINING}
