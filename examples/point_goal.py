@@ -30,6 +30,7 @@ from h3data.tasks import (
     VelocityControl,
     WorldRollout,
     generator,
+    sample_starts,
 )
 
 
@@ -67,7 +68,7 @@ class PointGoal(Task):
 
     def sample(self, scene: Any, free: Any, seed: int, spec: PointGoalSpec, roster: Any) -> Episode:
         """Starts as in every task; the goal is on the free floor, at walking distance of the person's start."""
-        starts, rng = self.sample_starts(scene, free, seed, spec, roster), generator(seed, "goal")
+        starts, rng = sample_starts(scene, free, seed, spec, roster), generator(seed, "goal")
         near, far = spec.goal_from_person_m
         for goal in free.sample(rng, 500):
             if near <= free.geodesic(goal, starts[-1, :2]) <= far and free.clearance(goal) > 0.2:

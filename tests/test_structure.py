@@ -85,7 +85,7 @@ BLOCKS = (ast.stmt, ast.ExceptHandler, ast.match_case)
 """Where imports are; most of a tree is expressions, which have none."""
 DOTTED = re.compile(rf"(?:{'|'.join(PACKAGES)})(?:\.\w+)*")
 QUOTED = re.compile(rf"[\"'](?:{'|'.join(PACKAGES)})[\"'.]")
-MEMBERS_OF_TASK = 30
+MEMBERS_OF_TASK = 18
 """Attributes and methods of `sim_kinematic.tasks.task.Task`."""
 FILES_PER_FOLDER = 15
 """Modules per folder, `__init__.py` not counted."""

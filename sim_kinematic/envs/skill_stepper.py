@@ -30,7 +30,7 @@ from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checke
 from sim_kinematic.tasks.describe import in_words
 from sim_kinematic.tasks.rearrange.play import RearrangeRollout, SkillExecutor
 from sim_kinematic.tasks.rearrange.task import Rearrange
-from sim_kinematic.tasks.runner import DecisionLoop
+from sim_kinematic.tasks.runner import DecisionLoop, rollout
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 
 if TYPE_CHECKING:
@@ -131,8 +131,9 @@ class SkillStepper:
         for kind in KINDS:
             if kind not in chosen:
                 chosen[kind] = self._partner if isinstance(self._partner, str) else self._partner(episode.seed)
-        self.play = self.task.control.rollout(self.task, episode, self.task.assign(episode, chosen))
-        self._turns = DecisionLoop(self.play)
+        play = rollout(self.task, episode, chosen)
+        assert isinstance(play, RearrangeRollout)
+        self.play, self._turns = play, DecisionLoop(play)
         self._steps, self._reward = 0, 0.0
         self._go_on({})
         self._steps, self._reward = 0, 0.0

@@ -43,6 +43,10 @@ COMMON: Mapping[str, Mapping[str, Factory]] = {
 """Policies of tasks whose agents drive and walk, by kind and name."""
 
 
+SOLO = "solo"
+"""Policy of the robots in recordings in which there is none."""
+
+
 class AssignedPolicy(NamedTuple):
     """The policy of one agent."""
 
@@ -79,9 +83,17 @@ def plugin_policies() -> Registry[Any]:
     return Registry("h3data.policies", {}, what="policy")
 
 
-def assign(task: Task, episode: Episode, chosen: Assigned) -> list[AssignedPolicy]:
-    """Assigns a policy to each agent of an episode; the default of `Task.assign`."""
-    members = episode.roster
+def assign(task: Task, episode: Episode, chosen: Assigned | None = None) -> list[AssignedPolicy]:
+    """Assigns a policy to each agent of an episode.
+
+    ``chosen`` names or gives them by agent (``robot``, ``human_2``, ``person``) or by kind; the others get the task's defaults.
+
+    Raises:
+        InputError: no such policy, or no such agent.
+    """
+    members, chosen = episode.roster, dict(chosen or {})
+    if task.usage.can_be_solo and chosen.get("robot") == SOLO:
+        del chosen["robot"]  # there is none
     names = [member.name for member in members]
     strangers = [key for key in chosen if key not in names and key not in KINDS and not _alias(key, names)]
     if strangers:

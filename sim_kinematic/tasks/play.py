@@ -121,10 +121,6 @@ class Rules(Protocol):
         """Returns the observation of an agent's policy in one world."""
         ...
 
-    def end_reason(self, play: WorldRollout, world: int) -> str:
-        """Returns the word recorded in ``info["ended"]`` for an episode that the rules have ended."""
-        ...
-
 
 class WorldRollout:
     """W worlds of one task, each in an episode of its own; with W = 1 a `Rollout`."""
@@ -298,7 +294,7 @@ class WorldRollout:
             outcome = self.advance([self._command(k, choice) for k, choice in enumerate(choices)])
             self.events += [event for _, event in outcome.events]
             if outcome.terminated[0]:
-                self.ended = self.task.end_reason(self, 0)
+                self.ended = outcome.ended or ("success" if outcome.success[0] else "terminated")
                 yield None
                 return
             yield None

@@ -98,7 +98,7 @@ def resume(
 ) -> Recording:
     """The episode anew: its first ``step`` steps as they are, then simulated on, by default as it was.
 
-    ``policy`` moves the robots from then on, ``partner`` the people; ``agents`` chooses by name (`Task.assign`).
+    ``policy`` moves the robots from then on, ``partner`` the people; ``agents`` chooses by agent or kind.
 
     Raises:
         InputError: there is no such step or policy, or the recorded states before it do not come out again.

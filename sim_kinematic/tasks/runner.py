@@ -16,7 +16,7 @@ from h3data.errors import InputError, suggest
 from h3data.moved import refuse_renamed
 from h3data.recording import STEP_NS, Event, InputEvent, Recording, RecordingHeader, SkillSpan
 from sim_kinematic.agents.skills import sentence
-from sim_kinematic.policies.assignment import Assigned, AssignedPolicy
+from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, assign
 from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.recorded import COMMAND
 from sim_kinematic.tasks.episode import Episode
@@ -63,7 +63,7 @@ def rollout(task: Task, episode: Episode, policies: Assigned | None = None, *, m
     Raises:
         InputError: no such policy or agent.
     """
-    return task.control.rollout(task, episode, task.assign(episode, policies), measure=measure)
+    return task.control.rollout(task, episode, assign(task, episode, policies), measure=measure)
 
 
 def run(
@@ -111,7 +111,7 @@ def simulate(
     Args:
         task: What is to be done.
         episode: From `Task.sample`.
-        policies: By agent or kind (`Task.assign`).
+        policies: By agent or kind (`sim_kinematic.policies.assignment.assign`).
         episode_id: Name of the episode within its dataset.
         sink: Called once with what is known before the first step; returns what receives rows and events while they
             come, such as a `RecordingWriter`. It is closed at the end and aborted on an error.
@@ -121,7 +121,7 @@ def simulate(
     Raises:
         InputError: no such policy or agent.
     """
-    assigned = task.assign(episode, policies)
+    assigned = assign(task, episode, policies)
     header = describe(task, episode, assigned, episode_id=episode_id, reference=reference_of(task))
     play = task.control.rollout(task, episode, assigned, measure=False)
     recorder = Recorder(header, play, sink(header) if sink is not None else None)
@@ -200,7 +200,7 @@ class Session:
         self.task, self.episode = task, episode
         self._inboxes: dict[int, _Inbox] = {}
         self.policies: list[AssignedPolicy] = []
-        for number, assigned in enumerate(task.assign(episode, policies)):
+        for number, assigned in enumerate(assign(task, episode, policies)):
             if isinstance(assigned.policy, External):
                 self._inboxes[number] = _Inbox(assigned.policy)
                 assigned = assigned._replace(policy=self._inboxes[number])

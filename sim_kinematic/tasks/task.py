@@ -7,21 +7,20 @@ A task of one's own is a subclass of `Task` with a frozen `TaskSpec`, found by e
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import H3DataError
-from h3data.geometry import Array
 from h3data.scene import FreeSpace, Scene
-from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, common_floor, make_roster, sample_places
-from sim_kinematic.motion.randomness import generator
-from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, PolicyMaker, assign
+from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, common_floor, make_roster
+from sim_kinematic.policies.assignment import PolicyMaker
 from sim_kinematic.tasks.codec import EpisodeCodec, TaskCodec
 from sim_kinematic.tasks.control import Control, VelocityControl
-from sim_kinematic.tasks.episode import Episode, StepOutcome, TaskSpec
+from sim_kinematic.tasks.episode import Episode, StepOutcome, TaskSpec, sample_starts
 from sim_kinematic.tasks.play import WorldRollout
 
 if TYPE_CHECKING:
@@ -57,14 +56,49 @@ _CONTROL = {
     "recorded_policy": "still",
     "play": "rollout",
 }
+_USAGE = {
+    **{name: name for name in ("env_options", "set_rules", "bodies_in_agents", "crosses_partners", "can_be_solo")},
+    "check_env_options": "env_options",
+    "env_defaults": "env_rules",
+    "default_spec": "dataset_rules",
+    "recorded_default": "named_kinds",
+}
 _MOVED = {
     **{old: f"EpisodeCodec.{new}, of Task.codec," for old, new in _CODEC.items()},
     **{old: f"Control.{new}, of Task.control," for old, new in _CONTROL.items()},
+    **{old: f"TaskUsage.{new}, of Task.usage," for old, new in _USAGE.items()},
     "storage": "Task.codec",
     "bodies": "Episode.moving",
     "last_reward": "Rollout.reward",
+    "end_reason": "StepOutcome.ended",
+    "without_robots": "Episode.only",
+    "sample_starts": "sim_kinematic.tasks.episode.sample_starts, and Task.sample decides which starts there are,",
+    "assign": "sim_kinematic.policies.assignment.assign",
 }
 """Where members of tasks of earlier versions are now."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskUsage:
+    """How datasets, evaluations and environments use a task."""
+
+    dataset_rules: Any = None
+    """Rules of generated datasets; None: `Task.Spec` with its defaults."""
+    env_rules: Any = None
+    """Rules of environments; None: `Task.Spec` with its defaults."""
+    set_rules: Callable[[SceneSet], Any] | None = None
+    """Gives the rules by which a scene set samples starts, whatever the user changes of them; None: those of the dataset."""
+    env_options: Mapping[str, Callable[[Any], object]] = field(default_factory=dict)
+    """Names of further options of environments, which the task finds in ``WorldRollout.options``, each with a function that
+    raises an `InputError` if a value is not allowed."""
+    named_kinds: tuple[str, ...] = ("robot", "human")
+    """Kinds of agents of which a job names the policy also where it is the default one."""
+    bodies_in_agents: bool = False
+    """Whether the body that ``--human`` names is written into the roster, for each person of it."""
+    crosses_partners: bool = False
+    """Whether an evaluation plays every policy with every partner by default."""
+    can_be_solo: bool = False
+    """Whether an episode can be played without its robots (policy ``solo``)."""
 
 
 class Task:
@@ -89,10 +123,8 @@ class Task:
     """Policies by kind of agent and name, beside those that every task has (`sim_kinematic.policies.policy`)."""
     defaults: ClassVar[Mapping[str, str]] = {"robot": "wander", "human": "waypoints"}
     """Name of the policy of each kind where none is chosen."""
-    env_defaults: ClassVar[Mapping[str, Any]] = {}
-    """Options of its environments that differ from the usual ones."""
-    env_options: ClassVar[tuple[str, ...]] = ()
-    """Names of further options of its environments, which it finds in ``WorldRollout.options``."""
+    usage: ClassVar[TaskUsage] = TaskUsage()
+    """How datasets, evaluations and environments use it, where that is not as usual."""
 
     def __init_subclass__(cls) -> None:
         for old, new in _MOVED.items():
@@ -115,7 +147,7 @@ class Task:
             seed=seed,
             spec=spec,
             roster=roster,
-            starts=self.sample_starts(scene, free, seed, spec, roster),
+            starts=sample_starts(scene, free, seed, spec, roster),
         )
 
     def episode(
@@ -138,13 +170,6 @@ class Task:
         roster = make_roster(self.agents if agents is None else agents, robot=robot, human=human)
         return self.sample(scene, free, seed, spec, roster)
 
-    def sample_starts(
-        self, scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: Sequence[AgentSpec], stream: str = "starts"
-    ) -> Array:
-        """Random free starts [A, 3], at least ``spec.spawn_distance_m`` apart where there is room."""
-        rng = generator(seed, stream)
-        return sample_places(scene, free, roster, rng, apart_m=spec.spawn_distance_m, rules=spec.robot)
-
     # --- rules --------------------------------------------------------------------------------------------------------
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
         """Prepares the worlds ``rows`` [n], whose episodes have just begun; keeps what it needs in ``play.memory``."""
@@ -163,10 +188,6 @@ class Task:
         """Observation of an agent's policy, by default an `AgentView`."""
         return play.agent_view(agent, world)
 
-    def end_reason(self, play: WorldRollout, world: int) -> str:
-        """The word in ``info["ended"]`` for an episode that the rules end."""
-        return "success" if bool(play.outcome.success[world]) else "terminated"
-
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
         """Observations of agents of a kind, beyond pictures, by name; by default `sim_kinematic.sensing.table.SENSORS`."""
         from sim_kinematic.sensing.table import sensors_of
@@ -177,39 +198,11 @@ class Task:
         """Entries of an environment's ``info`` beyond its reward, [W] each."""
         return {"success": play.outcome.success.copy()}
 
-    def check_env_options(self, options: Mapping[str, Any]) -> None:
-        """Raises an `InputError` if the value of one of `env_options` is not allowed; by default all are."""
-
     # --- what it is elsewhere -----------------------------------------------------------------------------------------
     @property
     def codec(self) -> EpisodeCodec[Any]:
         """Writes and reads its episodes: in episode files, in recordings, in words; by default a `TaskCodec`."""
         return TaskCodec(self)
-
-    # --- datasets and evaluations -------------------------------------------------------------------------------------
-    bodies_in_agents: ClassVar[bool] = False
-    """Whether the body that ``--human`` names is written into the roster, for each person of it."""
-    crosses_partners: ClassVar[bool] = False
-    """Whether an evaluation plays every policy with every partner by default."""
-    can_be_solo: ClassVar[bool] = False
-    """Whether an episode can be played without its robots (policy ``solo``)."""
-
-    def default_spec(self) -> Any:
-        """The rules of generated datasets."""
-        return self.Spec()
-
-    def set_rules(self, scenes: SceneSet) -> Any:
-        """The rules by which a scene set samples starts, whatever the user changes of them; None: the task's own."""
-        del scenes
-
-    def recorded_default(self, kind: str) -> str | None:
-        """The default policy of a kind as a job names it; None where jobs name none."""
-        return self.defaults[kind] if kind in {"robot", "human"} & {*self.defaults} else None
-
-    def without_robots(self, episode: Episode, policy: str | None) -> Episode:
-        """The episode without its robots, if the policy says so."""
-        del policy
-        return episode
 
     # --- policies -----------------------------------------------------------------------------------------------------
     def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
@@ -222,13 +215,3 @@ class Task:
         """
         del kind, name, spec
         return None
-
-    def assign(self, episode: Episode, chosen: Assigned | None = None) -> list[AssignedPolicy]:
-        """A policy for each agent of an episode.
-
-        ``chosen`` names or gives them by agent (``robot``, ``human_2``, ``person``) or by kind; the others get `defaults`.
-
-        Raises:
-            InputError: no such policy, or no such agent.
-        """
-        return assign(self, episode, chosen or {})

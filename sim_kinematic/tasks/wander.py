@@ -9,16 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.geometry import Array
 from h3data.recording import Event, Recording
 from h3data.scene import FreeSpace, Scene
-from sim_kinematic.agents.roster import AgentSpec
+from sim_kinematic.agents.roster import AgentSpec, common_floor
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.tasks.codec import TaskCodec, scene_attachment, uid_of
-from sim_kinematic.tasks.episode import Episode, StepOutcome, rules_dict
+from sim_kinematic.tasks.episode import Episode, StepOutcome, rules_dict, sample_starts
 from sim_kinematic.tasks.play import WorldRollout
-from sim_kinematic.tasks.task import Task
+from sim_kinematic.tasks.task import Task, TaskUsage
+
+STEPS = 300
+"""Default length of an episode in a dataset."""
 
 
 class WanderCodec(TaskCodec):
@@ -71,36 +73,21 @@ class Wander(Task):
 
     name: ClassVar[str] = "wander"
     Spec: ClassVar[type[Any]] = SocialNavSpec
-    steps: ClassVar[int] = 300
-    """Default length of an episode."""
     defaults: ClassVar[Mapping[str, str]] = {"robot": "wander", "human": "wander"}
-
-    bodies_in_agents: ClassVar[bool] = True
-
-    def default_spec(self) -> SocialNavSpec:
-        """Rules of social navigation, with this task's number of steps."""
-        return SocialNavSpec(max_steps=self.steps)
-
-    def recorded_default(self, kind: str) -> str | None:
-        """None: jobs name no policies for this task."""
-        return None
+    usage: ClassVar[TaskUsage] = TaskUsage(
+        dataset_rules=SocialNavSpec(max_steps=STEPS), named_kinds=(), bodies_in_agents=True
+    )
 
     @property
     def codec(self) -> WanderCodec:
         """Codec of episodes whose recordings name all policies in one list."""
         return WanderCodec(self)
 
-    def sample_starts(
-        self,
-        scene: Scene,
-        free: FreeSpace,
-        seed: int,
-        spec: Any,
-        roster: Sequence[AgentSpec],
-        stream: str = "agent_worlds",
-    ) -> Array:
-        """Random free starts [A, 3], from this task's own random stream."""
-        return super().sample_starts(scene, free, seed, spec, roster, stream)
+    def sample(self, scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: tuple[AgentSpec, ...]) -> Episode:
+        """Samples random starts from this task's own random stream."""
+        free = common_floor(roster, free)
+        starts = sample_starts(scene, free, seed, spec, roster, "agent_worlds")
+        return Episode(scene=scene, free=free, seed=seed, spec=spec, roster=roster, starts=starts)
 
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
         """Forgets all contacts, so that agents who touch at the start cause an event."""

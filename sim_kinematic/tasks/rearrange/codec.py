@@ -38,7 +38,7 @@ from sim_kinematic.agents.roster import ROBOT_BODY, kinds_of, make_roster, with_
 from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
-from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.policies.assignment import SOLO, AssignedPolicy
 from sim_kinematic.policies.rearrange import population_of
 from sim_kinematic.tasks.codec import (
     EpisodeCodec,
@@ -68,7 +68,7 @@ from sim_kinematic.tasks.rearrange.episode import (
     seconds_alone,
     starts_of,
 )
-from sim_kinematic.tasks.rearrange.solo import SOLO, keep_solo_steps, solo_steps_of
+from sim_kinematic.tasks.rearrange.solo import keep_solo_steps, solo_steps_of
 from sim_kinematic.tasks.social_nav.episode import Starts, sample_pair_starts
 
 START_ATTEMPTS = 20

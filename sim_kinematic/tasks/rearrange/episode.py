@@ -196,10 +196,6 @@ class RearrangeEpisode(Episode):
         """Body of the person for whom it was sampled."""
         return load_humanoid(self.pair[1])
 
-    def only(self, *numbers: int) -> RearrangeEpisode:
-        """Episode with only some of its agents."""
-        return replace(self, roster=tuple(self.roster[k] for k in numbers), starts=self.starts[list(numbers)])
-
     def played_by(self, agents: str | Sequence[str]) -> RearrangeEpisode:
         """Episode with other agents.
 

@@ -9,8 +9,6 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.rearrange.play import RearrangeRollout
 from sim_kinematic.tasks.runner import run
 
-SOLO = "solo"
-"""Policy of recordings in which no robot is beside the person."""
 _SOLO_STEPS = "_solo_steps"
 
 

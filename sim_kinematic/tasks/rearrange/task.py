@@ -15,7 +15,7 @@ from h3data.bodies import load_humanoid, load_robot
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec, common_floor, kinds_of
 from sim_kinematic.motion.randomness import episode_seed
-from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, PolicyMaker
+from sim_kinematic.policies.assignment import AssignedPolicy, PolicyMaker
 from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy
 from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS, naming
 from sim_kinematic.policies.rearrange import (
@@ -37,8 +37,7 @@ from sim_kinematic.tasks.rearrange.episode import (
     rules_in,
     starts_of,
 )
-from sim_kinematic.tasks.rearrange.solo import SOLO
-from sim_kinematic.tasks.task import Task
+from sim_kinematic.tasks.task import Task, TaskUsage
 
 
 class Rearrange(Task):
@@ -46,8 +45,7 @@ class Rearrange(Task):
 
     name: ClassVar[str] = "rearrange"
     Spec: ClassVar[type[Any]] = RearrangeSpec
-    can_be_solo: ClassVar[bool] = True
-    crosses_partners: ClassVar[bool] = True
+    usage: ClassVar[TaskUsage] = TaskUsage(crosses_partners=True, can_be_solo=True)
     control: ClassVar[Control] = SkillControl()
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "robot": {**ROBOT_POLICIES, **SHIPPED_IN["rearrange"]},
@@ -86,10 +84,6 @@ class Rearrange(Task):
         """Codec of episodes with objects and goals, in our files and Habitat's."""
         return RearrangeCodec(self)
 
-    def assign(self, episode: Episode, chosen: Assigned | None = None) -> list[AssignedPolicy]:
-        """Policies of all agents; ``solo``, which removes the robots beforehand, needs none."""
-        return super().assign(episode, {k: v for k, v in (chosen or {}).items() if (k, v) != ("robot", SOLO)})
-
     def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
         """Maker of the learned or planning policy of a name, with the agent's own seed; None for other names."""
         from sim_kinematic.policies.learned import is_learned
@@ -101,12 +95,6 @@ class Rearrange(Task):
         elif name not in ROBOT_POLICIES and name not in PARTNERS:
             return None
         return partial(_made_policy, name)
-
-    def without_robots(self, episode: Episode, policy: str | None) -> Episode:
-        """Episode with its people only if the policy is ``solo``, otherwise the episode itself."""
-        assert isinstance(episode, RearrangeEpisode)
-        people = [k for k, kind in enumerate(kinds_of(episode.roster)) if kind == "human"]
-        return episode.only(*people) if policy == SOLO else episode
 
 
 def _made_policy(name: str, episode: Episode, number: int) -> AssignedPolicy:

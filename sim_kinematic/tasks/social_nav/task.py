@@ -37,7 +37,7 @@ from sim_kinematic.tasks.rules.predicates import is_found
 from sim_kinematic.tasks.rules.rewards import Encounter, SocialNavReward, check_profile
 from sim_kinematic.tasks.social_nav.codec import SocialNavCodec
 from sim_kinematic.tasks.social_nav.episode import goals_of, plan_of, sample_pair_starts
-from sim_kinematic.tasks.task import Task
+from sim_kinematic.tasks.task import Task, TaskUsage
 
 HUMAN_SKILLS = ("walk", "turn")
 TRAINING = SocialNavSpec(spawn_distance_m=3.0)
@@ -95,8 +95,12 @@ class SocialNav(Task):
     control: ClassVar[Control] = VelocityControl({"robot": ROBOT_SKILLS, "human": HUMAN_SKILLS})
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": {**POLICIES, **SHIPPED_IN["social_nav"]}}
     defaults: ClassVar[Mapping[str, str]] = {"robot": "rollout_expert", "human": "waypoints"}
-    env_defaults: ClassVar[Mapping[str, Any]] = {"spec": TRAINING}
-    env_options: ClassVar[tuple[str, ...]] = ("reward",)
+    usage: ClassVar[TaskUsage] = TaskUsage(
+        env_rules=TRAINING,
+        set_rules=lambda scenes: SocialNavSpec(spawn_distance_m=scenes.social_nav.spawn_distance_m),
+        env_options={"reward": check_profile},
+        named_kinds=("robot",),
+    )
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     def sample(
@@ -142,14 +146,6 @@ class SocialNav(Task):
             )
         return None
 
-    def recorded_default(self, kind: str) -> str | None:
-        """Default policy of robots; jobs name none for people."""
-        return self.defaults[kind] if kind == "robot" else None
-
-    def set_rules(self, scenes: Any) -> SocialNavSpec:
-        """Default rules with the distance between starts that the scene set prescribes."""
-        return SocialNavSpec(spawn_distance_m=scenes.social_nav.spawn_distance_m)
-
     def view(self, play: WorldRollout, agent: int, world: int) -> Any:
         """Observation of a policy: a `SocialNavView` for the robot, an `AgentView` for the person."""
         if agent != ROBOT:
@@ -180,11 +176,6 @@ class SocialNav(Task):
             return lambda: play.memory.whole_walk(play.episode).xz[step:]
         track = getattr(policy, "track", None)
         return None if track is None else partial(_after, track, step)
-
-    def check_env_options(self, options: Mapping[str, Any]) -> None:
-        """Raises an `InputError` if ``reward`` is not the name of a reward profile."""
-        if "reward" in options:
-            check_profile(options["reward"])
 
     # --- rules --------------------------------------------------------------------------------------------------------
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
@@ -237,6 +228,7 @@ class SocialNav(Task):
                 "metrics.geodesic_agents": state.geodesic,
                 "metrics.facing": state.faces,
             },
+            ended="collision",  # the only reason besides the time limit
             events=self._events(play, state, lost) if play.policies else (),
         )
 
@@ -255,10 +247,6 @@ class SocialNav(Task):
         if state.collides[0]:
             events.append(Event(step=step, agent=ROBOT, kind="collision", target="human"))
         return [(0, event) for event in events]
-
-    def end_reason(self, play: WorldRollout, world: int) -> str:
-        """The only reason besides the time limit: ``collision``."""
-        return "collision"
 
     def info_of(self, play: WorldRollout) -> dict[str, NDArray[Any]]:
         """Distance, success, steps followed and contacts of each world, [W] each."""

@@ -23,6 +23,7 @@ from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.contact.clearance import RobotHumanContact
 from sim_kinematic.motion.spec import HOME_BASE, SocialNavSpec
 from sim_kinematic.motion.state import WorldState
+from sim_kinematic.policies.assignment import assign
 from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.rearrange.play import RearrangeRollout
@@ -269,7 +270,7 @@ def test_everybody_needs_a_policy(drawn: RearrangeEpisode) -> None:
         simulate_rearrange(world, policy="complement,magic")
     with pytest.raises(InputError, match="one policy for each of 2"):
         RearrangeRollout(world, [])
-    first, second = REARRANGE.assign(world.played_by("human,male_1"), {"human": "both"})
+    first, second = assign(REARRANGE, world.played_by("human,male_1"), {"human": "both"})
     assert first.plan == second.plan == "both"
     assert first.policy is not second.policy
 

@@ -18,6 +18,7 @@ from sim_kinematic.agents.oracle.actors import OraclePerson, OracleRobot, carry_
 from sim_kinematic.agents.oracle.ways import NONE, Ways, ways_to
 from sim_kinematic.agents.skills import Action
 from sim_kinematic.motion.spec import OracleSpec
+from sim_kinematic.policies.assignment import assign
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.rearrange.codec import rules_from_json, rules_to_json
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode, RearrangeSpec
@@ -105,7 +106,7 @@ def test_no_places_have_no_ways(floors: list[FreeSpace]) -> None:
 
 # --- skills -------------------------------------------------------------------------------------------------------------
 def told(episode: RearrangeEpisode) -> tuple[RearrangeRollout, DecisionLoop]:
-    play = RearrangeRollout(episode, TASK.assign(episode, {"robot": External(), "human": External()}))
+    play = RearrangeRollout(episode, assign(TASK, episode, {"robot": External(), "human": External()}))
     return play, DecisionLoop(play)
 
 

@@ -26,6 +26,7 @@ from h3data_training.torch.rearrange.state import DONE, FAILED, FREE, Play  # no
 from h3data_training.torch.rearrange.worlds import RearrangeTensors  # noqa: E402
 from sim_kinematic.agents.skills import Action, choices  # noqa: E402
 from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, OracleSpec  # noqa: E402
+from sim_kinematic.policies.assignment import assign  # noqa: E402
 from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS  # noqa: E402
 from sim_kinematic.policies.policy import External  # noqa: E402
 from sim_kinematic.policies.rearrange_observations import exact  # noqa: E402
@@ -94,7 +95,7 @@ class Pair:
         self.state: Play = self.sim.start(self.sim.before_the_first(torch.arange(len(episodes)) - 1))
         task = Rearrange()
         chosen = {kind: External() if kind in outside else partner for kind in KINDS}
-        self.plays = [RearrangeRollout(e, task.assign(e, chosen)) for e in episodes]
+        self.plays = [RearrangeRollout(e, assign(task, e, chosen)) for e in episodes]
         self.turns = [DecisionLoop(play) for play in self.plays]
         self.known = {kind: choices(2, robot=kind == "robot") for kind in KINDS}
         self.seen: Counter[str] = Counter()
