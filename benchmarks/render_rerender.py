@@ -30,13 +30,18 @@ STEPS = 240
 OUTPUTS: tuple[Output, ...] = ("rgb", "depth", "instance")
 
 
-def run(emit: Emit) -> None:
-    """Emit all `render.rerender*` lines."""
+def scene_of() -> tuple[Replay, CameraTrack]:
+    """The recording, and the camera that trails its robot, 640x480."""
     world = SocialNav().episode(build_home(HomeSpec(seed=2)), seed=2, spec=SocialNavSpec(max_steps=STEPS))
     replay = Replay(simulate(SocialNav(), world))
     trailing = camera_track(replay, "third_person")
     camera = pinhole(640, 480, hfov_deg=trailing.camera.hfov_deg, name="bench")
-    track = CameraTrack(camera=camera, poses=trailing.poses)
+    return replay, CameraTrack(camera=camera, poses=trailing.poses)
+
+
+def run(emit: Emit) -> None:
+    """Emit all `render.rerender*` lines."""
+    replay, track = scene_of()
     stage = replay.stage
     renderer = stage.renderer()
 

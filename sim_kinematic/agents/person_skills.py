@@ -36,8 +36,8 @@ BACK_AFTER_STEPS, BACK_STEPS = 20, 15
 """Who cannot step aside for this long, because any step would touch somebody, first goes back this many steps."""
 HALT_STEPS = 30
 """Who is turned away while walking first comes to a stand, for which this is time enough."""
-SHUFFLE_MPS = 0.4
-"""Speed at which people step sideways and back without turning."""
+SHUFFLE_MPS, AWAY_MPS = 0.4, 0.6
+"""Speeds at which people step sideways and back: without turning, and while they turn to where they go."""
 ASIDE_LEG_M = 0.05
 """Points of a path aside nearer than this are underfoot: people would brake at every point of a rounded corner."""
 HANDS: tuple[Hand, ...] = ("right", "left")
@@ -251,7 +251,8 @@ class PersonActor:
         """Walk to a stand ``(x, z, heading)`` [3] and look at a world point [3] there."""
         waited = yield from self._walk(stand[:2], facing=float(stand[2]))
         for _ in range(HALT_STEPS):
-            if not self.turned_away or (self._gait.blend[0] == 0 and self.person.walk.stands):
+            stands = self._gait.blend[0] == 0 and self.person.walk.stands
+            if not self.turned_away or stands or (self.aside is not None and len(self.aside)):
                 break
             self._pace(None)
             yield
@@ -380,12 +381,56 @@ class PersonActor:
             towards = self.free.first_leg(self.xz, self.aside[0], beyond_m=ASIDE_LEG_M, max_snap_m=1.0)[1]
             if self._backs_out() or self._shuffles(towards):
                 return
-            blocked = np.isnan(towards[0]) or in_the_way(self.xz, towards, self.others) is not None
-            self._pace(None if blocked else towards)
+            if np.isnan(towards[0]) or in_the_way(self.xz, towards, self.others) is not None:
+                self._pace(None)
+            else:
+                self._go_aside(towards)
         elif self._gait.blend[0] > 0 or not self.person.walk.stands:
             self._pace(None)
         else:
             self._breathe()
+
+    def _go_aside(self, towards: NDArray) -> None:
+        """Makes one step towards a floor point [2] by which the person steps aside, and turns to it meanwhile.
+
+        Whoever turned on the spot first stood in the other's way for another 1.3 s.
+        """
+        gait, before = self._gait_here(), self._posture()
+        stopped, leg = gait.take([0]), towards - self.xz
+        left, bearing = float(np.hypot(*leg)), math.remainder(math.atan2(-leg[1], leg[0]) - self.heading, math.tau)
+        most = self.spec.turn_rad_s * STEP_S
+        for turn in (min(max(bearing, -most), most), 0.0):
+            step = min(self._speed_aside(towards, bearing - turn) * STEP_S / max(left, 1e-9), 1.0)
+            move_people(gait, (self.xz + step * leg)[None], gait.heading + turn, self.spec)
+            self.person.stride(gait)
+            if not self.meets():
+                self._walked(before)
+                self._follow()
+                return
+            self._gait = gait = stopped.take([0])
+            self._take(before)
+        self._held_up += 1
+        self._pace(None)
+
+    def _speed_aside(self, towards: NDArray, bearing: float) -> float:
+        """Speed [m/s] towards a floor point [2] at an angle to the person's heading: in any direction they step slowly.
+
+        They set off gradually, and brake before the next corner of the path aside.
+        """
+        most, stride, leg = self.spec.speed_mps, self.spec.stride, towards - self.xz
+        speed = max(most * max(math.cos(bearing), 0.0) ** 2, AWAY_MPS)
+        if stride is None:
+            return min(speed, most)
+        assert self.aside is not None
+        left = math.hypot(*leg.tolist())
+        corner_mps = 0.0  # the path ends there
+        for x, z in (self.aside - towards).tolist():
+            if math.hypot(x, z) > ASIDE_LEG_M:
+                straight = (leg[0] * x + leg[1] * z) / max(left * math.hypot(x, z), 1e-9)
+                corner_mps = max(most * max(straight, 0.0) ** 2, AWAY_MPS)
+                break
+        braked = math.sqrt(corner_mps**2 + 2 * stride.decel_mps2 * left)
+        return max(min(speed, braked, self.person.walk.speed_mps + stride.accel_mps2 * STEP_S), CREEP_MPS)
 
     def _backs_out(self) -> bool:
         """Goes one step back where others have kept them from stepping aside for long; returns whether it did."""

@@ -323,7 +323,8 @@ class RightOfWay:
         obeys = self._stand_offs is None or self._stand_offs.errand(other.number).obeys
         if not obeys and request.steps % AVOIDANCE.looks_steps == 0:
             apart, was = math.dist(walker.xz, other.xz), math.dist(walker.xz, request.seen)
-            clear = apart >= aside_distance_m(walker, other)  # beside it every way seems open
+            # on the way to a refuge they first get out of each other's reach: turned around, they would meet again
+            clear = apart >= (AVOIDANCE.stand_off_m if len(request.route) else aside_distance_m(walker, other))
             request.seen = other.xz.copy()
             if (
                 clear
@@ -335,6 +336,7 @@ class RightOfWay:
                 return True  # who comes on is not waited for
             if apart > was + AVOIDANCE.progress_m and apart >= AVOIDANCE.refuge_m:
                 return True  # follow who leaves
+            self._go_farther(walker, other, request)
             stops = (
                 self._still[other.number] > AVOIDANCE.held_up_steps and self._place[other.number] != request.chose_at
             )
@@ -346,6 +348,16 @@ class RightOfWay:
             return self._stalled[walker.number] > 2 * AVOIDANCE.gives_up_steps
         request.stayed += 1
         return request.stayed > request.stays_steps or (obeys and self._is_past(walker, other))
+
+    def _go_farther(self, me: Walker, other: Walker, request: _Request) -> None:
+        """Leads an agent on from a refuge near which the other, who is driven from outside, has come, if there is another."""
+        end = request.route[-1] if len(request.route) else me.xz
+        apart = math.dist(end, other.xz)
+        if math.isfinite(request.stays_steps) or apart > AVOIDANCE.stand_off_m:
+            return
+        route = self._refuge(me, other)
+        if route is not None and len(route) and math.dist(route[-1], other.xz) > apart + AVOIDANCE.gets_on_m:
+            request.route, request.stayed = route, 0
 
     def _gets_around(self, walker: Walker, other: Walker, gap_m: float) -> bool:
         """Whether an agent gets around another, as that one stands, to where it is going, or would not get there alone."""

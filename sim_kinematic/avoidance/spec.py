@@ -173,7 +173,7 @@ class AvoidanceSpec:
     held_off_steps: int = 45
     """Near somebody who is driven from outside, who wants to go on and has not moved for so long is sent away at once. So is
     whose way is shut by one who has stood for ``held_up_steps``."""
-    waits_steps: int = 60
+    waits_steps: int = 40
     """It first stands where it is for so long: whoever drives the other sees it wait, and may be about to go on anyway."""
     refuge_m: float = 3.5
     """Least distance of a refuge from the other agent, if there is such a place [m]."""

@@ -70,7 +70,7 @@ class StandOffs:
             # asked only of those who are near: an errand is put together anew each time
             errands = {number: self.errand(number) for number in pair}
             if self._gets_on(encounter, errands):
-                encounter.steps, encounter.rounds, encounter.waited = 0, 0, False
+                encounter.steps, encounter.rounds = 0, 0
                 continue
             driven = [number for number, errand in errands.items() if not errand.obeys]
             long = encounter.steps > AVOIDANCE.stand_off_steps[len(driven) > 0]

@@ -82,6 +82,10 @@ class WalkingAgent(PersonActor):
         """The step that the person has just made."""
         return GaitAction(self.figure.gait)
 
+    def _go_aside(self, towards: NDArray) -> None:
+        """Turns first: the clip walks ahead."""
+        self._pace(towards)
+
     def _posture(self) -> Any:
         return self.figure.gait.take([0])
 

@@ -44,6 +44,10 @@ def render_files(
 
     ``frame_done`` is called after each frame, in place of a bar of progress with ``description``.
     """
+    from h3data.replay.stage import WORLDS, chosen_backend
+
+    # a GPU draws many steps at once, and the next ones while these are encoded
+    queue_length = WORLDS if chosen_backend(backend) == "gpu" else 4
     outputs: list[Output] = list(dict.fromkeys(target.output for _, targets in views for target in targets))
     fps = frames_per_second(replay, steps)
     with ExitStack() as stack:
@@ -53,7 +57,7 @@ def render_files(
                 picture = _picture(replay, track, target, steps[0], annotate=annotate)
                 sink = stack.enter_context(target.open(track.camera, fps, picture))
                 sinks.append((n, target.output, sink))
-                encoders.append(stack.enter_context(_InOrder(sink.write)))
+                encoders.append(stack.enter_context(_InOrder(sink.write, queue_length)))
 
         def prepare(step: int, pictures: list[dict[str, NDArray[Any]]]) -> list[Any]:
             return [sink.prepare(pictures[n][output], step) for n, output, sink in sinks]
@@ -75,16 +79,14 @@ def render_files(
 class _InOrder:
     """A thread that applies ``work`` to items in the order of submission, with a bounded queue."""
 
-    QUEUE_LENGTH = 4
-
-    def __init__(self, work: Callable[[Any], None]) -> None:
-        self._work = work
+    def __init__(self, work: Callable[[Any], None], queue_length: int) -> None:
+        self._work, self._queue_length = work, queue_length
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="h3data-encode")
         self._pending: list[Future[None]] = []
 
     def submit(self, item: Any) -> None:
         """Queues an item, waiting while the queue is full; raises what ``work`` raised for an earlier item."""
-        while len(self._pending) >= self.QUEUE_LENGTH:
+        while len(self._pending) >= self._queue_length:
             self._pending.pop(0).result()
         self._pending.append(self._pool.submit(self._work, item))
 

@@ -23,7 +23,7 @@ from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.routes import FloorRoutes, distance_to_path, first_of_path
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.yielding import NO_PATH, ObservedAgent, discs_of, in_the_way, path_around
-from sim_kinematic.motion.spec import NATURAL_WALKER, WalkerSpec
+from sim_kinematic.motion.spec import NATURAL_WALKER, STEP_S, WalkerSpec
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 from sim_kinematic.tasks.runner import rollout, run
@@ -298,6 +298,27 @@ def test_who_cannot_turn_for_somebody_beside_them_steps_back(free: FreeSpace) ->
     for _ in range(120):
         actor.idle()
     np.testing.assert_allclose(actor.xz, actor.aside[0], atol=0.02)
+
+
+def test_who_steps_aside_walks_while_they_turn() -> None:
+    """They turned on the spot first, and stopped at every corner: 1.3 s, and again 0.5 s each, in the other's way."""
+    free = floor_of(shapely.box(0, 0, 6, 4))
+    objects = Objects((), np.zeros((0, 3)), WorldState.zeros(1, robots=0, people=1))
+    person = Person(
+        load_humanoid("female_0"), ground_pose(np.array([4.0, 1.0]), 0.0, free.floor_y), spec=NATURAL_WALKER
+    )
+    actor = PersonActor(person, free, NATURAL_WALKER, objects, 0)
+    actor.aside = np.array([[3.0, 1.0], [1.6, 1.9]])
+    steps = []
+    while len(actor.aside):
+        before = actor.xz
+        actor.idle()
+        steps.append(float(np.hypot(*(actor.xz - before))))
+        if float(np.hypot(*(actor.aside[0] - actor.xz))) < 0.01:
+            actor.aside = actor.aside[1:]
+    assert sum(steps[:20]) > 0.15
+    assert len(steps) < 115
+    assert max(steps) <= NATURAL_WALKER.speed_mps * STEP_S + 1e-9
 
 
 # --- stopping -------------------------------------------------------------------------------------------------------------

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -236,10 +238,11 @@ def test_who_waits_in_a_refuge_follows_who_leaves(rooms: FreeSpace) -> None:
 def test_who_leaves_a_refuge_has_time_to_get_past(rooms: FreeSpace) -> None:
     """They were sent back on the way around, some steps after they had set off."""
     me, driven, rules = fled_to_refuge(rooms)
-    driven.xz = me.xz + np.array([1.2, 1.2])  # in the open, and near
+    driven.xz = me.xz + np.array([1.9, 1.9])  # in the open
     for _ in range(2 * AVOIDANCE.looks_steps + 1):
         rules.update()
     assert me.aside is None
+    driven.xz = me.xz + np.array([1.2, 1.2])
     for step in range(AVOIDANCE.stand_off_steps[1] - AVOIDANCE.looks_steps):
         me.path, me.heading = np.array([me.xz, [4.5, 0.5]]), me.heading + 0.1
         rules.update()
@@ -261,6 +264,54 @@ def test_who_steps_back_to_let_another_out_stays_there_until_they_are(rooms: Fre
     assert cornered.aside is not None
     assert len(cornered.aside)
     assert comes.aside is not None
+
+
+def test_who_flees_goes_on_where_the_other_comes_near_their_refuge(rooms: FreeSpace) -> None:
+    """They stood 1.5 m before a robot that waited for them to let it pass, 396 steps in all."""
+    me, driven, rules = fled_to_refuge(rooms)
+    was = me.xz.copy()
+    driven.xz = was + np.array([1.5, 0.0])
+    for _ in range(150):
+        rules.update()
+        me.turned_away = False
+        me.path = np.array([me.xz, [9.0, 2.0]])
+        me.go()
+        if math.dist(me.xz, was) > AVOIDANCE.gets_on_m:
+            return
+    raise AssertionError("they stay where they are")
+
+
+def test_nobody_turns_back_before_they_are_out_of_reach_of_whom_they_flee() -> None:
+    """They turned back 1.5 m from the robot, as soon as it had moved a little, and met it again: 521 steps in all."""
+    hall = floor_of(shapely.box(0, 0, 12, 3.0))
+    figures, rules = face_to_face(hall, asks=False)
+    me, driven = figures
+    driven.obeys, driven.path = False, NO_PATH
+    driven.xz, me.xz = np.array([6.5, 1.5]), np.array([5.0, 1.5])
+    me.path = np.array([me.xz, [11.0, 1.5]])
+    rules._requests[0] = right_of_way._Request(1, np.array([[2.0, 1.5]]), stays_steps=math.inf, seen=driven.xz.copy())
+    for _ in range(60):
+        me.path = np.array([me.xz, [11.0, 1.5]])
+        rules.update()
+        assert me.aside is not None or math.dist(me.xz, driven.xz) >= AVOIDANCE.stand_off_m
+        if me.aside is None:
+            return
+        me.go()
+    raise AssertionError("they do not come back")
+
+
+def test_who_waits_for_who_is_driven_waits_once(rooms: FreeSpace) -> None:
+    """Whose way became another one while they waited, waited a second time: 130 steps before they gave way."""
+    figures, rules = face_to_face(rooms, asks=False)
+    me, driven = figures
+    driven.obeys, driven.path, driven.xz, me.xz = False, NO_PATH, np.array([5.25, 2.0]), np.array([4.0, 2.0])
+    for step in range(AVOIDANCE.waits_steps + 40):
+        me.path = np.array([me.xz, [9.0, 2.0]])
+        me.left_m -= 1.2 * (step == 30)
+        rules.update()
+        if me.aside is not None and len(me.aside):
+            return
+    raise AssertionError("they still wait")
 
 
 def test_who_stands_against_whom_they_flee_goes_on_only_from_some_way_off() -> None:
@@ -392,6 +443,27 @@ def test_who_shuts_a_dead_end_lets_the_other_out() -> None:
     """The robot came back to its goal beside the idle person in the corner before they had got out: 360 steps."""
     recording, _, _ = standoff.play(5249)
     assert standoff.stand_offs(recording, standoff._home(9)[1]) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [32, 94, 195, 10072, 10234, 10299, 10315])
+def test_who_gives_way_to_a_driver_on_errands_gets_away_from_them(seed: int) -> None:
+    """They turned on the spot, stopped at every corner, and stood where the driver came after them: up to 396 steps."""
+    recording, _, _ = standoff.play(seed, "errands")
+    assert standoff.stand_offs(recording, standoff._home(seed % standoff.HOMES)[1]) == []
+
+
+@pytest.mark.slow
+def test_episodes_are_played_by_several_processes_and_not_twice(tmp_path: Path) -> None:
+    file = tmp_path / "rows.jsonl"
+    rows = list(standoff.played([10, 12, 18], file, workers=2))
+    assert [row["seed"] for row in rows] == [10, 12, 18]
+    lines = file.read_text().splitlines()
+    assert len(lines) == 3
+    file.write_text("\n".join(lines[:2]) + "\n")
+    again = list(standoff.played([10, 12, 18], file))
+    assert json.dumps(again) == json.dumps(rows)
+    assert file.read_text().splitlines() == lines
 
 
 def test_who_has_errands_goes_on_where_somebody_waits(rooms: FreeSpace) -> None:
