@@ -149,7 +149,7 @@ def play(seed: int, robot: str = PLANS) -> tuple[Recording, int, int]:
     driver = DRIVERS[robot](free, seed) if robot in DRIVERS else None
     assert isinstance(episode, RearrangeEpisode)
     recording = simulate(Rearrange(), episode, {"robot": driver or "complement", "human": "both"})
-    return recording, solo_steps_of(episode), driver.doorway_stops if driver else 0
+    return recording, solo_steps_of(Rearrange(), episode), driver.doorway_stops if driver else 0
 
 
 def stand_offs(recording: Recording, free: FreeSpace) -> list[tuple[int, int]]:

@@ -11,7 +11,7 @@ task = Rearrange()
 episode = task.episode(home, seed=3)
 for target in episode.targets:
     print(f"{target.name}: from {target.source} to {target.destination}")
-alone = solo_steps_of(episode)
+alone = solo_steps_of(task, episode)
 print(f"\nthe person alone: {alone} steps")
 
 for policy in ("complement", "same_object", "still"):

@@ -28,7 +28,7 @@ from sim_kinematic.policies.rearrange_observations import STATE_SENSES, exact, l
 from sim_kinematic.sensing.agent_pictures import Limits, picture_names
 from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names
 from sim_kinematic.tasks.describe import in_words
-from sim_kinematic.tasks.rearrange.play import RearrangeRollout, SkillExecutor
+from sim_kinematic.tasks.rearrange.play import SkillExecutor, SkillRollout
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.runner import DecisionLoop, rollout
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
@@ -107,7 +107,7 @@ class SkillStepper:
         self._sets = self._observation_sets(observations or STATE_SENSES, options)
         self._light: LightMode = options.light
         self._stage = Stage()
-        self.play: RearrangeRollout | None = None
+        self.play: SkillRollout | None = None
         self._turns: DecisionLoop | None = None
         self._steps, self._reward = 0, 0.0
 
@@ -132,7 +132,7 @@ class SkillStepper:
             if kind not in chosen:
                 chosen[kind] = self._partner if isinstance(self._partner, str) else self._partner(episode.seed)
         play = rollout(self.task, episode, chosen)
-        assert isinstance(play, RearrangeRollout)
+        assert isinstance(play, SkillRollout)
         self.play, self._turns = play, DecisionLoop(play)
         self._steps, self._reward = 0, 0.0
         self._go_on({})
@@ -232,12 +232,12 @@ class SkillStepper:
         return in_words("rearrange", self.source.scenes, len(self.source.homes), acting, beside=others)
 
     # --- inside -------------------------------------------------------------------------------------------------------
-    def _begun(self) -> RearrangeRollout:
+    def _begun(self) -> SkillRollout:
         if self.play is None:
             raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
         return self.play
 
-    def _playing(self) -> RearrangeRollout:
+    def _playing(self) -> SkillRollout:
         if self.play is None or self.is_over:
             raise InputError("No episode is going on. Hint: call reset() first.", code="H3-ENV-027")
         return self.play
@@ -312,7 +312,7 @@ class Stage:
         self._episode: Any = None
         self._renderers: dict[LightMode, StateRenderer] = {}
 
-    def posed(self, play: RearrangeRollout, light: LightMode = "flat") -> StateRenderer:
+    def posed(self, play: SkillRollout, light: LightMode = "flat") -> StateRenderer:
         """The renderer of a light, with everything where it is now."""
         from sim_kinematic.sensing.camera_sensor import StateRenderer
 

@@ -131,8 +131,8 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         """
         count = len(record.goals) + len(record.placements)
         if not record.rules:
-            return RearrangeSpec(objects=count)
-        spec = rules_from_json(record.rules)
+            return self.task.Spec(objects=count)
+        spec = rules_from_json(record.rules, self.task.Spec)
         if spec.objects != count:
             raise InputError(
                 f"The episode has {count} goals, its rules say {spec.objects} objects.", code="H3-TASK-017"
@@ -259,7 +259,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
             rules = dict(msgspec.convert(info["spec"], dict[str, Any]))
             rules["arm_rad_s"] = np.inf if rules.get("arm_rad_s", 0.0) is None else rules.get("arm_rad_s", 8.0)
             rules = {"robot": {}, "human": {}, "people_give_way": False, **rules}  # as before there were such rules
-            spec = msgspec.convert(rules, RearrangeSpec)
+            spec = msgspec.convert(rules, self.task.Spec)
             goals = msgspec.convert(info["goals"], list[StoredGoal])
             listed = info["starts"] if "starts" in info else [info[own[kind]] for kind in kinds]
             starts = np.array(msgspec.convert(listed, list[tuple[float, float, float]]), np.float64)
@@ -324,7 +324,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         assert isinstance(episode, RearrangeEpisode)
         digest, kinds = scene_attachment(episode.scene)[1], kinds_of(episode.roster)
         policy, partner, (robot, human) = _robots_policy(policies), _partners(policies), episode.pair
-        what = f"rearrange:{digest}:{robot}:{human}:{episode.seed}:{policy}:{partner}:{episode.spec}"
+        what = f"{self.task.name}:{digest}:{robot}:{human}:{episode.seed}:{policy}:{partner}:{episode.spec}"
         if kinds not in (PAIR, ("human",)):
             what += ":" + ",".join(member.model for member in episode.roster)
         if not episode.is_sampled:
@@ -335,12 +335,12 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         """``solo_steps`` is ``L_human``, by which relative efficiency is measured."""
         assert isinstance(episode, RearrangeEpisode)
         alone = [policy.plan for policy in policies] == ["both"]
-        return {"ended": play.ended, "solo_steps": play.step + 1 if alone else solo_steps_of(episode)}
+        return {"ended": play.ended, "solo_steps": play.step + 1 if alone else solo_steps_of(self.task, episode)}
 
     def precompute(self, episode: Episode) -> dict[str, Any]:
         """Number of steps in which the first person alone would finish, for relative metrics."""
         assert isinstance(episode, RearrangeEpisode)
-        return {"solo_steps": solo_steps_of(episode)}
+        return {"solo_steps": solo_steps_of(self.task, episode)}
 
     def load_precomputed(self, episode: Episode, facts: Mapping[str, Any]) -> None:
         """Takes over the solo steps of a recording, or those that another process has computed."""
@@ -449,7 +449,7 @@ def rules_to_json(spec: RearrangeSpec) -> dict[str, Any]:
     return rules
 
 
-def rules_from_json(rules: Mapping[str, Any]) -> RearrangeSpec:
+def rules_from_json(rules: Mapping[str, Any], kind: type[RearrangeSpec] = RearrangeSpec) -> RearrangeSpec:
     """The rules that `rules_to_json` wrote; what they do not name is as in the paper.
 
     Raises:
@@ -458,7 +458,7 @@ def rules_from_json(rules: Mapping[str, Any]) -> RearrangeSpec:
     known = dict(rules)
     if "arm_rad_s" in known and known["arm_rad_s"] is None:
         known["arm_rad_s"] = np.inf
-    return read_rules(known, RearrangeSpec, people_give_way=False)
+    return read_rules(known, kind, people_give_way=False)
 
 
 # --- in words -----------------------------------------------------------------------------------------------------------

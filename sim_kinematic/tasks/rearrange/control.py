@@ -34,7 +34,7 @@ from sim_kinematic.tasks.rearrange.episode import (
     RearrangeEpisode,
 )
 from sim_kinematic.tasks.rearrange.kept_track import KeptTrack, follow_track
-from sim_kinematic.tasks.rearrange.play import RearrangeRollout
+from sim_kinematic.tasks.rearrange.play import SkillRollout
 from sim_kinematic.tasks.resimulation import is_counterfactual
 
 SHORT_WAIT = Action("wait", steps=1)
@@ -59,11 +59,11 @@ class SkillControl(Control):
 
     def rollout(
         self, task: Any, episode: Episode, policies: Sequence[AssignedPolicy] = (), *, measure: bool = True
-    ) -> RearrangeRollout:
+    ) -> SkillRollout:
         """Run of an episode with the given policies."""
-        del task, measure
+        del measure
         assert isinstance(episode, RearrangeEpisode)
-        return RearrangeRollout(episode, list(policies))
+        return SkillRollout(task, episode, list(policies))
 
     # --- choices from outside -----------------------------------------------------------------------------------------
     def checked(self, play: Any, number: int, choice: Any) -> Action:
@@ -72,7 +72,7 @@ class SkillControl(Control):
         Raises:
             InputError: the choice is malformed or names an object or skill that does not exist.
         """
-        assert isinstance(play, RearrangeRollout)
+        assert isinstance(play, SkillRollout)
         body = play.episode.roster[number].body
         if not isinstance(choice, Action):
             choice = _robot_action(choice, body) if isinstance(body, Robot) else action_of(choice, play.objects, number)
@@ -84,7 +84,7 @@ class SkillControl(Control):
 
     def idle(self, play: Any, number: int, last: Any) -> Action:
         """Choice to continue the running skill or the last velocity, otherwise to stand for a step."""
-        assert isinstance(play, RearrangeRollout)
+        assert isinstance(play, SkillRollout)
         runner = play.runner(number)
         if runner.skill is not None:
             return runner.action
@@ -94,18 +94,18 @@ class SkillControl(Control):
 
     def is_busy(self, play: Any, number: int) -> bool:
         """Whether a skill other than ``wait`` is running."""
-        assert isinstance(play, RearrangeRollout)
+        assert isinstance(play, SkillRollout)
         runner = play.runner(number)
         return not runner.is_free and runner.action.skill != "wait"
 
     def interrupts(self, play: Any, number: int, choice: Any) -> bool:
         """Whether the choice is a skill that interrupts, and not the one that is running already."""
-        assert isinstance(play, RearrangeRollout)
+        assert isinstance(play, SkillRollout)
         return interrupts_skill(choice) and choice != play.runner(number).action
 
     def refusal(self, play: Any, number: int, choice: Any) -> str | None:
         """Reason why a choice is infeasible now, as a sentence; None if it is feasible."""
-        assert isinstance(play, RearrangeRollout)
+        assert isinstance(play, SkillRollout)
         actor = play.actors[number]
         why = actor.refusal(choice) if isinstance(actor, DrivenPerson) else actor.infeasible(choice)
         return sentence(why) if why else None
@@ -181,7 +181,7 @@ class SkillControl(Control):
         self, play: Any, recording: Recording, since: int
     ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
         """People take things and put them down as recorded, except what is not there."""
-        assert isinstance(play, RearrangeRollout)
+        assert isinstance(play, SkillRollout)
         first = min(since, _track_from(recording))
         tracks = [KeptTrack.of(recording, person.number, play.bodies) for person in play.people]
 

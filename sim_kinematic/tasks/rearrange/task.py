@@ -11,10 +11,15 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any, ClassVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from h3data.bodies import load_humanoid, load_robot
+from h3data.recording import Event
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec, common_floor, kinds_of
 from sim_kinematic.motion.randomness import episode_seed
+from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.policies.assignment import AssignedPolicy, PolicyMaker
 from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy
 from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS, naming
@@ -26,7 +31,7 @@ from sim_kinematic.policies.rearrange import (
     robot_policy,
 )
 from sim_kinematic.tasks.control import Control
-from sim_kinematic.tasks.episode import Episode
+from sim_kinematic.tasks.episode import Episode, StepOutcome
 from sim_kinematic.tasks.rearrange.codec import RearrangeCodec
 from sim_kinematic.tasks.rearrange.control import SkillControl
 from sim_kinematic.tasks.rearrange.episode import (
@@ -37,6 +42,7 @@ from sim_kinematic.tasks.rearrange.episode import (
     rules_in,
     starts_of,
 )
+from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
 from sim_kinematic.tasks.task import Task, TaskUsage
 
 
@@ -47,6 +53,7 @@ class Rearrange(Task):
     Spec: ClassVar[type[Any]] = RearrangeSpec
     usage: ClassVar[TaskUsage] = TaskUsage(crosses_partners=True, can_be_solo=True)
     control: ClassVar[Control] = SkillControl()
+    columns: ClassVar[Mapping[str, Any]] = {"metrics.at_goal": np.bool_}
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "robot": {**ROBOT_POLICIES, **SHIPPED_IN["rearrange"]},
         "human": dict.fromkeys((*PARTNERS, *SHIPPED_PARTNERS), partner_policy),
@@ -77,6 +84,29 @@ class Rearrange(Task):
             targets=targets,
             pair=(robot, human),
             pair_starts=starts,
+        )
+
+    # --- rules --------------------------------------------------------------------------------------------------------
+    def begin(self, play: Any, rows: NDArray[np.intp]) -> None:
+        """Remembers which sub-goals have been paid: of each object that it was taken, and that it came to its goal."""
+        del rows
+        play.memory = [False] * (2 * len(play.objects.names))
+
+    def judge(self, play: Any) -> StepOutcome:
+        """Pays for sub-goals that are reached for the first time; ends with all objects at their goals, or by a contact."""
+        success, paid, reached = bool(play.at_goal.all()), play.memory, 0
+        stages = [*(held != NOBODY for held in play.objects.held_by.tolist()), *play.at_goal.tolist()]
+        for k, stage in enumerate(stages):
+            if stage and not paid[k]:
+                reached, paid[k] = reached + 1, True
+        collides = play.collision
+        return StepOutcome(
+            reward=np.array([REARRANGE_REWARDS[play.spec.reward].of(reached, collides, success)], np.float64),
+            terminated=np.array([success or (collides and play.spec.end_on_collision)]),
+            success=np.array([success]),
+            columns={"metrics.at_goal": play.at_goal[None]},
+            ended="success" if success else "collision",
+            events=[(0, Event(step=play.step, agent=-1, kind="success"))] if success else (),
         )
 
     @property

@@ -26,7 +26,7 @@ from sim_kinematic.motion.state import WorldState
 from sim_kinematic.policies.assignment import assign
 from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.play import RearrangeRollout
+from sim_kinematic.tasks.rearrange.play import SkillRollout
 from tests.sim.steppers import AgentWorlds
 from tests.simulated import REARRANGE, rearrange_episode, simulate_rearrange, simulate_wander
 
@@ -269,7 +269,7 @@ def test_everybody_needs_a_policy(drawn: RearrangeEpisode) -> None:
     with pytest.raises(InputError, match="Unknown policy"):
         simulate_rearrange(world, policy="complement,magic")
     with pytest.raises(InputError, match="one policy for each of 2"):
-        RearrangeRollout(world, [])
+        SkillRollout(REARRANGE, world, [])
     first, second = assign(REARRANGE, world.played_by("human,male_1"), {"human": "both"})
     assert first.plan == second.plan == "both"
     assert first.policy is not second.policy

@@ -23,7 +23,7 @@ from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.rearrange.codec import rules_from_json, rules_to_json
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode, RearrangeSpec
 from sim_kinematic.tasks.rearrange.oracle import errands_of, stand_places
-from sim_kinematic.tasks.rearrange.play import RearrangeRollout
+from sim_kinematic.tasks.rearrange.play import SkillRollout
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.resume import resume, verify
 from sim_kinematic.tasks.runner import DecisionLoop, rollout, simulate
@@ -105,12 +105,12 @@ def test_no_places_have_no_ways(floors: list[FreeSpace]) -> None:
 
 
 # --- skills -------------------------------------------------------------------------------------------------------------
-def told(episode: RearrangeEpisode) -> tuple[RearrangeRollout, DecisionLoop]:
-    play = RearrangeRollout(episode, assign(TASK, episode, {"robot": External(), "human": External()}))
+def told(episode: RearrangeEpisode) -> tuple[SkillRollout, DecisionLoop]:
+    play = SkillRollout(TASK, episode, assign(TASK, episode, {"robot": External(), "human": External()}))
     return play, DecisionLoop(play)
 
 
-def go(play: RearrangeRollout, turns: DecisionLoop, robot: Action, human: Action, steps: int = 1) -> None:
+def go(play: SkillRollout, turns: DecisionLoop, robot: Action, human: Action, steps: int = 1) -> None:
     for _ in range(steps):
         while turns.asked is not None:
             turns.answer(robot if turns.asked == 0 else human)

@@ -31,7 +31,7 @@ from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS  # noqa
 from sim_kinematic.policies.policy import External  # noqa: E402
 from sim_kinematic.policies.rearrange_observations import exact  # noqa: E402
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode, RearrangeSpec  # noqa: E402
-from sim_kinematic.tasks.rearrange.play import RearrangeRollout  # noqa: E402
+from sim_kinematic.tasks.rearrange.play import SkillRollout  # noqa: E402
 from sim_kinematic.tasks.rearrange.task import Rearrange  # noqa: E402
 from sim_kinematic.tasks.runner import DecisionLoop  # noqa: E402
 from sim_kinematic.tasks.sources import EpisodeSource  # noqa: E402
@@ -95,7 +95,7 @@ class Pair:
         self.state: Play = self.sim.start(self.sim.before_the_first(torch.arange(len(episodes)) - 1))
         task = Rearrange()
         chosen = {kind: External() if kind in outside else partner for kind in KINDS}
-        self.plays = [RearrangeRollout(e, assign(task, e, chosen)) for e in episodes]
+        self.plays = [SkillRollout(task, e, assign(task, e, chosen)) for e in episodes]
         self.turns = [DecisionLoop(play) for play in self.plays]
         self.known = {kind: choices(2, robot=kind == "robot") for kind in KINDS}
         self.seen: Counter[str] = Counter()
@@ -144,7 +144,7 @@ class Pair:
                 assert bool(self.state.success[n]) == (play.ended == "success")
                 self.seen[play.ended] += 1
 
-    def compare(self, n: int, play: RearrangeRollout, at_goal: Any) -> None:
+    def compare(self, n: int, play: SkillRollout, at_goal: Any) -> None:
         state = self.state
         for actor, own in zip(play.actors, (state.robot, state.human), strict=True):
             np.testing.assert_allclose(own.xz[n], actor.xz, rtol=0, atol=1e-9)
@@ -217,7 +217,7 @@ def test_what_agents_are_shown_is_what_the_cpu_shows(episodes: list[RearrangeEpi
     names = tuple(name for name in OBSERVED if name not in ("last_done", "last_failed", "interrupted", "elapsed_s"))
     shown: dict[str, Any] = {}
 
-    def compare(n: int, play: RearrangeRollout) -> None:
+    def compare(n: int, play: SkillRollout) -> None:
         if not n:
             views = {kind: View.of(pair.sim, pair.state, kind) for kind in KINDS}
             shown.update({kind: (observed(view, names), view.allowed()) for kind, view in views.items()})
