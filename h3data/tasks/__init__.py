@@ -8,7 +8,10 @@ from sim_kinematic.tasks.codec import EpisodeCodec, TaskCodec
 from sim_kinematic.tasks.control import Control, VelocityControl
 from sim_kinematic.tasks.episode import Episode, StepOutcome, TaskSpec, sample_starts
 from sim_kinematic.tasks.play import WorldRollout
+from sim_kinematic.tasks.rearrange.codec import RearrangeCodec
+from sim_kinematic.tasks.rearrange.control import SkillControl
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
+from sim_kinematic.tasks.rearrange.play import SkillRollout
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.runner import Session
@@ -22,8 +25,11 @@ __all__ = [
     "Episode",
     "EpisodeCodec",
     "Rearrange",
+    "RearrangeCodec",
     "RearrangeSpec",
     "Session",
+    "SkillControl",
+    "SkillRollout",
     "SocialNav",
     "SocialNavSpec",
     "StepOutcome",
