@@ -22,8 +22,8 @@ from statistics import median
 from time import process_time
 
 import h3data
-from h3data_pipelines.benchmark.protocol import BenchmarkWorlds, Cell
 from h3data_pipelines.machine.bench import measure, process_pool
+from h3data_pipelines.machine.bench_protocol import BenchmarkWorlds, Cell
 from sim_kinematic.sensing.agent_pictures import AgentPictures
 from sim_kinematic.sensing.camera_sensor import StateRenderer
 

@@ -30,7 +30,19 @@ if TYPE_CHECKING:
     from h3data.replay import Replay
     from h3data.scene import Scene
     from h3data_homes import HomeSpec, build_home
-    from h3data_pipelines.api import card, evaluate, export, generate, import_, pull, push, rerender, sync
+    from h3data_pipelines.api import (
+        card,
+        evaluate,
+        export,
+        generate,
+        import_,
+        pull,
+        push,
+        rerender,
+        run_benchmark,
+        sync,
+        verify_benchmark,
+    )
     from h3data_viewers.api import report, view
     from sim_kinematic.envs.make import make
     from sim_kinematic.tasks.sessions import session, simulate
@@ -54,7 +66,9 @@ _HOMES = {
     "push": "h3data_pipelines.api",
     "report": "h3data_viewers.api",
     "rerender": "h3data_pipelines.api",
+    "run_benchmark": "h3data_pipelines.api",
     "sync": "h3data_pipelines.api",
+    "verify_benchmark": "h3data_pipelines.api",
     "view": "h3data_viewers.api",
     "H3DataError": "h3data.errors",
     "Dataset": "h3data.recording",
@@ -91,9 +105,11 @@ __all__ = [
     "render_frame",
     "report",
     "rerender",
+    "run_benchmark",
     "session",
     "simulate",
     "sync",
+    "verify_benchmark",
     "view",
 ]
 

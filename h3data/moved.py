@@ -10,6 +10,8 @@ from types import ModuleType
 from typing import Any
 
 MOVED = {
+    "h3data_pipelines.benchmark.agents": "h3data_pipelines.machine.bench_agents",
+    "h3data_pipelines.benchmark.protocol": "h3data_pipelines.machine.bench_protocol",
     "h3data.habitat.asset_folders": "h3data.recording.assets.folders",
     "h3data.habitat.asset_library": "h3data.recording.assets.library",
     "h3data.habitat.episodes.partnr_goals": "h3data.recording.task_episodes.partnr_goals",

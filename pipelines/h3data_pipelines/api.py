@@ -9,6 +9,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from h3data_pipelines.commands.benchmarking import run_benchmark as run_benchmark
+    from h3data_pipelines.commands.benchmarking import verify_benchmark as verify_benchmark
     from h3data_pipelines.commands.evaluating import evaluate as evaluate
     from h3data_pipelines.commands.exporting import export as export
     from h3data_pipelines.commands.generate import generate as generate
@@ -28,7 +30,9 @@ _HOMES = {
     "pull": "h3data_pipelines.hub.pulling",
     "push": "h3data_pipelines.hub.pushing",
     "rerender": "h3data_pipelines.pictures.rerender",
+    "run_benchmark": "h3data_pipelines.commands.benchmarking",
     "sync": "h3data_pipelines.hub.syncing",
+    "verify_benchmark": "h3data_pipelines.commands.benchmarking",
 }
 
 

@@ -7,17 +7,19 @@ not give the recorded states bit for bit.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from h3data.errors import H3DataError, InputError, UntrustedNameError
 from h3data.plugins import names_from_data
 from h3data.recording import Event, InputEvent, Recording, SkillSpan, state_hash
 from h3data.replay.recorded_robots import check_recorded_robots
-from sim_kinematic.policies.assignment import KINDS, AssignedPolicy, make_policy
+from sim_kinematic.policies.assignment import KINDS, AssignedPolicy, assign, make_policy
 from sim_kinematic.policies.recorded import NotRecorded
 from sim_kinematic.tasks.codec import POLICY_ENTRIES
 from sim_kinematic.tasks.episode import Episode
@@ -40,7 +42,16 @@ from sim_kinematic.tasks.resimulation import (
 from sim_kinematic.tasks.runner import run
 from sim_kinematic.tasks.task import Task
 
-__all__ = ["Difference", "Verification", "counterfactual", "first_difference", "resume", "task_of", "verify"]
+__all__ = [
+    "Difference",
+    "Verification",
+    "counterfactual",
+    "first_difference",
+    "resume",
+    "task_of",
+    "verify",
+    "verify_episode",
+]
 
 
 def task_of(recording: Recording) -> Task:
@@ -91,6 +102,47 @@ def verify(recording: Recording) -> Verification:
         task, episode, policies, recording, steps=steps, keeps_people=is_counterfactual(recording), since=steps
     )
     return compared(recording, played.columns, played.ended)
+
+
+def verify_episode(recording: Recording, task: Task, episode: Episode, people: Any = None) -> Verification:
+    """Plays an episode with the robots' recorded decisions, and compares the outcome with the recording as `verify` does.
+
+    Nothing else of the recording is used: it is wrong if it is of another episode, or if people did not decide as their policy
+    does. The results that the task adds at the end (`EpisodeCodec.final_info`) are compared too.
+
+    Args:
+        recording: The recording to check.
+        task: The task.
+        episode: The episode that it should be.
+        people: Policy of people, a name or an object (default: the task's own).
+
+    Raises:
+        H3DataError: the robots' decisions are not in the recording.
+    """
+    steps, named = len(recording), task.codec.policy_names(recording)
+    if [agent.kind for agent in recording.agents] != [member.kind for member in episode.roster]:
+        raise InputError(
+            f"Expected a recording of {', '.join(member.kind for member in episode.roster)}, got "
+            f"{', '.join(agent.kind for agent in recording.agents)}.",
+            code="H3-TASK-071",
+        )
+    assigned = assign(task, episode, {} if people is None else {"human": people})
+    own = [
+        mine if mine.kind == "human" else AssignedPolicy(None, name, mine.kind)
+        for mine, name in zip(assigned, named, strict=True)
+    ]
+    repeated = task.control.recorded_policies(recording, episode, own, until=steps, changed=[False] * len(own))
+    policies = [mine if mine.kind == "human" else again for mine, again in zip(own, repeated, strict=True)]
+    played = _Played(task, episode, policies, recording, steps=steps, keeps_people=False, since=steps)
+    found = compared(recording, played.columns, played.ended)
+    if not found.equal:
+        return found
+    results = json.loads(msgspec.json.encode(task.codec.final_info(episode, played.play, own)))
+    for name, value in results.items():
+        if (recorded := recording.episode.info.get(name)) != value:
+            wrong = Difference(step=steps, column=f"info.{name}", recorded=repr(recorded), simulated=repr(value))
+            return Verification(steps=steps, difference=wrong)
+    return found
 
 
 def resume(

@@ -1,216 +1,243 @@
-"""The speed benchmark does what it times: agents move, see each other, touch, reach; the command's table and refusals."""
+"""``h3data benchmark``: results that come out again, and what is found in results that somebody has changed."""
 
 from __future__ import annotations
 
-import gc
 import json
-import re
-import tracemalloc
-from itertools import pairwise
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from h3data.errors import InputError
-from h3data_pipelines.benchmark.agents import RobotAgent
-from h3data_pipelines.benchmark.protocol import BenchmarkWorlds, Cell
+from h3data.builtin import builtin_root
+from h3data.errors import FormatError, InputError
+from h3data.recording import DatasetWriter, Recording
+from h3data.recording.finding import find_episodes
+from h3data_pipelines.benchmark.definition import (
+    benchmark_labels,
+    episode_uid,
+    find_benchmark,
+    list_episodes,
+    read_benchmark,
+)
+from h3data_pipelines.benchmark.leaderboard import leaderboard
+from h3data_pipelines.benchmark.result import MANIFEST, file_digest, result_files, run_benchmark
+from h3data_pipelines.benchmark.verification import verify_result
 from h3data_pipelines.cli import main
 
-
-def face_to_face(benchmark: BenchmarkWorlds, apart: float) -> None:
-    """The second agent stands ``apart`` metres ahead of the first, which looks along +x, in a free place of the home."""
-    free, rng = benchmark.free, np.random.default_rng(0)
-    benchmark.reset(rng)
-    while True:
-        (xz,) = free.sample(rng, 1)
-        if np.isclose(free.geodesic(xz, xz + np.array([max(apart, 2.5), 0])), max(apart, 2.5)):
-            break
-    for agent, place, heading in zip(benchmark.agents, (xz, xz + np.array([apart, 0])), (0.0, np.pi), strict=True):
-        agent.own.xz[:], agent.own.heading[:] = place, heading
-
-
-def stay(benchmark: BenchmarkWorlds) -> np.ndarray:
-    return benchmark.step([np.zeros((benchmark.worlds, 2)) for _ in benchmark.agents])
-
-
-@pytest.mark.parametrize("action", [pytest.param("nav", marks=pytest.mark.slow), "pick"])
-@pytest.mark.parametrize(
-    "agents",
-    [
-        pytest.param("robot", marks=pytest.mark.slow),
-        pytest.param("human", marks=pytest.mark.slow),
-        pytest.param("robot_robot", marks=pytest.mark.slow),
-        "human_robot",
-    ],
-)
-def test_every_kind_of_cell_runs(agents: str, action: str) -> None:
-    cell = Cell(agents=agents, action=action, worlds=2)  # type: ignore[arg-type]
-    benchmark, rng = BenchmarkWorlds(cell), np.random.default_rng(1)
-    count = len(agents.split("_"))
-    benchmark.reset(rng)
-    first = [agent.frames for agent in benchmark.agents]
-    bases = [agent.base for agent in benchmark.agents]
-    for _ in range(39):
-        benchmark.step(benchmark.sample(rng))
-    depth = benchmark.step(benchmark.sample(rng))
-    assert depth.shape == (count * 2, *(2 * [128 if count == 1 else 256]))
-    assert (depth > 0).any((1, 2)).all()
-    for agent, before, base in zip(benchmark.agents, first, bases, strict=True):
-        assert (np.abs(agent.frames - before).max((1, 2, 3)) > 0.02).all()
-        stands = (agent.base == base).all(-1)
-        assert stands.all() if action == "pick" else not stands.any()
+SOCIAL_NAV = """
+format = 1
+name = "short-nav"
+version = 2
+about = "Two short episodes."
+task = "social_nav"
+scenes = ["small"]
+episodes = 2
+seed = 3
+human_walk = "natural"
+rules = { max_steps = 60 }
+metrics = ["S", "F", "TD"]
+rank = "TD"
+"""
+REARRANGE = """
+format = 1
+name = "short-rearrange"
+version = 1
+about = "One short episode with two partners."
+task = "rearrange"
+scenes = ["small"]
+episodes = 1
+seed = 3
+rules = { max_steps = 900 }
+partners = ["plan_pop_3", "still"]
+metrics = ["SR", "RE"]
+rank = "SR"
+"""
 
 
-@pytest.mark.parametrize("agents", ["robot_robot", "human_robot"])
-def test_two_agents_see_and_touch_each_other(agents: str) -> None:
-    benchmark = BenchmarkWorlds(Cell(agents=agents))  # type: ignore[arg-type]
-    for apart, touch in ((2.5, False), (0.5, True)):
-        face_to_face(benchmark, apart)
-        stay(benchmark)
-        assert bool(benchmark.touched[0]) is touch, apart
-    face_to_face(benchmark, 2.5)
-    stay(benchmark)
-    seen = benchmark.render(("instance", "depth"))
-    for picture, depth, other in zip(seen["instance"], seen["depth"], benchmark.agents[::-1], strict=True):
-        there = np.isin(picture, benchmark.drawn.instances(other.number))
-        assert there.sum() > 500
-        assert 0.8 < np.median(depth[there]) < 3.2
+def definition(folder: Path, text: str) -> Path:
+    folder.mkdir()
+    (folder / "benchmark.toml").write_text(text)
+    entries = list(list_episodes(read_benchmark(folder).jobs()))
+    (folder / "episodes.json").write_text(json.dumps({"format": 1, "episodes": entries}))
+    return folder
 
 
-def test_the_arm_sees_one_picture_of_each_world() -> None:
-    benchmark, rng = BenchmarkWorlds(Cell(pictures="arm", worlds=2)), np.random.default_rng(1)
-    benchmark.reset(rng)
-    depth = benchmark.step(benchmark.sample(rng))
-    assert depth.shape == (2, 171, 224)
-    assert (depth > 0).any((1, 2)).all()
-    with pytest.raises(InputError, match="H3-OPTION-018"):
-        BenchmarkWorlds(Cell(agents="human", pictures="arm"))
+@pytest.fixture(scope="module")
+def short_nav(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Folder of a benchmark, and of a result of two policies."""
+    root = tmp_path_factory.mktemp("benchmark")
+    folder = definition(root / "short-nav", SOCIAL_NAV)
+    run_benchmark(read_benchmark(folder), ["heuristic_expert", "stand_still"], root / "result")
+    return folder, root / "result"
 
 
-@pytest.mark.slow
-def test_resets_leave_nothing_behind() -> None:
-    benchmark, rng = BenchmarkWorlds(Cell(worlds=2)), np.random.default_rng(1)
-
-    def play(resets: int) -> int:
-        """Bytes that Python and NumPy hold afterwards."""
-        for _ in range(resets):
-            benchmark.reset(rng)
-            benchmark.step(benchmark.sample(rng))
-        gc.collect()
-        return tracemalloc.get_traced_memory()[0]
-
-    tracemalloc.start()
-    try:
-        held = [play(25) for _ in range(5)]
-        assert min(after - before for before, after in pairwise(held)) < 10_000  # what leaks does so every time
-    finally:
-        tracemalloc.stop()
+@pytest.fixture
+def result(short_nav: tuple[Path, Path], tmp_path: Path) -> Path:
+    return Path(shutil.copytree(short_nav[1], tmp_path / "result"))
 
 
-def test_bones_fill_nearly_what_skin_does() -> None:
-    masks = []
-    for skinned in (True, False):
-        benchmark = BenchmarkWorlds(Cell(skinned=skinned))
-        face_to_face(benchmark, 2.5)
-        stay(benchmark)
-        human, robot = benchmark.agents
-        masks.append(np.isin(benchmark.render(("instance",))["instance"][1], benchmark.drawn.instances(human.number)))
-        assert isinstance(robot, RobotAgent)
-    skin, bones = masks
-    assert (skin & bones).sum() > 0.7 * (skin | bones).sum()
+def faults(result: Path, benchmark: Path) -> str:
+    return "\n".join(verify_result(result, benchmark=str(benchmark)).faults)
 
 
-def test_hands_take_what_they_reach() -> None:
-    benchmark, rng = BenchmarkWorlds(Cell(agents="human", action="pick")), np.random.default_rng(0)
-    benchmark.reset(rng)
-    (human,) = benchmark.agents
-    state = benchmark.state
-    state.people[0].xz[0] = benchmark.free.sample(rng, 1)[0]
-    state.people[0].heading[0] = 0.0
-    state.object_pose[0, 0, :3] = [
-        state.people[0].xz[0, 0] + 0.4,
-        benchmark.free.floor_y + 1.0,
-        state.people[0].xz[0, 1] + 0.1,
-    ]
-    for _ in range(60):
-        benchmark.step([np.array([[0.0, 1.0]])])
-    assert state.held_by[0, 0] == human.number
+def renew_digests(result: Path) -> None:
+    """As somebody would who wants a changed file to pass."""
+    manifest = json.loads((result / MANIFEST).read_text())
+    manifest["files"] = {name: file_digest(result / name) for name in result_files(result)}
+    (result / MANIFEST).write_text(json.dumps(manifest))
 
 
-def test_a_run_times_all_steps_but_the_first() -> None:
-    benchmark = BenchmarkWorlds(Cell(agents="robot"))
-    one, many = (benchmark.run(0, steps=steps, untimed=2) for steps in (3, 42))
-    assert 0 < one.wall_s < many.wall_s
-    with pytest.raises(InputError, match="not timed; got 10"):
-        benchmark.run(0, steps=10)
-    with pytest.raises(InputError, match="1 to 19 objects, got 20"):
-        BenchmarkWorlds(Cell(objects=20))
+def rewrite(result: Path, index: int, change: Callable[[Recording], None]) -> None:
+    folder = result / "recordings" / f"{index:06d}"
+    recordings = [source.read() for source in find_episodes([folder])]
+    change(recordings[0])
+    shutil.rmtree(folder)
+    with DatasetWriter(folder, like=recordings) as writer:
+        for recording in recordings:
+            writer.add(recording)
+    renew_digests(result)
 
 
-def test_the_same_seed_gives_the_same_worlds() -> None:
-    poses = []
-    for _ in range(2):
-        benchmark = BenchmarkWorlds(Cell(worlds=2))
-        benchmark.run(3, steps=12)
-        poses.append(np.concatenate([agent.base for agent in benchmark.agents]))
-    np.testing.assert_array_equal(*poses)
+def test_shipped_benchmarks_are_whole() -> None:
+    for label in benchmark_labels():
+        benchmark = find_benchmark(label)
+        assert benchmark.label == label == benchmark.folder.name
+        assert len(set(benchmark.episode_uids())) == benchmark.file.episodes
+        assert benchmark.file.rank in {metric.name for metric in benchmark.metrics()}
+        first = benchmark.jobs()[0].base
+        assert episode_uid(first.found_task, first.episode()) == benchmark.episode_uids()[0]
+    assert find_benchmark("h3-social-nav").label == "h3-social-nav@1"
+    assert {"h3-social-nav@1", "h3-rearrange@1"} <= {path.name for path in (builtin_root() / "benchmarks").iterdir()}
 
 
-def test_command_prints_the_papers_number_beside(capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["--agents", "robot,human_robot", "--worlds", "1", "--runs", "2", "--steps", "12"]
-    assert main(["bench", "sim", *options]) == 0
-    text = capsys.readouterr().out
-    assert re.search(r"^small +2 +robot +1 on 1 +nav +- +1 128x128 +\d+±\d+ +\d+\.\d\d +245±19$", text, re.MULTILINE)
-    assert re.search(r"^small +2 +human_robot .* skinned +2 256x256 .* 136±8$", text, re.MULTILINE)
-    assert main(["bench", "sim", "--agents", "human", "--bodies", "bones", "--worlds", "1", "--runs", "1", "--steps", "12",
-                 "--json"]) == 0  # fmt: skip
-    told = json.loads(capsys.readouterr().out)
-    (row,) = told["cells"]
-    assert (row["skinned"], row["paper"], row["fps_standard_error"]) == (False, None, None)
-    assert row["fps"] == [row["fps_mean"]]
+def test_a_true_result_is_true_and_stands_in_the_leaderboard(
+    short_nav: tuple[Path, Path], result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = short_nav[0]
+    assert main(["benchmark", "verify", str(result), "--benchmark", str(folder), "--json"]) == 0
+    verdict = json.loads(capsys.readouterr().out)
+    assert verdict["true"]
+    assert verdict["recordings"] == 4
+    board = leaderboard(read_benchmark(folder), [result]).to_dict()["rows"]
+    assert [row["policy"] for row in board] == sorted(
+        (row["policy"] for row in board),
+        key=lambda name: next(r for r in board if r["policy"] == name)["metrics"]["TD"]["mean"],
+    )
+    assert {row["checked"] for row in board} == {"2 of 2"}
+    page = tmp_path / "board.html"
+    assert main(["benchmark", "table", str(result), "--benchmark", str(folder), "-o", str(page)]) == 0
+    assert "heuristic_expert" in page.read_text()
+    (result / MANIFEST).write_text((result / MANIFEST).read_text() + " ")  # a verdict is of the result that was checked
+    assert {row["checked"] for row in leaderboard(read_benchmark(folder), [result]).to_dict()["rows"]} == {"no"}
 
 
-@pytest.mark.slow
-def test_worlds_are_shared_by_processes(capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["--agents", "robot", "--worlds", "3", "--runs", "2", "--steps", "12", "--cores", "2", "--json"]
-    assert main(["bench", "sim", *options]) == 0
-    (row,) = json.loads(capsys.readouterr().out)["cells"]
-    assert (row["worlds"], row["processes"], len(row["fps"])) == (3, 2, 2)
-    # a process that fails does not leave the other waiting
-    assert main(["bench", "sim", "--agents", "robot", "--objects", "99", "--worlds", "2", "--cores", "2"]) == 2
+def test_it_goes_on_where_it_was(short_nav: tuple[Path, Path], result: Path) -> None:
+    before = (result / "table.json").read_text()
+    (result / "episodes" / "000001.json").unlink()
+    again = run_benchmark(read_benchmark(short_nav[0]), ["heuristic_expert", "stand_still"], result, resume=True)
+    assert again.result.is_complete
+    assert json.loads(before)["cells"] == json.loads((result / "table.json").read_text())["cells"]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["render"], "Unknown benchmark 'render'. Expected: sim."),
-        (["sim", "--homes", "tiny"], "--homes: unknown 'tiny'. Expected some of: small, medium, large; or all."),
-        (["sim", "--worlds", "0"], "--worlds: expected positive whole numbers"),
-        (["sim", "--objects", "2,x"], "--objects: expected positive whole numbers"),
-        (["sim", "--runs", "0"], "--runs must be at least 1"),
-        (["sim", "--steps", "10"], "--steps must be more than 10"),
-        (["sim", "--cores", "0"], "--cores must be at least 1"),
-        (["sim", "--backend", "gpu", "--cores", "2"], "one process renders all worlds"),
-        (["sim", "--agents", "robot", "--bodies", "bones"], "robots have no skin"),
-        (["sim", "--objects", "20", "--worlds", "1"], "1 to 19 objects"),
-    ],
-)  # fmt: skip
-def test_refusals(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", *arguments]) == 2
-    assert message in capsys.readouterr().err
+def test_a_changed_table_is_found(short_nav: tuple[Path, Path], result: Path) -> None:
+    manifest = json.loads((result / MANIFEST).read_text())
+    manifest["rows"][0]["metrics"]["S"]["mean"] = 0.99
+    (result / MANIFEST).write_text(json.dumps(manifest))
+    assert "does not follow from its episodes: S" in faults(result, short_nav[0])
 
 
-@pytest.mark.gpu
-def test_gpu_draws_the_same_worlds() -> None:
-    from h3data.render.gpu import gpu_problem
+def test_a_changed_metric_is_found(short_nav: tuple[Path, Path], result: Path) -> None:
+    path = result / "episodes" / "000001.json"
+    changed = json.loads(path.read_text())
+    changed["rows"][0]["values"]["TD"] += 0.25
+    path.write_text(json.dumps(changed))
+    assert "the file is not the one" in faults(result, short_nav[0])
+    renew_digests(result)
+    assert "TD: measured again" in faults(result, short_nav[0])
 
-    if problem := gpu_problem():
-        pytest.skip(problem)
-    pictures = []
-    for backend in ("cpu", "gpu"):
-        benchmark, rng = BenchmarkWorlds(Cell(worlds=2), backend=backend), np.random.default_rng(2)
-        benchmark.reset(rng)
-        benchmark.step(benchmark.sample(rng))
-        depth = benchmark.step(benchmark.sample(rng))
-        pictures.append(depth.cpu().numpy() if backend == "gpu" else depth)
-    assert (np.abs(np.subtract(*pictures)) < 1e-3).mean() > 0.99
+
+def changed_column(name: str, value: float) -> Callable[[Recording], None]:
+    def change(recording: Recording) -> None:
+        column = np.array(recording.columns[name])
+        column[10] = value
+        recording.columns[name] = column  # type: ignore[index]
+
+    return change
+
+
+@pytest.mark.parametrize("name", ["agent_0.action", "agent_0.base", "agent_1.base"])
+def test_a_changed_action_or_pose_is_found(short_nav: tuple[Path, Path], result: Path, name: str) -> None:
+    first = next(iter(find_episodes([result / "recordings" / "000000"]))).read()
+    column = (
+        name
+        if name in first.columns
+        else next(n for n in first.columns if n.startswith(name.split(".")[0]) and "pos" in n)
+    )
+    rewrite(result, 0, changed_column(column, 0.125))
+    assert "takes another course" in faults(result, short_nav[0])
+
+
+def test_another_episode_is_found(short_nav: tuple[Path, Path], result: Path) -> None:
+    def easier(recording: Recording) -> None:
+        recording.episode.info["robot_start"][0] += 0.5
+
+    rewrite(result, 0, easier)
+    assert "it is another episode than the benchmark's: robot_start" in faults(result, short_nav[0])
+
+
+def test_missing_recordings_are_found(short_nav: tuple[Path, Path], result: Path) -> None:
+    shutil.rmtree(result / "recordings" / "000001")
+    renew_digests(result)
+    assert "recordings/000001: no recording of heuristic_expert, stand_still" in faults(result, short_nav[0])
+
+
+def test_people_decide_again(tmp_path: Path) -> None:
+    """A result cannot show another partner's course under a partner's name."""
+    folder = definition(tmp_path / "short-rearrange", REARRANGE)
+    out = tmp_path / "result"
+    run_benchmark(read_benchmark(folder), ["complement"], out)
+    assert verify_result(out, benchmark=str(folder)).is_true
+    path = out / "episodes" / "000000.json"
+    changed: dict[str, Any] = json.loads(path.read_text())
+    one, other = changed["rows"]
+    one["partner"], other["partner"] = other["partner"], one["partner"]
+    path.write_text(json.dumps(changed))
+
+    def swapped(recording: Recording) -> None:
+        names = recording.episode.info["partners"]
+        names[:] = ["still" if name == "plan_pop_3" else "plan_pop_3" for name in names]
+
+    recordings = [source.read() for source in find_episodes([out / "recordings" / "000000"])]
+    for recording in recordings:
+        swapped(recording)
+    shutil.rmtree(out / "recordings" / "000000")
+    with DatasetWriter(out / "recordings" / "000000", like=recordings) as writer:
+        for recording in recordings:
+            writer.add(recording)
+    renew_digests(out)
+    assert "takes another course" in faults(out, folder)
+
+
+def test_what_cannot_be_is_refused(short_nav: tuple[Path, Path], result: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError):
+        find_benchmark("h3-social-naw@1")
+    with pytest.raises(InputError):
+        verify_result(tmp_path)
+    with pytest.raises(InputError):  # the result of another benchmark
+        leaderboard(find_benchmark("h3-rearrange@1"), [result])
+    with pytest.raises(InputError):
+        run_benchmark(find_benchmark("h3-social-nav@1"), ["stand_still"], result)
+    assert "expected a result of h3-social-nav@1" in "\n".join(
+        verify_result(result, benchmark="h3-social-nav@1", episodes=1).faults
+    )
+    (result / MANIFEST).write_text("{")
+    with pytest.raises(FormatError):
+        verify_result(result, benchmark=str(short_nav[0]))
+    (short_nav[0] / "benchmark.toml").exists()
+    broken = definition(tmp_path / "broken", SOCIAL_NAV)
+    (broken / "benchmark.toml").write_text(SOCIAL_NAV.replace("version = 2", "version = 'two'"))
+    with pytest.raises(FormatError):
+        read_benchmark(broken)

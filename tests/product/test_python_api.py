@@ -284,8 +284,14 @@ def test_the_version() -> None:
 
 
 @pytest.mark.slow
-def test_gymnasium_finds_the_environments_after_both_imports() -> None:
-    script = "import gymnasium, h3data; print(gymnasium.make('h3data/SocialNav-v0', scenes='small:1').spec.id)"
+@pytest.mark.parametrize(
+    "script",
+    [
+        "import gymnasium, h3data; print(gymnasium.make('h3data/SocialNav-v0', scenes='small:1').spec.id)",
+        "import gymnasium; print(gymnasium.make('h3data:h3data/SocialNav-v0', scenes='small:1').spec.id)",
+    ],
+)
+def test_gymnasium_finds_the_environments(script: str) -> None:
     said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert said.stdout.strip() == "h3data/SocialNav-v0"
 

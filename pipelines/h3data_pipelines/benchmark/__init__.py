@@ -1,1 +1,1 @@
-"""The paper's own benchmark protocol."""
+"""Benchmarks: named, versioned sets of episodes with rules and metrics, whose results anyone can check."""

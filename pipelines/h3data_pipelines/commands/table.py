@@ -8,6 +8,7 @@ from h3data_pipelines.assets.bodies import BODIES
 from h3data_pipelines.assets.motion import MOTION
 from h3data_pipelines.assets.robots import ROBOTS
 from h3data_pipelines.assets.scenes import SCENES
+from h3data_pipelines.commands.benchmarking import BENCHMARK
 from h3data_pipelines.commands.converting import Convert
 from h3data_pipelines.commands.demo import Demo
 from h3data_pipelines.commands.evaluating import Evaluate
@@ -37,6 +38,7 @@ TABLE: dict[str, type[Command] | Group | None] = {
     "demo": Demo,
     "generate": Generate,
     "evaluate": Evaluate,
+    "benchmark": BENCHMARK,
     "train": None,
     "play": None,
     "import": Import,

@@ -62,7 +62,7 @@ def play_evaluation(job: Evaluation) -> tuple[dict[str, Any], list[Recording]]:
         for partner in job.partners or (None,):
             chosen = {"robot": policy, **({} if partner is None else {"human": partner})}
             try:
-                plan = _plan(task, episode, partner)
+                plan = plan_of(task, episode, partner)
                 if plan not in played:
                     recording = simulate(
                         task,
@@ -119,7 +119,7 @@ def write_recordings(recordings: Sequence[Recording], folder: Path) -> None:
     part.rename(folder)
 
 
-def _plan(task: Any, episode: Any, partner: str | None) -> str:
+def plan_of(task: Any, episode: Any, partner: str | None) -> str:
     """The name by which a partner plays this episode: the plan of one that follows a plan."""
     if partner is None:
         return ""

@@ -21,7 +21,7 @@ from h3data.errors import InputError
 from h3data.progress import progress
 
 if TYPE_CHECKING:
-    from h3data_pipelines.benchmark.protocol import Cell, Run
+    from h3data_pipelines.machine.bench_protocol import Cell, Run
 
 ALL = "all"
 HOMES = ("small", "medium", "large")
@@ -106,7 +106,7 @@ class Bench:
 
     def cells(self) -> list[Cell]:
         """Rows to measure; an `InputError` names a bad option."""
-        from h3data_pipelines.benchmark.protocol import UNTIMED, Cell
+        from h3data_pipelines.machine.bench_protocol import UNTIMED, Cell
 
         if self.group != "sim":
             raise InputError(
@@ -204,7 +204,7 @@ def _run_share(
     cell: Cell, worlds: int, *, runs: int, steps: int, backend: Literal["cpu", "gpu"], seed: int
 ) -> list[Run]:
     """Results of one process; several processes begin each run together."""
-    from h3data_pipelines.benchmark.protocol import UNTIMED, BenchmarkWorlds
+    from h3data_pipelines.machine.bench_protocol import UNTIMED, BenchmarkWorlds
 
     try:
         benchmark = BenchmarkWorlds(cell, worlds=worlds, backend=backend)
@@ -228,7 +228,7 @@ def measure(
 
     The frames per second of a run are worlds x timed steps / mean time of the processes, as in Habitat's script.
     """
-    from h3data_pipelines.benchmark.protocol import UNTIMED
+    from h3data_pipelines.machine.bench_protocol import UNTIMED
 
     count = min(pool.size, cell.worlds)
     shares = [cell.worlds // count + (k < cell.worlds % count) for k in range(count)]

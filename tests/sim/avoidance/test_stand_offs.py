@@ -406,6 +406,14 @@ def test_stand_offs_are_counted(rooms: FreeSpace) -> None:
     assert count(recorded(320, 1.0, walks_mps=0.08), rooms) == [(0, 319)]
 
 
+def test_who_drives_to_an_errand_gets_on_as_others_do(rooms: FreeSpace) -> None:
+    count, far = standoff.stand_offs, [float("nan")] * 400
+    assert count(recorded(400, 2.0), rooms, [(1, 9.0 - 0.004 * k) for k in range(400)]) == []
+    assert count(recorded(400, 2.0), rooms, [(1, 9.0)] * 400) == [(0, 399)]
+    assert count(recorded(400, 2.0), rooms, [(k // 100, 9.0 - k // 100) for k in range(400)]) == [(0, 399)]  # other errands
+    assert count(recorded(400, 2.0), rooms, list(enumerate(far))) == [(0, 399)]
+
+
 DANCE = 7945165734413234536
 """The seed of the first episode of ``generate rearrange --scenes small:3 --seed 3``: steps 454 to 776 were a stand-off."""
 
@@ -449,8 +457,9 @@ def test_who_shuts_a_dead_end_lets_the_other_out() -> None:
 @pytest.mark.parametrize("seed", [32, 94, 195, 10072, 10234, 10299, 10315])
 def test_who_gives_way_to_a_driver_on_errands_gets_away_from_them(seed: int) -> None:
     """They turned on the spot, stopped at every corner, and stood where the driver came after them: up to 396 steps."""
-    recording, _, _ = standoff.play(seed, "errands")
-    assert standoff.stand_offs(recording, standoff._home(seed % standoff.HOMES)[1]) == []
+    recording, _, driver = standoff.play(seed, "errands")
+    assert driver is not None
+    assert standoff.stand_offs(recording, standoff._home(seed % standoff.HOMES)[1], driver.errands) == []
 
 
 @pytest.mark.slow

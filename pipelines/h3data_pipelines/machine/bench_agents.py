@@ -1,6 +1,6 @@
 """Agents of the speed benchmark, which sample random actions and move in W worlds by the simulator's own kernels.
 
-`h3data_pipelines.benchmark.protocol` combines them into worlds.
+`h3data_pipelines.machine.bench_protocol` combines them into worlds.
 """
 
 from __future__ import annotations

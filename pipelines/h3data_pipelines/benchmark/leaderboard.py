@@ -1,0 +1,193 @@
+"""Leaderboards: the results of a benchmark in one table, as Markdown or as a page of HTML."""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from h3data.errors import FormatError, InputError
+from h3data.metrics import Metric
+from h3data.metrics.table import legend
+from h3data_pipelines.benchmark.definition import BASELINES, Benchmark
+from h3data_pipelines.benchmark.result import BenchmarkResult, ResultRow, cell_text, read_result, row_label
+from h3data_pipelines.benchmark.verification import ResultVerification
+
+VERDICT = "verification.json"
+"""File beside ``benchmark.json`` that ``h3data benchmark verify`` writes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """One row of a leaderboard."""
+
+    row: ResultRow
+    result: BenchmarkResult
+    source: str
+    """Folder of the result, or ``baseline`` of those that ship with the benchmark."""
+    checked: str
+    """What `h3data benchmark verify` found."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Leaderboard:
+    """All results of one benchmark, the best first."""
+
+    benchmark: Benchmark
+    entries: tuple[Entry, ...]
+
+    @property
+    def _columns(self) -> list[Metric]:
+        return self.benchmark.metrics()
+
+    def to_markdown(self) -> str:
+        """Heading, table, and what its columns mean."""
+        lines = [f"# {self.benchmark.label}", "", self.benchmark.file.about, ""]
+        rows = [
+            self._heads(),
+            ["---"] * len(self._heads()),
+            *(self._cells(place, one) for place, one in self._places()),
+        ]
+        lines += ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
+        return "\n".join([*lines, "", "Means with 95% intervals.", "", *self._legend(), ""])
+
+    def to_html(self) -> str:
+        """A page that needs nothing else, with a card below the table for each result."""
+        escape = html.escape
+        heads = "".join(f"<th>{escape(head)}</th>" for head in self._heads())
+        body = "".join(
+            "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in self._cells(place, one)) + "</tr>"
+            for place, one in self._places()
+        )
+        cards = "".join(_card(one) for one in {entry.source: entry for entry in self.entries}.values())
+        title, about = escape(self.benchmark.label), escape(self.benchmark.file.about)
+        legends = "<br>".join(map(escape, self._legend()))
+        return (
+            f'<!doctype html>\n<html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+            f"<title>{title}</title><style>{_STYLE}</style>\n<main><h1>{title}</h1><p>{about}</p>\n"
+            f'<div class="wide"><table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table></div>\n'
+            f"<p>Means with 95% intervals.<br>{legends}</p>\n<h2>Results</h2>{cards}</main></html>\n"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """The rows as JSON types, the best first."""
+        return {
+            "benchmark": self.benchmark.label,
+            "rows": [
+                {**msgspec.to_builtins(one.row), "source": one.source, "date": one.result.date, "checked": one.checked}
+                for one in self.entries
+            ],
+        }
+
+    def _heads(self) -> list[str]:
+        return ["", "Policy", *(metric.name for metric in self._columns), "Checked", "Version", "Date"]
+
+    def _places(self) -> Iterable[tuple[int, Entry]]:
+        return enumerate(self.entries, start=1)
+
+    def _cells(self, place: int, one: Entry) -> list[str]:
+        cells = [cell_text(one.row, metric.name) for metric in self._columns]
+        return [str(place), row_label(one.row), *cells, one.checked, ", ".join(one.result.created_by), one.result.date]
+
+    def _legend(self) -> list[str]:
+        return legend(self._columns).splitlines()
+
+
+def leaderboard(benchmark: Benchmark, folders: Sequence[Path]) -> Leaderboard:
+    """The leaderboard of a benchmark: its baselines and the results in some folders.
+
+    Complete results come first, then the best by the benchmark's ranking metric.
+
+    Raises:
+        InputError: a folder holds no result, or one of another benchmark.
+        FormatError: a file is damaged.
+    """
+    entries = _baselines(benchmark)
+    for folder in folders:
+        result = read_result(folder)
+        if result.benchmark != benchmark.label:
+            raise InputError(
+                f"Expected results of {benchmark.label}, got one of {result.benchmark}: a leaderboard has one benchmark. "
+                f"Result: {folder}",
+                code="H3-OPTION-087",
+            )
+        checked = _checked(folder, result)
+        entries += [Entry(row=row, result=result, source=str(folder), checked=checked) for row in result.rows]
+    rank = next(metric for metric in benchmark.metrics() if metric.name == benchmark.file.rank)
+    sign = 1.0 if rank.direction == "lower" else -1.0
+
+    def order(one: Entry) -> tuple[bool, float]:
+        mean = one.row.metrics.get(rank.name, {}).get("mean")
+        return one.row.played < one.row.expected, float("inf") if mean is None else sign * mean
+
+    return Leaderboard(benchmark=benchmark, entries=tuple(sorted(entries, key=order)))
+
+
+def write_verdict(verdict: ResultVerification) -> dict[str, Any]:
+    """What ``verification.json`` says of a check, with the digest of the result that was checked."""
+    from h3data_pipelines.benchmark.result import MANIFEST, file_digest
+
+    return {**verdict.to_dict(), "result_sha256": file_digest(verdict.folder / MANIFEST)}
+
+
+def _checked(folder: Path, result: BenchmarkResult) -> str:
+    """What the leaderboard says of the check of a result: of how many episodes, if it is of this very result."""
+    from h3data_pipelines.benchmark.result import MANIFEST, file_digest
+
+    try:
+        found = json.loads((folder / VERDICT).read_text(encoding="utf-8"))
+        if found["result_sha256"] != file_digest(folder / MANIFEST) or found["benchmark"] != result.benchmark:
+            return "no"
+        return f"{found['episodes']} of {found['of_episodes']}" if found["true"] else "not true"
+    except (OSError, ValueError, KeyError, TypeError):
+        return "no"
+
+
+def _baselines(benchmark: Benchmark) -> list[Entry]:
+    """Rows that ship with the benchmark, which were checked when they were made."""
+    path = benchmark.folder / BASELINES
+    if not path.is_file():
+        return []
+    try:
+        results = msgspec.json.decode(path.read_bytes(), type=list[BenchmarkResult])
+    except (msgspec.DecodeError, OSError) as fault:
+        raise FormatError(
+            f"Expected the results of the baselines, got: {fault} File: {path}", code="H3-OPTION-088"
+        ) from None
+    return [
+        Entry(row=row, result=result, source="baseline", checked="baseline")
+        for result in results
+        for row in result.rows
+    ]
+
+
+def _card(one: Entry) -> str:
+    facts = {"Played with": ", ".join(one.result.created_by), "Date": one.result.date, **one.result.machine}
+    rows = "".join(f"<dt>{html.escape(name)}</dt><dd>{html.escape(value)}</dd>" for name, value in facts.items())
+    return f"<section><h3>{html.escape(one.source)}</h3><dl>{rows}</dl></section>"
+
+
+_STYLE = """
+body { margin: 0; font: 16px/1.5 system-ui, sans-serif; color: #1d2430; background: #fff }
+main { max-width: 70rem; margin: auto; padding: 1.5rem }
+.wide { overflow-x: auto }
+table { border-collapse: collapse; width: 100% }
+th, td { padding: .4rem .7rem; text-align: left; border-bottom: 1px solid #d5dae3; white-space: nowrap }
+td { font-variant-numeric: tabular-nums }
+section { display: inline-block; vertical-align: top; border: 1px solid #d5dae3; border-radius: 8px }
+section { padding: .5rem 1rem; margin: 0 1rem 1rem 0 }
+dl { display: grid; grid-template-columns: auto 1fr; gap: .1rem .8rem; margin: 0 }
+dt { color: #5a6472 }
+dd { margin: 0 }
+h3 { margin: .2rem 0 }
+@media (prefers-color-scheme: dark) {
+  body { color: #e6e9ef; background: #14171d }
+  th, td, section { border-color: #353b47 }
+  dt { color: #9aa4b3 }
+}
+"""

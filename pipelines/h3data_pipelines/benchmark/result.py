@@ -1,0 +1,232 @@
+"""Results of a benchmark in a folder: what ``h3data evaluate`` writes, with all recordings, and ``benchmark.json``.
+
+``benchmark.json`` names the benchmark, the machine and the versions, and has the table and the digest of every file, so that
+`h3data_pipelines.benchmark.verification` can tell whether the table follows from the recordings.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from h3data.commands.command import write_text
+from h3data.errors import FormatError, InputError
+from h3data.metrics import Metric
+from h3data.plugins import own_version
+from h3data.terminal import aligned
+from h3data_pipelines.benchmark.definition import EPISODES, Benchmark, episode_uid
+from h3data_pipelines.jobs.evaluation_runs import RECORDINGS, evaluate_task
+from h3data_pipelines.jobs.result_files import RESULTS
+from h3data_pipelines.jobs.table_cells import cell_dict, cell_of
+
+FORMAT = 1
+MANIFEST = "benchmark.json"
+
+
+class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One policy in the table of a result."""
+
+    policy: str
+    played: int
+    """Episodes with each of the partners that were played to their end."""
+    expected: int
+    metrics: dict[str, dict[str, float | None]]
+    """By metric: ``mean``, ``low`` and ``high`` of the 95% interval, and ``episodes`` in which it is defined."""
+
+
+class BenchmarkResult(msgspec.Struct, frozen=True, kw_only=True):
+    """The contents of ``benchmark.json``."""
+
+    format: int
+    benchmark: str
+    definition_sha256: str
+    date: str
+    """Day on which the result was finished, UTC."""
+    created_by: list[str]
+    """Versions of the package that played the episodes."""
+    machine: dict[str, str]
+    rows: list[ResultRow]
+    files: dict[str, str] = {}
+    """SHA-256 of every file of the result, by its path in the folder."""
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every episode was played with every policy."""
+        return all(row.played == row.expected for row in self.rows)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkRun:
+    """What `run_benchmark` returns."""
+
+    folder: Path
+    benchmark: Benchmark
+    result: BenchmarkResult
+    failed: tuple[str, ...]
+
+    def to_text(self) -> str:
+        """The table, what failed, and how to check the result."""
+        table = result_table(self.benchmark.metrics(), self.result.rows)
+        failed = "".join(f"\nfailed {line}" for line in self.failed)
+        return f"{self.benchmark.label}\n{table}{failed}\nCheck it: h3data benchmark verify {self.folder}"
+
+
+def run_benchmark(
+    benchmark: Benchmark,
+    policies: Sequence[str],
+    out: Path,
+    *,
+    resume: bool = False,
+    force: bool = False,
+    workers: int = 1,
+    executor: str = "local",
+    progress: Callable[..., Any] | None = None,
+) -> BenchmarkRun:
+    """Plays policies in all episodes of a benchmark, and writes the recordings, the table and ``benchmark.json`` to ``out``.
+
+    Episodes that are in ``out`` already are not played again.
+
+    Args:
+        benchmark: The benchmark.
+        policies: Policies of the robot, as of ``h3data evaluate``.
+        out: Folder, new or that of an interrupted run with the same policies.
+        resume, force, workers, executor, progress: As of `h3data_pipelines.jobs.evaluation_runs.evaluate_task`.
+
+    Raises:
+        InputError: there is no such policy, or the folder holds anything else.
+    """
+    columns = benchmark.metrics()
+    if (out / MANIFEST).is_file() and not force and (found := read_result(out)).benchmark != benchmark.label:
+        raise InputError(
+            f"The folder holds a result of {found.benchmark}. Choose another -o, or --force: {out}",
+            code="H3-OPTION-089",
+        )
+    first = benchmark.jobs()[0].base
+    if episode_uid(first.found_task, first.episode()) != benchmark.episode_uids()[0]:
+        raise InputError(
+            f"This version of h3data makes other episodes than those of {benchmark.label}. Hint: run it with the version that "
+            f"the benchmark was made with, or run a newer version of the benchmark. Episodes: {benchmark.folder / EPISODES}",
+            code="H3-OPTION-090",
+        )
+    played = evaluate_task(
+        benchmark.request(tuple(policies)), out, save_recordings=True, resume=resume, force=force, workers=workers,
+        executor=executor, progress=progress,
+    )  # fmt: skip
+    expected = played.episodes * max(len(played.job.get("partners", ())), 1)
+    rows = summarized(columns, played.rows, expected)
+    result = BenchmarkResult(
+        format=FORMAT,
+        benchmark=benchmark.label,
+        definition_sha256=benchmark.sha256,
+        date=datetime.now(UTC).date().isoformat(),
+        created_by=list(played.created_by),
+        machine=this_machine(),
+        rows=rows,
+        files={name: file_digest(out / name) for name in result_files(out)},
+    )
+    write_text(out / MANIFEST, json.dumps(msgspec.to_builtins(result), indent=1) + "\n")
+    return BenchmarkRun(folder=out, benchmark=benchmark, result=result, failed=played.failed)
+
+
+def summarized(metrics: Iterable[Metric], rows: Sequence[Mapping[str, Any]], expected: int) -> list[ResultRow]:
+    """The table of a result: means of each policy over all episodes and partners.
+
+    Args:
+        metrics: The columns.
+        rows: Results of each policy, partner and episode, as ``h3data evaluate`` stores them.
+        expected: Number of rows of each policy if nothing failed.
+    """
+    columns = list(metrics)
+    found = []
+    for policy in dict.fromkeys(row["policy"] for row in rows):
+        of = [row["values"] for row in rows if row["policy"] == policy]
+        cells = {
+            metric.name: cell_dict(cell_of(metric, [values.get(metric.name) for values in of])) for metric in columns
+        }
+        found.append(ResultRow(policy=policy, played=len(of), expected=expected, metrics=cells))
+    return found
+
+
+def result_table(metrics: Iterable[Metric], rows: Iterable[ResultRow]) -> str:
+    """The table as text: a line for each policy."""
+    columns = list(metrics)
+    lines = [["Mean [95% interval]", *(metric.name for metric in columns)]]
+    lines += [[row_label(row), *(cell_text(row, metric.name) for metric in columns)] for row in rows]
+    return aligned(lines)
+
+
+def row_label(row: ResultRow) -> str:
+    """The policy, and how much of the benchmark it has played if that is not all."""
+    return row.policy if row.played == row.expected else f"{row.policy} ({row.played} of {row.expected} episodes)"
+
+
+def cell_text(row: ResultRow, metric: str) -> str:
+    """``0.97 [0.92, 0.99]``; ``-`` where the metric is not defined in any episode."""
+    cell = row.metrics.get(metric, {})
+    mean, low, high = (cell.get(name) for name in ("mean", "low", "high"))
+    if mean is None:
+        return "-"
+    return f"{mean:.2f}" + (f" [{low:.2f}, {high:.2f}]" if low is not None and high is not None else "")
+
+
+def read_result(folder: Path) -> BenchmarkResult:
+    """The result in a folder.
+
+    Raises:
+        InputError: the folder holds none.
+        FormatError: the file is damaged, or of a newer version.
+    """
+    path = folder / MANIFEST
+    if not path.is_file():
+        raise InputError(
+            f"Expected the folder of a result, with {MANIFEST} (h3data benchmark run writes it when all episodes are played), "
+            f"got: {folder}",
+            code="H3-OPTION-091",
+        )
+    try:
+        result = msgspec.json.decode(path.read_bytes(), type=BenchmarkResult)
+    except (msgspec.DecodeError, OSError) as fault:
+        raise FormatError(
+            f"Expected the result of a benchmark, got: {fault} File: {path}", code="H3-OPTION-093"
+        ) from None
+    if result.format != FORMAT:
+        raise FormatError(
+            f"Expected format {FORMAT} of results, got {result.format}. File: {path}", code="H3-OPTION-092"
+        )
+    return result
+
+
+def result_files(folder: Path) -> list[str]:
+    """Paths in a folder of everything that a result consists of: results of episodes, and recordings."""
+    return sorted(
+        path.relative_to(folder).as_posix()
+        for part in (RESULTS, RECORDINGS)
+        for path in (folder / part).rglob("*")
+        if path.is_file()
+    )
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def this_machine() -> dict[str, str]:
+    """Processor, system and versions that a result names."""
+    from h3data_pipelines.machine.bench import hardware_name
+
+    return {
+        "processor": hardware_name(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "h3data": own_version(),
+    }

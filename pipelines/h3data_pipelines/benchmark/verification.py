@@ -1,0 +1,298 @@
+"""Checks of a result: whether its table follows from its recordings, and these from the episodes of the benchmark.
+
+Nothing that the result says of itself is believed. Each recording is compared with the episode that the benchmark names,
+simulated again from the robot's recorded actions, with people whose own policies decide again, and measured again.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from h3data.commands.executors import opened
+from h3data.errors import H3DataError, InputError
+from h3data.recording import Recording
+from h3data.terminal import counted
+from h3data_pipelines.benchmark.definition import Benchmark, episode_uid, find_benchmark
+from h3data_pipelines.benchmark.result import (
+    MANIFEST,
+    BenchmarkResult,
+    file_digest,
+    read_result,
+    result_files,
+    summarized,
+)
+from h3data_pipelines.jobs.evaluation_runs import RECORDINGS
+from h3data_pipelines.jobs.result_files import RESULTS
+
+if TYPE_CHECKING:
+    from h3data_pipelines.jobs.episodes import Job
+    from sim_kinematic.tasks.episode import Episode
+    from sim_kinematic.tasks.task import Task
+
+MOST_SHOWN = 20
+"""Faults that are printed; ``--json`` has all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResultVerification:
+    """What was found in a result."""
+
+    folder: Path
+    benchmark: str
+    recordings: int
+    """Recordings of the episodes that were checked."""
+    episodes: int
+    """Episodes that were checked."""
+    of_episodes: int
+    """Episodes of the benchmark."""
+    faults: tuple[str, ...]
+    """What is wrong, a sentence each; empty if the table is true."""
+
+    @property
+    def is_true(self) -> bool:
+        """Whether nothing is wrong with what was checked."""
+        return not self.faults
+
+    def to_text(self) -> str:
+        """The verdict, after what is wrong."""
+        checked = (
+            f"{counted(self.recordings, 'recording')} of {self.episodes} of {counted(self.of_episodes, 'episode')} simulated "
+            "and measured again"
+        )
+        if self.is_true:
+            return f"true: {self.folder}, {self.benchmark}: {checked}, and the table follows from them."
+        more = len(self.faults) - MOST_SHOWN
+        lines = [*self.faults[:MOST_SHOWN], *([f"and {more} more (--json lists all)"] if more > 0 else [])]
+        return "\n".join([*lines, f"not true: {self.folder}, {self.benchmark}: {checked}."])
+
+    def to_dict(self) -> dict[str, Any]:
+        """The verdict as JSON types."""
+        return {
+            "result": str(self.folder),
+            "benchmark": self.benchmark,
+            "true": self.is_true,
+            "recordings": self.recordings,
+            "episodes": self.episodes,
+            "of_episodes": self.of_episodes,
+            "faults": list(self.faults),
+        }
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The recordings of one episode."""
+
+    folder: str
+    index: int
+    job: Job
+    uid: str
+    """Of the benchmark's episode."""
+    rows: tuple[dict[str, Any], ...]
+    """Results that the episode's file gives."""
+
+
+def verify_result(
+    folder: Path,
+    *,
+    benchmark: str | None = None,
+    episodes: int | None = None,
+    seed: int = 0,
+    workers: int = 1,
+    progress: Callable[..., Any] | None = None,
+) -> ResultVerification:
+    """Checks a result, as a whole or a random sample of its episodes.
+
+    Args:
+        folder: The result.
+        benchmark: Name or folder of the benchmark (default: the shipped one that the result names).
+        episodes: Number of episodes to check, sampled at random (default: all).
+        seed: Seed of that sample.
+        workers: Number of processes.
+        progress: Makes a progress bar: called with ``total``, ``desc`` and ``unit``.
+
+    Raises:
+        InputError: the folder holds no result, or there is no such benchmark.
+        FormatError: ``benchmark.json`` is damaged.
+    """
+    result = read_result(folder)
+    found = find_benchmark(benchmark or result.benchmark)
+    if episodes is not None and episodes < 1:
+        raise InputError(f"--episodes must be at least 1, got {episodes}.", code="H3-OPTION-094")
+    faults = [*_of_manifest(folder, result, found)]
+    uids, jobs = found.episode_uids(), found.jobs()
+    stored, unreadable = _stored_rows(folder, found)
+    faults += unreadable
+    chosen = range(len(uids)) if episodes is None or episodes >= len(uids) else sorted(
+        random.Random(seed).sample(range(len(uids)), episodes)
+    )  # fmt: skip
+    parts = [_Part(str(folder), index, jobs[index].base, uids[index], tuple(stored.get(index, ()))) for index in chosen]
+    count = 0
+    with (
+        opened("local", workers) as workforce,
+        (progress or _NoProgress)(total=len(parts), desc="verify", unit="episode") as bar,
+        closing(workforce.run(_check_episode, parts, lost=_lost)) as results,
+    ):
+        for recordings, wrong in results:
+            count += recordings
+            faults += wrong
+            bar.update()
+    faults += _of_table(result, found, stored)
+    return ResultVerification(
+        folder=folder, benchmark=found.label, recordings=count, episodes=len(parts), of_episodes=len(uids),
+        faults=tuple(faults),
+    )  # fmt: skip
+
+
+def _of_manifest(folder: Path, result: BenchmarkResult, benchmark: Benchmark) -> list[str]:
+    """What is wrong with the name of the benchmark and with the digests of files."""
+    faults = []
+    if result.benchmark != benchmark.label:
+        faults.append(f"{MANIFEST}: expected a result of {benchmark.label}, got one of {result.benchmark}.")
+    elif result.definition_sha256 != benchmark.sha256:
+        faults.append(f"{MANIFEST}: the result is of another definition of {benchmark.label} than this one.")
+    there = result_files(folder)
+    if missing := sorted(set(result.files) - set(there)):
+        faults.append(f"{MANIFEST}: {counted(len(missing), 'file')} missing, the first is {missing[0]}.")
+    if added := sorted(set(there) - set(result.files)):
+        faults.append(f"{MANIFEST}: {counted(len(added), 'file')} not listed, the first is {added[0]}.")
+    changed = [name for name in there if name in result.files and file_digest(folder / name) != result.files[name]]
+    return [*faults, *(f"{name}: the file is not the one that {MANIFEST} lists." for name in changed)]
+
+
+def _stored_rows(folder: Path, benchmark: Benchmark) -> tuple[dict[int, list[dict[str, Any]]], list[str]]:
+    """Results by episode as their files give them, and what is wrong with these files."""
+    stored: dict[int, list[dict[str, Any]]] = {}
+    faults = []
+    for index in range(benchmark.file.episodes):
+        path = folder / RESULTS / f"{index:06d}.json"
+        try:
+            rows = json.loads(path.read_text(encoding="utf-8"))["rows"]
+            stored[index] = [{**row, "policy": str(row["policy"]), "values": dict(row["values"])} for row in rows]
+        except (OSError, ValueError, KeyError, TypeError) as fault:
+            faults.append(f"{RESULTS}/{path.name}: expected the results of an episode, got {fault!r}.")
+            continue
+        pairs = [(row["policy"], row.get("partner")) for row in stored[index]]
+        if len(pairs) != len(set(pairs)):
+            faults.append(f"{RESULTS}/{path.name}: a policy is listed twice.")
+        partners = {row.get("partner") for row in rows}
+        if benchmark.file.partners and partners - set(benchmark.file.partners):
+            faults.append(f"{RESULTS}/{path.name}: expected the partners {', '.join(benchmark.file.partners)}.")
+    return stored, faults
+
+
+def _of_table(
+    result: BenchmarkResult, benchmark: Benchmark, stored: Mapping[int, Sequence[Mapping[str, Any]]]
+) -> list[str]:
+    """What is wrong with the table: rows that do not follow from the results of the episodes."""
+    expected = benchmark.file.episodes * max(len(benchmark.file.partners), 1)
+    rows = summarized(benchmark.metrics(), [row for index in sorted(stored) for row in stored[index]], expected)
+    ours = {row.policy: msgspec.to_builtins(row) for row in rows}
+    theirs = {row.policy: msgspec.to_builtins(row) for row in result.rows}
+    faults = [f"{MANIFEST}: the row of {policy} has no episodes." for policy in theirs if policy not in ours]
+    faults += [f"{MANIFEST}: there is no row of {policy}, which has played." for policy in ours if policy not in theirs]
+    for policy in ours:
+        if policy in theirs and ours[policy] != theirs[policy]:
+            names = [
+                name for name, cell in ours[policy]["metrics"].items() if theirs[policy]["metrics"].get(name) != cell
+            ]
+            what = ", ".join(names) or "the number of episodes"
+            faults.append(f"{MANIFEST}: the row of {policy} does not follow from its episodes: {what}.")
+    return faults
+
+
+def _check_episode(part: _Part) -> tuple[int, list[str]]:
+    """Number of recordings of an episode, and what is wrong with them."""
+    from h3data.recording.finding import find_episodes
+
+    name = f"{RECORDINGS}/{part.index:06d}"
+    folder = Path(part.folder) / name
+    expected = {(row["policy"], row.get("partner")) for row in part.rows}
+    base = part.job
+    episode = base.episode()
+    if episode_uid(base.found_task, episode) != part.uid:
+        return 0, [f"{name}: this version of h3data makes another episode than the benchmark's."]
+    faults: list[str] = []
+    seen: set[tuple[str, Any]] = set()
+    sources = list(find_episodes([folder])) if folder.is_dir() else []
+    for source in sources:
+        try:
+            recording = source.read()
+            info = recording.episode.info
+            policy, partners = str(info.get("policy")), list(info.get("partners") or [None])
+            rows = [row for row in part.rows if row["policy"] == policy and row.get("partner") in partners]
+            seen |= {(policy, partner) for partner in partners}
+            faults += [f"{name}, {policy}: {wrong}" for wrong in _wrong_with(recording, base, episode, rows)]
+            if len(rows) != len(partners):
+                faults.append(f"{name}, {policy}: {RESULTS} has no results of it with each of its partners.")
+        except H3DataError as fault:
+            faults.append(f"{source.name}: {fault}")
+    if lost := sorted(f"{policy} with {partner}" if partner else policy for policy, partner in expected - seen):
+        faults.append(f"{name}: no recording of {', '.join(lost)}.")
+    return len(sources), faults
+
+
+def _wrong_with(recording: Recording, base: Job, episode: Episode, rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What is wrong with one recording: another episode, another course, or other metrics than ``rows`` say."""
+    from h3data.metrics import measure
+    from h3data_pipelines.jobs.evaluations import plan_of
+    from sim_kinematic.tasks.resume import verify_episode
+
+    task = base.found_task
+    if other := _other_facts(recording, task, episode):
+        return [f"it is another episode than the benchmark's: {', '.join(other)}."]
+    plans = {plan_of(task, episode, row["partner"]) for row in rows if row.get("partner") is not None}
+    if len(plans) > 1:
+        return [f"its partners play differently in this episode: {', '.join(sorted(plans))}."]
+    found = verify_episode(recording, task, episode, *plans)
+    if found.difference is not None:
+        return [f"simulated again, it takes another course: {found.difference}."]
+    values = {name: None if value != value else value for name, value in measure(recording).values.items()}
+    faults = []
+    for row in rows:
+        if wrong := [name for name, value in row["values"].items() if name not in values or values[name] != value]:
+            first = wrong[0]
+            faults.append(f"{first}: measured again {values.get(first)}, its results say {row['values'][first]}.")
+    return faults
+
+
+def _other_facts(recording: Recording, task: Task, episode: Episode) -> list[str]:
+    """What a recording says of its episode, whoever plays, that is not so."""
+    from sim_kinematic.policies.assignment import AssignedPolicy
+    from sim_kinematic.tasks.codec import POLICY_ENTRIES
+    from sim_kinematic.tasks.recorder import describe
+
+    policies = [AssignedPolicy(None, "", member.kind) for member in episode.roster]
+    header, who = describe(task, episode, policies), POLICY_ENTRIES
+    info = json.loads(msgspec.json.encode(header.episode.info))
+    other = [name for name, value in info.items() if name not in who and recording.episode.info.get(name) != value]
+    other += [] if recording.episode.seed == header.episode.seed else ["seed"]
+    other += [] if [b.name for b in recording.bodies] == [b.name for b in header.bodies] else ["bodies"]
+    other += [] if recording.agents == header.agents else ["agents"]
+    files = [name for name, file in header.attachments.items() if recording.attachments.get(name) != file]
+    return other + files
+
+
+def _lost(part: _Part, fault: Exception) -> tuple[int, list[str]]:
+    return 0, [f"{RECORDINGS}/{part.index:06d}: {fault}"]
+
+
+class _NoProgress:
+    """A progress bar that shows nothing."""
+
+    def __init__(self, **_options: object) -> None: ...
+
+    def __enter__(self) -> _NoProgress:
+        return self
+
+    def __exit__(self, *_error: object) -> None: ...
+
+    def update(self) -> None:
+        """One more is done."""
