@@ -49,7 +49,8 @@ from sim_kinematic.avoidance.routes import FloorRoutes, distance_to_path, first_
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
-from sim_kinematic.tasks.rearrange.task import Rearrange, solo_steps_of
+from sim_kinematic.tasks.rearrange.solo import solo_steps_of
+from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.runner import simulate
 
 Emit = Callable[[str, float, str], None]
@@ -151,7 +152,7 @@ def play(seed: int, robot: str = PLANS) -> tuple[Recording, int, Errands | Parks
     driver = DRIVERS[robot](free, seed) if robot in DRIVERS else None
     assert isinstance(episode, RearrangeEpisode)
     recording = simulate(Rearrange(), episode, {"robot": driver or "complement", "human": "both"})
-    return recording, solo_steps_of(episode), driver
+    return recording, solo_steps_of(Rearrange(), episode), driver
 
 
 def stand_offs(

@@ -21,7 +21,17 @@ from h3data.geometry import wrap_angle
 from h3data.policies import AgentView, Velocity
 from h3data.recording import Event
 from h3data.sensors import SENSORS, Sensor, gps_compass
-from h3data.tasks import Episode, StepOutcome, Task, TaskSpec, WorldRollout, generator
+from h3data.tasks import (
+    Control,
+    Episode,
+    StepOutcome,
+    Task,
+    TaskSpec,
+    VelocityControl,
+    WorldRollout,
+    generator,
+    sample_starts,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,13 +62,13 @@ class PointGoal(Task):
 
     Spec = PointGoalSpec
     columns: ClassVar[Mapping[str, Any]] = {"metrics.goal_distance": np.float32, "metrics.disturbs": np.bool_}
-    skills: ClassVar[Mapping[str, tuple[str, ...]]] = {"robot": ("drive", "wait")}
+    control: ClassVar[Control] = VelocityControl({"robot": ("drive", "wait")})
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": {"drive_to_goal": drive_to_goal}}
     defaults: ClassVar[Mapping[str, str]] = {"robot": "drive_to_goal", "human": "waypoints"}
 
     def sample(self, scene: Any, free: Any, seed: int, spec: PointGoalSpec, roster: Any) -> Episode:
         """Starts as in every task; the goal is on the free floor, at walking distance of the person's start."""
-        starts, rng = self.sample_starts(scene, free, seed, spec, roster), generator(seed, "goal")
+        starts, rng = sample_starts(scene, free, seed, spec, roster), generator(seed, "goal")
         near, far = spec.goal_from_person_m
         for goal in free.sample(rng, 500):
             if near <= free.geodesic(goal, starts[-1, :2]) <= far and free.clearance(goal) > 0.2:

@@ -2,7 +2,8 @@
 
 import h3data
 from h3data.metrics import measure
-from sim_kinematic.tasks.rearrange.task import Rearrange, solo_steps_of
+from sim_kinematic.tasks.rearrange.solo import solo_steps_of
+from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.runner import simulate
 
 home = h3data.build_home(h3data.HomeSpec(preset="small", seed=1))
@@ -10,7 +11,7 @@ task = Rearrange()
 episode = task.episode(home, seed=3)
 for target in episode.targets:
     print(f"{target.name}: from {target.source} to {target.destination}")
-alone = solo_steps_of(episode)
+alone = solo_steps_of(task, episode)
 print(f"\nthe person alone: {alone} steps")
 
 for policy in ("complement", "same_object", "still"):

@@ -84,6 +84,9 @@ MOVED = {
     "sim_kinematic.envs.social_nav_torch_env": "h3data_training.envs.social_nav_torch_env",
     "sim_kinematic.envs.torch_env": "h3data_training.envs.torch_env",
     "sim_kinematic.policies.pictured": "sim_kinematic.policies.visual_policy",
+    "sim_kinematic.tasks.rearrange.storage": "sim_kinematic.tasks.rearrange.codec",
+    "sim_kinematic.tasks.social_nav.storage": "sim_kinematic.tasks.social_nav.codec",
+    "sim_kinematic.tasks.storage": "sim_kinematic.tasks.codec",
     "sim_kinematic.torch": "h3data_training.torch",
 }
 """New name of each module that was renamed; modules in a package that has moved as a whole follow its name."""
@@ -135,7 +138,8 @@ RENAMED = {
     "sim_kinematic.tasks.play.Play": "Rollout",
     "sim_kinematic.tasks.play.WorldPlay": "WorldRollout",
     "sim_kinematic.tasks.rearrange.play.AgentRun": "SkillExecutor",
-    "sim_kinematic.tasks.rearrange.play.RearrangePlay": "RearrangeRollout",
+    "sim_kinematic.tasks.rearrange.play.RearrangePlay": "SkillRollout",
+    "sim_kinematic.tasks.rearrange.play.RearrangeRollout": "SkillRollout",
     "sim_kinematic.tasks.runner.Turns": "DecisionLoop",
     "sim_kinematic.world.Drive": "DriveCommand",
     "sim_kinematic.world.Keep": "RecordedPoseCommand",

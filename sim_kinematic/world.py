@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -113,6 +114,8 @@ class World:
         walker: WalkerSpec | None = None,
         person_radius_m: float = 0.25,
         solid: bool = False,
+        objects: int = 0,
+        scene_joints: int = 0,
     ) -> None:
         """Creates worlds without a floor; `place` puts the agents into their homes.
 
@@ -123,6 +126,8 @@ class World:
             walker: gait and speed of people.
             person_radius_m: radius of a person who is driven from outside.
             solid: whether people who are driven slide along the discs of the other agents, at their positions before the step.
+            objects: number of things that agents can take, in `state`.
+            scene_joints: number of doors and drawers, in `state`.
 
         Raises:
             InputError: W is less than 1.
@@ -137,8 +142,9 @@ class World:
         robots = [member.body for member in self.roster if isinstance(member.body, Robot)]
         people = len(self.roster) - len(robots)
         self.state = WorldState.zeros(
-            self.worlds, robots=len(robots), people=people, joints=[len(r.rest) for r in robots]
-        )
+            self.worlds, robots=len(robots), people=people, joints=[len(r.rest) for r in robots], objects=objects,
+            scene_joints=scene_joints,
+        )  # fmt: skip
         self.before, self.start = self.state.copy(), self.state.copy()
         self._moments = tuple(zip(self.before.arrays(), self.state.arrays(), strict=True))
         self.clips = tuple(
@@ -163,7 +169,10 @@ class World:
         self.rows = np.arange(self.worlds)
         """Numbers of all worlds, [W]."""
         self._kept: dict[int, Posture] = {}
-        self._contact = _PairContacts(self.roster, self.pairs)
+
+    @cached_property
+    def _contact(self) -> _PairContacts:
+        return _PairContacts(self.roster, self.pairs)
 
     def place(self, starts: Array, floors: Sequence[FreeSpace], rows: Rows | None = None) -> None:
         """Puts all agents at rest at their starts, each world on its own floor.
@@ -174,14 +183,7 @@ class World:
             rows: numbers of these worlds (default: all).
         """
         rows = np.arange(self.worlds) if rows is None else rows
-        joints = [own.joints.shape[1] for own in self.state.robots]
-        fresh = WorldState.zeros(len(rows), robots=len(joints), people=len(self.state.people), joints=joints)
-        for k, (member, own) in enumerate(zip(self.roster, fresh.agents, strict=True)):
-            own.xz[:], own.heading[:] = starts[:, k, :2], starts[:, k, 2]
-            if isinstance(own, RobotState) and isinstance(member.body, Robot):
-                own.joints[:] = member.body.rest
-        for state in (self.state, self.before, self.start):
-            state.put(rows, fresh)
+        self.rest_at(starts, rows)
         if len(self.floors) != self.worlds:
             self.floors = list(floors)
         for w, free in zip(rows.tolist(), floors, strict=True):
@@ -194,6 +196,20 @@ class World:
         self._kept.clear()
         self.blocked[rows] = False
         self.touching[rows] = self._touching(rows)
+
+    def rest_at(self, starts: Array, rows: Rows) -> None:
+        """Puts agents of the worlds ``rows`` [n] at rest at their starts ``(x, z, heading)`` [n, A, 3], with empty hands."""
+        joints = [own.joints.shape[1] for own in self.state.robots]
+        fresh = WorldState.zeros(
+            len(rows), robots=len(joints), people=len(self.state.people), joints=joints,
+            objects=self.state.object_pose.shape[1], scene_joints=self.state.joint_pos.shape[1],
+        )  # fmt: skip
+        for k, (member, own) in enumerate(zip(self.roster, fresh.agents, strict=True)):
+            own.xz[:], own.heading[:] = starts[:, k, :2], starts[:, k, 2]
+            if isinstance(own, RobotState) and isinstance(member.body, Robot):
+                own.joints[:] = member.body.rest
+        for state in (self.state, self.before, self.start):
+            state.put(rows, fresh)
 
     def step(self, commands: Sequence[Command]) -> None:
         """Move all agents by one step of 1/30 s: people first, then robots, as in Habitat.

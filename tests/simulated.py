@@ -8,9 +8,10 @@ from typing import Any
 from h3data.recording import Recording
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.motion.spec import NATURAL_WALKER, SocialNavSpec, WalkerSpec
+from sim_kinematic.policies.assignment import SOLO
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
-from sim_kinematic.tasks.rearrange.task import SOLO, Rearrange
+from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.runner import simulate
 from sim_kinematic.tasks.social_nav import SocialNav
 from sim_kinematic.tasks.wander import Wander
@@ -62,7 +63,8 @@ def simulate_rearrange(
 ) -> Recording:
     """Its recording. ``solo_steps`` saves playing it once more by the person alone."""
     kinds = {member.kind for member in episode.roster}
-    played = REARRANGE.without_robots(episode, policy if isinstance(policy, str) and "human" in kinds else None)
+    people = [k for k, member in enumerate(episode.roster) if member.kind == "human"]
+    played = episode.only(*people) if people and policy == SOLO else episode
     chosen = {"robot": policy, "human": partner}
     chosen = {kind: choice for kind, choice in chosen.items() if kind in kinds and (kind, choice) != ("robot", SOLO)}
     info = None if solo_steps is None else {"solo_steps": solo_steps}

@@ -84,6 +84,8 @@ BLOCKS = (ast.stmt, ast.ExceptHandler, ast.match_case)
 """Where imports are; most of a tree is expressions, which have none."""
 DOTTED = re.compile(rf"(?:{'|'.join(PACKAGES)})(?:\.\w+)*")
 QUOTED = re.compile(rf"[\"'](?:{'|'.join(PACKAGES)})[\"'.]")
+MEMBERS_OF_TASK = 18
+"""Attributes and methods of `sim_kinematic.tasks.task.Task`."""
 FILES_PER_FOLDER = 15
 """Modules per folder, `__init__.py` not counted."""
 
@@ -284,3 +286,11 @@ def test_the_map_names_every_folder_and_every_registry() -> None:
     groups = {*re.findall(r'Registry\(\s*"(h3data\.\w+)"', source)}
     assert len(groups) > 10
     assert sorted(groups - named) == []
+
+
+def test_a_task_is_a_short_list() -> None:
+    """Whoever writes a task reads all of it; what belongs together is one member, such as `Task.codec`."""
+    from sim_kinematic.tasks.task import Task
+
+    members = [name for name in vars(Task) if not name.startswith("_")]
+    assert len(members) <= MEMBERS_OF_TASK, sorted(members)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from sim_kinematic.agents.driven.commands import PersonCommand, Pick, Place
+from sim_kinematic.agents.skills import Action
 from sim_kinematic.policies.assignment import AssignedPolicy, PolicyChoice, PolicyMaker, policy_names, resolve_policy
 from sim_kinematic.policies.learned import navigation_input
 from sim_kinematic.policies.network import from_torch, save_network
 from sim_kinematic.policies.policy import External, FunctionPolicy, Policy, Still, Velocity
-from sim_kinematic.policies.views import AgentView, SocialNavView
+from sim_kinematic.policies.views import AgentView, RearrangeView, SocialNavView
 
 __all__ = [
+    "Action",
     "AgentView",
     "AssignedPolicy",
     "External",
@@ -20,6 +22,7 @@ __all__ = [
     "Policy",
     "PolicyChoice",
     "PolicyMaker",
+    "RearrangeView",
     "SocialNavView",
     "Still",
     "Velocity",

@@ -4,33 +4,44 @@ from __future__ import annotations
 
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec, WalkerSpec
-from sim_kinematic.tasks.episode import Episode, StepOutcome, TaskSpec
+from sim_kinematic.tasks.codec import EpisodeCodec, TaskCodec
+from sim_kinematic.tasks.control import Control, VelocityControl
+from sim_kinematic.tasks.episode import Episode, StepOutcome, TaskSpec, sample_starts
 from sim_kinematic.tasks.play import WorldRollout
+from sim_kinematic.tasks.rearrange.codec import RearrangeCodec
+from sim_kinematic.tasks.rearrange.control import SkillControl
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
+from sim_kinematic.tasks.rearrange.play import SkillRollout
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.runner import Session
 from sim_kinematic.tasks.social_nav import SocialNav
-from sim_kinematic.tasks.storage import EpisodeStorage, TaskStorage
-from sim_kinematic.tasks.task import Task
+from sim_kinematic.tasks.task import Task, TaskUsage
 from sim_kinematic.tasks.wander import Wander
 
 __all__ = [
     "BaseSpec",
+    "Control",
     "Episode",
-    "EpisodeStorage",
+    "EpisodeCodec",
     "Rearrange",
+    "RearrangeCodec",
     "RearrangeSpec",
     "Session",
+    "SkillControl",
+    "SkillRollout",
     "SocialNav",
     "SocialNavSpec",
     "StepOutcome",
     "Task",
+    "TaskCodec",
     "TaskSpec",
-    "TaskStorage",
+    "TaskUsage",
+    "VelocityControl",
     "WalkerSpec",
     "Wander",
     "WorldRollout",
     "find_task",
     "generator",
+    "sample_starts",
 ]

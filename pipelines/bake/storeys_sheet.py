@@ -120,7 +120,7 @@ def film(
 def stairs_sheet(scene: Scene) -> NDArray[np.uint8]:
     """Strips of two people and a robot."""
     task, rows = find_task("wander"), []
-    spec = replace(task.default_spec(), max_steps=900)
+    spec = replace(task.usage.dataset_rules, max_steps=900)
     found: dict[str, NDArray[np.uint8]] = {}
     for seed in range(12):
         episode = task.episode(scene, seed=seed, agents="robot,human:female_1,human:male_2", spec=spec)

@@ -105,8 +105,8 @@ class RemotePolicy:
         """
         self.where, self._chosen, self._batched = where, chosen, where.scheme == "zmq"
         self._body = body = episode.roster[number].body
-        self._seed, self._instruction = int(episode.seed), task.instruction(episode)
-        self._with_objects = not task.uses_common_policies
+        self._seed, self._instruction = int(episode.seed), task.codec.instruction(episode)
+        self._with_objects = not task.control.common_policies
         self._task, self._episode, self._number, self._session = task, episode, number, uuid.uuid4().hex
         self._connect()
         adapter = self.adapter
@@ -130,7 +130,7 @@ class RemotePolicy:
         self.name = _name(self.connection.metadata, adapter, where)
         """As recordings hold it: protocol, name and a digest of metadata and adapter, and no address."""
         self._rows: deque[NDArray[np.float32]] = deque()
-        self._step, self._skill, self._skills = -1, "", task.skills.get("robot", ())
+        self._step, self._skill, self._skills = -1, "", task.control.skills.get("robot", ())
         self._waits: list[float] = []
         self._infers: list[float] = []
 

@@ -34,7 +34,7 @@ VIEWS = {view.__name__: view for view in (SocialNavView, AgentView)}
 def packed_episode(task: Task, episode: Episode) -> bytes:
     """An episode as a recording file: scene, rules, agents and starts."""
     policies = [AssignedPolicy(Still(), "still", member.kind) for member in episode.roster]
-    play = task.play(episode, policies, measure=False)
+    play = task.control.rollout(task, episode, policies, measure=False)
     recorder = Recorder(describe(task, episode, policies, reference=reference_of(task)), play)
     run(play, recorder, steps=1)  # recordings have columns, so that there is a first step, in which nobody decides
     recording = recorder.finish({})
@@ -64,7 +64,7 @@ def unpacked_episode(task: Task, packed: Any) -> Episode:
         raise PolicyServerError(f"This server plays {task.name}, the episode is of {name}.", code="H3-REMOTE-039")
     glb = recording.attachments["scene.glb"]
     with names_from_data():
-        return task.restore(recording, lambda radius, height: _map(glb, radius, height))
+        return task.codec.restore(recording, lambda radius, height: _map(glb, radius, height))
 
 
 @lru_cache(maxsize=8)

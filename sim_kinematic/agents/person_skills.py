@@ -292,6 +292,8 @@ class PersonActor:
         if self.spec.stride is not None:
             return (yield from self._walk_curves(goal, facing))
         path = self._path(goal)
+        if path is None:
+            return 0
         if len(path):
             dx, dz = path[0] - self.xz
             yield from self._careful(self.person.turn(float(np.arctan2(-dz, dx)), settles=False), TURN_PATIENCE_STEPS)
@@ -302,6 +304,8 @@ class PersonActor:
             left |= self.aside is not None
             if (left and self.aside is None) or floor is not self.free:  # back from where they had stepped aside to
                 path, k, waited, left, floor = self._path(goal), 0, 0, False, self.free
+                if path is None:  # something has opened there
+                    return 0
                 continue
             self.path = np.vstack([self.xz[None], path[k:]])
             if left:
@@ -322,15 +326,20 @@ class PersonActor:
     def _walk_curves(self, goal: NDArray, facing: float | None) -> Generator[None, None, int]:
         """Walks to a floor point as `_walk`, braking where the person has to wait."""
         strider = Strider(self.free, self.spec, halts=True)
-        strider.begin(np.vstack([self.xz[None], self._path(goal)]), facing=facing)
-        waited, left = 0, False
+        path, waited, left = self._path(goal), 0, False
+        if path is None:
+            return 0
+        strider.begin(np.vstack([self.xz[None], path]), facing=facing)
         while not strider.arrived and waited <= AVOIDANCE.patience_steps and not self.turned_away:
             left |= self.aside is not None
             if (
                 left and self.aside is None
             ) or strider.free is not self.free:  # back from where they had stepped aside to
                 strider.walk_on(self.free)
-                strider.begin(np.vstack([self.xz[None], self._path(goal)]), facing=facing)
+                path = self._path(goal)
+                if path is None:  # something has opened there
+                    return waited
+                strider.begin(np.vstack([self.xz[None], path]), facing=facing)
                 waited, left = 0, False
                 continue
             self.path = np.vstack([self.xz[None], strider.ahead])
@@ -366,13 +375,14 @@ class PersonActor:
         self._walked(before)
         self._follow()
 
-    def _path(self, goal: NDArray) -> NDArray[np.float64]:
-        """Way points [N, 2] to a floor point [2]."""
+    def _path(self, goal: NDArray) -> NDArray[np.float64] | None:
+        """Way points [N, 2] to a floor point [2]; None: there is no path."""
         if self._goes_around:
             around = path_around(self.free, self.xz, goal, self.others)
             if around is not None:
                 return around
-        return walking_path(self.free, self.xz, goal, self.spec)[1:]
+        points = walking_path(self.free, self.xz, goal, self.spec)
+        return points[1:] if len(points) else None
 
     def _stand(self) -> None:
         """One step of standing, or of stepping aside."""

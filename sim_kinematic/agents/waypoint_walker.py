@@ -113,9 +113,10 @@ def walking_path(
     """Waypoints [K, 2] of a person from ``start`` to ``goal``.
 
     They are those of the shortest path with sharp corners, each moved ``spec.clearance_m`` away from walls and
-    furniture as far as there is room.
+    furniture as far as there is room. K = 0: there is no path.
     """
-    return with_room(free, sharp_corners(free, free.path(start, goal)), spec.clearance_m)
+    path = free.path(start, goal)
+    return with_room(free, sharp_corners(free, path), spec.clearance_m) if len(path) else path
 
 
 def with_room(free: FreeSpace, path: NDArray[np.float64], clearance_m: float) -> NDArray[np.float64]:

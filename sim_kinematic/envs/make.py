@@ -248,12 +248,13 @@ def _make(
     shared = {f.name: options.pop(f.name) for f in fields(Options) if f.name in options}
     _require_known(found, stepper_class, options, [f.name for f in fields(Options)])
     given = {**options, "agents": tuple(agents), "options": Options(**shared)}
-    given = {**found.env_defaults, **given}
+    if found.usage.env_rules is not None:
+        given = {"spec": found.usage.env_rules, **given}
     if num_envs is not None:
         from sim_kinematic.envs.vector import TaskVectorEnv
 
         many: Any
-        if found.batched:
+        if found.control.batched:
             many = stepper_class(found, scenes, worlds=num_envs, **given)
         else:
             many = ManySteppers(lambda: stepper_class(found, scenes, **given), num_envs)
@@ -271,7 +272,7 @@ def _make(
 
 
 def _stepper_class(task: Task) -> Any:
-    if task.batched:
+    if task.control.batched:
         from sim_kinematic.envs.world_stepper import WorldStepper
 
         return WorldStepper
@@ -284,7 +285,7 @@ def _require_known(task: Task, stepper: Any, options: dict[str, Any], shared: Se
     """Refuses options that nobody takes."""
     parameters = inspect.signature(stepper.__init__).parameters.values()
     known = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY and p.name not in ("worlds", "options")]
-    known += [*shared, *task.env_options, "num_envs", "device", "render_mode", "flatten"]
+    known += [*shared, *task.usage.env_options, "num_envs", "device", "render_mode", "flatten"]
     for name in options:
         if name not in known:
             raise InputError(

@@ -28,9 +28,9 @@ from sim_kinematic.policies.rearrange_observations import STATE_SENSES, exact, l
 from sim_kinematic.sensing.agent_pictures import Limits, picture_names
 from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names
 from sim_kinematic.tasks.describe import in_words
-from sim_kinematic.tasks.rearrange.play import RearrangeRollout, SkillExecutor
+from sim_kinematic.tasks.rearrange.play import SkillExecutor, SkillRollout
 from sim_kinematic.tasks.rearrange.task import Rearrange
-from sim_kinematic.tasks.runner import DecisionLoop
+from sim_kinematic.tasks.runner import DecisionLoop, rollout
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ class SkillStepper:
         self._sets = self._observation_sets(observations or STATE_SENSES, options)
         self._light: LightMode = options.light
         self._stage = Stage()
-        self.play: RearrangeRollout | None = None
+        self.play: SkillRollout | None = None
         self._turns: DecisionLoop | None = None
         self._steps, self._reward = 0, 0.0
 
@@ -131,8 +131,9 @@ class SkillStepper:
         for kind in KINDS:
             if kind not in chosen:
                 chosen[kind] = self._partner if isinstance(self._partner, str) else self._partner(episode.seed)
-        self.play = self.task.play(episode, self.task.assign(episode, chosen))
-        self._turns = DecisionLoop(self.play)
+        play = rollout(self.task, episode, chosen)
+        assert isinstance(play, SkillRollout)
+        self.play, self._turns = play, DecisionLoop(play)
         self._steps, self._reward = 0, 0.0
         self._go_on({})
         self._steps, self._reward = 0, 0.0
@@ -153,7 +154,7 @@ class SkillStepper:
         for agent, action in actions.items():
             choice = self._chosen(agent, action)
             if agent in choosing:
-                chosen[KINDS.index(agent)] = self.task.checked_choice(play, KINDS.index(agent), choice)
+                chosen[KINDS.index(agent)] = self.task.control.checked(play, KINDS.index(agent), choice)
         self._steps, self._reward = 0, 0.0
         self._go_on(chosen)
         ended = play.ended if self.is_over else ""
@@ -231,12 +232,12 @@ class SkillStepper:
         return in_words("rearrange", self.source.scenes, len(self.source.homes), acting, beside=others)
 
     # --- inside -------------------------------------------------------------------------------------------------------
-    def _begun(self) -> RearrangeRollout:
+    def _begun(self) -> SkillRollout:
         if self.play is None:
             raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
         return self.play
 
-    def _playing(self) -> RearrangeRollout:
+    def _playing(self) -> SkillRollout:
         if self.play is None or self.is_over:
             raise InputError("No episode is going on. Hint: call reset() first.", code="H3-ENV-027")
         return self.play
@@ -311,7 +312,7 @@ class Stage:
         self._episode: Any = None
         self._renderers: dict[LightMode, StateRenderer] = {}
 
-    def posed(self, play: RearrangeRollout, light: LightMode = "flat") -> StateRenderer:
+    def posed(self, play: SkillRollout, light: LightMode = "flat") -> StateRenderer:
         """The renderer of a light, with everything where it is now."""
         from sim_kinematic.sensing.camera_sensor import StateRenderer
 

@@ -14,7 +14,7 @@ from h3data.render.light.sources import LightMode
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
 from sim_kinematic.envs.stepper import DEFAULTS, Info, Options, checked_actions, gymnasium
 from sim_kinematic.motion.state import HumanState
-from sim_kinematic.policies.assignment import resolve_policy
+from sim_kinematic.policies.assignment import assign, resolve_policy
 from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.agent_pictures import picture_names
@@ -61,7 +61,7 @@ class WorldStepper:
             worlds: number of worlds W.
             spec: rules (default: the task's).
             roster: all agents of a world (default: the task's roster).
-            partner: policy of the agents that do not act, as `Task.assign` takes it (default: the task's).
+            partner: policy of the agents that do not act, by agent or kind (default: the task's).
             observations: names of sensors and pictures; each agent gets those that its kind has.
             robot: body of robots named by their kind.
             human: body of people named by their kind.
@@ -73,7 +73,9 @@ class WorldStepper:
         """
         self.source = EpisodeSource(task, scenes, spec=spec, agents=roster, robot=robot, human=human)
         self.task, self.spec = task, self.source.spec
-        task.check_env_options(task_options)
+        for name, check in task.usage.env_options.items():
+            if name in task_options:
+                check(task_options[name])
         self.play = WorldRollout(task, self.spec, self.source.roster, worlds=worlds, options=task_options)
         self.worlds = self.play.world.worlds
         names = [member.name for member in self.source.roster]
@@ -124,7 +126,7 @@ class WorldStepper:
             chosen = {agent: External() for agent in self.agents}
             if self._partner is not None:
                 chosen |= {self.source.roster[k].name: self._partner for k in self._others}
-            self._walkers[w] = [assigned.policy for assigned in self.task.assign(episode, chosen)]
+            self._walkers[w] = [assigned.policy for assigned in assign(self.task, episode, chosen)]
         for k in self._others:
             for w in rows.tolist():
                 policy = self._walkers[w][k]

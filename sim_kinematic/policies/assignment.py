@@ -45,6 +45,10 @@ COMMON: Mapping[str, Mapping[str, Factory]] = {
 """Policies of tasks whose agents drive and walk, by kind and name."""
 
 
+SOLO = "solo"
+"""Policy of the robots in recordings in which there is none."""
+
+
 class AssignedPolicy(NamedTuple):
     """The policy of one agent."""
 
@@ -98,9 +102,17 @@ def plugin_policies() -> Registry[Any]:
     return Registry("h3data.policies", {}, what="policy")
 
 
-def assign(task: Task, episode: Episode, chosen: Assigned) -> list[AssignedPolicy]:
-    """Assigns a policy to each agent of an episode; the default of `Task.assign`."""
-    members = episode.roster
+def assign(task: Task, episode: Episode, chosen: Assigned | None = None) -> list[AssignedPolicy]:
+    """Assigns a policy to each agent of an episode.
+
+    ``chosen`` names or gives them by agent (``robot``, ``human_2``, ``person``) or by kind; the others get the task's defaults.
+
+    Raises:
+        InputError: no such policy, or no such agent.
+    """
+    members, chosen = episode.roster, dict(chosen or {})
+    if task.usage.can_be_solo and chosen.get("robot") == SOLO:
+        del chosen["robot"]  # there is none
     names = [member.name for member in members]
     strangers = [key for key in chosen if key not in names and key not in KINDS and not _alias(key, names)]
     if strangers:
@@ -212,7 +224,9 @@ def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
     made = task.named_policy(kind, name, spec)
     if made is not None:
         return made
-    own = {**COMMON[kind], **task.policies.get(kind, {})} if task.uses_common_policies else task.policies.get(kind, {})
+    own = (
+        {**COMMON[kind], **task.policies.get(kind, {})} if task.control.common_policies else task.policies.get(kind, {})
+    )
     plugins = plugin_policies()
     if name in own:
         found = own[name]
@@ -225,7 +239,7 @@ def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
 
 def policy_names(task: Task, kind: str) -> list[str]:
     """Names of the policies that agents of a kind can have in a task, without those of plug-ins."""
-    common = COMMON[kind] if task.uses_common_policies else {}
+    common = COMMON[kind] if task.control.common_policies else {}
     return list(dict.fromkeys((*task.policies.get(kind, {}), *common)))
 
 

@@ -331,7 +331,7 @@ def recorded_choices(
 def recorded_commands(recording: Recording, decode: Callable[[Any], Any]) -> dict[int, list[RecordedCommand]]:
     """Commands from outside by agent, each with its step, from the recorded raw input.
 
-    ``decode`` is `sim_kinematic.tasks.task.Task.choice_from_json`.
+    ``decode`` is `sim_kinematic.tasks.control.Control.from_json`.
 
     Raises:
         InputError: a command is malformed.

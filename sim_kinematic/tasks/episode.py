@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,9 @@ from h3data.geometry import Array
 from h3data.moved import refuse_renamed
 from h3data.recording import Event
 from h3data.scene import FreeSpace, Scene
-from sim_kinematic.agents.roster import AgentSpec, common_floor
+from sim_kinematic.agents.roster import AgentSpec, common_floor, sample_places
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
+from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, WALKERS, BaseSpec, WalkerSpec
 
 if not TYPE_CHECKING:
@@ -61,6 +62,26 @@ class Episode:
     def __post_init__(self) -> None:
         object.__setattr__(self, "free", common_floor(self.roster, self.free))
 
+    def only(self, *numbers: int) -> Self:
+        """The episode with only some of its agents."""
+        return replace(self, roster=tuple(self.roster[k] for k in numbers), starts=self.starts[list(numbers)])
+
+    @property
+    def moving(self) -> dict[str, Array]:
+        """Instances of the scene that agents may move, with their poses [7] at the start, in the order of the recording."""
+        return {}
+
+
+def sample_starts(
+    scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: Sequence[AgentSpec], stream: str = "starts"
+) -> Array:
+    """Random free starts [A, 3], at least ``spec.spawn_distance_m`` apart where there is room.
+
+    ``stream`` names the random numbers: those of another name are others.
+    """
+    rng = generator(seed, stream)
+    return sample_places(scene, free, roster, rng, apart_m=spec.spawn_distance_m, rules=spec.robot)
+
 
 @lru_cache(maxsize=256)
 def agent_base(episode: Episode, number: int) -> BaseSpec:
@@ -89,6 +110,8 @@ class StepOutcome:
     """Once true in an episode it should stay true."""
     columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     """Values to record, by column name (`Task.columns`), [W, ...] each."""
+    ended: str = ""
+    """The word in ``info["ended"]`` for an episode that the rules end; by default ``success`` or ``terminated``."""
     events: Sequence[tuple[int, Event]] = ()
     """Events of this step with the world that each belongs to."""
 

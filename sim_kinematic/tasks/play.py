@@ -72,6 +72,11 @@ class Rollout(Protocol):
         """Whether the last step has been played."""
         ...
 
+    @property
+    def reward(self) -> float:
+        """Reward of the last step."""
+        ...
+
     def turns(self) -> Generator[int | None, Any, None]:
         """Generator that plays the episode to its end.
 
@@ -100,9 +105,14 @@ class Rollout(Protocol):
 class Rules(Protocol):
     """Methods of a task that `WorldRollout` calls; `sim_kinematic.tasks.task.Task` explains them."""
 
-    skills: ClassVar[Mapping[str, tuple[str, ...]]]
+    control: ClassVar[Any]
+    """Says what agents report to be doing (`sim_kinematic.tasks.control.Control`)."""
     columns: ClassVar[Mapping[str, Any]]
-    records_judgement: ClassVar[bool]
+
+    @property
+    def codec(self) -> Any:
+        """Says whether reward and success are recorded (`sim_kinematic.tasks.codec.EpisodeCodec`)."""
+        ...
 
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
         """Prepares the worlds ``rows`` [n], whose episodes have just begun."""
@@ -117,10 +127,6 @@ class Rules(Protocol):
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
         """Returns the observations of agents of a kind, beyond pictures, by name."""
-        ...
-
-    def end_reason(self, play: WorldRollout, world: int) -> str:
-        """Returns the word recorded in ``info["ended"]`` for an episode that the rules have ended."""
         ...
 
 
@@ -174,7 +180,7 @@ class WorldRollout:
         self.spans: list[SkillSpan] = []
         self._commands: list[Command] = []
         self._words: list[str] = []
-        self._checked = False
+        self._checked, self._records_judgement = False, bool(task.codec.records_judgement)
         self._sensors: dict[int, AgentSensors] = {}
         """Sensors of the agents for which observations were requested."""
         self._traffic: dict[int, Traffic] = {}
@@ -317,6 +323,11 @@ class WorldRollout:
         return int(self.steps[0])
 
     @property
+    def reward(self) -> float:
+        """Reward of the first world's last step."""
+        return float(self.outcome.reward[0])
+
+    @property
     def over(self) -> bool:
         """Whether the rules or the time limit have ended the first world's episode."""
         return bool(self.outcome.terminated[0] or self.out_of_time[0])
@@ -340,7 +351,7 @@ class WorldRollout:
             outcome = self.advance([self._command(k, choice) for k, choice in enumerate(choices)])
             self.events += [event for _, event in outcome.events]
             if outcome.terminated[0]:
-                self.ended = self.task.end_reason(self, 0)
+                self.ended = outcome.ended or ("success" if outcome.success[0] else "terminated")
                 yield None
                 return
             yield None
@@ -372,7 +383,7 @@ class WorldRollout:
     def snapshot(self) -> tuple[Any, ...]:
         """State of the first world after a step, as plain numbers; `columns` makes blocks of them."""
         numbers: list[float] = []
-        state, before, skills = self.world.state, self.world.before, self.task.skills
+        state, before, skills = self.world.state, self.world.before, self.task.control.skills
         for k, (member, own) in enumerate(zip(self.world.roster, state.agents, strict=True)):
             words = skills.get(member.kind, ())
             (x, z), heading = own.xz[0].tolist(), own.heading.item(0)  # Python floats: half the time of NumPy's
@@ -390,7 +401,7 @@ class WorldRollout:
                 since = distance - own.set_off.item(0)
                 numbers += (x, z, heading, since, own.blend.item(0), *own.arms[0].tolist(), code)
         judged = {name: values[0] for name, values in self.outcome.columns.items()}
-        if self.task.records_judgement:
+        if self._records_judgement:
             judged |= {"metrics.reward": self.outcome.reward[0], "metrics.success": self.outcome.success[0]}
         return (*numbers, judged, self.world.touching[0])
 
@@ -414,7 +425,7 @@ class WorldRollout:
             else:
                 result |= {agent + name: values for name, values in self._motion_columns(k, body, own).items()}
             result[agent + "grasp_body"] = np.full(steps, -1, np.int32)
-            if self.task.skills.get(member.kind):
+            if self.task.control.skills.get(member.kind):
                 result[agent + "skill"] = own[-1].astype(np.int32)
         if self.world.pairs:
             gaps = [np.hypot(*(places[b] - places[a]).T) for a, b in self.world.pairs]
@@ -422,7 +433,7 @@ class WorldRollout:
             result["metrics.collision"] = np.array([row[-1].any() for row in snapshots])
         if contact:
             result["metrics.robot_contact"] = np.any(contact, axis=0)
-        judgement = {"metrics.reward": np.float32, "metrics.success": np.bool_} if self.task.records_judgement else {}
+        judgement = {"metrics.reward": np.float32, "metrics.success": np.bool_} if self._records_judgement else {}
         for name, dtype in {**self.task.columns, **judgement}.items():
             result[name] = np.array([row[-2][name] for row in snapshots]).astype(dtype)
         return result

@@ -5,7 +5,6 @@ Steps become blocks of columns that go to a sink; events, skills and raw input a
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot, robot_digest
 from h3data.bodies.names import JOIN
+from h3data.geometry import Array
 from h3data.plugins import REFERENCE, own_version, trust
 from h3data.recording import (
     Agent,
@@ -29,10 +29,11 @@ from h3data.recording import (
     state_hash,
 )
 from h3data.recording import Episode as EpisodeRecord
-from h3data.scene import Scene, save_scene, scene_digest
+from h3data.scene import Scene
 from h3data.scene.kinds import categories_of
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.tasks.codec import scene_attachment
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import Columns, Rollout
 from sim_kinematic.tasks.task import Task
@@ -202,8 +203,8 @@ def describe(
     scene = episode.scene
     file, digest = scene_attachment(scene)
     info = {
-        **task.info(episode, policies),
-        "instruction": task.instruction(episode),
+        **task.codec.info(episode, policies),
+        "instruction": task.codec.instruction(episode),
         "scene_source": dict(scene.source),
         "scene_sha256": digest,
         "categories": categories_of(scene),
@@ -228,7 +229,7 @@ def describe(
     if external:
         info["external"] = external
     record = EpisodeRecord(
-        uid=task.uid(episode, policies),
+        uid=task.codec.uid(episode, policies),
         episode_id=episode_id,
         task=task.name,
         scene=scene.name,
@@ -239,21 +240,28 @@ def describe(
     return RecordingHeader(
         episode=record,
         assets=tuple(AssetRef(name=name, uri=f"scene:{name}") for name in scene.assets),
-        bodies=task.bodies(episode, scene_bodies(scene)),
-        agents=task.recorded_agents(
-            episode, tuple(_agent(task, *pair) for pair in zip(episode.roster, policies, strict=True))
+        bodies=_moving(scene_bodies(scene), episode.moving),
+        agents=tuple(
+            task.control.recorded_agent(_agent(task, member), episode, is_external=policy.is_external)
+            for member, policy in zip(episode.roster, policies, strict=True)
         ),
         attachments={"scene.glb": file, **walks},
     )
 
 
-def _agent(task: Task, member: AgentSpec, policy: AssignedPolicy) -> Agent:
-    agent = _usual_agent(task, member)
-    return replace(agent, **task.commanded.get(member.kind, {})) if policy.is_external else agent
+def _moving(bodies: tuple[Body, ...], poses: Mapping[str, Array]) -> tuple[Body, ...]:
+    """Bodies of the scene, of which those with poses may move."""
+    numbers = {name: k for k, name in enumerate(poses)}
+    return tuple(
+        replace(body, pose=poses[body.name].astype(np.float32), moving=numbers[body.name])
+        if body.name in numbers
+        else body
+        for body in bodies
+    )
 
 
-def _usual_agent(task: Task, member: AgentSpec) -> Agent:
-    body, skills = member.body, task.skills.get(member.kind, ())
+def _agent(task: Task, member: AgentSpec) -> Agent:
+    body, skills = member.body, task.control.skills.get(member.kind, ())
     if isinstance(body, Robot):
         return Agent(
             name=member.name,
@@ -270,17 +278,9 @@ def _usual_agent(task: Task, member: AgentSpec) -> Agent:
         kind="human",
         model=f"humanoid/{member.model}",
         semantic_id=100,
-        motion_names=tuple(clip.name for clip in body.clips) if task.clip_coded else (),
+        motion_names=tuple(clip.name for clip in body.clips) if task.control.clip_coded else (),
         skill_names=skills,
     )
-
-
-@lru_cache(maxsize=4)
-def scene_attachment(scene: Scene) -> tuple[bytes, str]:
-    """The scene file and its digest: the same for all episodes in this home."""
-    buffer = io.BytesIO()
-    save_scene(scene, buffer)
-    return buffer.getvalue(), scene_digest(scene)
 
 
 @lru_cache(maxsize=4)

@@ -19,8 +19,9 @@ from h3data.errors import H3DataError, InputError, UntrustedNameError
 from h3data.plugins import names_from_data
 from h3data.recording import Event, InputEvent, Recording, SkillSpan, state_hash
 from h3data.replay.recorded_robots import check_recorded_robots
-from sim_kinematic.policies.assignment import KINDS, AssignedPolicy
+from sim_kinematic.policies.assignment import KINDS, AssignedPolicy, assign, make_policy
 from sim_kinematic.policies.recorded import NotRecorded
+from sim_kinematic.tasks.codec import POLICY_ENTRIES
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import Columns, Rollout
 from sim_kinematic.tasks.recorder import Recorder, finished
@@ -88,8 +89,15 @@ def verify(recording: Recording) -> Verification:
     steps = len(recording)
     if not steps:
         return Verification(steps=0, difference=None)
-    own = _assigned(task, episode, recording, {}, strict=False, recorded=task.agents_with_recorded_decisions(recording))
-    policies = task.recorded_policies(recording, episode, own, until=steps)
+    own = _assigned(
+        task,
+        episode,
+        recording,
+        {},
+        strict=False,
+        recorded=task.control.decided(recording, task.codec.policy_names(recording)),
+    )
+    policies = task.control.recorded_policies(recording, episode, own, until=steps)
     played = _Played(
         task, episode, policies, recording, steps=steps, keeps_people=is_counterfactual(recording), since=steps
     )
@@ -100,7 +108,7 @@ def verify_episode(recording: Recording, task: Task, episode: Episode, people: A
     """Plays an episode with the robots' recorded decisions, and compares the outcome with the recording as `verify` does.
 
     Nothing else of the recording is used: it is wrong if it is of another episode, or if people did not decide as their policy
-    does. The results that the task adds at the end (`Task.final_info`) are compared too.
+    does. The results that the task adds at the end (`EpisodeCodec.final_info`) are compared too.
 
     Args:
         recording: The recording to check.
@@ -111,25 +119,25 @@ def verify_episode(recording: Recording, task: Task, episode: Episode, people: A
     Raises:
         H3DataError: the robots' decisions are not in the recording.
     """
-    steps, named = len(recording), task.recorded_names(recording)
+    steps, named = len(recording), task.codec.policy_names(recording)
     if [agent.kind for agent in recording.agents] != [member.kind for member in episode.roster]:
         raise InputError(
             f"Expected a recording of {', '.join(member.kind for member in episode.roster)}, got "
             f"{', '.join(agent.kind for agent in recording.agents)}.",
             code="H3-TASK-072",
         )
-    assigned = task.assign(episode, {} if people is None else {"human": people})
+    assigned = assign(task, episode, {} if people is None else {"human": people})
     own = [
         mine if mine.kind == "human" else AssignedPolicy(None, name, mine.kind)
         for mine, name in zip(assigned, named, strict=True)
     ]
-    repeated = task.recorded_policies(recording, episode, own, until=steps, changed=[False] * len(own))
+    repeated = task.control.recorded_policies(recording, episode, own, until=steps, changed=[False] * len(own))
     policies = [mine if mine.kind == "human" else again for mine, again in zip(own, repeated, strict=True)]
     played = _Played(task, episode, policies, recording, steps=steps, keeps_people=False, since=steps)
     found = compared(recording, played.columns, played.ended)
     if not found.equal:
         return found
-    results = json.loads(msgspec.json.encode(task.final_info(episode, played.play, own)))
+    results = json.loads(msgspec.json.encode(task.codec.final_info(episode, played.play, own)))
     for name, value in results.items():
         if (recorded := recording.episode.info.get(name)) != value:
             wrong = Difference(step=steps, column=f"info.{name}", recorded=repr(recorded), simulated=repr(value))
@@ -142,7 +150,7 @@ def resume(
 ) -> Recording:
     """The episode anew: its first ``step`` steps as they are, then simulated on, by default as it was.
 
-    ``policy`` moves the robots from then on, ``partner`` the people; ``agents`` chooses by name (`Task.assign`).
+    ``policy`` moves the robots from then on, ``partner`` the people; ``agents`` chooses by agent or kind.
 
     Raises:
         InputError: there is no such step or policy, or the recorded states before it do not come out again.
@@ -178,28 +186,35 @@ def counterfactual(recording: Recording, policy: Any, *, step: int = 0) -> Recor
 def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps_people: bool) -> Recording:
     require_step(recording, step)
     task, episode = _restored(recording)
-    new = task.changed_policies(recording, chosen)
-    assigned = _assigned(task, episode, recording, new, strict=True, keeps_people=keeps_people)
-    named = task.recorded_names(recording)
+    codec = task.codec
+    codec.check_changes(recording, chosen)
+    codec.load_precomputed(episode, recording.episode.info)
+    assigned = _assigned(task, episode, recording, chosen, strict=True, keeps_people=keeps_people)
+    named = codec.policy_names(recording)
     changed = [one.name != name for one, name in zip(assigned, named, strict=True)]
-    policies = task.recorded_policies(recording, episode, assigned, until=step, changed=changed)
+    policies = task.control.recorded_policies(recording, episode, assigned, until=step, changed=changed)
     played = _Played(
         task, episode, policies, recording, steps=len(recording) if keeps_people else None, keeps_people=keeps_people,
         since=step,
     )  # fmt: skip
     robots = [n for n in played.columns if any(n.startswith(f"agent_{k}.") for k in _numbers(recording, "robot"))]
     # beside a kept track, what was measured of the person may differ in its last bits
-    require_kept(recording, step, played.columns, played.ended, robots if keeps_people and task.clip_coded else None)
+    require_kept(
+        recording, step, played.columns, played.ended, robots if keeps_people and task.control.clip_coded else None
+    )
     came = origin(recording, step)
-    info = {**task.run_info(episode, assigned), **task.continued_info(policies)}
+    told = codec.info(episode, assigned)
+    info = {name: told[name] for name in POLICY_ENTRIES if name in told}
+    names = [told[name] for name in ("policy", "partner") if name in told]
+    info["deciding_since"] = [getattr(one.policy, "since", 0) for one in policies]
     if keeps_people:
-        info |= {"ended": played.ended, **task.kept_info(recording, episode, played.play)}
+        info |= {"ended": played.ended, **codec.precompute(episode)}
         info |= {"counterfactual": {**came, **played.track}, "human_reactive": False}
     else:
-        info |= {**task.final_info(episode, played.play, assigned), **task.kept_info(recording, episode, played.play)}
+        info |= {**codec.final_info(episode, played.play, assigned), **codec.precompute(episode)}
         info |= {"resumed_from": came}
     what = "counterfactual" if keeps_people else "resume"
-    label = ":".join([what, str(step), *task.run_names(assigned)])
+    label = ":".join([what, str(step), *names])
     header = header_from(recording, label)
     return finished(header, played.columns, info, played.skills, played.events, played.inputs)
 
@@ -212,13 +227,13 @@ class _Played:
         self, task: Task, episode: Episode, policies: Sequence[AssignedPolicy], recording: Recording, *,
         steps: int | None, keeps_people: bool, since: int = 0,
     ) -> None:  # fmt: skip
-        self.play: Rollout = task.play(episode, policies, measure=False)
+        self.play: Rollout = task.control.rollout(task, episode, policies, measure=False)
         self.track: dict[str, Any] = {}
         recorder = Recorder(header_from(recording, "again"), self.play)
         most = episode.spec.max_steps if steps is None else min(steps, episode.spec.max_steps)
         keep = None
         if keeps_people:
-            self.track, keep = task.keep_people(self.play, recording, since)
+            self.track, keep = task.control.keep_people(self.play, recording, since)
         unrecorded = ""
         try:
             if most:
@@ -245,20 +260,30 @@ class _Played:
         kept = {
             name: recording.columns[name][:rows]
             for name in self.columns
-            if name in recording.columns and task.is_kept_column(name, people)
+            if name in recording.columns and _is_kept(name, people)
         }
         self.columns |= kept
         self.columns["state_hash"] = state_hash({n: a for n, a in self.columns.items() if n != "state_hash"})
+        cut_short: dict[str, Any] = {} if task.control.clip_coded else {"outcome": "running", "reason": ""}
         cut = [
-            span if span.end_step < rows else replace(span, end_step=rows - 1, **task.cut_span)
+            span if span.end_step < rows else replace(span, end_step=rows - 1, **cut_short)
             for span in recording.skills
             if span.agent in people and span.start_step < rows
         ]
         robots = [span for span in self.skills if span.agent not in people]
-        self.skills = task.merged_spans(robots, cut)
-        if task.clip_coded:
+        self.skills = (*robots, *cut)
+        if not task.control.clip_coded:  # skills that have a result are recorded when they end
+            self.skills = tuple(sorted(self.skills, key=lambda span: span.end_step))
+        else:
             theirs = [e for e in recording.events if e.agent in people and e.step < rows]
             self.events = tuple(sorted([*theirs, *self.events], key=lambda event: event.step))
+
+
+def _is_kept(column: str, people: Sequence[int]) -> bool:
+    """Whether a column is taken from the recording where people keep their tracks: what they hold is simulated again."""
+    if column.startswith("sim."):
+        return True
+    return column.startswith(tuple(f"agent_{k}." for k in people)) and not column.endswith("grasp_body")
 
 
 def _restored(recording: Recording) -> tuple[Task, Episode]:
@@ -269,11 +294,11 @@ def _restored(recording: Recording) -> tuple[Task, Episode]:
             code="H3-TASK-037",
         )
     task = task_of(recording)
-    require(recording, columns=task.needed_columns(recording))
+    require(recording, columns=task.control.needed_columns(recording))
     check_recorded_robots(recording)
     file = recording.attachments["scene.glb"]
     with names_from_data():
-        return task, task.restore(recording, lambda radius, height: scene_and_map(file, radius, height))
+        return task, task.codec.restore(recording, lambda radius, height: scene_and_map(file, radius, height))
 
 
 def _assigned(
@@ -287,7 +312,7 @@ def _assigned(
     recorded: Collection[int] = (),
 ) -> list[AssignedPolicy]:
     """The policy of each agent: the one that is chosen, else the recording's own; none for those in ``recorded``."""
-    named = task.recorded_names(recording)
+    named = task.codec.policy_names(recording)
     result = []
     for k, member in enumerate(episode.roster):
         choice = _chosen_for(episode, k, new)
@@ -297,9 +322,9 @@ def _assigned(
         try:
             if choice is None:
                 with names_from_data():
-                    result.append(task.recorded_policy(episode, k, named[k]))
+                    result.append(_policy(task, episode, k, named[k]))
             else:
-                result.append(task.recorded_policy(episode, k, choice))
+                result.append(_policy(task, episode, k, choice))
         except H3DataError as fault:
             if choice is not None:
                 raise
@@ -310,6 +335,13 @@ def _assigned(
                 ) from None
             result.append(AssignedPolicy(None, named[k], member.kind))
     return result
+
+
+def _policy(task: Task, episode: Episode, number: int, choice: Any) -> AssignedPolicy:
+    """The policy with a recorded name, or one that is chosen instead; whoever decided outside is not here."""
+    if choice == "external":
+        return AssignedPolicy(task.control.still(episode, number), "external", episode.roster[number].kind)
+    return make_policy(task, episode, number, choice)
 
 
 def _chosen_for(episode: Episode, number: int, new: dict[str, Any]) -> Any:

@@ -17,7 +17,7 @@ from h3data.errors import InputError, suggest
 from h3data.moved import refuse_renamed
 from h3data.recording import STEP_NS, Event, InputEvent, Recording, RecordingHeader, SkillSpan
 from sim_kinematic.agents.skills import Action, sentence
-from sim_kinematic.policies.assignment import Assigned, AssignedPolicy
+from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, assign
 from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.recorded import COMMAND, is_remote
 from sim_kinematic.tasks.episode import Episode
@@ -54,6 +54,17 @@ class DecisionLoop:
             self.asked = self._turns.send(value)
         except StopIteration:
             self.asked, self.over = None, True
+
+
+def rollout(task: Task, episode: Episode, policies: Assigned | None = None, *, measure: bool = True) -> Rollout:
+    """One episode of a task under policies, by agent or kind, ready for `run`.
+
+    ``measure=False`` leaves out what only rewards need.
+
+    Raises:
+        InputError: no such policy or agent.
+    """
+    return task.control.rollout(task, episode, assign(task, episode, policies), measure=measure)
 
 
 def run(
@@ -105,7 +116,7 @@ def simulate(
     Args:
         task: What is to be done.
         episode: From `Task.sample`.
-        policies: By agent or kind (`Task.assign`).
+        policies: By agent or kind (`sim_kinematic.policies.assignment.assign`).
         episode_id: Name of the episode within its dataset.
         sink: Called once with what is known before the first step; returns what receives rows and events while they
             come, such as a `RecordingWriter`. It is closed at the end and aborted on an error.
@@ -115,13 +126,15 @@ def simulate(
     Raises:
         InputError: no such policy or agent.
     """
-    assigned = task.assign(episode, policies)
+    assigned = assign(task, episode, policies)
     header = describe(task, episode, assigned, episode_id=episode_id, reference=reference_of(task))
-    play = task.play(episode, assigned, measure=False)
+    play = task.control.rollout(task, episode, assigned, measure=False)
     recorder = Recorder(header, play, sink(header) if sink is not None else None)
     try:
         run(play, recorder, progress=progress, note=partial(_record, task, recorder))
-        return recorder.finish({**task.final_info(episode, play, assigned), **policies_info(assigned), **(info or {})})
+        return recorder.finish(
+            {**task.codec.final_info(episode, play, assigned), **policies_info(assigned), **(info or {})}
+        )
     except BaseException:
         recorder.abort()
         raise
@@ -135,7 +148,7 @@ def _needs_note(policy: Any, choice: Any) -> bool:
 def _record(task: Task, recorder: Recorder, number: int, choice: Any, reason: str = "") -> None:
     """Takes down a choice as raw input; ``reason``: why it interrupted a running skill."""
     step = len(recorder)
-    payload = {"agent": number, "step": step, "choice": task.choice_to_json(choice)}
+    payload = {"agent": number, "step": step, "choice": task.control.to_json(choice)}
     if reason:
         payload["interrupts"] = reason
     recorder.input(
@@ -223,12 +236,12 @@ class Session:
         self.task, self.episode = task, episode
         self._inboxes: dict[int, _Inbox] = {}
         self.policies: list[AssignedPolicy] = []
-        for number, assigned in enumerate(task.assign(episode, policies)):
+        for number, assigned in enumerate(assign(task, episode, policies)):
             if isinstance(assigned.policy, External):
                 self._inboxes[number] = _Inbox(assigned.policy)
                 assigned = assigned._replace(policy=self._inboxes[number])
             self.policies.append(assigned)
-        self.play = task.play(episode, self.policies)
+        self.play = task.control.rollout(task, episode, self.policies)
         header = describe(task, episode, self.policies, episode_id=episode_id, reference=reference_of(task))
         if info:
             header = replace(header, episode=replace(header.episode, info={**header.episode.info, **info}))
@@ -263,7 +276,7 @@ class Session:
         """Names of the agents controlled from outside that wait for a command, because none of their skills is running."""
         if self.play.over:
             return ()
-        return tuple(self.episode.roster[k].name for k in self._inboxes if not self.task.is_busy(self.play, k))
+        return tuple(self.episode.roster[k].name for k in self._inboxes if not self.task.control.is_busy(self.play, k))
 
     def observe(self, agent: str) -> Any:
         """Observation that a privileged policy of this agent would get now (`Task.view`)."""
@@ -280,9 +293,9 @@ class Session:
             InputError: the agent is not controlled from outside, or the command is malformed.
         """
         number, inbox = self._controlled(agent)
-        choice = self.task.checked_choice(self.play, number, command)
+        choice = self.task.control.checked(self.play, number, command)
         inbox.pending, inbox.has_news = choice, True
-        inbox.is_urgent = self.task.interrupts_running(self.play, number, choice)
+        inbox.is_urgent = self.task.control.interrupts(self.play, number, choice)
 
     def refusal(self, agent: str, command: Any) -> str | None:
         """Reason why an agent could not carry out a command now, as a sentence; None if it could. Nothing is carried out.
@@ -291,7 +304,7 @@ class Session:
             InputError: the agent is not controlled from outside, or the command is malformed.
         """
         number, _ = self._controlled(agent)
-        return self.task.refusal(self.play, number, self.task.checked_choice(self.play, number, command))
+        return self.task.control.refusal(self.play, number, self.task.control.checked(self.play, number, command))
 
     def _controlled(self, agent: str) -> tuple[int, _Inbox]:
         number = self.number(agent)
@@ -306,7 +319,7 @@ class Session:
         """Plays one step.
 
         An agent that must decide and has no new command continues with its last one, or does nothing
-        (`Task.idle_choice`).
+        (`Control.idle`).
 
         Raises:
             InputError: the episode is over.
@@ -337,7 +350,7 @@ class Session:
         skills = tuple(self.recorder.skills[skills_before:])
         return StepResult(
             step=len(self.recorder) - 1,
-            reward=self.task.last_reward(self.play),
+            reward=self.play.reward,
             events=tuple(self.recorder.events[events_before:]),
             skills=skills,
             refused={
@@ -357,7 +370,7 @@ class Session:
         if self._closed is None:
             if not self.play.over:
                 self.play.ended = "closed"
-            found = self.task.final_info(self.episode, self.play, self.policies)
+            found = self.task.codec.final_info(self.episode, self.play, self.policies)
             self._closed = self.recorder.finish({**found, **policies_info(self.policies), **(info or {})})
         return self._closed
 
@@ -382,4 +395,4 @@ class Session:
         if inbox.has_news:
             inbox.latest, inbox.has_news = inbox.pending, False
             return inbox.latest
-        return self.task.idle_choice(self.play, number, inbox.latest)
+        return self.task.control.idle(self.play, number, inbox.latest)

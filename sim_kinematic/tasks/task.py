@@ -7,39 +7,104 @@ A task of one's own is a subclass of `Task` with a frozen `TaskSpec`, found by e
 
 from __future__ import annotations
 
-import uuid
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import H3DataError, InputError
-from h3data.geometry import Array
-from h3data.recording import Agent, Body, Recording, SkillSpan
-from h3data.scene import FreeSpace, Scene, scene_digest
-from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, common_floor, make_roster, sample_places
-from sim_kinematic.motion.randomness import generator
-from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, PolicyMaker, assign, make_policy
-from sim_kinematic.policies.policy import Still, Velocity
-from sim_kinematic.policies.recorded import RecordedTrack, RecordedVelocities, deciding_since, recorded_commands
-from sim_kinematic.tasks.episode import MAX_STEPS, Episode, StepOutcome, TaskSpec, rules_dict
-from sim_kinematic.tasks.play import Rollout, WorldRollout
-from sim_kinematic.tasks.storage import EpisodeStorage, TaskStorage
+from h3data.errors import H3DataError
+from h3data.scene import FreeSpace, Scene
+from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, common_floor, make_roster
+from sim_kinematic.policies.assignment import PolicyMaker
+from sim_kinematic.tasks.codec import EpisodeCodec, TaskCodec
+from sim_kinematic.tasks.control import Control, VelocityControl
+from sim_kinematic.tasks.episode import Episode, StepOutcome, TaskSpec, sample_starts
+from sim_kinematic.tasks.play import WorldRollout
 
 if TYPE_CHECKING:
     from h3data.scene.scene_sets import SceneSet
     from sim_kinematic.sensing.table import Sensor
 
-_RENAMED = {"foresight": "precompute", "hindsight": "final_info", "recall": "load_precomputed"}
-"""New names of methods of tasks."""
+_CODEC = {
+    **{
+        name: name for name in ("instruction", "info", "uid", "final_info", "precompute", "load_precomputed", "restore")
+    },
+    "records_judgement": "records_judgement",
+    "foresight": "precompute",
+    "hindsight": "final_info",
+    "recall": "load_precomputed",
+    "recorded_names": "policy_names",
+    "changed_policies": "check_changes",
+}
+_CONTROL = {
+    **{
+        name: name
+        for name in ("batched", "skills", "clip_coded", "check_roster", "is_busy", "refusal", "needed_columns")
+    },
+    **{name: name for name in ("recorded_policies", "keep_people")},
+    "checked_choice": "checked",
+    "idle_choice": "idle",
+    "interrupts_running": "interrupts",
+    "choice_to_json": "to_json",
+    "choice_from_json": "from_json",
+    "uses_common_policies": "common_policies",
+    "commanded": "recorded_agent",
+    "recorded_agents": "recorded_agent",
+    "agents_with_recorded_decisions": "decided",
+    "recorded_policy": "still",
+    "play": "rollout",
+}
+_USAGE = {
+    **{name: name for name in ("env_options", "set_rules", "bodies_in_agents", "crosses_partners", "can_be_solo")},
+    "check_env_options": "env_options",
+    "env_defaults": "env_rules",
+    "default_spec": "dataset_rules",
+    "recorded_default": "named_kinds",
+}
+_MOVED = {
+    **{old: f"EpisodeCodec.{new}, of Task.codec," for old, new in _CODEC.items()},
+    **{old: f"Control.{new}, of Task.control," for old, new in _CONTROL.items()},
+    **{old: f"TaskUsage.{new}, of Task.usage," for old, new in _USAGE.items()},
+    "storage": "Task.codec",
+    "bodies": "Episode.moving",
+    "last_reward": "Rollout.reward",
+    "end_reason": "StepOutcome.ended",
+    "without_robots": "Episode.only",
+    "sample_starts": "sim_kinematic.tasks.episode.sample_starts, and Task.sample decides which starts there are,",
+    "assign": "sim_kinematic.policies.assignment.assign",
+}
+"""Where members of tasks of earlier versions are now."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskUsage:
+    """How datasets, evaluations and environments use a task."""
+
+    dataset_rules: Any = None
+    """Rules of generated datasets; None: `Task.Spec` with its defaults."""
+    env_rules: Any = None
+    """Rules of environments; None: `Task.Spec` with its defaults."""
+    set_rules: Callable[[SceneSet], Any] | None = None
+    """Gives the rules by which a scene set samples starts, whatever the user changes of them; None: those of the dataset."""
+    env_options: Mapping[str, Callable[[Any], object]] = field(default_factory=dict)
+    """Names of further options of environments, which the task finds in ``WorldRollout.options``, each with a function that
+    raises an `InputError` if a value is not allowed."""
+    named_kinds: tuple[str, ...] = ("robot", "human")
+    """Kinds of agents of which a job names the policy also where it is the default one."""
+    bodies_in_agents: bool = False
+    """Whether the body that ``--human`` names is written into the roster, for each person of it."""
+    crosses_partners: bool = False
+    """Whether an evaluation plays every policy with every partner by default."""
+    can_be_solo: bool = False
+    """Whether an episode can be played without its robots (policy ``solo``)."""
 
 
 class Task:
     """Base class of tasks. Class attributes declare; methods have defaults that suit robots and people who move about.
 
-    Hooks take W worlds at once; ``batched = False`` promises W = 1 only.
+    Hooks take W worlds at once, or one where `Task.control` plays one at a time.
     """
 
     name: ClassVar[str] = ""
@@ -47,34 +112,24 @@ class Task:
     Spec: ClassVar[type[Any]] = TaskSpec
     agents: ClassVar[tuple[str, ...]] = ("robot", "human")
     """Default roster (`sim_kinematic.agents.roster.make_roster`)."""
-    batched: ClassVar[bool] = True
     profile: ClassVar[str] = ""
     """Metrics profile of its recordings: a name or ``module:name``; empty: the profile of its name, else the generic one."""
+    control: ClassVar[Control] = VelocityControl()
+    """What its agents are told to do: velocities and way points, or skills. It says what carries choices out, how they are
+    recorded, and what agents report to be doing."""
     columns: ClassVar[Mapping[str, Any]] = {}
     """dtype of each column in `StepOutcome.columns`."""
-    records_judgement: ClassVar[bool] = True
-    """Whether each step's reward and success are recorded (``metrics.reward``, ``metrics.success``), for the metrics profile
-    ``task``. The built-in tasks, whose metrics follow from other columns, do without."""
-    skills: ClassVar[Mapping[str, tuple[str, ...]]] = {}
-    """Names of what agents of a kind report to be doing; a kind without any has no skill column."""
-    commanded: ClassVar[Mapping[str, Mapping[str, tuple[str, ...]]]] = {}
-    """Fields of the recorded `Agent` that differ for an agent controlled from outside, by kind of agent."""
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     """Policies by kind of agent and name, beside those that every task has (`sim_kinematic.policies.policy`)."""
     defaults: ClassVar[Mapping[str, str]] = {"robot": "wander", "human": "waypoints"}
     """Name of the policy of each kind where none is chosen."""
-    uses_common_policies: ClassVar[bool] = True
-    """Whether `sim_kinematic.policies.assignment.COMMON` fit its agents."""
-
-    env_defaults: ClassVar[Mapping[str, Any]] = {}
-    """Options of its environments that differ from the usual ones."""
-    env_options: ClassVar[tuple[str, ...]] = ()
-    """Names of further options of its environments, which it finds in ``WorldRollout.options``."""
+    usage: ClassVar[TaskUsage] = TaskUsage()
+    """How datasets, evaluations and environments use it, where that is not as usual."""
 
     def __init_subclass__(cls) -> None:
-        for old, new in _RENAMED.items():
+        for old, new in _MOVED.items():
             if old in vars(cls):  # it would never be called
-                raise H3DataError(f"The method {cls.__name__}.{old} of a task is called {new} now.", code="H3-TASK-070")
+                raise H3DataError(f"The member {cls.__name__}.{old} of a task is {new} now.", code="H3-TASK-070")
         if "name" not in vars(cls):
             cls.name = "".join(f"_{c.lower()}" if c.isupper() else c for c in cls.__name__).lstrip("_")
 
@@ -92,7 +147,7 @@ class Task:
             seed=seed,
             spec=spec,
             roster=roster,
-            starts=self.sample_starts(scene, free, seed, spec, roster),
+            starts=sample_starts(scene, free, seed, spec, roster),
         )
 
     def episode(
@@ -115,16 +170,6 @@ class Task:
         roster = make_roster(self.agents if agents is None else agents, robot=robot, human=human)
         return self.sample(scene, free, seed, spec, roster)
 
-    def check_roster(self, roster: Sequence[AgentSpec]) -> None:
-        """Raises an `InputError` if an agent cannot play the task; by default all can."""
-
-    def sample_starts(
-        self, scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: Sequence[AgentSpec], stream: str = "starts"
-    ) -> Array:
-        """Random free starts [A, 3], at least ``spec.spawn_distance_m`` apart where there is room."""
-        rng = generator(seed, stream)
-        return sample_places(scene, free, roster, rng, apart_m=spec.spawn_distance_m, rules=spec.robot)
-
     # --- rules --------------------------------------------------------------------------------------------------------
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
         """Prepares the worlds ``rows`` [n], whose episodes have just begun; keeps what it needs in ``play.memory``."""
@@ -143,10 +188,6 @@ class Task:
         """Observation of an agent's policy, by default an `AgentView`."""
         return play.agent_view(agent, world)
 
-    def end_reason(self, play: WorldRollout, world: int) -> str:
-        """The word in ``info["ended"]`` for an episode that the rules end."""
-        return "success" if bool(play.outcome.success[world]) else "terminated"
-
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
         """Observations of agents of a kind, beyond pictures, by name; by default `sim_kinematic.sensing.table.SENSORS`."""
         from sim_kinematic.sensing.table import sensors_of
@@ -157,50 +198,13 @@ class Task:
         """Entries of an environment's ``info`` beyond its reward, [W] each."""
         return {"success": play.outcome.success.copy()}
 
-    def check_env_options(self, options: Mapping[str, Any]) -> None:
-        """Raises an `InputError` if the value of one of `env_options` is not allowed; by default all are."""
+    # --- what it is elsewhere -----------------------------------------------------------------------------------------
+    @property
+    def codec(self) -> EpisodeCodec[Any]:
+        """Writes and reads its episodes: in episode files, in recordings, in words; by default a `TaskCodec`."""
+        return TaskCodec(self)
 
-    # --- episode files ------------------------------------------------------------------------------------------------
-    def storage(self) -> EpisodeStorage[Any]:
-        """How its episodes are stored in files; by default starts, agents, rules and `Episode.extra`."""
-        return TaskStorage(self.name, self.Spec, self.check_roster)
-
-    # --- datasets and evaluations -------------------------------------------------------------------------------------
-    bodies_in_agents: ClassVar[bool] = False
-    """Whether the body that ``--human`` names is written into the roster, for each person of it."""
-    crosses_partners: ClassVar[bool] = False
-    """Whether an evaluation plays every policy with every partner by default."""
-    can_be_solo: ClassVar[bool] = False
-    """Whether an episode can be played without its robots (policy ``solo``)."""
-
-    def default_spec(self) -> Any:
-        """The rules of generated datasets."""
-        return self.Spec()
-
-    def set_rules(self, scenes: SceneSet) -> Any:
-        """The rules by which a scene set samples starts, whatever the user changes of them; None: the task's own."""
-        del scenes
-
-    def recorded_default(self, kind: str) -> str | None:
-        """The default policy of a kind as a job names it; None where jobs name none."""
-        return self.defaults[kind] if kind in {"robot", "human"} & {*self.defaults} else None
-
-    def without_robots(self, episode: Episode, policy: str | None) -> Episode:
-        """The episode without its robots, if the policy says so."""
-        del policy
-        return episode
-
-    # --- playing ------------------------------------------------------------------------------------------------------
-    def play(self, episode: Episode, policies: Sequence[AssignedPolicy] = (), *, measure: bool = True) -> Rollout:
-        """One episode, ready for `sim_kinematic.tasks.runner.run`.
-
-        ``measure=False`` leaves out what only rewards need.
-        """
-        play = WorldRollout(self, episode.spec, episode.roster, measure=measure)
-        play.begin([episode])
-        play.policies = list(policies)
-        return play
-
+    # --- policies -----------------------------------------------------------------------------------------------------
     def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
         """What makes the policy that a name means in this task beyond its tables; None: look in the tables.
 
@@ -211,273 +215,3 @@ class Task:
         """
         del kind, name, spec
         return None
-
-    def assign(self, episode: Episode, chosen: Assigned | None = None) -> list[AssignedPolicy]:
-        """A policy for each agent of an episode.
-
-        ``chosen`` names or gives them by agent (``robot``, ``human_2``, ``person``) or by kind; the others get `defaults`.
-
-        Raises:
-            InputError: no such policy, or no such agent.
-        """
-        return assign(self, episode, chosen or {})
-
-    # --- commands from outside ----------------------------------------------------------------------------------------
-    def checked_choice(self, play: Rollout, number: int, choice: Any) -> Any:
-        """A command from outside in the form that the play takes.
-
-        Raises:
-            InputError: it is malformed.
-        """
-        if not hasattr(choice, "forward") and np.shape(choice) == (2,):
-            choice = Velocity(float(choice[0]), float(choice[1]))
-        if not (hasattr(choice, "forward") and hasattr(choice, "turn")):
-            raise InputError(f"Expected a command (forward, turn) in -1..1, got {choice!r}.", code="H3-TASK-064")
-        if not np.isfinite([choice.forward, choice.turn]).all():
-            raise InputError(f"Actions must be finite, got {(choice.forward, choice.turn)}.", code="H3-TASK-065")
-        return choice
-
-    def idle_choice(self, play: Rollout, number: int, last: Any) -> Any:
-        """The choice of an agent controlled from outside that was told nothing new: to go on as before."""
-        return Velocity(0.0, 0.0) if last is None else last
-
-    def is_busy(self, play: Rollout, number: int) -> bool:
-        """Whether an agent goes on with something by itself until it ends or a command interrupts it."""
-        del play, number
-        return False
-
-    def interrupts_running(self, play: Rollout, number: int, choice: Any) -> bool:
-        """Whether a command from outside interrupts what the agent is doing; by default all do."""
-        del play, number, choice
-        return True
-
-    def refusal(self, play: Rollout, number: int, choice: Any) -> str | None:
-        """Why a command, as `checked_choice` returned it, would be refused now, as a sentence; None: it would not."""
-        del play, number, choice
-        return None
-
-    def choice_to_json(self, choice: Any) -> Any:
-        """A choice as JSON types, for the recorded raw input."""
-        return {"forward": float(choice.forward), "turn": float(choice.turn), "skill": choice.skill}
-
-    def choice_from_json(self, data: Any) -> Any:
-        """The choice that `choice_to_json` wrote."""
-        return Velocity(float(data["forward"]), float(data["turn"]), str(data.get("skill", "")))
-
-    def last_reward(self, play: Rollout) -> float:
-        """Reward of the last step of a play of one world."""
-        return float(play.outcome.reward[0])  # type: ignore[attr-defined]
-
-    # --- recording ----------------------------------------------------------------------------------------------------
-    clip_coded: ClassVar[bool] = True
-    """Whether people are recorded as motion clips, else joint by joint."""
-
-    def bodies(self, episode: Episode, bodies: tuple[Body, ...]) -> tuple[Body, ...]:
-        """The recording's bodies: those of the scene, of which a task may say which ones move."""
-        del episode
-        return bodies
-
-    def recorded_agents(self, episode: Episode, agents: tuple[Agent, ...]) -> tuple[Agent, ...]:
-        """The recording's agents, which may have more to tell in some episodes."""
-        del episode
-        return agents
-
-    def instruction(self, episode: Episode) -> str:
-        """The task in words, as one would tell it to a robot; recorded in ``info["instruction"]``.
-
-        LeRobot datasets have it for every frame, and policies that are conditioned on language learn from it. By default the
-        task's name in words.
-        """
-        del episode
-        return self.name.replace("_", " ").strip() or "act"
-
-    def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Entries of ``episode.info`` that are known from the start, besides scene and bodies: enough for `restore`."""
-        names = {kind: ",".join(p.name for p in policies if p.kind == kind) for kind in ("robot", "human")}
-        info: dict[str, Any] = {
-            "policy": names["robot"],
-            "partner": names["human"],
-            "max_steps": episode.spec.max_steps,
-            "spec": rules_dict(episode.spec),
-            "starts": episode.starts.tolist(),
-        }
-        if episode.extra:
-            info["extra"] = dict(episode.extra)
-        return info
-
-    def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
-        """Identity of an episode's recording: the same inputs give the same one."""
-        who = ",".join(f"{member.model}:{policy.name}" for member, policy in zip(episode.roster, policies, strict=True))
-        starts = episode.starts.tolist()
-        what = f"{self.name}:{scene_digest(episode.scene)}:{who}:{episode.seed}:{episode.spec}:{starts}:{episode.extra}"
-        return str(uuid.uuid5(uuid.NAMESPACE_URL, f"h3data:{what}"))
-
-    def final_info(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Entries of ``episode.info`` that are known only after the last step."""
-        del episode, policies
-        return {"ended": play.ended}
-
-    def precompute(self, episode: Episode) -> dict[str, Any]:
-        """Computes facts about an episode that `final_info` needs, take long, and do not depend on how it is played.
-
-        The result is plain data, so that another process can compute it.
-        """
-        del episode
-        return {}
-
-    def load_precomputed(self, episode: Episode, facts: Mapping[str, Any]) -> None:
-        """Stores the facts that another process has computed with `precompute`, for which a live world must not wait."""
-
-    # --- simulating again (sim_kinematic.tasks.resume) -----------------------------------------------------------------
-    cut_span: ClassVar[Mapping[str, Any]] = {}
-    """Changes to a kept person's skill that the end of the recording cuts short."""
-
-    def needed_columns(self, recording: Recording) -> list[str]:
-        """Columns without which a recording cannot be simulated again."""
-        robots = [k for k, agent in enumerate(recording.agents) if agent.kind == "robot"]
-        names = ("action", "skill") if self.skills.get("robot") else ("action",)
-        return [f"agent_{k}.{name}" for k in robots for name in names]
-
-    def recorded_names(self, recording: Recording) -> list[str]:
-        """Name of each agent's policy, as recorded."""
-        info, names = recording.episode.info, []
-        for kind, entry in (("robot", "policy"), ("human", "partner")):
-            count = sum(agent.kind == kind for agent in recording.agents)
-            listed = str(info.get(entry) or self.defaults[kind]).split(",")
-            names += listed * count if len(listed) == 1 else listed
-        return names
-
-    def recorded_policy(self, episode: Episode, number: int, name: Any) -> AssignedPolicy:
-        """The policy with a recorded name, or one that is chosen instead."""
-        if name == "external":
-            return AssignedPolicy(Still(), "external", episode.roster[number].kind)
-        return make_policy(self, episode, number, name)
-
-    def changed_policies(self, recording: Recording, chosen: dict[str, Any]) -> dict[str, Any]:
-        """The choices that differ from what the recording did by itself.
-
-        Raises:
-            InputError: agents of this task follow no such thing.
-        """
-        del recording
-        return chosen
-
-    def agents_with_recorded_decisions(self, recording: Recording) -> set[int]:
-        """Numbers of the agents whose every decision is recorded, so that verifying asks no policy of theirs."""
-        commanded = recorded_commands(recording, self.choice_from_json)
-        decided = {
-            k
-            for k, agent in enumerate(recording.agents)
-            if f"agent_{k}.action" in recording.columns and (agent.kind == "robot" or k in commanded)
-        }
-        # those who wander share how they heed each other, so that one of them who is asked needs the others asked too
-        wanderers = {k for k, name in enumerate(self.recorded_names(recording)) if name == "wander"}
-        return decided if wanderers <= decided else decided - wanderers
-
-    def recorded_policies(
-        self,
-        recording: Recording,
-        episode: Episode,
-        own: Sequence[AssignedPolicy],
-        *,
-        until: int,
-        changed: Sequence[bool] = (),
-    ) -> list[AssignedPolicy]:
-        """For each agent a policy that repeats its first ``until`` recorded decisions, then hands over to ``own``.
-
-        A scripted person has no recorded decisions: its own policy decides again.
-        """
-        commands, policies = recorded_commands(recording, self.choice_from_json), []
-        for k, (member, assigned, since) in enumerate(zip(episode.roster, own, deciding_since(recording), strict=True)):
-            policy = assigned.policy
-            if member.kind == "robot" or k in commands:
-                first = until if changed and changed[k] else min(since, until)
-                policy = RecordedVelocities.of(recording, k, commands.get(k), until=until, own=policy, since=first)
-            elif policy is None:
-                raise InputError(
-                    f"The person's own policy {assigned.name!r} is not at hand, and {member.name} was not controlled "
-                    "from outside: nothing says how they decided.",
-                    code="H3-TASK-066",
-                )
-            policies.append(assigned._replace(policy=policy))
-        return policies
-
-    def run_info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Names of the policies, as `info` gives them."""
-        info = self.info(episode, policies)
-        return {name: info[name] for name in ("policy", "partner") if name in info}
-
-    def run_names(self, policies: Sequence[AssignedPolicy]) -> list[str]:
-        """Names that tell apart two recordings continued from one step."""
-        return [",".join(p.name for p in policies if p.kind == kind) for kind in ("robot", "human")]
-
-    def continued_info(self, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Further entries of a continued recording's info: since which step each agent's policy decides."""
-        return {"deciding_since": [getattr(assigned.policy, "since", 0) for assigned in policies]}
-
-    def kept_info(self, recording: Recording, episode: Episode, play: Rollout) -> dict[str, Any]:
-        """Entries that a continued recording takes over."""
-        del recording, episode, play
-        return {}
-
-    def keep_people(
-        self, play: Rollout, recording: Recording, since: int
-    ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
-        """Puts people on their recorded tracks; returns facts about that for the info, and what to call after each step."""
-        del since
-        for k, member in enumerate(play.episode.roster):
-            if member.kind == "human":
-                play.policies[k] = play.policies[k]._replace(policy=RecordedTrack(recording, k, member.body))
-        return {}, None
-
-    def is_kept_column(self, name: str, people: Sequence[int]) -> bool:
-        """Whether a column is taken from the recording where people keep their tracks."""
-        return name.startswith((*(f"agent_{k}." for k in people), "sim."))
-
-    def merged_spans(self, robots: Sequence[SkillSpan], people: Sequence[SkillSpan]) -> tuple[SkillSpan, ...]:
-        """Skills of robots and of people who keep their tracks, in the order in which they are recorded."""
-        return (*robots, *people)
-
-    def restore(self, recording: Recording, scene: Callable[[float, float], tuple[Scene, FreeSpace]]) -> Episode:
-        """The episode that a recording was made of; ``scene(radius_m, height_m)`` gives its scene and map.
-
-        Raises:
-            InputError: the recording lacks something or its info is malformed; the message names it.
-        """
-        return restored(self, recording, scene)
-
-
-def restored(task: Task, recording: Recording, scene: Callable[[float, float], tuple[Scene, FreeSpace]]) -> Episode:
-    """`Task.restore` for episodes whose info is that of `Task.info`."""
-    info, agents = recording.episode.info, recording.agents
-    lacks = [name for name in ("spec", "starts") if name not in info]
-    if lacks:
-        raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.", code="H3-TASK-023")
-    try:
-        spec = msgspec.convert({"robot": {}, "human": {}, **info["spec"]}, task.Spec)
-        starts = np.array(msgspec.convert(info["starts"], list[tuple[float, float, float]]), np.float64)
-    except (msgspec.ValidationError, TypeError) as fault:
-        raise InputError(
-            f"The recording's info is malformed: {str(fault).replace('`', '')}", code="H3-TASK-030"
-        ) from None
-    if not 0 < spec.max_steps <= MAX_STEPS:
-        raise InputError(
-            f"Expected 1 to {MAX_STEPS} steps, the recording's rules say {spec.max_steps}.", code="H3-TASK-063"
-        )
-    roster = make_roster([f"{agent.kind}:{agent.model.partition('/')[2]}" for agent in agents])
-    if [member.kind for member in roster] != [agent.kind for agent in agents]:
-        raise InputError(f"Expected robots, then people, got: {[agent.kind for agent in agents]}.", code="H3-TASK-024")
-    home, free = scene(spec.agent_radius_m, spec.agent_height_m)
-    if starts.shape != (len(agents), 3) or not np.isfinite(starts).all() or not free.is_navigable(starts[:, :2]).all():
-        raise InputError(
-            f"Expected starts on the free floor for {len(agents)} agents, got: {starts.tolist()}.", code="H3-TASK-027"
-        )
-    return Episode(
-        scene=home,
-        free=free,
-        seed=recording.episode.seed,
-        spec=spec,
-        roster=roster,
-        starts=starts,
-        extra=dict(info.get("extra", {})),
-    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import uuid
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -10,65 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.geometry import Array
 from h3data.recording import Event, Recording
 from h3data.scene import FreeSpace, Scene
-from sim_kinematic.agents.roster import AgentSpec
+from sim_kinematic.agents.roster import AgentSpec, common_floor
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
-from sim_kinematic.tasks.episode import Episode, StepOutcome, rules_dict
+from sim_kinematic.tasks.codec import TaskCodec, scene_attachment, uid_of
+from sim_kinematic.tasks.episode import Episode, StepOutcome, rules_dict, sample_starts
 from sim_kinematic.tasks.play import WorldRollout
-from sim_kinematic.tasks.recorder import scene_attachment
-from sim_kinematic.tasks.task import Task
+from sim_kinematic.tasks.task import Task, TaskUsage
+
+STEPS = 300
+"""Default length of an episode in a dataset."""
 
 
-class Wander(Task):
-    """Everybody goes somewhere, gives way to the others, and an episode lasts ``max_steps``."""
+class WanderCodec(TaskCodec):
+    """Writes the names of all policies in one list."""
 
-    name: ClassVar[str] = "wander"
-    Spec: ClassVar[type[Any]] = SocialNavSpec
-    steps: ClassVar[int] = 300
-    """Default length of an episode."""
-    defaults: ClassVar[Mapping[str, str]] = {"robot": "wander", "human": "wander"}
-
-    bodies_in_agents: ClassVar[bool] = True
     records_judgement: ClassVar[bool] = False
-
-    def default_spec(self) -> SocialNavSpec:
-        """Rules of social navigation, with this task's number of steps."""
-        return SocialNavSpec(max_steps=self.steps)
-
-    def recorded_default(self, kind: str) -> str | None:
-        """None: jobs name no policies for this task."""
-        return None
-
-    def sample_starts(
-        self,
-        scene: Scene,
-        free: FreeSpace,
-        seed: int,
-        spec: Any,
-        roster: Sequence[AgentSpec],
-        stream: str = "agent_worlds",
-    ) -> Array:
-        """Random free starts [A, 3], from this task's own random stream."""
-        return super().sample_starts(scene, free, seed, spec, roster, stream)
-
-    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
-        """Forgets all contacts, so that agents who touch at the start cause an event."""
-        play.memory = np.zeros_like(play.world.touching)  # who touched whom a step ago
-
-    def judge(self, play: WorldRollout) -> StepOutcome:
-        """Reports each new contact between two agents as an event; rewards are 0 and the rules end no episode."""
-        world = play.world
-        events = [
-            (int(w), Event(step=int(play.steps[w]) - 1, agent=a, kind="collision", target=world.roster[b].name))
-            for w, p in zip(*np.nonzero(world.touching & ~play.memory), strict=True)
-            for a, b in [world.pairs[p]]
-        ]
-        play.memory = world.touching.copy()
-        nothing = np.zeros(world.worlds, np.bool_)
-        return StepOutcome(reward=np.zeros(world.worlds), terminated=nothing, success=nothing, events=events)
 
     def instruction(self, episode: Episode) -> str:
         """Instruction in words, the same for all episodes."""
@@ -91,33 +49,58 @@ class Wander(Task):
         """Identifier derived from scene, bodies, seed, rules and, where they differ from the default, policies."""
         digest = scene_attachment(episode.scene)[1]
         models = ",".join(member.model for member in episode.roster)
-        what = f"h3data:wander:{digest}:{models}:{episode.seed}:{episode.spec.max_steps}:{episode.spec}"
+        what = f"wander:{digest}:{models}:{episode.seed}:{episode.spec.max_steps}:{episode.spec}"
         others = [policy.name for policy in policies]
         what += "" if set(others) == {"wander"} else f":{','.join(others)}"
-        return str(uuid.uuid5(uuid.NAMESPACE_URL, what))
+        return uid_of(what)
 
-    def run_info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Nothing: `info` names the policies."""
-        return {}
-
-    def run_names(self, policies: Sequence[AssignedPolicy]) -> list[str]:
-        """No names."""
-        return []
-
-    def recorded_names(self, recording: Recording) -> list[str]:
+    def policy_names(self, recording: Recording) -> list[str]:
         """Name of each agent's policy; ``wander`` where the recording names none."""
         names = recording.episode.info.get("policies", ["wander"] * len(recording.agents))
         return [str(name) for name in names]
 
-    def changed_policies(self, recording: Recording, chosen: dict[str, Any]) -> dict[str, Any]:
-        """No choices.
-
-        Raises:
-            InputError: a policy is chosen, which this task does not support.
-        """
+    def check_changes(self, recording: Recording, chosen: Mapping[str, Any]) -> None:
+        """Raises an `InputError` if a policy is chosen, which this task does not support."""
         if chosen:
             what = "policy" if "robot" in chosen else "partner"
             raise InputError(
                 f"Nobody in recordings of wander follows a {what}. Hint: leave it out.", code="H3-TASK-067"
             )
-        return chosen
+
+
+class Wander(Task):
+    """Everybody goes somewhere, gives way to the others, and an episode lasts ``max_steps``."""
+
+    name: ClassVar[str] = "wander"
+    Spec: ClassVar[type[Any]] = SocialNavSpec
+    defaults: ClassVar[Mapping[str, str]] = {"robot": "wander", "human": "wander"}
+    usage: ClassVar[TaskUsage] = TaskUsage(
+        dataset_rules=SocialNavSpec(max_steps=STEPS), named_kinds=(), bodies_in_agents=True
+    )
+
+    @property
+    def codec(self) -> WanderCodec:
+        """Codec of episodes whose recordings name all policies in one list."""
+        return WanderCodec(self)
+
+    def sample(self, scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: tuple[AgentSpec, ...]) -> Episode:
+        """Samples random starts from this task's own random stream."""
+        free = common_floor(roster, free)
+        starts = sample_starts(scene, free, seed, spec, roster, "agent_worlds")
+        return Episode(scene=scene, free=free, seed=seed, spec=spec, roster=roster, starts=starts)
+
+    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
+        """Forgets all contacts, so that agents who touch at the start cause an event."""
+        play.memory = np.zeros_like(play.world.touching)  # who touched whom a step ago
+
+    def judge(self, play: WorldRollout) -> StepOutcome:
+        """Reports each new contact between two agents as an event; rewards are 0 and the rules end no episode."""
+        world = play.world
+        events = [
+            (int(w), Event(step=int(play.steps[w]) - 1, agent=a, kind="collision", target=world.roster[b].name))
+            for w, p in zip(*np.nonzero(world.touching & ~play.memory), strict=True)
+            for a, b in [world.pairs[p]]
+        ]
+        play.memory = world.touching.copy()
+        nothing = np.zeros(world.worlds, np.bool_)
+        return StepOutcome(reward=np.zeros(world.worlds), terminated=nothing, success=nothing, events=events)

@@ -195,12 +195,14 @@ def test_a_dataset_with_videos_is_converted_and_replaced(
 # --- the task in words -----------------------------------------------------------------------------------------------
 def test_every_task_says_what_is_to_be_done() -> None:
     home = build_home(HomeSpec(seed=2))
-    assert find_task("social_nav").instruction(find_task("social_nav").episode(home, seed=2)) == "follow the person"
+    assert (
+        find_task("social_nav").codec.instruction(find_task("social_nav").episode(home, seed=2)) == "follow the person"
+    )
     rearrange = find_task("rearrange")
     episode: Any = rearrange.episode(home, seed=3)
     first, second = ([replaced(t.name), replaced(t.destination)] for t in episode.targets)
     words = f"bring the {first[0]} to the {first[1]} and bring the {second[0]} to the {second[1]}"
-    assert rearrange.instruction(episode) == words
+    assert rearrange.codec.instruction(episode) == words
     assert not any(c.isdigit() or c in "_|" for c in words)
 
     class FetchCoffee(Task):
@@ -208,7 +210,7 @@ def test_every_task_says_what_is_to_be_done() -> None:
 
     task = FetchCoffee()
     episode = task.episode(home, seed=1, spec=replace(task.Spec(), max_steps=3))
-    assert task.instruction(episode) == "fetch coffee"
+    assert task.codec.instruction(episode) == "fetch coffee"
 
 
 def replaced(name: str) -> str:

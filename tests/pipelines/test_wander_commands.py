@@ -80,7 +80,7 @@ def test_an_episode_that_raises_is_listed_and_the_others_are_played(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fine = run_json(capsys, *WANDER, tmp_path / "fine", "--episodes", "3")
-    played, calls = wander.Wander.sample_starts, []
+    played, calls = wander.Wander.sample, []
 
     def breaks(*args: Any) -> Any:
         calls.append(args)
@@ -88,7 +88,7 @@ def test_an_episode_that_raises_is_listed_and_the_others_are_played(
             raise RuntimeError("boom")
         return played(*args)
 
-    monkeypatch.setattr(wander.Wander, "sample_starts", breaks)
+    monkeypatch.setattr(wander.Wander, "sample", breaks)
     for broken in ({1}, {1, 2}, {3}):
         calls.clear()
         out = tmp_path / str(len(list(tmp_path.iterdir())))

@@ -17,9 +17,9 @@ from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from h3data_pipelines.commands.table import all_commands
 from sim_kinematic.policies.assignment import plugin_policies
+from sim_kinematic.tasks.codec import EpisodePlace
 from sim_kinematic.tasks.registry import _find, find_task
 from sim_kinematic.tasks.resume import resume
-from sim_kinematic.tasks.storage import EpisodePlace
 from tests.simulated import simulate_wander
 
 COMMANDS = all_commands()
@@ -149,13 +149,13 @@ def test_a_recording_is_not_taken_up_with_what_it_names(folder, small_home, what
 def test_an_episode_file_names_no_module_either(folder, small_home, name):
     task = find_task(name)
     episode = task.episode(small_home, seed=1)
-    storage = task.storage()
-    record = storage.record(episode)
+    codec = task.codec
+    record = codec.record(episode)
     bad = {"agents": ("robot:canary:ROBOT",)} if name == "wander" else {"robot": "robot/canary:ROBOT"}
     place = EpisodePlace(scene=episode.scene, free=episode.free, spec=episode.spec)
-    assert storage.episode(record, place).roster
+    assert codec.episode(record, place).roster
     with pytest.raises(UntrustedNameError, match="canary"):
-        storage.episode(msgspec.structs.replace(record, **bad), place)
+        codec.episode(msgspec.structs.replace(record, **bad), place)
     assert not (folder / "ran").exists()
 
 

@@ -125,9 +125,19 @@ def test_a_faulty_task_is_named_with_the_field(task: PointGoal, says: str) -> No
         h3data.simulate(task, scenes="small:1")
 
 
-def test_methods_by_their_earlier_names_are_refused_with_the_new_ones() -> None:
-    with pytest.raises(H3DataError, match=r"EarlierTask\.hindsight of a task is called final_info now"):
-        type("EarlierTask", (PointGoal,), {"hindsight": lambda self, episode, play, policies: {}})
+@pytest.mark.parametrize(
+    ("member", "place"),
+    [
+        ("hindsight", r"EpisodeCodec\.final_info, of Task\.codec,"),
+        ("instruction", r"EpisodeCodec\.instruction, of Task\.codec,"),
+        ("skills", r"Control\.skills, of Task\.control,"),
+        ("default_spec", r"TaskUsage\.dataset_rules, of Task\.usage,"),
+        ("end_reason", r"StepOutcome\.ended"),
+    ],
+)
+def test_members_of_earlier_tasks_are_refused_with_their_new_place(member: str, place: str) -> None:
+    with pytest.raises(H3DataError, match=rf"EarlierTask\.{member} of a task is {place} now"):
+        type("EarlierTask", (PointGoal,), {member: lambda *_: {}})
 
 
 @pytest.mark.parametrize(

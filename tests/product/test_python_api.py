@@ -344,7 +344,7 @@ def test_make_names_every_option_of_every_environment() -> None:
     for environment in (WorldStepper, SkillStepper, SocialNavTorchEnv, RearrangeTorchEnv):
         real |= keywords(environment)
     for task in ("social_nav", "rearrange"):
-        real |= set(find_task(task).env_options)
+        real |= set(find_task(task).usage.env_options)
     assert keywords(h3data.make) == real - {"worlds", "options"}
     assert {*MakeOptions.__annotations__, "num_envs", "device", "agents"} == keywords(h3data.make)
     described = re.findall(r"^ +([a-z_]+): [A-Z`]", (inspect.getdoc(h3data.make) or ""), re.MULTILINE)

@@ -47,9 +47,10 @@ from sim_kinematic.policies.rearrange import ZSC_TEN, partner_policy, planner, r
 from sim_kinematic.policies.rearrange_observations import limits, observe
 from sim_kinematic.policies.visual_policy import save_policy
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.play import RearrangeRollout
+from sim_kinematic.tasks.rearrange.play import SkillRollout
+from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.registry import find_task
-from sim_kinematic.tasks.runner import run
+from sim_kinematic.tasks.runner import rollout, run
 
 DRAWN = PopulationSettings(scenes="h3-homes/train#0", episodes_per_home=2)
 """Of the episodes; tests cut them short, which has no effect on how they begin."""
@@ -224,7 +225,7 @@ def test_what_cannot_be_is_never_offered(episodes: Sequence[RearrangeEpisode]) -
     episode = replace(episodes[0], spec=replace(episodes[0].spec, max_steps=700))
     robot = _Watched(chooser(think_steps=200), robot=True, seed=1)
     person = _Watched(chooser("partner_0", think_steps=200), robot=False, seed=2)
-    play = RearrangeRollout(episode, [
+    play = SkillRollout(Rearrange(), episode, [
         playing.AssignedPolicy(robot, "robot", "robot"), playing.AssignedPolicy(person, "human", "human"),
     ])  # fmt: skip
     robot.play = person.play = play  # type: ignore[assignment]
@@ -237,7 +238,7 @@ def test_a_score_cannot_buy_what_is_not_allowed(episodes: Sequence[RearrangeEpis
     bias = network.arrays["each_1.bias"].copy()
     bias[2:] = 1e6  # pick and place, and nobody has arrived anywhere
     policy = RecurrentSkillPolicy(replace(network, arrays={**network.arrays, "each_1.bias": bias}), 2, robot=True)
-    play = RearrangeRollout(episodes[0], [
+    play = SkillRollout(Rearrange(), episodes[0], [
         playing.AssignedPolicy(policy, "robot", "robot"), playing.AssignedPolicy(planner("still", 0), "still", "human"),
     ])  # fmt: skip
     assert policy.act(play.view(0)).skill not in ("pick", "place")
@@ -259,7 +260,7 @@ def test_without_gps_nothing_tells_where_the_person_is(episodes: Sequence[Rearra
     assert robot.network.observations == tuple(n for n in OBSERVATIONS if n not in OF_OTHER)
     inputs: dict[str, list[np.ndarray]] = {"blind": [], "seeing": []}
     blind, seeing = robot.network.observations, OBSERVATIONS
-    play = RearrangeRollout(replace(episodes[0], spec=replace(episodes[0].spec, max_steps=700)), [
+    play = SkillRollout(Rearrange(), replace(episodes[0], spec=replace(episodes[0].spec, max_steps=700)), [
         playing.AssignedPolicy(planner("still", 0), "still", "robot"),
         playing.AssignedPolicy(planner("both", 0), "both", "human"),
     ])  # fmt: skip
@@ -504,7 +505,7 @@ def test_a_run_leaves_policies_that_play(whole: Path, episodes: Sequence[Rearran
     task, plays = find_task("rearrange"), []
     for _ in range(2):
         named = {"robot": f"weights:{whole / POLICY}", "human": f"weights:{whole / 'partner_0.npz'}"}
-        play = task.play(episodes[1], task.assign(episodes[1], named))
+        play = rollout(task, episodes[1], named)
         run(play)
         play.finish()
         plays.append([(s.agent, s.name, s.target, s.end_step) for s in play.spans])

@@ -38,7 +38,7 @@ from sim_kinematic.agents.skills import Action, sentence
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.tasks.episode import agent_base, agent_floor
-from sim_kinematic.tasks.rearrange.play import RearrangeRollout
+from sim_kinematic.tasks.rearrange.play import SkillRollout
 from sim_kinematic.tasks.runner import Session, StepResult
 
 CANCEL = Action("wait", steps=1)
@@ -230,13 +230,13 @@ class SkillDriver(Driver):
 
     def door_before(self, point: Array) -> int:
         """The closed door between rooms that keeps the agent from where it could reach a world point [3]; -1: none."""
-        play: RearrangeRollout = self.session.play  # type: ignore[assignment]
+        play: SkillRollout = self.session.play  # type: ignore[assignment]
         actor = play.actors[self.number]
         return play.door_before(actor, partial(actor.stands_on, point=point))
 
     def go(self, xz: Any, heading: float | None = None) -> str:
         """Walks or drives to a floor point, unless a closed door is in between."""
-        play: RearrangeRollout = self.session.play  # type: ignore[assignment]
+        play: SkillRollout = self.session.play  # type: ignore[assignment]
         spot = play.doorways.open_floor.snap(xz, max_distance_m=FLOOR_SNAP_M)
         place = np.array([[*spot, 0.0]])[np.isfinite(spot).all(keepdims=True)]
         if play.door_before(play.actors[self.number], lambda _: place) >= 0:
@@ -300,7 +300,7 @@ class SkillDriver(Driver):
     @property
     def runs(self) -> bool:
         """Whether a skill is running."""
-        return self.session.task.is_busy(self.session.play, self.number)
+        return self.session.task.control.is_busy(self.session.play, self.number)
 
     @property
     def busy(self) -> bool:
@@ -393,5 +393,5 @@ def driving_base(session: Session, number: int) -> BaseSpec:
     spec = episode.spec
     return BaseSpec(
         max_speed_mps=spec.human.speed_mps, max_turn_rad_s=spec.human.turn_rad_s, disc_offsets_m=(0.0,),
-        disc_radius_m=spec.agent_radius_m, allow_back=isinstance(session.play, RearrangeRollout),
+        disc_radius_m=spec.agent_radius_m, allow_back=isinstance(session.play, SkillRollout),
     )  # fmt: skip

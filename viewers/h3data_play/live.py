@@ -253,7 +253,7 @@ class LiveGame:
             info = {**order.info, "hitl": {**info["hitl"], **order.hitl}}
         self.index, self.path, self.share_in, self.slipped = index, path, plan.out, 0
         if order is not None and order.facts:
-            table.task.load_precomputed(episode, order.facts)
+            table.task.codec.load_precomputed(episode, order.facts)
         self.session = Session(
             table.task, episode, policies, sink=None if path is None else sink, episode_id=str(index), info=info
         )
@@ -417,7 +417,7 @@ class LiveGame:
         Raises:
             H3DataError: the states came out otherwise: another version of the simulator.
         """
-        commands = recorded_commands(recording, self.session.task.choice_from_json)
+        commands = recorded_commands(recording, self.session.task.control.from_json)
         self._told = {k: {one.step: one.choice for one in commands.get(k, ())} for k in self.waited_for}
         events = [event for event in recording.inputs if event.kind in (CLIENT, CONNECTED, DISCONNECTED, SLIP)]
         at = 0

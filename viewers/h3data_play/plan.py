@@ -78,7 +78,7 @@ class GameOrder(msgspec.Struct, frozen=True, kw_only=True):
     resumes: bool = False
     """Whether another process may have played some of it, or all."""
     facts: dict[str, Any] | None = None
-    """What the process that has prepared the episode found out about it (`Task.precompute`); None: nobody has prepared it."""
+    """Facts that the process that has prepared the episode found (`EpisodeCodec.precompute`); None: nobody has prepared it."""
 
 
 def prepared_key(order: GameOrder) -> str:

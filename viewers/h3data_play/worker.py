@@ -149,7 +149,7 @@ class Worker:
                 "glb": [f"{assets.digest(glb)}.glb", gzip.compress(glb, 6, mtime=0)],
                 "grid": [entry["url"].rpartition("/")[2], gzip.compress(grid, 6, mtime=0)],
                 "agents": list(table.numbers),
-                "facts": table.task.precompute(game.session.episode),
+                "facts": table.task.codec.precompute(game.session.episode),
             }
             game.abort()
             self._prepared = {(plan, index): prepared} | dict(list(self._prepared.items())[:7])

@@ -129,7 +129,7 @@ def episode_uid(task: Task, episode: Episode) -> str:
     """Identity of an episode whoever plays it: scene, bodies, starts, goals, seed and rules."""
     from sim_kinematic.policies.assignment import AssignedPolicy
 
-    return task.uid(episode, [AssignedPolicy(None, "", member.kind) for member in episode.roster])
+    return task.codec.uid(episode, [AssignedPolicy(None, "", member.kind) for member in episode.roster])
 
 
 def list_episodes(jobs: list[Evaluation]) -> Iterator[dict[str, Any]]:

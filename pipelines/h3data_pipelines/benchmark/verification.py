@@ -266,10 +266,11 @@ def _wrong_with(recording: Recording, base: Job, episode: Episode, rows: Sequenc
 def _other_facts(recording: Recording, task: Task, episode: Episode) -> list[str]:
     """What a recording says of its episode, whoever plays, that is not so."""
     from sim_kinematic.policies.assignment import AssignedPolicy
+    from sim_kinematic.tasks.codec import POLICY_ENTRIES
     from sim_kinematic.tasks.recorder import describe
 
     policies = [AssignedPolicy(None, "", member.kind) for member in episode.roster]
-    header, who = describe(task, episode, policies), set(task.run_info(episode, policies))
+    header, who = describe(task, episode, policies), POLICY_ENTRIES
     info = json.loads(msgspec.json.encode(header.episode.info))
     other = [name for name, value in info.items() if name not in who and recording.episode.info.get(name) != value]
     other += [] if recording.episode.seed == header.episode.seed else ["seed"]

@@ -134,9 +134,9 @@ def file_jobs(
     from sim_kinematic.motion.randomness import episode_seed
 
     choices, files = checked(choices), episode_files()
-    storage = choices.found_task.storage()
+    codec = choices.found_task.codec
     given = {"seed": seed != 0, "spawn_distance": choices.spawn_distance is not None}
-    if not storage.samples_starts:
+    if not codec.samples_starts:
         refuse_beside("--episodes-file", **given)
     read = files.read(path)
     there, digest = read.episodes, _digest(path, read)
@@ -147,18 +147,18 @@ def file_jobs(
     count = chosen_count(episodes, len(there), path.name)
     for i, entry in enumerate(progress(there[:count], desc="read episodes", unit="episode", at_least=1000)):
         try:
-            stored = storage.read(entry, seed=episode_seed(seed, i))
+            stored = codec.read(entry, seed=episode_seed(seed, i))
             if stored is None:
                 raise InputError(_not_of_task(entry, choices.found_task, path), code="H3-JOB-015")
-            rules = storage.rules(stored)
+            rules = codec.rules(stored)
             source = files.scene_of(entry, stored, path.parent, assets=assets, allow_missing=allow_missing)
-            stand_ins |= dict.fromkeys(storage.stand_ins(stored, source))
+            stand_ins |= dict.fromkeys(codec.stand_ins(stored, source))
         except H3DataError as fault:
             faults.append(fault)
             reason = " ".join(str(fault).replace(f" of episode {entry.episode_id!r}", "").split())
             left_out.setdefault(reason, []).append(i)
             continue
-        if storage.is_complete(stored):
+        if codec.is_complete(stored):
             refuse_beside("--episodes-file", **given)
         origin = {"file": path.name, "sha256": digest, "episode": i, "episode_id": str(entry.episode_id)}
         drawn = SampledEpisode(i, stored.seed, entry.scene_id, source, origin)
@@ -249,16 +249,14 @@ def save_episodes(jobs: Sequence[Job], path: Path) -> tuple[str, ...]:
     entries: list[FileEntry] = []
     faults: dict[int, H3DataError] = {}
     for job in progress(jobs, desc="episodes", unit="episode", at_least=5):
-        storage = job.found_task.storage()
+        codec = job.found_task.codec
         config = job.source.path if isinstance(job.source, SceneFile) and job.source.scene else "default"
         try:
-            record = storage.record(job.episode())
+            record = codec.record(job.episode())
         except H3DataError as fault:
             faults[job.index] = fault
             continue
-        entries.append(
-            storage.entry(record, episode_id=str(job.index), scene_id=job.scene, scene_dataset_config=config)
-        )
+        entries.append(codec.entry(record, episode_id=str(job.index), scene_id=job.scene, scene_dataset_config=config))
     if not entries:
         raise next(iter(faults.values()))
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -72,7 +72,7 @@ class Job:
             values["human"] = stored_person(self.human)
         if self.agents is not None:
             agents = tuple(map(stored_person, self.agents))
-            values["agents"] = agents if self.found_task.bodies_in_agents else ",".join(agents)
+            values["agents"] = agents if self.found_task.usage.bodies_in_agents else ",".join(agents)
         values |= {name: rules_dict(values[name]) for name in ("spec", "drawn_with") if values.get(name) is not None}
         told = json.loads(msgspec.json.encode({name: value for name, value in values.items() if value is not None}))
         # Datasets made before homes had generations, or could open, keep their identity.
@@ -95,7 +95,7 @@ class Job:
         """Scene, starts and rules, ready to run."""
         from h3data.scene.open import open_free_space, open_scene
         from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, make_roster
-        from sim_kinematic.tasks.storage import EpisodePlace
+        from sim_kinematic.tasks.codec import EpisodePlace
 
         task, spec = self.found_task, self.spec
         scene = open_scene(self.source)
@@ -104,7 +104,7 @@ class Job:
         if self.drawn_with is not None:
             rules, robot = self.drawn_with, self.robot or ROBOT_BODY
             floor = open_free_space(self.source, rules.agent_radius_m, rules.agent_height_m)
-            stored = task.storage().record(task.episode(scene, seed=self.seed, spec=rules, free=floor, robot=robot))
+            stored = task.codec.record(task.episode(scene, seed=self.seed, spec=rules, free=floor, robot=robot))
         if stored is not None:
             place = EpisodePlace(
                 scene=scene,
@@ -115,9 +115,14 @@ class Job:
                 human=self.human,
                 assets=self.source.assets if isinstance(self.source, SceneFile) else (),
             )
-            return task.without_robots(task.storage().episode(stored, place), self.policy)
+            return self._cast(task.codec.episode(stored, place))
         roster = make_roster(self.agents or task.agents, robot=self.robot or ROBOT_BODY, human=self.human or HUMAN_BODY)
-        return task.without_robots(task.sample(scene, free, self.seed, spec, roster), self.policy)
+        return self._cast(task.sample(scene, free, self.seed, spec, roster))
+
+    def _cast(self, episode: Episode) -> Episode:
+        """The episode, without its robots if the policy is `SOLO`."""
+        people = (k for k, member in enumerate(episode.roster) if member.kind == "human")
+        return episode.only(*people) if self.policy == SOLO else episode
 
     def record(self) -> Recording:
         """Plays it."""
@@ -169,7 +174,7 @@ class Choices:
         """The rules: ``base`` (default: the task's) with what the user asks for."""
         from sim_kinematic.tasks.episode import rule_value, with_options
 
-        base = self.found_task.default_spec() if base is None else base
+        base = dataset_rules(self.found_task) if base is None else base
         if self.oracle:
             from sim_kinematic.tasks.rearrange.episode import with_oracle_skills
 
@@ -212,7 +217,7 @@ class Choices:
 
     def _human(self, seed: int) -> str | None:
         motion = self._motion
-        if self.found_task.bodies_in_agents:
+        if self.found_task.usage.bodies_in_agents:
             return motion or None
         body = sampled_body(self.human, seed) if self.human in SAMPLED_BODIES else self.human
         return (body or "") + motion if motion else body
@@ -222,7 +227,7 @@ class Choices:
         from sim_kinematic.agents.roster import HUMAN_BODY, with_motion
 
         motion, agents = self._motion, self.agents
-        if self.found_task.bodies_in_agents:
+        if self.found_task.usage.bodies_in_agents:
             bodies = [self.human or HUMAN_BODY] * len(agents := agents or self.found_task.agents)
             if (sampled := self.human) in SAMPLED_BODIES:
                 bodies = [sampled_body(sampled, seed, k) for k in range(len(agents))]
@@ -240,7 +245,7 @@ def with_skills(choices: Choices, skills: str) -> Choices:
 
     if not skills:
         return choices
-    if not hasattr(choices.found_task.default_spec(), "skills"):
+    if not hasattr(dataset_rules(choices.found_task), "skills"):
         raise InputError(f"--skills is for rearrange, not for {choices.task}.", code="H3-JOB-016")
     if skills == ORACLE:
         if choices.human_walk is not None or choices.human_speed is not None:
@@ -309,7 +314,8 @@ def make_jobs(
     found = find_scene_set(label) if len(names) == 1 else None
     if found is not None:
         chosen = replace(found, scenes=(found.entry(which),)) if "#" in names[0] else found
-        drawn_with = choices.found_task.set_rules(chosen)
+        set_rules = choices.found_task.usage.set_rules
+        drawn_with = set_rules(chosen) if set_rules is not None else None
         more = {} if drawn_with is None else {"drawn_with": drawn_with, "spec": choices.spec(drawn_with)}
         return [choices.job(drawn, **more) for drawn in set_episodes(chosen, episodes=episodes, seed=seed)]
     options: dict[str, Any] = {"homes": homes, "assets": assets, "allow_missing": allow_missing}
@@ -401,7 +407,7 @@ def checked(choices: Choices) -> Choices:
         load_humanoid(human)
     bodies = {name: body for name, body in (("robot", choices.robot), ("human", human)) if body is not None}
     roster = make_roster(task.agents if choices.agents is None else choices.agents, **bodies)
-    task.check_roster(roster)
+    task.control.check_roster(roster)
     kinds = kinds_of(roster)
     if choices.motion is not None:
         if "human" not in kinds:
@@ -423,18 +429,28 @@ def checked(choices: Choices) -> Choices:
         named[kind] = ",".join(map(stamped, names.split(",")))
         for name in each_of(names, kinds.count(kind), kind):
             resolve_policy(task, kind, name, spec)
-    if choices.policy == SOLO and ("human" not in kinds or not task.can_be_solo):
+    if choices.policy == SOLO and ("human" not in kinds or not task.usage.can_be_solo):
         raise InputError(
             f"The policy {SOLO} leaves robots away, so somebody else must be there. Expected a person in --agents."
-            if task.can_be_solo
+            if task.usage.can_be_solo
             else f"{task.name} needs a robot: the policy {SOLO} is for rearrange.",
             code="H3-JOB-019",
         )
     return replace(
         choices,
-        policy=named["robot"] or task.recorded_default("robot"),
-        partner=named["human"] or task.recorded_default("human"),
+        policy=named["robot"] or _named_default(task, "robot"),
+        partner=named["human"] or _named_default(task, "human"),
     )
+
+
+def dataset_rules(task: Task) -> Any:
+    """The rules of a task's datasets, where the user asks for no others."""
+    return task.Spec() if task.usage.dataset_rules is None else task.usage.dataset_rules
+
+
+def _named_default(task: Task, kind: str) -> str | None:
+    """The default policy of a kind, where jobs of the task name it."""
+    return task.defaults.get(kind) if kind in task.usage.named_kinds else None
 
 
 def stored_person(name: str) -> str:

@@ -85,7 +85,7 @@ class EvaluationRequest:
         task = find_task(self.task)
         named = chosen_names(self.policies, policy_names(task, "robot"))
         policies = tuple(dict.fromkeys(in_light(name, self.light) for name in named))
-        crosses = "human" in task.defaults and task.crosses_partners
+        crosses = "human" in task.defaults and task.usage.crosses_partners
         partners: tuple[str, ...] = ()
         if crosses or self.partners != (ALL,):
             partners = chosen_names(self.partners, policy_names(task, "human"))
@@ -278,7 +278,7 @@ def _table(
     from h3data.metrics.registry import profile_for
 
     task = job.base.found_task
-    if task.crosses_partners:
+    if task.usage.crosses_partners:
         return cross_play_table((Row(**row) for row in rows), zsc, seeds)
     if job.partners:
         rows = [{**row, "policy": f"{row['policy']} with {row['partner']}"} for row in rows]

@@ -192,7 +192,7 @@ def _task(name: str, steps: int | None = None) -> Callable[[], None]:
         from sim_kinematic.tasks.runner import simulate
 
         task = find_task(name)
-        spec = with_options(task.default_spec(), max_steps=steps)  # None: those of the task
+        spec = with_options(task.usage.dataset_rules or task.Spec(), max_steps=steps)  # None: those of the task
         recording = simulate(task, task.episode(open_scene(named_scenes("small:15")[0].source), spec=spec))
         measure_many([recording])
         replay = Replay(recording)

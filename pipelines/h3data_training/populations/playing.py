@@ -30,7 +30,8 @@ from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPoli
 from sim_kinematic.policies.rearrange import planner
 from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.play import RearrangeRollout
+from sim_kinematic.tasks.rearrange.play import SkillRollout
+from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.runner import run
 
 LOST_IN_A_ROW = 3
@@ -177,7 +178,7 @@ def play_episode(job: Job, episode: RearrangeEpisode) -> Batch:
         else:
             plan = planner(name, episode_seed(job.seed, job.number), objects)
             policies.append(AssignedPolicy(plan, name, kind, name))
-    play, rewards = RearrangeRollout(episode, policies), []
+    play, rewards = SkillRollout(Rearrange(), episode, policies), []
     run(play, progress=lambda _: rewards.append(play.reward))
     there = [name for name, at_goal in zip(play.objects.names, play.at_goal.tolist(), strict=True) if at_goal]
     by = {event.target: event.agent for event in play.events if event.kind == "place"}

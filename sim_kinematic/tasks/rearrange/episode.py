@@ -32,7 +32,7 @@ from sim_kinematic.agents.opening.skills import stands_before
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import HANDS
 from sim_kinematic.agents.robots.arm_clearance import arm_clearance
-from sim_kinematic.agents.roster import AgentSpec, kinds_of, make_roster, sample_places
+from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, kinds_of, make_roster, sample_places
 from sim_kinematic.agents.stands import handle_stands, nearest_stand, person_stands, robot_fits, robot_stands
 from sim_kinematic.agents.waypoint_walker import walking_path
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
@@ -182,6 +182,11 @@ class RearrangeEpisode(Episode):
     """Whether the episode follows from its seed and the rules; else its identity includes starts and targets."""
 
     @property
+    def moving(self) -> dict[str, Array]:
+        """The objects at their starts."""
+        return {target.name: target.start for target in self.targets}
+
+    @property
     def robot(self) -> Robot:
         """Body of the robot for which it was sampled."""
         return load_robot(self.pair[0])
@@ -190,10 +195,6 @@ class RearrangeEpisode(Episode):
     def human(self) -> Humanoid:
         """Body of the person for whom it was sampled."""
         return load_humanoid(self.pair[1])
-
-    def only(self, *numbers: int) -> RearrangeEpisode:
-        """Episode with only some of its agents."""
-        return replace(self, roster=tuple(self.roster[k] for k in numbers), starts=self.starts[list(numbers)])
 
     def played_by(self, agents: str | Sequence[str]) -> RearrangeEpisode:
         """Episode with other agents.
@@ -205,6 +206,12 @@ class RearrangeEpisode(Episode):
         roster = make_roster(agents, robot=self.pair[0], human=self.pair[1])
         starts = starts_of(self.scene, self.free, self.seed, self.spec, self.pair_starts, roster)
         return replace(self, roster=roster, starts=starts)
+
+
+def pair_of(roster: Sequence[AgentSpec]) -> tuple[str, str]:
+    """Bodies of the first robot and the first person; the default ones where there is none."""
+    models = {member.kind: member.model for member in reversed(roster)}
+    return models.get("robot", ROBOT_BODY), models.get("human", HUMAN_BODY)
 
 
 def body_indices(episode: RearrangeEpisode) -> list[int]:

@@ -14,7 +14,7 @@ from h3data.recording.records import JOINTS
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.skills import Action, Objects, Skill, SkillResult
 from sim_kinematic.motion.state import NOBODY
-from sim_kinematic.tasks.rearrange.play import RearrangeRollout
+from sim_kinematic.tasks.rearrange.play import SkillRollout
 
 THERE_M = 0.01
 """The person takes an object that lies this near to where it lay in the recording [m]."""
@@ -83,7 +83,7 @@ def _led(recording: Recording, number: int) -> dict[int, list[tuple[int, float]]
     return led
 
 
-def follow_track(play: RearrangeRollout, actor: PersonActor, track: KeptTrack, step: int) -> None:
+def follow_track(play: SkillRollout, actor: PersonActor, track: KeptTrack, step: int) -> None:
     """From ``step`` on, a person does nothing but follow a track to its end; no policy is asked."""
     if len(play.actors) == 2:  # the person reacts to nobody any more, so there is nothing to agree on
         play.right_of_way = None

@@ -1,4 +1,7 @@
-"""An episode of rearrangement under way: who moves when, who is asked what, what a step is worth."""
+"""An episode of a task with skills under way: who moves when, who is asked what, what has happened to things.
+
+What a step is worth and when the episode ends is for the task to say (`sim_kinematic.tasks.task.Task.judge`).
+"""
 
 from __future__ import annotations
 
@@ -49,7 +52,7 @@ from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.avoidance.stand_offs import TaskProgress
 from sim_kinematic.avoidance.yielding import NO_PATH
-from sim_kinematic.motion.state import NOBODY, WorldState
+from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.motion.step import APART_TOLERANCE_M, discs_at
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.rearrange import HighLevelPolicy
@@ -57,11 +60,11 @@ from sim_kinematic.policies.rearrange_observations import SENSES, observe
 from sim_kinematic.policies.skills.names import skills_of
 from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.sensing.agent_pictures import picture_names
-from sim_kinematic.tasks.episode import agent_base
-from sim_kinematic.tasks.play import Columns, check_observations
+from sim_kinematic.tasks.episode import StepOutcome, agent_base
+from sim_kinematic.tasks.play import Columns, check_observations, checked_outcome
 from sim_kinematic.tasks.rearrange.episode import PAIR, RearrangeEpisode, body_indices
 from sim_kinematic.tasks.rearrange.oracle import errands_of
-from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
+from sim_kinematic.world import World
 
 if TYPE_CHECKING:
     from sim_kinematic.sensing.eyes import PictureSize
@@ -80,11 +83,11 @@ DTYPES: dict[str, type] = {
     "skill_target": np.int32,
     "object_pose": np.float32,
     JOINTS: np.float32,
-    "metrics.at_goal": np.bool_,
     "metrics.dist_agents": np.float32,
     "metrics.collision": np.bool_,
     "metrics.robot_contact": np.bool_,
     "metrics.reward": np.float32,
+    "metrics.success": np.bool_,
 }
 """dtypes of the columns of a step; those of agents without ``agent_<i>.``."""
 TRACK = 31
@@ -204,17 +207,22 @@ class SkillExecutor:
 
 
 @dataclass(eq=False)
-class RearrangeRollout:
-    """The changing half of an episode: a `sim_kinematic.tasks.play.Rollout`."""
+class SkillRollout:
+    """The changing half of an episode of a task whose agents have skills: a `sim_kinematic.tasks.play.Rollout`.
 
+    For the rules it looks like a `sim_kinematic.tasks.play.WorldRollout` of one world: `world`, `memory`, `outcome`.
+    """
+
+    task: Any
+    """The `sim_kinematic.tasks.task.Task` that judges."""
     episode: RearrangeEpisode
     policies: list[AssignedPolicy]
     step: int = 0
     """The step that is being played, from 0."""
     steps: int = 0
     """Number of steps made."""
-    reward: float = 0.0
-    """Reward of the last step."""
+    memory: Any = None
+    """The task's own state."""
     ended: str = "max_steps"
     events: list[Event] = field(default_factory=list)
     spans: list[SkillSpan] = field(default_factory=list)
@@ -230,17 +238,17 @@ class RearrangeRollout:
                 f"Expected one policy for each of {len(world.roster)} agents, got {len(self.policies)}.",
                 code="H3-TASK-016",
             )
-        robots = [member.body for member in world.roster if isinstance(member.body, Robot)]
-        state = WorldState.zeros(
-            1, robots=len(robots), people=len(world.roster) - len(robots), joints=[len(body.rest) for body in robots],
+        self.world = World(
+            world.roster, base=world.spec.robot, walker=world.spec.human, person_radius_m=world.spec.agent_radius_m,
             objects=len(names), scene_joints=len(joints),
         )  # fmt: skip
-        for own, place in zip(state.agents, world.starts, strict=True):
-            own.xz[0], own.heading[0] = place[:2], place[2]
-        for own, body in zip(state.robots, robots, strict=True):
-            own.joints[0] = body.rest
+        """All that moves: agents, objects, who holds them, doors and drawers. Skills move it; `World.step` is not called."""
+        self.world.rest_at(world.starts[None], np.zeros(1, np.intp))
+        self.state = state = self.world.state
         state.object_pose[0] = [t.start for t in world.targets]
-        self.state = state
+        self.outcome = StepOutcome(reward=np.zeros(1), terminated=np.zeros(1, np.bool_), success=np.zeros(1, np.bool_))
+        """What the task has said about the last step."""
+        self._checked, self._records_judgement = False, bool(self.task.codec.records_judgement)
         self.objects = Objects(names, np.array([t.goal for t in world.targets], np.float64), state, joints)
         self.doorways = RoomDoors.of(world.scene, world.free)
         self.floor = world.free
@@ -289,7 +297,22 @@ class RearrangeRollout:
         self.bodies = np.append(body_indices(world), -1)
         self.at_goal = self._at_goal()
         self.places = self.before = world.starts.copy()
-        self.paid = [False] * (2 * len(names))
+        self.task.begin(self, np.zeros(1, np.intp))
+
+    @property
+    def episodes(self) -> list[RearrangeEpisode]:
+        """The episode of the only world."""
+        return [self.episode]
+
+    @property
+    def spec(self) -> Any:
+        """The rules."""
+        return self.episode.spec
+
+    @property
+    def reward(self) -> float:
+        """Reward of the last step."""
+        return float(self.outcome.reward[0])
 
     def _actor(self, number: int) -> RobotActor | PersonActor:
         world, spec, body = self.episode, self.episode.spec, self.episode.roster[number].body
@@ -395,21 +418,28 @@ class RearrangeRollout:
                 self.encounters.moved(runner.number)
             self.encounters.end_step()
             self._write_people()
+            self.world.touching[:] = False
             self.before, self.places = (
                 self.places,
                 np.array([[*own.xz[0].tolist(), own.heading.item(0)] for own in self.state.agents]),
             )
             self.at_goal = self._at_goal()
-            success = bool(self.at_goal.all())
-            self.reward = self._reward(success)
+            for a, b in self.encounters.touching:
+                self.world.touching[0, self.world.pairs.index((a, b))] = True
             self._move_joints(joints)
-            self._tell(held, success)
+            self._tell(held)
+            outcome = self.task.judge(self)
+            if not self._checked:
+                outcome, self._checked = checked_outcome(self.task, outcome, 1), True
+            self.outcome = outcome
+            self.events += [event for _, event in outcome.events]
             self.steps += 1
+            success = bool(outcome.success[0])
             if success:
                 released = (held != NOBODY) & (self.objects.held_by == NOBODY) & self.at_goal
                 self.finishers = frozenset(held[released].tolist())
-            if success or (self.collision and spec.end_on_collision):
-                self.ended = "success" if success else "collision"
+            if outcome.terminated[0]:
+                self.ended = outcome.ended or ("success" if success else "terminated")
                 yield None
                 return
             yield None
@@ -418,6 +448,13 @@ class RearrangeRollout:
     def over(self) -> bool:
         """Whether the episode has ended, by success, by a rule, or by its number of steps."""
         return self.ended != "max_steps" or self.steps == self.episode.spec.max_steps
+
+    @property
+    def open_joints(self) -> NDArray[np.bool_]:
+        """Which doors and drawers stand open, at least ajar, [J]."""
+        if self.openables is None:
+            return np.zeros(0, np.bool_)
+        return self.openables.joints.shares(self.openables.positions) >= AJAR
 
     def finish(self) -> None:
         """Reports the skills that are still running."""
@@ -462,8 +499,13 @@ class RearrangeRollout:
         least = np.minimum(radius + discs[:, 2], np.hypot(*(discs[:, :2] - was).T))
         return bool((np.hypot(*(discs[:, :2] - person.xz).T) < least - APART_TOLERANCE_M).any())
 
-    def view(self, agent: int) -> RearrangeView:
-        """The knowledge of an agent at this moment."""
+    def view(self, agent: int) -> Any:
+        """Observation of an agent's policy, as the task defines it."""
+        return self.task.view(self, agent, 0)
+
+    def agent_view(self, agent: int, world: int = 0) -> RearrangeView:
+        """The knowledge of an agent at this moment, for policies that choose skills."""
+        del world
         runner = self.runner(agent)
         me, other = self.actors[runner.number], self.encounters.nearest(runner.number)
         track = self.encounters.track(other) if other >= 0 else np.full((1, 2), np.nan)
@@ -619,13 +661,15 @@ class RearrangeRollout:
                 at + "skill": ALL_SKILLS.index(runner.action.skill),
                 at + "skill_target": runner.action.target,
             }
-        row["metrics.at_goal"] = self.at_goal.copy()
+        row |= {name: np.array(values[0]) for name, values in self.outcome.columns.items()}
         if len(self.actors) > 1:
             row["metrics.dist_agents"] = min(np.hypot(*(a.xz - b.xz)) for a, b in combinations(self.actors, 2))
             row["metrics.collision"] = self.collision
         if self.robots:
             row["metrics.robot_contact"] = any(own.contact[0] for own in self.state.robots)
         row["metrics.reward"] = self.reward
+        if self._records_judgement:
+            row["metrics.success"] = bool(self.outcome.success[0])
         return row
 
     def columns(self, snapshots: Sequence[Row], first: int) -> Columns:
@@ -633,21 +677,12 @@ class RearrangeRollout:
         count = len(snapshots)
         block: Columns = {"time_ns": np.arange(first + 1, first + count + 1, dtype=np.int64) * STEP_NS}
         for name in snapshots[0]:
-            dtype = DTYPES[name.partition(".")[2] if name.startswith("agent_") else name]
+            dtype = self.task.columns.get(name) or DTYPES[name.partition(".")[2] if name.startswith("agent_") else name]
             block[name] = np.array([row[name] for row in snapshots]).astype(dtype)
         return block
 
-    def _reward(self, success: bool) -> float:
-        """Sub-goals are an object picked and an object at its goal."""
-        reached = 0
-        stages = [*(held != NOBODY for held in self.objects.held_by.tolist()), *self.at_goal.tolist()]
-        for k, stage in enumerate(stages):
-            if stage and not self.paid[k]:
-                reached, self.paid[k] = reached + 1, True
-        return REARRANGE_REWARDS[self.episode.spec.reward].of(reached, self.collision, success)
-
-    def _tell(self, held: NDArray, success: bool) -> None:
-        """Events of this step."""
+    def _tell(self, held: NDArray) -> None:
+        """What has happened to things and between agents in this step, as events."""
         for k, (was, now) in enumerate(zip(held.tolist(), self.objects.held_by.tolist(), strict=True)):
             name = self.objects.names[k]
             if was != now and was != NOBODY and now == NOBODY:
@@ -657,8 +692,6 @@ class RearrangeRollout:
                 self.events.append(Event(step=self.step, agent=now, kind="pick", target=name))
         for a, b in self.encounters.touching:
             self.events.append(Event(step=self.step, agent=a, kind="collision", target=self.episode.roster[b].name))
-        if success:
-            self.events.append(Event(step=self.step, agent=-1, kind="success"))
 
 
 @kernel(error_model="numpy")

@@ -12,8 +12,9 @@ from sim_kinematic.agents.skills import Action, LearnedSkill
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.play import RearrangeRollout
+from sim_kinematic.tasks.rearrange.play import SkillRollout
 from sim_kinematic.tasks.rearrange.skill_starts import SkillStart
+from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.runner import DecisionLoop
 
 
@@ -38,7 +39,7 @@ def action_of(start: SkillStart) -> Action:
 
 def judge(
     episode: RearrangeEpisode, start: SkillStart, learned: Mapping[str, LearnedSkill],
-    watch: Callable[[RearrangeRollout], object] | None = None,
+    watch: Callable[[SkillRollout], object] | None = None,
 ) -> SkillScore:  # fmt: skip
     """Plays one skill to its end.
 
@@ -66,9 +67,9 @@ def judge(
     return SkillScore(outcome, reason, steps, path, contact)
 
 
-def play_of(episode: RearrangeEpisode, start: SkillStart, learned: Mapping[str, LearnedSkill]) -> RearrangeRollout:
+def play_of(episode: RearrangeEpisode, start: SkillStart, learned: Mapping[str, LearnedSkill]) -> SkillRollout:
     """The episode with its first robot alone, where a skill begins."""
-    play = RearrangeRollout(episode.only(0), [AssignedPolicy(External(), "skill", "robot")])
+    play = SkillRollout(Rearrange(), episode.only(0), [AssignedPolicy(External(), "skill", "robot")])
     robot = play.robots[0]
     robot.learned = learned
     robot.state.xz[0], robot.state.heading[0] = start.xz, start.heading

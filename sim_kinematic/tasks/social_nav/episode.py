@@ -28,8 +28,8 @@ from sim_kinematic.agents.waypoint_walker import HumanPlan, human_plan
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.motion.state import HUMAN, ROBOT
+from sim_kinematic.tasks.codec import SNAP_M
 from sim_kinematic.tasks.episode import Episode, rules_dict
-from sim_kinematic.tasks.storage import SNAP_M
 
 
 @dataclass(frozen=True, kw_only=True)

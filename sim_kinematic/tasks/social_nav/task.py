@@ -5,20 +5,17 @@ The rules follow the paper (section 4.1 and appendix) and habitat-lab (spec/habi
 
 from __future__ import annotations
 
-import uuid
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, ClassVar
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.geometry import Array
-from h3data.recording import Event, Recording
-from h3data.recording.task_episodes.social_nav_episodes import SocialNavEpisode
+from h3data.recording import Event
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec, common_floor, kinds_of
 from sim_kinematic.agents.stands import robot_fits
@@ -33,15 +30,14 @@ from sim_kinematic.policies.social_nav import EXPERTS, POLICIES, ROBOT_SKILLS, p
 from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.sensor import facing
-from sim_kinematic.tasks.episode import MAX_STEPS, Episode, StepOutcome, agent_base, agent_floor, rules_dict
-from sim_kinematic.tasks.play import Rollout, WorldRollout
-from sim_kinematic.tasks.recorder import scene_attachment
-from sim_kinematic.tasks.rules.oracle import oracle_min_steps
+from sim_kinematic.tasks.control import Control, VelocityControl
+from sim_kinematic.tasks.episode import Episode, StepOutcome, agent_base, agent_floor
+from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rules.predicates import is_found
 from sim_kinematic.tasks.rules.rewards import Encounter, SocialNavReward, check_profile
-from sim_kinematic.tasks.social_nav.episode import Starts, episode_from, goals_of, plan_of, rules_of, sample_pair_starts
-from sim_kinematic.tasks.social_nav.storage import SocialNavStorage
-from sim_kinematic.tasks.task import Task
+from sim_kinematic.tasks.social_nav.codec import SocialNavCodec
+from sim_kinematic.tasks.social_nav.episode import goals_of, plan_of, sample_pair_starts
+from sim_kinematic.tasks.task import Task, TaskUsage
 
 HUMAN_SKILLS = ("walk", "turn")
 TRAINING = SocialNavSpec(spawn_distance_m=3.0)
@@ -74,24 +70,33 @@ class SocialNavState:
     track: list[NDArray[np.float64]] = field(default_factory=list)
     """Positions so far of a person who follows no script."""
 
+    def whole_walk(self, episode: Episode) -> HumanPlan:
+        """The scripted person's walk from the start to the time limit."""
+        if self.plan is None:
+            self.plan = plan_of(episode)
+        return self.plan
+
 
 class SocialNav(Task):
     """Find the person, then follow them (paper section 4.1)."""
 
     name: ClassVar[str] = "social_nav"
     Spec: ClassVar[type[Any]] = SocialNavSpec
-    records_judgement: ClassVar[bool] = False
     columns: ClassVar[Mapping[str, Any]] = {
         "sim.human_goal": np.int32,
         "sim.human_leg": np.int32,
         "metrics.geodesic_agents": np.float32,
         "metrics.facing": np.float32,
     }
-    skills: ClassVar[Mapping[str, tuple[str, ...]]] = {"robot": ROBOT_SKILLS, "human": HUMAN_SKILLS}
+    control: ClassVar[Control] = VelocityControl({"robot": ROBOT_SKILLS, "human": HUMAN_SKILLS})
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": {**POLICIES, **SHIPPED_IN["social_nav"]}}
     defaults: ClassVar[Mapping[str, str]] = {"robot": "rollout_expert", "human": "waypoints"}
-    env_defaults: ClassVar[Mapping[str, Any]] = {"spec": TRAINING}
-    env_options: ClassVar[tuple[str, ...]] = ("reward",)
+    usage: ClassVar[TaskUsage] = TaskUsage(
+        env_rules=TRAINING,
+        set_rules=lambda scenes: SocialNavSpec(spawn_distance_m=scenes.social_nav.spawn_distance_m),
+        env_options={"reward": check_profile},
+        named_kinds=("robot",),
+    )
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     def sample(
@@ -108,55 +113,10 @@ class SocialNav(Task):
         starts = sample_pair_starts(free, seed, spec, fits=fits)
         return Episode(scene=scene, free=free, seed=seed, spec=spec, roster=roster, starts=starts.places)
 
-    def storage(self) -> SocialNavStorage:
-        """Storage of episodes with starts and the person's goals, in our files and Habitat's."""
-        return SocialNavStorage()
-
-    def restore(self, recording: Recording, scene: Callable[[float, float], tuple[Scene, FreeSpace]]) -> Episode:
-        """Episode of a recording, from the rules and starts in its info.
-
-        Raises:
-            InputError: the recording lacks one of them, or its agents are not a robot and a person.
-        """
-        info, agents = recording.episode.info, recording.agents
-        lacks = [name for name in ("spec", "robot_start", "human_start") if name not in info]
-        if lacks:
-            raise InputError(
-                f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.", code="H3-TASK-023"
-            )
-        if [a.kind for a in agents] != ["robot", "human"]:
-            raise InputError(
-                f"Expected a robot and a human, in this order, got: {[a.kind for a in agents]}.", code="H3-TASK-054"
-            )
-        try:
-            stored = msgspec.convert(
-                {
-                    "robot_start": info["robot_start"],
-                    "human_start": info["human_start"],
-                    "human_goals": info.get("human_goals", ())
-                    if info.get("partner", "waypoints") == "waypoints"
-                    else (),
-                    "seed": recording.episode.seed,
-                    "max_steps": info["spec"]["max_steps"],
-                    "robot": agents[ROBOT].model,
-                    "human": agents[HUMAN].model,
-                    "rules": info["spec"],
-                },
-                SocialNavEpisode,
-            )
-        except (msgspec.ValidationError, KeyError, TypeError) as fault:
-            raise InputError(
-                f"The recording's info is malformed: {str(fault).replace('`', '')}", code="H3-TASK-030"
-            ) from None
-        if not np.isfinite([*stored.robot_start, *stored.human_start, *np.ravel(stored.human_goals)]).all():
-            raise InputError("The recording's starts and goals must be finite numbers.", code="H3-TASK-055")
-        rules = rules_of(stored)
-        if rules.max_steps > MAX_STEPS:
-            raise InputError(
-                f"Expected at most {MAX_STEPS} steps, the recording's rules say {rules.max_steps}.", code="H3-TASK-056"
-            )
-        home, free = scene(rules.agent_radius_m, rules.agent_height_m)
-        return episode_from(stored, home, spec=rules, free=free)
+    @property
+    def codec(self) -> SocialNavCodec:
+        """Codec of episodes with starts and the person's goals."""
+        return SocialNavCodec(self)
 
     # --- policies -----------------------------------------------------------------------------------------------------
     def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
@@ -181,14 +141,6 @@ class SocialNav(Task):
                 WaypointPolicy(episode.free, episode.seed, episode.spec.human, goals_of(episode)), name, kind
             )
         return None
-
-    def recorded_default(self, kind: str) -> str | None:
-        """Default policy of robots; jobs name none for people."""
-        return self.defaults[kind] if kind == "robot" else None
-
-    def set_rules(self, scenes: Any) -> SocialNavSpec:
-        """Default rules with the distance between starts that the scene set prescribes."""
-        return SocialNavSpec(spawn_distance_m=scenes.social_nav.spawn_distance_m)
 
     def view(self, play: WorldRollout, agent: int, world: int) -> Any:
         """Observation of a policy: a `SocialNavView` for the robot, an `AgentView` for the person."""
@@ -218,14 +170,9 @@ class SocialNav(Task):
         """The person's positions from this step on, where somebody knows them."""
         policy = play.policies[HUMAN].policy if play.policies else None
         if isinstance(policy, WaypointPolicy):
-            return lambda: _plan(play).xz[step:]
+            return lambda: play.memory.whole_walk(play.episode).xz[step:]
         track = getattr(policy, "track", None)
         return None if track is None else partial(_after, track, step)
-
-    def check_env_options(self, options: Mapping[str, Any]) -> None:
-        """Raises an `InputError` if ``reward`` is not the name of a reward profile."""
-        if "reward" in options:
-            check_profile(options["reward"])
 
     # --- rules --------------------------------------------------------------------------------------------------------
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
@@ -278,6 +225,7 @@ class SocialNav(Task):
                 "metrics.geodesic_agents": state.geodesic,
                 "metrics.facing": state.faces,
             },
+            ended="collision",  # the only reason besides the time limit
             events=self._events(play, state, lost) if play.policies else (),
         )
 
@@ -296,10 +244,6 @@ class SocialNav(Task):
         if state.collides[0]:
             events.append(Event(step=step, agent=ROBOT, kind="collision", target="human"))
         return [(0, event) for event in events]
-
-    def end_reason(self, play: WorldRollout, world: int) -> str:
-        """The only reason besides the time limit: ``collision``."""
-        return "collision"
 
     def info_of(self, play: WorldRollout) -> dict[str, NDArray[Any]]:
         """Distance, success, steps followed and contacts of each world, [W] each."""
@@ -335,93 +279,6 @@ class SocialNav(Task):
             collisions=state.collisions,
             faces=state.faces,
         )
-
-    # --- recording ----------------------------------------------------------------------------------------------------
-    def instruction(self, episode: Episode) -> str:
-        """Instruction in words, the same for all episodes."""
-        del episode
-        return "follow the person"
-
-    def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Policies, rules, starts and the person's goals for the recording's info."""
-        spec, (robot, human) = episode.spec, episode.starts.tolist()
-        info = {
-            "policy": policies[ROBOT].name,
-            "max_steps": spec.max_steps,
-            "spec": rules_dict(spec),
-            "robot_start": robot,
-            "human_start": human,
-        }
-        if policies[HUMAN].name != "waypoints":
-            info["partner"] = policies[HUMAN].name
-        goals = goals_of(episode)
-        if goals:  # known before the first step, so that what a crash leaves can be continued
-            info["human_goals"] = [list(goal) for goal in goals]
-        return info
-
-    def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
-        """Identifier derived from scene, bodies, seed, policies and rules; also from the goals where they are given."""
-        digest = scene_attachment(episode.scene)[1]
-        robot, human = episode.roster
-        goals, partner = goals_of(episode), policies[HUMAN].name
-        told = f":{Starts.of(episode.starts)}:{goals}" if goals else ""  # else they follow from the seed
-        policy = policies[ROBOT].name + ("" if partner == "waypoints" else f":{partner}")
-        what = f"h3data:social_nav:{digest}:{robot.model}:{human.model}:{episode.seed}:{policy}:{episode.spec}{told}"
-        return str(uuid.uuid5(uuid.NAMESPACE_URL, what))
-
-    def run_names(self, policies: Sequence[AssignedPolicy]) -> list[str]:
-        """Name of the robot's policy, and of the person's unless it is the default."""
-        return [policies[ROBOT].name, *([] if policies[HUMAN].name == "waypoints" else [policies[HUMAN].name])]
-
-    def changed_policies(self, recording: Recording, chosen: dict[str, Any]) -> dict[str, Any]:
-        """Choices as they are.
-
-        Raises:
-            InputError: a policy is chosen for a person who walks by a script.
-        """
-        if chosen.get("human") is not None and "external" not in str(recording.episode.info.get("partner", "")):
-            raise InputError(
-                "Nobody in recordings of social_nav follows a partner: the person walks by a script. Hint: leave it out.",
-                code="H3-TASK-057",
-            )
-        return chosen
-
-    def final_info(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """The person's goals, and the fewest steps ``l`` in which an oracle finds them.
-
-        Both follow from the person's whole plan, however long the episode lasted; for a person without a script, from
-        the track that they walked.
-        """
-        assert isinstance(play, WorldRollout)
-        info: dict[str, Any] = {"ended": play.ended}
-        state: SocialNavState = play.memory
-        if isinstance(policies[HUMAN].policy, WaypointPolicy):
-            return {**info, **plan_info(episode, _plan(play))}
-        if state.track:
-            info["oracle_min_steps"] = _oracle(episode, np.array(state.track))
-        return info
-
-
-def plan_info(episode: Episode, plan: HumanPlan) -> dict[str, Any]:
-    """The person's goals, and the oracle's minimum steps ``l``."""
-    return {
-        "human_goals": [[float(x), float(z)] for x, z in plan.goals],
-        "oracle_min_steps": _oracle(episode, plan.xz),
-    }
-
-
-def _oracle(episode: Episode, track: NDArray[np.float64]) -> Any:
-    x, z, heading = episode.starts[ROBOT]
-    return oracle_min_steps(
-        episode.free, np.array([x, z]), float(heading), track, replace(episode.spec, robot=agent_base(episode, ROBOT))
-    )
-
-
-def _plan(play: WorldRollout) -> HumanPlan:
-    state: SocialNavState = play.memory
-    if state.plan is None:
-        state.plan = plan_of(play.episode)
-    return state.plan
 
 
 def _after(track: Callable[[], NDArray[np.float64]], step: int) -> NDArray[np.float64]:

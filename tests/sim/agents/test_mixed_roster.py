@@ -23,9 +23,10 @@ from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.contact.clearance import RobotHumanContact
 from sim_kinematic.motion.spec import HOME_BASE, SocialNavSpec
 from sim_kinematic.motion.state import WorldState
+from sim_kinematic.policies.assignment import assign
 from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.play import RearrangeRollout
+from sim_kinematic.tasks.rearrange.play import SkillRollout
 from tests.sim.steppers import AgentWorlds
 from tests.simulated import REARRANGE, rearrange_episode, simulate_rearrange, simulate_wander
 
@@ -268,8 +269,8 @@ def test_everybody_needs_a_policy(drawn: RearrangeEpisode) -> None:
     with pytest.raises(InputError, match="Unknown policy"):
         simulate_rearrange(world, policy="complement,magic")
     with pytest.raises(InputError, match="one policy for each of 2"):
-        RearrangeRollout(world, [])
-    first, second = REARRANGE.assign(world.played_by("human,male_1"), {"human": "both"})
+        SkillRollout(REARRANGE, world, [])
+    first, second = assign(REARRANGE, world.played_by("human,male_1"), {"human": "both"})
     assert first.plan == second.plan == "both"
     assert first.policy is not second.policy
 

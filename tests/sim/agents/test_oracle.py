@@ -18,14 +18,15 @@ from sim_kinematic.agents.oracle.actors import OraclePerson, OracleRobot, carry_
 from sim_kinematic.agents.oracle.ways import NONE, Ways, ways_to
 from sim_kinematic.agents.skills import Action
 from sim_kinematic.motion.spec import OracleSpec
+from sim_kinematic.policies.assignment import assign
 from sim_kinematic.policies.policy import External
+from sim_kinematic.tasks.rearrange.codec import rules_from_json, rules_to_json
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode, RearrangeSpec
 from sim_kinematic.tasks.rearrange.oracle import errands_of, stand_places
-from sim_kinematic.tasks.rearrange.play import RearrangeRollout
-from sim_kinematic.tasks.rearrange.storage import rules_from_json, rules_to_json
+from sim_kinematic.tasks.rearrange.play import SkillRollout
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.resume import resume, verify
-from sim_kinematic.tasks.runner import DecisionLoop, simulate
+from sim_kinematic.tasks.runner import DecisionLoop, rollout, simulate
 from sim_kinematic.tasks.sources import EpisodeSource, Home, scene_sources
 
 HOMES = ["small:1", "h3-homes/val#1"]
@@ -104,12 +105,12 @@ def test_no_places_have_no_ways(floors: list[FreeSpace]) -> None:
 
 
 # --- skills -------------------------------------------------------------------------------------------------------------
-def told(episode: RearrangeEpisode) -> tuple[RearrangeRollout, DecisionLoop]:
-    play = RearrangeRollout(episode, TASK.assign(episode, {"robot": External(), "human": External()}))
+def told(episode: RearrangeEpisode) -> tuple[SkillRollout, DecisionLoop]:
+    play = SkillRollout(TASK, episode, assign(TASK, episode, {"robot": External(), "human": External()}))
     return play, DecisionLoop(play)
 
 
-def go(play: RearrangeRollout, turns: DecisionLoop, robot: Action, human: Action, steps: int = 1) -> None:
+def go(play: SkillRollout, turns: DecisionLoop, robot: Action, human: Action, steps: int = 1) -> None:
     for _ in range(steps):
         while turns.asked is not None:
             turns.answer(robot if turns.asked == 0 else human)
@@ -193,7 +194,7 @@ def test_agents_that_meet_touch_and_pass_through_each_other(episode: RearrangeEp
     through = replace(episode, starts=starts, spec=replace(ORACLE_RULES, end_on_collision=False))
     task, ended = Rearrange(), []
     for rules in (through, replace(through, spec=ORACLE_RULES)):
-        play = task.play(rules, task.assign(rules, {"robot": "still", "human": "both"}))
+        play = rollout(task, rules, {"robot": "still", "human": "both"})
         turns, touched = DecisionLoop(play), 0
         while not turns.over:
             if turns.asked is not None:

@@ -26,7 +26,7 @@ from sim_kinematic.avoidance.yielding import NO_PATH, ObservedAgent, discs_of, i
 from sim_kinematic.motion.spec import NATURAL_WALKER, STEP_S, WalkerSpec
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
-from sim_kinematic.tasks.runner import run
+from sim_kinematic.tasks.runner import rollout, run
 from tests.simulated import REARRANGE, rearrange_episode, simulate_rearrange
 
 
@@ -377,7 +377,7 @@ def test_who_has_finished_clears_a_doorway(home: Scene, free: FreeSpace) -> None
     places = world.starts.copy()
     places[1, :2] = narrow
     world = replace(world, starts=places)
-    play = REARRANGE.play(world, REARRANGE.assign(world, {"human": "both,still,still"}))
+    play = rollout(REARRANGE, world, {"human": "both,still,still"})
     assert run(play) == "success"
     idle = play.encounters.track(1)
     assert np.hypot(*(idle[-1] - narrow)) > 0.3  # she went out of the way

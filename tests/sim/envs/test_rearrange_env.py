@@ -111,7 +111,7 @@ def test_two_outside_play_the_planners_episode() -> None:
         alone.step({"robot": other.act(alone.view("robot"))})
     assert (session.ended, session.play.steps) == (alone.ended, alone.play.steps)
     np.testing.assert_array_equal(session.play.objects.poses, alone.play.objects.poses)
-    np.testing.assert_array_equal(session.play.paid, alone.play.paid)
+    np.testing.assert_array_equal(session.play.memory, alone.play.memory)
 
 
 def test_seeds_decide_everything() -> None:

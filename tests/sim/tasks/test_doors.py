@@ -18,7 +18,7 @@ from sim_kinematic.agents.opening.doorways import RoomDoors
 from sim_kinematic.agents.skills import Action
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec, draw_episode
-from sim_kinematic.tasks.rearrange.play import RearrangeRollout
+from sim_kinematic.tasks.rearrange.play import SkillRollout
 from sim_kinematic.tasks.resume import resume, verify
 from sim_kinematic.tasks.runner import Session, simulate
 from tests.examples import examples
@@ -101,7 +101,7 @@ def test_recordings_from_before_know_nothing_of_it(recording: Recording, episode
     assert recording.episode.info["spec"]["floor_moves"] is True
     rules = {name: value for name, value in recording.episode.info["spec"].items() if name != "floor_moves"}
     old = replace(recording, episode=replace(recording.episode, info={**recording.episode.info, "spec": rules}))
-    restored = REARRANGE.restore(old, lambda *_: (episode.scene, episode.free))
+    restored = REARRANGE.codec.restore(old, lambda *_: (episode.scene, episode.free))
     assert restored.spec.floor_moves is False
 
 
@@ -109,7 +109,7 @@ def test_homes_that_do_not_open_have_no_trace_of_it() -> None:
     plain = build_home(HomeSpec(seed=0, generation=2))
     sampled = rearrange_episode(plain, seed=3, spec=RearrangeSpec(objects=1))
     assert sampled.spec.floor_moves is False
-    assert "floor_moves" not in REARRANGE.info(sampled, [])["spec"]
+    assert "floor_moves" not in REARRANGE.codec.info(sampled, [])["spec"]
 
 
 def test_things_that_both_cannot_get_at_are_not_drawn(home: Scene, free: FreeSpace, episode: RearrangeEpisode) -> None:
@@ -136,7 +136,7 @@ def test_opening_a_door_gives_the_room_behind_it_and_closing_takes_it_back(
 ) -> None:
     session = Session(REARRANGE, episode.only(1), {"human": External()})
     play = session.play
-    assert isinstance(play, RearrangeRollout)
+    assert isinstance(play, SkillRollout)
     assert play.openables is not None
     assert play.floor is episode.free
     start = play.people[0].xz
@@ -156,6 +156,6 @@ def test_opening_a_door_gives_the_room_behind_it_and_closing_takes_it_back(
     assert verify(session.close()).difference is None
 
 
-def handle(play: RearrangeRollout, k: int) -> np.ndarray:
+def handle(play: SkillRollout, k: int) -> np.ndarray:
     assert play.openables is not None
     return play.openables.handles(play.openables.positions)[k]

@@ -13,9 +13,9 @@ from h3data.scene import FreeSpace, Scene
 from h3data_homes import HomeSpec, build_home
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.motion.spec import BaseSpec, WalkerSpec
+from sim_kinematic.tasks.rearrange.codec import rules_from_json, rules_to_json
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
-from sim_kinematic.tasks.rearrange.storage import rules_from_json, rules_to_json
-from sim_kinematic.tasks.runner import run
+from sim_kinematic.tasks.runner import rollout, run
 from tests.simulated import REARRANGE, rearrange_episode
 
 HABITAT = RearrangeSpec(robot=BaseSpec(slide="habitat"), human=WalkerSpec(), reward="habitat")
@@ -45,7 +45,7 @@ def test_rules_say_whether_people_give_way() -> None:
 def test_only_a_driven_person_and_habitats_heed_nobody(home: Scene, free: FreeSpace) -> None:
     for spec, heeds in ((RearrangeSpec(), True), (HABITAT, False)):
         episode = rearrange_episode(home, seed=1, spec=spec, free=free)
-        play = REARRANGE.play(episode, REARRANGE.assign(episode, {"robot": "complement", "human": "both"}))
+        play = rollout(REARRANGE, episode, {"robot": "complement", "human": "both"})
         assert (play.right_of_way is not None) == heeds  # type: ignore[attr-defined]
         person = play.people[0]  # type: ignore[attr-defined]
         assert play.encounters.avoids(person, play.robots[0]) == heeds  # type: ignore[attr-defined]
@@ -54,7 +54,7 @@ def test_only_a_driven_person_and_habitats_heed_nobody(home: Scene, free: FreeSp
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_nobody_stands_aside_for_good(home: Scene, free: FreeSpace, seed: int) -> None:
     episode = rearrange_episode(home, seed=seed, free=free)
-    play = REARRANGE.play(episode, REARRANGE.assign(episode, {"robot": "greedy_nearest", "human": "both"}))
+    play = rollout(REARRANGE, episode, {"robot": "greedy_nearest", "human": "both"})
     asked: list[list[bool]] = []
 
     def look(step: int) -> None:
@@ -71,7 +71,7 @@ def test_nobody_stands_aside_for_good(home: Scene, free: FreeSpace, seed: int) -
 def test_people_set_off_and_brake_where_they_step_aside(home: Scene, free: FreeSpace) -> None:
     """They were at 1.3 m/s from one step to the next."""
     episode = rearrange_episode(home, seed=1, free=free)
-    play = REARRANGE.play(episode, REARRANGE.assign(episode, {"robot": "still", "human": "both"}))
+    play = rollout(REARRANGE, episode, {"robot": "still", "human": "both"})
     person = play.people[0]  # type: ignore[attr-defined]
     path = person._path(free.sample(np.random.default_rng(3), 1)[0])
     assert np.hypot(*(path[0] - person.xz)) > 0.5

@@ -35,9 +35,9 @@ from sim_kinematic.policies.rearrange import (
 )
 from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
-from sim_kinematic.tasks.rearrange.task import solo_steps_of
+from sim_kinematic.tasks.rearrange.solo import solo_steps_of
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
-from tests.simulated import rearrange_episode, simulate_rearrange
+from tests.simulated import REARRANGE, rearrange_episode, simulate_rearrange
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,7 @@ def test_episodes_are_fair(home: Scene, free: FreeSpace) -> None:
                 shapes.set_transforms(np.tile(pose_to_matrix(place), (len(home.assets[instance.asset].shapes), 1, 1)))
                 assert not collide(fixed, shapes)
             drawn.add((t.name, t.destination))
-        assert seed or solo_steps_of(w) < w.spec.max_steps
+        assert seed or solo_steps_of(REARRANGE, w) < w.spec.max_steps
     assert len(drawn) > 4
 
 
@@ -137,7 +137,7 @@ def test_a_pair_finishes_and_halves_the_time(world: RearrangeEpisode, pair: Reco
     assert values["CR"] == 0
     assert values["RC"] == 0.5
     assert values["RE"] > 130
-    assert values["RE"] == pytest.approx(100 * solo_steps_of(world) / len(pair))
+    assert values["RE"] == pytest.approx(100 * solo_steps_of(REARRANGE, world) / len(pair))
     assert pair.columns["metrics.at_goal"][-1].all()
     assert not pair.columns["metrics.at_goal"][:-1].all(axis=1).any()
 
@@ -233,7 +233,7 @@ def test_skills_and_events_tell_the_story(pair: Recording) -> None:
 def test_the_person_alone(world: RearrangeEpisode) -> None:
     alone = simulate_rearrange(world, policy="solo", partner="both")
     assert [a.kind for a in alone.agents] == ["human"]
-    assert len(alone) == alone.episode.info["solo_steps"] == solo_steps_of(world)
+    assert len(alone) == alone.episode.info["solo_steps"] == solo_steps_of(REARRANGE, world)
     values = measure(alone).values
     assert values["SR"] == 1
     assert values["RE"] == 100

@@ -12,7 +12,7 @@ from h3data.scene.open import named_scenes, open_scene
 from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec, WalkerSpec
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.resume import resume, verify
-from sim_kinematic.tasks.runner import simulate
+from sim_kinematic.tasks.runner import rollout, simulate
 from sim_kinematic.tasks.wander import Wander
 
 STEPS = 450
@@ -67,7 +67,7 @@ def test_the_world_makes_the_step_that_an_agent_has_tried() -> None:
     """Else the test for contact would be of postures that never come about."""
     scene = open_scene(named_scenes("h3-homes/val")[3].source)
     episode = Wander().episode(scene, seed=3, spec=SocialNavSpec(max_steps=60), agents="robot,human,male_1")
-    play = Wander().play(episode, Wander().assign(episode))
+    play = rollout(Wander(), episode)
     assert isinstance(play, WorldRollout)
     for turn in (turns := play.turns()):
         while turn is not None:

@@ -26,10 +26,11 @@ from h3data_training.torch.rearrange.state import DONE, FAILED, FREE, Play  # no
 from h3data_training.torch.rearrange.worlds import RearrangeTensors  # noqa: E402
 from sim_kinematic.agents.skills import Action, choices  # noqa: E402
 from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, OracleSpec  # noqa: E402
+from sim_kinematic.policies.assignment import assign  # noqa: E402
 from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS  # noqa: E402
 from sim_kinematic.policies.policy import External  # noqa: E402
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode, RearrangeSpec  # noqa: E402
-from sim_kinematic.tasks.rearrange.play import RearrangeRollout  # noqa: E402
+from sim_kinematic.tasks.rearrange.play import SkillRollout  # noqa: E402
 from sim_kinematic.tasks.rearrange.task import Rearrange  # noqa: E402
 from sim_kinematic.tasks.runner import DecisionLoop  # noqa: E402
 from sim_kinematic.tasks.sources import EpisodeSource  # noqa: E402
@@ -89,7 +90,7 @@ class Pair:
         self.state: Play = self.sim.start(self.sim.before_the_first(torch.arange(len(episodes)) - 1))
         task = Rearrange()
         chosen = {kind: External() if kind in outside else partner for kind in KINDS}
-        self.plays = [RearrangeRollout(e, task.assign(e, chosen)) for e in episodes]
+        self.plays = [SkillRollout(task, e, assign(task, e, chosen)) for e in episodes]
         self.turns = [DecisionLoop(play) for play in self.plays]
         self.known = {kind: choices(2, robot=kind == "robot") for kind in KINDS}
         self.seen: Counter[str] = Counter()
@@ -138,7 +139,7 @@ class Pair:
                 assert bool(self.state.success[n]) == (play.ended == "success")
                 self.seen[play.ended] += 1
 
-    def compare(self, n: int, play: RearrangeRollout, at_goal: Any) -> None:
+    def compare(self, n: int, play: SkillRollout, at_goal: Any) -> None:
         state = self.state
         for actor, own in zip(play.actors, (state.robot, state.human), strict=True):
             np.testing.assert_allclose(own.xz[n], actor.xz, rtol=0, atol=1e-9)

@@ -19,7 +19,7 @@ from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.spec import SkillSpec
 from sim_kinematic.policies.skills.observations import SkillView
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.play import RearrangeRollout
+from sim_kinematic.tasks.rearrange.play import SkillRollout
 from sim_kinematic.tasks.rearrange.skill_judging import play_of
 from sim_kinematic.tasks.rearrange.skill_starts import Skill, SkillStart, draw_starts
 from sim_kinematic.tasks.rearrange.task import Rearrange
@@ -121,7 +121,7 @@ def test_a_step_is_that_of_the_lower_layer(episode: RearrangeEpisode, skill: Ski
     assert gripped or skill == "nav"
 
 
-def view_of(play: RearrangeRollout, start: SkillStart, before: tuple[Any, float]) -> SkillView:
+def view_of(play: SkillRollout, start: SkillStart, before: tuple[Any, float]) -> SkillView:
     robot = play.robots[0]
     return SkillView(
         free=robot.free, xz=robot.xz, heading=robot.heading, before=before, point=start.point, stand_xz=start.stand_xz,

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 from h3data_play.app import App, Goal, Hud, sentence_of
 from h3data_play.drivers import Driver, PersonDriver, RobotDriver
 from sim_kinematic.agents.driven.person import DrivenPerson
-from sim_kinematic.tasks.rearrange.task import spoken
+from sim_kinematic.tasks.rearrange.codec import spoken
 
 
 class RearrangeApp(App):

@@ -1,8 +1,12 @@
-"""Episodes of rearrangement in files: ours, which hold everything, and Habitat's, whose starts are sampled here."""
+"""Episodes of rearrangement as JSON: in recordings, in our files, which hold everything, and in Habitat's.
+
+Where Habitat's files leave starts open, they are sampled here.
+"""
 
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from typing import Any, ClassVar
@@ -15,6 +19,7 @@ from h3data.bodies.names import split_walk
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array, quat_rotate
 from h3data.plugins import names_from_data
+from h3data.recording import Recording
 from h3data.recording.task_episodes.episode_files import episode_files
 from h3data.recording.task_episodes.partnr_goals import Placement
 from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode as FileEntry
@@ -29,24 +34,42 @@ from h3data.recording.task_episodes.stored_rearrangements import (
 from h3data.scene import FreeSpace, Scene, scene_digest
 from h3data.scene.sources import SceneFile, SceneSource
 from sim_kinematic.agents.driven.object_room import object_extent
-from sim_kinematic.agents.roster import ROBOT_BODY, make_roster, with_body
+from sim_kinematic.agents.roster import ROBOT_BODY, kinds_of, make_roster, with_body
 from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
-from sim_kinematic.tasks.episode import Episode, rules_dict
+from sim_kinematic.policies.assignment import SOLO, AssignedPolicy
+from sim_kinematic.policies.rearrange import population_of
+from sim_kinematic.tasks.codec import (
+    EpisodeCodec,
+    EpisodePlace,
+    SceneAndMap,
+    malformed_info,
+    read_rules,
+    recorded_roster,
+    require_info,
+    require_on_floor,
+    scene_attachment,
+    starts_on_floor,
+    uid_of,
+)
+from sim_kinematic.tasks.episode import MAX_STEPS, Episode, rules_dict
+from sim_kinematic.tasks.play import Rollout
 from sim_kinematic.tasks.rearrange.episode import (
     PAIR,
     SPARE,
     RearrangeEpisode,
     RearrangeSpec,
     Target,
+    body_indices,
     free_spot,
+    pair_of,
     rules_in,
     seconds_alone,
     starts_of,
 )
+from sim_kinematic.tasks.rearrange.solo import keep_solo_steps, solo_steps_of
 from sim_kinematic.tasks.social_nav.episode import Starts, sample_pair_starts
-from sim_kinematic.tasks.storage import EpisodePlace, EpisodeStorage, read_rules, starts_on_floor
 
 START_ATTEMPTS = 20
 """Pairs of starts that are tried for a file without starts before a person need not be able to do the work in time."""
@@ -54,9 +77,10 @@ START_ATTEMPTS = 20
 _log = logging.getLogger(__name__)
 
 
-class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
-    """Stores starts, objects and goals; the starts of further agents follow from the seed."""
+class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
+    """Writes starts, objects and goals; the starts of further agents follow from the seed."""
 
+    records_judgement: ClassVar[bool] = False
     samples_starts: ClassVar[bool] = True
 
     def record(self, episode: Episode) -> StoredRearrangement:
@@ -107,8 +131,8 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
         """
         count = len(record.goals) + len(record.placements)
         if not record.rules:
-            return RearrangeSpec(objects=count)
-        spec = rules_from_json(record.rules)
+            return self.task.Spec(objects=count)
+        spec = rules_from_json(record.rules, self.task.Spec)
         if spec.objects != count:
             raise InputError(
                 f"The episode has {count} goals, its rules say {spec.objects} objects.", code="H3-TASK-017"
@@ -218,6 +242,110 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
             places[0 if record.robot_start is not None else 1] = on_floor[0]
         return Starts.of(places), False
 
+    # --- recordings ---------------------------------------------------------------------------------------------------
+    def restore(self, recording: Recording, scene: SceneAndMap) -> RearrangeEpisode:
+        """Episode of a recording, from the rules, starts and goals in its info.
+
+        Raises:
+            InputError: the recording lacks one of them.
+        """
+        info, agents = recording.episode.info, recording.agents
+        require_info(recording, "spec", "goals")
+        kinds = tuple(agent.kind for agent in agents)
+        own = {"robot": "robot_start", "human": "human_start"}
+        try:
+            rules = dict(msgspec.convert(info["spec"], dict[str, Any]))
+            rules["arm_rad_s"] = np.inf if rules.get("arm_rad_s", 0.0) is None else rules.get("arm_rad_s", 8.0)
+            rules = {"robot": {}, "human": {}, "people_give_way": False, **rules}  # as before there were such rules
+            spec = msgspec.convert(rules, self.task.Spec)
+            goals = msgspec.convert(info["goals"], list[StoredGoal])
+            listed = info["starts"] if "starts" in info else [info[own[kind]] for kind in kinds]
+            starts = np.array(msgspec.convert(listed, list[tuple[float, float, float]]), np.float64)
+        except (msgspec.ValidationError, KeyError) as fault:
+            raise malformed_info(fault) from None
+        roster = recorded_roster(agents)
+        if spec.max_steps > MAX_STEPS or len(goals) != spec.objects:
+            raise InputError(
+                f"Expected at most {MAX_STEPS} steps and a goal for each of {spec.objects} objects, got "
+                f"{spec.max_steps} steps and {len(goals)} goals.",
+                code="H3-TASK-025",
+            )
+        home, free = scene(spec.agent_radius_m, spec.agent_height_m)
+        things = {instance.name for instance in home.instances}
+        numbers = [[*goal.start, *goal.position] for goal in goals]
+        if not all(len(n) == 10 and np.isfinite(n).all() for n in numbers) or not {g.object for g in goals} <= things:
+            raise InputError(
+                "Expected goals of things in the scene, with a pose7 start and a position [3] of finite numbers.",
+                code="H3-TASK-026",
+            )
+        require_on_floor(starts, free, len(roster))
+        first = [starts[kinds.index(kind)] if kind in kinds else np.full(3, np.nan) for kind in PAIR]
+        return RearrangeEpisode(
+            scene=home,
+            free=free,
+            seed=recording.episode.seed,
+            spec=spec,
+            roster=roster,
+            starts=starts,
+            targets=tuple(map(target_of, goals)),
+            pair=pair_of(roster),
+            pair_starts=Starts.of(np.array(first)),
+            wording=str(info.get("instruction") or ""),
+        )
+
+    def instruction(self, episode: Episode) -> str:
+        """Instruction of the episode file, or one sentence that names each object and its goal."""
+        assert isinstance(episode, RearrangeEpisode)
+        if episode.wording:
+            return episode.wording
+        errands = [f"bring the {spoken(t.name) or 'object'} to {_there(t.destination)}" for t in episode.targets]
+        return " and ".join(errands)
+
+    def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """Policies, rules, starts, objects and goals for the recording's info."""
+        assert isinstance(episode, RearrangeEpisode)
+        return {
+            "policy": _robots_policy(policies),
+            "partner": (partner := _partners(policies)),
+            "partner_plan": ",".join(p.plan for p in policies if p.plan),
+            "population": population_of(partner),
+            "max_steps": episode.spec.max_steps,
+            "spec": rules_to_json(episode.spec),
+            **({"skills": episode.spec.skills} if episode.spec.skills else {}),
+            **_starts(episode),
+            "goal_objects": body_indices(episode),
+            "goals": [msgspec.to_builtins(goal_record(target)) for target in episode.targets],
+        }
+
+    def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
+        """Identifier derived from scene, agents, seed, policies and rules; for episodes from files also from their places."""
+        assert isinstance(episode, RearrangeEpisode)
+        digest, kinds = scene_attachment(episode.scene)[1], kinds_of(episode.roster)
+        policy, partner, (robot, human) = _robots_policy(policies), _partners(policies), episode.pair
+        what = f"{self.task.name}:{digest}:{robot}:{human}:{episode.seed}:{policy}:{partner}:{episode.spec}"
+        if kinds not in (PAIR, ("human",)):
+            what += ":" + ",".join(member.model for member in episode.roster)
+        if not episode.is_sampled:
+            what += f":{episode.pair_starts.places.tolist()}:{[goal_record(target) for target in episode.targets]}"
+        return uid_of(what)
+
+    def final_info(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """``solo_steps`` is ``L_human``, by which relative efficiency is measured."""
+        assert isinstance(episode, RearrangeEpisode)
+        alone = [policy.plan for policy in policies] == ["both"]
+        return {"ended": play.ended, "solo_steps": play.step + 1 if alone else solo_steps_of(self.task, episode)}
+
+    def precompute(self, episode: Episode) -> dict[str, Any]:
+        """Number of steps in which the first person alone would finish, for relative metrics."""
+        assert isinstance(episode, RearrangeEpisode)
+        return {"solo_steps": solo_steps_of(self.task, episode)}
+
+    def load_precomputed(self, episode: Episode, facts: Mapping[str, Any]) -> None:
+        """Takes over the solo steps of a recording, or those that another process has computed."""
+        assert isinstance(episode, RearrangeEpisode)
+        if facts.get("solo_steps") is not None:
+            keep_solo_steps(episode, int(facts["solo_steps"]))
+
 
 def sampled_starts(
     scene: Scene,
@@ -319,7 +447,7 @@ def rules_to_json(spec: RearrangeSpec) -> dict[str, Any]:
     return rules
 
 
-def rules_from_json(rules: Mapping[str, Any]) -> RearrangeSpec:
+def rules_from_json(rules: Mapping[str, Any], kind: type[RearrangeSpec] = RearrangeSpec) -> RearrangeSpec:
     """The rules that `rules_to_json` wrote; what they do not name is as in the paper.
 
     Raises:
@@ -328,4 +456,41 @@ def rules_from_json(rules: Mapping[str, Any]) -> RearrangeSpec:
     known = dict(rules)
     if "arm_rad_s" in known and known["arm_rad_s"] is None:
         known["arm_rad_s"] = np.inf
-    return read_rules(known, RearrangeSpec, people_give_way=False)
+    return read_rules(known, kind, people_give_way=False)
+
+
+# --- in words -----------------------------------------------------------------------------------------------------------
+def spoken(name: str) -> str:
+    """The kind of thing that an instance or receptacle is named after: ``tv_stand_0|top_left`` is a "tv stand".
+
+    Habitat's names have numbers at both ends and colons (``003_cracker_box_:0000``), or are hashes, which have no words.
+    """
+    instance = name.partition("|")[0].partition(":")[0].rpartition("/")[2]
+    words = [word for word in re.split(r"[_\W]+", instance) if word and not _HASH.fullmatch(word)]
+    return re.sub(r"^(\d+ )+|( \d+)+$", "", " ".join(words)) or ("" if _HASH.search(instance) else instance)
+
+
+_HASH = re.compile(r"(?=[0-9a-f]*\d)[0-9a-f]{12,}")
+
+
+def _there(destination: str) -> str:
+    words = spoken(destination)
+    return f"the {words}" if words else "its goal"
+
+
+def _robots_policy(policies: Sequence[AssignedPolicy]) -> str:
+    """Names of the robots' policies; `SOLO` for a person alone, and nothing for several people."""
+    alone = [policy.kind for policy in policies] == ["human"]
+    return SOLO if alone else ",".join(policy.name for policy in policies if policy.kind == "robot")
+
+
+def _partners(policies: Sequence[AssignedPolicy]) -> str:
+    return ",".join(policy.name for policy in policies if policy.kind == "human")
+
+
+def _starts(episode: RearrangeEpisode) -> dict[str, list[Any]]:
+    """Starts ``(x, z, heading)``: of robot and person as sampled, else of each agent."""
+    if kinds_of(episode.roster) in (PAIR, ("human",)):
+        robot, human = episode.pair_starts.places.tolist()
+        return {"robot_start": robot, "human_start": human}
+    return {"starts": episode.starts.tolist()}

@@ -1,0 +1,154 @@
+"""One idea: a task with things in one file. The robot brings two things to their places and opens a drawer for the person.
+
+python examples/fetch.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+import h3data
+from h3data.errors import SceneError
+from h3data.policies import Action, RearrangeView, resolve_policy
+from h3data.recording import Event
+from h3data.tasks import (
+    Control,
+    Rearrange,
+    RearrangeCodec,
+    RearrangeSpec,
+    SkillControl,
+    SkillRollout,
+    StepOutcome,
+    generator,
+)
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class FetchSpec(RearrangeSpec):
+    """Rules in addition to those of every task with things."""
+
+    drawer_worth: float = 5.0
+    """Reward for opening the drawer."""
+    thing_worth: float = 10.0
+    """Reward for each thing that comes to its goal."""
+
+
+def drawer_of(episode: Any) -> int:
+    """Number of the drawer to open, among all that opens in the home; it follows from the seed.
+
+    Raises:
+        SceneError: the home has no drawers.
+    """
+    parts = [part for thing in episode.scene.articulations for part in thing.parts]
+    drawers = [k for k, part in enumerate(parts) if part.joint.kind == "prismatic"]
+    if not drawers:
+        raise SceneError(
+            f"Fetch needs a home with drawers, {episode.scene.name!r} has none. Hint: HomeSpec(articulated=True)."
+        )
+    return int(generator(episode.seed, "drawer").choice(drawers))
+
+
+class DrawerFirst:
+    """A policy for skills: goes to the drawer and opens it, then follows another policy."""
+
+    def __init__(self, drawer: int, then: Any) -> None:
+        self.drawer, self.then = drawer, then
+        self.failures, self.over = 0, False
+
+    def act(self, view: RearrangeView) -> Action:
+        """The next skill; asked when the last one has ended."""
+        ended = None if view.action is None or view.last is None else (view.action.skill, view.last.outcome)
+        if not self.over and ended is not None:
+            self.failures += ended[1] == "failed"
+            self.over = ended == ("open", "done") or self.failures == 3
+        if self.over:
+            return self.then.act(view)
+        return Action("open" if ended == ("nav_to_handle", "done") else "nav_to_handle", self.drawer)
+
+    def interrupts(self, view: RearrangeView) -> str:
+        """Why the running skill is aborted; empty: it goes on."""
+        return self.then.interrupts(view) if self.over else ""
+
+
+def drawer_first(task: Any, episode: Any, number: int) -> DrawerFirst:
+    """The policy for one episode: then the robot brings what the person does not."""
+    return DrawerFirst(drawer_of(episode), resolve_policy(task, "robot", "complement")(episode, number).policy)
+
+
+class FetchCodec(RearrangeCodec):
+    """Episodes are written as those of rearrangement; only the words are others."""
+
+    def drawer_name(self, episode: Any) -> str:
+        """Name of the drawer to open, ``thing/part``."""
+        names = [f"{thing.name}/{part.name}" for thing in episode.scene.articulations for part in thing.parts]
+        return names[drawer_of(episode)]
+
+    def instruction(self, episode: Any) -> str:
+        """One sentence."""
+        words = self.drawer_name(episode).replace("_", " ").replace("/", " ")
+        return f"open {words} and {super().instruction(episode)}"
+
+
+class Fetch(Rearrange):
+    """Open the drawer, and bring each thing to its goal; contact with the person costs and ends the episode."""
+
+    name = "fetch"
+    Spec = FetchSpec
+    control: ClassVar[Control] = SkillControl()
+    columns: ClassVar[Mapping[str, Any]] = {"metrics.at_goal": np.bool_, "metrics.drawer_open": np.bool_}
+    policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        **Rearrange.policies,
+        "robot": {"drawer_first": drawer_first},
+    }
+    defaults: ClassVar[Mapping[str, str]] = {"robot": "drawer_first", "human": "object_1"}
+
+    @property
+    def codec(self) -> FetchCodec:
+        """How episodes are written."""
+        return FetchCodec(self)
+
+    def sample(self, scene: Any, free: Any, seed: int, spec: Any, roster: Any) -> Any:
+        """Things, goals and starts that both bodies can reach, in a home with a drawer."""
+        episode = super().sample(scene, free, seed, spec, roster)
+        drawer_of(episode)
+        return episode
+
+    def begin(self, play: SkillRollout, rows: NDArray[np.intp]) -> None:
+        """Nothing is paid yet: the drawer, then each thing."""
+        play.memory = {"drawer": drawer_of(play.episode), "paid": np.zeros(1 + len(play.objects.names), np.bool_)}
+
+    def judge(self, play: SkillRollout) -> StepOutcome:
+        """Pays once for the open drawer and for each thing at its goal, in nobody's hand."""
+        spec, drawer, paid = play.spec, play.memory["drawer"], play.memory["paid"]
+        there = np.append(play.open_joints[drawer], play.at_goal)
+        worth = np.append(spec.drawer_worth, np.full(len(play.at_goal), spec.thing_worth))
+        fresh = there & ~paid
+        paid |= there
+        success, collides = bool(there.all()), bool(play.world.touching.any())
+        events = [(0, Event(step=play.step, agent=-1, kind="opened", target=play.objects.joints[drawer]))]
+        return StepOutcome(
+            reward=np.array([worth[fresh].sum() - 1.0 * collides]),
+            terminated=np.array([success or collides]),
+            success=np.array([success]),
+            columns={"metrics.at_goal": play.at_goal[None], "metrics.drawer_open": there[None, 0]},
+            ended="success" if success else "collision",
+            events=events if fresh[0] else (),
+        )
+
+
+if __name__ == "__main__":
+    home = h3data.build_home(h3data.HomeSpec(seed=2, articulated=True))
+    recording = h3data.simulate(Fetch(), scenes=home, seed=3)
+    print(recording.episode.info["instruction"])
+    for span in recording.skills:
+        print(f"step {span.start_step:4d}  agent {span.agent}  {span.name} {span.target}: {span.outcome} {span.reason}")
+    reward = recording.columns["metrics.reward"].sum()
+    print(f"{recording.episode.info['ended']} after {len(recording)} steps, reward {reward:.0f}")
+    env = h3data.make(Fetch(), scenes=home)
+    env.reset(seed=0)
+    print("an environment step lasts until the robot must choose again:", env.step(0)[4]["steps"], "steps of 1/30 s")

@@ -1,0 +1,412 @@
+"""What an episode is outside the simulator: its record in episode files, its entries in a recording, its identity, in words.
+
+A task has one `EpisodeCodec` (`sim_kinematic.tasks.task.Task.codec`), the only place where its episodes are written and read.
+`TaskCodec` does that for all tasks whose episodes are an `Episode`.
+"""
+
+from __future__ import annotations
+
+import io
+import uuid
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, ClassVar, Generic, TypeVar
+
+import msgspec
+import numpy as np
+
+from h3data.bodies import load_robot
+from h3data.bodies.names import JOIN, split_walk
+from h3data.errors import InputError, SceneError
+from h3data.geometry import Array
+from h3data.plugins import names_from_data
+from h3data.recording import Agent, Recording
+from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode as FileEntry
+from h3data.recording.task_episodes.stored_episodes import Start, StoredEpisode, info_block, plain, read_info_block
+from h3data.scene import FreeSpace, Scene, save_scene, scene_digest
+from h3data.scene.sources import SceneSource
+from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, kinds_of, make_roster, with_motion
+from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.tasks.episode import MAX_STEPS, Episode, rules_dict
+from sim_kinematic.tasks.play import Rollout
+
+SNAP_M = 0.05
+"""A stored point may be this far off the free floor: files round to a centimeter, navigation meshes to a cell."""
+
+POLICY_ENTRIES = ("policy", "partner", "partner_plan", "population")
+"""Entries of a recording's info that name policies: those that change when a recording is continued by others."""
+SceneAndMap = Callable[[float, float], tuple[Scene, FreeSpace]]
+"""The scene of a recording, and its map for agents of a radius [m] and a height [m]."""
+
+R = TypeVar("R", bound=StoredEpisode)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodePlace:
+    """Where a stored episode is played, and what the user wants other than the file."""
+
+    scene: Scene
+    free: FreeSpace
+    spec: Any
+    """The rules."""
+    agents: tuple[str, ...] | None = None
+    """Another roster."""
+    robot: str | None = None
+    """Another body of robots named by their kind."""
+    human: str | None = None
+    """Another body of people named by their kind."""
+    assets: tuple[str, ...] = ()
+    """Asset folders for objects that the episode adds."""
+
+
+class EpisodeCodec(Generic[R]):
+    """Converts the episodes of a task to JSON and back: records in episode files, and the info of recordings. A base class."""
+
+    samples_starts: ClassVar[bool] = False
+    """Whether it reads files without starts, which are sampled then."""
+    records_judgement: ClassVar[bool] = True
+    """Whether each step's reward and success are recorded (``metrics.reward``, ``metrics.success``), for the metrics profile
+    ``task``. The built-in tasks, whose metrics follow from other columns, do without."""
+
+    def __init__(self, task: Any) -> None:
+        """Makes the codec of a `sim_kinematic.tasks.task.Task`."""
+        self.task = task
+
+    # --- episode files ------------------------------------------------------------------------------------------------
+
+    def record(self, episode: Episode) -> R:
+        """The record of an episode, from which `episode` makes the same one, bit for bit."""
+        raise NotImplementedError
+
+    def entry(self, record: R, *, episode_id: str, scene_id: str, scene_dataset_config: str = "default") -> FileEntry:
+        """The entry of an episode file that carries a record."""
+        raise NotImplementedError
+
+    def read(self, entry: FileEntry, *, seed: int) -> R | None:
+        """The record that an entry carries; None if it says nothing about this task.
+
+        ``seed`` is for what the file leaves to chance.
+
+        Raises:
+            FormatError: it is damaged or from a newer version.
+            InputError: it cannot be played; the message says why.
+        """
+        raise NotImplementedError
+
+    def is_complete(self, record: R) -> bool:
+        """Whether the record leaves nothing to chance."""
+        del record
+        return True
+
+    def rules(self, record: R) -> Any:
+        """The rules that a record names.
+
+        Raises:
+            InputError: they are none of this task.
+        """
+        raise NotImplementedError
+
+    def stand_ins(self, record: R, source: SceneSource) -> tuple[str, ...]:
+        """A sentence on each thing of the record that is replaced because its files are missing."""
+        del record, source
+        return ()
+
+    def episode(self, record: R, place: EpisodePlace) -> Episode:
+        """The episode that a record stores.
+
+        Raises:
+            SceneError: it does not fit the scene.
+            InputError: its bodies are none that we know.
+        """
+        raise NotImplementedError
+
+    # --- recordings ---------------------------------------------------------------------------------------------------
+    def instruction(self, episode: Episode) -> str:
+        """The task in words, as one would tell it to a robot; recorded in ``info["instruction"]``.
+
+        LeRobot datasets have it for every frame, and policies that are conditioned on language learn from it. By default the
+        task's name in words.
+        """
+        del episode
+        return str(self.task.name).replace("_", " ").strip() or "act"
+
+    def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """Entries of a recording's info that are known from the start, besides scene and bodies: enough for `restore`."""
+        raise NotImplementedError
+
+    def final_info(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """Entries of a recording's info that are known only after the last step."""
+        del episode, policies
+        return {"ended": play.ended}
+
+    def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
+        """Identity of an episode's recording: the same inputs give the same one."""
+        raise NotImplementedError
+
+    def restore(self, recording: Recording, scene: SceneAndMap) -> Episode:
+        """The episode that a recording was made of.
+
+        Raises:
+            InputError: the recording lacks something or its info is malformed; the message names it.
+        """
+        raise NotImplementedError
+
+    def precompute(self, episode: Episode) -> dict[str, Any]:
+        """Entries of a recording's info that take long to compute and do not depend on how the episode is played.
+
+        `final_info` has them too. They are plain data, so that another process can compute them.
+        """
+        del episode
+        return {}
+
+    def load_precomputed(self, episode: Episode, facts: Mapping[str, Any]) -> None:
+        """Takes over the facts that `precompute` has found earlier: in another process, or when the episode was recorded."""
+
+    def policy_names(self, recording: Recording) -> list[str]:
+        """Name of each agent's policy, as recorded."""
+        info, names = recording.episode.info, []
+        for kind, entry in (("robot", "policy"), ("human", "partner")):
+            count = sum(agent.kind == kind for agent in recording.agents)
+            listed = str(info.get(entry) or self.task.defaults[kind]).split(",")
+            names += listed * count if len(listed) == 1 else listed
+        return names
+
+    def check_changes(self, recording: Recording, chosen: Mapping[str, Any]) -> None:
+        """Raises an `InputError` if a recording cannot be continued with the policies ``chosen``; by default it can."""
+
+
+class TaskRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """An episode of a task without a record of its own."""
+
+    starts: tuple[Start, ...]
+    """Start of each agent."""
+    agents: tuple[str, ...]
+    """The roster, as ``robot:quad_arm``."""
+    extra: Mapping[str, Any] = msgspec.field(default_factory=dict)
+    """`Episode.extra`."""
+    seed: int = 0
+    scene_sha256: str = ""
+    scene_source: Mapping[str, Any] = msgspec.field(default_factory=dict)
+    rules: Mapping[str, Any] = msgspec.field(default_factory=dict)
+
+
+class TaskCodec(EpisodeCodec[TaskRecord]):
+    """Writes what every episode has: starts, roster, seed, rules, and `Episode.extra`."""
+
+    def record(self, episode: Episode) -> TaskRecord:
+        """Record of an episode: starts, agents, seed, rules, scene and `Episode.extra`."""
+        return TaskRecord(
+            starts=tuple((float(x), float(z), float(heading)) for x, z, heading in episode.starts.tolist()),
+            agents=tuple(f"{member.kind}:{split_walk(member.model)[0]}" for member in episode.roster),
+            extra=plain(dict(episode.extra)),
+            seed=episode.seed,
+            scene_sha256=scene_digest(episode.scene),
+            scene_source=plain(dict(episode.scene.source)),
+            rules=plain(rules_dict(episode.spec)),
+        )
+
+    def entry(
+        self, record: TaskRecord, *, episode_id: str, scene_id: str, scene_dataset_config: str = "default"
+    ) -> FileEntry:
+        """Entry of an episode file that holds the record in its info."""
+        return FileEntry(
+            episode_id=episode_id,
+            scene_id=scene_id,
+            scene_dataset_config=scene_dataset_config,
+            info=info_block(self.task.name, record),
+        )
+
+    def read(self, entry: FileEntry, *, seed: int) -> TaskRecord | None:
+        """Record in an entry of a file; None if the entry belongs to another task.
+
+        Raises:
+            InputError: the record is malformed or its starts are not finite.
+        """
+        del seed
+        record = read_info_block(entry, self.task.name, TaskRecord)
+        if record is not None and not np.isfinite(np.array(record.starts, np.float64)).all():
+            raise InputError(f"Expected finite starts, got {record.starts}.", code="H3-TASK-061")
+        return record
+
+    def rules(self, record: TaskRecord) -> Any:
+        """Rules in a record, as the task's class of rules."""
+        return read_rules(record.rules, self.task.Spec)
+
+    def episode(self, record: TaskRecord, place: EpisodePlace) -> Episode:
+        """Episode of a record in an opened scene, with the agents of the record or those that the caller names.
+
+        Raises:
+            InputError: the number of starts and of agents differ, or a start is not on the free floor.
+        """
+        names = place.agents or record.agents
+        if place.human is not None and place.human.startswith(JOIN):  # a motion alone, for everybody
+            names = with_motion(names, place.human)
+        if place.robot:
+            load_robot(place.robot)  # of the user, as a name of the file may not be
+        with nullcontext() if place.agents else names_from_data():
+            roster = make_roster(names, robot=place.robot or ROBOT_BODY, human=place.human or HUMAN_BODY)
+        self.task.control.check_roster(roster)
+        starts = np.array(record.starts, np.float64).reshape(-1, 3)
+        if len(starts) != len(roster):
+            raise InputError(
+                f"The episode has starts for {len(starts)} agents, agents= names {len(roster)}.", code="H3-TASK-062"
+            )
+        starts = starts_on_floor(place.free, record.starts)
+        return Episode(
+            scene=place.scene,
+            free=place.free,
+            seed=record.seed,
+            spec=place.spec,
+            roster=roster,
+            starts=starts,
+            extra=dict(record.extra),
+        )
+
+    def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """Policies, rules, starts and `Episode.extra`."""
+        names = {kind: ",".join(p.name for p in policies if p.kind == kind) for kind in ("robot", "human")}
+        info: dict[str, Any] = {
+            "policy": names["robot"],
+            "partner": names["human"],
+            "max_steps": episode.spec.max_steps,
+            "spec": rules_dict(episode.spec),
+            "starts": episode.starts.tolist(),
+        }
+        if episode.extra:
+            info["extra"] = dict(episode.extra)
+        return info
+
+    def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
+        """Identifier derived from task, scene, bodies, policies, seed, rules, starts and `Episode.extra`."""
+        who = ",".join(f"{member.model}:{policy.name}" for member, policy in zip(episode.roster, policies, strict=True))
+        what = f"{self.task.name}:{scene_attachment(episode.scene)[1]}:{who}:{episode.seed}:{episode.spec}"
+        return uid_of(f"{what}:{episode.starts.tolist()}:{episode.extra}")
+
+    def restore(self, recording: Recording, scene: SceneAndMap) -> Episode:
+        """Episode of a recording, from the rules and starts in its info.
+
+        Raises:
+            InputError: the recording lacks one of them, or its info is malformed.
+        """
+        info, agents = recording.episode.info, recording.agents
+        require_info(recording, "spec", "starts")
+        try:
+            spec = msgspec.convert({"robot": {}, "human": {}, **info["spec"]}, self.task.Spec)
+            starts = np.array(msgspec.convert(info["starts"], list[Start]), np.float64)
+        except (msgspec.ValidationError, TypeError) as fault:
+            raise malformed_info(fault) from None
+        if not 0 < spec.max_steps <= MAX_STEPS:
+            raise InputError(
+                f"Expected 1 to {MAX_STEPS} steps, the recording's rules say {spec.max_steps}.", code="H3-TASK-063"
+            )
+        roster = recorded_roster(agents)
+        home, free = scene(spec.agent_radius_m, spec.agent_height_m)
+        require_on_floor(starts, free, len(roster))
+        return Episode(
+            scene=home,
+            free=free,
+            seed=recording.episode.seed,
+            spec=spec,
+            roster=roster,
+            starts=starts,
+            extra=dict(info.get("extra", {})),
+        )
+
+
+# --- parts of several codecs ------------------------------------------------------------------------------------------
+@lru_cache(maxsize=4)
+def scene_attachment(scene: Scene) -> tuple[bytes, str]:
+    """The scene file and its digest: the same for all episodes in this home."""
+    buffer = io.BytesIO()
+    save_scene(scene, buffer)
+    return buffer.getvalue(), scene_digest(scene)
+
+
+def uid_of(what: str) -> str:
+    """The identity of a recording, derived from a text that names all its inputs."""
+    return str(uuid.uuid5(uuid.NAMESPACE_URL, f"h3data:{what}"))
+
+
+def require_info(recording: Recording, *names: str) -> None:
+    """Checks that a recording's info has some entries.
+
+    Raises:
+        InputError: it lacks some; the message names them.
+    """
+    lacks = [name for name in names if name not in recording.episode.info]
+    if lacks:
+        raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.", code="H3-TASK-023")
+
+
+def malformed_info(fault: Exception) -> InputError:
+    """The error for a recording's info that does not convert."""
+    return InputError(f"The recording's info is malformed: {str(fault).replace('`', '')}", code="H3-TASK-030")
+
+
+def recorded_roster(agents: Sequence[Agent]) -> tuple[AgentSpec, ...]:
+    """The roster of a recording's agents.
+
+    Raises:
+        InputError: people come before robots, or a body is none that we know.
+    """
+    roster, kinds = (
+        make_roster([f"{agent.kind}:{agent.model.partition('/')[2]}" for agent in agents]),
+        [a.kind for a in agents],
+    )
+    if list(kinds_of(roster)) != kinds:
+        raise InputError(f"Expected robots, then people, got: {kinds}.", code="H3-TASK-024")
+    return roster
+
+
+def require_on_floor(starts: Array, free: FreeSpace, count: int) -> None:
+    """Checks recorded starts ``(x, z, heading)``.
+
+    Raises:
+        InputError: they are not ``count`` finite places on the free floor.
+    """
+    if starts.shape != (count, 3) or not np.isfinite(starts).all() or not free.is_navigable(starts[:, :2]).all():
+        raise InputError(
+            f"Expected starts on the free floor for {count} agents, got: {starts.tolist()}.", code="H3-TASK-027"
+        )
+
+
+def read_rules(rules: Mapping[str, Any], kind: type[Any], **defaults: Any) -> Any:
+    """Rules from a file; what they do not name is as in the paper.
+
+    Raises:
+        InputError: they are none of this kind.
+    """
+    try:
+        spec = msgspec.convert({"robot": {}, "human": {}, **defaults, **rules}, kind)
+    except (msgspec.ValidationError, InputError) as fault:
+        raise InputError(
+            f"The rules of the episode cannot be used: {str(fault).replace('`', '')}", code="H3-TASK-052"
+        ) from None
+    if not 1 <= spec.max_steps <= MAX_STEPS or not 0 < spec.human.speed_mps <= 4:
+        raise InputError(
+            f"The rules of the episode cannot be used: expected max_steps from 1 and a walking speed above 0 and at most "
+            f"4 m/s, got {spec.max_steps} and {spec.human.speed_mps}.",
+            code="H3-TASK-049",
+        )
+    return spec
+
+
+def starts_on_floor(free: FreeSpace, starts: Sequence[Start]) -> Array:
+    """Starts [A, 3]; those that rounding has put beside the free floor are moved onto it.
+
+    Raises:
+        SceneError: one is farther off: it is another scene.
+    """
+    places = np.array(starts, np.float64).reshape(-1, 3)
+    off = ~free.is_navigable(places[:, :2])
+    if off.any():
+        places[off, :2] = free.snap(places[off, :2], max_distance_m=SNAP_M)
+    if np.isnan(places).any():
+        raise SceneError(
+            "Starts of the episode are not on the free floor of this scene. Expected the scene for which the episode was "
+            "made.",
+            code="H3-TASK-060",
+        )
+    return places

@@ -1,0 +1,235 @@
+"""What agents of a task are told to do: the form of a choice, what carries it out, and how it is recorded and repeated.
+
+A task names one `Control` (`sim_kinematic.tasks.task.Task.control`). With `VelocityControl`, agents drive and walk. With
+`sim_kinematic.tasks.rearrange.control.SkillControl` they have skills: they take things, put them down, open and close.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+
+from h3data.errors import InputError
+from h3data.recording import Agent, Recording
+from sim_kinematic.agents.roster import AgentSpec
+from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.policies.policy import Still, Velocity
+from sim_kinematic.policies.recorded import RecordedTrack, RecordedVelocities, deciding_since, recorded_commands
+from sim_kinematic.tasks.episode import Episode
+from sim_kinematic.tasks.play import Rollout, WorldRollout
+
+
+class Control:
+    """What agents are told to do. A base class; ``play`` is what `rollout` has made, ``number`` that of an agent."""
+
+    batched: ClassVar[bool] = True
+    """Whether it plays many worlds at once (`WorldRollout`), or one."""
+    clip_coded: ClassVar[bool] = True
+    """Whether people are recorded as motion clips, else joint by joint."""
+    common_policies: ClassVar[bool] = True
+    """Whether `sim_kinematic.policies.assignment.COMMON` makes such choices."""
+
+    def __init__(self, skills: Mapping[str, tuple[str, ...]] | None = None) -> None:
+        """Creates the control.
+
+        Args:
+            skills: names of what agents report to be doing, by kind; a kind without any has no skill column.
+        """
+        self.skills = dict(skills or {})
+
+    def check_roster(self, roster: Sequence[AgentSpec]) -> None:
+        """Raises an `InputError` if an agent cannot be told such things; by default all can."""
+
+    def rollout(
+        self, task: Any, episode: Episode, policies: Sequence[AssignedPolicy] = (), *, measure: bool = True
+    ) -> Rollout:
+        """One episode of a task, ready for `sim_kinematic.tasks.runner.run`.
+
+        ``measure=False`` leaves out what only rewards need.
+        """
+        raise NotImplementedError
+
+    # --- choices from outside -----------------------------------------------------------------------------------------
+    def checked(self, play: Any, number: int, choice: Any) -> Any:
+        """A command from outside in the form that the play takes.
+
+        Raises:
+            InputError: it is malformed.
+        """
+        raise NotImplementedError
+
+    def idle(self, play: Any, number: int, last: Any) -> Any:
+        """The choice of an agent controlled from outside that was told nothing new; ``last`` is its latest command."""
+        raise NotImplementedError
+
+    def is_busy(self, play: Any, number: int) -> bool:
+        """Whether an agent goes on with something by itself until it ends or a command interrupts it."""
+        del play, number
+        return False
+
+    def interrupts(self, play: Any, number: int, choice: Any) -> bool:
+        """Whether a command from outside interrupts what the agent is doing; by default all do."""
+        del play, number, choice
+        return True
+
+    def refusal(self, play: Any, number: int, choice: Any) -> str | None:
+        """Why a command, as `checked` returned it, would be refused now, as a sentence; None: it would not."""
+        del play, number, choice
+        return None
+
+    # --- recordings ---------------------------------------------------------------------------------------------------
+    def to_json(self, choice: Any) -> Any:
+        """A choice as JSON types, for the recorded raw input."""
+        raise NotImplementedError
+
+    def from_json(self, data: Any) -> Any:
+        """The choice that `to_json` wrote."""
+        raise NotImplementedError
+
+    def recorded_agent(self, agent: Agent, episode: Episode, *, is_external: bool) -> Agent:
+        """An agent of a recording, with what it can do in this episode; by default as it is."""
+        del episode, is_external
+        return agent
+
+    def needed_columns(self, recording: Recording) -> list[str]:
+        """Columns without which a recording cannot be simulated again."""
+        raise NotImplementedError
+
+    def decided(self, recording: Recording, names: Sequence[str]) -> set[int]:
+        """Numbers of the agents whose every decision is recorded, so that verifying asks no policy of theirs.
+
+        ``names`` are those of all agents' policies.
+        """
+        raise NotImplementedError
+
+    def still(self, episode: Episode, number: int) -> Any:
+        """A policy that does nothing, for an agent whose decider is not here."""
+        raise NotImplementedError
+
+    def recorded_policies(
+        self,
+        recording: Recording,
+        episode: Episode,
+        own: Sequence[AssignedPolicy],
+        *,
+        until: int,
+        changed: Sequence[bool] = (),
+    ) -> list[AssignedPolicy]:
+        """For each agent a policy that repeats its first ``until`` recorded decisions, then hands over to ``own``.
+
+        ``changed`` says of each agent whether its own policy is another than the recorded one.
+        """
+        raise NotImplementedError
+
+    def keep_people(
+        self, play: Any, recording: Recording, since: int
+    ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
+        """Puts people on their recorded tracks; returns facts about that for the info, and what to call after each step.
+
+        ``since`` is the step from which robots follow other policies.
+        """
+        raise NotImplementedError
+
+
+class VelocityControl(Control):
+    """Agents drive and walk: they choose velocities, way points or places."""
+
+    def rollout(
+        self, task: Any, episode: Episode, policies: Sequence[AssignedPolicy] = (), *, measure: bool = True
+    ) -> WorldRollout:
+        """One world of a task."""
+        play = WorldRollout(task, episode.spec, episode.roster, measure=measure)
+        play.begin([episode])
+        play.policies = list(policies)
+        return play
+
+    def checked(self, play: Any, number: int, choice: Any) -> Any:
+        """A velocity: a pair, or anything with ``forward`` and ``turn``.
+
+        Raises:
+            InputError: it is malformed.
+        """
+        del play, number
+        if not hasattr(choice, "forward") and np.shape(choice) == (2,):
+            choice = Velocity(float(choice[0]), float(choice[1]))
+        if not (hasattr(choice, "forward") and hasattr(choice, "turn")):
+            raise InputError(f"Expected a command (forward, turn) in -1..1, got {choice!r}.", code="H3-TASK-064")
+        if not np.isfinite([choice.forward, choice.turn]).all():
+            raise InputError(f"Actions must be finite, got {(choice.forward, choice.turn)}.", code="H3-TASK-065")
+        return choice
+
+    def idle(self, play: Any, number: int, last: Any) -> Any:
+        """To go on as before."""
+        del play, number
+        return Velocity(0.0, 0.0) if last is None else last
+
+    def to_json(self, choice: Any) -> Any:
+        """A velocity as JSON types."""
+        return {"forward": float(choice.forward), "turn": float(choice.turn), "skill": choice.skill}
+
+    def from_json(self, data: Any) -> Any:
+        """The velocity that `to_json` wrote."""
+        return Velocity(float(data["forward"]), float(data["turn"]), str(data.get("skill", "")))
+
+    def needed_columns(self, recording: Recording) -> list[str]:
+        """The velocities of robots, and what they reported to be doing."""
+        robots = [k for k, agent in enumerate(recording.agents) if agent.kind == "robot"]
+        names = ("action", "skill") if self.skills.get("robot") else ("action",)
+        return [f"agent_{k}.{name}" for k in robots for name in names]
+
+    def decided(self, recording: Recording, names: Sequence[str]) -> set[int]:
+        """Robots, and people who were controlled from outside."""
+        commanded = recorded_commands(recording, self.from_json)
+        decided = {
+            k
+            for k, agent in enumerate(recording.agents)
+            if f"agent_{k}.action" in recording.columns and (agent.kind == "robot" or k in commanded)
+        }
+        # those who wander share how they heed each other, so that one of them who is asked needs the others asked too
+        wanderers = {k for k, name in enumerate(names) if name == "wander"}
+        return decided if wanderers <= decided else decided - wanderers
+
+    def still(self, episode: Episode, number: int) -> Any:
+        """A policy of standing still."""
+        del episode, number
+        return Still()
+
+    def recorded_policies(
+        self,
+        recording: Recording,
+        episode: Episode,
+        own: Sequence[AssignedPolicy],
+        *,
+        until: int,
+        changed: Sequence[bool] = (),
+    ) -> list[AssignedPolicy]:
+        """Policies that repeat the recorded velocities.
+
+        A scripted person has no recorded decisions: its own policy decides again.
+        """
+        commands, policies = recorded_commands(recording, self.from_json), []
+        for k, (member, assigned, since) in enumerate(zip(episode.roster, own, deciding_since(recording), strict=True)):
+            policy = assigned.policy
+            if member.kind == "robot" or k in commands:
+                first = until if changed and changed[k] else min(since, until)
+                policy = RecordedVelocities.of(recording, k, commands.get(k), until=until, own=policy, since=first)
+            elif policy is None:
+                raise InputError(
+                    f"The person's own policy {assigned.name!r} is not at hand, and {member.name} was not controlled "
+                    "from outside: nothing says how they decided.",
+                    code="H3-TASK-066",
+                )
+            policies.append(assigned._replace(policy=policy))
+        return policies
+
+    def keep_people(
+        self, play: Any, recording: Recording, since: int
+    ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
+        """People follow their recorded places and postures from the first step on."""
+        del since
+        for k, member in enumerate(play.episode.roster):
+            if member.kind == "human":
+                play.policies[k] = play.policies[k]._replace(policy=RecordedTrack(recording, k, member.body))
+        return {}, None

@@ -1,0 +1,40 @@
+"""How long one person alone takes, by which what several agents achieve together is measured."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sim_kinematic.agents.roster import kinds_of
+from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.policies.rearrange import planner
+from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
+from sim_kinematic.tasks.rearrange.play import SkillRollout
+from sim_kinematic.tasks.runner import run
+
+_SOLO_STEPS = "_solo_steps"
+
+
+def solo_steps_of(task: Any, episode: RearrangeEpisode) -> int:
+    """Number of steps in which one person alone brings all objects to their goals, ``L_human`` in the paper.
+
+    It is at most ``max_steps``, and is computed by simulating the first person, or the first robot where there are no
+    people. ``task`` is the `sim_kinematic.tasks.task.Task` of the episode, which caches the number.
+    """
+    if _SOLO_STEPS not in vars(episode):
+        vars(episode)[_SOLO_STEPS] = _simulated_solo_steps(task, episode)
+    return vars(episode)[_SOLO_STEPS]
+
+
+def _simulated_solo_steps(task: Any, episode: RearrangeEpisode) -> int:
+    kinds = kinds_of(episode.roster)
+    first = kinds.index("human") if "human" in kinds else 0
+    alone = episode.only(first)
+    plan = AssignedPolicy(planner("both", episode.seed, len(episode.targets)), "both", kinds[first], "both")
+    play = SkillRollout(task, alone, [plan])
+    run(play)
+    return play.step + 1
+
+
+def keep_solo_steps(episode: RearrangeEpisode, steps: int) -> None:
+    """Has `solo_steps_of` answer a number that is known already."""
+    vars(episode)[_SOLO_STEPS] = steps

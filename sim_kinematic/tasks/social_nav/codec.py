@@ -1,0 +1,175 @@
+"""Episodes of social navigation as JSON: in episode files, and in the info of recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data.recording import Recording
+from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode as FileEntry
+from h3data.recording.task_episodes.social_nav_episodes import SocialNavEpisode, read_social_nav, social_nav_episode
+from sim_kinematic.agents.waypoint_walker import HumanPlan
+from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.motion.state import HUMAN, ROBOT
+from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.policies.waypoints import WaypointPolicy
+from sim_kinematic.tasks.codec import (
+    EpisodeCodec,
+    EpisodePlace,
+    SceneAndMap,
+    malformed_info,
+    require_info,
+    scene_attachment,
+    uid_of,
+)
+from sim_kinematic.tasks.episode import MAX_STEPS, Episode, agent_base, rules_dict
+from sim_kinematic.tasks.play import Rollout, WorldRollout
+from sim_kinematic.tasks.rules.oracle import oracle_min_steps
+from sim_kinematic.tasks.social_nav.episode import Starts, episode_from, goals_of, rules_of, stored_episode
+
+
+class SocialNavCodec(EpisodeCodec[SocialNavEpisode]):
+    """Writes starts and the person's goals."""
+
+    records_judgement: ClassVar[bool] = False
+
+    def record(self, episode: Episode) -> SocialNavEpisode:
+        """Record of an episode: the starts of both agents, the person's goals and the rules."""
+        return stored_episode(episode)
+
+    def entry(
+        self, record: SocialNavEpisode, *, episode_id: str, scene_id: str, scene_dataset_config: str = "default"
+    ) -> FileEntry:
+        """Entry of an episode file, in the form of Habitat's social navigation episodes."""
+        return social_nav_episode(
+            record, episode_id=episode_id, scene_id=scene_id, scene_dataset_config=scene_dataset_config
+        )
+
+    def read(self, entry: FileEntry, *, seed: int) -> SocialNavEpisode | None:
+        """Record in an entry of a file; None if the entry belongs to another task."""
+        del seed
+        return read_social_nav(entry)
+
+    def rules(self, record: SocialNavEpisode) -> SocialNavSpec:
+        """Rules in a record."""
+        return rules_of(record)
+
+    def episode(self, record: SocialNavEpisode, place: EpisodePlace) -> Episode:
+        """Episode of a record in an opened scene."""
+        return episode_from(record, place.scene, spec=place.spec, free=place.free, human=place.human, robot=place.robot)
+
+    # --- recordings ---------------------------------------------------------------------------------------------------
+    def restore(self, recording: Recording, scene: SceneAndMap) -> Episode:
+        """Episode of a recording, from the rules and starts in its info.
+
+        Raises:
+            InputError: the recording lacks one of them, or its agents are not a robot and a person.
+        """
+        info, agents = recording.episode.info, recording.agents
+        require_info(recording, "spec", "robot_start", "human_start")
+        if [a.kind for a in agents] != ["robot", "human"]:
+            raise InputError(
+                f"Expected a robot and a human, in this order, got: {[a.kind for a in agents]}.", code="H3-TASK-054"
+            )
+        try:
+            stored = msgspec.convert(
+                {
+                    "robot_start": info["robot_start"],
+                    "human_start": info["human_start"],
+                    "human_goals": info.get("human_goals", ())
+                    if info.get("partner", "waypoints") == "waypoints"
+                    else (),
+                    "seed": recording.episode.seed,
+                    "max_steps": info["spec"]["max_steps"],
+                    "robot": agents[ROBOT].model,
+                    "human": agents[HUMAN].model,
+                    "rules": info["spec"],
+                },
+                SocialNavEpisode,
+            )
+        except (msgspec.ValidationError, KeyError, TypeError) as fault:
+            raise malformed_info(fault) from None
+        if not np.isfinite([*stored.robot_start, *stored.human_start, *np.ravel(stored.human_goals)]).all():
+            raise InputError("The recording's starts and goals must be finite numbers.", code="H3-TASK-055")
+        rules = rules_of(stored)
+        if rules.max_steps > MAX_STEPS:
+            raise InputError(
+                f"Expected at most {MAX_STEPS} steps, the recording's rules say {rules.max_steps}.", code="H3-TASK-056"
+            )
+        home, free = scene(rules.agent_radius_m, rules.agent_height_m)
+        return episode_from(stored, home, spec=rules, free=free)
+
+    def instruction(self, episode: Episode) -> str:
+        """Instruction in words, the same for all episodes."""
+        del episode
+        return "follow the person"
+
+    def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """Policies, rules, starts and the person's goals for the recording's info."""
+        spec, (robot, human) = episode.spec, episode.starts.tolist()
+        info = {
+            "policy": policies[ROBOT].name,
+            "max_steps": spec.max_steps,
+            "spec": rules_dict(spec),
+            "robot_start": robot,
+            "human_start": human,
+        }
+        if policies[HUMAN].name != "waypoints":
+            info["partner"] = policies[HUMAN].name
+        goals = goals_of(episode)
+        if goals:  # known before the first step, so that what a crash leaves can be continued
+            info["human_goals"] = [list(goal) for goal in goals]
+        return info
+
+    def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
+        """Identifier derived from scene, bodies, seed, policies and rules; also from the goals where they are given."""
+        digest = scene_attachment(episode.scene)[1]
+        robot, human = episode.roster
+        goals, partner = goals_of(episode), policies[HUMAN].name
+        told = f":{Starts.of(episode.starts)}:{goals}" if goals else ""  # else they follow from the seed
+        policy = policies[ROBOT].name + ("" if partner == "waypoints" else f":{partner}")
+        what = f"social_nav:{digest}:{robot.model}:{human.model}:{episode.seed}:{policy}:{episode.spec}{told}"
+        return uid_of(what)
+
+    def check_changes(self, recording: Recording, chosen: Mapping[str, Any]) -> None:
+        """Raises an `InputError` if a policy is chosen for a person who walks by a script."""
+        if chosen.get("human") is not None and "external" not in str(recording.episode.info.get("partner", "")):
+            raise InputError(
+                "Nobody in recordings of social_nav follows a partner: the person walks by a script. Hint: leave it out.",
+                code="H3-TASK-057",
+            )
+
+    def final_info(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """The person's goals, and the fewest steps ``l`` in which an oracle finds them.
+
+        Both follow from the person's whole plan, however long the episode lasted; for a person without a script, from
+        the track that they walked.
+        """
+        assert isinstance(play, WorldRollout)
+        info: dict[str, Any] = {"ended": play.ended}
+        if isinstance(policies[HUMAN].policy, WaypointPolicy):
+            return {**info, **plan_info(episode, play.memory.whole_walk(episode))}
+        if play.memory.track:
+            info["oracle_min_steps"] = _oracle(episode, np.array(play.memory.track))
+        return info
+
+
+def plan_info(episode: Episode, plan: HumanPlan) -> dict[str, Any]:
+    """The person's goals, and the oracle's minimum steps ``l``."""
+    return {
+        "human_goals": [[float(x), float(z)] for x, z in plan.goals],
+        "oracle_min_steps": _oracle(episode, plan.xz),
+    }
+
+
+def _oracle(episode: Episode, track: NDArray[np.float64]) -> Any:
+    x, z, heading = episode.starts[ROBOT]
+    return oracle_min_steps(
+        episode.free, np.array([x, z]), float(heading), track, replace(episode.spec, robot=agent_base(episode, ROBOT))
+    )
