@@ -313,10 +313,18 @@ async def _siege(emit: Emit, running: Server) -> None:
 def hostile(emit: Emit) -> None:
     """Four participants of a study beside 40 hostile clients: emits ``hitl.hostile_*``."""
     said = {
-        "name": "siege", "version": "1", "title": "Siege", "participants": 60, "retention": "2030-01-31", "contact": "nobody",
-        "scenes": ["small:3"], "episodes": 20, "conditions": [{"name": "still", "partner": "still"}],
-        "consent": {"version": "1", "text": "Yes?"}, "tutorial": {"skip": True},
-    }  # fmt: skip
+        "name": "siege",
+        "version": "1",
+        "title": "Siege",
+        "participants": 60,
+        "retention": "2030-01-31",
+        "contact": "nobody",
+        "scenes": ["small:3"],
+        "episodes": 20,
+        "conditions": [{"name": "still", "partner": "still"}],
+        "consent": {"version": "1", "text": "Yes?"},
+        "tutorial": {"skip": True},
+    }
     with tempfile.TemporaryDirectory() as folder:
         plan = make_plan(msgspec.convert(said, Design), Path(folder, "siege-1"))
         options = {"study": msgspec.to_builtins(plan), "workers": WORKERS, "stays": True}

@@ -71,8 +71,14 @@ def blob(center: tuple, size: tuple, n: int, roundness: float) -> tuple[Vertices
     def power(x: NDArray) -> NDArray:
         return np.sign(x) * np.abs(x) ** roundness
 
-    points = np.stack([power(np.sin(polar)) * power(np.cos(around)), power(np.cos(polar)),
-                       power(np.sin(polar)) * power(np.sin(around))], 1)  # fmt: skip
+    points = np.stack(
+        [
+            power(np.sin(polar)) * power(np.cos(around)),
+            power(np.cos(polar)),
+            power(np.sin(polar)) * power(np.sin(around)),
+        ],
+        1,
+    )
     i = (np.arange(n)[:, None] * (2 * n + 1) + np.arange(2 * n)).ravel()
     faces = np.concatenate([np.stack([i, i + 1, i + 2 * n + 2], 1), np.stack([i, i + 2 * n + 2, i + 2 * n + 1], 1)])
     return np.array(center) + points * np.array(size) / 2, faces.astype(np.int32)
@@ -106,20 +112,34 @@ def furniture(fineness: float) -> list[Mesh]:
     books = [box((-0.45 + 0.06 * k, 0.2 + 0.4 * s, 0), (0.045, 0.26, 0.2), n(2)) for s in range(4) for k in range(15)]
     return [
         colored(join([box((0, 0.72, 0), (1.4, 0.05, 0.8), n(8)), *legs]), (150, 110, 75)),
-        colored(join([blob((0, 0.25, 0), (2, 0.5, 0.9), n(40), 0.35), blob((0, 0.6, -0.35), (2, 0.6, 0.3), n(40), 0.4),
-                      *seats]), (95, 120, 150)),
-        colored(join([blob((0, 0.35, 0), (1.6, 0.5, 2), n(50), 0.3), blob((0, 0.65, -0.75), (1, 0.2, 0.4), n(36), 0.6)]),
-                (205, 200, 190)),
+        colored(
+            join(
+                [
+                    blob((0, 0.25, 0), (2, 0.5, 0.9), n(40), 0.35),
+                    blob((0, 0.6, -0.35), (2, 0.6, 0.3), n(40), 0.4),
+                    *seats,
+                ]
+            ),
+            (95, 120, 150),
+        ),
+        colored(
+            join([blob((0, 0.35, 0), (1.6, 0.5, 2), n(50), 0.3), blob((0, 0.65, -0.75), (1, 0.2, 0.4), n(36), 0.6)]),
+            (205, 200, 190),
+        ),
         colored(join([*boards, *books]), (165, 90, 70)),
-        colored(join([box((0, 0.45, 0), (0.8, 0.9, 0.6), n(10)), box((0, 0.92, 0), (0.84, 0.04, 0.64), n(8))]),
-                (215, 210, 200)),
-        colored(join([blob((0, 0.7, 0), (0.08, 1.4, 0.08), n(16), 1), blob((0, 1.45, 0), (0.45, 0.35, 0.45), n(30), 0.8)]),
-                (225, 190, 110)),
+        colored(
+            join([box((0, 0.45, 0), (0.8, 0.9, 0.6), n(10)), box((0, 0.92, 0), (0.84, 0.04, 0.64), n(8))]),
+            (215, 210, 200),
+        ),
+        colored(
+            join([blob((0, 0.7, 0), (0.08, 1.4, 0.08), n(16), 1), blob((0, 1.45, 0), (0.45, 0.35, 0.45), n(30), 0.8)]),
+            (225, 190, 110),
+        ),
         colored(blob((0, 0.12, 0), (0.16, 0.24, 0.16), n(26), 0.9), (190, 80, 80)),
         colored(blob((0, 0.05, 0), (0.25, 0.1, 0.25), n(22), 1), (80, 150, 120)),
         colored(box((0, 0.1, 0), (0.2, 0.2, 0.15), n(8)), (120, 90, 160)),
         colored(blob((0, 0.09, 0), (0.18, 0.18, 0.18), n(20), 1), (230, 140, 60)),
-    ]  # fmt: skip
+    ]
 
 
 LARGE = 6
@@ -284,8 +304,9 @@ def _run_largest(emit: Emit, renderer: Renderer) -> None:
     emit("render.cpu.rgb_4_samples_640x480_cpu_ms", frame_ms(renderer, views, outputs=("rgb",), samples=4), "ms")
     flat = [
         orthographic(640, 480, width_m=ROOMS_X * ROOM_M, pose=look_at([x, HEIGHT_M - 0.1, z], [x, 0, z]))
-        for x in (5.0, 6.75, 8.0) for z in (4.0, 4.5)
-    ]  # fmt: skip
+        for x in (5.0, 6.75, 8.0)
+        for z in (4.0, 4.5)
+    ]
     emit("render.cpu.orthographic_640x480_cpu_ms", frame_ms(renderer, flat, outputs=IDS), "ms")
     cut = [replace(camera, near=0.5, far=8.0) for camera in views]
     emit("render.cpu.clipped_640x480_cpu_ms", frame_ms(renderer, cut, outputs=IDS), "ms")

@@ -38,8 +38,12 @@ def stage(*, light: bool = False) -> GpuScene:
     skin, worn = (body.lod, body.lod_mesh) if light else (body.full, body.mesh)
     toy, link = len(meshes), len(meshes) + 1
     person = len(meshes) + 2
-    meshes = [*meshes, colored(blob((0, 0, 0), (0.2, 0.2, 0.2), 26, 0.9), (190, 80, 80)),
-              colored(box((0, 0, 0), (0.3, 0.1, 0.1), 8), (90, 90, 95)), worn]  # fmt: skip
+    meshes = [
+        *meshes,
+        colored(blob((0, 0, 0), (0.2, 0.2, 0.2), 26, 0.9), (190, 80, 80)),
+        colored(box((0, 0, 0), (0.3, 0.1, 0.1), 8), (90, 90, 95)),
+        worn,
+    ]
     first = len(instances)
     instances += [RenderInstance(toy if k < 5 else link, np.eye(4)) for k in range(MOVERS)]
     instances.append(RenderInstance(person, np.eye(4), semantic_id=77))
@@ -72,8 +76,13 @@ class Steps:
         things[..., 0, 2], things[..., 2, 0] = np.sin(angle), -np.sin(angle)
         spread = np.arange(MOVERS)
         things[..., :3, 3] = base[:, None] + np.stack(
-            [0.8 * np.cos(angle * 0.3 + spread), np.broadcast_to(0.2 + 0.05 * spread, angle.shape),
-             0.8 * np.sin(angle * 0.3 + 1.3 * spread)], -1)  # fmt: skip
+            [
+                0.8 * np.cos(angle * 0.3 + spread),
+                np.broadcast_to(0.2 + 0.05 * spread, angle.shape),
+                0.8 * np.sin(angle * 0.3 + 1.3 * spread),
+            ],
+            -1,
+        )
         views = np.tile(cameras, (PHASES, 1, 1, 1))
         views[:, :, :3, 3] += 0.02 * phase[..., None] * ahead
 

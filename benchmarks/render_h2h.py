@@ -73,8 +73,9 @@ def box(center: Sequence[float], size: Sequence[float], n: int) -> Part:
     return join([patch(side(axis, sign), n, n) for axis in range(3) for sign in (-1, 1)])
 
 
-def blob(center: Sequence[float], size: Sequence[float], n: int, roundness: float = 1.0, bumps: float = 0.0,
-         seed: int = 0) -> Part:  # fmt: skip
+def blob(
+    center: Sequence[float], size: Sequence[float], n: int, roundness: float = 1.0, bumps: float = 0.0, seed: int = 0
+) -> Part:
     """A superellipsoid of 4 n^2 triangles, of ``roundness`` 1 an ellipsoid, with bumps."""
     rng = np.random.default_rng(seed)
     waves, phase = rng.normal(size=(6, 3)) * 4, rng.uniform(0, 6, 6)
@@ -129,35 +130,74 @@ def things(fineness: float) -> dict[str, Part]:
     shelf = _shelf(rng, n)
     plant = _plant(rng, n)  # after the shelf: they share the generator
     return {
-        "table": join([box((0, 0, 0.72), (1.4, 0.8, 0.05), n(8)),
-                       *(box((x, y, 0.35), (0.06, 0.06, 0.7), n(4)) for x, y in product((-0.6, 0.6), (-0.3, 0.3)))]),
-        "chair": join([box((0, 0, 0.45), (0.45, 0.45, 0.05), n(8)), box((0, -0.2, 0.75), (0.45, 0.04, 0.55), n(8)),
-                       *(rod((x, y, 0), (x, y, 0.45), 0.025, n(6), n(10)) for x, y in product((-0.18, 0.18), repeat=2))]),
-        "sofa": join([blob((0, 0, 0.25), (2, 0.9, 0.5), n(40), 0.35, 0.03, 1),
-                      blob((0, -0.35, 0.6), (2, 0.3, 0.6), n(40), 0.4, 0.03, 2),
-                      *(blob((x, 0.05, 0.55), (0.6, 0.6, 0.2), n(36), 0.5, 0.08, 3 + k)
-                        for k, x in enumerate((-0.6, 0, 0.6)))]),
-        "bed": join([blob((0, 0, 0.35), (1.6, 2, 0.5), n(50), 0.3, 0.02, 7),
-                     blob((-0.4, 0.75, 0.65), (0.6, 0.4, 0.2), n(40), 0.6, 0.1, 8),
-                     blob((0.4, 0.75, 0.65), (0.6, 0.4, 0.2), n(40), 0.6, 0.1, 9), box((0, 1, 0.5), (1.7, 0.06, 1), n(10))]),
+        "table": join(
+            [
+                box((0, 0, 0.72), (1.4, 0.8, 0.05), n(8)),
+                *(box((x, y, 0.35), (0.06, 0.06, 0.7), n(4)) for x, y in product((-0.6, 0.6), (-0.3, 0.3))),
+            ]
+        ),
+        "chair": join(
+            [
+                box((0, 0, 0.45), (0.45, 0.45, 0.05), n(8)),
+                box((0, -0.2, 0.75), (0.45, 0.04, 0.55), n(8)),
+                *(rod((x, y, 0), (x, y, 0.45), 0.025, n(6), n(10)) for x, y in product((-0.18, 0.18), repeat=2)),
+            ]
+        ),
+        "sofa": join(
+            [
+                blob((0, 0, 0.25), (2, 0.9, 0.5), n(40), 0.35, 0.03, 1),
+                blob((0, -0.35, 0.6), (2, 0.3, 0.6), n(40), 0.4, 0.03, 2),
+                *(
+                    blob((x, 0.05, 0.55), (0.6, 0.6, 0.2), n(36), 0.5, 0.08, 3 + k)
+                    for k, x in enumerate((-0.6, 0, 0.6))
+                ),
+            ]
+        ),
+        "bed": join(
+            [
+                blob((0, 0, 0.35), (1.6, 2, 0.5), n(50), 0.3, 0.02, 7),
+                blob((-0.4, 0.75, 0.65), (0.6, 0.4, 0.2), n(40), 0.6, 0.1, 8),
+                blob((0.4, 0.75, 0.65), (0.6, 0.4, 0.2), n(40), 0.6, 0.1, 9),
+                box((0, 1, 0.5), (1.7, 0.06, 1), n(10)),
+            ]
+        ),
         "shelf": shelf,
         "plant": plant,
-        "lamp": join([turned(lambda u: 0.02 + 0.12 * (u < 0.03), 1.4, n(30), n(16)),
-                      turned(lambda u: 0.25 - 0.1 * u, 0.3, n(10), n(40))]),
-        "fridge": join([box((0, 0, 0.9), (0.7, 0.7, 1.8), n(14)),
-                        rod((0.3, 0.37, 0.6), (0.3, 0.37, 1.5), 0.015, n(8), n(8))]),
-        "cabinet": join([box((0, 0, 0.45), (0.8, 0.6, 0.9), n(10)), box((0, 0.31, 0.45), (0.7, 0.02, 0.8), n(8)),
-                         box((0, 0, 0.92), (0.84, 0.64, 0.04), n(8))]),
-        "rug": patch(lambda u, v: np.stack([(u - 0.5) * 2, (v - 0.5) * 1.4,
-                                            0.01 + 0.004 * np.sin(40 * u) * np.sin(37 * v)], 1), n(60), n(60)),
+        "lamp": join(
+            [
+                turned(lambda u: 0.02 + 0.12 * (u < 0.03), 1.4, n(30), n(16)),
+                turned(lambda u: 0.25 - 0.1 * u, 0.3, n(10), n(40)),
+            ]
+        ),
+        "fridge": join(
+            [box((0, 0, 0.9), (0.7, 0.7, 1.8), n(14)), rod((0.3, 0.37, 0.6), (0.3, 0.37, 1.5), 0.015, n(8), n(8))]
+        ),
+        "cabinet": join(
+            [
+                box((0, 0, 0.45), (0.8, 0.6, 0.9), n(10)),
+                box((0, 0.31, 0.45), (0.7, 0.02, 0.8), n(8)),
+                box((0, 0, 0.92), (0.84, 0.64, 0.04), n(8)),
+            ]
+        ),
+        "rug": patch(
+            lambda u, v: np.stack([(u - 0.5) * 2, (v - 0.5) * 1.4, 0.01 + 0.004 * np.sin(40 * u) * np.sin(37 * v)], 1),
+            n(60),
+            n(60),
+        ),
         "curtain": patch(lambda u, v: np.stack([(u - 0.5) * 1.2, 0.05 * np.sin(u * 50), v * 2.2], 1), n(80), n(20)),
         "picture": box((0, 0, 0), (0.6, 0.03, 0.45), n(6)),
         "vase": turned(lambda u: 0.06 + 0.05 * np.sin(u * 5), 0.3, n(30), n(40)),
         "bowl": turned(lambda u: 0.02 + 0.1 * u**0.5, 0.08, n(16), n(40)),
-        "mug": join([turned(lambda u: 0.04 + 0 * u, 0.1, n(10), n(30)), blob((0.05, 0, 0.05), (0.03, 0.01, 0.06), n(12))]),
-        "toy": join([blob((0, 0, 0.1), (0.2, 0.15, 0.2), n(24), 1, 0.1, 21),
-                     blob((0, 0.05, 0.25), (0.14, 0.14, 0.14), n(20), 1, 0.1, 22)]),
-    }  # fmt: skip
+        "mug": join(
+            [turned(lambda u: 0.04 + 0 * u, 0.1, n(10), n(30)), blob((0.05, 0, 0.05), (0.03, 0.01, 0.06), n(12))]
+        ),
+        "toy": join(
+            [
+                blob((0, 0, 0.1), (0.2, 0.15, 0.2), n(24), 1, 0.1, 21),
+                blob((0, 0.05, 0.25), (0.14, 0.14, 0.14), n(20), 1, 0.1, 22),
+            ]
+        ),
+    }
 
 
 def _shelf(rng: np.random.Generator, n: Callable[[int], int]) -> Part:
@@ -190,8 +230,10 @@ def _plant(rng: np.random.Generator, n: Callable[[int], int]) -> Part:
 def building() -> Part:
     """Floor, ceiling, walls with doors in the middle of the inner ones."""
     wide, deep = ROOMS_X * ROOM, ROOMS_Y * ROOM
-    parts = [box((wide / 2, deep / 2, -0.05), (wide + 0.2, deep + 0.2, 0.1), 40),
-             box((wide / 2, deep / 2, HEIGHT + 0.05), (wide + 0.2, deep + 0.2, 0.1), 20)]  # fmt: skip
+    parts = [
+        box((wide / 2, deep / 2, -0.05), (wide + 0.2, deep + 0.2, 0.1), 40),
+        box((wide / 2, deep / 2, HEIGHT + 0.05), (wide + 0.2, deep + 0.2, 0.1), 20),
+    ]
     for axis, lines, cells in ((0, ROOMS_X, ROOMS_Y), (1, ROOMS_Y, ROOMS_X)):
         for line, cell in product(range(lines + 1), range(cells)):
             pieces = [(0.5, 1.0, HEIGHT / 2, HEIGHT, 16)]  # middle and length in rooms, middle and height, fineness

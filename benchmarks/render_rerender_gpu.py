@@ -57,10 +57,16 @@ def _run_files(emit: Emit, replay: Replay, track: CameraTrack, samples: Literal[
             start = time.process_time()
             seconds = _wall(
                 lambda threads=threads: render_files(
-                    replay, [(track, targets)], steps=range(count), threads=threads, samples=samples,
-                    description="gpu", frame_done=lambda: None, backend="gpu",
+                    replay,
+                    [(track, targets)],
+                    steps=range(count),
+                    threads=threads,
+                    samples=samples,
+                    description="gpu",
+                    frame_done=lambda: None,
+                    backend="gpu",
                 )
-            )  # fmt: skip
+            )
             emit(f"rerender.gpu.s{samples}_{name}_fps", count / seconds, "1/s")
             emit(f"rerender.gpu.s{samples}_{name}_cpu_ms", (time.process_time() - start) / 4 / count * 1e3, "ms")
 

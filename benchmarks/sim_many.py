@@ -30,10 +30,17 @@ from sim_kinematic.tasks.runner import simulate
 Emit = Callable[[str, float, str], None]
 SCENES = "h3-homes/test"
 CASTS = (
-    "robot,robot,robot", "robot,robot,human", "robot,human,human", "human,human,human",
-    "robot,robot,human,human", "robot,human,human,human", "robot,robot,robot,human",
-    "robot,robot,human,human,human", "robot,robot,robot,human,human", "human,human,human,human,human",
-)  # fmt: skip
+    "robot,robot,robot",
+    "robot,robot,human",
+    "robot,human,human",
+    "human,human,human",
+    "robot,robot,human,human",
+    "robot,human,human,human",
+    "robot,robot,robot,human",
+    "robot,robot,human,human,human",
+    "robot,robot,robot,human,human",
+    "human,human,human,human,human",
+)
 SEEDS, PROCESSES = 4, 2
 BLOCKED_STEPS = 150
 

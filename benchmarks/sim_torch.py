@@ -45,8 +45,14 @@ class BoxFloor(NamedTuple):
         """Four rooms, doors of 1 m between them, ten boxes."""
         rng = np.random.default_rng(seed)
         thin, (width, depth) = 0.06, (12.0, 10.0)
-        boxes = [(5.0, 0.0, 5.0, 2.0), (5.0, 3.0, 5.0, 7.0), (5.0, 8.0, 5.0, depth), (0.0, 4.5, 1.5, 4.5),
-                 (2.5, 4.5, 9.0, 4.5), (10.0, 4.5, width, 4.5)]  # fmt: skip
+        boxes = [
+            (5.0, 0.0, 5.0, 2.0),
+            (5.0, 3.0, 5.0, 7.0),
+            (5.0, 8.0, 5.0, depth),
+            (0.0, 4.5, 1.5, 4.5),
+            (2.5, 4.5, 9.0, 4.5),
+            (10.0, 4.5, width, 4.5),
+        ]
         boxes = [(x0 - thin, z0 - thin, x1 + thin, z1 + thin) for x0, z0, x1, z1 in boxes]
         for x, z in rng.uniform((0, 0), (width - 1.4, depth - 0.7), (10, 2)):
             boxes.append((x, z, x + rng.uniform(0.4, 1.4), z + rng.uniform(0.4, 0.7)))
@@ -158,10 +164,17 @@ def _depth_fps(worlds: int, *, compile: bool) -> float:
     bank = EpisodeBank.draw(HOME, 64, spec=rules)
     sim = SocialNavTensors(bank, device="cuda", spec=rules)
     cameras = TensorCameras(
-        bank.scenes[0], load_robot("quad_arm"), load_humanoid("female_0"), rules.human, worlds=worlds,
-        floor_y=bank.floors[0].floor_y, views=("robot_arm", "human"), size=(256, 256), hfov_deg=90.0,
+        bank.scenes[0],
+        load_robot("quad_arm"),
+        load_humanoid("female_0"),
+        rules.human,
+        worlds=worlds,
+        floor_y=bank.floors[0].floor_y,
+        views=("robot_arm", "human"),
+        size=(256, 256),
+        hfov_deg=90.0,
         compile=compile,
-    )  # fmt: skip
+    )
     play = Play.before_the_first(torch.arange(worlds, device="cuda") % len(bank), sim.dtype)
     actions = torch.rand(64, worlds, 2, device="cuda") * 2 - 1
     row = torch.zeros(1, dtype=torch.int64, device="cuda")

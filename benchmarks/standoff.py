@@ -104,11 +104,16 @@ def _row(job: tuple[int, str]) -> dict[str, Any]:
     recording, alone, driver = play(seed, robot)
     errands = None if driver is None else driver.errands
     return {
-        "seed": seed, "home": f"small:{seed % HOMES}", "robot": robot, "steps": len(recording), "alone": alone,
-        "ended": recording.episode.info["ended"], "stand_offs": stand_offs(recording, free, errands),
+        "seed": seed,
+        "home": f"small:{seed % HOMES}",
+        "robot": robot,
+        "steps": len(recording),
+        "alone": alone,
+        "ended": recording.episode.info["ended"],
+        "stand_offs": stand_offs(recording, free, errands),
         "doorway_stops": 0 if driver is None else driver.doorway_stops,
         "shut": 0 if robot == PLANS else shut_steps(recording, scene, free),
-    }  # fmt: skip
+    }
 
 
 def report(emit: Emit, episodes: Iterable[dict[str, Any]]) -> None:

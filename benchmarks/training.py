@@ -65,9 +65,14 @@ def run(emit: Emit) -> None:
 
 
 def measure(
-    emit: Emit, settings: Settings, cases: Sequence[Case], *, device: str, passes: int,
+    emit: Emit,
+    settings: Settings,
+    cases: Sequence[Case],
+    *,
+    device: str,
+    passes: int,
     over: Callable[[], bool] = lambda: False,
-) -> None:  # fmt: skip
+) -> None:
     """Emits the lines of all cases.
 
     Args:

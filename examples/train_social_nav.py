@@ -64,10 +64,18 @@ def roll_out(env: Any, learner: Learner, dice: torch.Generator, x: Tensor) -> tu
         begins, before, chosen = env.play.ended.clone(), env.play.followed.clone(), learner.policy(x)
         action = chosen.mean + chosen.stddev * torch.randn(chosen.mean.shape, generator=dice, device=x.device)
         observation, reward, terminated, truncated, info = env.step(action)
-        rows.append({
-            "x": x, "action": action, "log_prob": chosen.log_prob(action).sum(1), "reward": reward, "begins": begins,
-            "terminated": terminated, "ended": terminated | truncated, "follows": (info["followed"] > before) & ~begins,
-        })  # fmt: skip
+        rows.append(
+            {
+                "x": x,
+                "action": action,
+                "log_prob": chosen.log_prob(action).sum(1),
+                "reward": reward,
+                "begins": begins,
+                "terminated": terminated,
+                "ended": terminated | truncated,
+                "follows": (info["followed"] > before) & ~begins,
+            }
+        )
         x = flat(observation)
     return {name: torch.stack([row[name] for row in rows]) for name in rows[0]}, x
 
@@ -83,7 +91,7 @@ def add_advantages(seen: dict[str, Tensor], learner: Learner, last: Tensor, gamm
 
 def learn(
     seen: dict[str, Tensor], learner: Learner, optimizer: torch.optim.Adam, dice: torch.Generator, size: int
-) -> None:  # fmt: skip
+) -> None:
     """Some epochs, ``size`` samples at once. A step that begins an episode takes no action, so nothing is learned from it."""
     samples = {name: rows[~seen["begins"]] for name, rows in seen.items()}
     samples["gain"] = (samples["gain"] - samples["gain"].mean()) / samples["gain"].std()
@@ -101,11 +109,21 @@ def learn(
 
 
 def train(
-    out: Path = Path("follower.npz"), *, scenes: str = "h3-homes/train", episodes: int = 1024, device: str = "cpu",
-    compile: bool = False, worlds: int = 1024, minibatch: int = 2048, steps: int = 40_000_000, seed: int = 0,
-    horizon: tuple[int, int] = (100, 500), observations: tuple[str, ...] = OBSERVATIONS, checkpoint_s: float = 10.0,
+    out: Path = Path("follower.npz"),
+    *,
+    scenes: str = "h3-homes/train",
+    episodes: int = 1024,
+    device: str = "cpu",
+    compile: bool = False,
+    worlds: int = 1024,
+    minibatch: int = 2048,
+    steps: int = 40_000_000,
+    seed: int = 0,
+    horizon: tuple[int, int] = (100, 500),
+    observations: tuple[str, ...] = OBSERVATIONS,
+    checkpoint_s: float = 10.0,
     resume: bool = False,
-) -> list[dict[str, float]]:  # fmt: skip
+) -> list[dict[str, float]]:
     """Learn, and write a file of weights; returns the learning curve.
 
     Args:
@@ -125,18 +143,31 @@ def train(
     """
     torch.manual_seed(seed)
     env = h3data.make(
-        "social_nav", scenes=scenes, num_envs=worlds, device=device, dtype=torch.float32, observations=observations,
-        episodes=episodes, episodes_seed=seed, compile=compile,
-    )  # fmt: skip
+        "social_nav",
+        scenes=scenes,
+        num_envs=worlds,
+        device=device,
+        dtype=torch.float32,
+        observations=observations,
+        episodes=episodes,
+        episodes_seed=seed,
+        compile=compile,
+    )
     x = flat(env.reset(seed=seed)[0])
     learner = Learner(x.shape[1]).to(device)
     optimizer = torch.optim.Adam(learner.parameters(), RATE)
     dice = torch.Generator(device).manual_seed(seed)
     checkpoint, curve = out.with_suffix(".checkpoint"), []
     asked = {
-        "scenes": scenes, "episodes": len(env.bank), "worlds": worlds, "minibatch": minibatch, "steps": steps, "seed": seed,
-        "horizon": horizon, "observations": observations,
-    }  # fmt: skip
+        "scenes": scenes,
+        "episodes": len(env.bank),
+        "worlds": worlds,
+        "minibatch": minibatch,
+        "steps": steps,
+        "seed": seed,
+        "horizon": horizon,
+        "observations": observations,
+    }
     if resume:
         kept = torch.load(checkpoint, map_location="cpu", weights_only=True)
         if kept["asked"] != asked:

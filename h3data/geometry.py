@@ -99,9 +99,11 @@ def _product(a: list[float], b: list[float]) -> tuple[float, float, float, float
     """`quat_multiply` of two quaternions, bit for bit."""
     (ax, ay, az, aw), (bx, by, bz, bw) = a, b
     return (
-        aw * bx + ax * bw + ay * bz - az * by, aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw, aw * bw - ax * bx - ay * by - az * bz,
-    )  # fmt: skip
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
+    )
 
 
 def quat_conjugate(q: ArrayLike) -> Array:
@@ -222,8 +224,11 @@ def _quat_of_rows(rows: list[list[float]]) -> list[float]:
     best = squares.index(max(squares))
     xy, xz, yz, xw, yw, zw = m01 + m10, m02 + m20, m12 + m21, m21 - m12, m02 - m20, m10 - m01
     x, y, z, w = (
-        (squares[0], xy, xz, xw), (xy, squares[1], yz, yw), (xz, yz, squares[2], zw), (xw, yw, zw, squares[3]),
-    )[best]  # fmt: skip
+        (squares[0], xy, xz, xw),
+        (xy, squares[1], yz, yw),
+        (xz, yz, squares[2], zw),
+        (xw, yw, zw, squares[3]),
+    )[best]
     length = math.sqrt(x * x + y * y + z * z + w * w) or 1.0
     q = [x / length, y / length, z / length, w / length]
     return [-c for c in q] if q[3] < 0 else q
@@ -250,12 +255,14 @@ def pose_to_matrix(pose: ArrayLike) -> Array:
     """4x4 matrices [..., 4, 4] of pose7 [..., 7]."""
     if _is_single(pose):
         px, py, pz, x, y, z, w = pose.tolist()  # type: ignore[union-attr]
-        return np.array([
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), px],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w), py],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y), pz],
-            [0.0, 0.0, 0.0, 1.0],
-        ])  # fmt: skip
+        return np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), px],
+                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w), py],
+                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y), pz],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
+        )
     p = _floating(pose)
     m = np.zeros((*p.shape[:-1], 4, 4), p.dtype)
     m[..., :3, :3] = quat_to_matrix(p[..., 3:])

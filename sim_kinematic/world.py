@@ -142,9 +142,13 @@ class World:
         robots = [member.body for member in self.roster if isinstance(member.body, Robot)]
         people = len(self.roster) - len(robots)
         self.state = WorldState.zeros(
-            self.worlds, robots=len(robots), people=people, joints=[len(r.rest) for r in robots], objects=objects,
+            self.worlds,
+            robots=len(robots),
+            people=people,
+            joints=[len(r.rest) for r in robots],
+            objects=objects,
             scene_joints=scene_joints,
-        )  # fmt: skip
+        )
         self.before, self.start = self.state.copy(), self.state.copy()
         self._moments = tuple(zip(self.before.arrays(), self.state.arrays(), strict=True))
         self.clips = tuple(
@@ -201,9 +205,13 @@ class World:
         """Puts agents of the worlds ``rows`` [n] at rest at their starts ``(x, z, heading)`` [n, A, 3], with empty hands."""
         joints = [own.joints.shape[1] for own in self.state.robots]
         fresh = WorldState.zeros(
-            len(rows), robots=len(joints), people=len(self.state.people), joints=joints,
-            objects=self.state.object_pose.shape[1], scene_joints=self.state.joint_pos.shape[1],
-        )  # fmt: skip
+            len(rows),
+            robots=len(joints),
+            people=len(self.state.people),
+            joints=joints,
+            objects=self.state.object_pose.shape[1],
+            scene_joints=self.state.joint_pos.shape[1],
+        )
         for k, (member, own) in enumerate(zip(self.roster, fresh.agents, strict=True)):
             own.xz[:], own.heading[:] = starts[:, k, :2], starts[:, k, 2]
             if isinstance(own, RobotState) and isinstance(member.body, Robot):

@@ -29,7 +29,11 @@ NOT_SHIPPED = ("pipelines/bake", "pipelines/h3data_kernels")
 AREAS = {
     "SCENE": ("scenes and homes", "scenes", "h3data/scene pipelines/h3data_homes"),
     "MESH": ("meshes and images", "meshes", "h3data/mesh pipelines/h3data_meshes"),
-    "BODY": ("people, robots and motion", "bodies", "h3data/bodies pipelines/h3data_motion pipelines/h3data_pipelines/assets"),
+    "BODY": (
+        "people, robots and motion",
+        "bodies",
+        "h3data/bodies pipelines/h3data_motion pipelines/h3data_pipelines/assets",
+    ),
     "HABITAT": ("files of Habitat", "habitat", "pipelines/h3data_habitat"),
     "RECORDING": ("recordings and datasets", "format", "h3data/recording"),
     "REPLAY": ("replay", "replay", "h3data/replay"),
@@ -42,11 +46,18 @@ AREAS = {
     "SIM": ("agents and their world", "simulation", "sim_kinematic"),
     "TASK": ("tasks and episodes", "simulation", "sim_kinematic/tasks"),
     "POLICY": ("policies", "learned-policies", "sim_kinematic/policies"),
-    "ENV": ("environments", "environments", "sim_kinematic/envs "
-            "pipelines/h3data_training/torch pipelines/h3data_training/envs"),
+    "ENV": (
+        "environments",
+        "environments",
+        "sim_kinematic/envs pipelines/h3data_training/torch pipelines/h3data_training/envs",
+    ),
     "OPTION": ("commands and their options", "python", "h3data/commands pipelines/h3data_pipelines"),
     "JOB": ("jobs", "scale", "pipelines/h3data_pipelines/jobs pipelines/h3data_pipelines/execution"),
-    "MACHINE": ("the installation and the machine", "troubleshooting", "pipelines/h3data_pipelines/machine h3data/kernels"),
+    "MACHINE": (
+        "the installation and the machine",
+        "troubleshooting",
+        "pipelines/h3data_pipelines/machine h3data/kernels",
+    ),
     "HUB": ("copies on hubs and in object stores", "sharing", "pipelines/h3data_pipelines/hub"),
     "TRAIN": ("training", "training", "pipelines/h3data_training"),
     "REMOTE": ("policy servers", "remote-policies", "pipelines/h3data_remote"),
@@ -54,7 +65,7 @@ AREAS = {
     "PLAY": ("live play", "play", "viewers/h3data_play"),
     "STUDY": ("studies with people", "study", "viewers/h3data_studies"),
     "OTHER": ("errors without a code of their own", "extending", ""),
-}  # fmt: skip
+}
 """What the part in the middle of a code says: the subject, its page, and the folders where new messages get it."""
 TO_DO = (
     re.compile(r"(?<=[.:;!?)}]) Hint: "),

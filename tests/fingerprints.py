@@ -219,10 +219,14 @@ def contents(path: Path) -> Any:
     """What a file says: its bytes, or what they mean where a library's version or compression decides about bytes."""
     kind = "".join(path.suffixes[-2:] if path.suffix == ".gz" else path.suffixes[-1:])
     reader = {
-        ".json": lambda: json.loads(path.read_bytes()), ".json.gz": lambda: json.loads(gzip.decompress(path.read_bytes())),
-        ".parquet": lambda: _of_parquet(path), ".npz": lambda: _of_npz(path), ".hdf5": lambda: _of_hdf5(path),
-        ".mcap": lambda: _of_mcap(path), ".png": lambda: _of_picture(path),
-    }.get(kind, path.read_bytes)  # fmt: skip
+        ".json": lambda: json.loads(path.read_bytes()),
+        ".json.gz": lambda: json.loads(gzip.decompress(path.read_bytes())),
+        ".parquet": lambda: _of_parquet(path),
+        ".npz": lambda: _of_npz(path),
+        ".hdf5": lambda: _of_hdf5(path),
+        ".mcap": lambda: _of_mcap(path),
+        ".png": lambda: _of_picture(path),
+    }.get(kind, path.read_bytes)
     return reader()
 
 
@@ -283,8 +287,17 @@ def _of_picture(path: Path) -> Any:
 
 # --- the arithmetic of this machine -------------------------------------------------------------------------------------
 PACKAGES = (
-    "numpy", "numba", "scipy", "torch", "shapely", "python-fcl", "trimesh", "opencv-python-headless", "pillow", "embreex",
-)  # fmt: skip
+    "numpy",
+    "numba",
+    "scipy",
+    "torch",
+    "shapely",
+    "python-fcl",
+    "trimesh",
+    "opencv-python-headless",
+    "pillow",
+    "embreex",
+)
 
 
 @functools.cache
@@ -418,8 +431,14 @@ def replay(prints: Prints, out: Path, task: str, resumed: Sequence[int], *option
     if other:
         again(f"resume from {resumed[-1]}, {other[0]}", "--resume-from", str(resumed[-1]), "--policy", other[0])
         again(f"counterfactual {other[0]}", "--counterfactual", "--policy", other[0])
-        again(f"counterfactual {other[0]} from {resumed[0]}", "--counterfactual", "--policy", other[0], "--resume-from",
-              str(resumed[0]))  # fmt: skip
+        again(
+            f"counterfactual {other[0]} from {resumed[0]}",
+            "--counterfactual",
+            "--policy",
+            other[0],
+            "--resume-from",
+            str(resumed[0]),
+        )
     for partner in other[1:]:
         again(f"resume from {resumed[-1]}, partner {partner}", "--resume-from", str(resumed[-1]), "--partner", partner)
 
@@ -558,8 +577,21 @@ LENGTH = {"social_nav": "400", "rearrange": "1500", "wander": "300"}
 def stores(prints: Prints, out: Path) -> None:
     """Recordings from a dataset to logs and back, through both stores."""
     for task in PROFILES:
-        command("generate", task, "--scenes", "small:1", "--episodes", "2", "--seed", "4", "--max-steps", LENGTH[task], "-o",
-                out / task, codes=(0, 1))  # fmt: skip
+        command(
+            "generate",
+            task,
+            "--scenes",
+            "small:1",
+            "--episodes",
+            "2",
+            "--seed",
+            "4",
+            "--max-steps",
+            LENGTH[task],
+            "-o",
+            out / task,
+            codes=(0, 1),
+        )
         command("convert", out / task, out / f"{task} logs")
         command("convert", out / f"{task} logs", out / f"{task} again")
         for path in sorted((out / f"{task} logs").glob("*.mcap")):
@@ -574,19 +606,61 @@ def stores(prints: Prints, out: Path) -> None:
 def tables(prints: Prints, out: Path) -> None:
     """Two runs beside each other, the series and events that metrics come from, and evaluations."""
     for policy in ("rollout_expert", "heuristic_expert"):
-        command("generate", "social_nav", "--policy", policy, "--episodes", "6", "--max-steps", "600", "--scenes",
-                "small:3", "-o", out / policy)  # fmt: skip
+        command(
+            "generate",
+            "social_nav",
+            "--policy",
+            policy,
+            "--episodes",
+            "6",
+            "--max-steps",
+            "600",
+            "--scenes",
+            "small:3",
+            "-o",
+            out / policy,
+        )
     one, other = out / "rollout_expert", out / "heuristic_expert"
     prints.add("paired", "social_nav", command("metrics", one, other, "--paired"))
     command("metrics", one, "--series", out / "series.csv", "--events", out / "events.csv", "-o", out / "table.csv")
     for name in ("series.csv", "events.csv", "table.csv"):
         prints.add("files", name, (out / name).read_bytes())
-    prints.add("evaluate", "social_nav", command(
-        "evaluate", "social_nav", "--policies", "rollout_expert,random", "--episodes", "3", "--max-steps", "300",
-        "--scenes", "small:3", "-o", out / "follow"))  # fmt: skip
-    prints.add("evaluate", "rearrange", command(
-        "evaluate", "rearrange", "--policies", "complement,still", "--partners", "both,object_1", "--episodes", "2",
-        "--scenes", "small:3", "-o", out / "tidy"))  # fmt: skip
+    prints.add(
+        "evaluate",
+        "social_nav",
+        command(
+            "evaluate",
+            "social_nav",
+            "--policies",
+            "rollout_expert,random",
+            "--episodes",
+            "3",
+            "--max-steps",
+            "300",
+            "--scenes",
+            "small:3",
+            "-o",
+            out / "follow",
+        ),
+    )
+    prints.add(
+        "evaluate",
+        "rearrange",
+        command(
+            "evaluate",
+            "rearrange",
+            "--policies",
+            "complement,still",
+            "--partners",
+            "both,object_1",
+            "--episodes",
+            "2",
+            "--scenes",
+            "small:3",
+            "-o",
+            out / "tidy",
+        ),
+    )
     command("generate", "rearrange", "--scenes", "small:3", "--episodes", "1", "-o", out / "ds")
     recording = h3data.open(out / "ds").recording(0)
     episode = recording.episode
@@ -680,8 +754,20 @@ def imports(prints: Prints, out: Path) -> None:
 
 def exports(prints: Prints, out: Path, kind: str, name: str, task: str) -> None:
     """One episode as files of another program."""
-    command("generate", task, "--scenes", "small:1", "--episodes", "1", "--seed", "5", "--max-steps", LENGTH[task], "-o",
-            out / "ds")  # fmt: skip
+    command(
+        "generate",
+        task,
+        "--scenes",
+        "small:1",
+        "--episodes",
+        "1",
+        "--seed",
+        "5",
+        "--max-steps",
+        LENGTH[task],
+        "-o",
+        out / "ds",
+    )
     (out / "files").mkdir()
     told = command("export", f"{out / 'ds'}#0", "--to", kind, "-o", out / "files" / name)
     prints.add("told", "export", {key: value for key, value in told.items() if key != "bytes"})
@@ -700,8 +786,20 @@ def pictures_of(prints: Prints, group: str, replay: Any, cameras: Sequence[str],
 
 def pictures(prints: Prints, out: Path, task: str, cameras: Sequence[str], steps: Sequence[int]) -> None:
     """Poses and pictures of one episode."""
-    command("generate", task, "--scenes", "small:1", "--episodes", "1", "--seed", "5", "--max-steps", LENGTH[task], "-o",
-            out / "ds")  # fmt: skip
+    command(
+        "generate",
+        task,
+        "--scenes",
+        "small:1",
+        "--episodes",
+        "1",
+        "--seed",
+        "5",
+        "--max-steps",
+        LENGTH[task],
+        "-o",
+        out / "ds",
+    )
     replay = h3data.Replay(h3data.open(out / "ds").recording(0))
     for step in steps:
         prints.add("poses", f"step {step}", replay.at(step))
@@ -737,14 +835,46 @@ class Case:
 ENV = ("gymnasium", "pettingzoo")
 HOMES = ("small:0", "small:3", "medium:1")
 SCENES = ["small:1", "small:4"]
-SOCIAL_NAV_SENSES = ["humanoid_gps", "egomotion", "localization", "localization_in_start_frame", "humanoid_in_start_frame",
-                     "collision", "arm_joints", "is_holding", "humanoid_velocity", "way", "range_scan"]  # fmt: skip
+SOCIAL_NAV_SENSES = [
+    "humanoid_gps",
+    "egomotion",
+    "localization",
+    "localization_in_start_frame",
+    "humanoid_in_start_frame",
+    "collision",
+    "arm_joints",
+    "is_holding",
+    "humanoid_velocity",
+    "way",
+    "range_scan",
+]
 REARRANGE_SENSES = [
-    "humanoid_gps", "egomotion", "localization", "localization_in_start_frame", "humanoid_in_start_frame", "collision",
-    "arm_joints", "is_holding", "obj_start_gps_compass", "obj_goal_gps_compass", "obj_gps_compass", "obj_start_sensor",
-    "obj_goal_sensor", "obj_sensor", "obj_start_in_start_frame", "obj_goal_in_start_frame", "obj_in_start_frame", "holds",
-    "held_by_other", "at_goal", "other_agent_gps", "other_gps_compass", "close", "last_done", "interrupted",
-]  # fmt: skip
+    "humanoid_gps",
+    "egomotion",
+    "localization",
+    "localization_in_start_frame",
+    "humanoid_in_start_frame",
+    "collision",
+    "arm_joints",
+    "is_holding",
+    "obj_start_gps_compass",
+    "obj_goal_gps_compass",
+    "obj_gps_compass",
+    "obj_start_sensor",
+    "obj_goal_sensor",
+    "obj_sensor",
+    "obj_start_in_start_frame",
+    "obj_goal_in_start_frame",
+    "obj_in_start_frame",
+    "holds",
+    "held_by_other",
+    "at_goal",
+    "other_agent_gps",
+    "other_gps_compass",
+    "close",
+    "last_done",
+    "interrupted",
+]
 PICTURES = ["arm_depth", "humanoid_detector", "humanoid_mask", "humanoid_box", "left_depth", "front_left_rgb"]
 
 
@@ -759,32 +889,97 @@ def _cases() -> Iterator[Case]:
             yield generated(f"{task} in {home}", "--scenes", home, "--episodes", "10", "--seed", "21")
         few = ("--episodes", "4") if task == "rearrange" else ()
         yield generated(f"{task} by default", *few)
-        yield generated(f"{task} with anybody", "--human", "any", "--human-speed", "1.3", "--episodes", "3",
-                        "--max-steps", "900", "--spawn-distance", "3", "--seed", "8", "--scenes", "medium")  # fmt: skip
+        yield generated(
+            f"{task} with anybody",
+            "--human",
+            "any",
+            "--human-speed",
+            "1.3",
+            "--episodes",
+            "3",
+            "--max-steps",
+            "900",
+            "--spawn-distance",
+            "3",
+            "--seed",
+            "8",
+            "--scenes",
+            "medium",
+        )
         yield generated(f"{task} of a set", "--scenes", "h3-homes/test", "--episodes", "3")
     for policy in ("heuristic_expert", "sampling_expert", "future_oracle", "learned_follower", "random", "stand_still"):
-        yield generated(f"social_nav by {policy}", "--policy", policy, "--episodes", "3", "--max-steps", "600",
-                        "--scenes", "small:3")  # fmt: skip
-    yield generated("rearrange that fails twice", "--human", "any", "--human-walk", "paper", "--human-speed", "1.3",
-                    "--episodes", "3", "--max-steps", "600", "--seed", "8", "--scenes", "medium")  # fmt: skip
+        yield generated(
+            f"social_nav by {policy}",
+            "--policy",
+            policy,
+            "--episodes",
+            "3",
+            "--max-steps",
+            "600",
+            "--scenes",
+            "small:3",
+        )
+    yield generated(
+        "rearrange that fails twice",
+        "--human",
+        "any",
+        "--human-walk",
+        "paper",
+        "--human-speed",
+        "1.3",
+        "--episodes",
+        "3",
+        "--max-steps",
+        "600",
+        "--seed",
+        "8",
+        "--scenes",
+        "medium",
+    )
     for policy in ("greedy_nearest", "same_object", "still", "solo"):
         yield generated(f"rearrange by {policy}", "--policy", policy, "--episodes", "2", "--scenes", "small:3")
     for partner in ("object_1", "object_2", "still", "plan_pop_1", "plan_pop_2", "plan_pop_3", "plan_pop_4"):
         yield generated(f"rearrange with {partner}", "--partner", partner, "--episodes", "1", "--scenes", "small:0")
     for agents, *more in (
-        ("robot,robot",), ("robot,robot", "--policy", "complement,both"), ("human,human",), ("robot,robot,human",),
-        ("robot,human,male_1", "--partner", "both,object_1"), ("human",), ("lift_arm,human",),
-    ):  # fmt: skip
-        yield generated(f"rearrange of {' '.join([agents, *more[1:]])}", "--agents", agents, *more, "--episodes", "1",
-                        "--scenes", "medium:1", "--seed", "3")  # fmt: skip
+        ("robot,robot",),
+        ("robot,robot", "--policy", "complement,both"),
+        ("human,human",),
+        ("robot,robot,human",),
+        ("robot,human,male_1", "--partner", "both,object_1"),
+        ("human",),
+        ("lift_arm,human",),
+    ):
+        yield generated(
+            f"rearrange of {' '.join([agents, *more[1:]])}",
+            "--agents",
+            agents,
+            *more,
+            "--episodes",
+            "1",
+            "--scenes",
+            "medium:1",
+            "--seed",
+            "3",
+        )
     for agents in (
         "robot,human,human",
         "robot,lift_arm,female_1",
         "human,human",
         "robot,robot,robot,human,human,human",
     ):
-        yield generated(f"wander of {agents}", "--agents", agents, "--human", "any", "--episodes", "3", "--scenes",
-                        "medium:1", "--seed", "3")  # fmt: skip
+        yield generated(
+            f"wander of {agents}",
+            "--agents",
+            agents,
+            "--human",
+            "any",
+            "--episodes",
+            "3",
+            "--scenes",
+            "medium:1",
+            "--seed",
+            "3",
+        )
     for task in ("social_nav", "rearrange"):
         yield Case(
             name=f"{task} as in Habitat", make=lambda p, out, task=task: habitat(p, out, task, (0, 3), (0, 1, 2))
@@ -833,10 +1028,20 @@ def _cases() -> Iterator[Case]:
     yield environment("social_nav once", single, "social_nav", 100, scenes="small:1", quick=True, **nav)
     yield environment("social_nav", single, "social_nav", 1000, **nav)
     yield environment("social_nav by default", single, "social_nav", 1000, scenes="h3-homes/train#3")
-    yield environment("social_nav with Habitat's reward", single, "social_nav", 1000, reward="habitat", robot="lift_arm",
-                      human="male_1", end_on_success=True)  # fmt: skip
-    yield environment("social_nav as in Habitat", lambda p, out, **o: single(
-        p, out, "social_nav", 1000, spec=habitat_rules("social_nav"), **o))  # fmt: skip
+    yield environment(
+        "social_nav with Habitat's reward",
+        single,
+        "social_nav",
+        1000,
+        reward="habitat",
+        robot="lift_arm",
+        human="male_1",
+        end_on_success=True,
+    )
+    yield environment(
+        "social_nav as in Habitat",
+        lambda p, out, **o: single(p, out, "social_nav", 1000, spec=habitat_rules("social_nav"), **o),
+    )
     yield environment("social_nav pictures", single, "social_nav", 60, observations=PICTURES)
     yield environment("social_nav 4 worlds once", vector, "social_nav", 4, 100, scenes="small:1", quick=True, **nav)
     yield environment("social_nav 64 worlds", vector, "social_nav", 64, 1000, **nav)
@@ -846,10 +1051,16 @@ def _cases() -> Iterator[Case]:
     )
     yield environment("social_nav robot and human", parallel, "social_nav", 1000, **nav)
     yield dataclasses.replace(
-        environment("social_nav in torch", tensors, 8, 1000, episodes=32, observations=[
-            "humanoid_gps", "egomotion", "localization", "humanoid_velocity", "way", "range_scan"]),
+        environment(
+            "social_nav in torch",
+            tensors,
+            8,
+            1000,
+            episodes=32,
+            observations=["humanoid_gps", "egomotion", "localization", "humanoid_velocity", "way", "range_scan"],
+        ),
         needs=("torch", *ENV),
-    )  # fmt: skip
+    )
     yield environment(
         "rearrange once", single, "rearrange", 100, scenes="small:1", level="low", quick=True, **rearrange
     )
@@ -857,8 +1068,11 @@ def _cases() -> Iterator[Case]:
     yield environment("rearrange by skills", single, "rearrange", 400, **rearrange)
     yield environment("rearrange by velocities", single, "rearrange", 1000, level="low", **rearrange)
     yield environment("rearrange person", single, "rearrange", 60, agents=("human",), interrupts_when_close=False)
-    yield environment("rearrange with Habitat's rules", lambda p, out, **o: single(
-        p, out, "rearrange", 300, spec=habitat_rules("rearrange"), partner="both", **o), **rearrange)  # fmt: skip
+    yield environment(
+        "rearrange with Habitat's rules",
+        lambda p, out, **o: single(p, out, "rearrange", 300, spec=habitat_rules("rearrange"), partner="both", **o),
+        **rearrange,
+    )
     yield environment("rearrange pictures", single, "rearrange", 40, observations=PICTURES, level="low")
     yield environment("rearrange 4 worlds by skills", vector, "rearrange", 4, 100, **rearrange)
     yield environment("rearrange 4 worlds by velocities", vector, "rearrange", 4, 300, level="low", **rearrange)
@@ -872,11 +1086,14 @@ def _cases() -> Iterator[Case]:
         yield Case(name=f"{task} in a scene of Habitat", make=functools.partial(in_habitat_scene, task=task), real=True)
     yield Case(name="imports", make=imports, real=True)
     for kind, name, task, *needs in (
-        ("gfx-replay", "e.gfx_replay.json", "social_nav"), ("gltf", "e.glb", "social_nav"),
+        ("gfx-replay", "e.gfx_replay.json", "social_nav"),
+        ("gltf", "e.glb", "social_nav"),
         ("gltf", "e.glb", "rearrange"),
         ("foxglove", "e.foxglove.mcap", "rearrange", "mcap_protobuf", "foxglove_schemas_protobuf"),
-        ("csv", "tables", "rearrange"), ("lerobot", "lerobot", "rearrange"), ("robomimic", "e.hdf5", "rearrange", "h5py"),
-    ):  # fmt: skip
+        ("csv", "tables", "rearrange"),
+        ("lerobot", "lerobot", "rearrange"),
+        ("robomimic", "e.hdf5", "rearrange", "h5py"),
+    ):
         make_files = functools.partial(exports, kind=kind, name=name, task=task)
         yield Case(name=f"export {task} to {kind}", make=make_files, needs=tuple(needs))
     views = ("third_person", "top_down", "robot_arm", "human_head")

@@ -77,6 +77,9 @@ def test_differences_name_group_and_part() -> None:
     new = {"episode 0": {"time_ns": "a", "state_hash": "x", "events": "e"}, "told": {}}
     assert fingerprints.differences(old, old) == []
     assert fingerprints.differences(old, new) == [
-        "episode 0: state_hash differ", "episode 0: skills are gone", "episode 0: events are new",
-        "metrics: no longer computed", "told: not stored",
-    ]  # fmt: skip
+        "episode 0: state_hash differ",
+        "episode 0: skills are gone",
+        "episode 0: events are new",
+        "metrics: no longer computed",
+        "told: not stored",
+    ]

@@ -59,11 +59,11 @@ def test_the_built_in_table_is_sound() -> None:
     assert list(export_options()) == [
         "gfx-replay",
         "gltf",
+        "habitat-episodes",
+        "csv",
         "foxglove",
         "lerobot",
         "robomimic",
-        "habitat-episodes",
-        "csv",
     ]
     for one in FORMATS.load_all().values():
         for field in ("read", "write"):

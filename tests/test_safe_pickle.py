@@ -41,9 +41,11 @@ def test_plain_values_come_out_as_they_went_in(value: Any, protocol: int) -> Non
 
 
 @given(
-    st.lists(st.integers(0, 3), max_size=3), st.sampled_from(["i4", ">f4", "f8", "?", "O"]), st.sampled_from([2, 4, 5]),
+    st.lists(st.integers(0, 3), max_size=3),
+    st.sampled_from(["i4", ">f4", "f8", "?", "O"]),
+    st.sampled_from([2, 4, 5]),
     st.booleans(),
-)  # fmt: skip
+)
 def test_arrays_come_out_as_they_went_in(shape: list[int], dtype: str, protocol: int, fortran: bool) -> None:
     array = np.arange(math.prod(shape)).reshape(shape).astype(dtype, order="F" if fortran else "C")
     value = load({"a": array, "b": array[..., :1] if shape else array, "c": np.float32(0.5)}, protocol)

@@ -74,9 +74,13 @@ def write_gltf_animation(
     with part_file(path) as part:
         part.write_bytes(writer.glb(extras))
     return GltfAnimationFile(
-        path=path, nodes=len(writer.nodes), meshes=len(writer.meshes), channels=len(writer.channels),
-        joints=sum(len(skin["joints"]) for skin in writer.skins), seconds=float(writer.times[-1]),
-    )  # fmt: skip
+        path=path,
+        nodes=len(writer.nodes),
+        meshes=len(writer.meshes),
+        channels=len(writer.channels),
+        joints=sum(len(skin["joints"]) for skin in writer.skins),
+        seconds=float(writer.times[-1]),
+    )
 
 
 def export_gltf(recordings: Iterable[Recording], request: ExportRequest) -> Exported:

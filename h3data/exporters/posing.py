@@ -57,10 +57,17 @@ def posed_parts(replay: Replay, steps: NDArray[np.integer] | None = None) -> lis
                 skeleton = _skeleton_of_rig(replay, track, steps, poses, scale)
         parts.append(
             PosedPart(
-                name=drawable.name, mesh=drawable.mesh, poses=poses, scale=scale, semantic_id=drawable.semantic_id,
-                agent=drawable.agent, body=body, placeholder=drawable.placeholder, skeleton=skeleton,
+                name=drawable.name,
+                mesh=drawable.mesh,
+                poses=poses,
+                scale=scale,
+                semantic_id=drawable.semantic_id,
+                agent=drawable.agent,
+                body=body,
+                placeholder=drawable.placeholder,
+                skeleton=skeleton,
             )
-        )  # fmt: skip
+        )
     return parts
 
 
@@ -78,10 +85,13 @@ def posed_cameras(replay: Replay) -> list[PosedCamera]:
             poses = _poses(np.asarray(track.poses, np.float64) @ OPENGL_TO_OPENCV)
         cameras.append(
             PosedCamera(
-                name=name, poses=poses, vfov_rad=2 * float(np.arctan2(camera.height / 2, camera.fy)),
-                aspect=camera.width / camera.height, near_m=camera.near,
+                name=name,
+                poses=poses,
+                vfov_rad=2 * float(np.arctan2(camera.height / 2, camera.fy)),
+                aspect=camera.width / camera.height,
+                near_m=camera.near,
             )
-        )  # fmt: skip
+        )
     return cameras
 
 

@@ -268,9 +268,10 @@ def _one_color_per_triangle(mesh: Mesh) -> tuple[Mesh, NDArray[np.integer]]:
 
 def _checked(mesh: Mesh) -> Mesh:
     faults = [
-        what for what, values in (("vertices", mesh.vertices), ("normals", mesh.normals), ("uv", mesh.uv))
+        what
+        for what, values in (("vertices", mesh.vertices), ("normals", mesh.normals), ("uv", mesh.uv))
         if values is not None and not np.isfinite(values).all()
-    ]  # fmt: skip
+    ]
     if faults or not len(mesh.faces):
         what = f"{' and '.join(faults)} that are not finite" if faults else "no triangles"
         raise SceneError(f"A mesh with {what} cannot be written as GLB.", code="H3-MESH-008")

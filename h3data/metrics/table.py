@@ -88,9 +88,7 @@ class MetricsTable:
     def to_text(self, *, confidence: float = 0.95) -> str:
         """An aligned table ``mean [low, high]`` with a line per metric, followed by the notes."""
         deviations = (e.protocol_deviations for e in self.episodes)
-        lines = [
-            *self._assumed_lines(), *self._note_lines(), *deviation_lines(deviations), *self._left_out_lines()
-        ]  # fmt: skip
+        lines = [*self._assumed_lines(), *self._note_lines(), *deviation_lines(deviations), *self._left_out_lines()]
         return "\n".join([aligned(self.to_rows(confidence=confidence)), *lines])
 
     def to_rows(self, *, confidence: float = 0.95) -> list[list[str]]:

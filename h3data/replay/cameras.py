@@ -151,9 +151,14 @@ def top_down_orthographic(replay: Replay, *, margin_m: float = 0.4) -> CameraTra
     eye = np.array([(lo[0] + hi[0]) / 2, hi[1] + 1.0, (lo[2] + hi[2]) / 2])
     pose = look_at(eye, eye - (0.0, 1.0, 0.0), up=(0.0, 0.0, -1.0))
     camera = orthographic(
-        width, height, width_m=width / scale, name="top_down_orthographic", pose=pose, hidden_layers=("ceiling",),
+        width,
+        height,
+        width_m=width / scale,
+        name="top_down_orthographic",
+        pose=pose,
+        hidden_layers=("ceiling",),
         near=_ceiling_cut(replay, float(eye[1]), lowest=float(lo[1]) + margin_m),
-    )  # fmt: skip
+    )
     return CameraTrack(camera=camera, poses=pose[None], crops=False)
 
 

@@ -84,9 +84,14 @@ def wishes(split: Split) -> list[HomeSpec]:
         preset: Preset = "small" if area < 110 else "medium" if area < 300 else "large"
         clutter = float(rng.choice([0.6, 1.0, 1.0, 1.5]))
         spec = HomeSpec(
-            seed=split.first_seed + 100 * k, preset=preset, area_m2=round(float(area), 1), bedrooms=bedrooms,
-            bathrooms=bathrooms, clutter=clutter, generation=split.generation,
-        )  # fmt: skip
+            seed=split.first_seed + 100 * k,
+            preset=preset,
+            area_m2=round(float(area), 1),
+            bedrooms=bedrooms,
+            bathrooms=bathrooms,
+            clutter=clutter,
+            generation=split.generation,
+        )
         found.append(spec)
     return found
 
@@ -116,8 +121,13 @@ def _eased(spec: HomeSpec, failures: int) -> HomeSpec:
 
 def _set_of(split: Split, scenes: tuple[SceneEntry, ...]) -> SceneSet:
     return SceneSet(
-        name=NAMES[split.generation], split=split.name, scenes=scenes, social_nav=split.rules, about=split.about, sha256=""
-    )  # fmt: skip
+        name=NAMES[split.generation],
+        split=split.name,
+        scenes=scenes,
+        social_nav=split.rules,
+        about=split.about,
+        sha256="",
+    )
 
 
 def _fault(entry: SceneEntry, split: Split) -> str:

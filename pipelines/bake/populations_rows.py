@@ -71,9 +71,12 @@ def read_results(folder: Path) -> SeedResults:
         table = json.loads((folder / "table.json").read_text(encoding="utf-8"))
         found = [json.loads(file.read_text(encoding="utf-8")) for file in sorted(folder.glob("episodes/[0-9]*.json"))]
         return SeedResults(
-            run=run, seed=int(seed), zsc=frozenset(table["job"]["zsc"]),
-            plays=tuple(row for episode in found[: table["episodes"]] for row in episode["rows"]), missing=len(table["failed"]),
-        )  # fmt: skip
+            run=run,
+            seed=int(seed),
+            zsc=frozenset(table["job"]["zsc"]),
+            plays=tuple(row for episode in found[: table["episodes"]] for row in episode["rows"]),
+            missing=len(table["failed"]),
+        )
     except (KeyError, TypeError, ValueError) as fault:
         raise FormatError(
             f"Expected an evaluation of rearrange with --unseen-partners ({fault!r}). Folder: {folder}"

@@ -19,9 +19,16 @@ from h3data.recording.schema import episode_to_dict
 from h3data.scene import joint_names, load_scene
 
 FILES = (
-    "steps.csv", "object_pose.csv", "bodies.csv", "agents.csv", "skills.csv", "events.csv", "inputs.csv", "columns.npz",
+    "steps.csv",
+    "object_pose.csv",
+    "bodies.csv",
+    "agents.csv",
+    "skills.csv",
+    "events.csv",
+    "inputs.csv",
+    "columns.npz",
     "recording.json",
-)  # fmt: skip
+)
 """Names of the files that `write_csv_tables` writes."""
 
 _POSE7 = ("x", "y", "z", "qx", "qy", "qz", "qw")

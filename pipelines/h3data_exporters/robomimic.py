@@ -107,13 +107,18 @@ def _check_same(shapes: dict[str, Any], arrays: dict[str, np.ndarray], recording
 def _env_args(recording: Recording, found: Transitions) -> dict[str, Any]:
     episode = recording.episode
     return {
-        "env_name": episode.task, "type": 1, "env_version": episode.schema_version,
+        "env_name": episode.task,
+        "type": 1,
+        "env_version": episode.schema_version,
         "env_kwargs": {
-            "control_hz": round(1e9 / episode.dt_ns, 6), "scene": episode.scene, "action_names": list(found.action_names),
-            "state_names": list(found.state_names), "moving_bodies": [b.name for b in recording.moving_bodies],
+            "control_hz": round(1e9 / episode.dt_ns, 6),
+            "scene": episode.scene,
+            "action_names": list(found.action_names),
+            "state_names": list(found.state_names),
+            "moving_bodies": [b.name for b in recording.moving_bodies],
             "agents": [a.name for a in recording.agents],
         },
-    }  # fmt: skip
+    }
 
 
 def _import_h5py() -> Any:

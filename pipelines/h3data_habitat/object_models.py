@@ -69,9 +69,11 @@ class ObjectModel:
     def facts(self) -> dict[str, object]:
         """Mass and grasp as JSON types."""
         return {
-            "mass_kg": self.mass_kg, "mass_from": self.mass_from, "grasp": self.grasp,
+            "mass_kg": self.mass_kg,
+            "mass_from": self.mass_from,
+            "grasp": self.grasp,
             "grasp_point": self.grasp_point.round(4).tolist(),
-        }  # fmt: skip
+        }
 
 
 def load_object_models(path: str | Path, *, assets: Sequence[str | Path] = ()) -> dict[str, ObjectModel]:
@@ -260,9 +262,14 @@ def _in_place_of(thing: Instance, box: NDArray[np.float64], model: ObjectModel, 
     turn = quat_from_heading(heading_from_quat(thing.pose[3:]))
     pose = np.concatenate([np.zeros(3), turn]).astype(np.float64)
     placed = Instance(
-        name=thing.name, asset=asset.name, pose=pose, scale=model.scale, semantic_id=model.semantic_id, motion="kinematic",
+        name=thing.name,
+        asset=asset.name,
+        pose=pose,
+        scale=model.scale,
+        semantic_id=model.semantic_id,
+        motion="kinematic",
         layer=thing.layer,
-    )  # fmt: skip
+    )
     own = _world_box(asset, placed)
     middle = (box[0] + box[1]) / 2 - (own[0] + own[1]) / 2
     pose[:3] = [middle[0], box[0, 1] - own[0, 1], middle[2]]

@@ -77,10 +77,13 @@ def read_amass(path: str | Path, *, up: Up = "z", fps: float | None = None, sour
     quats, pelvis = turned_frames(turn, quats, trans)
     return in_start_frame(
         Motion(
-            name=path.stem, fps=_fps(data, where) if fps is None else fps, quats=normalized(quats), pelvis=pelvis,
+            name=path.stem,
+            fps=_fps(data, where) if fps is None else fps,
+            quats=normalized(quats),
+            pelvis=pelvis,
             source=source or f"AMASS layout, {path.name}; under the terms of its data set",
         )
-    )  # fmt: skip
+    )
 
 
 def _joint_rotvecs(data: Mapping[str, NDArray[Any]], where: str) -> Array:

@@ -29,22 +29,45 @@ from h3data_motion.bvh import Bvh, read_bvh_file
 from h3data_motion.clip import Motion, in_start_frame
 
 BUILTIN_TABLES = (
-    "cmu", "cgspeed", "daz", "mixamo", "rokoko", "xsens", "lafan", "smpl", "smplx", "unreal", "biped", "vrm", "vroid",
-    "rigify", "optitrack", "bandai", "biovision",
-)  # fmt: skip
+    "cmu",
+    "cgspeed",
+    "daz",
+    "mixamo",
+    "rokoko",
+    "xsens",
+    "lafan",
+    "smpl",
+    "smplx",
+    "unreal",
+    "biped",
+    "vrm",
+    "vroid",
+    "rigify",
+    "optitrack",
+    "bandai",
+    "biovision",
+)
 SIDES = ("left", "right")
 REQUIRED = ("pelvis", *(f"{s}_{j}" for s in SIDES for j in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")))
 DIRECTIONS: dict[str, tuple[float, float, float]] = {
-    "left": (1, 0, 0), "right": (-1, 0, 0), "up": (0, 1, 0), "down": (0, -1, 0), "forward": (0, 0, 1), "back": (0, 0, -1),
-}  # fmt: skip
+    "left": (1, 0, 0),
+    "right": (-1, 0, 0),
+    "up": (0, 1, 0),
+    "down": (0, -1, 0),
+    "forward": (0, 0, 1),
+    "back": (0, 0, -1),
+}
 """In the body frame."""
 BONES: dict[str, tuple[str, tuple[float, float, float]]] = {
     f"{side}_{joint}": (f"{side}_{child}", DIRECTIONS[side] if direction == "aside" else DIRECTIONS[direction])
     for side in SIDES
     for joint, child, direction in (
-        ("hip", "knee", "down"), ("knee", "ankle", "down"), ("shoulder", "elbow", "aside"), ("elbow", "wrist", "aside"),
+        ("hip", "knee", "down"),
+        ("knee", "ankle", "down"),
+        ("shoulder", "elbow", "aside"),
+        ("elbow", "wrist", "aside"),
     )
-}  # fmt: skip
+}
 """Limbs that are straight in a T-pose: from a joint to which other, in which direction."""
 UNITS_M = (1.0, 0.01, 0.0254, 0.0564444, 0.001)
 """Metre, centimetre, inch, CMU's unit, millimetre."""
@@ -150,10 +173,14 @@ def read_bvh(
     pelvis = at[:, found.index["pelvis"]] @ upright * unit
     return in_start_frame(
         Motion(
-            name=path.stem, fps=_fps(bvh.frame_s), quats=normalized(quats), pelvis=pelvis, leg_m=leg * unit,
+            name=path.stem,
+            fps=_fps(bvh.frame_s),
+            quats=normalized(quats),
+            pelvis=pelvis,
+            leg_m=leg * unit,
             source=source or f"BVH ({found.name} names), {path.name}; licence unknown",
         )
-    )  # fmt: skip
+    )
 
 
 def _fps(frame_s: float) -> float:

@@ -132,12 +132,18 @@ def trim_to_cycle(motion: Motion, body: Humanoid, *, min_s: float = 0.5, max_s: 
     return _as_clip(
         body,
         Clip(
-            name=motion.name, speed_mps=advance / period, stride_m=stride if walks else 1.0, period_s=period,
-            stance=float(touching[:, 0].mean()), turn_rad=turn if turns else 0.0,
-            quats=quat_sign_continuous(np.roll(quats, -roll, axis=0)), pelvis=np.roll(pelvis, -roll, axis=0),
-            ankle=np.zeros((CLIP_FRAMES, 2, 3)), foot=np.zeros((CLIP_FRAMES, 2, 3)),
+            name=motion.name,
+            speed_mps=advance / period,
+            stride_m=stride if walks else 1.0,
+            period_s=period,
+            stance=float(touching[:, 0].mean()),
+            turn_rad=turn if turns else 0.0,
+            quats=quat_sign_continuous(np.roll(quats, -roll, axis=0)),
+            pelvis=np.roll(pelvis, -roll, axis=0),
+            ankle=np.zeros((CLIP_FRAMES, 2, 3)),
+            foot=np.zeros((CLIP_FRAMES, 2, 3)),
         ),
-    )  # fmt: skip
+    )
 
 
 def _straightened(quats: Array, pelvis: Array, turn: float, share: Array) -> tuple[Array, Array, float]:

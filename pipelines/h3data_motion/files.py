@@ -107,11 +107,17 @@ def motion_bytes(motion: Motion) -> bytes:
     """Content of the file that `save_motion` writes."""
     stream = io.BytesIO()
     np.savez_compressed(
-        stream, format=np.array(FORMAT), name=np.array(motion.name), fps=np.float64(motion.fps),
-        joint_names=np.array(JOINT_NAMES), quats=motion.quats.astype(np.float64),
-        pelvis=motion.pelvis.astype(np.float64), leg_m=np.float64(np.nan if motion.leg_m is None else motion.leg_m),
-        body=np.array(motion.body), source=np.array(motion.source),
-    )  # fmt: skip
+        stream,
+        format=np.array(FORMAT),
+        name=np.array(motion.name),
+        fps=np.float64(motion.fps),
+        joint_names=np.array(JOINT_NAMES),
+        quats=motion.quats.astype(np.float64),
+        pelvis=motion.pelvis.astype(np.float64),
+        leg_m=np.float64(np.nan if motion.leg_m is None else motion.leg_m),
+        body=np.array(motion.body),
+        source=np.array(motion.source),
+    )
     return stream.getvalue()
 
 
@@ -140,10 +146,14 @@ def load_motion(path: str | Path | io.BytesIO) -> Motion:
     leg = float(data["leg_m"].reshape(()))
     try:
         return Motion(
-            name=str(data["name"]), fps=float(data["fps"].reshape(())), quats=data["quats"].astype(np.float64),
-            pelvis=data["pelvis"].astype(np.float64), leg_m=None if np.isnan(leg) else leg, body=str(data["body"]),
+            name=str(data["name"]),
+            fps=float(data["fps"].reshape(())),
+            quats=data["quats"].astype(np.float64),
+            pelvis=data["pelvis"].astype(np.float64),
+            leg_m=None if np.isnan(leg) else leg,
+            body=str(data["body"]),
             source=str(data["source"]),
-        )  # fmt: skip
+        )
     except FormatError as error:
         raise FormatError(f"{error} File: {path}", code=error.code) from None
 

@@ -160,10 +160,15 @@ def cycle_of(clip: Clip, body: Humanoid) -> Cycle:
     stands = (phase > 0.05) & (phase < stance - 0.05)
     strike = float(np.mean((own[stands, 2] - rolling[stands, 1]) / clip.stride_m + phase[stands]))
     return Cycle(
-        speed_mps=clip.speed_mps, stride_m=clip.stride_m, stance=stance, strike=strike,
-        quats=_with_fingers(quats, legs), pelvis=pelvis, pitch=pitch,
+        speed_mps=clip.speed_mps,
+        stride_m=clip.stride_m,
+        stance=stance,
+        strike=strike,
+        quats=_with_fingers(quats, legs),
+        pelvis=pelvis,
+        pitch=pitch,
         flight=_flight(own, stance, clip.stride_m * strike, clip.stride_m),
-    )  # fmt: skip
+    )
 
 
 def cycle_posture(cycle: Cycle, legs: Legs, stride_m: Array, phase: Array) -> Posture:

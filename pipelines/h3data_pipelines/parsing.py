@@ -155,9 +155,13 @@ def _help(command: type[Command], prog: str, task: str) -> NoReturn:
     tasks = known_tasks(options_of(command))
     try:
         tyro.cli(
-            _documented(command, task), prog=f"{prog} {task}" if task in tasks else prog, config=_CONFIG,
-            args=["--help"], description=about, registry=_registry,
-        )  # fmt: skip
+            _documented(command, task),
+            prog=f"{prog} {task}" if task in tasks else prog,
+            config=_CONFIG,
+            args=["--help"],
+            description=about,
+            registry=_registry,
+        )
     except SystemExit:
         more = _COMMON_HELP
         if tasks and task not in tasks:

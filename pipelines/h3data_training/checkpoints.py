@@ -22,12 +22,15 @@ def state_of(learner: Learner) -> dict[str, Any]:
     """Weights, optimizer, random numbers and all worlds. Every process has to call it."""
     m, everyone = learner.memory, learner.ranks.gathered
     return {
-        "net": learner.net.state_dict(), "optimizer": learner.optimizer.state_dict(),
+        "net": learner.net.state_dict(),
+        "optimizer": learner.optimizer.state_dict(),
         "dice": everyone(learner.dice.get_state()[None].to(m.state.device)),
         "play": [everyone(t) for t in learner.worlds.play.tensors()],
-        "shown": {n: everyone(t) for n, t in m.shown.items()}, "state": everyone(m.state), "last": everyone(m.last),
+        "shown": {n: everyone(t) for n, t in m.shown.items()},
+        "state": everyone(m.state),
+        "last": everyone(m.last),
         "over": everyone(m.over),
-    }  # fmt: skip
+    }
 
 
 def restore(learner: Learner, kept: dict[str, Any], path: Path) -> None:
@@ -96,8 +99,11 @@ def read(path: Path, settings: PlainSettings, seed: int, *, form: str = FORMAT) 
         then = kept["settings"] | {"seed": kept["seed"]}
         fits = kept["format"] == form
     except Exception as fault:  # torch raises whatever the bytes lead to
-        raise FormatError(f"Expected a checkpoint of h3data train, this is none, or damaged ({type(fault).__name__}). "
-                          f"Hint: --force begins anew. File: {path}", code="H3-TRAIN-006") from None  # fmt: skip
+        raise FormatError(
+            f"Expected a checkpoint of h3data train, this is none, or damaged ({type(fault).__name__}). "
+            f"Hint: --force begins anew. File: {path}",
+            code="H3-TRAIN-006",
+        ) from None
     if not fits:
         raise FormatError(f"Expected a checkpoint {form}, got {kept['format']}. File: {path}", code="H3-TRAIN-002")
     now = settings.as_dict() | {"seed": seed}

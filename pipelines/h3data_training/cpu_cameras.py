@@ -29,9 +29,17 @@ class CpuCameras:
     """Stands in for `h3data_training.torch.cameras.TensorCameras` without a GPU: the CPU renderer, world by world."""
 
     def __init__(
-        self, scenes: Sequence[Scene], robot: str, human: str, walker: WalkerSpec, *, floors: Sequence[float],
-        views: Sequence[str], size: tuple[int, int], light: LightMode = "flat",
-    ) -> None:  # fmt: skip
+        self,
+        scenes: Sequence[Scene],
+        robot: str,
+        human: str,
+        walker: WalkerSpec,
+        *,
+        floors: Sequence[float],
+        views: Sequence[str],
+        size: tuple[int, int],
+        light: LightMode = "flat",
+    ) -> None:
         self._scenes, self._floors, self._walker, self.views = scenes, floors, walker, tuple(views)
         self._bodies = load_robot(robot), load_humanoid(human)
         own = self._bodies[0].camera("robot_arm")

@@ -54,8 +54,12 @@ def launch(work: Work, count: int, given: Any, *, stop: StopRequest, say: Callab
             for rank in range(count):
                 reads, writes = context.Pipe(duplex=False)
                 variables = {
-                    "RANK": rank, "LOCAL_RANK": rank, "WORLD_SIZE": count, "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port
-                }  # fmt: skip
+                    "RANK": rank,
+                    "LOCAL_RANK": rank,
+                    "WORLD_SIZE": count,
+                    "MASTER_ADDR": "127.0.0.1",
+                    "MASTER_PORT": port,
+                }
                 process = context.Process(target=_work, args=(work, file, variables, asked, writes))
                 process.start()
                 writes.close()  # the end of the process is then the end of the pipe

@@ -69,9 +69,12 @@ class ActorCritic(nn.Module):
         self.auxiliary = nn.Sequential(nn.Linear(s.hidden, 128), nn.ELU(), nn.Linear(128, told - 1))
         self.log_std = nn.Parameter(torch.full((s.actions,), math.log(s.std)))
         self.worth = nn.Sequential(
-            nn.Linear(told, s.critic_width), nn.ELU(), nn.Linear(s.critic_width, s.critic_width), nn.ELU(),
+            nn.Linear(told, s.critic_width),
+            nn.ELU(),
+            nn.Linear(s.critic_width, s.critic_width),
+            nn.ELU(),
             nn.Linear(s.critic_width, 1),
-        )  # fmt: skip
+        )
         with torch.no_grad():  # the first policy hardly moves: it explores by its noise, around standing still
             last.weight.mul_(0.05)
             last.bias.copy_(torch.tensor(s.first_action))
@@ -151,8 +154,11 @@ class ActorCritic(nn.Module):
             InputError: it has other layers.
         """
         mine = self._named()
-        other = [f"{n} {list(arrays[n].shape)}, not {list(t.shape)}" if n in arrays else f"no {n}"
-                 for n, t in mine.items() if n not in arrays or arrays[n].shape != tuple(t.shape)]  # fmt: skip
+        other = [
+            f"{n} {list(arrays[n].shape)}, not {list(t.shape)}" if n in arrays else f"no {n}"
+            for n, t in mine.items()
+            if n not in arrays or arrays[n].shape != tuple(t.shape)
+        ]
         other += [f"{n}, which is unknown here" for n in arrays if n not in mine]
         if other:
             raise InputError(f"The policy to begin with has another network: {'; '.join(other)}.", code="H3-TRAIN-022")
@@ -167,10 +173,15 @@ class ActorCritic(nn.Module):
     def _named(self) -> dict[str, Any]:
         first, last = self.act[0], self.act[-1]
         named: dict[str, Any] = {
-            "gru.weight_ih": self.gru.weight_ih_l0, "gru.weight_hh": self.gru.weight_hh_l0,
-            "gru.bias_ih": self.gru.bias_ih_l0, "gru.bias_hh": self.gru.bias_hh_l0,
-            "act_0.weight": first.weight, "act_0.bias": first.bias, "act_1.weight": last.weight, "act_1.bias": last.bias,
-        }  # fmt: skip
+            "gru.weight_ih": self.gru.weight_ih_l0,
+            "gru.weight_hh": self.gru.weight_hh_l0,
+            "gru.bias_ih": self.gru.bias_ih_l0,
+            "gru.bias_hh": self.gru.bias_hh_l0,
+            "act_0.weight": first.weight,
+            "act_0.bias": first.bias,
+            "act_1.weight": last.weight,
+            "act_1.bias": last.bias,
+        }
         if self.sees:
             named |= {"picture.weight": self.picture.weight, "picture.bias": self.picture.bias}
             for k, convolution in enumerate(self.convolutions):
@@ -184,9 +195,13 @@ class ResNetActorCritic(ActorCritic):
     def _make_actor(self, s: Settings, numbers: int) -> nn.Linear:
         size = s.picture_size if self.sees else None
         self.actor = ResNetLSTM(
-            numbers, size=size, given=PICTURES[self.sees or "arm_depth"], planes=s.channels[0], features=s.features,
+            numbers,
+            size=size,
+            given=PICTURES[self.sees or "arm_depth"],
+            planes=s.channels[0],
+            features=s.features,
             hidden=s.hidden,
-        )  # fmt: skip
+        )
         self.state_length = self.actor.state_length
         return self.actor.act
 
@@ -223,10 +238,12 @@ def begin_with(net: ActorCritic, policy: VisualPolicy, settings: Settings) -> di
     """
     card, s = policy.card, settings
     pairs = {
-        "task": (card.task, s.task), "network": (card.network, s.network),
-        "observations": (card.observations, s.observations), "robot": (card.robot, s.robot),
+        "task": (card.task, s.task),
+        "network": (card.network, s.network),
+        "observations": (card.observations, s.observations),
+        "robot": (card.robot, s.robot),
         "picture_size": (card.picture_size or s.picture_size, s.picture_size),
-    }  # fmt: skip
+    }
     other = [f"{name}={theirs!r}, not {ours!r}" for name, (theirs, ours) in pairs.items() if theirs != ours]
     if other:
         raise InputError(f"The policy to begin with has {'; '.join(other)}.", code="H3-TRAIN-021")

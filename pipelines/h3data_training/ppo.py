@@ -146,10 +146,13 @@ class Learner:
         learned = self._learn(first, advantages, targets, plan)
         total = dict(zip(self.worlds.counts, self.ranks.sum(self.worlds.totals).tolist(), strict=True))
         return {
-            **self.worlds.figures(total), "explained": explained, **learned,
-            "std": float(self.net.std().detach().mean()), "rate": plan.rate,
+            **self.worlds.figures(total),
+            "explained": explained,
+            **learned,
+            "std": float(self.net.std().detach().mean()),
+            "rate": plan.rate,
             "gamma": plan.gamma,
-        }  # fmt: skip
+        }
 
     # --- collecting -------------------------------------------------------------------------------------------------------
     def _inputs(self, over: Tensor) -> dict[str, Tensor]:
@@ -193,9 +196,12 @@ class Learner:
         mean, state = self.net.step(x.get("pixels"), x["numbers"], m.state)
         action = mean + std * self._noise
         row = x | {
-            "action": action, "mean": mean, "begins": m.over, "far": m.shown["way"][:, 0] > s.near_m,
+            "action": action,
+            "mean": mean,
+            "begins": m.over,
+            "far": m.shown["way"][:, 0] > s.near_m,
             "log_prob": (-0.5 * self._noise.square() - std.log()).sum(1),
-        }  # fmt: skip
+        }
         if taught:
             row["taught"] = self.worlds.taught()
         keep_row(self._kept, self._row, row, rows=s.rollout)

@@ -41,10 +41,21 @@ STARTS = "starts.npz"
 
 
 def train(
-    folder: Path, settings: Settings, *, seed: int = 0, device: str = "cpu", gpus: int = 1,
-    init: VisualPolicy | None = None, resume: bool = False, stop_after: float | None = None, checkpoint_s: float = 30.0,
-    compile: bool | None = None, name: str = "", bank: Bank | None = None, say: Say = lambda text: None,
-) -> RunResult:  # fmt: skip
+    folder: Path,
+    settings: Settings,
+    *,
+    seed: int = 0,
+    device: str = "cpu",
+    gpus: int = 1,
+    init: VisualPolicy | None = None,
+    resume: bool = False,
+    stop_after: float | None = None,
+    checkpoint_s: float = 30.0,
+    compile: bool | None = None,
+    name: str = "",
+    bank: Bank | None = None,
+    say: Say = lambda text: None,
+) -> RunResult:
     """Trains until the run is over, ``stop_after`` minutes have passed, or somebody interrupts it, and saves.
 
     On the CPU, a run that was interrupted and goes on comes to the very weights of one that was not, if its length is given in
@@ -71,9 +82,19 @@ def train(
         FormatError: the checkpoint is damaged.
     """
     job = _Job(
-        folder=folder, settings=settings, seed=seed, device=device, init=init, resume=resume, stop_after=stop_after,
-        checkpoint_s=checkpoint_s, compile=compile, name=name, bank=bank, began=time.time(),
-    )  # fmt: skip
+        folder=folder,
+        settings=settings,
+        seed=seed,
+        device=device,
+        init=init,
+        resume=resume,
+        stop_after=stop_after,
+        checkpoint_s=checkpoint_s,
+        compile=compile,
+        name=name,
+        bank=bank,
+        began=time.time(),
+    )
     place = torchrun_place()
     processes = place[1] if place else gpus
     if processes < 1 or settings.worlds % (processes * settings.minibatches):
@@ -216,9 +237,10 @@ class _Run:
         saved = said = time.monotonic()
         while True:
             share, is_saving, goes_on = self._agreed(
-                self.share, time.monotonic() - saved > job.checkpoint_s,
+                self.share,
+                time.monotonic() - saved > job.checkpoint_s,
                 (self.share < 1 or not self.curve) and self.elapsed() < limit and not stop.is_set(),
-            )  # fmt: skip
+            )
             if not goes_on:
                 break
             if is_saving and self.curve:
@@ -229,10 +251,13 @@ class _Run:
             size, now = self.settings.decisions_per_update, time.monotonic()
             self.curve.append(
                 {
-                    "update": update + 1, "decisions": (update + 1) * size, "seconds": round(self.seconds, 2), **row,
+                    "update": update + 1,
+                    "decisions": (update + 1) * size,
+                    "seconds": round(self.seconds, 2),
+                    **row,
                     "decisions_per_s": size / (now - start),
                 }
-            )  # fmt: skip
+            )
             if not all(map(isfinite, row.values())):
                 raise InputError(
                     f"Training diverged in update {update + 1}: a number is not finite. The checkpoint is as it was. "
@@ -246,9 +271,14 @@ class _Run:
         self._save(is_last=True)
         updates = len(self.curve)
         return RunResult(
-            folder=self.folder, done=done, updates=updates, decisions=updates * self.settings.decisions_per_update,
-            seconds=self.seconds, setup_s=self.setup_s, last=dict(self.curve[-1]) if self.curve else {},
-        )  # fmt: skip
+            folder=self.folder,
+            done=done,
+            updates=updates,
+            decisions=updates * self.settings.decisions_per_update,
+            seconds=self.seconds,
+            setup_s=self.setup_s,
+            last=dict(self.curve[-1]) if self.curve else {},
+        )
 
     def _agreed(self, *values: float) -> list[float]:
         """The values that the first process has: clocks differ, and all processes have to do the same."""
@@ -269,9 +299,15 @@ class _Run:
     def _save(self, *, is_last: bool) -> None:
         """Checkpoint, curve and policy, each whole or not at all. A disk that is full ends the run only at its end."""
         kept = {
-            "format": checkpoints.FORMAT, "settings": self.settings.as_dict(), "seed": self.job.seed, "curve": self.curve,
-            "seconds": self.seconds, "setups_s": self.setups_s, "parent": self.parent, **checkpoints.state_of(self.learner),
-        }  # fmt: skip
+            "format": checkpoints.FORMAT,
+            "settings": self.settings.as_dict(),
+            "seed": self.job.seed,
+            "curve": self.curve,
+            "seconds": self.seconds,
+            "setups_s": self.setups_s,
+            "parent": self.parent,
+            **checkpoints.state_of(self.learner),
+        }
         if not self.ranks.is_first:
             return
         try:
@@ -295,18 +331,32 @@ class _Run:
         kind = VisualPolicy if s.network == "cnn_gru" else ResNetPolicy
         return kind(
             card=PolicyCard(
-                task=s.task, actions=s.actions, robot=s.robot, observations=s.observations,
-                picture_size=s.picture_size if pictured else None, light=s.light, hold=s.hold, network=s.network,
+                task=s.task,
+                actions=s.actions,
+                robot=s.robot,
+                observations=s.observations,
+                picture_size=s.picture_size if pictured else None,
+                light=s.light,
+                hold=s.hold,
+                network=s.network,
                 training={
-                    "recipe": self.job.name, "seed": self.job.seed, "updates": updates,
-                    "decisions": updates * s.decisions_per_update, "steps": updates * s.decisions_per_update * s.hold,
-                    "seconds": round(self.seconds, 1), "device": self.device, "torch": str(torch.__version__),
-                    "h3data": own_version(), "settings": s.as_dict(), "last_update": last, "processes": self.ranks.count,
+                    "recipe": self.job.name,
+                    "seed": self.job.seed,
+                    "updates": updates,
+                    "decisions": updates * s.decisions_per_update,
+                    "steps": updates * s.decisions_per_update * s.hold,
+                    "seconds": round(self.seconds, 1),
+                    "device": self.device,
+                    "torch": str(torch.__version__),
+                    "h3data": own_version(),
+                    "settings": s.as_dict(),
+                    "last_update": last,
+                    "processes": self.ranks.count,
                     **({"parent": self.parent} if self.parent else {}),
                 },
             ),
             arrays=self.learner.net.arrays(),
-        )  # fmt: skip
+        )
 
 
 TOLD = ("reward", "follows", "collided", "met", "succeeded", "failed")

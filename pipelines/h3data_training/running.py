@@ -51,9 +51,14 @@ class RunResult:
     def as_data(self) -> dict[str, object]:
         """The result as JSON data, as ``--json`` prints it."""
         return {
-            "policy": str(self.folder / "policy.npz"), "done": self.done, "updates": self.updates,
-            "decisions": self.decisions, "seconds": self.seconds, "setup_s": self.setup_s, "last": self.last,
-        }  # fmt: skip
+            "policy": str(self.folder / "policy.npz"),
+            "done": self.done,
+            "updates": self.updates,
+            "decisions": self.decisions,
+            "seconds": self.seconds,
+            "setup_s": self.setup_s,
+            "last": self.last,
+        }
 
 
 def share_of(settings: RunLength, curve: list[Any], seconds: float, setups_s: float) -> float:

@@ -212,15 +212,36 @@ def _plain(value: Any) -> Any:
 RECIPES: dict[str, Settings] = {
     "fast": Settings(),
     "paper": Settings(
-        network="resnet18_lstm", picture_size=(224, 171), features=512, hidden=512, hold=1, worlds=96, rollout=128,
-        minibatches=2, rate=1e-4, entropy=0.01, gradient_norm=0.2, horizon=(100.0, 100.0), near_m=0.0, auxiliary=0.0,
+        network="resnet18_lstm",
+        picture_size=(224, 171),
+        features=512,
+        hidden=512,
+        hold=1,
+        worlds=96,
+        rollout=128,
+        minibatches=2,
+        rate=1e-4,
+        entropy=0.01,
+        gradient_norm=0.2,
+        horizon=(100.0, 100.0),
+        near_m=0.0,
+        auxiliary=0.0,
         updates=16_276,
     ),
     "tiny": Settings(
-        episodes_per_home=8, observations=(HUMANOID_GPS, "range_scan"), picture_size=(32, 24), worlds=512, rollout=16,
-        channels=(8, 16, 16), features=32, hidden=64, rate=2e-3, entropy=0.0, minutes=10.0,
+        episodes_per_home=8,
+        observations=(HUMANOID_GPS, "range_scan"),
+        picture_size=(32, 24),
+        worlds=512,
+        rollout=16,
+        channels=(8, 16, 16),
+        features=32,
+        hidden=64,
+        rate=2e-3,
+        entropy=0.0,
+        minutes=10.0,
     ),
-}  # fmt: skip
+}
 """``paper``: as published, but for the critic, which is told the map, and the rate, which falls. ``fast``: one GPU,
 minutes. ``tiny``: a CPU core, and no pictures: the robot is told where the person and walls are."""
 

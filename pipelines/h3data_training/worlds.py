@@ -38,10 +38,18 @@ class ActionRepeatEnv(ActionRepeat, SocialNavTorchEnv):
         self.hold, self.follow_steps = hold or settings.hold, settings.follow_steps
         shown: Any = tuple(dict.fromkeys((*settings.observations, *CRITIC)))
         super().__init__(
-            count or settings.worlds, device=device, dtype=torch.float32, observations=shown, spec=rules(settings),
-            episodes=bank, depth_size=settings.picture_size, light=settings.light, robot=settings.robot, human=settings.human,
+            count or settings.worlds,
+            device=device,
+            dtype=torch.float32,
+            observations=shown,
+            spec=rules(settings),
+            episodes=bank,
+            depth_size=settings.picture_size,
+            light=settings.light,
+            robot=settings.robot,
+            human=settings.human,
             compile=compile,
-        )  # fmt: skip
+        )
         self._make_totals(self.num_envs, self.device)
 
     def _make_cameras(self, size: tuple[int, int] | None, *, compile: bool, robot: str, human: str) -> Any:
@@ -77,19 +85,27 @@ class ActionRepeatEnv(ActionRepeat, SocialNavTorchEnv):
     def _counted(self, before: Tensor, live: Tensor, ends: Tensor) -> list[Tensor]:
         play = self.play
         return [
-            (live & (play.followed > before)).sum(), (live & play.terminated).sum(), ends.sum(), live.sum(),
-            (live & play.robot.contact).sum(), (ends & (play.followed > 0)).sum(),
+            (live & (play.followed > before)).sum(),
+            (live & play.terminated).sum(),
+            ends.sum(),
+            live.sum(),
+            (live & play.robot.contact).sum(),
+            (ends & (play.followed > 0)).sum(),
             torch.where(live, (play.robot.xz - play.human.xz).square().sum(-1).sqrt(), 0.0).sum(),
-        ]  # fmt: skip
+        ]
 
     def figures(self, total: dict[str, float]) -> dict[str, float]:
         """Columns of the learning curve that follow from the totals by name."""
         steps, ended = max(total["steps"], 1.0), max(total["ended"], 1.0)
         return {
-            "reward": total["reward"] / steps, "distance_m": total["distance"] / steps, "follows": total["follows"] / steps,
+            "reward": total["reward"] / steps,
+            "distance_m": total["distance"] / steps,
+            "follows": total["follows"] / steps,
             "collided": total["collided"] / ended,
-            "met": total["met"] / ended, "contact": total["contact"] / steps, "steps_per_episode": steps / ended,
-        }  # fmt: skip
+            "met": total["met"] / ended,
+            "contact": total["contact"] / steps,
+            "steps_per_episode": steps / ended,
+        }
 
     def taught(self) -> Tensor:
         """Nobody teaches social navigation."""

@@ -44,9 +44,14 @@ class ArmContact:
         self._held: dict[tuple[int, ...], MovingShapes] = {}
 
     def touches(
-        self, base_pose: ArrayLike, joints: ArrayLike, *, held: str = "", shapes: Sequence[Shape] = (),
+        self,
+        base_pose: ArrayLike,
+        joints: ArrayLike,
+        *,
+        held: str = "",
+        shapes: Sequence[Shape] = (),
         held_pose: ArrayLike | None = None,
-    ) -> list[ArmTouch]:  # fmt: skip
+    ) -> list[ArmTouch]:
         """Present contacts, deepest first, at most one for each part and thing.
 
         Args:

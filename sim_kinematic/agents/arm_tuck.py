@@ -57,8 +57,14 @@ def _draw_in_worlds(sdf, origin, cell, xz, heading, arms, busy, rate, aside, fre
     # one by one: rows of a slice would not be known to be contiguous
     x, z, c, s, along, most, enough = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5], numbers[6]
     a, b, off_x, off_z, cells, room, asks = (
-        numbers[7], numbers[8], numbers[9], numbers[10], numbers[11], numbers[12], numbers[13],
-    )  # fmt: skip
+        numbers[7],
+        numbers[8],
+        numbers[9],
+        numbers[10],
+        numbers[11],
+        numbers[12],
+        numbers[13],
+    )
     low_x, low_z = origin[0], origin[1]
     lines, goes_on = np.empty(numbers.shape[1], np.intp), np.empty(numbers.shape[1], np.uint8)
     for begin in range(0, worlds, BLOCK // 2):
@@ -120,10 +126,21 @@ def draw_arms(
         return
     width = width_m(body) - rules.aside_m
     _draw_in_worlds(
-        free.sdf, free.origin, free.cell_m, state.xz, state.heading, state.arms,
-        HANDS.index(busy) if busy else -1, rules.rate, rules.aside_m, width + rules.free_m, width + rules.tight_m,
-        rules.within_m, rules.fade_m, rules.step_m,
-    )  # fmt: skip
+        free.sdf,
+        free.origin,
+        free.cell_m,
+        state.xz,
+        state.heading,
+        state.arms,
+        HANDS.index(busy) if busy else -1,
+        rules.rate,
+        rules.aside_m,
+        width + rules.free_m,
+        width + rules.tight_m,
+        rules.within_m,
+        rules.fade_m,
+        rules.step_m,
+    )
 
 
 @kernel(error_model="numpy")
@@ -155,10 +172,21 @@ def held_close(
     needs at ``rules.rate`` per step while they turn and walk at the limits of ``spec``.
     """
     return _held_close(
-        free.sdf, free.origin, free.cell_m, xz[0], xz[1], heading, hand[0], hand[1],
-        rules.rate / (spec.turn_rad_s * STEP_S), rules.rate / (spec.speed_mps * STEP_S), CARRY_FREE_M, CARRY_TIGHT_M,
-        FAN, ONWARD,
-    )  # fmt: skip
+        free.sdf,
+        free.origin,
+        free.cell_m,
+        xz[0],
+        xz[1],
+        heading,
+        hand[0],
+        hand[1],
+        rules.rate / (spec.turn_rad_s * STEP_S),
+        rules.rate / (spec.speed_mps * STEP_S),
+        CARRY_FREE_M,
+        CARRY_TIGHT_M,
+        FAN,
+        ONWARD,
+    )
 
 
 @lru_cache(maxsize=64)

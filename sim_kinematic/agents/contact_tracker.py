@@ -118,10 +118,11 @@ class AgentContactTracker:
     def meets(self, me: AnyActor) -> bool:
         """Whether an agent in its present posture touches another that it avoids and did not touch before."""
         near = [
-            other for other in self._avoided[me.number]
+            other
+            for other in self._avoided[me.number]
             if self._is_near(me, other)
             and (min(me.number, other.number), max(me.number, other.number)) not in self.touching
-        ]  # fmt: skip
+        ]
         if not near:
             return False
         self._forget_posture(me.number)

@@ -157,9 +157,7 @@ def grip_objects(
     """
     frames = _hands(hands, state)
     rows = _rows(action, (len(frames),), "One number per world")
-    broken = _grip_worlds(
-        frames, state.object_pose, state.held_by, state.grip_pose, rows, agent, NOBODY, spec.grasp_m
-    )  # fmt: skip
+    broken = _grip_worlds(frames, state.object_pose, state.held_by, state.grip_pose, rows, agent, NOBODY, spec.grasp_m)
     if broken >= 0:
         raise InputError(f"Actions must be finite. That of world {broken} is {rows[broken]}.", code="H3-SIM-007")
     carry_objects(state, frames, agent=agent)

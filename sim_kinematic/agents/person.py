@@ -145,9 +145,15 @@ class Person:
     """A humanoid somewhere, with a pose, and the objects that it can take."""
 
     def __init__(
-        self, body: Humanoid, base_pose: ArrayLike, objects: Mapping[str, ArrayLike] | None = None, *,
-        spec: WalkerSpec = PERSON_SPEC, free: FreeSpace | None = None, sizes: Mapping[str, float] | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        body: Humanoid,
+        base_pose: ArrayLike,
+        objects: Mapping[str, ArrayLike] | None = None,
+        *,
+        spec: WalkerSpec = PERSON_SPEC,
+        free: FreeSpace | None = None,
+        sizes: Mapping[str, float] | None = None,
+    ) -> None:
         """Puts a person at a pose, standing still.
 
         Args:

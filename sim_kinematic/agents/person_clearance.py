@@ -56,8 +56,9 @@ class BodyClearance:
         for hand, names in REACHING_PARTS.items():
             reaches = np.array([capsule.name in names for capsule in body.capsules])
             trunk, arm = (
-                _Part(rows, MovingShapes([thinner[k] for k in rows])) for rows in map(np.flatnonzero, (~reaches, reaches))
-            )  # fmt: skip
+                _Part(rows, MovingShapes([thinner[k] for k in rows]))
+                for rows in map(np.flatnonzero, (~reaches, reaches))
+            )
             self._parts[hand] = trunk, arm
         self._person = Person(body, IDENTITY_POSE)
         self._ways = _hand_ways(body)

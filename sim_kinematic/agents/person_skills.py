@@ -144,9 +144,10 @@ class PersonActor:
             return why
         if action.skill in ("open", "close"):
             return why_not(self.openables, self.number, action) or self._cannot_hold(action.target)
-        if action.skill in ("pick", "place") and self.openables.barrier_of(
-            action.target, at_goal=action.skill == "place"
-        ) >= 0:  # fmt: skip
+        if (
+            action.skill in ("pick", "place")
+            and self.openables.barrier_of(action.target, at_goal=action.skill == "place") >= 0
+        ):
             return "closed"
         return ""
 

@@ -141,9 +141,15 @@ def kinds_of(roster: Sequence[AgentSpec]) -> tuple[Kind, ...]:
 
 
 def sample_places(
-    scene: Scene, free: FreeSpace, roster: Sequence[AgentSpec], rng: np.random.Generator, *, apart_m: float,
-    rules: BaseSpec, taken: Mapping[int, Array] | None = None,
-) -> Array:  # fmt: skip
+    scene: Scene,
+    free: FreeSpace,
+    roster: Sequence[AgentSpec],
+    rng: np.random.Generator,
+    *,
+    apart_m: float,
+    rules: BaseSpec,
+    taken: Mapping[int, Array] | None = None,
+) -> Array:
     """Samples where each agent starts, ``(x, z, heading)`` [A, 3]: on one island, ``apart_m`` from others if there is room.
 
     A robot keeps its base clear of obstacles, by its own discs under these rules, and the rest of it clear of furniture.

@@ -22,9 +22,17 @@ if not TYPE_CHECKING:
     __getattr__ = refuse_renamed(__name__)
 
 SKILLS = (
-    "nav_to_object", "nav_to_goal", "pick", "place", "wait", "move_forward", "move_backward", "turn_left", "turn_right",
+    "nav_to_object",
+    "nav_to_goal",
+    "pick",
+    "place",
+    "wait",
+    "move_forward",
+    "move_backward",
+    "turn_left",
+    "turn_right",
     "control",
-)  # fmt: skip
+)
 """All skills; recordings number them in this order."""
 PRIMITIVES = {
     "move_forward": (1.0, 0.0, 4),

@@ -109,9 +109,12 @@ def handle_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLik
 
 
 def nearest_stand(
-    free: FreeSpace, stands: Array, start_xz: ArrayLike, crowded: NDArray[np.bool_] | NDArray[np.integer] | None = None,
+    free: FreeSpace,
+    stands: Array,
+    start_xz: ArrayLike,
+    crowded: NDArray[np.bool_] | NDArray[np.integer] | None = None,
     is_clear: Callable[[Array], bool] | None = None,
-) -> tuple[int, float]:  # fmt: skip
+) -> tuple[int, float]:
     """Returns the index of the stand with the shortest path from ``start_xz`` [2], and the path's length [m].
 
     Stands that are ``crowded`` [N] are used only if all are, the less crowded first; only stands for which ``is_clear``

@@ -199,9 +199,14 @@ class HumanPlan(NamedTuple):
 
 
 def human_plan(
-    free: FreeSpace, start_xz: NDArray[np.float64], heading: float, seed: int, spec: WalkerSpec, steps: int,
+    free: FreeSpace,
+    start_xz: NDArray[np.float64],
+    heading: float,
+    seed: int,
+    spec: WalkerSpec,
+    steps: int,
     given: Sequence[tuple[float, float]] = (),
-) -> HumanPlan:  # fmt: skip
+) -> HumanPlan:
     """Where the scripted person will be in each of ``steps`` steps, and their goals; the first are those ``given``."""
     state = HumanState.zeros(1)
     state.xz[0], state.heading[0] = start_xz, heading

@@ -45,9 +45,31 @@ NO_COMMANDS = np.zeros((0, 2))
 
 @kernel(error_model="numpy")
 def _search(
-    sdf, origin, cell, x, z, heading, offsets, radius, hull, discs, left, grid_origin, grid_cell, moves, steps, dt, enough,
-    bearing, facing, slides, slide, poses, parents, moved,
-):  # fmt: skip
+    sdf,
+    origin,
+    cell,
+    x,
+    z,
+    heading,
+    offsets,
+    radius,
+    hull,
+    discs,
+    left,
+    grid_origin,
+    grid_cell,
+    moves,
+    steps,
+    dt,
+    enough,
+    bearing,
+    facing,
+    slides,
+    slide,
+    poses,
+    parents,
+    moved,
+):
     """Searches for a maneuver; returns the number of its last node, or -1 if there is none.
 
     Fills ``poses`` [N, 3], ``parents`` [N] and ``moved`` [N] (the move that leads to a node). ``bearing`` is the wanted
@@ -126,9 +148,16 @@ def _search(
 
 
 def plan_maneuver(
-    free: FreeSpace, base: BaseSpec, xz: NDArray, heading: float, goal: NDArray, discs: NDArray, *,
-    within_m: float = 0.05, bearing: float | None = None,
-) -> NDArray[np.float64]:  # fmt: skip
+    free: FreeSpace,
+    base: BaseSpec,
+    xz: NDArray,
+    heading: float,
+    goal: NDArray,
+    discs: NDArray,
+    *,
+    within_m: float = 0.05,
+    bearing: float | None = None,
+) -> NDArray[np.float64]:
     """Returns commands [N, 2] (forward, turn: -1..1 of the limits), one per step, that bring a base nearer to ``goal`` [2].
 
     They lead past the next `GAIN_M` of path, or to within ``within_m`` of the goal and, there, to a heading ``bearing`` [rad].
@@ -166,12 +195,31 @@ def plan_maneuver(
     for slides in (False, True):  # a base wedged between two walls cannot move at all without
         if node < 0:
             node = _search(
-                free.sdf, free.origin, free.cell_m, float(xz[0]), float(xz[1]), float(heading), offsets,
-                base.disc_radius_m - base.clearance_tolerance_m, hull, wide, left, grid.origin, AVOIDANCE.cell_m, moves,
-                steps, STEP_S, max(here - GAIN_M, within_m), 0.0 if bearing is None else bearing,
-                math.pi / HEADINGS if ends and bearing is not None else math.inf, slides,
-                (*slide, base.farthest_m(STEP_S)), poses, parents, moved,
-            )  # fmt: skip
+                free.sdf,
+                free.origin,
+                free.cell_m,
+                float(xz[0]),
+                float(xz[1]),
+                float(heading),
+                offsets,
+                base.disc_radius_m - base.clearance_tolerance_m,
+                hull,
+                wide,
+                left,
+                grid.origin,
+                AVOIDANCE.cell_m,
+                moves,
+                steps,
+                STEP_S,
+                max(here - GAIN_M, within_m),
+                0.0 if bearing is None else bearing,
+                math.pi / HEADINGS if ends and bearing is not None else math.inf,
+                slides,
+                (*slide, base.farthest_m(STEP_S)),
+                poses,
+                parents,
+                moved,
+            )
     chosen: list[int] = []
     while node > 0:
         chosen.append(int(moved[node]))

@@ -77,9 +77,13 @@ class RightOfWay:
     """Tells every agent in each step whether, and by which path, to step aside."""
 
     def __init__(
-        self, free: FreeSpace, walkers: Sequence[Walker], errand: Callable[[int], TaskProgress] | None = None, *,
+        self,
+        free: FreeSpace,
+        walkers: Sequence[Walker],
+        errand: Callable[[int], TaskProgress] | None = None,
+        *,
         asks: bool = True,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """``errand`` says what an agent is about: then stand-offs are ended. With ``asks`` False that is all that is done."""
         self._free, self._routes = free, FloorRoutes.of(free)
         self._walkers = {walker.number: walker for walker in walkers}

@@ -34,9 +34,15 @@ class Rollouts(NamedTuple):
 
 
 def roll_out(
-    free: FreeSpace, base: BaseSpec, xz: NDArray[np.float64], heading: float, commands: NDArray[np.float64],
-    person: NDArray[np.float64] | None = None, *, look_steps: int,
-) -> Rollouts:  # fmt: skip
+    free: FreeSpace,
+    base: BaseSpec,
+    xz: NDArray[np.float64],
+    heading: float,
+    commands: NDArray[np.float64],
+    person: NDArray[np.float64] | None = None,
+    *,
+    look_steps: int,
+) -> Rollouts:
     """Simulates N commands from one pose.
 
     A command [N, 4] is ``(forward, turn, steps, then)``: forward and left turn in -1..1 of the limits for a number of
@@ -49,20 +55,55 @@ def roll_out(
     """
     ends = np.empty((len(commands), 4))
     _roll_out(
-        free.sdf, free.origin, free.cell_m, xz[0], xz[1], heading, commands, _NOBODY if person is None else person,
-        look_steps, (base.max_speed_mps, 0.0, base.max_turn_rad_s, float(base.allow_back)), STEP_S,
-        np.array(base.disc_offsets_m), base.disc_radius_m, base.slide_iterations, base.clearance_tolerance_m,
-        base.contact_tolerance_m, np.array(hull_of(base)), base.disc_radius_m + AVOIDANCE.person_radius_m,
-        AVOIDANCE.doubt_mps, base.farthest_m(STEP_S), ends,
-    )  # fmt: skip
+        free.sdf,
+        free.origin,
+        free.cell_m,
+        xz[0],
+        xz[1],
+        heading,
+        commands,
+        _NOBODY if person is None else person,
+        look_steps,
+        (base.max_speed_mps, 0.0, base.max_turn_rad_s, float(base.allow_back)),
+        STEP_S,
+        np.array(base.disc_offsets_m),
+        base.disc_radius_m,
+        base.slide_iterations,
+        base.clearance_tolerance_m,
+        base.contact_tolerance_m,
+        np.array(hull_of(base)),
+        base.disc_radius_m + AVOIDANCE.person_radius_m,
+        AVOIDANCE.doubt_mps,
+        base.farthest_m(STEP_S),
+        ends,
+    )
     return Rollouts(ends[:, :2], ends[:, 2], ends[:, 3])
 
 
 @kernel(error_model="numpy")
 def _roll_out(
-    sdf, origin, cell, x0, z0, heading0, commands, person, look_steps, limits, dt, offsets, radius, iterations, tolerance,
-    touch, hull, reach, doubt, most, ends,
-):  # fmt: skip
+    sdf,
+    origin,
+    cell,
+    x0,
+    z0,
+    heading0,
+    commands,
+    person,
+    look_steps,
+    limits,
+    dt,
+    offsets,
+    radius,
+    iterations,
+    tolerance,
+    touch,
+    hull,
+    reach,
+    doubt,
+    most,
+    ends,
+):
     branch, branch_x, branch_z, branch_heading, branch_gap = 0, x0, z0, heading0, math.inf
     for n in range(len(commands)):
         speed, _, turn = velocities(commands[n, :2], limits)

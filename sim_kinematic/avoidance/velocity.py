@@ -39,9 +39,27 @@ def least_gap(x, z, heading, other_x, other_z, hull, reach):
 
 @kernel(error_model="numpy")
 def try_command(
-    sdf, origin, cell, x, z, heading, speed, turn, length, arc, other, velocity, offsets, disc_radius, hull, reach, steps,
-    stride, doubt, dt,
-):  # fmt: skip
+    sdf,
+    origin,
+    cell,
+    x,
+    z,
+    heading,
+    speed,
+    turn,
+    length,
+    arc,
+    other,
+    velocity,
+    offsets,
+    disc_radius,
+    hull,
+    reach,
+    steps,
+    stride,
+    doubt,
+    dt,
+):
     """Rolls out a command that is kept for ``length`` [m] and ``arc`` [rad] at most: ``(least gap [m], x, z, heading)``.
 
     The base stays where it would touch an obstacle. Later gaps count as wider by ``doubt`` [m/s].
@@ -65,16 +83,53 @@ def try_command(
 
 @kernel(error_model="numpy")
 def try_commands(
-    sdf, origin, cell, x, z, heading, speeds, turns, length, arc, others, velocities, reaches, offsets, disc_radius, hull,
-    steps, stride, doubt, dt, out,
-):  # fmt: skip
+    sdf,
+    origin,
+    cell,
+    x,
+    z,
+    heading,
+    speeds,
+    turns,
+    length,
+    arc,
+    others,
+    velocities,
+    reaches,
+    offsets,
+    disc_radius,
+    hull,
+    steps,
+    stride,
+    doubt,
+    dt,
+    out,
+):
     """`try_command` for each of C commands against each of N discs, into ``out`` [C, N, 4]."""
     for c in range(len(speeds)):
         for n in range(len(reaches)):
             out[c, n, 0], out[c, n, 1], out[c, n, 2], out[c, n, 3] = try_command(
-                sdf, origin, cell, x, z, heading, speeds[c], turns[c], length, arc, others[n], velocities[n], offsets,
-                disc_radius, hull, reaches[n], steps, stride, doubt, dt,
-            )  # fmt: skip
+                sdf,
+                origin,
+                cell,
+                x,
+                z,
+                heading,
+                speeds[c],
+                turns[c],
+                length,
+                arc,
+                others[n],
+                velocities[n],
+                offsets,
+                disc_radius,
+                hull,
+                reaches[n],
+                steps,
+                stride,
+                doubt,
+                dt,
+            )
 
 
 class ObstacleDisc(NamedTuple):
@@ -91,9 +146,15 @@ class ObstacleDisc(NamedTuple):
 
 
 def keep_clear(
-    free: FreeSpace, base: BaseSpec, xz: NDArray, heading: float, wanted: tuple[float, float], towards: NDArray,
-    others: Sequence[ObstacleDisc], before: tuple[float, float] | None = None,
-) -> tuple[float, float]:  # fmt: skip
+    free: FreeSpace,
+    base: BaseSpec,
+    xz: NDArray,
+    heading: float,
+    wanted: tuple[float, float],
+    towards: NDArray,
+    others: Sequence[ObstacleDisc],
+    before: tuple[float, float] | None = None,
+) -> tuple[float, float]:
     """Returns the command (forward, turn: -1..1 of the limits) that replaces ``wanted`` so that nobody is run into.
 
     That is ``wanted`` itself where it leaves every agent its margin, else the best of 25: first the margin of whoever lacks
@@ -119,10 +180,26 @@ def keep_clear(
         out = np.empty((len(commands), len(others), 4))
         speeds, turns = commands[:, 0] * base.max_speed_mps, commands[:, 1] * base.max_turn_rad_s
         try_commands(
-            free.sdf, free.origin, free.cell_m, here_x, here_z, heading, speeds, turns, length, arc, *discs, offsets,
-            base.disc_radius_m - spec.wall_tolerance_m, hull, spec.horizon_steps, spec.stride_steps, spec.doubt_mps,
-            STEP_S, out,
-        )  # fmt: skip
+            free.sdf,
+            free.origin,
+            free.cell_m,
+            here_x,
+            here_z,
+            heading,
+            speeds,
+            turns,
+            length,
+            arc,
+            *discs,
+            offsets,
+            base.disc_radius_m - spec.wall_tolerance_m,
+            hull,
+            spec.horizon_steps,
+            spec.stride_steps,
+            spec.doubt_mps,
+            STEP_S,
+            out,
+        )
         return out.tolist()
 
     margins = [other.margin_m for other in others]

@@ -110,9 +110,14 @@ def in_the_way(xz: NDArray, towards: NDArray, others: Sequence[ObservedAgent]) -
 
 
 def path_around(
-    free: FreeSpace, xz: NDArray, goal: NDArray, others: Sequence[ObservedAgent], *,
-    radius_m: float = AVOIDANCE.person.radius_m, passing_m: Sequence[float] = AVOIDANCE.passing_m,
-) -> NDArray | None:  # fmt: skip
+    free: FreeSpace,
+    xz: NDArray,
+    goal: NDArray,
+    others: Sequence[ObservedAgent],
+    *,
+    radius_m: float = AVOIDANCE.person.radius_m,
+    passing_m: Sequence[float] = AVOIDANCE.passing_m,
+) -> NDArray | None:
     """Returns floor points [N, 2] from ``xz`` [2] to ``goal`` [2] around all agents that stand; None if there is no path.
 
     ``radius_m`` is one's own; ``passing_m`` are gaps to leave beside the others, of which the first that works is taken.

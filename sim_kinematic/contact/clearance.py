@@ -50,9 +50,14 @@ class RobotHumanContact:
         """Bases farther apart than this on the floor [m] cannot touch."""
 
     def touching(
-        self, robot_base: NDArray[np.floating], human_base: NDArray[np.floating], clip: int, phase: float, blend: float,
+        self,
+        robot_base: NDArray[np.floating],
+        human_base: NDArray[np.floating],
+        clip: int,
+        phase: float,
+        blend: float,
         arms: tuple[float, float] = (0.0, 0.0),
-    ) -> bool:  # fmt: skip
+    ) -> bool:
         """Whether robot and person touch.
 
         Args:
@@ -67,9 +72,14 @@ class RobotHumanContact:
         return bool(self.touching_many(robot_base[None], human_base[None], *at)[0])
 
     def touching_many(
-        self, robot_base: NDArray[np.floating], human_base: NDArray[np.floating], clip: NDArray, phase: NDArray,
-        blend: NDArray, arms: NDArray | None = None,
-    ) -> NDArray[np.bool_]:  # fmt: skip
+        self,
+        robot_base: NDArray[np.floating],
+        human_base: NDArray[np.floating],
+        clip: NDArray,
+        phase: NDArray,
+        blend: NDArray,
+        arms: NDArray | None = None,
+    ) -> NDArray[np.bool_]:
         """Whether robot and person touch in each of N cases, [N].
 
         Arguments are those of `touching` with a first axis N: base poses [N, 7], frames of clips [N], arms [N, 2]. The
@@ -159,9 +169,13 @@ def clip_reach(human: Humanoid) -> float:
 
 
 def _clip_capsules(
-    human: Humanoid, clip: NDArray, phase: NDArray, blend: NDArray, base: NDArray[np.floating] = IDENTITY_POSE[None],
+    human: Humanoid,
+    clip: NDArray,
+    phase: NDArray,
+    blend: NDArray,
+    base: NDArray[np.floating] = IDENTITY_POSE[None],
     arms: NDArray | None = None,
-) -> tuple[Array, Array, Array]:  # fmt: skip
+) -> tuple[Array, Array, Array]:
     """Starts [T, C, 3], ends and radii of the capsules at frames [T] of clips, the root at ``base`` [T or 1, 7]."""
     return human.capsules_world(human.joint_matrices(base, *human.clip_pose(clip, phase, blend, arms=arms)))
 

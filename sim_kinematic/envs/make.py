@@ -166,13 +166,32 @@ def make(
         MissingExtraError: Gymnasium or PettingZoo are not installed.
     """
     options: dict[str, Any] = {
-        "num_envs": num_envs, "device": device, "agents": agents, "render_mode": render_mode,
-        "flatten": flatten, "observations": observations, "reward": reward, "partner": partner, "level": level, "spec": spec,
-        "roster": roster, "robot": robot, "human": human, "depth_size": depth_size, "rgb_size": rgb_size,
-        "light": light, "noise": noise, "end_on_success": end_on_success,
-        "interrupts_when_close": interrupts_when_close, "threads": threads, "dtype": dtype, "episodes": episodes,
-        "episodes_seed": episodes_seed, "graph": graph, "compile": compile,
-    }  # fmt: skip
+        "num_envs": num_envs,
+        "device": device,
+        "agents": agents,
+        "render_mode": render_mode,
+        "flatten": flatten,
+        "observations": observations,
+        "reward": reward,
+        "partner": partner,
+        "level": level,
+        "spec": spec,
+        "roster": roster,
+        "robot": robot,
+        "human": human,
+        "depth_size": depth_size,
+        "rgb_size": rgb_size,
+        "light": light,
+        "noise": noise,
+        "end_on_success": end_on_success,
+        "interrupts_when_close": interrupts_when_close,
+        "threads": threads,
+        "dtype": dtype,
+        "episodes": episodes,
+        "episodes_seed": episodes_seed,
+        "graph": graph,
+        "compile": compile,
+    }
     if isinstance(robot, Robot):
         options["robot"] = robot_name(robot)
     given = {name: value for name, value in {**options, **task_options}.items() if value is not None}

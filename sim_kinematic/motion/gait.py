@@ -80,10 +80,19 @@ def walk_humans(state: HumanState, goal_xz: Array, spec: WalkerSpec, *, dt: floa
     The way points come from `FreeSpace.path`, so the straight line to the next one is free.
     """
     _walk_worlds(
-        state.xz, state.heading, state.distance, state.set_off, state.blend,
+        state.xz,
+        state.heading,
+        state.distance,
+        state.set_off,
+        state.blend,
         per_world(goal_xz, state, width=2),
-        spec.speed_mps, spec.turn_rad_s, dt, spec.turn_before_walk_rad, spec.arrive_m, dt / spec.blend_s,
-    )  # fmt: skip
+        spec.speed_mps,
+        spec.turn_rad_s,
+        dt,
+        spec.turn_before_walk_rad,
+        spec.arrive_m,
+        dt / spec.blend_s,
+    )
 
 
 def move_people(state: HumanState, xz: Array, heading: Array, spec: WalkerSpec) -> None:
@@ -91,9 +100,7 @@ def move_people(state: HumanState, xz: Array, heading: Array, spec: WalkerSpec) 
     before = state.xz.copy()
     state.xz[:], state.heading[:] = xz, heading
     backwards = np.zeros(len(before), np.bool_)
-    _step_cycles(
-        state.distance, state.set_off, state.blend, state.xz, before, backwards, STEP_S / spec.blend_s
-    )  # fmt: skip
+    _step_cycles(state.distance, state.set_off, state.blend, state.xz, before, backwards, STEP_S / spec.blend_s)
 
 
 def drive_people(
@@ -131,9 +138,16 @@ def drive_people(
     drive_robots(disc, free, action, base)
     if others is not None:
         keep_worlds_apart(
-            free.sdf, free.origin, free.cell_m, before, state.xz, touched, others, radius_m,
+            free.sdf,
+            free.origin,
+            free.cell_m,
+            before,
+            state.xz,
+            touched,
+            others,
+            radius_m,
             radius_m - base.clearance_tolerance_m,
-        )  # fmt: skip
+        )
     _step_cycles(
         state.distance,
         state.set_off,
@@ -149,9 +163,12 @@ def drive_people(
 @lru_cache(maxsize=64)
 def _disc(speed_mps: float, turn_rad_s: float, radius_m: float, backwards: bool) -> BaseSpec:
     return BaseSpec(
-        max_speed_mps=speed_mps, max_turn_rad_s=turn_rad_s, allow_back=backwards, disc_offsets_m=(0.0,),
+        max_speed_mps=speed_mps,
+        max_turn_rad_s=turn_rad_s,
+        allow_back=backwards,
+        disc_offsets_m=(0.0,),
         disc_radius_m=radius_m,
-    )  # fmt: skip
+    )
 
 
 def cycle_phase(clip: Clip, distance: NDArray[np.float64], set_off: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -124,9 +124,16 @@ class StrideSpec:
     def limits(self) -> tuple[float, ...]:
         """The numbers that the kernel takes."""
         return (
-            self.accel_mps2, self.decel_mps2, self.turn_rad_s, self.turn_accel_rad_s2, self.steer_per_s, self.look_m,
-            self.sidestep_rad, self.sidestep_rad_s, self.arrive_m,
-        )  # fmt: skip
+            self.accel_mps2,
+            self.decel_mps2,
+            self.turn_rad_s,
+            self.turn_accel_rad_s2,
+            self.steer_per_s,
+            self.look_m,
+            self.sidestep_rad,
+            self.sidestep_rad_s,
+            self.arrive_m,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -69,9 +69,11 @@ class RobotState(_Arrays):
     def zeros(cls, worlds: int, *, joints: int = 0) -> RobotState:
         """People at the origin."""
         return cls(
-            xz=np.zeros((worlds, 2)), heading=np.zeros(worlds), contact=np.zeros(worlds, np.bool_),
+            xz=np.zeros((worlds, 2)),
+            heading=np.zeros(worlds),
+            contact=np.zeros(worlds, np.bool_),
             joints=np.zeros((worlds, joints)),
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -95,9 +97,10 @@ class HumanState(_Arrays):
     def zeros(cls, worlds: int) -> HumanState:
         """Standing at the origin."""
         return cls(
-            xz=np.zeros((worlds, 2)), arms=np.zeros((worlds, 2)),
+            xz=np.zeros((worlds, 2)),
+            arms=np.zeros((worlds, 2)),
             **{n: np.zeros(worlds) for n in ("heading", "distance", "set_off", "blend")},
-        )  # fmt: skip
+        )
 
 
 AgentState = RobotState | HumanState
@@ -120,9 +123,15 @@ class WorldState(_Arrays):
 
     @classmethod
     def zeros(
-        cls, worlds: int, *, robots: int = 1, people: int = 1, joints: int | Sequence[int] = 0, objects: int = 0,
+        cls,
+        worlds: int,
+        *,
+        robots: int = 1,
+        people: int = 1,
+        joints: int | Sequence[int] = 0,
+        objects: int = 0,
         scene_joints: int = 0,
-    ) -> WorldState:  # fmt: skip
+    ) -> WorldState:
         """State of W worlds with everything at the origin and nothing held.
 
         Args:

@@ -215,9 +215,23 @@ def _drive_worlds(
         contact[w] = False
         if speed != 0.0 or lateral != 0.0 or turn != 0.0:
             xz[w, 0], xz[w, 1], heading[w], contact[w] = drive_base(
-                sdf, origin, cell, xz[w, 0], xz[w, 1], heading[w], speed, lateral, turn, dt, offsets, radius,
-                iterations, tolerance, touch, most,
-            )  # fmt: skip
+                sdf,
+                origin,
+                cell,
+                xz[w, 0],
+                xz[w, 1],
+                heading[w],
+                speed,
+                lateral,
+                turn,
+                dt,
+                offsets,
+                radius,
+                iterations,
+                tolerance,
+                touch,
+                most,
+            )
     return -1
 
 
@@ -238,9 +252,14 @@ def _drive_worlds_as_habitat(surface, root_y, xz, heading, contact, action, limi
 
 
 def drive_robots(
-    state: RobotState, free: FreeSpace, action: np.ndarray, spec: BaseSpec, *, dt: float = STEP_S,
+    state: RobotState,
+    free: FreeSpace,
+    action: np.ndarray,
+    spec: BaseSpec,
+    *,
+    dt: float = STEP_S,
     finder: PathFinder | None = None,
-) -> None:  # fmt: skip
+) -> None:
     """Moves a robot in all its worlds by one step, in place.
 
     On stairs and right before them robots drive at `STAIRS_SHARE` of the commanded velocity.
@@ -266,9 +285,20 @@ def drive_robots(
     offsets = _offsets(spec.disc_offsets_m)
     if spec.slide == "strict":
         broken = _drive_worlds(
-            free.sdf, free.origin, free.cell_m, *moved, action, limits, dt, offsets, spec.disc_radius_m,
-            spec.slide_iterations, spec.clearance_tolerance_m, spec.contact_tolerance_m, spec.farthest_m(dt),
-        )  # fmt: skip
+            free.sdf,
+            free.origin,
+            free.cell_m,
+            *moved,
+            action,
+            limits,
+            dt,
+            offsets,
+            spec.disc_radius_m,
+            spec.slide_iterations,
+            spec.clearance_tolerance_m,
+            spec.contact_tolerance_m,
+            spec.farthest_m(dt),
+        )
     elif spec.slide == "habitat":
         if len(free.heights):
             raise InputError(
@@ -277,9 +307,16 @@ def drive_robots(
             )
         rules = spec.habitat.slides, spec.habitat.slides_while_turning, spec.habitat.navmesh_slides
         broken = _drive_worlds_as_habitat(
-            (finder or _finder(free)).surface, free.floor_y + spec.habitat.root_height_m, *moved, action, limits, dt,
-            offsets, spec.contact_tolerance_m, rules,
-        )  # fmt: skip
+            (finder or _finder(free)).surface,
+            free.floor_y + spec.habitat.root_height_m,
+            *moved,
+            action,
+            limits,
+            dt,
+            offsets,
+            spec.contact_tolerance_m,
+            rules,
+        )
     else:
         raise InputError(
             f"Unknown slide {spec.slide!r}. Expected one of: {', '.join(get_args(Slide))}.", code="H3-SIM-036"

@@ -211,14 +211,14 @@ def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
     if found := ADDRESS.fullmatch(name):
         if come_from_data():
             raise UntrustedNameError(
-                "A file names the address of a policy server; only the user may. Hint: --policy ws://host:port.",
+                "A file names the address of a policy server; only the user may. Hint: name it as the policy (ws://host:port).",
                 code="H3-POLICY-065",
             )
         return policy_servers().get(found["scheme"])(name, task, kind, spec)
     if (found := SERVED.fullmatch(name)) and found["scheme"] in policy_servers().names():
         raise InputError(
             f"The policy was that of the server {found['name']!r} ({found['digest']}), whose address is not recorded. "
-            f"Hint: start it, and name its address: --policy {found['scheme']}://host:port.",
+            f"Hint: start it, and name its address as the policy: {found['scheme']}://host:port.",
             code="H3-POLICY-064",
         )
     made = task.named_policy(kind, name, spec)

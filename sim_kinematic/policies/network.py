@@ -31,8 +31,15 @@ MAX_BYTES = 256 << 20
 """Files whose arrays take more than this are refused."""
 Activation = Literal["tanh", "relu"]
 _DAMAGE = (
-    ValueError, OSError, EOFError, MemoryError, RuntimeError, zipfile.BadZipFile, zlib.error, tokenize.TokenError
-)  # fmt: skip
+    ValueError,
+    OSError,
+    EOFError,
+    MemoryError,
+    RuntimeError,
+    zipfile.BadZipFile,
+    zlib.error,
+    tokenize.TokenError,
+)
 """What zipfile and numpy raise at files that are none, or damaged; numpy tokenizes headers."""
 _FUNCTIONS = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
 
@@ -133,9 +140,13 @@ def _faults(net: Network) -> list[str]:
 
 # --- PyTorch ------------------------------------------------------------------------------------------------------------
 def from_torch(
-    layers: Iterable[Any], *, task: str, observations: Iterable[str], mean: ArrayLike = (0.0,),
+    layers: Iterable[Any],
+    *,
+    task: str,
+    observations: Iterable[str],
+    mean: ArrayLike = (0.0,),
     scale: ArrayLike = (1.0,),
-) -> Network:  # fmt: skip
+) -> Network:
     """The network that a `torch.nn.Sequential` of `Linear` with `Tanh` or `ReLU` between them is.
 
     Raises:
@@ -146,9 +157,12 @@ def from_torch(
     listed = list(layers)
     linear, between = listed[::2], listed[1::2]
     kinds = {type(layer) for layer in between}
-    if not all(isinstance(a, nn.Linear) for a in linear) or len(linear) != len(between) + 1 or len(kinds) > 1 or not (
-        kinds <= {nn.Tanh, nn.ReLU}
-    ):  # fmt: skip
+    if (
+        not all(isinstance(a, nn.Linear) for a in linear)
+        or len(linear) != len(between) + 1
+        or len(kinds) > 1
+        or not (kinds <= {nn.Tanh, nn.ReLU})
+    ):
         names = [type(layer).__name__ for layer in listed]
         raise InputError(
             f"Expected Linear layers with Tanh, or with ReLU, between them; got {', '.join(names) or 'none'}.",
@@ -163,10 +177,14 @@ def from_torch(
         np.zeros(len(w), np.float32) if a.bias is None else plain(a.bias) for a, w in zip(linear, weights, strict=True)
     )
     return Network(
-        task=task, observations=tuple(observations), weights=weights, biases=biases,
-        activation="relu" if kinds == {nn.ReLU} else "tanh", mean=np.asarray(mean, np.float32),
+        task=task,
+        observations=tuple(observations),
+        weights=weights,
+        biases=biases,
+        activation="relu" if kinds == {nn.ReLU} else "tanh",
+        mean=np.asarray(mean, np.float32),
         scale=np.asarray(scale, np.float32),
-    )  # fmt: skip
+    )
 
 
 # --- files --------------------------------------------------------------------------------------------------------------
@@ -177,9 +195,13 @@ def save_network(network: Network, path: str | Path) -> None:
     ``bias_0``, ``weight_1`` and so on.
     """
     arrays: dict[str, NDArray[Any]] = {
-        "format": np.array(FILE_FORMAT), "task": np.array(network.task), "activation": np.array(network.activation),
-        "observations": np.array(network.observations), "mean": network.mean, "scale": network.scale,
-    }  # fmt: skip
+        "format": np.array(FILE_FORMAT),
+        "task": np.array(network.task),
+        "activation": np.array(network.activation),
+        "observations": np.array(network.observations),
+        "mean": network.mean,
+        "scale": network.scale,
+    }
     for k, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
         arrays |= {f"weight_{k}": weight, f"bias_{k}": bias}
     with part_file(path) as part, part.open("wb") as stream:
@@ -210,11 +232,14 @@ def network_from(data: Mapping[str, NDArray[Any]], path: str | Path) -> Network:
     count = sum(name.startswith("weight_") for name in data)
     try:
         return Network(
-            task=_word(data["task"]), activation=_word(data["activation"]),  # type: ignore[arg-type]
+            task=_word(data["task"]),
+            activation=_word(data["activation"]),  # type: ignore[arg-type]
             observations=tuple(_word(name) for name in np.atleast_1d(data["observations"])),
-            mean=data["mean"], scale=data["scale"], weights=tuple(data[f"weight_{k}"] for k in range(count)),
+            mean=data["mean"],
+            scale=data["scale"],
+            weights=tuple(data[f"weight_{k}"] for k in range(count)),
             biases=tuple(data[f"bias_{k}"] for k in range(count)),
-        )  # fmt: skip
+        )
     except KeyError as fault:
         raise FormatError(f"The file of weights lacks the array {fault}. File: {path}", code="H3-POLICY-027") from None
     except InputError as fault:

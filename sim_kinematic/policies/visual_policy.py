@@ -187,15 +187,21 @@ class VisualPolicy:
                 last = out
             features = _rows(arrays, "picture.weight")
             shapes |= {
-                "picture.weight": (features, last * picture_length(card.picture_size)), "picture.bias": (features,)
-            }  # fmt: skip
+                "picture.weight": (features, last * picture_length(card.picture_size)),
+                "picture.bias": (features,),
+            }
         numbers = number_count(card.observations, card.actions)
         state, wide = _rows(arrays, "gru.weight_ih") // 3, _rows(arrays, "act_0.weight")
         return shapes | {
-            "gru.weight_ih": (3 * state, features + numbers), "gru.weight_hh": (3 * state, state),
-            "gru.bias_ih": (3 * state,), "gru.bias_hh": (3 * state,), "act_0.weight": (wide, state + numbers),
-            "act_0.bias": (wide,), "act_1.weight": (card.actions, wide), "act_1.bias": (card.actions,),
-        }  # fmt: skip
+            "gru.weight_ih": (3 * state, features + numbers),
+            "gru.weight_hh": (3 * state, state),
+            "gru.bias_ih": (3 * state,),
+            "gru.bias_hh": (3 * state,),
+            "act_0.weight": (wide, state + numbers),
+            "act_0.bias": (wide,),
+            "act_1.weight": (card.actions, wide),
+            "act_1.bias": (card.actions,),
+        }
 
     @cached_property
     def _columns(self) -> dict[str, Floats]:

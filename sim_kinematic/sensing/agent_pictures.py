@@ -60,9 +60,15 @@ class AgentPictures:
     """The pictures that one agent is shown."""
 
     def __init__(
-        self, body: Body, names: Sequence[str], *, agent: int, depth_size: tuple[int, int] | None = None,
-        rgb_size: tuple[int, int] | None = None, sizes: Mapping[str, tuple[int, int]] | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        body: Body,
+        names: Sequence[str],
+        *,
+        agent: int,
+        depth_size: tuple[int, int] | None = None,
+        rgb_size: tuple[int, int] | None = None,
+        sizes: Mapping[str, tuple[int, int]] | None = None,
+    ) -> None:
         """Selects the pictures of one agent.
 
         Args:

@@ -56,10 +56,19 @@ class StateRenderer:
     """A home with any robots, people and objects, in W worlds that differ in what moves. Holds a renderer: one per thread."""
 
     def __init__(
-        self, scene: Scene, agents: Sequence[Body], *, worlds: int = 1, objects: Sequence[str] = (),
-        speed_mps: float | None = None, skinned: bool = True, light: LightMode = "flat", lit_as: Scene | None = None,
-        backend: Backend = "cpu", threads: int = 1,
-    ) -> None:  # fmt: skip
+        self,
+        scene: Scene,
+        agents: Sequence[Body],
+        *,
+        worlds: int = 1,
+        objects: Sequence[str] = (),
+        speed_mps: float | None = None,
+        skinned: bool = True,
+        light: LightMode = "flat",
+        lit_as: Scene | None = None,
+        backend: Backend = "cpu",
+        threads: int = 1,
+    ) -> None:
         """Loads the meshes of a home and its agents into a renderer.
 
         Args:

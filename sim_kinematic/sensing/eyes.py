@@ -23,10 +23,20 @@ PictureSize = tuple[int, int] | Mapping[str, tuple[int, int]] | None
 
 
 def see(
-    state: WorldState, scene: Scene, bodies: Sequence[Body], names: Sequence[str], *, agent: int,
-    size: PictureSize = None, floor: Floor = 0.0, speed_mps: float | None = None, objects: Sequence[str] = (),
-    frames: Sequence[Array] | None = None, light: LightMode = "flat", lit_as: Scene | None = None,
-) -> dict[str, NDArray[Any]]:  # fmt: skip
+    state: WorldState,
+    scene: Scene,
+    bodies: Sequence[Body],
+    names: Sequence[str],
+    *,
+    agent: int,
+    size: PictureSize = None,
+    floor: Floor = 0.0,
+    speed_mps: float | None = None,
+    objects: Sequence[str] = (),
+    frames: Sequence[Array] | None = None,
+    light: LightMode = "flat",
+    lit_as: Scene | None = None,
+) -> dict[str, NDArray[Any]]:
     """Named pictures of an agent, exact, as `sim_kinematic.sensing.observation_set` shows them.
 
     Args:

@@ -36,10 +36,16 @@ class ObservationSet:
     """Named observations: exact values become what the agent is shown, within `space`."""
 
     def __init__(
-        self, names: Sequence[str], states: Mapping[str, Limits], body: Body, *, agent: int,
-        depth_size: tuple[int, int] | None = None, rgb_size: tuple[int, int] | None = None,
+        self,
+        names: Sequence[str],
+        states: Mapping[str, Limits],
+        body: Body,
+        *,
+        agent: int,
+        depth_size: tuple[int, int] | None = None,
+        rgb_size: tuple[int, int] | None = None,
         noise: Mapping[str, NoiseModel] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Selects the observations of one agent.
 
         Args:

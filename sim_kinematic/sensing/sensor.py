@@ -118,9 +118,14 @@ def other_agent_gps(own_xz: Any, other_xz: Any, *, xp: Any = np) -> Any:
 
 
 def agents_within_threshold(
-    own_xz: Any, heading: Any, other_xz: Any, *, ahead_m: float = 2.0, aside_m: float = 1.5,
+    own_xz: Any,
+    heading: Any,
+    other_xz: Any,
+    *,
+    ahead_m: float = 2.0,
+    aside_m: float = 1.5,
     xp: Any = np,
-) -> Any:  # fmt: skip
+) -> Any:
     """Whether the other agent is inside the ellipse with these half axes around the own base, bool [...]."""
     seen = in_base_frame(own_xz, heading, other_xz, xp=xp)
     return (seen[..., 0] / ahead_m) ** 2 + (seen[..., 1] / aside_m) ** 2 < 1.0
@@ -223,9 +228,14 @@ def range_scan(clearance: Callable[[Any], Any], xz: Any, heading: Any, *, xp: An
 
 # --- the robot itself ---------------------------------------------------------------------------------------------------
 def egomotion(
-    before_xz: Any, before_heading: Any, xz: Any, heading: Any, *, dt: float = STEP_S,
+    before_xz: Any,
+    before_heading: Any,
+    xz: Any,
+    heading: Any,
+    *,
+    dt: float = STEP_S,
     xp: Any = np,
-) -> Any:  # fmt: skip
+) -> Any:
     """Velocity of a base in its frame before the step: ``(forward [m/s], left [m/s], turn [rad/s])`` [..., 3]."""
     moved = in_base_frame(before_xz, before_heading, xz, xp=xp)
     return stacked(xp, moved[..., 0], moved[..., 1], _turned(xp, before_heading, heading)) / dt

@@ -246,8 +246,10 @@ def _polar_of(m: Context, points_xz: Any) -> Any:
 _POLAR: Any = {"low": (0.0, -np.pi), "high": (FAR_M, np.pi), "unit": ("m", "rad"), "frame": "base"}
 _POINT: Any = {"low": (-FAR_M,) * 3, "high": (FAR_M,) * 3, "unit": ("m",) * 3}
 _POSE: Any = {
-    "low": (*_POINT["low"], -np.pi), "high": (*_POINT["high"], np.pi), "unit": (*_POINT["unit"], "rad"),
-}  # fmt: skip
+    "low": (*_POINT["low"], -np.pi),
+    "high": (*_POINT["high"], np.pi),
+    "unit": (*_POINT["unit"], "rad"),
+}
 _MOVES: Any = {"low": (-FAST,) * 2, "high": (FAST,) * 2, "unit": ("m/s",) * 2, "frame": "base"}
 _FLAG: Any = {"low": (0.0,), "high": (1.0,)}
 _WAYS: Any = {"low": (0.0,), "high": (FAR_M,), "unit": ("m",), "times": "objects"}
@@ -300,17 +302,26 @@ TABLE: Mapping[str, Sensor] = {
     HUMANOID_GPS: _OTHER_GPS,
     "egomotion": Sensor(
         lambda m: egomotion(m.before.xz, m.before.heading, m.now.xz, m.now.heading, xp=m.xp),
-        (-FAST,) * 3, (FAST,) * 3, ("m/s", "m/s", "rad/s"), "base",
+        (-FAST,) * 3,
+        (FAST,) * 3,
+        ("m/s", "m/s", "rad/s"),
+        "base",
     ),
-    "localization": Sensor(lambda m: localization(m.now.xz, m.now.heading, m.floor_y(), xp=m.xp), **_POSE, frame="world"),
+    "localization": Sensor(
+        lambda m: localization(m.now.xz, m.now.heading, m.floor_y(), xp=m.xp), **_POSE, frame="world"
+    ),
     "humanoid_velocity": _OTHER_VELOCITY,
     "way": Sensor(lambda m: way(m.now.xz, m.now.heading, *m.path(), xp=m.xp), **_POLAR, of_other=True),
     "range_scan": Sensor(
         lambda m: range_scan(m.clearance, m.now.xz, m.now.heading, xp=m.xp),
-        (0.0,) * RANGES, (RANGE_M,) * RANGES, ("m",) * RANGES, "base",
+        (0.0,) * RANGES,
+        (RANGE_M,) * RANGES,
+        ("m",) * RANGES,
+        "base",
     ),
     "localization_in_start_frame": Sensor(
-        lambda m: localization_in_start_frame(m.start.xz, m.start.heading, m.now.xz, m.now.heading, xp=m.xp), **_POSE,
+        lambda m: localization_in_start_frame(m.start.xz, m.start.heading, m.now.xz, m.now.heading, xp=m.xp),
+        **_POSE,
         frame="start",
     ),
     "humanoid_in_start_frame": Sensor(
@@ -325,7 +336,11 @@ TABLE: Mapping[str, Sensor] = {
     "obj_start_sensor": _in_hand(lambda m: m.starts),
     "obj_goal_sensor": _in_hand(lambda m: m.goals),
     "other_agent_gps": Sensor(
-        lambda m: other_agent_gps(m.now.xz, m.other.xz, xp=m.xp), (-FAR_M,) * 2, (FAR_M,) * 2, ("m",) * 2, "world",
+        lambda m: other_agent_gps(m.now.xz, m.other.xz, xp=m.xp),
+        (-FAR_M,) * 2,
+        (FAR_M,) * 2,
+        ("m",) * 2,
+        "world",
         of_other=True,
     ),
     "obj_gps_compass": _gps(lambda m: m.objects),
@@ -351,10 +366,12 @@ TABLE: Mapping[str, Sensor] = {
     "other_velocity": _OTHER_VELOCITY,
     "elapsed_s": Sensor(lambda m: m.steps[..., None] * STEP_S, (0.0,), (FAR_M,), ("s",)),
     # of a robot with one skill to learn
-    "target_gps_compass": Sensor(lambda m: gps_compass(m.now.xz, m.now.heading, m.target[..., 0:3:2], xp=m.xp), **_POLAR),
+    "target_gps_compass": Sensor(
+        lambda m: gps_compass(m.now.xz, m.now.heading, m.target[..., 0:3:2], xp=m.xp), **_POLAR
+    ),
     "target_sensor": Sensor(lambda m: m.in_hand(m.target[..., None, :])[..., 0, :], **_POINT, frame="hand"),
     "resting_sensor": Sensor(lambda m: m.in_hand(m.resting[..., None, :])[..., 0, :], **_POINT, frame="hand"),
-}  # fmt: skip
+}
 """Every sensor by name (h3data docs environments)."""
 
 
@@ -363,15 +380,26 @@ def _rows(*names: str) -> Mapping[str, Sensor]:
 
 
 OF_SKILLS = (
-    "way", "range_scan", "egomotion", "target_gps_compass", "target_sensor", "resting_sensor", "is_holding", "arm_joints",
-)  # fmt: skip
+    "way",
+    "range_scan",
+    "egomotion",
+    "target_gps_compass",
+    "target_sensor",
+    "resting_sensor",
+    "is_holding",
+    "arm_joints",
+)
 """What a learned skill is shown beside a picture."""
 SENSORS = _rows(*list(TABLE)[: list(TABLE).index("arm_joints") + 1])
 """Sensors of agents of any task whose agents drive and walk."""
 SENSES = _rows(
-    *(name for name in TABLE if name not in ("humanoid_velocity", "way", "range_scan", "target_gps_compass", "target_sensor",
-                                              "resting_sensor"))
-)  # fmt: skip
+    *(
+        name
+        for name in TABLE
+        if name
+        not in ("humanoid_velocity", "way", "range_scan", "target_gps_compass", "target_sensor", "resting_sensor")
+    )
+)
 """Sensors of agents of rearrangement."""
 FOLLOWER = (HUMANOID_GPS, "egomotion", "localization", "humanoid_velocity", "way", "range_scan")
 """What a robot that follows a person may be told, wherever it learns or plays: on the CPU and on devices."""
@@ -380,9 +408,14 @@ STATE_OBSERVATIONS = (HUMANOID_GPS, "egomotion")
 PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", HUMANOID_GPS)
 """What the paper's policy of social navigation sees (appendix). Needs a picture in every step."""
 HABITAT_SENSES = (
-    "arm_depth", "is_holding", "obj_start_gps_compass", "obj_goal_gps_compass", "other_agent_gps", "obj_start_sensor",
+    "arm_depth",
+    "is_holding",
+    "obj_start_gps_compass",
+    "obj_goal_gps_compass",
+    "other_agent_gps",
+    "obj_start_sensor",
     "obj_goal_sensor",
-)  # fmt: skip
+)
 """What Habitat's configuration shows the upper layer (spec/habitat.md 2.5). Needs a picture in every step."""
 PAPER_SENSES = (
     *(name for name in HABITAT_SENSES if name != "other_agent_gps"),
@@ -393,9 +426,15 @@ PAPER_SENSES = (
 """What the paper says that the robot has (section 4.2): depth, arm joints, egomotion, the person's distance and direction; and
 of the task what Habitat shows. Needs a picture in every step."""
 STATE_SENSES = (
-    "obj_gps_compass", "obj_goal_gps_compass", "holds", "held_by_other", "at_goal", "other_gps_compass", "last_done",
+    "obj_gps_compass",
+    "obj_goal_gps_compass",
+    "holds",
+    "held_by_other",
+    "at_goal",
+    "other_gps_compass",
+    "last_done",
     "interrupted",
-)  # fmt: skip
+)
 """All that a policy without memory needs to do the task of rearrangement."""
 
 

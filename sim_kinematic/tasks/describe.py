@@ -14,9 +14,14 @@ LISTED = 3
 
 
 def in_words(
-    task: str, scenes: Scenes, count: int, agents: Mapping[str, str], *,
-    beside: Mapping[str, str] | None = None, worlds: int = 1,
-) -> str:  # fmt: skip
+    task: str,
+    scenes: Scenes,
+    count: int,
+    agents: Mapping[str, str],
+    *,
+    beside: Mapping[str, str] | None = None,
+    worlds: int = 1,
+) -> str:
     """``social_nav, 37 scenes of h3-homes/train, robot quad_arm beside human female_0, 64 worlds``.
 
     Args:

@@ -162,9 +162,13 @@ class WorldRollout:
             )
         self.task, self.spec, self.measure, self.options = task, spec, measure, dict(options or {})
         self.world = World(
-            roster, worlds=worlds, base=spec.robot, walker=spec.human, person_radius_m=spec.agent_radius_m,
+            roster,
+            worlds=worlds,
+            base=spec.robot,
+            walker=spec.human,
+            person_radius_m=spec.agent_radius_m,
             solid=getattr(spec, "solid_agents", False),
-        )  # fmt: skip
+        )
         self.episodes: list[Episode] = []
         """Episode of each world; empty before the first `begin`."""
         self.steps = np.zeros(self.world.worlds, np.int64)

@@ -166,11 +166,16 @@ def header_from(recording: Recording, what: str) -> RecordingHeader:
     """The same bodies, agents and files under an episode of its own; ``what`` makes its uid."""
     old = recording.episode
     episode = replace(
-        old, uid=str(uuid.uuid5(uuid.NAMESPACE_URL, f"{old.uid}:{what}")), schema_version=SCHEMA_VERSION,
+        old,
+        uid=str(uuid.uuid5(uuid.NAMESPACE_URL, f"{old.uid}:{what}")),
+        schema_version=SCHEMA_VERSION,
         created_by=f"h3data {own_version()}",
         info={k: v for k, v in old.info.items() if k not in _OF_THE_RUN},
-    )  # fmt: skip
+    )
     return RecordingHeader(
-        episode=episode, assets=recording.assets, bodies=recording.bodies, agents=recording.agents,
+        episode=episode,
+        assets=recording.assets,
+        bodies=recording.bodies,
+        agents=recording.agents,
         attachments=recording.attachments,
-    )  # fmt: skip
+    )

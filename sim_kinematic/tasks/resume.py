@@ -194,9 +194,14 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
     changed = [one.name != name for one, name in zip(assigned, named, strict=True)]
     policies = task.control.recorded_policies(recording, episode, assigned, until=step, changed=changed)
     played = _Played(
-        task, episode, policies, recording, steps=len(recording) if keeps_people else None, keeps_people=keeps_people,
+        task,
+        episode,
+        policies,
+        recording,
+        steps=len(recording) if keeps_people else None,
+        keeps_people=keeps_people,
         since=step,
-    )  # fmt: skip
+    )
     robots = [n for n in played.columns if any(n.startswith(f"agent_{k}.") for k in _numbers(recording, "robot"))]
     # beside a kept track, what was measured of the person may differ in its last bits
     require_kept(
@@ -224,9 +229,16 @@ class _Played:
     """A recording's episode played by policies, with people on their recorded tracks if they keep them."""
 
     def __init__(
-        self, task: Task, episode: Episode, policies: Sequence[AssignedPolicy], recording: Recording, *,
-        steps: int | None, keeps_people: bool, since: int = 0,
-    ) -> None:  # fmt: skip
+        self,
+        task: Task,
+        episode: Episode,
+        policies: Sequence[AssignedPolicy],
+        recording: Recording,
+        *,
+        steps: int | None,
+        keeps_people: bool,
+        since: int = 0,
+    ) -> None:
         self.play: Rollout = task.control.rollout(task, episode, policies, measure=False)
         self.track: dict[str, Any] = {}
         recorder = Recorder(header_from(recording, "again"), self.play)

@@ -83,9 +83,11 @@ def boxes() -> Recording:
             Body(name="leaves", asset="lost", pose=poses[0, 1], moving=1),
         ),
         columns={
-            "time_ns": np.arange(12, dtype=np.int64) * 33_333_333, "object_pose": poses, "user.sensor_eye": view,
+            "time_ns": np.arange(12, dtype=np.int64) * 33_333_333,
+            "object_pose": poses,
+            "user.sensor_eye": view,
         },
-    )  # fmt: skip
+    )
 
 
 def exported(recording: Recording, path: Path, **options: Any) -> Recording:
@@ -104,8 +106,11 @@ def assert_same_replay(back: Recording, recording: Recording) -> None:
     assert len(back.bodies) == len(recording.bodies)
     for one, other in zip(back.bodies, recording.bodies, strict=True):
         assert (one.asset, one.semantic_id, one.moving, one.agent) == (
-            other.asset, other.semantic_id, other.moving, other.agent,
-        )  # fmt: skip
+            other.asset,
+            other.semantic_id,
+            other.moving,
+            other.agent,
+        )
         np.testing.assert_allclose(one.pose, other.pose, atol=1e-6)
         np.testing.assert_array_equal(one.scale, other.scale)
     for key in ("lights", "light_changes", "warnings"):
@@ -276,10 +281,11 @@ def test_every_robot_of_ours_comes_back_onto_its_floor(name: str, tmp_path: Path
         episode=Episode(uid="u", episode_id="x", task="none", scene=""),
         agents=(Agent(name="robot", kind="robot", model=f"robot/{name}", joint_names=tuple(robot.joint_names)),),
         columns={
-            "time_ns": np.arange(5, dtype=np.int64) * 33_333_333, "agent_0.base_pose": base,
+            "time_ns": np.arange(5, dtype=np.int64) * 33_333_333,
+            "agent_0.base_pose": base,
             "agent_0.joint_pos": np.tile(robot.rest.astype(np.float32), (5, 1)),
         },
-    )  # fmt: skip
+    )
     back = exported(recording, tmp_path / "x.gfx_replay.json")
     assert back.episode.info["warnings"] == []
     np.testing.assert_allclose(np.abs(back.columns["agent_0.base_pose"]), np.abs(base), atol=1e-6)
@@ -511,9 +517,13 @@ def test_robomimic_demonstrations(recording: Recording, tmp_path: Path) -> None:
 
 # --- the command ------------------------------------------------------------------------------------------------------
 TARGETS = {
-    "gfx-replay": "e.gfx_replay.json", "gltf": "e.glb", "foxglove": "e.foxglove.mcap", "csv": "tables", "lerobot": "lerobot",
+    "gfx-replay": "e.gfx_replay.json",
+    "gltf": "e.glb",
+    "foxglove": "e.foxglove.mcap",
+    "csv": "tables",
+    "lerobot": "lerobot",
     "robomimic": "d.hdf5",
-}  # fmt: skip
+}
 NEEDS = {"robomimic": "h5py", "foxglove": "mcap_protobuf"}
 
 
@@ -640,7 +650,9 @@ def test_a_recording_cannot_name_any_folder_of_assets(recording: Recording, tmp_
     asset = AssetRef(name="x", uri="secret/a.glb")
     body = Body(name="x", asset="x", pose=np.array([0, 0, 0, 0, 0, 0, 1], np.float32))
     changed = replace(
-        recording, episode=replace(recording.episode, info=info), assets=(*recording.assets, asset),
+        recording,
+        episode=replace(recording.episode, info=info),
+        assets=(*recording.assets, asset),
         bodies=(*recording.bodies, body),
-    )  # fmt: skip
+    )
     assert list(Replay(changed).missing) == ["secret/a.glb"]

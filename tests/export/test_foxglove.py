@@ -125,11 +125,18 @@ def drawn(replay: Replay, index: int, step: int) -> np.ndarray:
 # --- what is in the file ----------------------------------------------------------------------------------------------
 def test_every_topic_has_a_standard_message_whose_descriptor_is_in_the_file(file: File) -> None:
     expected = {
-        "/tf": "FrameTransforms", "/scene_update": "SceneUpdate", "/scene_update/ceiling": "SceneUpdate",
-        "/agents/robot/pose": "PoseInFrame", "/agents/human/pose": "PoseInFrame", "/agents/robot/joints": "JointStates",
-        "/log": "Log", "/cam/robot_arm/calibration": "CameraCalibration", "/cam/robot_arm/video": "CompressedVideo",
-        "/cam/orbit/calibration": "CameraCalibration", "/cam/orbit/video": "CompressedVideo",
-    }  # fmt: skip
+        "/tf": "FrameTransforms",
+        "/scene_update": "SceneUpdate",
+        "/scene_update/ceiling": "SceneUpdate",
+        "/agents/robot/pose": "PoseInFrame",
+        "/agents/human/pose": "PoseInFrame",
+        "/agents/robot/joints": "JointStates",
+        "/log": "Log",
+        "/cam/robot_arm/calibration": "CameraCalibration",
+        "/cam/robot_arm/video": "CompressedVideo",
+        "/cam/orbit/calibration": "CameraCalibration",
+        "/cam/orbit/video": "CompressedVideo",
+    }
     names = {topic: schema.name for topic, schema in file.schemas.items()}
     assert names == {topic: f"foxglove.{name}" for topic, name in expected.items()} | {"/metrics": "h3.Metrics"}
     for schema in file.schemas.values():

@@ -52,9 +52,7 @@ def brick(low: tuple[float, ...], high: tuple[float, ...], color: tuple[int, int
     a, b, c = (corners[faces[:, k]] for k in range(3))
     wrong = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
     faces[wrong] = faces[wrong][:, ::-1]
-    return Mesh(
-        vertices=corners.astype(np.float32), faces=faces, colors=np.tile(np.array(color, np.uint8), (8, 1))
-    )  # fmt: skip
+    return Mesh(vertices=corners.astype(np.float32), faces=faces, colors=np.tile(np.array(color, np.uint8), (8, 1)))
 
 
 def pose(x: float, y: float, z: float, axis: tuple[float, ...] = (0, 1, 0), angle: float = 0.0) -> np.ndarray:
@@ -73,13 +71,25 @@ def small_scene(*more: Instance, name: str = "tiny") -> Scene:
     )
     assets = {
         "ground": Asset(name="ground", mesh=brick((-3, -0.1, -3), (3, 0, 3)), category="floor"),
-        "window": Asset(name="window", mesh=brick((-0.5, 0, -0.1), (0.5, 1, 0.1)), category="window", receptacles=(sill,)),
-        "table": Asset(name="table", mesh=brick((-0.4, 0, -0.3), (0.5, 0.5, 0.3), (200, 3, 77)), category="table",
-                       shapes=shapes, receptacles=(top,)),
-        "twin": Asset(name="twin", mesh=brick((-0.4, 0, -0.3), (0.5, 0.5, 0.3), (200, 3, 77)), category="table",
-                      shapes=shapes, receptacles=(top,)),
+        "window": Asset(
+            name="window", mesh=brick((-0.5, 0, -0.1), (0.5, 1, 0.1)), category="window", receptacles=(sill,)
+        ),
+        "table": Asset(
+            name="table",
+            mesh=brick((-0.4, 0, -0.3), (0.5, 0.5, 0.3), (200, 3, 77)),
+            category="table",
+            shapes=shapes,
+            receptacles=(top,),
+        ),
+        "twin": Asset(
+            name="twin",
+            mesh=brick((-0.4, 0, -0.3), (0.5, 0.5, 0.3), (200, 3, 77)),
+            category="table",
+            shapes=shapes,
+            receptacles=(top,),
+        ),
         "rug": Asset(name="rug", mesh=brick((-1, 0, -1), (1, 0.01, 1)), category="rug"),
-    }  # fmt: skip
+    }
     instances = (
         Instance(name="floor", asset="ground", pose=pose(0, 0, 0), semantic_id=2),
         Instance(name="window_0", asset="window", pose=pose(2.9, 0, 0, (0, 1, 0), 0.5 * np.pi), semantic_id=5),
@@ -163,8 +173,9 @@ def test_a_home_comes_back(home: Scene, exported: Path) -> None:
     def things(scene: Scene) -> Counter:
         return Counter(
             (i.semantic_id, i.motion, *np.round(i.pose[:3], 9) + 0.0)
-            for i in scene.instances if scene.assets[i.asset].category not in export_module.STAGE_CATEGORIES
-        )  # fmt: skip
+            for i in scene.instances
+            if scene.assets[i.asset].category not in export_module.STAGE_CATEGORIES
+        )
 
     assert things(again) == things(home)
     assert again.instances[0].name == "stage"
@@ -243,8 +254,11 @@ def test_every_reference_leads_to_a_file(exported: Path) -> None:
             if key in content:
                 assert (file.parent / content[key]).is_file(), (file.name, key)
     instance = json.loads((folder / "scenes/home_small_3.scene_instance.json").read_text())
-    for path in (instance["stage_instance"]["template_name"], instance["default_lighting"],
-                 instance["user_defined"]["scene_filter_file"]):  # fmt: skip
+    for path in (
+        instance["stage_instance"]["template_name"],
+        instance["default_lighting"],
+        instance["user_defined"]["scene_filter_file"],
+    ):
         assert (folder / path).is_file()
     assert (folder / "semantics/scenes" / instance["semantic_scene_instance"]).is_file()
     config = json.loads(exported.read_text())

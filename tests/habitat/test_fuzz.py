@@ -47,19 +47,37 @@ def replay(**more: Any) -> dict[str, Any]:
     rig = [{"t": [0, 1, 0], "r": [1, 0, 0, 0]}, {"t": [0, 2, 0], "r": [0, 1, 0, 0]}]
     phong = {"diffuse": [0.5, 0.25, 1, 1]}
     files = ["data/stages/flat.glb", "data/robots/hab_spot_arm/base.glb", "humanoids/male_0/male_0.glb", "cubeSolid"]
-    return {"keyframes": [
-        {"loads": [{"filepath": f, "frame": {"up": [0, 1, 0], "front": [0, 0, -1]}, "virtualUnitToMeters": 1.0,
-                    "overridePhongMaterial": phong} for f in files],
-         "rigCreations": [{"id": 0, "boneNames": ["a", "b"]}],
-         "creations": [{"instanceKey": k, "creation": {"filepath": f, "scale": [1, 1, 1], "rigId": 0 if k == 2 else -1}}
-                       for k, f in enumerate(files)],
-         "metadata": [{"instanceKey": 1, "metadata": {"objectId": 1, "semanticId": 7}}],
-         "stateUpdates": [{"instanceKey": k, "state": {"absTransform": POSE, "semanticId": k}} for k in range(4)],
-         "rigUpdates": [{"id": 0, "pose": rig}], "userTransforms": [{"name": "sensor_a", "transform": POSE}],
-         "lightsChanged": True, "lights": [{"vector": [0, -1, 0, 0], "color": [1, 1, 1], "model": "global"}]},
-        {},
-        {"deletions": [3], "stateUpdates": [{"instanceKey": 1, "state": {"absTransform": FLIPPED}}]},
-    ], **more}  # fmt: skip
+    return {
+        "keyframes": [
+            {
+                "loads": [
+                    {
+                        "filepath": f,
+                        "frame": {"up": [0, 1, 0], "front": [0, 0, -1]},
+                        "virtualUnitToMeters": 1.0,
+                        "overridePhongMaterial": phong,
+                    }
+                    for f in files
+                ],
+                "rigCreations": [{"id": 0, "boneNames": ["a", "b"]}],
+                "creations": [
+                    {"instanceKey": k, "creation": {"filepath": f, "scale": [1, 1, 1], "rigId": 0 if k == 2 else -1}}
+                    for k, f in enumerate(files)
+                ],
+                "metadata": [{"instanceKey": 1, "metadata": {"objectId": 1, "semanticId": 7}}],
+                "stateUpdates": [
+                    {"instanceKey": k, "state": {"absTransform": POSE, "semanticId": k}} for k in range(4)
+                ],
+                "rigUpdates": [{"id": 0, "pose": rig}],
+                "userTransforms": [{"name": "sensor_a", "transform": POSE}],
+                "lightsChanged": True,
+                "lights": [{"vector": [0, -1, 0, 0], "color": [1, 1, 1], "model": "global"}],
+            },
+            {},
+            {"deletions": [3], "stateUpdates": [{"instanceKey": 1, "state": {"absTransform": FLIPPED}}]},
+        ],
+        **more,
+    }
 
 
 def episode() -> dict[str, Any]:
@@ -67,16 +85,22 @@ def episode() -> dict[str, Any]:
     camera = {"right": [1, 0, 0], "up": [0, 1, 0], "backward": [0, 0, 1], "translation": [0, 1.5, 0]}
     thing = {"position": [0, 1, 0], "rotation": [0, 0.6, 0, 0.8], "object_handle": "can_:0000", "object_id": 5}
     users = [{"events": [{"type": "pick", "obj_handle": "can_:0000"}], "held_object": 5, "camera_transform": camera}]
-    agents = [{"position": [0, 0.48, 0], "rotation": [0, 0, 0, 1], "grasp_mgr_snap_idx": 5},
-              {"position": [2, 0.92, 1], "rotation": TILTED, "grasp_mgr_snap_idx": None}]  # fmt: skip
+    agents = [
+        {"position": [0, 0.48, 0], "rotation": [0, 0, 0, 1], "grasp_mgr_snap_idx": 5},
+        {"position": [2, 0.92, 1], "rotation": TILTED, "grasp_mgr_snap_idx": None},
+    ]
     frame = {
         "t": 0.1,
         "users": users,
         "object_states": [{**thing, "states": {"is_clean": True}}],
         "agent_states": agents,
     }
-    return {"session": {}, "users": [], "episode": {"episode_id": "3", "scene_id": "a/b.scene_instance.json"},
-            "frames": [frame, {}, {**frame, "t": 0.2}]}  # fmt: skip
+    return {
+        "session": {},
+        "users": [],
+        "episode": {"episode_id": "3", "scene_id": "a/b.scene_instance.json"},
+        "frames": [frame, {}, {**frame, "t": 0.2}],
+    }
 
 
 def log() -> dict[str, Any]:
@@ -84,22 +108,47 @@ def log() -> dict[str, Any]:
     base = np.eye(4)
     base[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
     posture = [*np.tile([0.0, 0, 0, 1], 54), *np.eye(4).ravel(), *base.T.ravel()]
-    agents = [{"position": [0, 0.48, 0], "rotation_xyzw": [0, 0, 0, 1], "grasp_mgr_snap_idx": None},
-              {"position": [1, 0.92, 0], "rotation_xyzw": TILTED, "grasp_mgr_snap_idx": 7}]  # fmt: skip
+    agents = [
+        {"position": [0, 0.48, 0], "rotation_xyzw": [0, 0, 0, 1], "grasp_mgr_snap_idx": None},
+        {"position": [1, 0.92, 0], "rotation_xyzw": TILTED, "grasp_mgr_snap_idx": 7},
+    ]
     metrics = {"n": 1, "deep": {"a": True}}
-    step = {"action": [0.5, *map(float, posture)], "gui_humanoid": {"cam_yaw": 0.1, "grasp_object_id": 7},
-            "agent_states": agents, "target_object_positions": [[0, 0.5, 0]], "metrics": metrics}  # fmt: skip
-    return {"start_time": "x", "episode_id": "1", "scene_id": "", "target_obj_ids": [7], "goal_positions": [[0, 0, 0]],
-            "steps": [step, step]}  # fmt: skip
+    step = {
+        "action": [0.5, *map(float, posture)],
+        "gui_humanoid": {"cam_yaw": 0.1, "grasp_object_id": 7},
+        "agent_states": agents,
+        "target_object_positions": [[0, 0.5, 0]],
+        "metrics": metrics,
+    }
+    return {
+        "start_time": "x",
+        "episode_id": "1",
+        "scene_id": "",
+        "target_obj_ids": [7],
+        "goal_positions": [[0, 0, 0]],
+        "steps": [step, step],
+    }
 
 
 def dataset() -> dict[str, Any]:
     """An episode dataset."""
     turn = np.eye(4).tolist()
-    episode = {"episode_id": "0", "scene_id": "a", "scene_dataset_config": "b", "start_position": [0, 0, 0],
-               "start_rotation": [0, 0, 0, 1], "rigid_objs": [["c.object_config.json", turn]], "targets": {"c_:0000": turn},
-               "ao_states": {}, "name_to_receptacle": {}, "additional_obj_config_paths": [], "goal_receptacles": [],
-               "target_receptacles": [], "markers": [], "info": {}}  # fmt: skip
+    episode = {
+        "episode_id": "0",
+        "scene_id": "a",
+        "scene_dataset_config": "b",
+        "start_position": [0, 0, 0],
+        "start_rotation": [0, 0, 0, 1],
+        "rigid_objs": [["c.object_config.json", turn]],
+        "targets": {"c_:0000": turn},
+        "ao_states": {},
+        "name_to_receptacle": {},
+        "additional_obj_config_paths": [],
+        "goal_receptacles": [],
+        "target_receptacles": [],
+        "markers": [],
+        "info": {},
+    }
     return {"config": None, "episodes": [episode]}
 
 
@@ -203,8 +252,28 @@ def damaged(data: bytes, draw: st.DrawFn) -> bytes:
     return bytes(out)
 
 
-BITES = [b"NaN", b"-Infinity", b"1e999", b"9" * 30, b"-1", b"null", b"[[[[", b"]]]", b"{}", b'"', b"\\", b"\xff\xfe",
-         b"\x00" * 4, b"\xff" * 8, b"1e30", b"\\ud800", b"../../../etc/passwd", b"true", b"0", b""]  # fmt: skip
+BITES = [
+    b"NaN",
+    b"-Infinity",
+    b"1e999",
+    b"9" * 30,
+    b"-1",
+    b"null",
+    b"[[[[",
+    b"]]]",
+    b"{}",
+    b'"',
+    b"\\",
+    b"\xff\xfe",
+    b"\x00" * 4,
+    b"\xff" * 8,
+    b"1e30",
+    b"\\ud800",
+    b"../../../etc/passwd",
+    b"true",
+    b"0",
+    b"",
+]
 
 
 @st.composite
@@ -226,8 +295,17 @@ def test_many_damaged_files_are_read_or_refused(folder: Path, file: tuple[str, b
     read_or_refuse(folder, *file)
 
 
-PLACES = ["loads", "rigCreations", "creations", "metadata", "stateUpdates", "rigUpdates", "userTransforms", "lights",
-          "deletions"]  # fmt: skip
+PLACES = [
+    "loads",
+    "rigCreations",
+    "creations",
+    "metadata",
+    "stateUpdates",
+    "rigUpdates",
+    "userTransforms",
+    "lights",
+    "deletions",
+]
 leaf = st.none() | st.booleans() | st.integers(-(2**70), 2**70) | st.floats() | st.text(max_size=4)
 anything = st.recursive(leaf, lambda s: st.lists(s, max_size=3) | st.dictionaries(st.text(max_size=6), s, max_size=3))
 
@@ -303,29 +381,75 @@ def bomb(head: bytes, mebibytes: int = 100) -> bytes:
 HOSTILE: dict[str, tuple[str, Callable[[], bytes], str]] = {
     "gzip bomb": ("x.gfx_replay.json.gz", lambda: bomb(b'{"keyframes":[{},'), "unpack to more than"),
     "gzip bomb of a log": ("x.json.gz", lambda: bomb(b'{"steps":['), "unpack to more than"),
-    "deep brackets": ("x.gfx_replay.json", lambda: b'{"keyframes":[' + b"[" * 200_000 + b"]" * 200_000 + b"]}",
-                      "object"),
-    "deep objects": ("x.gfx_replay.json", lambda: b'{"keyframes":[' + b'{"a":' * 200_000 + b"0" + b"}" * 200_000 + b"]}",
-                     "deep"),
-    "deep lights": ("x.gfx_replay.json", lambda: b'{"keyframes":[{"lights":[' + b"[" * 9000 + b"]" * 9000 + b"]}]}",
-                    "deep|object"),
-    "a keyframe without end": ("x.gfx_replay.json", lambda: b'{"keyframes":[{"a":"' + b"x" * (KEYFRAME_BYTES + 2**21),
-                               "longer than 64 MiB"),
+    "deep brackets": (
+        "x.gfx_replay.json",
+        lambda: b'{"keyframes":[' + b"[" * 200_000 + b"]" * 200_000 + b"]}",
+        "object",
+    ),
+    "deep objects": (
+        "x.gfx_replay.json",
+        lambda: b'{"keyframes":[' + b'{"a":' * 200_000 + b"0" + b"}" * 200_000 + b"]}",
+        "deep",
+    ),
+    "deep lights": (
+        "x.gfx_replay.json",
+        lambda: b'{"keyframes":[{"lights":[' + b"[" * 9000 + b"]" * 9000 + b"]}]}",
+        "deep|object",
+    ),
+    "a keyframe without end": (
+        "x.gfx_replay.json",
+        lambda: b'{"keyframes":[{"a":"' + b"x" * (KEYFRAME_BYTES + 2**21),
+        "longer than 64 MiB",
+    ),
     "pickle with code": ("x.pkl.gz", lambda: gzip.compress(pickle.dumps(Evil())), r"builtins\.exec"),
-    "pickle with code among values": ("x.pkl.gz", lambda: gzip.compress(pickle.dumps({**log(), "dataset": Evil()})),
-                                      r"builtins\.exec"),
+    "pickle with code among values": (
+        "x.pkl.gz",
+        lambda: gzip.compress(pickle.dumps({**log(), "dataset": Evil()})),
+        r"builtins\.exec",
+    ),
     "not UTF-8": ("x.gfx_replay.json", lambda: b'{"keyframes":[{"loads":[{"filepath":"\xe9"}]}]}', "UTF-8"),
     "NaN": ("x.gfx_replay.json", lambda: text(replay()).replace(b"0.25", b"NaN", 1), "NaN under"),
     "infinity": ("x.gfx_replay.json", lambda: text(replay()).replace(b"-2]", b"-Infinity]", 1), "Infinity"),
     "beyond all numbers": ("x.gfx_replay.json", lambda: text(replay()).replace(b"0.25", b"1e40", 1), "1000000000"),
-    "quaternion of nothing": ("x.gfx_replay.json", lambda: text(replay()).replace(b"[1,0,0,0]", b"[0,0,0,0]"), "length 0"),
-    "many people": ("x.gfx_replay.json", lambda: text({"keyframes": [{"creations": [
-        {"instanceKey": k, "creation": {"filepath": "humanoids/a.glb"}} for k in range(MAX_AGENTS + 1)]}]}), "More than 256"),
-    "many instances": ("x.gfx_replay.json", lambda: text({"keyframes": [{"creations": [
-        {"instanceKey": k, "creation": {"filepath": "a"}} for k in range(2001)]}]}), "More than 2000 instances"),
-    "tracks that fill the memory": ("x.gfx_replay.json", lambda: b'{"keyframes":[' + b"{}," * 30_000 + text({"creations": [
-        {"instanceKey": k, "creation": {"filepath": "a"}} for k in range(900)]}) + b"]}", "more than can be read"),
-}  # fmt: skip
+    "quaternion of nothing": (
+        "x.gfx_replay.json",
+        lambda: text(replay()).replace(b"[1,0,0,0]", b"[0,0,0,0]"),
+        "length 0",
+    ),
+    "many people": (
+        "x.gfx_replay.json",
+        lambda: text(
+            {
+                "keyframes": [
+                    {
+                        "creations": [
+                            {"instanceKey": k, "creation": {"filepath": "humanoids/a.glb"}}
+                            for k in range(MAX_AGENTS + 1)
+                        ]
+                    }
+                ]
+            }
+        ),
+        "More than 256",
+    ),
+    "many instances": (
+        "x.gfx_replay.json",
+        lambda: text(
+            {"keyframes": [{"creations": [{"instanceKey": k, "creation": {"filepath": "a"}} for k in range(2001)]}]}
+        ),
+        "More than 2000 instances",
+    ),
+    "tracks that fill the memory": (
+        "x.gfx_replay.json",
+        lambda: (
+            b'{"keyframes":['
+            + b"{}," * 30_000
+            + text({"creations": [{"instanceKey": k, "creation": {"filepath": "a"}} for k in range(900)]})
+            + b"]}"
+        ),
+        "more than can be read",
+    ),
+}
 HEAVY = ("a keyframe without end", "gzip bomb", "gzip bomb of a log")
 """Cases that take more than a second."""
 

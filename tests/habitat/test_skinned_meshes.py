@@ -43,10 +43,14 @@ def skinned_square(
     bind = build.chunk.array(columns, "MAT4", FLOAT)
     build.document |= {
         "scenes": [{"nodes": [0, 1, 3]}],
-        "nodes": [{"mesh": 0, "skin": 0, "translation": [9, 9, 9]}, {"name": "low", "children": [2]}, {"name": "high"},
-                  {"mesh": 1, "translation": [2, 0, 0]}],
+        "nodes": [
+            {"mesh": 0, "skin": 0, "translation": [9, 9, 9]},
+            {"name": "low", "children": [2]},
+            {"name": "high"},
+            {"mesh": 1, "translation": [2, 0, 0]},
+        ],
         "skins": [skin or {"joints": [1, 2], "inverseBindMatrices": bind}],
-    }  # fmt: skip
+    }
     path = folder / "bent.glb"
     path.write_bytes(build.data())
     return path
@@ -64,16 +68,20 @@ def recorded(path: Path, bones: np.ndarray, names: list[str], track: np.ndarray 
     if track is not None:
         columns["object_pose"] = track[:, None].astype(np.float32)
     body = Body(
-        name="bent_0", asset="bent", pose=np.array([1, 0, 2, *quat_from_heading(0.4)], np.float32),
-        scale=np.full(3, 0.5, np.float32), moving=-1 if track is None else 0,
-    )  # fmt: skip
+        name="bent_0",
+        asset="bent",
+        pose=np.array([1, 0, 2, *quat_from_heading(0.4)], np.float32),
+        scale=np.full(3, 0.5, np.float32),
+        moving=-1 if track is None else 0,
+    )
     return Recording(
-        episode=Episode(uid="u", episode_id="e", task="none", scene="", info={
-            "rigs": [{"id": 3, "bones": names, "body": "bent_0"}]}),
+        episode=Episode(
+            uid="u", episode_id="e", task="none", scene="", info={"rigs": [{"id": 3, "bones": names, "body": "bent_0"}]}
+        ),
         assets=(AssetRef(name="bent", uri=path.name, up=(0.0, 0.0, 1.0), front=(0.0, 1.0, 0.0)),),
         bodies=(body,),
         columns=columns,
-    )  # fmt: skip
+    )
 
 
 def test_vertices_follow_the_definition(tmp_path: Path) -> None:

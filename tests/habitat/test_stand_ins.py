@@ -23,10 +23,17 @@ from tests.paths import REAL
 
 STEPS = 4
 SPOT = {
-    "base": "base_link", "fl.hip": "front_left_hip", "fl.uleg": "front_left_thigh", "fl.lleg": "front_left_shank",
-    "hr.hip": "rear_right_hip", "hr.uleg": "rear_right_thigh", "arm0.link_sh0": "arm_turret",
-    "arm0.link_sh1": "arm_upper", "arm0.link_hr0": "arm_upper_end", "arm0.link_el0": "arm_elbow",
-}  # fmt: skip
+    "base": "base_link",
+    "fl.hip": "front_left_hip",
+    "fl.uleg": "front_left_thigh",
+    "fl.lleg": "front_left_shank",
+    "hr.hip": "rear_right_hip",
+    "hr.uleg": "rear_right_thigh",
+    "arm0.link_sh0": "arm_turret",
+    "arm0.link_sh1": "arm_upper",
+    "arm0.link_hr0": "arm_upper_end",
+    "arm0.link_el0": "arm_elbow",
+}
 POSED = (
     "front_left_hip_roll",
     "front_left_hip_pitch",
@@ -95,9 +102,11 @@ def test_the_robot_has_the_recorded_joints(tmp_path: Path) -> None:
     links = shown.link_matrices(0)
     for name, own in SPOT.items():
         body = next(b for b in recording.bodies if b.asset == name)
-        recorded = pose_to_matrix(recording.columns["object_pose"][:, body.moving].astype(np.float64)) if (
-            body.moving >= 0
-        ) else pose_to_matrix(body.pose.astype(np.float64))  # fmt: skip
+        recorded = (
+            pose_to_matrix(recording.columns["object_pose"][:, body.moving].astype(np.float64))
+            if (body.moving >= 0)
+            else pose_to_matrix(body.pose.astype(np.float64))
+        )
         np.testing.assert_allclose(links[:, robot.link_index(own)], recorded, atol=2e-3, err_msg=name)
 
 
@@ -129,8 +138,9 @@ def test_the_rest_are_plain_boxes_with_names_and_nothing_is_striped(tmp_path: Pa
     boxes = [d for d in plain.drawables if d.placeholder]
     assert [d.mesh.textures[0].name for d in boxes] == ["furniture", "bowl"]
     assert all(d.agent == -1 for d in boxes)
-    np.testing.assert_allclose(boxes[1].mesh.bounds, next(
-        d for d in striped.drawables if d.name == boxes[1].name).mesh.bounds)  # fmt: skip
+    np.testing.assert_allclose(
+        boxes[1].mesh.bounds, next(d for d in striped.drawables if d.name == boxes[1].name).mesh.bounds
+    )
     rgb = {
         name: h3data.render_frame(replay, camera="third_person", step=2)["rgb"].astype(int)
         for name, replay in {"striped": striped, "plain": plain}.items()

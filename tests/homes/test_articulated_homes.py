@@ -73,9 +73,7 @@ def test_what_lies_in_a_drawer_comes_out_with_it_and_the_rest_stays() -> None:
         for name in part.instances:
             if kinds[name] == "kinematic":
                 before = next(i for i in scene.instances if i.name == name)
-                np.testing.assert_allclose(
-                    after[name].pose[:3] - before.pose[:3], part.joint.upper * ahead, atol=1e-9
-                )  # fmt: skip
+                np.testing.assert_allclose(after[name].pose[:3] - before.pose[:3], part.joint.upper * ahead, atol=1e-9)
                 assert k in loaded
     still = [i.name for i in scene.instances if i.motion == "kinematic" and i.name not in joints.owner]
     assert all(np.array_equal(after[n].pose, next(i.pose for i in scene.instances if i.name == n)) for n in still)

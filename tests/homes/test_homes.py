@@ -77,11 +77,24 @@ def test_stages_are_keyed_independently():
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"seed": -1}, {"seed": 1.5}, {"seed": True}, {"preset": "huge"}, {"area_m2": 20}, {"area_m2": float("nan")},
-        {"area_m2": 1e9}, {"area_m2": "70"}, {"bedrooms": 0}, {"bedrooms": 2.0}, {"bathrooms": 99}, {"clutter": -0.1},
-        {"clutter": float("inf")}, {"density": 0}, {"density": 1.5}, {"density": 1000},
+        {"seed": -1},
+        {"seed": 1.5},
+        {"seed": True},
+        {"preset": "huge"},
+        {"area_m2": 20},
+        {"area_m2": float("nan")},
+        {"area_m2": 1e9},
+        {"area_m2": "70"},
+        {"bedrooms": 0},
+        {"bedrooms": 2.0},
+        {"bathrooms": 99},
+        {"clutter": -0.1},
+        {"clutter": float("inf")},
+        {"density": 0},
+        {"density": 1.5},
+        {"density": 1000},
     ],
-)  # fmt: skip
+)
 def test_wrong_specs_are_refused(wrong: dict[str, Any]):
     with pytest.raises(InputError, match=next(iter(wrong))):
         HomeSpec(**wrong)

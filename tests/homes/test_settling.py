@@ -24,8 +24,9 @@ class Room:
 
 def block(width: float, depth: float, x: float, z: float, yaw: float = 0.0, quarter: int = 0, **options: Any) -> Placed:
     size = (width, 0.8, depth)
-    piece = Furniture(category="chair", builder=MeshBuilder(), shapes=(box_part((0, 0.4, 0), size),), receptacles=(),
-                      size=size)  # fmt: skip
+    piece = Furniture(
+        category="chair", builder=MeshBuilder(), shapes=(box_part((0, 0.4, 0), size),), receptacles=(), size=size
+    )
     return Placed(piece=piece, room="r", x=x, z=z, quarter=quarter, yaw=yaw, **options)
 
 

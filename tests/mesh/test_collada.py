@@ -122,10 +122,13 @@ def test_240_variants_have_the_bounds_of_an_independent_reader(tmp_path: Path, a
         (f"<node><skew>45 1 0 0 0 1 0</skew>{SHOWN}</node>", (0, 0, 0), (1, 2, 3)),
         (f"<node><skew>45 0 1 0 1 0 0</skew>{SHOWN}</node>", (0, 0, 0), (2, 2, 3)),
         (f'<node><translate>0 0 5</translate></node><node id="g">{SHOWN}</node>', (0, 0, 0), (1, 2, 3)),
-        (f"<node><translate>1 0 0</translate><rotate>0 0 1 90</rotate><scale>2 1 1</scale>{SHOWN}</node>",
-         (-1, 0, 0), (1, 2, 3)),
+        (
+            f"<node><translate>1 0 0</translate><rotate>0 0 1 90</rotate><scale>2 1 1</scale>{SHOWN}</node>",
+            (-1, 0, 0),
+            (1, 2, 3),
+        ),
     ],
-)  # fmt: skip
+)
 def test_transforms_in_their_order(tmp_path: Path, scene: str, low: tuple[float, ...], high: tuple[float, ...]) -> None:
     path = tmp_path / "a.dae"
     path.write_text(document(scene))

@@ -19,8 +19,10 @@ from h3data.srgb import bytes_to_linear, linear_to_bytes
 from h3data_homes import HomeSpec, build_home
 
 RNG = np.random.default_rng(4)
-WOOD, CLOTH = (Texture(pixels=RNG.integers(0, 256, (4, 8, 4)).astype(np.uint8) | np.array([0, 0, 0, 255], np.uint8), name=name)
-               for name in ("wood", "cloth"))  # fmt: skip
+WOOD, CLOTH = (
+    Texture(pixels=RNG.integers(0, 256, (4, 8, 4)).astype(np.uint8) | np.array([0, 0, 0, 255], np.uint8), name=name)
+    for name in ("wood", "cloth")
+)
 
 
 def strip(*, textures: tuple[Texture, ...], choice: list[int] | None, colors: list[tuple[int, int, int]]) -> Mesh:

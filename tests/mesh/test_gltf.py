@@ -25,10 +25,21 @@ def test_interleaved_and_normalised_attributes(tmp_path: Path) -> None:
     rows[:, 8:11] = np.array([0, 0, 127], np.int8).view(np.uint8)
     rows[:, 12:16] = (UV * 65535).astype("<u2").view(np.uint8)
     view = build.chunk.view(rows.tobytes(), byteStride=20)
-    for name, kind, component, offset in (("POSITION", "VEC3", U16, 0), ("NORMAL", "VEC3", I8, 8),
-                                          ("TEXCOORD_0", "VEC2", U16, 12)):  # fmt: skip
-        build.chunk.accessors.append({"bufferView": view, "byteOffset": offset, "componentType": component,
-                                      "count": 4, "type": kind, "normalized": name != "POSITION"})  # fmt: skip
+    for name, kind, component, offset in (
+        ("POSITION", "VEC3", U16, 0),
+        ("NORMAL", "VEC3", I8, 8),
+        ("TEXCOORD_0", "VEC2", U16, 12),
+    ):
+        build.chunk.accessors.append(
+            {
+                "bufferView": view,
+                "byteOffset": offset,
+                "componentType": component,
+                "count": 4,
+                "type": kind,
+                "normalized": name != "POSITION",
+            }
+        )
         build.primitive["attributes"][name] = len(build.chunk.accessors) - 1
     build.document["nodes"][0]["scale"] = [0.001, 0.001, 0.001]
     build.image(encoded(COLORS))

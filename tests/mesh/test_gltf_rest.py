@@ -40,14 +40,22 @@ SKINS = {
     "joint raised": ([SHOWN, {"translation": [0, 1, 0]}], [0, 1], 1, None, (0, 1, 0), (1, 2, 0)),
     "bind pose of a small armature": (
         [SHOWN, {"translation": [0, 100, 0]}, {"scale": [0.01] * 3, "children": [0, 1]}],
-        [2], 1, moved(0, -100, 0) @ moved(scale=100), (0, 0, 0), (1, 1, 0),
+        [2],
+        1,
+        moved(0, -100, 0) @ moved(scale=100),
+        (0, 0, 0),
+        (1, 1, 0),
     ),
     "z-up armature": (
         [SHOWN, {"translation": [0, 0, 1]}, {"rotation": [-HALF, 0, 0, HALF], "children": [0, 1]}],
-        [2], 1, None, (0, 1, -1), (1, 1, 0),
+        [2],
+        1,
+        None,
+        (0, 1, -1),
+        (1, 1, 0),
     ),
     "a joint outside the scene": ([SHOWN, {"translation": [0, 0, 2]}], [0], 1, None, (0, 0, 2), (1, 1, 2)),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", SKINS)
@@ -99,8 +107,9 @@ def test_instances_of_a_node(tmp_path: Path) -> None:
         "SCALE": build.chunk.array(np.array([[1, 1, 1], [1, 2, 1]], np.float32), "VEC3", FLOAT),
     }
     build.document["nodes"][0] |= {
-        "translation": [0, 0, 5], "extensions": {"EXT_mesh_gpu_instancing": {"attributes": attributes}},
-    }  # fmt: skip
+        "translation": [0, 0, 5],
+        "extensions": {"EXT_mesh_gpu_instancing": {"attributes": attributes}},
+    }
     build.document["extensionsRequired"] = ["EXT_mesh_gpu_instancing"]
     mesh = build.mesh(tmp_path)
     assert len(mesh.faces) == 4

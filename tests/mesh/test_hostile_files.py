@@ -37,9 +37,19 @@ def test_files_beside_and_data_uris(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "uri", ["../secret.bin", "a/../../secret.bin", "%2e%2e/secret.bin", "..\\secret.bin", "{}/secret.bin",
-            "file:///secret.bin", "https://example.org/secret.bin", "..", "C:\\secret.bin"],
-)  # fmt: skip
+    "uri",
+    [
+        "../secret.bin",
+        "a/../../secret.bin",
+        "%2e%2e/secret.bin",
+        "..\\secret.bin",
+        "{}/secret.bin",
+        "file:///secret.bin",
+        "https://example.org/secret.bin",
+        "..",
+        "C:\\secret.bin",
+    ],
+)
 @pytest.mark.parametrize("what", ["buffer", "image"])
 def test_files_outside_the_folder_are_refused(tmp_path: Path, uri: str, what: str) -> None:
     build = Builder()

@@ -25,8 +25,14 @@ needs_real = pytest.mark.skipif(not TEST_ASSETS.is_dir(), reason="habitat-sim's 
 
 CAPSULE = "capsule3DSolid_hemiRings_4_cylRings_1_segments_12_halfLen_0.75_useTexCoords_false_useTangents_false"
 CYLINDER = "cylinderSolid_rings_1_segments_12_halfLen_1_useTexCoords_false_useTangents_false_capEnds_true"
-SOLIDS = ["cubeSolid", CAPSULE, CYLINDER, "coneSolid_rings_2_segments_12_halfLen_1.25_capEnd_true",
-          "uvSphereSolid_rings_8_segments_16", "icosphereSolid_subdivs_1"]  # fmt: skip
+SOLIDS = [
+    "cubeSolid",
+    CAPSULE,
+    CYLINDER,
+    "coneSolid_rings_2_segments_12_halfLen_1.25_capEnd_true",
+    "uvSphereSolid_rings_8_segments_16",
+    "icosphereSolid_subdivs_1",
+]
 
 
 def volume(mesh: Mesh) -> float:
@@ -81,8 +87,16 @@ def test_capsule_between_any_two_points() -> None:
     assert volume(mesh) > 0
 
 
-@pytest.mark.parametrize("uri", ["a/stages/x.glb", "data/humanoids/male_0/male_0.glb", "data/robots/spot/base.glb",
-                                 "data/objects/ycb/meshes/024_bowl/google_16k/textured.glb", "data/fpss/9/9.glb"])  # fmt: skip
+@pytest.mark.parametrize(
+    "uri",
+    [
+        "a/stages/x.glb",
+        "data/humanoids/male_0/male_0.glb",
+        "data/robots/spot/base.glb",
+        "data/objects/ycb/meshes/024_bowl/google_16k/textured.glb",
+        "data/fpss/9/9.glb",
+    ],
+)
 def test_placeholders_are_marked(uri: str) -> None:
     mesh = placeholder_mesh(uri)
     magenta = np.all(mesh.colors == (255, 0, 200), axis=1)
@@ -104,8 +118,16 @@ def test_striped_box_has_the_volume_of_its_box() -> None:
 
 
 # --- frames -----------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(("up", "front"), [((0, 1, 0), (0, 0, -1)), ((0, 0, 1), (0, 1, 0)), ((1, 0, 0), (0, 0, 2)),
-                                           ((0, -1, 0), (0, 0, -1)), ((0, 0.6, 0.8), (0, 0.8, -0.6))])  # fmt: skip
+@pytest.mark.parametrize(
+    ("up", "front"),
+    [
+        ((0, 1, 0), (0, 0, -1)),
+        ((0, 0, 1), (0, 1, 0)),
+        ((1, 0, 0), (0, 0, 2)),
+        ((0, -1, 0), (0, 0, -1)),
+        ((0, 0.6, 0.8), (0, 0.8, -0.6)),
+    ],
+)
 def test_frame_rotation_is_a_rotation_that_takes_up_to_y(up: tuple, front: tuple) -> None:
     rotation = frame_rotation(up, front)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
@@ -114,8 +136,9 @@ def test_frame_rotation_is_a_rotation_that_takes_up_to_y(up: tuple, front: tuple
     np.testing.assert_allclose(rotation @ front / np.linalg.norm(front), [0, 0, -1], atol=1e-12)
 
 
-@pytest.mark.parametrize("axes", [((0, 1, 0), (0, 1, 0)), ((0, 0, 0), (0, 0, -1)), ((0, 1, 0), (0, 0.2, -1)),
-                                  ((np.nan, 1, 0), (0, 0, -1))])  # fmt: skip
+@pytest.mark.parametrize(
+    "axes", [((0, 1, 0), (0, 1, 0)), ((0, 0, 0), (0, 0, -1)), ((0, 1, 0), (0, 0.2, -1)), ((np.nan, 1, 0), (0, 0, -1))]
+)
 def test_frames_that_are_none(axes: tuple) -> None:
     with pytest.raises(SceneError, match="H3-MESH-025"):
         frame_rotation(*axes)
@@ -183,8 +206,9 @@ def test_material_colour_vertex_colour_and_texture(brick: trimesh.Trimesh, tmp_p
 
     pixels = np.zeros((2, 2, 3), np.uint8)
     pixels[0, 0], pixels[0, 1], pixels[1, 0], pixels[1, 1] = (255, 0, 0), (0, 255, 0), (0, 0, 255), (9, 9, 9)
-    quad = trimesh.Trimesh(vertices=[[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], faces=[[0, 1, 2], [0, 2, 3]],
-                           process=False)  # fmt: skip
+    quad = trimesh.Trimesh(
+        vertices=[[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], faces=[[0, 1, 2], [0, 2, 3]], process=False
+    )
     uv = np.array([[0.25, 0.25], [0.75, 0.25], [0.75, 0.75], [1.25, 0.75]])  # the last wraps around to the left
     quad.visual = TextureVisuals(uv=uv, material=PBRMaterial(baseColorTexture=Image.fromarray(pixels)))
     quad.export(tmp_path / "quad.glb")
@@ -219,8 +243,13 @@ def test_cache_follows_the_file(brick: trimesh.Trimesh, tmp_path: Path) -> None:
 def test_files_that_cannot_be_used(tmp_path: Path) -> None:
     with pytest.raises(MissingAssetError, match=r"(?m)absent\.glb$"):
         load_mesh(tmp_path / "absent.glb")
-    for name, data in {"a.glb": b"glTF\x02\0\0\0", "b.glb": b"", "c.gltf": b"{", "d.ply": b"ply\nformat what 1.0\n",
-                       "e.stl": b"\0" * 83}.items():  # fmt: skip
+    for name, data in {
+        "a.glb": b"glTF\x02\0\0\0",
+        "b.glb": b"",
+        "c.gltf": b"{",
+        "d.ply": b"ply\nformat what 1.0\n",
+        "e.stl": b"\0" * 83,
+    }.items():
         (tmp_path / name).write_bytes(data)
         with pytest.raises(SceneError) as caught:
             load_mesh(tmp_path / name)

@@ -49,14 +49,17 @@ def episode(number: int, *, run: str = "a", near: float = 1.0, drop: tuple[str, 
     }
     return Recording(
         episode=Episode(
-            uid=f"{run}-{number}", episode_id=f"e{number:03d}", task="social_nav", scene="home",
+            uid=f"{run}-{number}",
+            episode_id=f"e{number:03d}",
+            task="social_nav",
+            scene="home",
             info={"max_steps": 30, "oracle_min_steps": 5},
         ),
         assets=(AssetRef(name="box", uri="primitive:box"),),
         bodies=(Body(name="box", asset="box", pose=np.ones(7, np.float32), moving=0),),
         agents=(Agent(name="robot", kind="robot"), Agent(name="human", kind="human")),
         columns={k: v for k, v in columns.items() if k not in drop},
-    )  # fmt: skip
+    )
 
 
 def write(root: Path, episodes: list[Recording], **options) -> Path:
@@ -127,8 +130,12 @@ def test_chunks_are_all_episodes_in_order_each_of_one_shard(dataset, monkeypatch
 def test_only_what_the_profile_reads_is_read(dataset):
     first = next(recordings([dataset], "paper"))
     assert set(first.columns) == {
-        "time_ns", "agent_0.base_pose", "agent_1.base_pose", "metrics.collision", "metrics.geodesic_agents"
-    }  # fmt: skip
+        "time_ns",
+        "agent_0.base_pose",
+        "agent_1.base_pose",
+        "metrics.collision",
+        "metrics.geodesic_agents",
+    }
     assert not first.bodies
     assert set(next(recordings([dataset])).columns) == set(first.columns), "paper is the profile of the task"
 

@@ -41,10 +41,28 @@ def test_a_straight_approach_by_hand():
     robot = [(0, 0), (1, 0), (2, 0), (3, 0), (3, 0)]
     values = measure(floor(robot, [(5, 0)] * 5), "field").values
     expected = {
-        "PSC": 1, "Z_intimate": 0, "Z_personal": 0, "Z_social": 3 / 5, "Z_public": 2 / 5, "intrusions": 0,
-        "D_min": 2, "TTC_min": 1.5, "PL": 3, "PE": 1, "SPL": 1, "STL": 1.2 / 3, "T_goal": 3, "T_stalled": 1,
-        "V_mean": 0.75, "V_max": 1, "A_mean": 1 / 3, "A_max": 1, "J_mean": 0.5, "J_max": 1, "turning": 0,
-    }  # fmt: skip
+        "PSC": 1,
+        "Z_intimate": 0,
+        "Z_personal": 0,
+        "Z_social": 3 / 5,
+        "Z_public": 2 / 5,
+        "intrusions": 0,
+        "D_min": 2,
+        "TTC_min": 1.5,
+        "PL": 3,
+        "PE": 1,
+        "SPL": 1,
+        "STL": 1.2 / 3,
+        "T_goal": 3,
+        "T_stalled": 1,
+        "V_mean": 0.75,
+        "V_max": 1,
+        "A_mean": 1 / 3,
+        "A_max": 1,
+        "J_mean": 0.5,
+        "J_max": 1,
+        "turning": 0,
+    }
     for name, value in expected.items():
         assert values[name] == pytest.approx(value, abs=1e-5), name
     assert math.isnan(values["C_min"])

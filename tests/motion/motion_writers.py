@@ -71,9 +71,12 @@ def amass_arrays(motion: Motion, *, joints: int = 55, up: str = "z", fps_key: st
     else:
         rotvecs = rotvecs[:, :joints]
     return {
-        "poses": rotvecs.reshape(len(quats), -1), "trans": turn.apply(motion.pelvis), fps_key: np.array(motion.fps),
-        "betas": np.zeros(16), "gender": np.array("neutral"),
-    }  # fmt: skip
+        "poses": rotvecs.reshape(len(quats), -1),
+        "trans": turn.apply(motion.pelvis),
+        fps_key: np.array(motion.fps),
+        "betas": np.zeros(16),
+        "gender": np.array("neutral"),
+    }
 
 
 def split_layout(arrays: Mapping[str, NDArray]) -> dict:
@@ -100,49 +103,83 @@ def write_habitat_sequence(path: Path, motion: Motion) -> None:
 
 # --- BVH ------------------------------------------------------------------------------------------------------------------
 MIXAMO = {
-    "pelvis": "mixamorig:Hips", "spine1": "mixamorig:Spine", "spine2": "mixamorig:Spine1", "spine3": "mixamorig:Spine2",
-    "neck": "mixamorig:Neck", "head": "mixamorig:Head",
+    "pelvis": "mixamorig:Hips",
+    "spine1": "mixamorig:Spine",
+    "spine2": "mixamorig:Spine1",
+    "spine3": "mixamorig:Spine2",
+    "neck": "mixamorig:Neck",
+    "head": "mixamorig:Head",
     **{
         f"{s}_{ours}": f"mixamorig:{s.capitalize()}{theirs}"
         for s in ("left", "right")
         for ours, theirs in (
-            ("hip", "UpLeg"), ("knee", "Leg"), ("ankle", "Foot"), ("foot", "ToeBase"), ("collar", "Shoulder"),
-            ("shoulder", "Arm"), ("elbow", "ForeArm"), ("wrist", "Hand"),
+            ("hip", "UpLeg"),
+            ("knee", "Leg"),
+            ("ankle", "Foot"),
+            ("foot", "ToeBase"),
+            ("collar", "Shoulder"),
+            ("shoulder", "Arm"),
+            ("elbow", "ForeArm"),
+            ("wrist", "Hand"),
             *((f"{f}{k}", f"Hand{f.capitalize()}{k}") for f in FINGERS for k in (1, 2, 3)),
         )
     },
-}  # fmt: skip
+}
 CMU = {
     **{k: v.removeprefix("mixamorig:") for k, v in MIXAMO.items() if "Hand" not in v or v.endswith("Hand")},
-    "spine1": "LowerBack", "spine2": "Spine", "spine3": "Spine1",
-}  # fmt: skip
+    "spine1": "LowerBack",
+    "spine2": "Spine",
+    "spine3": "Spine1",
+}
 CGSPEED = {
-    "pelvis": "Hips", "spine1": "lowerback", "spine2": "Chest", "spine3": "Chest2", "neck": "Neck", "head": "Head",
+    "pelvis": "Hips",
+    "spine1": "lowerback",
+    "spine2": "Chest",
+    "spine3": "Chest2",
+    "neck": "Neck",
+    "head": "Head",
     **{
         f"{s}_{ours}": s.capitalize() + theirs
         for s in ("left", "right")
         for ours, theirs in (
-            ("hip", "Hip"), ("knee", "Knee"), ("ankle", "Ankle"), ("foot", "Toe"), ("collar", "Collar"),
-            ("shoulder", "Shoulder"), ("elbow", "Elbow"), ("wrist", "Wrist"),
+            ("hip", "Hip"),
+            ("knee", "Knee"),
+            ("ankle", "Ankle"),
+            ("foot", "Toe"),
+            ("collar", "Collar"),
+            ("shoulder", "Shoulder"),
+            ("elbow", "Elbow"),
+            ("wrist", "Wrist"),
         )
     },
-}  # fmt: skip
+}
 ROKOKO = {
     **{k: v.replace("UpLeg", "Thigh").replace("Leg", "Shin").replace("ToeBase", "Toe") for k, v in CMU.items()},
-    "spine1": "Spine1", "spine2": "Spine2", "spine3": "Spine4",
-}  # fmt: skip
+    "spine1": "Spine1",
+    "spine2": "Spine2",
+    "spine3": "Spine4",
+}
 XSENS = CGSPEED | {"spine1": "Chest", "spine2": "Chest2", "spine3": "Chest4"}
 DAZ = {
-    "pelvis": "hip", "spine1": "abdomen", "spine3": "chest", "neck": "neck", "head": "head",
+    "pelvis": "hip",
+    "spine1": "abdomen",
+    "spine3": "chest",
+    "neck": "neck",
+    "head": "head",
     **{
         f"{s}_{ours}": s[0] + theirs
         for s in ("left", "right")
         for ours, theirs in (
-            ("hip", "Thigh"), ("knee", "Shin"), ("ankle", "Foot"), ("collar", "Collar"), ("shoulder", "Shldr"),
-            ("elbow", "ForeArm"), ("wrist", "Hand"),
+            ("hip", "Thigh"),
+            ("knee", "Shin"),
+            ("ankle", "Foot"),
+            ("collar", "Collar"),
+            ("shoulder", "Shldr"),
+            ("elbow", "ForeArm"),
+            ("wrist", "Hand"),
         )
     },
-}  # fmt: skip
+}
 LAFAN = {k: v.removeprefix("mixamorig:").replace("ToeBase", "Toe") for k, v in MIXAMO.items() if k in CMU}
 
 
@@ -190,36 +227,47 @@ def _named(trunk: str, limbs: str, side: str) -> dict[str, str]:
 SCHEMES: dict[str, dict[str, str]] = {
     "smpl": _named(
         "f_avg_Pelvis f_avg_Spine1 f_avg_Spine2 f_avg_Spine3 f_avg_Neck f_avg_Head",
-        "Hip Knee Ankle Foot Collar Shoulder Elbow Wrist", "f_avg_{S}_*",
+        "Hip Knee Ankle Foot Collar Shoulder Elbow Wrist",
+        "f_avg_{S}_*",
     ),
     "smplx": _named(
-        "pelvis spine1 spine2 spine3 neck head", "hip knee ankle foot collar shoulder elbow wrist", "{side}_*",
+        "pelvis spine1 spine2 spine3 neck head",
+        "hip knee ankle foot collar shoulder elbow wrist",
+        "{side}_*",
     ),
     "unreal": _named(
-        "pelvis spine_01 spine_02 spine_03 neck_01 head", "thigh calf foot ball clavicle upperarm lowerarm hand", "*_{s}",
+        "pelvis spine_01 spine_02 spine_03 neck_01 head",
+        "thigh calf foot ball clavicle upperarm lowerarm hand",
+        "*_{s}",
     ),
     "biped": _named(
         "Bip01_Pelvis Bip01_Spine Bip01_Spine1 Bip01_Spine2 Bip01_Neck Bip01_Head",
-        "Thigh Calf Foot Toe0 Clavicle UpperArm Forearm Hand", "Bip01 {S} *",
+        "Thigh Calf Foot Toe0 Clavicle UpperArm Forearm Hand",
+        "Bip01 {S} *",
     ),
     "vrm": _named(
         "hips spine chest upperChest neck head",
-        "UpperLeg LowerLeg Foot Toes Shoulder UpperArm LowerArm Hand", "{side}*",
+        "UpperLeg LowerLeg Foot Toes Shoulder UpperArm LowerArm Hand",
+        "{side}*",
     ),
     "vroid": _named(
         "J_Bip_C_Hips J_Bip_C_Spine J_Bip_C_Chest J_Bip_C_UpperChest J_Bip_C_Neck J_Bip_C_Head",
-        "UpperLeg LowerLeg Foot ToeBase Shoulder UpperArm LowerArm Hand", "J_Bip_{S}_*",
+        "UpperLeg LowerLeg Foot ToeBase Shoulder UpperArm LowerArm Hand",
+        "J_Bip_{S}_*",
     ),
     "rigify": _named(
         "DEF-spine DEF-spine.001 DEF-spine.002 DEF-spine.003 DEF-spine.004 DEF-spine.006",
-        "thigh shin foot toe shoulder upper_arm forearm hand", "DEF-*.{S}",
+        "thigh shin foot toe shoulder upper_arm forearm hand",
+        "DEF-*.{S}",
     ),
     "optitrack": _named("Hip Ab - Chest Neck Head", "Thigh Shin Foot Toe Shoulder UArm FArm Hand", "{S}*"),
     "bandai": _named(
-        "Hips Spine - Chest Neck Head", "UpperLeg LowerLeg Foot Toes Shoulder UpperArm LowerArm Hand", "*_{S}",
+        "Hips Spine - Chest Neck Head",
+        "UpperLeg LowerLeg Foot Toes Shoulder UpperArm LowerArm Hand",
+        "*_{S}",
     ),
     "biovision": _named("Hips - - Chest Neck Head", "UpLeg LowLeg Foot Toe Collar UpArm LowArm Hand", "{Side}*"),
-}  # fmt: skip
+}
 """Names of joints as these programs write them, by ours."""
 
 CONVENTIONS: dict[str, tuple] = {

@@ -220,9 +220,12 @@ def test_code_in_a_motion_file_is_refused(tmp_path):
         (lambda m: m["walk_motion"].update(joints_array=np.zeros((8, 54, 4))), "unit quaternions"),
         (lambda m: m["walk_motion"].update(transform_array=np.full((8, 4, 4), np.nan)), "finite numbers"),
         (lambda m: m["stop_pose"].update(joints="none"), "stop_pose.joints"),
-        (lambda m: m.update(right_hand={"pose_motion": _clip(), "coord_info": {"min": [0] * 3, "max": [0] * 3}}), "num_bins"),
+        (
+            lambda m: m.update(right_hand={"pose_motion": _clip(), "coord_info": {"min": [0] * 3, "max": [0] * 3}}),
+            "num_bins",
+        ),
     ],
-)  # fmt: skip
+)
 def test_faults_of_motion_files_are_named(tmp_path, change, message):
     content = _motion()
     change(content)

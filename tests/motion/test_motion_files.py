@@ -361,7 +361,11 @@ Frame Time: 0.0333333
     [
         (SMALL, "", "empty"),
         ("HIERARCHY", "<html>", "line 1: expected HIERARCHY"),
-        ("Zrotation Xrotation Yrotation\n  J", "Zrotation Wrotation Yrotation\n  J", "line 5: unknown channel 'wrotation'"),
+        (
+            "Zrotation Xrotation Yrotation\n  J",
+            "Zrotation Wrotation Yrotation\n  J",
+            "line 5: unknown channel 'wrotation'",
+        ),
         ("CHANNELS 3 Zrotation Xrotation", "CHANNELS 3 Zrotation Zrotation", "line 9: a channel twice"),
         ("CHANNELS 3 Zrotation Xrotation Yrotation\n", "", "line 9: expected CHANNELS, got 'End'"),
         ("CHANNELS 3", "CHANNELS 999999999999", "expected a number of channels"),
@@ -383,7 +387,7 @@ Frame Time: 0.0333333
         (SMALL[SMALL.index("Frames") :], "", "the file ends where Frames: should be"),
         ("      OFFSET 0 10 0\n", "      OFFSET 0 10 0\n JOINT a\n{\n", "an End Site has no children"),
     ],
-)  # fmt: skip
+)
 def test_bad_bvh(before: str, after: str, message: str) -> None:
     text = SMALL.replace(before, after, 1)
     assert text != SMALL

@@ -212,8 +212,13 @@ def test_environments_take_the_walk(walk_file: Path) -> None:
 
 def test_names() -> None:
     assert with_motion(("robot", "human", "male_1", "human:female_1", "robot:quad_arm", "random:4"), "+w.npz") == (
-        "robot", "human", "male_1+w.npz", "human:female_1+w.npz", "robot:quad_arm", "random:4+w.npz",
-    )  # fmt: skip
+        "robot",
+        "human",
+        "male_1+w.npz",
+        "human:female_1+w.npz",
+        "robot:quad_arm",
+        "random:4+w.npz",
+    )
     with pytest.raises(InputError, match="no_such"):
         make_roster("robot,no_such+walk.npz")
 

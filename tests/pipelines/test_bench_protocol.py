@@ -162,8 +162,26 @@ def test_command_prints_the_papers_number_beside(capsys: pytest.CaptureFixture[s
     text = capsys.readouterr().out
     assert re.search(r"^small +2 +robot +1 on 1 +nav +- +1 128x128 +\d+±\d+ +\d+\.\d\d +245±19$", text, re.MULTILINE)
     assert re.search(r"^small +2 +human_robot .* skinned +2 256x256 .* 136±8$", text, re.MULTILINE)
-    assert main(["bench", "sim", "--agents", "human", "--bodies", "bones", "--worlds", "1", "--runs", "1", "--steps", "12",
-                 "--json"]) == 0  # fmt: skip
+    assert (
+        main(
+            [
+                "bench",
+                "sim",
+                "--agents",
+                "human",
+                "--bodies",
+                "bones",
+                "--worlds",
+                "1",
+                "--runs",
+                "1",
+                "--steps",
+                "12",
+                "--json",
+            ]
+        )
+        == 0
+    )
     told = json.loads(capsys.readouterr().out)
     (row,) = told["cells"]
     assert (row["skinned"], row["paper"], row["fps_standard_error"]) == (False, None, None)
@@ -194,7 +212,7 @@ def test_worlds_are_shared_by_processes(capsys: pytest.CaptureFixture[str]) -> N
         (["sim", "--agents", "robot", "--bodies", "bones"], "robots have no skin"),
         (["sim", "--objects", "20", "--worlds", "1"], "1 to 19 objects"),
     ],
-)  # fmt: skip
+)
 def test_refusals(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", *arguments]) == 2
     assert message in capsys.readouterr().err

@@ -34,9 +34,15 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     parents = np.array([2**32 - 1, *PARENTS[1:]], np.uint32)
     path = tmp_path_factory.mktemp("smplx") / "SMPLX_NEUTRAL.npz"
     np.savez(
-        path, v_template=vertices, shapedirs=shape, J_regressor=regressor, weights=weights, f=body.lod_mesh.faces,
-        kintree_table=np.stack([parents, np.arange(55, dtype=np.uint32)]), joint2num=np.array({"Pelvis": 0}, dtype=object),
-    )  # fmt: skip
+        path,
+        v_template=vertices,
+        shapedirs=shape,
+        J_regressor=regressor,
+        weights=weights,
+        f=body.lod_mesh.faces,
+        kintree_table=np.stack([parents, np.arange(55, dtype=np.uint32)]),
+        joint2num=np.array({"Pelvis": 0}, dtype=object),
+    )
     return path
 
 

@@ -171,16 +171,38 @@ def test_existing_output_is_kept_without_force(demo: Path, capsys: pytest.Captur
 def test_rerender_view_and_metrics(demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     episode = demo / "episode.mcap"
     data = run_json(
-        capsys, "rerender", episode, "--camera", "top_down", "--camera", "robot_arm", "--outputs", "rgb,depth,instance",
-        "--steps", "0:10:2", "-o", tmp_path / "v",
-    )  # fmt: skip
+        capsys,
+        "rerender",
+        episode,
+        "--camera",
+        "top_down",
+        "--camera",
+        "robot_arm",
+        "--outputs",
+        "rgb,depth,instance",
+        "--steps",
+        "0:10:2",
+        "-o",
+        tmp_path / "v",
+    )
     files = [Path(f) for f in data["recordings"][0]["files"]]
     assert len(files) == 6
     assert all(f.stat().st_size > 0 for f in files)
     data = run_json(
-        capsys, "rerender", episode, "--camera", "robot_arm", "--outputs", "depth", "--steps", "3", "--format", "png",
-        "-o", tmp_path / "p",
-    )  # fmt: skip
+        capsys,
+        "rerender",
+        episode,
+        "--camera",
+        "robot_arm",
+        "--outputs",
+        "depth",
+        "--steps",
+        "3",
+        "--format",
+        "png",
+        "-o",
+        tmp_path / "p",
+    )
     import cv2
 
     png = cv2.imread(str(Path(data["recordings"][0]["files"][0]) / "000003.png"), cv2.IMREAD_UNCHANGED)
@@ -240,11 +262,22 @@ def test_a_camera_from_a_file(demo: Path, tmp_path: Path, capsys: pytest.Capture
 def test_same_seed_same_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first, second = (
         run_json(
-            capsys, "generate", "social_nav", "--episodes", "3", "--homes", "2", "--seed", "7", "--max-steps", "20",
-            "-o", tmp_path / name,
+            capsys,
+            "generate",
+            "social_nav",
+            "--episodes",
+            "3",
+            "--homes",
+            "2",
+            "--seed",
+            "7",
+            "--max-steps",
+            "20",
+            "-o",
+            tmp_path / name,
         )
         for name in ("a", "b")
-    )  # fmt: skip
+    )
     assert first["state_hashes"] == second["state_hashes"]
     assert len(set(first["state_hashes"])) == 3
     assert set(first["metrics"]["summary"]) >= {"S", "SPS", "F", "CR", "BYR", "TD", "FD"}
@@ -254,9 +287,20 @@ def test_same_seed_same_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[s
         a, b = (h3data.open(tmp_path / name).recording(i) for name in ("a", "b"))
         assert recordings_equal(a, b) == []
     other = run_json(
-        capsys, "generate", "social_nav", "--episodes", "3", "--homes", "2", "--seed", "8", "--max-steps", "20",
-        "-o", tmp_path / "c",
-    )  # fmt: skip
+        capsys,
+        "generate",
+        "social_nav",
+        "--episodes",
+        "3",
+        "--homes",
+        "2",
+        "--seed",
+        "8",
+        "--max-steps",
+        "20",
+        "-o",
+        tmp_path / "c",
+    )
     assert not set(other["state_hashes"]) & set(first["state_hashes"])
 
 

@@ -50,8 +50,10 @@ def run_json(capsys: pytest.CaptureFixture[str], *arguments: str | Path, code: i
 def spawn(*arguments: str | Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-m", "h3data_pipelines.cli", *map(str, arguments)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
 
 
 def replay(name: str = "a") -> str:
@@ -128,9 +130,17 @@ def test_file_names_that_are_not_text(tmp_path: Path) -> None:
     path = tmp_path / os.fsdecode(b"a\xff b.gfx_replay.json")
     path.write_text(replay())
     done = subprocess.run(
-        [sys.executable, "-c", "from h3data_pipelines.cli import entry; entry()", "import", str(path), "-o", str(tmp_path)],
+        [
+            sys.executable,
+            "-c",
+            "from h3data_pipelines.cli import entry; entry()",
+            "import",
+            str(path),
+            "-o",
+            str(tmp_path),
+        ],
         capture_output=True,
-    )  # fmt: skip
+    )
     assert b"Traceback" not in done.stderr
     assert done.returncode == 2
 
@@ -166,9 +176,15 @@ def test_resume_refuses_other_options(tmp_path: Path, capsys: pytest.CaptureFixt
     run_json(capsys, *SHORT, out, "--episodes", "2")
     before = {p: p.stat().st_mtime_ns for p in out.rglob("*")}
     for other in (
-        ["--seed", "8"], ["--policy", "stand_still"], ["--human", "male_0"], ["--max-steps", "30"], ["--scenes", "small:9"],
-        ["--human-speed", "1"], ["--spawn-distance", "3"], ["--homes", "2"],
-    ):  # fmt: skip
+        ["--seed", "8"],
+        ["--policy", "stand_still"],
+        ["--human", "male_0"],
+        ["--max-steps", "30"],
+        ["--scenes", "small:9"],
+        ["--human-speed", "1"],
+        ["--spawn-distance", "3"],
+        ["--homes", "2"],
+    ):
         error = run_json(capsys, *SHORT, out, "--episodes", "3", "--resume", *other, code=2)["error"]
         assert "other options" in error
         assert len(error) < 400
@@ -278,14 +294,15 @@ def test_stopped_at_any_moment_it_can_be_resumed(
     assert done < 400
     rest = run_json(capsys, *options, "--episodes", str(done + 2), "--resume")
     assert rest["new"] == 2
-    assert recordings_equal(
-        h3data.open(out).recording(done + 1),
-        episode_jobs.simulate_job(
-            generate.Generate(
-                task=task, out=out, episodes=done + 2, seed=7, homes=1, max_steps=20
-            ).jobs()[done + 1]
-        ),
-    ) == []  # fmt: skip
+    assert (
+        recordings_equal(
+            h3data.open(out).recording(done + 1),
+            episode_jobs.simulate_job(
+                generate.Generate(task=task, out=out, episodes=done + 2, seed=7, homes=1, max_steps=20).jobs()[done + 1]
+            ),
+        )
+        == []
+    )
 
 
 def test_an_interrupt_while_writing_waits() -> None:

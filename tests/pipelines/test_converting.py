@@ -45,15 +45,18 @@ def episode(name: str, steps: int = 5, *, joints: int = 3, extra: str = "", dt_n
     columns["state_hash"] = state_hash(columns)
     return Recording(
         episode=Episode(uid=f"uid-{name}", episode_id=name, task="t", scene="s", dt_ns=dt_ns, info={"note": name}),
-        agents=(Agent(name="robot", kind="robot", joint_names=tuple(map(str, range(joints)))),), columns=columns,
+        agents=(Agent(name="robot", kind="robot", joint_names=tuple(map(str, range(joints)))),),
+        columns=columns,
         events=(Event(step=0, agent=0, kind="x"),) if steps else (),
         skills=(SkillSpan(agent=0, name="y", start_step=0, end_step=steps - 1),) if steps else (),
         inputs=(
             InputEvent(time_ns=-1, kind="key_down", payload='{"key": "w"}'),
             InputEvent(time_ns=2**40 + 1, kind="text", user=1, payload='"caf\u00e9 ☕"'),
-        ) if name == "a" else (),
+        )
+        if name == "a"
+        else (),
         attachments={"scene.glb": name.encode()},
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture
@@ -129,9 +132,7 @@ def test_logs_of_one_folder_can_share_their_scenes(tmp_path: Path, capsys: pytes
 
 @settings(max_examples=examples(10))
 @given(steps=st.integers(0, 40), joints=st.integers(0, 6), extra=st.sampled_from(["", "sim.x", "agent_0.odd"]))
-def test_any_shape_survives(
-    steps: int, joints: int, extra: str, tmp_path_factory: pytest.TempPathFactory
-) -> None:  # fmt: skip
+def test_any_shape_survives(steps: int, joints: int, extra: str, tmp_path_factory: pytest.TempPathFactory) -> None:
     folder = tmp_path_factory.mktemp("convert")
     recording = episode("x", steps, joints=joints, extra=extra)
     write_mcap(recording, folder / "x.mcap")
@@ -223,12 +224,22 @@ def test_a_check_that_fails_says_so(
 @pytest.mark.parametrize(
     "arguments",
     [
-        ["none.mcap", "out"], ["logs/a.mcap#0", "out"], ["logs", "all.mcap"], ["logs", "logs"], ["logs", "logs/below"],
-        ["logs/deep", "logs"], ["logs", "out", "--force", "--resume"], ["logs", "full"], ["logs", "full", "--force"],
-        ["logs/a.mcap", "taken.mcap"], ["empty", "out"], ["text.mcap", "out"], ["logs/a.mcap", "x.mcap", "--to", "dataset"],
+        ["none.mcap", "out"],
+        ["logs/a.mcap#0", "out"],
+        ["logs", "all.mcap"],
+        ["logs", "logs"],
+        ["logs", "logs/below"],
+        ["logs/deep", "logs"],
+        ["logs", "out", "--force", "--resume"],
+        ["logs", "full"],
+        ["logs", "full", "--force"],
+        ["logs/a.mcap", "taken.mcap"],
+        ["empty", "out"],
+        ["text.mcap", "out"],
+        ["logs/a.mcap", "x.mcap", "--to", "dataset"],
         ["mixed", "out"],
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_done_is_refused_and_nothing_is_touched(
     arguments: list[str],
     logs: Path,

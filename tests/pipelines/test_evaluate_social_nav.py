@@ -97,9 +97,11 @@ def test_results_of_other_weights_in_the_same_file_are_refused(
     evaluate = ("evaluate", "social_nav", *rules, "--policies", f"weights:{file}", "-o", tmp_path / "table")
     for turn, code in ((0.5, 0), (0.5, 0), (-0.5, 2)):
         network = Network(
-            task="social_nav", observations=("humanoid_gps",), weights=(np.zeros((2, 2), np.float32),),
+            task="social_nav",
+            observations=("humanoid_gps",),
+            weights=(np.zeros((2, 2), np.float32),),
             biases=(np.array([1.0, turn], np.float32),),
-        )  # fmt: skip
+        )
         save_network(network, file)
         result = run_json(capsys, *evaluate, code=code)
     assert "other options" in result["error"]

@@ -104,7 +104,7 @@ def test_the_first_help_is_one_page(capsys: pytest.CaptureFixture[str]) -> None:
         main([])
     out = capsys.readouterr().out
     assert all(f"\n  {name} " in out for name in COMMANDS)
-    assert len(out.splitlines()) <= 64
+    assert len(out.splitlines()) <= 66
 
 
 def test_list_options_take_one_value_each_time() -> None:
@@ -382,14 +382,17 @@ SHELL_AND_PYTHON = [
     ("Hint: --assets DIR or H3DATA_ASSETS", "Hint: assets=DIR or H3DATA_ASSETS"),
     ("h3data motion import --seed 3 makes one; --seed 3 not", "h3data motion import --seed 3 makes one; seed=3 not"),
     ("--unknown stays", "--unknown stays"),
-]  # fmt: skip
+]
 PYTHON_AND_SHELL = [
     ("resume=True goes on, overwrite=True replaces it: x", "--resume goes on, --force replaces it: x"),
     ("Hint: a larger max_steps=, or another home.", "Hint: a larger --max-steps, or another home."),
-    ("give assets=[DIR]; or leave out with allow_missing=True.", "give --assets DIR; or leave out with --allow-missing."),
+    (
+        "give assets=[DIR]; or leave out with allow_missing=True.",
+        "give --assets DIR; or leave out with --allow-missing.",
+    ),
     ("--set max_steps=900, max_steps=... or strict=True", "--set max_steps=900, max_steps=... or strict=True"),
     ("the file walk_seed=3.mcap and x.seed=True", "the file walk_seed=3.mcap and x.seed=True"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("shell", "python"), SHELL_AND_PYTHON)
@@ -438,11 +441,14 @@ def test_no_help_offers_none(words: str, capsys: pytest.CaptureFixture[str]) -> 
 @pytest.mark.parametrize(
     "words",
     [
-        "generate social_nav -o x --scenes smal:3", "generate social_nav -o x --policy rollout_exprt",
-        "generate social_nav -o x --human femal_0", "generate social_nav -o x --set max_step=9", "export a --to lerobt -o b",
+        "generate social_nav -o x --scenes smal:3",
+        "generate social_nav -o x --policy rollout_exprt",
+        "generate social_nav -o x --human femal_0",
+        "generate social_nav -o x --set max_step=9",
+        "export a --to lerobt -o b",
         "evaluate social_nav -o x --policies rollout_exprt",
     ],
-)  # fmt: skip
+)
 def test_what_was_meant_is_said_alone(words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(words.split()) == 2
     said = capsys.readouterr().err
@@ -484,7 +490,11 @@ def test_evaluations_take_another_robot(capsys: pytest.CaptureFixture[str]) -> N
 def test_the_demo_lists_what_it_wrote(tmp_path: Path) -> None:
     (tmp_path / "dataset").mkdir()
     summary = {
-        "steps": 9, "seconds_of_life": 0.3, "ended": "limit", "wall_s": 1, "files": {"metrics.json": 812, "dataset": 2_250_000},
-    }  # fmt: skip
+        "steps": 9,
+        "seconds_of_life": 0.3,
+        "ended": "limit",
+        "wall_s": 1,
+        "files": {"metrics.json": 812, "dataset": 2_250_000},
+    }
     lines = demo._text(tmp_path, summary, "").splitlines()
     assert [line.split() for line in lines[1:3]] == [["metrics.json", "0.8", "kB"], ["dataset/", "2.2", "MB"]]

@@ -14,10 +14,17 @@ from h3data_pipelines.machine.schedule import Workload, simulate_schedule
 
 LOAD = Workload(shards=4000, shard_s=1.0, scenes=10, scene_s=0.0, start_s=0.0, driver_s=0.0)
 COSTS = {
-    "task": "social_nav", "start_s": 0.7, "scene_s": 0.5, "episode_s": 0.02, "step_s": 0.0005, "steps": 600.0,
-    "frame_s": {"robot_arm": 0.003, "human_head": 0.018, "top_down": 0.026}, "metrics_s": 0.002, "driver_s": 0.01,
+    "task": "social_nav",
+    "start_s": 0.7,
+    "scene_s": 0.5,
+    "episode_s": 0.02,
+    "step_s": 0.0005,
+    "steps": 600.0,
+    "frame_s": {"robot_arm": 0.003, "human_head": 0.018, "top_down": 0.026},
+    "metrics_s": 0.002,
+    "driver_s": 0.01,
     "episode_bytes": 40_000.0,
-}  # fmt: skip
+}
 
 
 def changed(**values: float) -> Workload:
@@ -51,9 +58,14 @@ def test_long_jobs_go_on_at_the_pace_of_their_second_half() -> None:
 
 
 @given(
-    st.integers(1, 300), st.floats(0.01, 10), st.integers(1, 5), st.floats(0, 3), st.floats(0, 3), st.floats(0, 1),
+    st.integers(1, 300),
+    st.floats(0.01, 10),
+    st.integers(1, 5),
+    st.floats(0, 3),
+    st.floats(0, 3),
+    st.floats(0, 1),
     st.integers(1, 50),
-)  # fmt: skip
+)
 def test_bounds(
     shards: int, shard_s: float, scenes: int, scene_s: float, start_s: float, driver_s: float, workers: int
 ):

@@ -20,9 +20,19 @@ from sim_kinematic.policies import rearrange as planners
 
 GENERATE = ("generate", "rearrange", "--scenes", "small", "--homes", "1", "--max-steps", "700", "--json", "-o")
 EVALUATE = (
-    "evaluate", "rearrange", "--scenes", "h3-homes/test#2", "--episodes", "1", "--policies", "complement,still",
-    "--partners", "object_1,plan_pop_1", "--json", "-o",
-)  # fmt: skip
+    "evaluate",
+    "rearrange",
+    "--scenes",
+    "h3-homes/test#2",
+    "--episodes",
+    "1",
+    "--policies",
+    "complement,still",
+    "--partners",
+    "object_1,plan_pop_1",
+    "--json",
+    "-o",
+)
 
 
 def run_json(capsys: pytest.CaptureFixture[str], *args: object, code: int = 0) -> dict[str, Any]:
@@ -134,11 +144,17 @@ def test_one_command_prints_every_robot_with_every_partner(tmp_path: Path, capsy
 def test_the_zero_shot_column_is_over_the_four_planners() -> None:
     rows = [
         Row(
-            index=0, policy="p", partner=partner, plan=partner, ended="", solo_steps=600, state_hash="",
+            index=0,
+            policy="p",
+            partner=partner,
+            plan=partner,
+            ended="",
+            solo_steps=600,
+            state_hash="",
             values={"SR": float(k < 3), "RE": None if k == 0 else 100.0, "CR": 0.0, "RC": 0.5},
         )
         for k, partner in enumerate(planners.ZSC)
-    ]  # fmt: skip
+    ]
     table = cross_play_table(rows)
     assert table.cells["SR", "p", ZSC_COLUMN].mean == 0.75
     assert table.cells["RE", "p", ZSC_COLUMN].count == 3

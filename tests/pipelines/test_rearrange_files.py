@@ -69,9 +69,19 @@ def test_saved_episodes_are_played_again_bit_for_bit(tmp_path: Path, capsys: pyt
 def test_an_edited_episode_is_another_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "eps.json"
     run_json(
-        capsys, "generate", "rearrange", "--scenes", "small:1", "--episodes", 1, "--save-episodes", file, "--dry-run", "-o",
+        capsys,
+        "generate",
+        "rearrange",
+        "--scenes",
+        "small:1",
+        "--episodes",
+        1,
+        "--save-episodes",
+        file,
+        "--dry-run",
+        "-o",
         tmp_path / "no",
-    )  # fmt: skip
+    )
     episodes = content(file)["episodes"]
     goals = episodes[0]["info"]["h3data"]["goals"]
     goals[0]["start"], goals[1]["start"] = goals[1]["start"], goals[0]["start"]
@@ -92,9 +102,19 @@ def test_a_task_without_a_record_of_its_own_has_files_too(tmp_path: Path, capsys
     file = tmp_path / "eps.json"
     options = ("--agents", "robot,male_1", "--max-steps", 40)
     run_json(
-        capsys, "generate", "wander", "--scenes", "small", "--episodes", 2, *options, "--save-episodes", file, "-o",
+        capsys,
+        "generate",
+        "wander",
+        "--scenes",
+        "small",
+        "--episodes",
+        2,
+        *options,
+        "--save-episodes",
+        file,
+        "-o",
         tmp_path / "a",
-    )  # fmt: skip
+    )
     run_json(capsys, "generate", "wander", "--episodes-file", file, "-o", tmp_path / "b")
     for k in range(2):
         a, b = (h3data.open(tmp_path / name).recording(k) for name in "ab")
@@ -185,9 +205,16 @@ def test_habitat_episodes_are_saved_with_their_starts(
     file = written(tmp_path / "val.json.gz", [habitat_episode(folder, sampled)])
     short = ("--max-steps", 60, "--assets", folder, "-o")
     run_json(
-        capsys, "generate", "rearrange", "--episodes-file", file, "--save-episodes", tmp_path / "ours.json", *short,
+        capsys,
+        "generate",
+        "rearrange",
+        "--episodes-file",
+        file,
+        "--save-episodes",
+        tmp_path / "ours.json",
+        *short,
         tmp_path / "a",
-    )  # fmt: skip
+    )
     run_json(capsys, "generate", "rearrange", "--episodes-file", tmp_path / "ours.json", *short, tmp_path / "b")
     a, b = (h3data.open(tmp_path / name).recording(0) for name in "ab")
     assert a.episode.uid == b.episode.uid
@@ -312,9 +339,7 @@ def test_policies_are_evaluated_on_a_file(
     episode = habitat_episode(folder, sampled)
     file = written(tmp_path / "val.json", [episode, {**episode, "targets": {}}])
     other = ("--policies", "complement", "--partners", "both", "-o", tmp_path / "habitat", "--max-steps", 20)
-    result = run_json(
-        capsys, "evaluate", "rearrange", *other, "--episodes-file", file, "--assets", folder, code=1
-    )  # fmt: skip
+    result = run_json(capsys, "evaluate", "rearrange", *other, "--episodes-file", file, "--assets", folder, code=1)
     assert result["left_out"][0].startswith("episode 1: Episode '7' names no targets")
     assert BOWL in result["warnings"][0]
 

@@ -56,9 +56,21 @@ def test_data_is_exact_and_comes_with_its_cameras(
 ) -> None:
     near = episode.with_name("near.toml")
     rerender(
-        capsys, episode, "--camera", near, "--camera", "third_person", "--outputs", "rgb,depth,instance,semantic",
-        "--format", "data", "--steps", "2:20:4", "-o", tmp_path,
-    )  # fmt: skip
+        capsys,
+        episode,
+        "--camera",
+        near,
+        "--camera",
+        "third_person",
+        "--outputs",
+        "rgb,depth,instance,semantic",
+        "--format",
+        "data",
+        "--steps",
+        "2:20:4",
+        "-o",
+        tmp_path,
+    )
     log = json.loads((tmp_path / "walk.cameras.json").read_text())
     assert set(log["cameras"]) == {"near", "third_person"}
     entry, replay = log["cameras"]["near"], h3data.Replay(h3data.open(episode))
@@ -90,9 +102,16 @@ def test_the_same_bytes_with_any_number_of_workers(
     kind: str, episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = (
-        episode, "--camera", episode.with_name("near.toml"), "--outputs", "rgb,depth,instance", "--format", kind,
-        "--steps", "0:12",
-    )  # fmt: skip
+        episode,
+        "--camera",
+        episode.with_name("near.toml"),
+        "--outputs",
+        "rgb,depth,instance",
+        "--format",
+        kind,
+        "--steps",
+        "0:12",
+    )
     for name, workers in (("one", 1), ("again", 1), ("many", 3)):
         rerender(capsys, *options, "--workers", workers, "-o", tmp_path / name)
     one = files_below(tmp_path / "one")
@@ -115,8 +134,9 @@ def test_what_is_complete_is_kept(episode: Path, tmp_path: Path, capsys: pytest.
     assert Path(first["files"][0]).stat().st_mtime_ns == stamp
     log = json.loads(Path(first["cameras"]).read_text())
     assert {name: set(c["outputs"]) for name, c in log["cameras"].items()} == {
-        "near": {"rgb", "depth"}, "robot_arm": {"rgb", "depth"}
-    }  # fmt: skip
+        "near": {"rgb", "depth"},
+        "robot_arm": {"rgb", "depth"},
+    }
     other = rerender(capsys, episode, "--steps", "0:7", "-o", tmp_path, *near, code=2)
     assert "made from another recording" in other["error"]
     changed = rerender(capsys, episode, "--steps", "0:7", "-o", tmp_path, *near, "--force")["recordings"][0]
@@ -156,9 +176,11 @@ def test_pictures_of_another_size_with_smooth_edges(
     options = (episode, "--camera", "robot_arm", "--size", "112x64", "--steps", "3")
     colours = {}
     for name, more in (
-        ("video", ()), ("rough", ("--samples", 1)), ("png", ("--format", "png")),
+        ("video", ()),
+        ("rough", ("--samples", 1)),
+        ("png", ("--format", "png")),
         ("smooth", ("--format", "png", "--samples", 4)),
-    ):  # fmt: skip
+    ):
         log = rerender(capsys, *options, *more, "-o", tmp_path / name)["recordings"][0]
         assert json.loads(Path(log["cameras"]).read_text())["cameras"]["robot_arm"]["width"] == 112
         (file,) = map(Path, log["files"])
@@ -225,9 +247,18 @@ def test_a_full_disk_is_said_and_the_next_run_goes_on(
 ) -> None:
     """The disk is one where no file grows as large as the largest must: the kernel refuses, as when nothing is left."""
     options = (
-        episode, "--camera", episode.with_name("near.toml"), "--camera", "robot_arm", "--outputs", "rgb,depth",
-        "--steps", "0:6", "--format", kind,
-    )  # fmt: skip
+        episode,
+        "--camera",
+        episode.with_name("near.toml"),
+        "--camera",
+        "robot_arm",
+        "--outputs",
+        "rgb,depth",
+        "--steps",
+        "0:6",
+        "--format",
+        kind,
+    )
     rerender(capsys, *options, "-o", tmp_path / "whole")
     whole, out = files_below(tmp_path / "whole"), tmp_path / "full"
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)

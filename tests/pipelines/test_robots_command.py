@@ -70,8 +70,9 @@ def test_reach_tells_joints_and_whether_it_gets_there(capsys: pytest.CaptureFixt
         (["reach", "quad_arm", "0", "0", "0", "--link", "tail"], "no link 'tail'"),
     ],
 )
-def test_refusals(words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-                  capsys: pytest.CaptureFixture[str]) -> None:  # fmt: skip
+def test_refusals(
+    words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["robots", *words]) == 2
     assert message in capsys.readouterr().err

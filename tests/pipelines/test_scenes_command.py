@@ -49,13 +49,33 @@ from sim_kinematic.contact import overlapping_instances
 SHUT = ["island", "unreachable_room", "out_of_reach"]
 """What a shut door does to the room with the table."""
 BOX_FACES = np.array(
-    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
-     [1, 5, 7], [1, 7, 3]], np.int32
-)  # fmt: skip
+    [
+        [0, 1, 3],
+        [0, 3, 2],
+        [4, 6, 7],
+        [4, 7, 5],
+        [0, 4, 5],
+        [0, 5, 1],
+        [2, 3, 7],
+        [2, 7, 6],
+        [0, 2, 6],
+        [0, 6, 4],
+        [1, 5, 7],
+        [1, 7, 3],
+    ],
+    np.int32,
+)
 
 
-def block(name: str, low: tuple[float, ...], high: tuple[float, ...], category: str = "wall", *, solid: bool = True,
-          receptacles: tuple[Receptacle, ...] = ()) -> Asset:  # fmt: skip
+def block(
+    name: str,
+    low: tuple[float, ...],
+    high: tuple[float, ...],
+    category: str = "wall",
+    *,
+    solid: bool = True,
+    receptacles: tuple[Receptacle, ...] = (),
+) -> Asset:
     a, b = np.array(low, float), np.array(high, float)
     vertices = np.array([[x, y, z] for x in (a[0], b[0]) for y in (a[1], b[1]) for z in (a[2], b[2])], np.float32)
     shape = Box(pose=np.concatenate([(a + b) / 2, [0, 0, 0, 1]]), half_extents=(b - a) / 2)
@@ -197,9 +217,11 @@ def test_the_middle_of_a_large_platform_is_out_of_reach() -> None:
 
 def test_overlaps_by_fcl() -> None:
     scene = two_rooms(
-        0.9, at("table_1", "table", 2.05, 0, 1.3), at("cube_0", "cube", 3, 0.05, 3, "kinematic"),
+        0.9,
+        at("table_1", "table", 2.05, 0, 1.3),
+        at("cube_0", "cube", 3, 0.05, 3, "kinematic"),
         at("cube_1", "cube", 3.02, 0.12, 3, "kinematic"),
-    )  # fmt: skip
+    )
     found = overlapping_instances(scene)
     assert [(o.first, o.second) for o in found] == [("table_0", "table_1"), ("cube_0", "cube_1")]
     assert found[0].depth_m == pytest.approx(0.05, abs=1e-6)
@@ -211,9 +233,10 @@ def test_overlaps_by_fcl() -> None:
 
 def test_overlaps_of_scaled_and_round_parts() -> None:
     ball = Asset(
-        name="ball", mesh=block("m", (-1, -1, -1), (1, 1, 1)).mesh,
+        name="ball",
+        mesh=block("m", (-1, -1, -1), (1, 1, 1)).mesh,
         shapes=(Capsule(start=np.zeros(3), end=np.zeros(3), radius=0.5),),
-    )  # fmt: skip
+    )
     scene = two_rooms(0.9)
     near = replace(at("near", "ball", 6, 0.5, 2), scale=np.full(3, 0.5))
     for x, expected in ((6.74, True), (6.76, False)):
@@ -295,9 +318,7 @@ def test_depth_of_an_overlap_is_how_far_it_must_be_lifted(sunk_m: float) -> None
 
 
 def test_a_scene_without_floor_does_not_stop_the_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    wall = Scene(
-        name="wall", assets={"w": block("w", (0, 0, 0), (0.1, 3, 3))}, instances=(at("w", "w"),)
-    )  # fmt: skip
+    wall = Scene(name="wall", assets={"w": block("w", (0, 0, 0), (0.1, 3, 3))}, instances=(at("w", "w"),))
     config = export_habitat(wall, tmp_path / "x")
     code, data = run(capsys, "validate", config, "small:3", "-o", tmp_path / "pictures")
     assert code == 1
@@ -380,9 +401,12 @@ def test_export_habitat_can_be_used_at_once(tmp_path: Path, capsys: pytest.Captu
     ],
 )
 def test_refusals(
-    arguments: tuple[str, ...], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    arguments: tuple[str, ...],
+    says: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["scenes", *arguments]) == 2
     assert says in capsys.readouterr().err

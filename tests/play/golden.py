@@ -63,13 +63,20 @@ def said(columns: dict[str, np.ndarray], head: tuple[Any, ...], objects: list[in
     person = columns["agent_1.root_pose"][0]
     return {
         **dict(zip(names, head, strict=True)),
-        "robot": {"base": [*columns["agent_0.base_pose"][0, [0, 2]].tolist(), 0.5],
-                  "joints": (np.rint(columns["agent_0.joint_pos"][0] / JOINT_UNIT) * JOINT_UNIT).tolist()},
-        "person": {"base": [*columns["agent_1.base_pose"][0, [0, 2]].tolist(), -2.0], "root": person.tolist(),
-                   "quats": columns["agent_1.joint_quat"][0, :BODY_JOINTS].tolist()},
+        "robot": {
+            "base": [*columns["agent_0.base_pose"][0, [0, 2]].tolist(), 0.5],
+            "joints": (np.rint(columns["agent_0.joint_pos"][0] / JOINT_UNIT) * JOINT_UNIT).tolist(),
+        },
+        "person": {
+            "base": [*columns["agent_1.base_pose"][0, [0, 2]].tolist(), -2.0],
+            "root": person.tolist(),
+            "quats": columns["agent_1.joint_quat"][0, :BODY_JOINTS].tolist(),
+        },
         "joints": columns["scene.joint_pos"][0].tolist() if "scene.joint_pos" in columns else [],
-        "things": [{"index": k, "held": 1 if k == 1 else -1, "pose": columns["object_pose"][0, k].tolist()} for k in objects],
-    }  # fmt: skip
+        "things": [
+            {"index": k, "held": 1 if k == 1 else -1, "pose": columns["object_pose"][0, k].tolist()} for k in objects
+        ],
+    }
 
 
 def golden() -> dict[str, Any]:
@@ -161,7 +168,7 @@ def stairs() -> dict[str, Any]:
         "y": floor_heights(heights, 0.0, xz).tolist(),
         "pace": stairs_speeds(heights, xz).tolist(),
         "poses": poses.round(9).tolist(),
-    }  # fmt: skip
+    }
 
 
 if __name__ == "__main__":

@@ -44,9 +44,17 @@ class Hostile(Client):
     def kinds(self) -> list[Callable[[], Awaitable[None]]]:
         """What they do, one thing each."""
         return [
-            self.huge_request, self.strange_socket, self.wrong_token, self.noise, self.half_a_request, self.nonsense,
-            self.flood, self.giant, self.slow_reader, self.costly,
-        ]  # fmt: skip
+            self.huge_request,
+            self.strange_socket,
+            self.wrong_token,
+            self.noise,
+            self.half_a_request,
+            self.nonsense,
+            self.flood,
+            self.giant,
+            self.slow_reader,
+            self.costly,
+        ]
 
     # --- without a seat -----------------------------------------------------------------------------------------------
     async def huge_request(self) -> None:

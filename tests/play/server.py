@@ -19,9 +19,12 @@ class Server:
         self.out = out
         module = "h3data_studies.serve" if "study" in (options or {}) else "h3data_play.serve"
         self.process = subprocess.Popen(
-            [sys.executable, "-m", module], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}, text=True,
-        )  # fmt: skip
+            [sys.executable, "-m", module],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            text=True,
+        )
         whole = {"app": "rearrange", "scenes": "small:3", "partner": "still", "out": str(out), **plan}
         given = {"plan": whole, **(options or {})}
         if "study" in given:

@@ -131,9 +131,13 @@ def own_app(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
     (tmp_path / "my_app.py").write_text(code[1])
     command = [sys.executable, "-P", "-c", ENTRY, "play", "my_app:Parade", "--no-browser", "-o", "rec"]
     process = subprocess.Popen(
-        command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        command,
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-    )  # fmt: skip
+    )
     assert process.stderr is not None
     said = ""
     for line in process.stderr:

@@ -115,8 +115,11 @@ def test_a_closed_door_between_rooms_is_named_and_told(tmp_path: Path):
         player.send(k="pick", o=1 - CUP, lead=True),
     ]
     assert allowed == [""] * 3
-    labels = {k: joint["label"] for k, joint in enumerate(assets.manifest(game.session, game.app, {})["joints"])
-              if joint["passage"]}  # fmt: skip
+    labels = {
+        k: joint["label"]
+        for k, joint in enumerate(assets.manifest(game.session, game.app, {})["joints"])
+        if joint["passage"]
+    }
     assert labels == dict.fromkeys(doors, "door")
 
 

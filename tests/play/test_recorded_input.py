@@ -101,8 +101,11 @@ def test_rerun_shows_lanes_of_input_and_of_latency(played: tuple[Path, Recording
     file = File(write_rrd(played[1], tmp_path / "e.rrd"))
     steps, states = file.column("/actions/human_input", "StateChange:state")
     assert list(zip(steps.tolist(), [s[0] for s in states], strict=True)) == [
-        (0, NOTHING), (10, STEERS), (20, AWAY), (30, "pick")
-    ]  # fmt: skip
+        (0, NOTHING),
+        (10, STEERS),
+        (20, AWAY),
+        (30, "pick"),
+    ]
     _, curve = file.column("/latency/human", "Scalars:scalars")
     curve = np.array(curve)[:, 0]
     assert np.isnan(curve[:10]).all(), "not measured yet: a gap"

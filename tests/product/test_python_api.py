@@ -431,7 +431,10 @@ def test_type_checkers_refuse_unknown_options(tmp_path: Path) -> None:
     )
     done = subprocess.run(
         [sys.executable, "-m", "pyright", "--outputjson", "--pythonpath", sys.executable, str(source)],
-        capture_output=True, text=True, cwd=ROOT, timeout=280,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        timeout=280,
+    )
     found = json.loads(done.stdout)["generalDiagnostics"]
     assert sorted(fault["range"]["start"]["line"] for fault in found if fault["severity"] == "error") == [1, 3]

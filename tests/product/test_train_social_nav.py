@@ -90,9 +90,11 @@ def test_advantages_end_with_their_episodes(example: dict[str, Any]) -> None:
     dice = torch.Generator().manual_seed(0)
     ended = torch.rand(steps, worlds, generator=dice) < 0.3
     seen = {
-        "x": torch.randn(steps, worlds, 1, generator=dice), "reward": torch.randn(steps, worlds, generator=dice),
-        "ended": ended, "terminated": ended & (torch.rand(steps, worlds, generator=dice) < 0.5),
-    }  # fmt: skip
+        "x": torch.randn(steps, worlds, 1, generator=dice),
+        "reward": torch.randn(steps, worlds, generator=dice),
+        "ended": ended,
+        "terminated": ended & (torch.rand(steps, worlds, generator=dice) < 0.5),
+    }
     last = torch.randn(worlds, 1, generator=dice)
 
     class Values:

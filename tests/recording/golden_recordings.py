@@ -45,8 +45,15 @@ def recording() -> Any:
     }
     columns["object_pose"][:3, 1] = np.nan
     return Recording(
-        episode=Episode(uid="golden", episode_id="g0", task="social_nav", scene="home", seed=7, schema_version="as written",
-                        info={"spec": {"a": 0.5}, "list": [1, None]}),
+        episode=Episode(
+            uid="golden",
+            episode_id="g0",
+            task="social_nav",
+            scene="home",
+            seed=7,
+            schema_version="as written",
+            info={"spec": {"a": 0.5}, "list": [1, None]},
+        ),
         assets=(AssetRef(name="box", uri="primitive:box", color=(1, 2, 3)),),
         bodies=tuple(Body(name=f"box {i}", asset="box", pose=ramp(7)[i], moving=i) for i in range(2)),
         agents=(Agent(name="robot", kind="robot", joint_names=("a", "b", "c")), Agent(name="human", kind="human")),
@@ -54,7 +61,7 @@ def recording() -> Any:
         skills=(SkillSpan(agent=0, name="find", start_step=0, end_step=6, outcome="failed", reason="lost"),),
         events=(Event(step=3, agent=1, kind="collision", target="robot", detail="0.1 m"),),
         attachments={"note.txt": b"golden"},
-    )  # fmt: skip
+    )
 
 
 def write(folder: Path) -> None:

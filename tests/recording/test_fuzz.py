@@ -31,10 +31,29 @@ FEW = {"deadline": None, "derandomize": True, "suppress_health_check": list(Heal
 EXAMPLES = [pytest.param(10), pytest.param(1000, marks=pytest.mark.slow)]
 NUMBERS = [0, 1, -1, 2, 7, 255, 2**31 - 1, 2**31, 2**32, -(2**31), 2**62, 2**63 - 1, -(2**63), 10**12]
 TEXTS = [
-    "", "0", "-1", "nan", "[]", "{}", "null", "[[]]", "1e999", "9" * 30, "ü\0", "../../etc/passwd", "/", "[1, 2]", '{"a": 1}',
-    '[["time_ns", "int64", []]]', '[["time_ns", "int64", [-1]]]', '[["time_ns", "complex128", []]]', '[["x", "int8", [1e9]]]',
-    '[["time_ns", "int64", [0]], ["time_ns", "float32", [1000000, 1000000, 1000000]]]', '{"scene.glb": 5}', "[" * 5000,
-]  # fmt: skip
+    "",
+    "0",
+    "-1",
+    "nan",
+    "[]",
+    "{}",
+    "null",
+    "[[]]",
+    "1e999",
+    "9" * 30,
+    "ü\0",
+    "../../etc/passwd",
+    "/",
+    "[1, 2]",
+    '{"a": 1}',
+    '[["time_ns", "int64", []]]',
+    '[["time_ns", "int64", [-1]]]',
+    '[["time_ns", "complex128", []]]',
+    '[["x", "int8", [1e9]]]',
+    '[["time_ns", "int64", [0]], ["time_ns", "float32", [1000000, 1000000, 1000000]]]',
+    '{"scene.glb": 5}',
+    "[" * 5000,
+]
 VALUES = st.sampled_from(
     [*NUMBERS, *TEXTS, True, None, 0.5, float("nan"), float("inf"), [], {}, [NUMBERS], {"a": TEXTS}]
 )
@@ -168,10 +187,12 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 FILES = [
-    "meta/info.json", "h3/schema.json", "data/chunk-000/file-000.parquet",
+    "meta/info.json",
+    "h3/schema.json",
+    "data/chunk-000/file-000.parquet",
     "meta/episodes/chunk-000/file-000.parquet",
     *(f"h3/{kind}/chunk-000/file-000.parquet" for kind in ("bodies", "agents", "skills", "events", "inputs")),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("examples", EXAMPLES)

@@ -108,8 +108,9 @@ def test_a_window_is_a_recording_of_its_own(tmp_path):
         window = steps.recording(20, 30)
         assert same(dict(window.columns), {n: a[20:30] for n, a in rec.columns.items()})
         assert [(s.name, s.start_step, s.end_step, s.outcome) for s in window.skills] == [
-            ("over", 0, 9, "running"), ("in", 2, 4, "done"),
-        ]  # fmt: skip
+            ("over", 0, 9, "running"),
+            ("in", 2, 4, "done"),
+        ]
         assert [(e.kind, e.step) for e in window.events] == [("20", 0), ("29", 9)]
         assert window.episode.info["window"] == {"start": 20, "stop": 30, "of": 60}
         assert window.attachments == rec.attachments
@@ -222,10 +223,18 @@ def test_unfinished_and_other_logs_are_named(tmp_path):
     with pytest.raises(FormatError, match="never finished"):
         open_steps(path.with_name("a.mcap.part"))
     others: list[tuple[dict[str, Any], str]] = [
-        ({"index_types": IndexType.NONE, "use_statistics": False, "repeat_channels": False, "repeat_schemas": False,
-          "use_summary_offsets": False}, "no summary"),
+        (
+            {
+                "index_types": IndexType.NONE,
+                "use_statistics": False,
+                "repeat_channels": False,
+                "repeat_schemas": False,
+                "use_summary_offsets": False,
+            },
+            "no summary",
+        ),
         ({"compression": CompressionType.LZ4}, "profile"),
-    ]  # fmt: skip
+    ]
     for options, found in others:
         with open(path, "wb") as stream:
             other = Writer(stream, **options)

@@ -214,8 +214,13 @@ def test_commands_take_uris(s3: str, tmp_path: Path, capsys: pytest.CaptureFixtu
     assert run(capsys, *generate, uri, "--resume")["new"] == 0
     assert run(capsys, "metrics", uri)["metrics"] == run(capsys, "metrics", tmp_path / "ds")["metrics"]
     assert run(capsys, "metrics", f"{uri}/mcap/000000.mcap")["metrics"]
-    assert run(capsys, "sql", "select dataset, count(*), avg(S) is not null from steps "
-               "join episodes using (dataset, episode_index) group by 1", uri)["rows"] == [[uri, 6, True]]  # fmt: skip
+    assert run(
+        capsys,
+        "sql",
+        "select dataset, count(*), avg(S) is not null from steps "
+        "join episodes using (dataset, episode_index) group by 1",
+        uri,
+    )["rows"] == [[uri, 6, True]]
     assert run(capsys, "convert", f"{uri}#0", f"{s3}/one.mcap", "--check")["converted"] == 1
     run(capsys, "validate", uri, f"{s3}/one.mcap")
     for command in (["rerender", f"{uri}#0", "-o", f"{s3}/pictures"], ["metrics", uri, "-o", f"{s3}/t.csv"]):

@@ -104,8 +104,9 @@ def test_the_layout_is_that_of_lerobot(tmp_path):
         assert feature["names"] == ["height", "width", "channels"]
         assert feature["info"]["video.fps"] == info["fps"] == 30
         assert {name: np.shape(v) for name, v in stats[key].items()} == {
-            "count": (1,), **dict.fromkeys(("min", "max", "mean", "std", *QUANTILES), (3, 1, 1)),
-        }  # fmt: skip
+            "count": (1,),
+            **dict.fromkeys(("min", "max", "mean", "std", *QUANTILES), (3, 1, 1)),
+        }
         frames: dict[int, int] = {}
         for row, steps in zip(rows, lengths, strict=True):
             file, at = row[f"videos/{key}/file_index"], f"videos/{key}"
@@ -246,8 +247,11 @@ def test_the_task_of_a_frame_is_its_instruction(tmp_path):
             writer.add(told(words, k))
     dataset = Dataset(tmp_path / "ds")
     assert [row["tasks"] for row in dataset.rows] == [
-        ["follow the person"], ["bring the cup to the table"], ["follow the person"], ["social_nav"],
-    ]  # fmt: skip
+        ["follow the person"],
+        ["bring the cup to the table"],
+        ["follow the person"],
+        ["social_nav"],
+    ]
     assert [row["task_index"] for row in dataset.rows] == [0, 1, 0, 2]
     assert {row["task"] for row in dataset.rows} == {"social_nav"}
     names = pq.read_table(tmp_path / "ds/meta/tasks.parquet").to_pydict()["__index_level_0__"]

@@ -41,7 +41,7 @@ def played(policy: Any, steps: int = STEPS) -> Recording:
 def rearranged(policy: str) -> Recording:
     """A second of rearrangement."""
     with h3data.session("rearrange", "small:3", agents={"robot": policy}) as session:
-        session.task.load_precomputed(session.episode, {"solo_steps": 600})
+        session.task.codec.load_precomputed(session.episode, {"solo_steps": 600})
         for _ in range(30):
             session.step()
     return session.close()

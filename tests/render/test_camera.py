@@ -100,9 +100,11 @@ def test_a_calibrated_matrix_makes_the_same_camera():
     again = camera_from_matrix(camera.intrinsics, 64, 48)
     assert (again.fx, again.fy, again.cx, again.cy) == (camera.fx, camera.fy, camera.cx, camera.cy)
     faults = {
-        "singular": np.diag([0.0, 50, 1]), "skew": [[50, 3, 32], [0, 50, 24], [0, 0, 1]],
-        "finite 3x3": np.full((3, 3), np.nan), "mirrored": np.diag([-50.0, 50, 1]),
-    }  # fmt: skip
+        "singular": np.diag([0.0, 50, 1]),
+        "skew": [[50, 3, 32], [0, 50, 24], [0, 0, 1]],
+        "finite 3x3": np.full((3, 3), np.nan),
+        "mirrored": np.diag([-50.0, 50, 1]),
+    }
     for message, matrix in faults.items():
         with pytest.raises(InputError, match=message):
             camera_from_matrix(matrix, 64, 48)
@@ -110,9 +112,11 @@ def test_a_calibrated_matrix_makes_the_same_camera():
 
 def test_cameras_that_cannot_be_are_refused():
     for make in (
-        lambda: pinhole(4, 4, hfov_deg=180), lambda: pinhole(4, 4, hfov_deg=np.nan), lambda: fisheye(4, 4, hfov_deg=400),
+        lambda: pinhole(4, 4, hfov_deg=180),
+        lambda: pinhole(4, 4, hfov_deg=np.nan),
+        lambda: fisheye(4, 4, hfov_deg=400),
         lambda: orthographic(4, 4, width_m=0),
-    ):  # fmt: skip
+    ):
         with pytest.raises(InputError, match="got"):
             make()
     with pytest.raises(InputError, match=r"near 3\.0 and far 1\.0"):
@@ -124,8 +128,11 @@ def test_conventions_lead_to_ours():
     pose = look_at([0, 1, 0], [3, 1, 0])
     habitat = pose @ OPENGL_TO_OPENCV
     ahead_and_up = habitat @ [0, 0.5, -2, 1]
-    np.testing.assert_allclose(pinhole(8, 8, hfov_deg=90, pose=habitat @ CONVENTIONS["habitat"]).to_camera(ahead_and_up[:3]),
-                               [[0, -0.5, 2]], atol=1e-12)  # fmt: skip
+    np.testing.assert_allclose(
+        pinhole(8, 8, hfov_deg=90, pose=habitat @ CONVENTIONS["habitat"]).to_camera(ahead_and_up[:3]),
+        [[0, -0.5, 2]],
+        atol=1e-12,
+    )
 
 
 def test_points_behind_have_no_pixel():

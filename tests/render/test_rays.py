@@ -131,9 +131,11 @@ def test_shadows_fall_where_the_sun_is_hidden():
     camera = pinhole(60, 60, hfov_deg=60, pose=look_at([0, 1.9, 0], [0, 0, 0]), hidden_layers=())
     above = Light(sun_direction=(0.0, 1.0, 0.0), occlusion=0, headlight=(0, 0, 0))
     plain, hard, soft = (
-        Renderer(drawn, light=replace(above, shadow_rays=n, sun_size_deg=size)).render(camera, outputs=("rgb",))["rgb"]
-        .astype(int)[30, :, 0] for n, size in ((0, 1.0), (4, 0.1), (32, 20.0))
-    )  # fmt: skip
+        Renderer(drawn, light=replace(above, shadow_rays=n, sun_size_deg=size))
+        .render(camera, outputs=("rgb",))["rgb"]
+        .astype(int)[30, :, 0]
+        for n, size in ((0, 1.0), (4, 0.1), (32, 20.0))
+    )
     x = (np.arange(60) + 0.5 - 30) / camera.fx * 1.9
     inside, outside = np.abs(x) < 0.95, np.abs(x) > 1.05
     assert (hard[inside] < plain[inside] - 20).all()

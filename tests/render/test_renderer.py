@@ -29,11 +29,13 @@ def bumpy(n: int = 24, *, smooth: bool = True) -> Mesh:
     pixels = np.full((16, 16, 4), 255, np.uint8)
     pixels[::2, ::2, :3] = 120
     return Mesh(
-        vertices=np.stack([x, y, z], -1).reshape(-1, 3).astype(np.float32), faces=faces.astype(np.int32),
+        vertices=np.stack([x, y, z], -1).reshape(-1, 3).astype(np.float32),
+        faces=faces.astype(np.int32),
         colors=np.tile(np.uint8([220, 180, 150]), ((n + 1) ** 2, 1)),
         normals=normals.astype(np.float32) if smooth else None,
-        uv=np.stack([x, z], -1).reshape(-1, 2).astype(np.float32), textures=(Texture(pixels=pixels),),
-    )  # fmt: skip
+        uv=np.stack([x, z], -1).reshape(-1, 2).astype(np.float32),
+        textures=(Texture(pixels=pixels),),
+    )
 
 
 def at(x: float, y: float, z: float, scale: float = 1.0) -> NDArray:
@@ -108,9 +110,10 @@ def test_an_orthographic_picture_is_that_of_an_eye_far_away():
 
 def test_orthographic_corners_get_darker_and_open_floors_do_not():
     floor = Mesh(
-        vertices=np.float32([[-3, 0, -3], [3, 0, -3], [3, 0, 3], [-3, 0, 3]]), faces=np.int32([[0, 2, 1], [0, 3, 2]]),
+        vertices=np.float32([[-3, 0, -3], [3, 0, -3], [3, 0, 3], [-3, 0, 3]]),
+        faces=np.int32([[0, 2, 1], [0, 3, 2]]),
         colors=np.full((4, 3), 200, np.uint8),
-    )  # fmt: skip
+    )
     camera = orthographic(120, 120, width_m=5, pose=look_at([0, 9, 0], [0, 0, 0]))
     instances = [RenderInstance(0, np.eye(4)), RenderInstance(0, at(-3, 0.2, 0))]  # and a step of 20 cm along x = 0
     plain, dark = (

@@ -181,9 +181,12 @@ def test_an_agent_without_a_model_needs_none() -> None:
     base = np.zeros((20, 7), np.float32)
     base[:, 6] = 1
     rec = Recording(
-        episode=b.episode, assets=b.assets, bodies=b.bodies, agents=(Agent(name="r", kind="robot"),),
+        episode=b.episode,
+        assets=b.assets,
+        bodies=b.bodies,
+        agents=(Agent(name="r", kind="robot"),),
         columns={**b.columns, "agent_0.base_pose": base},
-    )  # fmt: skip
+    )
     assert camera_track(Replay(rec), "third_person").poses.shape == (20, 4, 4)
 
 
@@ -214,14 +217,18 @@ def one_mesh_home() -> Recording:
         colors=np.concatenate([m.colors for m in meshes]),
     )
     scene = replace(
-        home, assets={"stage": Asset(name="stage", mesh=stage)}, rooms=(),
+        home,
+        assets={"stage": Asset(name="stage", mesh=stage)},
+        rooms=(),
         instances=(Instance(name="stage", asset="stage", pose=np.array([0, 0, 0, 0, 0, 0, 1.0])),),
-    )  # fmt: skip
+    )
     body = Body(name="stage", asset="stage", pose=np.array([0, 0, 0, 0, 0, 0, 1], np.float32))
     return replace(
-        recording, assets=(AssetRef(name="stage", uri="scene:stage"),), bodies=(body,),
+        recording,
+        assets=(AssetRef(name="stage", uri="scene:stage"),),
+        bodies=(body,),
         attachments={"scene.glb": scene_bytes(scene)},
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("name", ["top_down", "top_down_orthographic"])

@@ -107,10 +107,12 @@ def robot_among(bodies: tuple[Body, ...], way: np.ndarray) -> Replay:
     return Replay(
         Recording(
             episode=Episode(uid="u", episode_id="boxes", task="none", scene="none"),
-            assets=(AssetRef(name="box", uri="primitive:box"),), bodies=bodies, agents=still.agents[:1],
+            assets=(AssetRef(name="box", uri="primitive:box"),),
+            bodies=bodies,
+            agents=still.agents[:1],
             columns={**columns, "agent_0.base_pose": base},
         )
-    )  # fmt: skip
+    )
 
 
 def test_it_finds_the_one_open_side() -> None:
@@ -133,10 +135,13 @@ def test_what_is_too_near_is_cut_away() -> None:
     walls = tuple(
         box(name, center, size)
         for name, center, size in (
-            ("x-", (-0.7, 1, 0), (0.1, 3, 6)), ("x+", (0.7, 1, 0), (0.1, 3, 6)),
-            ("z-", (0, 1, -0.7), (6, 3, 0.1)), ("z+", (0, 1, 0.7), (6, 3, 0.1)), ("roof", (0, 1.2, 0), (6, 0.1, 6)),
+            ("x-", (-0.7, 1, 0), (0.1, 3, 6)),
+            ("x+", (0.7, 1, 0), (0.1, 3, 6)),
+            ("z-", (0, 1, -0.7), (6, 3, 0.1)),
+            ("z+", (0, 1, 0.7), (6, 3, 0.1)),
+            ("roof", (0, 1.2, 0), (6, 0.1, 6)),
         )
-    )  # fmt: skip
+    )
     replay = robot_among(walls, np.zeros((20, 2)))
     track = camera_track(replay, "third_person")
     assert track.nears is not None
@@ -162,9 +167,10 @@ def test_a_lone_person_is_followed_without_meshes() -> None:
     base[:, 6] = 1
     base[3:5] = np.nan  # not there for two steps
     recording = Recording(
-        episode=Episode(uid="u", episode_id="p", task="none", scene="none"), agents=(Agent(name="p", kind="human"),),
+        episode=Episode(uid="u", episode_id="p", task="none", scene="none"),
+        agents=(Agent(name="p", kind="human"),),
         columns={"time_ns": np.arange(1, 11, dtype=np.int64) * 33_333_333, "agent_0.base_pose": base},
-    )  # fmt: skip
+    )
     track = camera_track(Replay(recording), "third_person")
     assert np.isfinite(track.poses).all()
     pixels, depth = track.at(5).project([[0.0, 1.25, 0.0]])

@@ -118,11 +118,13 @@ def test_a_bad_value_is_found_where_it_is(
     [
         ("agent_0.base_pose", np.zeros((120, 6), np.float32)),
         ("agent_0.base_pose", np.tile([0.0, 0, 0, 0, 0, 0, 1], (120, 1))),
-        ("agent_0.joint_pos", np.zeros((120, 3), np.float32)), ("agent_0.skill", np.zeros(120, np.float32)),
-        ("agent_0.action", np.zeros((120, 5), np.float32)), ("agent_7.skill", np.zeros(120, np.int32)),
+        ("agent_0.joint_pos", np.zeros((120, 3), np.float32)),
+        ("agent_0.skill", np.zeros(120, np.float32)),
+        ("agent_0.action", np.zeros((120, 5), np.float32)),
+        ("agent_7.skill", np.zeros(120, np.int32)),
         ("agent_1.joint_quat", np.zeros((120, 4), np.float32)),
     ],
-)  # fmt: skip
+)
 def test_columns_of_another_kind_are_named(episode: Recording, name: str, array: np.ndarray) -> None:
     assert only(hashed(episode, **{name: array}), "schema", "error").subject == name
 
@@ -309,14 +311,17 @@ PLANTED: dict[str, tuple[Callable[[Recording], Recording], str, list[tuple[str, 
     "schema": (lambda r: edited(r, "agent_0.skill", 20, 99), "error", [("agent_0.skill", 20)]),
     "time": (late, "warning", [("time_ns", 60)]),
     "values": (lambda r: edited(r, "agent_0.joint_pos", (20, 3), np.nan), "error", [("agent_0.joint_pos", 20)]),
-    "quaternions": (lambda r: edited(r, "agent_1.base_pose", (20, slice(3, 7)), [0, 0.5, 0, 0]), "error",
-                    [("agent_1.base_pose", 20)]),
+    "quaternions": (
+        lambda r: edited(r, "agent_1.base_pose", (20, slice(3, 7)), [0, 0.5, 0, 0]),
+        "error",
+        [("agent_1.base_pose", 20)],
+    ),
     "hash": (forged, "error", [("state_hash", 50)]),
     "jumps": (thrown, "warning", [("thrown", 30), ("turned", 40)]),
     "penetration": (lambda r: edited(r, "agent_0.base_pose", (slice(100, None), 0), 50.0), "error", [("robot", 100)]),
     "feet": (gliding, "warning", [("human", 10)]),
     "assets": (lost, "warning", [("chairs/none.glb", -1)]),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("check", PLANTED)

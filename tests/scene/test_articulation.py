@@ -34,9 +34,11 @@ def chain(*, rest: float = 0.0) -> Scene:
     """A cabinet that leans, with a door, and on the door a box that slides out of it; a cup lies in the box."""
     things = ("body", "door", "box", "cup")
     instances = tuple(
-        Instance(name=name, asset="cube", pose=pose(k, 0.5 * k, 1, turn=0.3 * k), motion="kinematic" if k == 3 else "static")
+        Instance(
+            name=name, asset="cube", pose=pose(k, 0.5 * k, 1, turn=0.3 * k), motion="kinematic" if k == 3 else "static"
+        )
         for k, name in enumerate(things)
-    )  # fmt: skip
+    )
     door = Joint(
         kind="revolute", axis=np.array([0, 2, 1]), origin=np.array([0.5, 0, 0.5]), lower=-0.2, upper=2.0, rest=rest
     )
@@ -46,9 +48,7 @@ def chain(*, rest: float = 0.0) -> Scene:
         Part(name="box", joint=box, instances=("box", "cup"), parent="door", handle=np.array([1.0, 0, 0])),
     )
     thing = Articulation(name="cabinet", base="body", pose=pose(3, 0, 1, turn=0.8), parts=parts)
-    return Scene(
-        name="s", assets={"cube": Asset(name="cube", mesh=CUBE)}, instances=instances, articulations=(thing,)
-    )  # fmt: skip
+    return Scene(name="s", assets={"cube": Asset(name="cube", mesh=CUBE)}, instances=instances, articulations=(thing,))
 
 
 def matrices(scene: Scene) -> np.ndarray:
@@ -112,14 +112,22 @@ def test_what_lies_behind_a_closed_door_of_habitat_is_enclosed(tmp_path: Path) -
     inside = {"position": [0, 0.3, 0], "scale": [0.2, 0.1, 0.2], "rotation": [1, 0, 0, 0], "parent_link": "base"}
     above = {**inside, "position": [0, 1.3, 0]}
     drawer = {**inside, "parent_link": "b_drawer"}
-    dataset.json("urdf/chest/chest.ao_config.json", {
-        "urdf_filepath": "chest.urdf",
-        "user_defined": {"receptacle_aabb_in": inside, "receptacle_aabb_top": above, "receptacle_aabb_drawer": drawer},
-    })  # fmt: skip
+    dataset.json(
+        "urdf/chest/chest.ao_config.json",
+        {
+            "urdf_filepath": "chest.urdf",
+            "user_defined": {
+                "receptacle_aabb_in": inside,
+                "receptacle_aabb_top": above,
+                "receptacle_aabb_drawer": drawer,
+            },
+        },
+    )
     scene = dataset.chest(translation=[1, 2, 3])
     assert joints_of(scene).enclosing == {
-        "chest_:0000/base|receptacle_aabb_in": (1,), "chest_:0000/b_drawer|receptacle_aabb_drawer": (0, 1),
-    }  # fmt: skip
+        "chest_:0000/base|receptacle_aabb_in": (1,),
+        "chest_:0000/b_drawer|receptacle_aabb_drawer": (0, 1),
+    }
 
 
 # --- files ------------------------------------------------------------------------------------------------------------

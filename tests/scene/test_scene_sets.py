@@ -93,8 +93,11 @@ def test_seeds_of_episodes_are_fixed_and_differ() -> None:
     assert shipped("test").episode_seed("test_00", 0) == 7187913866969587865
     seeds = {
         scenes.episode_seed(entry.id, index, seed=seed)
-        for scenes in map(shipped, SPLITS) for entry in scenes.scenes for index in range(20) for seed in (0, 1)
-    }  # fmt: skip
+        for scenes in map(shipped, SPLITS)
+        for entry in scenes.scenes
+        for index in range(20)
+        for seed in (0, 1)
+    }
     assert len(seeds) == 59 * 20 * 2
     assert all(0 <= s < 2**63 for s in seeds)
 
@@ -120,8 +123,9 @@ def test_a_set_of_ones_own(tmp_path: Path) -> None:
     scenes = read_scene_set(written(tmp_path, GOOD))
     assert scenes.label == "mine"
     assert [e.source for e in scenes.scenes] == [
-        HomeSpec(seed=3), HomeSpec(seed=4, preset="medium", area_m2=150.0, clutter=2.0),
-    ]  # fmt: skip
+        HomeSpec(seed=3),
+        HomeSpec(seed=4, preset="medium", area_m2=150.0, clutter=2.0),
+    ]
     assert scenes.social_nav.spawn_distance_m == 5.0
     assert scenes.entry("1").id == scenes.entry("b").id == "b"
     assert scenes.sha256 != read_scene_set(written(tmp_path, GOOD + "# more")).sha256
@@ -132,7 +136,7 @@ def test_a_set_of_ones_own(tmp_path: Path) -> None:
     [
         (("seed = 3", "seed = 3, colour = 'red'"), r"scenes\[0\]: unknown key 'colour'. Expected: id, seed, preset"),
         (("seed = 3", "seed = '3'"), r"scenes\[0\]: Expected 'int', got 'str' - at 'seed'"),
-        (("id = \"a\", seed", "seed"), r"scenes\[0\]: missing field 'id'"),
+        (('id = "a", seed', "seed"), r"scenes\[0\]: missing field 'id'"),
         (('id = "a"', 'id = "b"'), "the id 'b' occurs 2 times"),
         (('id = "a"', 'id = "../a"'), r"scenes\[0\]: id: expected letters"),
         (("seed = 3", "seed = -3"), r"scenes\[0\]: The seed of a home must be a whole number >= 0"),
@@ -152,7 +156,7 @@ def test_a_set_of_ones_own(tmp_path: Path) -> None:
         (("]", "]\n[social_nav]\nepisodes_per_scene = 0"), "social_nav.episodes_per_scene: expected at least 1"),
         (("]", "]\n[social_nav]\nspawn_distance_m = nan"), "social_nav.spawn_distance_m: expected a distance"),
     ],
-)  # fmt: skip
+)
 def test_faults_are_named_with_file_and_key(tmp_path: Path, change: tuple[str, str], words: str) -> None:
     assert change[0] in GOOD
     with pytest.raises(FormatError, match=words) as fault:

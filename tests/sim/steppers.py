@@ -30,13 +30,28 @@ class Batch:
     """W worlds of social navigation and what their robots observe."""
 
     def __init__(
-        self, scenes: Any, *, worlds: int = 1, spec: Any = TRAINING, reward: str = "paper", driven: bool = False,
-        observations: Any = STATE_OBSERVATIONS, depth_size: Any = None, **bodies: str,
-    ) -> None:  # fmt: skip
+        self,
+        scenes: Any,
+        *,
+        worlds: int = 1,
+        spec: Any = TRAINING,
+        reward: str = "paper",
+        driven: bool = False,
+        observations: Any = STATE_OBSERVATIONS,
+        depth_size: Any = None,
+        **bodies: str,
+    ) -> None:
         self.stepper = WorldStepper(
-            SOCIAL_NAV, scenes, worlds=worlds, spec=spec, reward=reward, agents=PAIR if driven else ("robot",),
-            observations=observations, options=Options(depth_size=depth_size), **bodies,
-        )  # fmt: skip
+            SOCIAL_NAV,
+            scenes,
+            worlds=worlds,
+            spec=spec,
+            reward=reward,
+            agents=PAIR if driven else ("robot",),
+            observations=observations,
+            options=Options(depth_size=depth_size),
+            **bodies,
+        )
         self.play, self.worlds, self.spec = self.stepper.play, worlds, spec
         self.state = self.play.world.state
         self.ends: NDArray[np.bool_] = np.zeros(worlds, np.bool_)
@@ -116,13 +131,17 @@ class AgentWorlds:
             np.stack(
                 [
                     sample_places(
-                        self.scene, self.free, self.cast, generator(seed, "agent_worlds", world=w),
-                        apart_m=self.spec.spawn_distance_m, rules=self.spec.robot,
+                        self.scene,
+                        self.free,
+                        self.cast,
+                        generator(seed, "agent_worlds", world=w),
+                        apart_m=self.spec.spawn_distance_m,
+                        rules=self.spec.robot,
                     )
                     for w in range(self.world.worlds)
                 ]
             )
-        )  # fmt: skip
+        )
 
     def step(self, actions: Any) -> NDArray[np.bool_]:
         """Pairs that touch, [W, P]."""

@@ -23,10 +23,20 @@ def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, objec
 
 @pytest.mark.slow
 def test_bots_play_a_whole_study_and_go_on_where_they_were(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    study = write_tiny(tmp_path, forms=[*TINY["forms"], {"id": "more", "after": "end", "items": [
-        {"id": "words", "text": "Anything else?", "kind": "text"},
-        {"id": "games", "text": "Games?", "kind": "choice", "options": ["Never", "Often"]},
-    ]}])  # fmt: skip
+    study = write_tiny(
+        tmp_path,
+        forms=[
+            *TINY["forms"],
+            {
+                "id": "more",
+                "after": "end",
+                "items": [
+                    {"id": "words", "text": "Anything else?", "kind": "text"},
+                    {"id": "games", "text": "Games?", "kind": "choice", "options": ["Never", "Often"]},
+                ],
+            },
+        ],
+    )
     first = said(capsys, str(study), "--participants", "1")
     folder = tmp_path / "tiny-1-bots"
     assert first["statuses"] == {"complete": 1}

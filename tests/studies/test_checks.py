@@ -29,8 +29,17 @@ MOOD = {"id": "mood", "after": "trial", "items": [{"id": "happy", "text": "Happy
 
 def person_of(design: Any, progress: Progress, name: str = "P-1", used: float = 600.0) -> Participant:
     return Participant(
-        number=1, id=name, place=0, joined=0.0, used=used, idle=0.0, language="en", consent={}, ids={}, progress=progress,
-    )  # fmt: skip
+        number=1,
+        id=name,
+        place=0,
+        joined=0.0,
+        used=used,
+        idle=0.0,
+        language="en",
+        consent={},
+        ids={},
+        progress=progress,
+    )
 
 
 def to_form(progress: Progress, form: str) -> None:
@@ -89,9 +98,17 @@ def test_questions_come_after_each_episode_and_name_it() -> None:
         else:
             act(progress)
     assert keys == [
-        "device", "tutorial", "episode/1/1", "form/1/1/mood", "episode/1/2", "form/1/2/mood", "episode/2/1",
-        "form/2/1/mood", "episode/2/2", "form/2/2/mood",
-    ]  # fmt: skip
+        "device",
+        "tutorial",
+        "episode/1/1",
+        "form/1/1/mood",
+        "episode/1/2",
+        "form/1/2/mood",
+        "episode/2/1",
+        "form/2/1/mood",
+        "episode/2/2",
+        "form/2/2/mood",
+    ]
     person = person_of(design, progress)
     rows = answer_rows([person], free_text=False)
     assert [dict(zip(rows[0], row, strict=True))["trial"] for row in rows[1:]] == ["1", "2", "1", "2"]

@@ -155,9 +155,7 @@ def test_recordings_name_weights_without_paths_of_the_machine(tmp_path: Path) ->
 def test_every_policy_of_a_task_can_be_a_partner(task: str, tmp_path: Path) -> None:
     for seat, kind in (("person", "robot"), ("robot", "human")):
         names = find_task(task).policies.get(kind, {})
-        conditions = [
-            {"name": f"c{k}", "app": task, "play_as": seat, "partner": name} for k, name in enumerate(names)
-        ]  # fmt: skip
+        conditions = [{"name": f"c{k}", "app": task, "play_as": seat, "partner": name} for k, name in enumerate(names)]
         if not conditions:
             continue
         design = read_design(write_tiny(tmp_path, scenes=["small:1"], conditions=conditions, episodes=1))

@@ -51,9 +51,17 @@ def test_a_participant_goes_from_the_device_check_to_the_end() -> None:
         keys.append(progress.stage.key)
         act(progress)
     assert keys == [
-        "device", "tutorial", "episode/1/1", "episode/1/2", "form/1/nasa_tlx", "form/1/trust", "episode/2/1",
-        "episode/2/2", "form/2/nasa_tlx", "form/you",
-    ]  # fmt: skip
+        "device",
+        "tutorial",
+        "episode/1/1",
+        "episode/1/2",
+        "form/1/nasa_tlx",
+        "form/1/trust",
+        "episode/2/1",
+        "episode/2/2",
+        "form/2/nasa_tlx",
+        "form/you",
+    ]
     assert progress.status == COMPLETE
 
 
@@ -180,8 +188,15 @@ def test_a_form_after_consent_is_asked_again_at_the_end() -> None:
         number=1, id="P", place=0, joined=0.0, used=0.0, idle=0.0, language="en", consent={}, ids={}, progress=progress
     )
     assert [(form.title, answers["mood"]) for form, _, answers in filled(person)] == [
-        ("consent", 1), ("condition", 2), ("condition", 3), ("end", 4),
-    ]  # fmt: skip
+        ("consent", 1),
+        ("condition", 2),
+        ("condition", 3),
+        ("end", 4),
+    ]
     assert [row[-2:] for row in answer_rows([person], free_text=False)] == [
-        ["after", "answer"], ["consent", "1"], ["condition", "2"], ["condition", "3"], ["end", "4"],
-    ]  # fmt: skip
+        ["after", "answer"],
+        ["consent", "1"],
+        ["condition", "2"],
+        ["condition", "3"],
+        ["end", "4"],
+    ]

@@ -101,9 +101,12 @@ def test_many_levels_and_an_observation_effect_take_less_than_a_few_seconds():
     eta = 0.5 + (year == 96) - (year == 97) - 2 * height + random.normal(0, 0.55, 403)
     eta += random.normal(0, 0.53, 63)[location] + random.normal(0, 0.75, 118)[brood]
     table = {
-        "ticks": random.poisson(np.exp(eta)), "year": year.astype(str), "height": height,
-        "brood": brood.astype(str), "location": location.astype(str),
-    }  # fmt: skip
+        "ticks": random.poisson(np.exp(eta)),
+        "year": year.astype(str),
+        "height": height,
+        "brood": brood.astype(str),
+        "location": location.astype(str),
+    }
     start = time.process_time()
     fit = fit_glmm(
         table, "ticks", "poisson", fixed=["year", "height"], random=["brood", "location"], observation_effect=True
@@ -240,7 +243,7 @@ def base(rows: int = 24) -> dict[str, list]:
         ({"p": [str(k) for k in range(24)]}, {"observation_effect": True}, "group the rows identically"),
         ({}, {"response": "hit", "family": "binomial", "observation_effect": True}, "its own level of 'observation'"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_fitted_is_refused_in_words(change, call, message):
     arguments = {"response": "y", "family": "poisson", "fixed": ["c"], "random": ["p", "s"]} | call
     with pytest.raises(InputError, match=message):

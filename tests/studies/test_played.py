@@ -29,11 +29,15 @@ from tests.studies.tiny import tiny, write_tiny
 
 FORMS = [
     {"builtin": "nasa_tlx"},
-    {"id": "you", "after": "end", "items": [
-        {"id": "age", "text": "Age", "kind": "number", "min": 18, "max": 120},
-        {"id": "words", "text": "Anything else?", "kind": "text"},
-    ]},
-]  # fmt: skip
+    {
+        "id": "you",
+        "after": "end",
+        "items": [
+            {"id": "age", "text": "Age", "kind": "number", "min": 18, "max": 120},
+            {"id": "words", "text": "Anything else?", "kind": "text"},
+        ],
+    },
+]
 
 
 @pytest.fixture(scope="module")
@@ -67,8 +71,9 @@ def test_the_report_has_the_papers_table_and_the_questionnaires(study: Path, tmp
     assert outcome.data["analysis"]["episodes"] == {"solo": 2, "still": 2}
     assert outcome.data["analysis"]["estimates"]["RE"]["solo"]["mean"] == 100
     assert [(m["form"], m["condition"], m["people"]) for m in outcome.data["forms"]] == [
-        ("nasa_tlx", "solo", 2), ("nasa_tlx", "still", 2),
-    ]  # fmt: skip
+        ("nasa_tlx", "solo", 2),
+        ("nasa_tlx", "still", 2),
+    ]
     assert "are scripts (bots)" in outcome.text
     html = (tmp_path / "out" / "report.html").read_text()
     assert "Questionnaires" in html

@@ -231,10 +231,18 @@ def test_an_address_sends_few_participants_in_a_time_and_others_are_not_affected
 @pytest.mark.parametrize(
     "value",
     [
-        "{{%PROLIFIC_PID%}}", "%PROLIFIC_PID%", "${PROLIFIC_PID}", "{{PROLIFIC_PID}}", "<PROLIFIC_PID>", "{PROLIFIC_PID}",
-        "PROLIFIC_PID", "[PROLIFIC_PID]", "${e://Field/PROLIFIC_PID}", "__PROLIFIC_PID__",
+        "{{%PROLIFIC_PID%}}",
+        "%PROLIFIC_PID%",
+        "${PROLIFIC_PID}",
+        "{{PROLIFIC_PID}}",
+        "<PROLIFIC_PID>",
+        "{PROLIFIC_PID}",
+        "PROLIFIC_PID",
+        "[PROLIFIC_PID]",
+        "${e://Field/PROLIFIC_PID}",
+        "__PROLIFIC_PID__",
     ],
-)  # fmt: skip
+)
 def test_placeholders_that_nobody_has_filled_in_are_refused_by_name(tmp_path: Path, value: str) -> None:
     async def what(study: Study) -> None:
         person = await study.browser()
@@ -288,8 +296,11 @@ def test_a_resend_and_an_old_tab_store_nothing_under_another_condition(tmp_path:
         assert who is not None
         act(who.progress)
         assert await person.ask("api/study") == 200
-        old = {"form": "nasa_tlx", "block": person.stage["block"], "answers": dict.fromkeys(
-            ("mental", "physical", "temporal", "performance", "effort", "frustration"), 95)}  # fmt: skip
+        old = {
+            "form": "nasa_tlx",
+            "block": person.stage["block"],
+            "answers": dict.fromkeys(("mental", "physical", "temporal", "performance", "effort", "frustration"), 95),
+        }
         assert await person.ask("api/study/form", {**old, "block": 2}) == 409
         assert await person.ask("api/study/form", {k: old[k] for k in ("form", "answers")}) == 409, "of which block?"
         assert await person.ask("api/study/form", old) == 200

@@ -20,11 +20,16 @@ TINY: dict[str, Any] = {
     "episodes": 1,
     "conditions": [{"name": "solo", "partner": "solo"}, {"name": "still", "partner": "still"}],
     "consent": {"version": "1", "text": "You may stop at any time."},
-    "forms": [{"builtin": "nasa_tlx"}, {"builtin": "trust"}, {
-        "id": "you", "after": "end",
-        "items": [{"id": "age", "text": "Age", "kind": "number", "min": 18, "max": 120, "required": False}],
-    }],
-}  # fmt: skip
+    "forms": [
+        {"builtin": "nasa_tlx"},
+        {"builtin": "trust"},
+        {
+            "id": "you",
+            "after": "end",
+            "items": [{"id": "age", "text": "Age", "kind": "number", "min": 18, "max": 120, "required": False}],
+        },
+    ],
+}
 
 
 def tiny(**changes: Any) -> Design:

@@ -24,10 +24,14 @@ def evaluation(out: Path, run: str, values: dict[str, list[float | None]], *, wa
     count = max(map(len, values.values()))
     for index in range(count):
         rows = [
-            {"index": index, "policy": f"weights:{run}", "partner": partner,
-             "values": {"SR": value, "RE": None if value is None else 150.0 * value, "CR": 0.0, "RC": None}}
+            {
+                "index": index,
+                "policy": f"weights:{run}",
+                "partner": partner,
+                "values": {"SR": value, "RE": None if value is None else 150.0 * value, "CR": 0.0, "RC": None},
+            }
             for partner, value in ((partner, of[index]) for partner, of in values.items() if index < len(of))
-        ]  # fmt: skip
+        ]
         text = json.dumps({"job": {"episode": {"index": index}}, "rows": rows, "failed": []})
         (folder / "episodes" / f"{index:06d}.json").write_text(text)
     table: dict[str, Any] = {"episodes": count, "failed": [], "job": {"task": "rearrange", "zsc": list(TEN)}}

@@ -45,8 +45,15 @@ from sim_kinematic.tasks.sources import EpisodeSource  # noqa: E402
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
 DRAWN = PopulationSettings(scenes="h3-homes/val#1", episodes_per_home=4, walk="paper")
 SMALL = replace(
-    DRAWN, population="plan_pop_3", updates=2, hidden=8, width=8, chunk=4, epochs=2, critic_updates=1,
-).in_worlds(6)  # fmt: skip
+    DRAWN,
+    population="plan_pop_3",
+    updates=2,
+    hidden=8,
+    width=8,
+    chunk=4,
+    epochs=2,
+    critic_updates=1,
+).in_worlds(6)
 SHORT = replace(
     ORACLE_RULES, max_steps=50, oracle=OracleSpec(robot_steps=(2, 4), person_steps=(2, 4)), end_on_collision=False
 )
@@ -72,9 +79,7 @@ def players_of(episodes: Sequence[RearrangeEpisode], **options: Any) -> TensorPl
 
 
 def jobs_of(count: int, networks: dict[str, SkillPolicyNetwork], partner: str = "both") -> list[Job]:
-    return [
-        Job(number=n, entry=n % 4, partner=partner, networks=networks, seed=3, gamma=0.99) for n in range(count)
-    ]  # fmt: skip
+    return [Job(number=n, entry=n % 4, partner=partner, networks=networks, seed=3, gamma=0.99) for n in range(count)]
 
 
 # --- the network --------------------------------------------------------------------------------------------------------

@@ -55,9 +55,17 @@ from sim_kinematic.tasks.runner import rollout, run
 DRAWN = PopulationSettings(scenes="h3-homes/train#0", episodes_per_home=2)
 """Of the episodes; tests cut them short, which has no effect on how they begin."""
 SMALL = replace(
-    DRAWN, population="learn_single", episodes=3, updates=3, hidden=8, width=8, chunk=4, epochs=2, chunks_per_minibatch=4,
+    DRAWN,
+    population="learn_single",
+    episodes=3,
+    updates=3,
+    hidden=8,
+    width=8,
+    chunk=4,
+    epochs=2,
+    chunks_per_minibatch=4,
     critic_updates=1,
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="module")
@@ -124,8 +132,13 @@ def test_every_episode_is_played_as_often() -> None:
 def test_learners_are_those_of_the_paper() -> None:
     learners = {name: replace(SMALL, population=name).learners for name in NAMES}
     assert {name: len(of) for name, of in learners.items()} == {
-        "learn_single": 2, "plan_pop_1": 1, "plan_pop_2": 1, "plan_pop_3": 1, "plan_pop_4": 1, "learn_pop": 9,
-    }  # fmt: skip
+        "learn_single": 2,
+        "plan_pop_1": 1,
+        "plan_pop_2": 1,
+        "plan_pop_3": 1,
+        "plan_pop_4": 1,
+        "learn_pop": 9,
+    }
     nets = [chooser(name, population="learn_pop").arrays for name in learners["learn_pop"]]
     assert not any(same(dict(nets[i]), dict(nets[j])) for i in range(1, 9) for j in range(i))
 
@@ -225,9 +238,14 @@ def test_what_cannot_be_is_never_offered(episodes: Sequence[RearrangeEpisode]) -
     episode = replace(episodes[0], spec=replace(episodes[0].spec, max_steps=700))
     robot = _Watched(chooser(think_steps=200), robot=True, seed=1)
     person = _Watched(chooser("partner_0", think_steps=200), robot=False, seed=2)
-    play = SkillRollout(Rearrange(), episode, [
-        playing.AssignedPolicy(robot, "robot", "robot"), playing.AssignedPolicy(person, "human", "human"),
-    ])  # fmt: skip
+    play = SkillRollout(
+        Rearrange(),
+        episode,
+        [
+            playing.AssignedPolicy(robot, "robot", "robot"),
+            playing.AssignedPolicy(person, "human", "human"),
+        ],
+    )
     robot.play = person.play = play  # type: ignore[assignment]
     run(play)
     assert {"nav_to_object", "pick"} <= robot.seen | person.seen
@@ -238,9 +256,14 @@ def test_a_score_cannot_buy_what_is_not_allowed(episodes: Sequence[RearrangeEpis
     bias = network.arrays["each_1.bias"].copy()
     bias[2:] = 1e6  # pick and place, and nobody has arrived anywhere
     policy = RecurrentSkillPolicy(replace(network, arrays={**network.arrays, "each_1.bias": bias}), 2, robot=True)
-    play = SkillRollout(Rearrange(), episodes[0], [
-        playing.AssignedPolicy(policy, "robot", "robot"), playing.AssignedPolicy(planner("still", 0), "still", "human"),
-    ])  # fmt: skip
+    play = SkillRollout(
+        Rearrange(),
+        episodes[0],
+        [
+            playing.AssignedPolicy(policy, "robot", "robot"),
+            playing.AssignedPolicy(planner("still", 0), "still", "human"),
+        ],
+    )
     assert policy.act(play.view(0)).skill not in ("pick", "place")
     assert policy.choices == choices(2, robot=True)
 
@@ -260,10 +283,14 @@ def test_without_gps_nothing_tells_where_the_person_is(episodes: Sequence[Rearra
     assert robot.network.observations == tuple(n for n in OBSERVATIONS if n not in OF_OTHER)
     inputs: dict[str, list[np.ndarray]] = {"blind": [], "seeing": []}
     blind, seeing = robot.network.observations, OBSERVATIONS
-    play = SkillRollout(Rearrange(), replace(episodes[0], spec=replace(episodes[0].spec, max_steps=700)), [
-        playing.AssignedPolicy(planner("still", 0), "still", "robot"),
-        playing.AssignedPolicy(planner("both", 0), "both", "human"),
-    ])  # fmt: skip
+    play = SkillRollout(
+        Rearrange(),
+        replace(episodes[0], spec=replace(episodes[0].spec, max_steps=700)),
+        [
+            playing.AssignedPolicy(planner("still", 0), "still", "robot"),
+            playing.AssignedPolicy(planner("both", 0), "both", "human"),
+        ],
+    )
     carried = 0
 
     def compare(_: Any) -> None:
@@ -378,12 +405,17 @@ def fabricated(rng: np.random.Generator, *, wanted: int, network: SkillPolicyNet
         log_probs.append(playing.log_softmax(np.where(may, scores, -np.inf).astype(np.float64)))
     chosen = np.array([int(np.argmax(p + rng.gumbel(size=len(p)))) for p in log_probs])
     return Decisions(
-        each=np.array([own[0] for own in inputs]), rest=np.array([own[1] for own in inputs]), state=np.array(states),
-        allowed=np.tile(may, (count, 1)), chosen=chosen,
+        each=np.array([own[0] for own in inputs]),
+        rest=np.array([own[1] for own in inputs]),
+        state=np.array(states),
+        allowed=np.tile(may, (count, 1)),
+        chosen=chosen,
         log_prob=np.array([p[k] for p, k in zip(log_probs, chosen, strict=True)], np.float32),
-        gain=10.0 * (chosen == wanted).astype(np.float32), discount=np.append(np.full(count - 1, 0.5), 0).astype(np.float32),
-        counts=np.array([count]), partners=(SMALL.partners[0],),
-    )  # fmt: skip
+        gain=10.0 * (chosen == wanted).astype(np.float32),
+        discount=np.append(np.full(count - 1, 0.5), 0).astype(np.float32),
+        counts=np.array([count]),
+        partners=(SMALL.partners[0],),
+    )
 
 
 def updated(settings: PopulationSettings, *, device: str = "cpu", updates: int = 1) -> ChooserLearner:
@@ -543,8 +575,9 @@ def test_other_settings_and_damaged_checkpoints_are_refused(
     whole: Path, episodes: Sequence[RearrangeEpisode], tmp_path: Path
 ) -> None:
     for changes, seed, message in (
-        ({"population": "learn_pop"}, 0, "has population='learn_single', not 'learn_pop'"), ({"updates": 9}, 1, "has seed=0"),
-    ):  # fmt: skip
+        ({"population": "learn_pop"}, 0, "has population='learn_single', not 'learn_pop'"),
+        ({"updates": 9}, 1, "has seed=0"),
+    ):
         with pytest.raises(InputError, match=message):
             train(whole, replace(SMALL, **changes), seed=seed, workers=1, episodes=episodes, resume=True)
     content = (whole / CHECKPOINT).read_bytes()

@@ -66,11 +66,15 @@ def two_updates(bank: EpisodeBank, stop: StopRequest, say: Any) -> Any:
         assert weight.grad is not None
         flat = torch.cat([p.detach().flatten() for p in learner.net.parameters()])
         return {
-            "weights": ranks.gathered(flat[None]).numpy(), "gps": gps.numpy(), "rows": rows,
+            "weights": ranks.gathered(flat[None]).numpy(),
+            "gps": gps.numpy(),
+            "rows": rows,
             "curves": ranks.gathered(torch.tensor([list(row.values()) for row in rows])[None]).numpy(),
-            "own": ranks.own(torch.arange(6)).tolist(), "variance": float(ranks.variance(squares)),
-            "gradient": weight.grad.tolist(), "first": ranks.first(torch.tensor([float(ranks.rank)])).tolist(),
-        }  # fmt: skip
+            "own": ranks.own(torch.arange(6)).tolist(),
+            "variance": float(ranks.variance(squares)),
+            "gradient": weight.grad.tolist(),
+            "first": ranks.first(torch.tensor([float(ranks.rank)])).tolist(),
+        }
     finally:
         leave()
 
@@ -149,9 +153,18 @@ def test_two_processes_resume_exactly(bank: EpisodeBank, tmp_path: Path) -> None
 def test_torchrun_starts_a_run_too(tmp_path: Path) -> None:
     options = f"--scenes {BLIND.scenes} --worlds 8 --updates 2 -o {tmp_path / 'run'}"
     command = [
-        sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m", "h3data_pipelines.cli",
-        "train", "social_nav", *options.split(),
-    ]  # fmt: skip
+        sys.executable,
+        "-m",
+        "torch.distributed.run",
+        "--standalone",
+        "--nproc-per-node",
+        "2",
+        "-m",
+        "h3data_pipelines.cli",
+        "train",
+        "social_nav",
+        *options.split(),
+    ]
     subprocess.run(command, check=True, timeout=300, env={**os.environ, "H3DATA_QUIET": "1"})
     assert policy(tmp_path / "run").card.training["processes"] == 2
 

@@ -51,9 +51,10 @@ def test_it_learns_and_its_file_gives_what_was_trained(folder: Path) -> None:
     shown: dict[str, np.ndarray] = {}
     for _ in range(5):
         shown = {
-            "arm_depth": rng.uniform(0, 1, (22, 30, 1)).astype(np.float32), "humanoid_detector": np.ones(1, np.float32),
+            "arm_depth": rng.uniform(0, 1, (22, 30, 1)).astype(np.float32),
+            "humanoid_detector": np.ones(1, np.float32),
             "humanoid_gps": np.array([rng.uniform(0, 9), rng.uniform(-3, 3)]),
-        }  # fmt: skip
+        }
         batch = {n: torch.as_tensor(v, dtype=torch.float32)[None] for n, v in shown.items()}
         with torch.no_grad():
             numbers = actor_numbers(batch, last, SETTINGS.observations)

@@ -40,9 +40,19 @@ from sim_kinematic.tasks.sources import EpisodeSource
 from tests.training.torch.capturable import CapturableOnly
 
 SMALL = replace(
-    skill_recipe("tiny", "pick"), scenes="small:1", episodes_per_home=1, starts=4, worlds=4, rollout=3, minibatches=2,
-    epochs=2, hidden=8, act_width=8, critic_width=8, updates=3,
-)  # fmt: skip
+    skill_recipe("tiny", "pick"),
+    scenes="small:1",
+    episodes_per_home=1,
+    starts=4,
+    worlds=4,
+    rollout=3,
+    minibatches=2,
+    epochs=2,
+    hidden=8,
+    act_width=8,
+    critic_width=8,
+    updates=3,
+)
 
 
 @pytest.fixture(scope="module")
@@ -108,9 +118,15 @@ def test_it_gives_what_pytorch_gives() -> None:
     )
     rng = np.random.default_rng(0)
     sizes = {
-        "target_gps_compass": 2, "way": 2, "range_scan": 12, "egomotion": 3, "target_sensor": 3, "resting_sensor": 3,
-        "arm_joints": 7, "is_holding": 1,
-    }  # fmt: skip
+        "target_gps_compass": 2,
+        "way": 2,
+        "range_scan": 12,
+        "egomotion": 3,
+        "target_sensor": 3,
+        "resting_sensor": 3,
+        "arm_joints": 7,
+        "is_holding": 1,
+    }
     state, last, kept = torch.zeros(1, 8), torch.zeros(1, 10), network.start()
     for _ in range(10):
         shown = {name: rng.normal(size=sizes[name]).astype(np.float32) for name in SMALL.observations}
@@ -243,9 +259,22 @@ def test_starts_nearby_are_repeated(bank: SkillBank) -> None:
 
 # --- pictures -----------------------------------------------------------------------------------------------------------
 PICTURED = replace(
-    skill_recipe("fast", "pick"), scenes="small:1", episodes_per_home=1, starts=4, worlds=4, rollout=3, minibatches=2, epochs=2,
-    picture_size=(16, 12), channels=(4, 4, 4), features=8, hidden=8, act_width=8, critic_width=8, updates=3,
-)  # fmt: skip
+    skill_recipe("fast", "pick"),
+    scenes="small:1",
+    episodes_per_home=1,
+    starts=4,
+    worlds=4,
+    rollout=3,
+    minibatches=2,
+    epochs=2,
+    picture_size=(16, 12),
+    channels=(4, 4, 4),
+    features=8,
+    hidden=8,
+    act_width=8,
+    critic_width=8,
+    updates=3,
+)
 
 
 def test_fast_is_told_no_map() -> None:

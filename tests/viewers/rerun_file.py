@@ -62,9 +62,16 @@ class Stage:
             Thing(name="cup", mesh=ball, matrix=eye, moving=True),
             Thing(name="spot/leg", mesh=ball, matrix=eye, moving=True, agent=0),
             Thing(name="alex", mesh=ball, matrix=eye, moving=True, deformable=True, agent=1),
-            Thing(name="nothing", mesh=Mesh(vertices=np.zeros((0, 3), np.float32), faces=np.zeros((0, 3), np.int32),
-                                            colors=np.zeros((0, 3), np.uint8)), matrix=eye),
-        ]  # fmt: skip
+            Thing(
+                name="nothing",
+                mesh=Mesh(
+                    vertices=np.zeros((0, 3), np.float32),
+                    faces=np.zeros((0, 3), np.int32),
+                    colors=np.zeros((0, 3), np.uint8),
+                ),
+                matrix=eye,
+            ),
+        ]
 
     def matrices(self, index: int, steps: np.ndarray) -> np.ndarray:
         return self._tracks(index)[steps]

@@ -57,8 +57,24 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Three short episodes of each policy, the same episodes for both."""
     folder = tmp_path_factory.mktemp("report")
     for policy in POLICIES:
-        said = main(["generate", "social_nav", "--episodes", "3", "--homes", "1", "--max-steps", "60", "--seed", "4",
-                     "--policy", policy, "-o", str(folder / policy)])  # fmt: skip
+        said = main(
+            [
+                "generate",
+                "social_nav",
+                "--episodes",
+                "3",
+                "--homes",
+                "1",
+                "--max-steps",
+                "60",
+                "--seed",
+                "4",
+                "--policy",
+                policy,
+                "-o",
+                str(folder / policy),
+            ]
+        )
         assert said == 0
     return {policy: folder / policy for policy in POLICIES}
 
@@ -225,8 +241,14 @@ def test_published_numbers_are_those_of_the_paper() -> None:
     expert = paper.social_nav.row_of("heuristic_expert")
     assert expert is not None
     assert {k: v[0] for k, v in expert.values.items()} == {
-        "S": 1.0, "SPS": 0.97, "F": 0.51, "CR": 0.52, "BYR": 0.24, "TD": 2.56, "FD": 1.72
-    }  # fmt: skip
+        "S": 1.0,
+        "SPS": 0.97,
+        "F": 0.51,
+        "CR": 0.52,
+        "BYR": 0.24,
+        "TD": 2.56,
+        "FD": 1.72,
+    }
     assert [row.name for row in paper.rearrange.rows][:2] == ["Learn-Single", "Plan-Pop 1"]
     assert paper.rearrange.rows[0].train["RE"] == (159.2, 1.0)
     assert paper.rearrange.rows[0].zsc["SR"] == (50.94, 39.55)
@@ -284,8 +306,27 @@ def test_the_command_that_made_a_report_is_its_last_line(runs: dict[str, Path], 
 
 def test_pairs_need_the_same_scene_and_seed(runs: dict[str, Path], tmp_path: Path) -> None:
     other = tmp_path / "other"
-    assert main(["generate", "social_nav", "--policy", "heuristic_expert", "--episodes", "3", "--homes", "1",
-                 "--max-steps", "30", "--seed", "5", "-o", str(other)]) == 0  # fmt: skip
+    assert (
+        main(
+            [
+                "generate",
+                "social_nav",
+                "--policy",
+                "heuristic_expert",
+                "--episodes",
+                "3",
+                "--homes",
+                "1",
+                "--max-steps",
+                "30",
+                "--seed",
+                "5",
+                "-o",
+                str(other),
+            ]
+        )
+        == 0
+    )
     data = gather([*runs.values(), other])
     first, second, third = data.runs
     assert same_episodes(first, second)
@@ -431,10 +472,18 @@ def test_a_study_gives_estimated_means_and_contrasts(tmp_path: Path) -> None:
     random = np.random.default_rng(2)
     means = {"solo": 90, "learn_single": 60, "plan_pop3": 66}
     episodes = [
-        tidy(int(random.poisson(mean)) + 2, condition=condition, participant=f"P{p}", policy=condition, home=f"home {p % 3}",
-             hit=condition != "solo" and random.random() < 0.4)
-        for condition, mean in means.items() for p in range(6) for _ in range(4)
-    ]  # fmt: skip
+        tidy(
+            int(random.poisson(mean)) + 2,
+            condition=condition,
+            participant=f"P{p}",
+            policy=condition,
+            home=f"home {p % 3}",
+            hit=condition != "solo" and random.random() < 0.4,
+        )
+        for condition, mean in means.items()
+        for p in range(6)
+        for _ in range(4)
+    ]
     report = make_report([write(tmp_path / "ds", episodes)], pictures=0)
     study, contrast = (next(t for t in report.tables if t.key == key) for key in ("hitl", "contrasts"))
     by_name = {row.name: [c.value for c in row.cells] for row in study.sections[0].rows}
@@ -453,8 +502,10 @@ def test_rates_of_people_who_always_answer_alike_are_plain_shares(tmp_path: Path
     """Six of nine people touch the robot in every episode, the others in none."""
     episodes = [
         tidy(20 + k, condition=condition, participant=f"P{p}", hit=p < 6, solved=p >= 6)
-        for condition in ("complement", "plan_pop3") for p in range(9) for k in range(3)
-    ]  # fmt: skip
+        for condition in ("complement", "plan_pop3")
+        for p in range(9)
+        for k in range(3)
+    ]
     report = make_report([write(tmp_path / "ds", episodes)], pictures=0)
     study = next(t for t in report.tables if t.key == "hitl")
     assert [row.cells[0].text for row in study.sections[0].rows] == ["0.67 [0.48, 0.81]"] * 2
@@ -527,9 +578,12 @@ def test_automatic_and_human_orders_stand_beside_each_other(tmp_path: Path) -> N
     )
     automatic = write(
         tmp_path / "auto",
-        [tidy(steps + k, policy=policy, partner="a") for policy, steps in {"Learn-Single": 30, "Plan-Pop 3": 55}.items()
-         for k in range(4)],
-    )  # fmt: skip
+        [
+            tidy(steps + k, policy=policy, partner="a")
+            for policy, steps in {"Learn-Single": 30, "Plan-Pop 3": 55}.items()
+            for k in range(4)
+        ],
+    )
     report = make_report([people, automatic], pictures=0)
     ranks = next(t for t in report.tables if t.key == "ranks_rearrange")
     rows = {row.name: row.cells for row in ranks.sections[0].rows}
@@ -665,12 +719,29 @@ def test_names_cannot_break_out(runs: dict[str, Path], tmp_path: Path) -> None:
 @given(st.text(max_size=40))
 def test_any_text_stays_text(text: str) -> None:
     table = Table(
-        key="k", title=text, caption=text, name_head=text, columns=(Column(head=text, hint=text),),
-        sections=(Section(title=text, rows=(Row(name=text, cells=(Cell(text=text, small=text),)),)),), notes=(text,),
-    )  # fmt: skip
+        key="k",
+        title=text,
+        caption=text,
+        name_head=text,
+        columns=(Column(head=text, hint=text),),
+        sections=(Section(title=text, rows=(Row(name=text, cells=(Cell(text=text, small=text),)),)),),
+        notes=(text,),
+    )
     page = Page(to_html(table))
-    assert {tag for tag, _ in page.tags} <= {"div", "table", "caption", "span", "thead", "tbody", "tr", "th", "td", "small",
-                                            "ul", "li"}  # fmt: skip
+    assert {tag for tag, _ in page.tags} <= {
+        "div",
+        "table",
+        "caption",
+        "span",
+        "thead",
+        "tbody",
+        "tr",
+        "th",
+        "td",
+        "small",
+        "ul",
+        "li",
+    }
     rows = [line for line in to_markdown(table).splitlines() if line.startswith("|")]
     assert len(rows) == 3 + bool(text)
     assert all(len(re.findall(r"(?<!\\)(?:\\\\)*\|", row)) == 3 for row in rows)

@@ -121,11 +121,18 @@ def test_goals_are_where_the_recording_says(tmp_path):
 @pytest.mark.parametrize(
     "info",
     [
-        {"human_goals": "everywhere"}, {"human_goals": [[1, 2, 3]]}, {"human_goals": [[float("nan"), 1.0]]},
-        {"human_goals": [[1, 2], [3]]}, {"goals": [{"position": "here"}]}, {"goals": {"a": 1}}, {"goals": ["a"]},
-        {"goal_positions": [[0, None, 1]]}, {"goals": [{"position": {}}]}, {"spec": {"agent_radius_m": "wide"}},
+        {"human_goals": "everywhere"},
+        {"human_goals": [[1, 2, 3]]},
+        {"human_goals": [[float("nan"), 1.0]]},
+        {"human_goals": [[1, 2], [3]]},
+        {"goals": [{"position": "here"}]},
+        {"goals": {"a": 1}},
+        {"goals": ["a"]},
+        {"goal_positions": [[0, None, 1]]},
+        {"goals": [{"position": {}}]},
+        {"spec": {"agent_radius_m": "wide"}},
     ],
-)  # fmt: skip
+)
 def test_goals_of_another_form_are_left_out(tmp_path, info):
     recording = with_info(**info)
     recording = replace(recording, columns={**recording.columns, "sim.human_goal": np.full(STEPS, -7)})

@@ -192,10 +192,18 @@ def test_agents_of_one_kind_have_different_colours():
 def test_the_picture_in_third_person_is_the_largest():
     def of(*cameras: str) -> Any:
         logged = LoggedRecording(
-            label="", name="Home", world="/world", focus=np.array([[0.0, 0, 0], [4, 2, 4]]), hidden=(),
-            cameras=[f"/world/cameras/{c}" for c in cameras], plotted=["/metrics/d"], lanes=["/actions/a", "/actions/b"],
-            latency=(), log="/log", inputs="",
-        )  # fmt: skip
+            label="",
+            name="Home",
+            world="/world",
+            focus=np.array([[0.0, 0, 0], [4, 2, 4]]),
+            hidden=(),
+            cameras=[f"/world/cameras/{c}" for c in cameras],
+            plotted=["/metrics/d"],
+            lanes=["/actions/a", "/actions/b"],
+            latency=(),
+            log="/log",
+            inputs="",
+        )
         return layout([logged], timeline="step").root_container
 
     both = of("robot_arm", "third_person", "person_head")

@@ -392,6 +392,9 @@ def driving_base(session: Session, number: int) -> BaseSpec:
         return agent_base(episode, number)
     spec = episode.spec
     return BaseSpec(
-        max_speed_mps=spec.human.speed_mps, max_turn_rad_s=spec.human.turn_rad_s, disc_offsets_m=(0.0,),
-        disc_radius_m=spec.agent_radius_m, allow_back=isinstance(session.play, SkillRollout),
-    )  # fmt: skip
+        max_speed_mps=spec.human.speed_mps,
+        max_turn_rad_s=spec.human.turn_rad_s,
+        disc_offsets_m=(0.0,),
+        disc_radius_m=spec.agent_radius_m,
+        allow_back=isinstance(session.play, SkillRollout),
+    )

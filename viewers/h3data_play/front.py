@@ -83,11 +83,21 @@ class WebServer:
     seat_s = SEAT_S
 
     def __init__(
-        self, plan: PlayPlan, *, workers: int = 1, tables: int = 1, open_door: bool = True, secure: bool = False,
-        report: Callable[[dict[str, Any]], None] = lambda _: None, plans: Sequence[PlayPlan] = (),
-        journal: SeatLog | None = None, seats_per_address: int = SEATS_PER_ADDRESS, behind_proxy: bool = False,
-        hosts: Sequence[str] = (), clock: Callable[[], float] = uptime,
-    ) -> None:  # fmt: skip
+        self,
+        plan: PlayPlan,
+        *,
+        workers: int = 1,
+        tables: int = 1,
+        open_door: bool = True,
+        secure: bool = False,
+        report: Callable[[dict[str, Any]], None] = lambda _: None,
+        plans: Sequence[PlayPlan] = (),
+        journal: SeatLog | None = None,
+        seats_per_address: int = SEATS_PER_ADDRESS,
+        behind_proxy: bool = False,
+        hosts: Sequence[str] = (),
+        clock: Callable[[], float] = uptime,
+    ) -> None:
         """Sets up the server; it starts with its web application.
 
         Args:

@@ -163,9 +163,14 @@ class EpisodeFactory:
         recording = read_mcap(path)
         info = recording.episode.info
         return {
-            "ended": info["ended"], "steps": len(recording), "slipped": info["hitl"]["slipped"], "step_ms": None,
-            "path": str(path), "share_in": self.plan.out, "texts": {},
-        }  # fmt: skip
+            "ended": info["ended"],
+            "steps": len(recording),
+            "slipped": info["hitl"]["slipped"],
+            "step_ms": None,
+            "path": str(path),
+            "share_in": self.plan.out,
+            "texts": {},
+        }
 
     def begin(self, order: GameOrder) -> LiveGame:
         """Begins an episode, or goes on with one of which an unfinished log is there."""

@@ -104,10 +104,14 @@ async def serve(options: ServeOptions, report: Any) -> int:
         loop.add_reader(sys.stdin, _hear, stops)
     is_local = options.host in LOOPBACK
     given = {
-        "workers": options.workers, "open_door": is_local, "secure": bool(options.cert) or options.behind_proxy,
-        "report": report, "seats_per_address": options.seats_per_address, "behind_proxy": options.behind_proxy,
+        "workers": options.workers,
+        "open_door": is_local,
+        "secure": bool(options.cert) or options.behind_proxy,
+        "report": report,
+        "seats_per_address": options.seats_per_address,
+        "behind_proxy": options.behind_proxy,
         "hosts": (options.host, *options.allow_hosts, *names),
-    }  # fmt: skip
+    }
     front = options.front(**given)
     starting, stopped = asyncio.ensure_future(front.workers.start()), asyncio.ensure_future(stops.wait())
     await asyncio.wait((starting, stopped), return_when=asyncio.FIRST_COMPLETED)

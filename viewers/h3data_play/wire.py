@@ -125,9 +125,13 @@ class StatePacker:
         before, self._objects = self._objects, self._packed_objects(columns, holders)
         turned, self._joints = self._joints, _packed_joints(columns)
         return PackedStep(
-            len(self.bodies), b"".join(parts), _changed(before, self._objects), self._objects,
-            _changed(turned, self._joints), self._joints,
-        )  # fmt: skip
+            len(self.bodies),
+            b"".join(parts),
+            _changed(before, self._objects),
+            self._objects,
+            _changed(turned, self._joints),
+            self._joints,
+        )
 
     def _packed_objects(self, columns: Columns, holders: dict[int, int]) -> NDArray[Any]:
         poses = columns["object_pose"][-1] if "object_pose" in columns else np.zeros((0, 7), np.float32)

@@ -83,9 +83,10 @@ def form_means(design: Design, people: Sequence[Participant]) -> tuple[list[Form
         for first, second in combinations(names, 2):
             both = [who for who in by_condition[first] if who in by_condition[second]]
             found = compare_paired(
-                {who: by_condition[first][who] for who in both}, {who: by_condition[second][who] for who in both},
+                {who: by_condition[first][who] for who in both},
+                {who: by_condition[second][who] for who in both},
                 method="permutation",
-            )  # fmt: skip
+            )
             pairs.append(
                 FormDifference(form_id, first, second, found.difference, found.low, found.high, found.p, len(both))
             )
@@ -101,12 +102,21 @@ def answer_rows(people: Sequence[Participant], *, free_text: bool) -> list[list[
         for stage, form, condition, answers in filled_stages(person):
             items = {item.id: item for item in form.items}
             rows += [
-                [person.id, condition, form.id, item, items[item].kind, str(stage.block) if condition else "",
-                 str(stage.trial or ""), _right(items[item], value), form.after,
-                 value if isinstance(value, str) else f"{value:g}"]
+                [
+                    person.id,
+                    condition,
+                    form.id,
+                    item,
+                    items[item].kind,
+                    str(stage.block) if condition else "",
+                    str(stage.trial or ""),
+                    _right(items[item], value),
+                    form.after,
+                    value if isinstance(value, str) else f"{value:g}",
+                ]
                 for item, value in answers.items()
                 if free_text or items[item].kind != "text"
-            ]  # fmt: skip
+            ]
     return rows
 
 
@@ -122,11 +132,18 @@ def check_rows(people: Sequence[Participant]) -> list[list[str]]:
             keys = [*(key for key in progress.rows if key.startswith(f"{CHECK}/{stage.key}/")), stage.key]
             for data in (progress.rows[key] for key in keys if key in progress.rows):
                 rows += [
-                    [person.id, stage.key, form.id, str(data["attempt"]), item.id, f"{data['answers'].get(item.id, '')}",
-                     _right(item, data["answers"].get(item.id))]
+                    [
+                        person.id,
+                        stage.key,
+                        form.id,
+                        str(data["attempt"]),
+                        item.id,
+                        f"{data['answers'].get(item.id, '')}",
+                        _right(item, data["answers"].get(item.id)),
+                    ]
                     for item in form.items
                     if item.right is not None
-                ]  # fmt: skip
+                ]
     return rows
 
 

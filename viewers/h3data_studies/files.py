@@ -297,9 +297,14 @@ def deal(design: Design) -> tuple[Place, ...]:
     practice = 0 if design.tutorial.skip else 1
     pool = [str(k) for k in range(math.ceil(len(design.conditions) / len(scenes)) * design.episodes + practice)]
     sessions = plan_sessions(
-        design.participants, [c.name for c in design.conditions], dict.fromkeys(scenes, pool),
-        episodes_per_condition=design.episodes, training_episodes=practice, study=design.name, seed=design.seed,
-    )  # fmt: skip
+        design.participants,
+        [c.name for c in design.conditions],
+        dict.fromkeys(scenes, pool),
+        episodes_per_condition=design.episodes,
+        training_episodes=practice,
+        study=design.name,
+        seed=design.seed,
+    )
     return tuple(
         Place(
             practice=tuple(int(e) for e in session.training),
@@ -325,18 +330,28 @@ def make_plan(design: Design, folder: Path, *, speed: float = 1.0) -> StudyPlan:
     for name, condition in (("", _tutorial(design)), *((c.name, c) for c in design.conditions)):
         for scene in scene_names(design):
             plan = PlayPlan(
-                app=condition.app, out=str(folder.resolve()), seats=(condition.play_as,), partner=condition.partner,
-                scenes=scene, seed=design.seed, speed=speed, rules=condition.rules,
+                app=condition.app,
+                out=str(folder.resolve()),
+                seats=(condition.play_as,),
+                partner=condition.partner,
+                scenes=scene,
+                seed=design.seed,
+                speed=speed,
+                rules=condition.rules,
                 weights_in=str(folder.resolve().parent),
-            )  # fmt: skip
+            )
             if not any(key.startswith(f"{name}|") for key in numbers):
                 _check_playable(name, plan)
             numbers[f"{name}|{scene}"] = len(plans)
             plans.append(plan)
     return StudyPlan(
-        design=design, out=str(folder.resolve()), places=deal(design), plans=tuple(plans), numbers=numbers,
+        design=design,
+        out=str(folder.resolve()),
+        places=deal(design),
+        plans=tuple(plans),
+        numbers=numbers,
         key_file=str(key_file(folder)),
-    )  # fmt: skip
+    )
 
 
 def key_file(folder: Path) -> Path:

@@ -40,8 +40,11 @@ _ENGLISH: dict[str, Form] = {
             _load("physical", "Physical demand", "How physically demanding was the task?"),
             _load("temporal", "Temporal demand", "How hurried or rushed was the pace of the task?"),
             _load(
-                "performance", "Performance", "How successful were you in accomplishing what you were asked to do?",
-                "Perfect", "Failure",
+                "performance",
+                "Performance",
+                "How successful were you in accomplishing what you were asked to do?",
+                "Perfect",
+                "Failure",
             ),
             _load("effort", "Effort", "How hard did you have to work to accomplish your level of performance?"),
             _load("frustration", "Frustration", "How insecure, discouraged, irritated, stressed and annoyed were you?"),
@@ -78,7 +81,7 @@ _ENGLISH: dict[str, Form] = {
             _trust("familiar", "I am familiar with the robot."),
         ],
     ),
-}  # fmt: skip
+}
 BUILTIN = {name: in_all_languages(name, form) for name, form in _ENGLISH.items()}
 """Questionnaires by name. The German and Spanish words are our translations; nobody has validated them."""
 ABOUT_ROBOT = ("fluency", "trust")
@@ -94,10 +97,17 @@ def resolved(form: Form) -> Form:
         return form
     base = BUILTIN[form.builtin]
     return Form(
-        id=form.id or form.builtin, builtin=form.builtin, after=form.after, conditions=form.conditions,
-        title=form.title or base.title, text=form.text or base.text, items=[*base.items, *form.items],
-        attempts=form.attempts, fail=form.fail, again=form.again,
-    )  # fmt: skip
+        id=form.id or form.builtin,
+        builtin=form.builtin,
+        after=form.after,
+        conditions=form.conditions,
+        title=form.title or base.title,
+        text=form.text or base.text,
+        items=[*base.items, *form.items],
+        attempts=form.attempts,
+        fail=form.fail,
+        again=form.again,
+    )
 
 
 def forms_after(design: Design, what: str, condition: str = "") -> list[Form]:

@@ -120,10 +120,18 @@ class StudyServer(WebServer):
     seat_s = 30 * 86400
 
     def __init__(
-        self, study: StudyPlan, *, workers: int = 1, open_door: bool = True, secure: bool = False,
-        report: Callable[[dict[str, Any]], None] = lambda _: None, seats_per_address: int = SEATS_PER_ADDRESS,
-        behind_proxy: bool = False, hosts: Sequence[str] = (), clock: Callable[[], float] = uptime,
-    ) -> None:  # fmt: skip
+        self,
+        study: StudyPlan,
+        *,
+        workers: int = 1,
+        open_door: bool = True,
+        secure: bool = False,
+        report: Callable[[dict[str, Any]], None] = lambda _: None,
+        seats_per_address: int = SEATS_PER_ADDRESS,
+        behind_proxy: bool = False,
+        hosts: Sequence[str] = (),
+        clock: Callable[[], float] = uptime,
+    ) -> None:
         """Sets up the server; it starts with its web application.
 
         Args:
@@ -139,10 +147,18 @@ class StudyServer(WebServer):
         """
         self.study, self.design = study, study.design
         super().__init__(
-            study.plans[0], workers=workers, open_door=open_door, secure=secure, report=report, plans=study.plans,
+            study.plans[0],
+            workers=workers,
+            open_door=open_door,
+            secure=secure,
+            report=report,
+            plans=study.plans,
             journal=StudyStore(study.design, study.places, Path(study.out), clock=clock),
-            seats_per_address=seats_per_address, behind_proxy=behind_proxy, hosts=hosts, clock=clock,
-        )  # fmt: skip
+            seats_per_address=seats_per_address,
+            behind_proxy=behind_proxy,
+            hosts=hosts,
+            clock=clock,
+        )
         self.finishes = False
         self._key = read_key(Path(study.key_file))
         self._page = ""

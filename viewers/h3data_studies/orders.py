@@ -55,6 +55,9 @@ def order_of(study: StudyPlan, participant: Participant, key: str) -> GameOrder:
     k, trial = map(int, numbers)
     block = place.blocks[k - 1]
     return GameOrder(
-        index=block.episodes[trial - 1], name=name, plan=study.number(block.condition, block.scene),
-        info={"participant": participant.id, "condition": block.condition}, hitl={**hitl, "block": k, "trial": trial},
-    )  # fmt: skip
+        index=block.episodes[trial - 1],
+        name=name,
+        plan=study.number(block.condition, block.scene),
+        info={"participant": participant.id, "condition": block.condition},
+        hitl={**hitl, "block": k, "trial": trial},
+    )

@@ -71,9 +71,14 @@ class StudyStore(SeatLog):
     """The journal of seats and games of a study, and its participants."""
 
     def __init__(
-        self, design: Design, places: Sequence[Place], folder: Path, *, read_only: bool = False,
+        self,
+        design: Design,
+        places: Sequence[Place],
+        folder: Path,
+        *,
+        read_only: bool = False,
         clock: Callable[[], float] = uptime,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Opens or creates the store of a study.
 
         Args:
@@ -144,10 +149,19 @@ class StudyStore(SeatLog):
         ):
             progress = Progress(self.design, self.places[place], rows.get(number, {}), status, reason)
             self.participants[number] = Participant(
-                number=number, id=pseudonym, place=place, joined=joined, used=used, idle=idle, ended=ended, language=language,
-                consent=msgspec.json.decode(consent), ids=msgspec.json.decode(ids), progress=progress,
+                number=number,
+                id=pseudonym,
+                place=place,
+                joined=joined,
+                used=used,
+                idle=idle,
+                ended=ended,
+                language=language,
+                consent=msgspec.json.decode(consent),
+                ids=msgspec.json.decode(ids),
+                progress=progress,
                 times=times.get(number, {}),
-            )  # fmt: skip
+            )
         for game in self.games.values():  # killed between the end of an episode and its row
             participant = self.participants.get(game.place)
             if game.over and participant is not None:
@@ -171,9 +185,17 @@ class StudyStore(SeatLog):
         now = time.time()
         number = 1 + self._last_number()
         participant = Participant(
-            number=number, id=pseudonym, place=place, joined=now, used=0.0, idle=0.0, language=language,
-            consent=consent, ids=ids, progress=Progress(self.design, self.places[place]),
-        )  # fmt: skip
+            number=number,
+            id=pseudonym,
+            place=place,
+            joined=now,
+            used=0.0,
+            idle=0.0,
+            language=language,
+            consent=consent,
+            ids=ids,
+            progress=Progress(self.design, self.places[place]),
+        )
         with self._transaction():
             self._db.execute(
                 "insert into participants values (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",

@@ -131,11 +131,16 @@ def make_clips(gaits: Gaits) -> tuple[Clip, ...]:
         stride, name = float(gaits.stride_m(speed)), "jog" if speed > JOG_ABOVE_MPS else "walk"
         clips.append(
             _clip(
-                f"{name}_{speed}", legs, gaits.posture(np.full(CLIP_FRAMES, speed), phase),
-                speed_mps=speed, stride_m=stride, period_s=stride / speed, stance=gaits.stance(speed),
+                f"{name}_{speed}",
+                legs,
+                gaits.posture(np.full(CLIP_FRAMES, speed), phase),
+                speed_mps=speed,
+                stride_m=stride,
+                period_s=stride / speed,
+                stance=gaits.stance(speed),
                 start_phase=gaits.start_phase(speed),
             )
-        )  # fmt: skip
+        )
     for side in ("left", "right"):
         turn = TURN_PER_CYCLE_RAD if side == "left" else -TURN_PER_CYCLE_RAD
         posture = turn_posture(legs, phase, left=side == "left")
@@ -144,15 +149,32 @@ def make_clips(gaits: Gaits) -> tuple[Clip, ...]:
 
 
 def _clip(
-    name: str, legs: Legs, posture: Posture, *, speed_mps: float = 0.0, stride_m: float = 1.0, period_s: float = 1.0,
-    stance: float = 1.0, start_phase: float = 0.0, turn_rad: float = 0.0,
-) -> Clip:  # fmt: skip
+    name: str,
+    legs: Legs,
+    posture: Posture,
+    *,
+    speed_mps: float = 0.0,
+    stride_m: float = 1.0,
+    period_s: float = 1.0,
+    stance: float = 1.0,
+    start_phase: float = 0.0,
+    turn_rad: float = 0.0,
+) -> Clip:
     posture = within_reach(legs, posture)
     quats, pelvis = _posed(legs, posture)
     return Clip(
-        name=name, speed_mps=speed_mps, stride_m=stride_m, period_s=period_s, stance=stance, start_phase=start_phase,
-        turn_rad=turn_rad, quats=sign_continuous(quats), pelvis=pelvis, ankle=posture.ankle, foot=posture.foot,
-    )  # fmt: skip
+        name=name,
+        speed_mps=speed_mps,
+        stride_m=stride_m,
+        period_s=period_s,
+        stance=stance,
+        start_phase=start_phase,
+        turn_rad=turn_rad,
+        quats=sign_continuous(quats),
+        pelvis=pelvis,
+        ankle=posture.ankle,
+        foot=posture.foot,
+    )
 
 
 def _posed(legs: Legs, posture: Posture) -> tuple[Array, Array]:
@@ -230,9 +252,16 @@ class ClipTable:
         from h3data.bodies.people.kernels.clips import ClipArrays
 
         return ClipArrays(
-            legs=self.legs.measures, first=self.first, frames=self.frames, quats=self.quats, pelvis=self.pelvis,
-            ankle=self.ankle, foot=self.foot, stand=_standing_arrays(self.legs), to_root=TO_ROOT,
-        )  # fmt: skip
+            legs=self.legs.measures,
+            first=self.first,
+            frames=self.frames,
+            quats=self.quats,
+            pelvis=self.pelvis,
+            ankle=self.ankle,
+            foot=self.foot,
+            stand=_standing_arrays(self.legs),
+            to_root=TO_ROOT,
+        )
 
 
 def clip_table(clips: Sequence[Clip], legs: Legs) -> ClipTable:

@@ -49,23 +49,59 @@ class GaitStyle:
 WALK = GaitStyle(
     stance=0.61,
     pitch=(
-        (0, 20), (.03, 14), (.08, 0), (.12, 0), (.32, -1), (.42, -12), (.52, -32), (.61, -58), (.68, -66), (.76, -36),
-        (.85, -4), (.92, 16), (.97, 21),
+        (0, 20),
+        (0.03, 14),
+        (0.08, 0),
+        (0.12, 0),
+        (0.32, -1),
+        (0.42, -12),
+        (0.52, -32),
+        (0.61, -58),
+        (0.68, -66),
+        (0.76, -36),
+        (0.85, -4),
+        (0.92, 16),
+        (0.97, 21),
     ),
     loose=(5, 6, 7, 8),
-    yaw=4.5, list=3.5, sway_m=0.018, lean=3.0,
-    arm_mean=2, arm_swing=17, arm_down=77, elbow_mean=24, elbow_swing=9,
-)  # fmt: skip
+    yaw=4.5,
+    list=3.5,
+    sway_m=0.018,
+    lean=3.0,
+    arm_mean=2,
+    arm_swing=17,
+    arm_down=77,
+    elbow_mean=24,
+    elbow_swing=9,
+)
 JOG = GaitStyle(
     stance=0.39,
     pitch=(
-        (0, 9), (.04, 3), (.08, 0), (.18, -1), (.26, -14), (.33, -34), (.39, -54), (.48, -78), (.58, -90), (.68, -80),
-        (.76, -48), (.86, -4), (.94, 13),
+        (0, 9),
+        (0.04, 3),
+        (0.08, 0),
+        (0.18, -1),
+        (0.26, -14),
+        (0.33, -34),
+        (0.39, -54),
+        (0.48, -78),
+        (0.58, -90),
+        (0.68, -80),
+        (0.76, -48),
+        (0.86, -4),
+        (0.94, 13),
     ),
     loose=(4, 5, 6, 7, 8, 9, 10),
-    yaw=6.0, list=3.0, sway_m=0.010, lean=7.0,
-    arm_mean=-4, arm_swing=30, arm_down=73, elbow_mean=88, elbow_swing=12,
-)  # fmt: skip
+    yaw=6.0,
+    list=3.0,
+    sway_m=0.010,
+    lean=7.0,
+    arm_mean=-4,
+    arm_swing=30,
+    arm_down=73,
+    elbow_mean=88,
+    elbow_swing=12,
+)
 PARAMETERS = ("height", "cos2", "sin2", "cos4", "sin4", "shift", "lift", "lift_skew", "reach", "reach_skew")
 """Fitted values of a gait; the offsets [deg] of its loose pitch knots follow them."""
 
@@ -173,9 +209,15 @@ def _periodic_pchip(x: Array, y: Array, phase: Array) -> Array:
 
 
 def _foot_path(
-    style: GaitStyle, points: Array, ankle_height: float, stride: Array, scale: Array, phase: Array,
-    p: Mapping[str, Array], loose: Array,
-) -> tuple[Array, Array]:  # fmt: skip
+    style: GaitStyle,
+    points: Array,
+    ankle_height: float,
+    stride: Array,
+    scale: Array,
+    phase: Array,
+    p: Mapping[str, Array],
+    loose: Array,
+) -> tuple[Array, Array]:
     """Ankle [T, 3] and pitch [T] [deg] of a foot over its own cycle."""
     stance = style.stance
 

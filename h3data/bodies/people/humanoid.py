@@ -152,9 +152,14 @@ class Humanoid:
         return nearest_clip(self.clips, speed_mps)
 
     def clip_pose(
-        self, motion_id: ArrayLike, phase: ArrayLike, blend: ArrayLike = 1.0, *, arms: ArrayLike | None = None,
+        self,
+        motion_id: ArrayLike,
+        phase: ArrayLike,
+        blend: ArrayLike = 1.0,
+        *,
+        arms: ArrayLike | None = None,
         ground: ArrayLike | None = None,
-    ) -> tuple[Array, Array]:  # fmt: skip
+    ) -> tuple[Array, Array]:
         """Local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame.
 
         ``motion_id``, ``phase`` and ``blend`` [T] as in `h3data.bodies.people.clips.sample_clips`: blend 0 stands, 1 is

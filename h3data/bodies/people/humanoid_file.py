@@ -127,9 +127,11 @@ def builtin_common() -> _Common:
     """Arrays that all built-in bodies share, read once."""
     data = read_arrays(builtin_path(f"bodies/{COMMON_FILE}"), COMMON_FORMAT)
     return _Common(
-        name=str(data["common"]), base_mean=from_planes(data["base_mean"]),
-        base_faces=data["base_faces"].astype(np.int32), **_capsule_places(data),
-    )  # fmt: skip
+        name=str(data["common"]),
+        base_mean=from_planes(data["base_mean"]),
+        base_faces=data["base_faces"].astype(np.int32),
+        **_capsule_places(data),
+    )
 
 
 def _capsule_places(data: Arrays) -> dict[str, Any]:
@@ -183,8 +185,12 @@ def _humanoid(data: Arrays, outfit: str) -> Humanoid:
         capsules=tuple(
             BodyCapsule(name=name, joint=joint, start=start, end=end, radius=float(radius))
             for name, joint, start, end, radius in zip(
-                places["capsule_names"], places["capsule_joints"], data["capsule_start"].astype(np.float64),
-                data["capsule_end"].astype(np.float64), data["capsule_radius"], strict=True,
+                places["capsule_names"],
+                places["capsule_joints"],
+                data["capsule_start"].astype(np.float64),
+                data["capsule_end"].astype(np.float64),
+                data["capsule_radius"],
+                strict=True,
             )
         ),
         gaits=Gaits(
@@ -194,7 +200,7 @@ def _humanoid(data: Arrays, outfit: str) -> Humanoid:
             jog=data["jog"].astype(np.float64),
         ),
         phenotype=json.loads(str(data["phenotype"])),
-    )  # fmt: skip
+    )
 
 
 def _dressed_meshes(data: Arrays, common: _Common, outfit: str) -> dict[str, Any]:
@@ -227,5 +233,7 @@ def _own_mesh(data: Arrays, prefix: str) -> SkinnedMesh:
     normals = vertex_normals(vertices, faces, surface)
     return SkinnedMesh(
         mesh=Mesh(vertices=vertices, faces=faces, colors=colors[regions], normals=normals),
-        joints=data[f"{prefix}_joints"], weights=weights / weights.sum(axis=1, keepdims=True), regions=regions,
-    )  # fmt: skip
+        joints=data[f"{prefix}_joints"],
+        weights=weights / weights.sum(axis=1, keepdims=True),
+        regions=regions,
+    )

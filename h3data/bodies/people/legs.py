@@ -46,9 +46,12 @@ class Legs:
         from h3data.bodies.people.kernels.legs import LegMeasures
 
         return LegMeasures(
-            np.ascontiguousarray(self.hips, np.float64), float(self.thigh), float(self.shank), LEG_MAX * self.length,
+            np.ascontiguousarray(self.hips, np.float64),
+            float(self.thigh),
+            float(self.shank),
+            LEG_MAX * self.length,
             np.ascontiguousarray(self.feet, np.float64),
-        )  # fmt: skip
+        )
 
     @property
     def length(self) -> float:
@@ -101,9 +104,11 @@ def solve_legs(legs: Legs, posture: Posture) -> SolvedLegs:
     quats, angles = posture.quats.copy(), np.empty((*posture.ankle.shape[:2], 3))
     write_all_legs(legs.measures, quats, posture.pelvis, posture.ankle, posture.foot, angles)
     return SolvedLegs(
-        quats=quats, thigh_deg=np.degrees(angles[..., 0]), knee_deg=np.degrees(angles[..., 1]),
+        quats=quats,
+        thigh_deg=np.degrees(angles[..., 0]),
+        knee_deg=np.degrees(angles[..., 1]),
         overreach=np.maximum(angles[..., 2] / legs.length - LEG_MAX, 0),
-    )  # fmt: skip
+    )
 
 
 def within_reach(legs: Legs, posture: Posture) -> Posture:

@@ -35,12 +35,26 @@ LARGEST_SUM = 2.2
 """Largest sum of the absolute weights of all bodies, which themselves sum to 1: a combination is nearer to the built-in ones
 the smaller it is."""
 COMBINED = (
-    "bind_rotation", "bind_position", "joint_offsets", "capsule_start", "capsule_end", "capsule_radius", "feet",
-    "ankle_height", "height_m", "walk", "jog",
-)  # fmt: skip
+    "bind_rotation",
+    "bind_position",
+    "joint_offsets",
+    "capsule_start",
+    "capsule_end",
+    "capsule_radius",
+    "feet",
+    "ankle_height",
+    "height_m",
+    "walk",
+    "jog",
+)
 HAIR: tuple[Color, ...] = (
-    (32, 27, 26), (62, 44, 34), (98, 68, 45), (150, 114, 74), (198, 166, 116), (128, 64, 40),
-)  # fmt: skip
+    (32, 27, 26),
+    (62, 44, 34),
+    (98, 68, 45),
+    (150, 114, 74),
+    (198, 166, 116),
+    (128, 64, 40),
+)
 GREY: Color = (176, 173, 170)
 IRIS: tuple[Color, ...] = ((70, 52, 40), (58, 44, 36), (92, 74, 50), (84, 102, 82), (88, 110, 130))
 STYLES = {
@@ -152,13 +166,20 @@ def _look(rng: np.random.Generator, like: Look, skin: NDArray[np.float64], *, ge
     return replace(
         like,
         complexion=Complexion(
-            skin=_rgb(skin), hair=_rgb(np.clip(hair, 16, 235)), iris=IRIS[rng.integers(2 if dark else len(IRIS))],
+            skin=_rgb(skin),
+            hair=_rgb(np.clip(hair, 16, 235)),
+            iris=IRIS[rng.integers(2 if dark else len(IRIS))],
             lips=float(rng.uniform(0.35, 0.7) if female else rng.uniform(0.15, 0.35)),
             blush=float(rng.uniform(0.1, 0.2) if dark else rng.uniform(0.2, 0.45)),
-            lines=float(np.clip((age - 0.74) * 2.2, 0, 0.7)), stubble=stubble,
+            lines=float(np.clip((age - 0.74) * 2.2, 0, 0.7)),
+            stubble=stubble,
         ),
-        hair=style, beard=bool(beard), outfit=outfit, palette=palette, colors=scarf,
-    )  # fmt: skip
+        hair=style,
+        beard=bool(beard),
+        outfit=outfit,
+        palette=palette,
+        colors=scarf,
+    )
 
 
 def _rgb(values: NDArray[np.float64]) -> Color:

@@ -51,8 +51,14 @@ INSET = 0.02
 _TRIED = 24
 """Nearest table points from which the nearest valid one is sought."""
 _OBSTACLES = {
-    "pelvis": 0, "abdomen": 1, "chest_low": 2, "chest_high": 3, "head": 4, "left_thigh": 5, "right_thigh": 6,
-}  # fmt: skip
+    "pelvis": 0,
+    "abdomen": 1,
+    "chest_low": 2,
+    "chest_high": 3,
+    "head": 4,
+    "left_thigh": 5,
+    "right_thigh": 6,
+}
 
 
 class BaseMotion(NamedTuple):
@@ -124,16 +130,23 @@ def reach(body: Humanoid, target: ArrayLike, hand: Hand = "right") -> ReachResul
     poses = solver.poses(point[None])
     if poses.status[0] == kernel.REACHED:
         return ReachResult(
-            status="reached", quats=poses.quats[0], pelvis=poses.pelvis[0], hand_error_m=0.0, nearest_valid=point,
+            status="reached",
+            quats=poses.quats[0],
+            pelvis=poses.pelvis[0],
+            hand_error_m=0.0,
+            nearest_valid=point,
             base_motion=BaseMotion(0.0, 0.0, 0.0),
-        )  # fmt: skip
+        )
     nearest = solver.nearest_valid(point)
     instead = solver.poses(nearest[None])
     return ReachResult(
-        status=STATUSES[poses.status[0]], quats=instead.quats[0], pelvis=instead.pelvis[0],
-        hand_error_m=float(np.linalg.norm(nearest - point)), nearest_valid=nearest,
+        status=STATUSES[poses.status[0]],
+        quats=instead.quats[0],
+        pelvis=instead.pelvis[0],
+        hand_error_m=float(np.linalg.norm(nearest - point)),
+        nearest_valid=nearest,
         base_motion=solver.base_motion(point),
-    )  # fmt: skip
+    )
 
 
 def reach_poses(
@@ -217,9 +230,19 @@ class ReachSolver:
         points = np.empty((count, 3))
         points[:, 0], points[:, 1], points[:, 2] = -targets[:, 2], targets[:, 1], targets[:, 0]
         reach_many(
-            self.body, self.table.values, self.table.low, self.table.step, points, _each(trunk, count), _each(arm, count),
-            ROOT_OF_BODY, quats, pelvis, measures, status,
-        )  # fmt: skip
+            self.body,
+            self.table.values,
+            self.table.low,
+            self.table.step,
+            points,
+            _each(trunk, count),
+            _each(arm, count),
+            ROOT_OF_BODY,
+            quats,
+            pelvis,
+            measures,
+            status,
+        )
         return ReachPoses(quats, pelvis, status, measures)
 
     def reachable(self, targets: Array) -> NDArray[np.bool_]:
@@ -310,14 +333,21 @@ def reach_body(body: Humanoid, hand: Hand) -> ReachBody:
     legs, ankles = body.gaits.legs, frames[[JOINT_INDEX["left_ankle"], JOINT_INDEX["right_ankle"]], :3, 3]
     scale = _shoulder(body)
     return ReachBody(
-        scale=scale, sign=sign, stand=stand, pelvis=frames[0, :3, 3].copy(),
-        pole=_hanging_pole(body, frames, hand, sign), offsets=np.ascontiguousarray(body.joint_offsets, np.float64),
-        ankles=np.ascontiguousarray(ankles), support=ankles[:, 2].mean() + legs.feet[:, :2, 2].mean(axis=0),
-        bones=np.array([legs.thigh, legs.shank]), joints=np.array([JOINT_INDEX[name] for name in names]),
+        scale=scale,
+        sign=sign,
+        stand=stand,
+        pelvis=frames[0, :3, 3].copy(),
+        pole=_hanging_pole(body, frames, hand, sign),
+        offsets=np.ascontiguousarray(body.joint_offsets, np.float64),
+        ankles=np.ascontiguousarray(ankles),
+        support=ankles[:, 2].mean() + legs.feet[:, :2, 2].mean(axis=0),
+        bones=np.array([legs.thigh, legs.shank]),
+        joints=np.array([JOINT_INDEX[name] for name in names]),
         palm=grasp_point(body, hand),
         obstacles=np.array([[*c.start, *c.end, c.radius] for c in obstacles]).reshape(-1, 7),
-        obstacle_joints=np.array([_OBSTACLES[c.name] for c in obstacles], np.int64), arm_radius=ARM_RADIUS * scale,
-    )  # fmt: skip
+        obstacle_joints=np.array([_OBSTACLES[c.name] for c in obstacles], np.int64),
+        arm_radius=ARM_RADIUS * scale,
+    )
 
 
 def _standing(body: Humanoid) -> tuple[Array, Array]:

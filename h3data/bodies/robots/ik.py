@@ -42,10 +42,19 @@ class IkResult:
 
 
 def solve_ik(
-    robot: Robot, link: str, target: ArrayLike, q0: ArrayLike | None = None, *, offset: ArrayLike = (0.0, 0.0, 0.0),
-    base_pose: ArrayLike | None = None, joints: Sequence[str] | None = None, tolerance_m: float = 1e-4,
-    tolerance_rad: float = 1e-3, iterations: int = 60, restarts: int = 32,
-) -> IkResult:  # fmt: skip
+    robot: Robot,
+    link: str,
+    target: ArrayLike,
+    q0: ArrayLike | None = None,
+    *,
+    offset: ArrayLike = (0.0, 0.0, 0.0),
+    base_pose: ArrayLike | None = None,
+    joints: Sequence[str] | None = None,
+    tolerance_m: float = 1e-4,
+    tolerance_rad: float = 1e-3,
+    iterations: int = 60,
+    restarts: int = 32,
+) -> IkResult:
     """Joint positions that bring a link to a target, starting from ``q0``.
 
     Args:
@@ -89,10 +98,26 @@ def solve_ik(
     out = start.copy()
     errors = np.empty((len(start), 2))
     solve_targets(
-        targets, oriented, point, robot.origins[chain], robot.kinds[chain], robot.axes[chain], robot.columns[chain],
-        robot.gains[chain], robot.offsets[chain], free, robot.lower, robot.upper, ROTATION_WEIGHT_M, tolerance_m,
-        tolerance_rad, iterations, restarts, out, errors,
-    )  # fmt: skip
+        targets,
+        oriented,
+        point,
+        robot.origins[chain],
+        robot.kinds[chain],
+        robot.axes[chain],
+        robot.columns[chain],
+        robot.gains[chain],
+        robot.offsets[chain],
+        free,
+        robot.lower,
+        robot.upper,
+        ROTATION_WEIGHT_M,
+        tolerance_m,
+        tolerance_rad,
+        iterations,
+        restarts,
+        out,
+        errors,
+    )
     clamped = np.zeros(out.shape, np.bool_)
     clamped[:, free] = ((out <= robot.lower) | (out >= robot.upper))[:, free]
     return IkResult(

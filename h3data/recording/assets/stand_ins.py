@@ -52,10 +52,15 @@ _SPOT_LINKS = {
         for theirs, ours in {"fl": "front_left", "fr": "front_right", "hl": "rear_left", "hr": "rear_right"}.items()
         for link, part in {"hip": "hip", "uleg": "thigh", "lleg": "shank"}.items()
     },
-    "arm0.link_sh0": "arm_turret", "arm0.link_sh1": "arm_upper", "arm0.link_hr0": "arm_upper_end",
-    "arm0.link_el0": "arm_elbow", "arm0.link_el1": "arm_forearm", "arm0.link_wr0": "arm_wrist",
-    "arm0.link_wr1": "arm_hand", "arm0.link_fngr": "gripper_jaw",
-}  # fmt: skip
+    "arm0.link_sh0": "arm_turret",
+    "arm0.link_sh1": "arm_upper",
+    "arm0.link_hr0": "arm_upper_end",
+    "arm0.link_el0": "arm_elbow",
+    "arm0.link_el1": "arm_forearm",
+    "arm0.link_wr0": "arm_wrist",
+    "arm0.link_wr1": "arm_hand",
+    "arm0.link_fngr": "gripper_jaw",
+}
 """Links of Spot and those of ``quad_arm`` with the same frames and joints."""
 LEAST_BONES = 18
 """Of the 22 joints of a body without hands and face: with fewer, a rig is not a person's skeleton as we know it."""

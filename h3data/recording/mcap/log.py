@@ -112,9 +112,11 @@ class LogWriter:
             shared = {} if share_in is None else share_files(header.attachments, local(share_in), self.path)
             with self._file.writing():
                 self._mcap = Writer(
-                    cast(IO[bytes], self._file.stream), chunk_size=chunk_bytes, compression=CompressionType.ZSTD,
+                    cast(IO[bytes], self._file.stream),
+                    chunk_size=chunk_bytes,
+                    compression=CompressionType.ZSTD,
                     enable_data_crcs=True,
-                )  # fmt: skip
+                )
                 self._mcap.start(profile=PROFILE, library=f"h3data schema {SCHEMA_VERSION}")
                 for name, values in metadata.items():
                     self._mcap.add_metadata(name, values)

@@ -136,9 +136,13 @@ def reconstruct(
         "reason": "the log has no metadata records: task, scene, seed and settings are not known",
     }
     episode = Episode(
-        uid=str(uuid5(NAMESPACE_OID, f"{path.name} {steps}")), episode_id=path.name.split(".")[0], task="unknown",
-        scene="unknown", dt_ns=_step_ns(log, channels["state"], first), info={"recovered": {**note, "steps": steps}},
-    )  # fmt: skip
+        uid=str(uuid5(NAMESPACE_OID, f"{path.name} {steps}")),
+        episode_id=path.name.split(".")[0],
+        task="unknown",
+        scene="unknown",
+        dt_ns=_step_ns(log, channels["state"], first),
+        info={"recovered": {**note, "steps": steps}},
+    )
     log.metadata |= {"h3.episode": episode_metadata(episode), "h3.end": {"steps": str(steps)}}
     if layout:
         columns = tuple(layout)

@@ -134,8 +134,14 @@ class DatasetSchema:
             names = {str(name): tuple(map(str, each)) for name, each in dict(values.get("names", {})).items()}
             stats = values.get("episode_stats") is True
             return cls(
-                columns=columns, fps=fps, robot_type=robot, version=version, videos=videos, names=names, episode_stats=stats
-            )  # fmt: skip
+                columns=columns,
+                fps=fps,
+                robot_type=robot,
+                version=version,
+                videos=videos,
+                names=names,
+                episode_stats=stats,
+            )
         except FileNotFoundError:
             raise FormatError(
                 f"Expected a dataset of h3data, there is no {path.name}: {path}", code="H3-RECORDING-073"

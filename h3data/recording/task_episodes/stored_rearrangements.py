@@ -100,8 +100,17 @@ class StoredRearrangement(msgspec.Struct, frozen=True, kw_only=True):
 
 def content_digest(record: StoredRearrangement) -> str:
     """Digest of starts, objects, goals, seed and rules."""
-    content = (record.robot_start, record.human_start, record.goals, record.objects, record.seed, record.robot,
-               record.human, record.scene_sha256, plain(record.rules))  # fmt: skip
+    content = (
+        record.robot_start,
+        record.human_start,
+        record.goals,
+        record.objects,
+        record.seed,
+        record.robot,
+        record.human,
+        record.scene_sha256,
+        plain(record.rules),
+    )
     return hashlib.sha256(msgspec.json.encode(content)).hexdigest()
 
 

@@ -164,9 +164,18 @@ def bake(
         place = ((points[first] - voxels.origin) / voxels.cell_m).astype(np.float32)
         out = np.empty((len(first), 3), np.float32)
         pr.light_points(
-            voxels.distance, place, normals[first].astype(np.float32), inward[first].astype(np.float32),
-            emitters, 4, probes.reach, probes.place, probes.usable, probes.light, out,
-        )  # fmt: skip
+            voxels.distance,
+            place,
+            normals[first].astype(np.float32),
+            inward[first].astype(np.float32),
+            emitters,
+            4,
+            probes.reach,
+            probes.place,
+            probes.usable,
+            probes.light,
+            out,
+        )
         return out[back]
 
     limit = 120_000 + 2 * len(heap.faces)
@@ -286,9 +295,17 @@ def _direct(
     out = np.zeros((number, 3), np.float32)
     none = np.zeros((0, 0, 0), np.bool_), np.zeros((0, 0, 0, 6, 3), np.float32)
     pr.light_points(
-        voxels.distance, points - 1.25 * normals, normals, np.zeros_like(points), emitters, 2,
-        reach, np.zeros((0, 0, 0, 3), np.float32), *none, out,
-    )  # fmt: skip
+        voxels.distance,
+        points - 1.25 * normals,
+        normals,
+        np.zeros_like(points),
+        emitters,
+        2,
+        reach,
+        np.zeros((0, 0, 0, 3), np.float32),
+        *none,
+        out,
+    )
     per_block = np.minimum(count.ravel(), 2)
     block = np.repeat(np.arange(per_block.size), per_block)
     light = np.column_stack([np.bincount(block, np.nan_to_num(out[:, a]), per_block.size) for a in range(3)])

@@ -87,9 +87,16 @@ def direct_light(distance, x, y, z, nx, ny, nz, emitters, low_bits, high_bits, s
                 largest = max(abs(dx), abs(dy), abs(dz))
                 reach = 1e6 if kind == SUN else largest
                 kept, _, _, _, _, _, _ = march(
-                    distance, x, y, z, np.float32(dx / largest), np.float32(dy / largest), np.float32(dz / largest),
-                    np.float32(reach), kind == SUN,
-                )  # fmt: skip
+                    distance,
+                    x,
+                    y,
+                    z,
+                    np.float32(dx / largest),
+                    np.float32(dy / largest),
+                    np.float32(dz / largest),
+                    np.float32(reach),
+                    kind == SUN,
+                )
                 if kept == 0:
                     lit += 1
                     tint = (row[14], row[15], row[16])

@@ -156,9 +156,17 @@ def light_field(
     direct = np.zeros((len(points), 3), np.float32)
     none = np.zeros((0, 0, 0), np.bool_), np.zeros((0, 0, 0, 6, 3), np.float32)
     pr.light_points(
-        distance, points - 1.25 * normals, normals, np.zeros_like(points), emitters, 3,
-        probes.reach, np.zeros((0, 0, 0, 3), np.float32), *none, direct,
-    )  # fmt: skip
+        distance,
+        points - 1.25 * normals,
+        normals,
+        np.zeros_like(points),
+        emitters,
+        3,
+        probes.reach,
+        np.zeros((0, 0, 0, 3), np.float32),
+        *none,
+        direct,
+    )
     cube[usable] += np.nan_to_num(direct).reshape(-1, 6, 3)
     cube[~usable] = np.nan
     bright = cube[usable].mean(-1)

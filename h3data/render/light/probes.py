@@ -218,9 +218,14 @@ def blur(distance, place, usable, light, out, axis):
                     if not usable[u, v, w]:
                         continue
                     if not sees(
-                        distance, place[x, y, z, 0], place[x, y, z, 1], place[x, y, z, 2],
-                        place[u, v, w, 0], place[u, v, w, 1], place[u, v, w, 2],
-                    ):  # fmt: skip
+                        distance,
+                        place[x, y, z, 0],
+                        place[x, y, z, 1],
+                        place[x, y, z, 2],
+                        place[u, v, w, 0],
+                        place[u, v, w, 1],
+                        place[u, v, w, 2],
+                    ):
                         continue
                     weight += 1
                     for f in range(6):

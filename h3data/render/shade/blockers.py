@@ -268,9 +268,13 @@ def _fill_tiles(seen, index, rows, view, inv_z, factor, first, listed):
         around = _around_tile(view, factor, x0, x1, y0, y1, 1 / nearest, 1 / farthest)
         for n in range(len(seen)):
             if (
-                seen[n, 0] < x1 and seen[n, 3] > x0 and seen[n, 1] < y1 and seen[n, 4] > y0
-                and seen[n, 2] <= nearest and seen[n, 5] >= farthest
-            ):  # fmt: skip
+                seen[n, 0] < x1
+                and seen[n, 3] > x0
+                and seen[n, 1] < y1
+                and seen[n, 4] > y0
+                and seen[n, 2] <= nearest
+                and seen[n, 5] >= farthest
+            ):
                 bits = _matters(rows, index[n], around)
                 if bits:
                     listed[count] = 4 * index[n] + bits

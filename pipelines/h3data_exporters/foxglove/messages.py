@@ -105,9 +105,14 @@ def calibration(time_ns: int, frame: str, camera: Camera) -> CameraCalibration:
     """An undistorted pinhole camera."""
     k = np.asarray(camera.intrinsics, np.float64)
     return CameraCalibration(
-        timestamp=stamp(time_ns), frame_id=frame, width=camera.width, height=camera.height, K=k.ravel(),
-        R=np.eye(3).ravel(), P=np.hstack([k, np.zeros((3, 1))]).ravel(),
-    )  # fmt: skip
+        timestamp=stamp(time_ns),
+        frame_id=frame,
+        width=camera.width,
+        height=camera.height,
+        K=k.ravel(),
+        R=np.eye(3).ravel(),
+        P=np.hstack([k, np.zeros((3, 1))]).ravel(),
+    )
 
 
 def video_frame(time_ns: int, frame: str, packet: bytes) -> CompressedVideo:

@@ -26,9 +26,11 @@ class PictureStream:
         codec.width, codec.height = width + width % 2, height + height % 2
         codec.pix_fmt, codec.time_base = "yuv420p", Fraction(1, 30)
         codec.options = {
-            "preset": "ultrafast", "tune": "zerolatency", "crf": str(_CRF),
+            "preset": "ultrafast",
+            "tune": "zerolatency",
+            "crf": str(_CRF),
             "x264-params": f"keyint={KEY_FRAMES}:scenecut=0:bframes=0:repeat-headers=1:annexb=1:mbtree=0:threads=1",
-        }  # fmt: skip
+        }
         self._codec = codec
         self._count = 0
 

@@ -114,8 +114,15 @@ def _other_kind(path: Path, data: bytes) -> FormatError:
     )
 
 
-_JSON_WORDS = {"dict": "an object", "list": "a list", "str": "a string", "int": "a number", "float": "a number",
-               "bool": "true or false", "NoneType": "null"}  # fmt: skip
+_JSON_WORDS = {
+    "dict": "an object",
+    "list": "a list",
+    "str": "a string",
+    "int": "a number",
+    "float": "a number",
+    "bool": "true or false",
+    "NoneType": "null",
+}
 _NON_FINITE = re.compile(rb"[\[,:\s](NaN|-?Infinity)[\],}\s]")
 
 

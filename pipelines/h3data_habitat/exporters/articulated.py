@@ -134,9 +134,7 @@ def _free_name(name: str, thing: Articulation) -> str:
     return name
 
 
-def _joint(
-    part: Part, links: Mapping[str, str], frames: Mapping[str, Array], limits: tuple[float, float]
-) -> str:  # fmt: skip
+def _joint(part: Part, links: Mapping[str, str], frames: Mapping[str, Array], limits: tuple[float, float]) -> str:
     shift = frames[part.name][:3, 3] - frames[part.parent][:3, 3]
     return (
         f'  <joint name={quoteattr(part.name)} type="{part.joint.kind}">'

@@ -225,9 +225,15 @@ def _add_part(
     rounded, changed = _rounded(poses)
     for start, end in spans(np.asarray(np.isfinite(poses).all(1))):
         creation = {
-            "filepath": filepath, "scale": np.asarray(part.scale, np.float64).tolist(), "isStatic": static, "isRGBD": True,
-            "isSemantic": True, "isTextureSemantic": False, "lightSetupKey": "", "rigId": -1 if rig is None else rig.number,
-        }  # fmt: skip
+            "filepath": filepath,
+            "scale": np.asarray(part.scale, np.float64).tolist(),
+            "isStatic": static,
+            "isRGBD": True,
+            "isSemantic": True,
+            "isTextureSemantic": False,
+            "lightSetupKey": "",
+            "rigId": -1 if rig is None else rig.number,
+        }
         keyframes.add("creations", start, {"instanceKey": key, "creation": creation})
         metadata = {"objectId": -1 if part.body is None else key, "semanticId": int(part.semantic_id)}
         keyframes.add("metadata", start, {"instanceKey": key, "metadata": metadata})
@@ -356,10 +362,15 @@ def _plain(name: str) -> str:
 
 def _load(path: str, ref: AssetRef) -> _Item:
     return {
-        "type": 1, "filepath": path, "frame": {"up": ref.up, "front": ref.front, "origin": (0.0, 0.0, 0.0)},
-        "virtualUnitToMeters": ref.units_m, "forceFlatShading": False, "splitInstanceMesh": True,
-        "shaderTypeToUse": "material", "hasSemanticTextures": False,
-    }  # fmt: skip
+        "type": 1,
+        "filepath": path,
+        "frame": {"up": ref.up, "front": ref.front, "origin": (0.0, 0.0, 0.0)},
+        "virtualUnitToMeters": ref.units_m,
+        "forceFlatShading": False,
+        "splitInstanceMesh": True,
+        "shaderTypeToUse": "material",
+        "hasSemanticTextures": False,
+    }
 
 
 def _phong(color: tuple[int, int, int]) -> str:

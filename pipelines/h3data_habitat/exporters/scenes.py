@@ -205,9 +205,10 @@ def _add_scene(files: _Files, handle: str, scene: Scene) -> Mapping[str, str]:
                 code="H3-EXPORT-021",
             )
     stage = tuple(
-        i for i in scene.static_instances
+        i
+        for i in scene.static_instances
         if scene.assets[i.asset].category in STAGE_CATEGORIES and len(scene.assets[i.asset].mesh.faces)
-    )  # fmt: skip
+    )
     if not stage:
         raise SceneError(
             f"Scene {scene.name!r} has no building, so there is no stage to write. Expected static instances of a "

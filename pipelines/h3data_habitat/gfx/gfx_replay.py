@@ -129,8 +129,13 @@ def _assets(fold: Fold, path: Path) -> tuple[list[AssetRef], list[str], list[str
             load = Load(filepath=plain) if loaded is None else loaded.last  # as the player does
             color = _color(life.creation.filepath, loaded)
             uri = f"primitive:{plain}" if is_primitive(plain) else clean_path(plain)
-            values = {"uri": uri, "color": color, "units_m": load.virtualUnitToMeters,
-                      "up": _plus_zero(load.frame.up), "front": _plus_zero(load.frame.front)}  # fmt: skip
+            values = {
+                "uri": uri,
+                "color": color,
+                "units_m": load.virtualUnitToMeters,
+                "up": _plus_zero(load.frame.up),
+                "front": _plus_zero(load.frame.front),
+            }
             try:
                 frame_rotation(load.frame.up, load.frame.front)
             except SceneError as fault:

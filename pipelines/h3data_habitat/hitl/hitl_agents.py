@@ -77,9 +77,13 @@ def root_height_m(kind: AgentKind, robot: str) -> float:
 
 
 def add_agents(
-    tracks: Sequence[AgentTrack], kinds: Sequence[AgentKind], time_ns: NDArray[np.int64], *, robot: str,
+    tracks: Sequence[AgentTrack],
+    kinds: Sequence[AgentKind],
+    time_ns: NDArray[np.int64],
+    *,
+    robot: str,
     joint_order: JointOrder | None = None,
-) -> tuple[list[Agent], dict[str, NDArray[Any]], list[dict[str, Any]]]:  # fmt: skip
+) -> tuple[list[Agent], dict[str, NDArray[Any]], list[dict[str, Any]]]:
     """Agents, their columns except held bodies, and for each agent what was recorded and what is made up.
 
     Robots are shown by a built-in model in its resting posture. People with a logged posture keep it, on the built-in
@@ -114,8 +118,9 @@ def _robot(name: str, track: AgentTrack, robot: str) -> tuple[Agent, dict[str, N
     body = load_robot(model)
     base = _on_floor(track.roots, forward=0, floor=track.roots[:, 1] - height)
     columns: dict[str, NDArray[Any]] = {
-        "base_pose": base, "joint_pos": np.tile(body.rest.astype(np.float32), (len(base), 1)),
-    }  # fmt: skip
+        "base_pose": base,
+        "joint_pos": np.tile(body.rest.astype(np.float32), (len(base), 1)),
+    }
     agent = Agent(name=name, kind="robot", model=f"robot/{model}", semantic_id=200, joint_names=tuple(body.joint_names))
     note = {"taken_for": robot, "base_height_m": height, "recorded": ["base"], "synthesised": ["joint_pos"]}
     return agent, columns, note
@@ -149,9 +154,10 @@ def _posed_person(
     joints = quat_sign_continuous(joints)
     body = fitting_body(track.roots, joints, track.base[:, 1])
     columns: dict[str, NDArray[Any]] = {
-        "base_pose": _continuous(track.base), "root_pose": _continuous(track.roots),
+        "base_pose": _continuous(track.base),
+        "root_pose": _continuous(track.roots),
         "joint_quat": joints.astype(np.float32),
-    }  # fmt: skip
+    }
     note = {"joint_order": order, "recorded": ["base", "root", "joints"], "synthesised": ["body"]}
     return Agent(name=name, kind="human", model=f"humanoid/{body}", semantic_id=100), columns, note
 

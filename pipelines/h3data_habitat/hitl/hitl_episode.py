@@ -210,7 +210,10 @@ class HitlEpisode:
         return Recording(
             episode=Episode(
                 uid=str(uuid.uuid5(uuid.NAMESPACE_URL, f"{self.form}:{digest}")),
-                episode_id=self.episode_id or self.path.name, task="hitl_rearrange", scene=place.name, dt_ns=self.dt_ns,
+                episode_id=self.episode_id or self.path.name,
+                task="hitl_rearrange",
+                scene=place.name,
+                dt_ns=self.dt_ns,
                 created_by=self.created_by,
                 info={
                     "source": {"format": self.form, "file": self.path.name, "sha256": digest},
@@ -227,7 +230,7 @@ class HitlEpisode:
             columns={"time_ns": self.time_ns, **object_columns, **columns, **self.columns},
             events=tuple(self.events),
             attachments=place.attachments,
-        )  # fmt: skip
+        )
 
     def _grasped(self, track: AgentTrack, index: Mapping[str, int]) -> NDArray[np.int32]:
         out = np.full(len(track.grasp_id), -1, np.int32)

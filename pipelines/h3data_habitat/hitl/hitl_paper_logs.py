@@ -74,9 +74,12 @@ class Log(msgspec.Struct):
 
 
 def read_hitl_log(
-    path: str | os.PathLike[str], *, fps: float = 30.0, assets: AssetLibrary | None = None,
+    path: str | os.PathLike[str],
+    *,
+    fps: float = 30.0,
+    assets: AssetLibrary | None = None,
     joint_order: JointOrder | None = None,
-) -> Recording:  # fmt: skip
+) -> Recording:
     """Reads the recording in a ``<session>.<n>.json.gz`` or ``.pkl.gz`` of the paper's HITL tool.
 
     - The log has no time stamps: row k is step k at ``fps`` steps per second.
@@ -116,11 +119,22 @@ def read_hitl_log(
         metrics["metrics.at_goal"] = placed
     dt_ns = STEP_NS if fps == 30 else round(1e9 / fps)
     episode = HitlEpisode(
-        path=path, data=data, form="hitl_log", episode_id=str(log.episode_id or ""), created_by="habitat-lab HITL rearrange",
-        dt_ns=dt_ns, time_ns=np.arange(len(steps), dtype=np.int64) * dt_ns, tracks=tracks, object_names=objects.names,
-        object_tracks=object_tracks, object_of_id={i: f"object_{i}" for i in log.target_obj_ids or ()},
-        robot=robot_named_in(json.dumps(log.dataset)), joint_order=joint_order,
-        columns=metrics | _input_columns(steps), events=_events(steps, tracks), warnings=[*warnings, *more, *unused],
+        path=path,
+        data=data,
+        form="hitl_log",
+        episode_id=str(log.episode_id or ""),
+        created_by="habitat-lab HITL rearrange",
+        dt_ns=dt_ns,
+        time_ns=np.arange(len(steps), dtype=np.int64) * dt_ns,
+        tracks=tracks,
+        object_names=objects.names,
+        object_tracks=object_tracks,
+        object_of_id={i: f"object_{i}" for i in log.target_obj_ids or ()},
+        robot=robot_named_in(json.dumps(log.dataset)),
+        joint_order=joint_order,
+        columns=metrics | _input_columns(steps),
+        events=_events(steps, tracks),
+        warnings=[*warnings, *more, *unused],
         info={
             "generation": 1,
             "nominal_fps": fps,
@@ -132,7 +146,7 @@ def read_hitl_log(
             **({"goal_objects": list(range(len(object_tracks))), "at_goal_m": AT_GOAL_M} if placed is not None else {}),
             "object_rotations": "not recorded: the identity",
         },
-    )  # fmt: skip
+    )
     return episode.recording(find_place(log.scene_id or "", assets, floor_y=episode.floor_y()))
 
 

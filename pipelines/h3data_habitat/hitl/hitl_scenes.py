@@ -46,14 +46,18 @@ def find_place(scene_id: str, library: AssetLibrary | None, *, floor_y: float) -
                 assets=tuple(AssetRef(name=asset, uri=f"scene:{asset}") for asset in scene.assets),
                 bodies=tuple(
                     Body(
-                        name=i.name, asset=i.asset, pose=i.pose.astype(np.float32), scale=i.scale.astype(np.float32),
-                        semantic_id=i.semantic_id, layer=i.layer,
+                        name=i.name,
+                        asset=i.asset,
+                        pose=i.pose.astype(np.float32),
+                        scale=i.scale.astype(np.float32),
+                        semantic_id=i.semantic_id,
+                        layer=i.layer,
                     )
                     for i in scene.instances
                 ),
                 attachments={"scene.glb": scene_bytes(scene)},
                 warnings=tuple(scene.source.get("warnings", ())),
-            )  # fmt: skip
+            )
         except H3DataError as fault:
             warnings.append(f"the scene cannot be used: {fault}")
     ref = AssetRef(

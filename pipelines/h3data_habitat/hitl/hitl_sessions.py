@@ -152,12 +152,21 @@ def read_hitl_episode(
     people = [k for k, kind in enumerate(agent_kinds(tracks)) if kind == "human"]
     columns = _columns(frames, known, objects.names, path)
     log = HitlEpisode(
-        path=path, data=data, form="hitl_episode", episode_id=str(episode.get("episode_id", "")),
-        created_by="habitat-lab HITL rearrange_v2", dt_ns=_nominal_step_ns(config), time_ns=time_ns,
+        path=path,
+        data=data,
+        form="hitl_episode",
+        episode_id=str(episode.get("episode_id", "")),
+        created_by="habitat-lab HITL rearrange_v2",
+        dt_ns=_nominal_step_ns(config),
+        time_ns=time_ns,
         tracks=tracks,
-        object_names=objects.names, object_tracks=[held(track, known) for track in objects.arrays(path)],
-        object_of_id=object_of_id, robot=robot_named_in(json.dumps(episode.get("episode_info")), json.dumps(config)),
-        columns=columns | logged_outcomes(columns), events=_events(frames, episode), warnings=warnings,
+        object_names=objects.names,
+        object_tracks=[held(track, known) for track in objects.arrays(path)],
+        object_of_id=object_of_id,
+        robot=robot_named_in(json.dumps(episode.get("episode_info")), json.dumps(config)),
+        columns=columns | logged_outcomes(columns),
+        events=_events(frames, episode),
+        warnings=warnings,
         info={
             "generation": 2,
             "quaternion_order": order,
@@ -172,7 +181,7 @@ def read_hitl_episode(
             **participation(users, episode.get("user_index_to_agent_index_map"), people),
             **({"partnr": result} if result else {}),
         },
-    )  # fmt: skip
+    )
     return log.recording(find_place(str(episode.get("scene_id") or ""), assets, floor_y=log.floor_y()))
 
 
@@ -308,9 +317,11 @@ def _events(frames: Sequence[Frame], episode: Mapping[str, Any]) -> list[Event]:
                 rest = {k: v for k, v in event.items() if k not in ("type", "obj_handle")}
                 events.append(
                     Event(
-                        step=step, agent=agent if type(agent) is int and -1 <= agent < 2**31 else -1,
-                        kind=str(event.get("type", "")), target=str(event.get("obj_handle", "")),
+                        step=step,
+                        agent=agent if type(agent) is int and -1 <= agent < 2**31 else -1,
+                        kind=str(event.get("type", "")),
+                        target=str(event.get("obj_handle", "")),
                         detail=json.dumps({"user": u, **rest}),
                     )
-                )  # fmt: skip
+                )
     return events

@@ -71,12 +71,10 @@ def scaled_asset(asset: Asset, scale: NDArray[np.float64]) -> Asset:
     faces = mesh.faces if np.prod(s) > 0 else np.ascontiguousarray(mesh.faces[:, ::-1])
     return replace(
         asset,
-        mesh=Mesh(
-            vertices=(mesh.vertices * s).astype(np.float32), faces=faces, colors=mesh.colors, normals=normals
-        ),
+        mesh=Mesh(vertices=(mesh.vertices * s).astype(np.float32), faces=faces, colors=mesh.colors, normals=normals),
         shapes=tuple(_scaled_part(p, s) for p in asset.shapes),
         receptacles=tuple(_scaled_receptacle(r, s) for r in asset.receptacles if s[1] > 0),
-    )  # fmt: skip
+    )
 
 
 def _scaled_part(shape: Shape, s: NDArray[np.float64]) -> Shape:

@@ -6,10 +6,23 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 ConfigKind = Literal[
-    "scene_dataset_config", "dataset_section", "dataset_override", "scene_instance", "stage_instance",
-    "object_instance", "articulated_instance", "stage_config", "object_config", "ao_config", "receptacle",
-    "lighting_config", "light", "semantic_config", "region", "rec_filter",
-]  # fmt: skip
+    "scene_dataset_config",
+    "dataset_section",
+    "dataset_override",
+    "scene_instance",
+    "stage_instance",
+    "object_instance",
+    "articulated_instance",
+    "stage_config",
+    "object_config",
+    "ao_config",
+    "receptacle",
+    "lighting_config",
+    "light",
+    "semantic_config",
+    "region",
+    "rec_filter",
+]
 
 _DYNAMICS = "forces and friction: nothing is moved by forces here"
 _SHADING = "one way of shading for all"
@@ -19,44 +32,100 @@ _RULES = "the lists of what was left out; only `active` counts, as in habitat-la
 _SEMANTIC_MESH = "labels per triangle of scans: instances carry the semantic ids"
 
 _BODY = {
-    "margin": _DYNAMICS, "mass": _DYNAMICS, "friction_coefficient": _DYNAMICS, "restitution_coefficient": _DYNAMICS,
-    "rolling_friction_coefficient": _DYNAMICS, "spinning_friction_coefficient": _DYNAMICS,
-    "shader_type": _SHADING, "force_flat_shading": _SHADING, "requires_lighting": _SHADING,
-    "render_asset_type": "the file itself says what it is", "collision_asset_type": "the file itself says what it is",
+    "margin": _DYNAMICS,
+    "mass": _DYNAMICS,
+    "friction_coefficient": _DYNAMICS,
+    "restitution_coefficient": _DYNAMICS,
+    "rolling_friction_coefficient": _DYNAMICS,
+    "spinning_friction_coefficient": _DYNAMICS,
+    "shader_type": _SHADING,
+    "force_flat_shading": _SHADING,
+    "requires_lighting": _SHADING,
+    "render_asset_type": "the file itself says what it is",
+    "collision_asset_type": "the file itself says what it is",
     "marker_sets": _MARKERS,
-}  # fmt: skip
+}
 
 READ: Mapping[ConfigKind, tuple[str, ...]] = {
     "scene_dataset_config": (
-        "stages", "objects", "articulated_objects", "light_setups", "scene_instances", "navmesh_instances",
+        "stages",
+        "objects",
+        "articulated_objects",
+        "light_setups",
+        "scene_instances",
+        "navmesh_instances",
         "semantic_scene_descriptor_instances",
     ),
     "dataset_section": ("default_attributes", "paths", "configs"),
     "dataset_override": ("original_file", "template_handle", "attributes"),
     "scene_instance": (
-        "translation_origin", "stage_instance", "object_instances", "articulated_object_instances", "default_lighting",
-        "navmesh_instance", "semantic_scene_instance", "user_defined",
+        "translation_origin",
+        "stage_instance",
+        "object_instances",
+        "articulated_object_instances",
+        "default_lighting",
+        "navmesh_instance",
+        "semantic_scene_instance",
+        "user_defined",
     ),
     "stage_instance": ("template_name", "translation", "rotation"),
     "object_instance": (
-        "template_name", "translation", "rotation", "translation_origin", "motion_type", "uniform_scale",
-        "non_uniform_scale", "is_instance_visible",
+        "template_name",
+        "translation",
+        "rotation",
+        "translation_origin",
+        "motion_type",
+        "uniform_scale",
+        "non_uniform_scale",
+        "is_instance_visible",
     ),
     "articulated_instance": (
-        "template_name", "translation", "rotation", "uniform_scale", "non_uniform_scale", "initial_joint_pose",
-        "auto_clamp_joint_limits", "link_order", "render_mode", "is_instance_visible",
+        "template_name",
+        "translation",
+        "rotation",
+        "uniform_scale",
+        "non_uniform_scale",
+        "initial_joint_pose",
+        "auto_clamp_joint_limits",
+        "link_order",
+        "render_mode",
+        "is_instance_visible",
     ),
     "stage_config": (
-        "render_asset", "collision_asset", "up", "front", "scale", "units_to_meters", "nav_asset", "navmesh_asset",
+        "render_asset",
+        "collision_asset",
+        "up",
+        "front",
+        "scale",
+        "units_to_meters",
+        "nav_asset",
+        "navmesh_asset",
         "user_defined",
     ),
     "object_config": (
-        "render_asset", "collision_asset", "collision_asset_size", "up", "front", "scale", "units_to_meters", "COM",
-        "compute_COM_from_shape", "semantic_id", "is_collidable", "use_bounding_box_for_collision",
-        "join_collision_meshes", "user_defined",
+        "render_asset",
+        "collision_asset",
+        "collision_asset_size",
+        "up",
+        "front",
+        "scale",
+        "units_to_meters",
+        "COM",
+        "compute_COM_from_shape",
+        "semantic_id",
+        "is_collidable",
+        "use_bounding_box_for_collision",
+        "join_collision_meshes",
+        "user_defined",
     ),
     "ao_config": (
-        "urdf_filepath", "uniform_scale", "semantic_id", "link_order", "render_mode", "render_asset", "user_defined",
+        "urdf_filepath",
+        "uniform_scale",
+        "semantic_id",
+        "link_order",
+        "render_mode",
+        "render_asset",
+        "user_defined",
     ),
     "receptacle": ("name", "position", "scale", "rotation", "mesh_filepath", "parent_link"),
     "lighting_config": ("lights", "positive_intensity_scale", "negative_intensity_scale"),
@@ -64,7 +133,7 @@ READ: Mapping[ConfigKind, tuple[str, ...]] = {
     "semantic_config": ("region_annotations", "semantic_descriptor_filename"),
     "region": ("name", "label", "poly_loop", "floor_height", "min_bounds", "max_bounds"),
     "rec_filter": ("active", "within_set"),
-}  # fmt: skip
+}
 """Keys that are read, by the sort of JSON object in which they stand."""
 
 IGNORED: Mapping[ConfigKind, Mapping[str, str]] = {
@@ -74,10 +143,15 @@ IGNORED: Mapping[ConfigKind, Mapping[str, str]] = {
     "scene_instance": {"default_pbr_shader_config": _SHADING, "pbr_shader_region_configs": _SHADING},
     "stage_instance": {
         "translation_origin": "the stage stands at the origin, as in habitat-sim",
-        "motion_type": "a stage never moves", "shader_type": _SHADING, "user_defined": _NOTES,
+        "motion_type": "a stage never moves",
+        "shader_type": _SHADING,
+        "user_defined": _NOTES,
     },
     "object_instance": {
-        "mass_scale": _DYNAMICS, "apply_scale_to_mass": _DYNAMICS, "shader_type": _SHADING, "user_defined": _NOTES,
+        "mass_scale": _DYNAMICS,
+        "apply_scale_to_mass": _DYNAMICS,
+        "shader_type": _SHADING,
+        "user_defined": _NOTES,
     },
     "articulated_instance": {
         "translation_origin": "the pose is always that of the base link's centre of mass, as in habitat-sim",
@@ -85,8 +159,11 @@ IGNORED: Mapping[ConfigKind, Mapping[str, str]] = {
         "fixed_base": "links move only as agents open and close them",
         "base_type": "links move only as agents open and close them",
         "initial_joint_velocities": "links move only as agents open and close them",
-        "inertia_source": _DYNAMICS, "mass_scale": _DYNAMICS, "apply_scale_to_mass": _DYNAMICS,
-        "shader_type": _SHADING, "user_defined": _NOTES,
+        "inertia_source": _DYNAMICS,
+        "mass_scale": _DYNAMICS,
+        "apply_scale_to_mass": _DYNAMICS,
+        "shader_type": _SHADING,
+        "user_defined": _NOTES,
     },
     "stage_config": {
         **_BODY,
@@ -96,19 +173,29 @@ IGNORED: Mapping[ConfigKind, Mapping[str, str]] = {
         "use_bounding_box_for_collision": "free floor comes from the stage's triangles",
         "join_collision_meshes": "free floor comes from the stage's triangles",
         "collision_asset_size": "free floor comes from the stage's triangles",
-        "semantic_asset": _SEMANTIC_MESH, "semantic_asset_type": _SEMANTIC_MESH, "semantic_up": _SEMANTIC_MESH,
-        "semantic_front": _SEMANTIC_MESH, "has_semantic_textures": _SEMANTIC_MESH, "house_filename": _SEMANTIC_MESH,
+        "semantic_asset": _SEMANTIC_MESH,
+        "semantic_asset_type": _SEMANTIC_MESH,
+        "semantic_up": _SEMANTIC_MESH,
+        "semantic_front": _SEMANTIC_MESH,
+        "has_semantic_textures": _SEMANTIC_MESH,
+        "house_filename": _SEMANTIC_MESH,
         "semantic_descriptor_filename": _SEMANTIC_MESH,
-        "lighting_setup": "lights come from the scene instance", "frustum_culling": _SHADING,
+        "lighting_setup": "lights come from the scene instance",
+        "frustum_culling": _SHADING,
     },
     "object_config": {
         **_BODY,
-        "inertia": _DYNAMICS, "linear_damping": _DYNAMICS, "angular_damping": _DYNAMICS,
+        "inertia": _DYNAMICS,
+        "linear_damping": _DYNAMICS,
+        "angular_damping": _DYNAMICS,
         "is_visible": "the instance decides (is_instance_visible)",
     },
     "ao_config": {
         "base_type": "links move only as agents open and close them",
-        "inertia_source": _DYNAMICS, "mass_scale": _DYNAMICS, "shader_type": _SHADING, "marker_sets": _MARKERS,
+        "inertia_source": _DYNAMICS,
+        "mass_scale": _DYNAMICS,
+        "shader_type": _SHADING,
+        "marker_sets": _MARKERS,
         "debug_render_primitives": "a debugging view",
     },
     "receptacle": {
@@ -120,9 +207,12 @@ IGNORED: Mapping[ConfigKind, Mapping[str, str]] = {
     "semantic_config": {"old_format_filename": _SEMANTIC_MESH, "user_defined": _NOTES},
     "region": {"extrusion_height": "a room is an area of the floor", "user_defined": _NOTES},
     "rec_filter": {
-        "manually_filtered": _RULES, "access_filtered": _RULES, "stability_filtered": _RULES, "height_filtered": _RULES,
+        "manually_filtered": _RULES,
+        "access_filtered": _RULES,
+        "stability_filtered": _RULES,
+        "height_filtered": _RULES,
     },
-}  # fmt: skip
+}
 """Keys that are known and not read, with the reason."""
 
 IGNORED_FILES: Mapping[str, str] = {

@@ -106,9 +106,13 @@ def _movers(robot: Robot, joints: Mapping[int, Joint]) -> list[int]:
 
 
 def _enclosed(
-    joint: Joint, own: Sequence[Instance], everything: Sequence[Instance], assets: Mapping[str, Asset], back: Array,
+    joint: Joint,
+    own: Sequence[Instance],
+    everything: Sequence[Instance],
+    assets: Mapping[str, Asset],
+    back: Array,
     body: Array,
-) -> tuple[str, ...]:  # fmt: skip
+) -> tuple[str, ...]:
     """Receptacles that a part shuts off: those of a drawer itself, and those behind a door."""
     if joint.kind == "prismatic":
         return tuple(f"{i.name}|{r.name}" for i in own for r in assets[i.asset].receptacles)

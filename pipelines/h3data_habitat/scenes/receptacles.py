@@ -136,8 +136,10 @@ def largest_rectangle(
     points = np.stack(np.meshgrid(xs, zs, indexing="ij"), -1)
     inside = np.zeros(points.shape[:2], bool)
     for a, b, c in flat:
-        signs = [(q - p)[0] * (points[..., 1] - p[1]) - (q - p)[1] * (points[..., 0] - p[0])
-                 for p, q in ((a, b), (b, c), (c, a))]  # fmt: skip
+        signs = [
+            (q - p)[0] * (points[..., 1] - p[1]) - (q - p)[1] * (points[..., 0] - p[0])
+            for p, q in ((a, b), (b, c), (c, a))
+        ]
         slack = 1e-9 + 1e-6 * float(np.max(hi - lo))
         inside |= np.all(np.stack(signs) >= -slack, 0) | np.all(np.stack(signs) <= slack, 0)
     cells = inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:]

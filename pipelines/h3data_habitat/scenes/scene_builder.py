@@ -190,9 +190,13 @@ class SceneBuilder:
                 code="H3-HABITAT-120",
             )
         source = {
-            "kind": "habitat", "config": str(config), "scene": scene, "warnings": warnings,
-            "ignored_keys": sorted(keys.ignored), **self.more,
-        }  # fmt: skip
+            "kind": "habitat",
+            "config": str(config),
+            "scene": scene,
+            "warnings": warnings,
+            "ignored_keys": sorted(keys.ignored),
+            **self.more,
+        }
         return Scene(
             name=name,
             assets=self.templates.assets,

@@ -13,9 +13,13 @@ from h3data_habitat.scenes.config_keys import KeyNotes
 from h3data_habitat.scenes.config_values import mapping, objects, read_object, text
 
 Section = Literal[
-    "stages", "objects", "articulated_objects", "light_setups", "scene_instances",
+    "stages",
+    "objects",
+    "articulated_objects",
+    "light_setups",
+    "scene_instances",
     "semantic_scene_descriptor_instances",
-]  # fmt: skip
+]
 
 _CONFIG_ENDINGS: dict[Section, str] = {
     "stages": ".stage_config.json",

@@ -147,9 +147,14 @@ def fridge(rng: np.random.Generator, style: Style) -> Furniture:
     top = surface("top", (0, h, -0.05), (w - 0.1, d - 0.2), 2.5 - h)
     shape = box_part((0, h / 2, 0), (w, h, d))
     return finish(
-        "fridge", mesh, (w, h, d), shapes=[shape], receptacles=[top], front=0.75,
+        "fridge",
+        mesh,
+        (w, h, d),
+        shapes=[shape],
+        receptacles=[top],
+        front=0.75,
         opens=lambda _: opening_fridge((w, h, d), body, style.metal),
-    )  # fmt: skip
+    )
 
 
 def upper_cabinet(rng: np.random.Generator, style: Style, width: float) -> Furniture:

@@ -35,9 +35,17 @@ _TALL = 0.88
 _REACH = {"desk": 0.85, "dining_table": 0.65, "kitchen_island": 0.65, "kids_table": 0.6, "balcony_table": 0.65}
 """Greatest distance from walkable floor to furniture with chairs in between; 0.38 m for other furniture [m]."""
 _FROM_ANYWHERE = (
-    "dining_table", "coffee_table", "bed", "kitchen_island", "kids_table", "balcony_table", "side_table", "pouf",
-    "ironing_board", "bunk_bed",
-)  # fmt: skip
+    "dining_table",
+    "coffee_table",
+    "bed",
+    "kitchen_island",
+    "kids_table",
+    "balcony_table",
+    "side_table",
+    "pouf",
+    "ironing_board",
+    "bunk_bed",
+)
 """Furniture used from any side; all other furniture with a surface is used from its front."""
 
 

@@ -149,8 +149,17 @@ def _moon(s: _Sheet, rng: np.random.Generator, c: Colors) -> None:
 
 
 MOTIFS: tuple[_Motif, ...] = (
-    _sea, _hills, _stripes, _rings, _blocks, _leaf, _still_life, _portrait, _town, _moon,
-)  # fmt: skip
+    _sea,
+    _hills,
+    _stripes,
+    _rings,
+    _blocks,
+    _leaf,
+    _still_life,
+    _portrait,
+    _town,
+    _moon,
+)
 
 
 def picture(rng: np.random.Generator, style: Style, size: tuple[float, float]) -> Furniture:
@@ -161,9 +170,11 @@ def picture(rng: np.random.Generator, style: Style, size: tuple[float, float]) -
     mesh.span((-w / 2 + 0.02, -h / 2 + 0.02, 0.02), (w / 2 - 0.02, h / 2 - 0.02, 0.0235), (242, 239, 230))
     margin = 0.02 if rng.random() < 0.4 else 0.07
     colors = [
-        vary(rng, style.fabric, 0.15), vary(rng, style.accent, 0.15), vary(rng, (236, 200, 120), 0.1),
+        vary(rng, style.fabric, 0.15),
+        vary(rng, style.accent, 0.15),
+        vary(rng, (236, 200, 120), 0.1),
         vary(rng, (206, 214, 216), 0.08),
-    ]  # fmt: skip
+    ]
     plain = [(int(c[0]), int(c[1]), int(c[2])) for c in colors]
     MOTIFS[int(rng.integers(len(MOTIFS)))](_Sheet(mesh, w / 2 - margin, h / 2 - margin), rng, list(plain))
     return finish("picture", mesh, (w, h, 0.025))

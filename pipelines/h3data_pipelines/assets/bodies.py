@@ -205,9 +205,14 @@ class BodiesBake:
             self.gender, age=self.age, muscle=self.muscle, weight=self.weight, african=self.african, asian=self.asian
         )
         looks = look(
-            colors["skin"], colors["hair"], self.hairstyle, self.outfit, self.palette, beard=self.beard,
+            colors["skin"],
+            colors["hair"],
+            self.hairstyle,
+            self.outfit,
+            self.palette,
+            beard=self.beard,
             lines=max(0.0, min(1.0, 2.2 * (self.age - 0.74))),
-        )  # fmt: skip
+        )
         spec = BodySpec(phenotype=parameters, stature_m=self.stature, look=looks)
         bake_bodies({target.stem: spec}, target.parent)
 

@@ -113,9 +113,12 @@ class RobotsReach:
         lines = [f"{n:<24} {v:9.4f}" + ("  at its limit" if n in at_limit else "") for n, v in moved.items()]
         lines.append(f"{'reached' if found.reached else 'out of reach'}: {1000 * found.position_error_m:.2f} mm left")
         data = {
-            "link": link, "joint_pos": moved, "reached": bool(found.reached),
-            "position_error_m": float(found.position_error_m), "clamped": at_limit,
-        }  # fmt: skip
+            "link": link,
+            "joint_pos": moved,
+            "reached": bool(found.reached),
+            "position_error_m": float(found.position_error_m),
+            "clamped": at_limit,
+        }
         return Outcome(text="\n".join(lines), data=data, exit_code=0 if found.reached else 1)
 
 
@@ -176,9 +179,13 @@ def _row(robot: Robot) -> dict[str, Any]:
         for name, low, high in zip(robot.joint_names, robot.lower, robot.upper, strict=True)
     }
     return {
-        "name": robot.name, "links": len(robot.links), "joints": joints, "triangles": triangles,
-        "base_height_m": robot.base_height_m, "cameras": [c.name for c in robot.cameras],
-    }  # fmt: skip
+        "name": robot.name,
+        "links": len(robot.links),
+        "joints": joints,
+        "triangles": triangles,
+        "base_height_m": robot.base_height_m,
+        "cameras": [c.name for c in robot.cameras],
+    }
 
 
 def _finite(limit: float) -> float | None:

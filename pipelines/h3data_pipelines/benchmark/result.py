@@ -117,9 +117,15 @@ def run_benchmark(
             code="H3-OPTION-090",
         )
     played = evaluate_task(
-        benchmark.request(tuple(policies)), out, save_recordings=True, resume=resume, force=force, workers=workers,
-        executor=executor, progress=progress,
-    )  # fmt: skip
+        benchmark.request(tuple(policies)),
+        out,
+        save_recordings=True,
+        resume=resume,
+        force=force,
+        workers=workers,
+        executor=executor,
+        progress=progress,
+    )
     expected = played.episodes * max(len(played.job.get("partners", ())), 1)
     rows = summarized(columns, played.rows, expected)
     result = BenchmarkResult(

@@ -130,9 +130,11 @@ def verify_result(
     uids, jobs = found.episode_uids(), found.jobs()
     stored, unreadable = _stored_rows(folder, found)
     faults += unreadable
-    chosen = range(len(uids)) if episodes is None or episodes >= len(uids) else sorted(
-        random.Random(seed).sample(range(len(uids)), episodes)
-    )  # fmt: skip
+    chosen = (
+        range(len(uids))
+        if episodes is None or episodes >= len(uids)
+        else sorted(random.Random(seed).sample(range(len(uids)), episodes))
+    )
     parts = [_Part(str(folder), index, jobs[index].base, uids[index], tuple(stored.get(index, ()))) for index in chosen]
     count = 0
     with (
@@ -146,9 +148,13 @@ def verify_result(
             bar.update()
     faults += _of_table(result, found, stored)
     return ResultVerification(
-        folder=folder, benchmark=found.label, recordings=count, episodes=len(parts), of_episodes=len(uids),
+        folder=folder,
+        benchmark=found.label,
+        recordings=count,
+        episodes=len(parts),
+        of_episodes=len(uids),
         faults=tuple(faults),
-    )  # fmt: skip
+    )
 
 
 def _of_manifest(folder: Path, result: BenchmarkResult, benchmark: Benchmark) -> list[str]:

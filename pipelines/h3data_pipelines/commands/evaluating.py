@@ -200,15 +200,26 @@ class Evaluate:
         )
         if is_skill:
             judged = evaluate_skills(
-                request, self.out, resume=self.resume, force=self.force, workers=self.workers, executor=self.executor,
+                request,
+                self.out,
+                resume=self.resume,
+                force=self.force,
+                workers=self.workers,
+                executor=self.executor,
                 progress=progress,
-            )  # fmt: skip
+            )
             text, code = judged.to_text(), 1 if judged.failed else 0
             return Outcome(text=text, data=judged.to_dict(), result=judged, exit_code=code)
         result = evaluate_task(
-            request, self.out, save_recordings=self.save_recordings, resume=self.resume, force=self.force, workers=self.workers,
-            executor=self.executor, progress=progress,
-        )  # fmt: skip
+            request,
+            self.out,
+            save_recordings=self.save_recordings,
+            resume=self.resume,
+            force=self.force,
+            workers=self.workers,
+            executor=self.executor,
+            progress=progress,
+        )
         return Outcome(
             text=result.to_text(),
             data=result.to_dict(),

@@ -390,8 +390,12 @@ class Generate:
     def _jobs(self) -> FileJobs:
         """All episodes, and why others of a file are left out."""
         check_numbers(
-            episodes=self.episodes, homes=self.homes, max_steps=self.max_steps, seed=self.seed, human_speed=self.human_speed
-        )  # fmt: skip
+            episodes=self.episodes,
+            homes=self.homes,
+            max_steps=self.max_steps,
+            seed=self.seed,
+            human_speed=self.human_speed,
+        )
         if self.spawn_distance is not None and not 0 <= self.spawn_distance < math.inf:
             raise InputError(f"--spawn-distance must not be negative, got {self.spawn_distance}.", code="H3-OPTION-042")
         check_workers(self.executor, self.workers)

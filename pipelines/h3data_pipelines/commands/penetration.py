@@ -165,9 +165,15 @@ def _of_agent(replay: Replay, number: int, steps: NDArray[np.intp], scenery: _Sc
         if things:
             intended[row] = reaching & np.isin(thing[row], list(things))
     return Penetration(
-        agent=number, parts=(*parts, HELD), arm=np.append(arm, True), reaching=reaching, steps=steps, depth_m=depth,
-        thing=thing, intended=intended,
-    )  # fmt: skip
+        agent=number,
+        parts=(*parts, HELD),
+        arm=np.append(arm, True),
+        reaching=reaching,
+        steps=steps,
+        depth_m=depth,
+        thing=thing,
+        intended=intended,
+    )
 
 
 def _lifted(frames: NDArray[np.floating], body: Robot | Humanoid) -> NDArray[np.float64]:

@@ -51,8 +51,11 @@ def require_checksums(root: Path) -> int:
     found = checksums_of(root, sorted(expected.keys() & present))
     damaged = [name for name, digest in found.items() if digest != expected[name]]
     more = sorted(present - expected.keys())
-    faults = [f"{len(names)} {what} ({', '.join(names[:3])})" for what, names in (
-        ("missing", missing), ("damaged", damaged), ("that do not belong to it", more)) if names]  # fmt: skip
+    faults = [
+        f"{len(names)} {what} ({', '.join(names[:3])})"
+        for what, names in (("missing", missing), ("damaged", damaged), ("that do not belong to it", more))
+        if names
+    ]
     if faults:
         raise FormatError(
             f"The copy differs from the dataset that was pushed: files {'; '.join(faults)}: {root}", code="H3-HUB-002"

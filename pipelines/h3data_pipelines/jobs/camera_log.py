@@ -74,10 +74,13 @@ class CameraLog:
         before = self._cameras.get(track.camera.name, {}).get("outputs", {})
         outputs = {
             target.output: {
-                "file": target.path.name, "form": target.form, "values": target.meaning, "made_of": self.made_of(track, target)
+                "file": target.path.name,
+                "form": target.form,
+                "values": target.meaning,
+                "made_of": self.made_of(track, target),
             }
             for target in targets
-        }  # fmt: skip
+        }
         self._cameras[track.camera.name] = {
             **_intrinsics(track),
             "frames_per_second": fps,
@@ -103,9 +106,12 @@ def _intrinsics(track: CameraTrack) -> dict[str, Any]:
     camera = track.camera
     more = {name: getattr(camera, name) for name in ("projection", "near", "far") if hasattr(camera, name)}
     return {
-        "width": camera.width, "height": camera.height, "K": camera.intrinsics.tolist(),
-        "hidden_layers": list(camera.hidden_layers), **{k: v if v != float("inf") else None for k, v in more.items()},
-    }  # fmt: skip
+        "width": camera.width,
+        "height": camera.height,
+        "K": camera.intrinsics.tolist(),
+        "hidden_layers": list(camera.hidden_layers),
+        **{k: v if v != float("inf") else None for k, v in more.items()},
+    }
 
 
 def _digest_of_recording(replay: Replay) -> str:

@@ -278,8 +278,11 @@ def check_numbers(
         InputError: a number is out of range; the message names its option.
     """
     for name, value, least in (
-        ("--episodes", episodes, 1), ("--homes", homes, 1), ("--max-steps", max_steps, 1), ("--seed", seed, 0),
-    ):  # fmt: skip
+        ("--episodes", episodes, 1),
+        ("--homes", homes, 1),
+        ("--max-steps", max_steps, 1),
+        ("--seed", seed, 0),
+    ):
         if value is not None and value < least:
             raise InputError(f"{name} must be at least {least}, got {value}.", code="H3-JOB-025")
     if episodes is not None and episodes > sys.maxsize:

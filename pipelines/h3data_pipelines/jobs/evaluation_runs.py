@@ -80,8 +80,12 @@ class EvaluationRequest:
         from sim_kinematic.tasks.registry import find_task
 
         check_numbers(
-            episodes=self.episodes, homes=self.homes, max_steps=self.max_steps, seed=self.seed, human_speed=self.human_speed
-        )  # fmt: skip
+            episodes=self.episodes,
+            homes=self.homes,
+            max_steps=self.max_steps,
+            seed=self.seed,
+            human_speed=self.human_speed,
+        )
         task = find_task(self.task)
         named = chosen_names(self.policies, policy_names(task, "robot"))
         policies = tuple(dict.fromkeys(in_light(name, self.light) for name in named))
@@ -96,10 +100,17 @@ class EvaluationRequest:
                 code="H3-JOB-049",
             )
         choices = Choices(
-            task=self.task, policy=policies[0], partner=partners[0] if partners else None, robot=self.robot, human=self.human,
-            motion=self.motion, human_walk=self.human_walk, human_speed=self.human_speed, max_steps=self.max_steps,
+            task=self.task,
+            policy=policies[0],
+            partner=partners[0] if partners else None,
+            robot=self.robot,
+            human=self.human,
+            motion=self.motion,
+            human_walk=self.human_walk,
+            human_speed=self.human_speed,
+            max_steps=self.max_steps,
             rules=self.rules,
-        )  # fmt: skip
+        )
         choices = with_skills(choices, self.skills)
         for kind, names in (("robot", policies), ("human", partners)):
             for name in names:

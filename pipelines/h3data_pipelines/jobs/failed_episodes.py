@@ -31,11 +31,15 @@ def failed_recording(job: Job, fault: Exception) -> Recording:
     name = f"h3data:failed:{json.dumps(job.to_json())}"
     return Recording(
         episode=Episode(
-            uid=str(uuid.uuid5(uuid.NAMESPACE_URL, name)), episode_id=f"{job.index:06d}", task=job.found_task.name,
-            scene=job.scene, seed=job.seed, info={"failed": reason_of(fault)},
+            uid=str(uuid.uuid5(uuid.NAMESPACE_URL, name)),
+            episode_id=f"{job.index:06d}",
+            task=job.found_task.name,
+            scene=job.scene,
+            seed=job.seed,
+            info={"failed": reason_of(fault)},
         ),
         columns={"time_ns": np.zeros(0, np.int64)},
-    )  # fmt: skip
+    )
 
 
 def is_failed(recording: Recording) -> bool:
@@ -55,7 +59,10 @@ def beside(failed: Recording, played: Recording) -> Recording:
         if name in ("policy", "partner", "max_steps", "profile")
     }
     return replace(
-        failed, episode=replace(failed.episode, info={**roles, **failed.episode.info}),
+        failed,
+        episode=replace(failed.episode, info={**roles, **failed.episode.info}),
         agents=tuple(replace(agent, model="") for agent in played.agents),
-        assets=(AssetRef(name="unknown", uri="primitive:none"),) if bodies else (), bodies=tuple(bodies), columns=columns,
-    )  # fmt: skip
+        assets=(AssetRef(name="unknown", uri="primitive:none"),) if bodies else (),
+        bodies=tuple(bodies),
+        columns=columns,
+    )

@@ -60,13 +60,16 @@ class SkillEvaluationResult:
             reasons = Counter(row["reason"] for row in rows if row["outcome"] != "done")
             found.append(
                 {
-                    "skill": skill, "episodes": len(rows), "success": len(done) / len(rows), "interval": [least, most],
+                    "skill": skill,
+                    "episodes": len(rows),
+                    "success": len(done) / len(rows),
+                    "interval": [least, most],
                     "steps": float(np.mean([row["steps"] for row in done])) if done else None,
                     "path_m": float(np.mean([row["path_m"] for row in rows])),
                     "contact": sum(row["contact"] for row in rows) / max(sum(row["steps"] for row in rows), 1),
                     "failures": dict(reasons.most_common()),
                 }
-            )  # fmt: skip
+            )
         return found
 
     def to_text(self) -> str:
@@ -118,9 +121,15 @@ def lost_episode(job: SkillJob, fault: Exception) -> dict[str, Any]:
 
 
 def evaluate_skills(
-    request: EvaluationRequest, out: Path, *, resume: bool = False, force: bool = False, workers: int = 1,
-    executor: str = "local", progress: Callable[..., Any] | None = None,
-) -> SkillEvaluationResult:  # fmt: skip
+    request: EvaluationRequest,
+    out: Path,
+    *,
+    resume: bool = False,
+    force: bool = False,
+    workers: int = 1,
+    executor: str = "local",
+    progress: Callable[..., Any] | None = None,
+) -> SkillEvaluationResult:
     """Evaluates every learned skill in the same episodes, and writes results and a table to ``out``.
 
     Episodes that have results already are not played again.
@@ -145,13 +154,23 @@ def evaluate_skills(
             "Expected --skills: learned, a folder of training runs, or policy files of skills.", code="H3-JOB-047"
         )
     played, new = results_of(
-        jobs, out, judge_episode, lost=lost_episode, store=lambda result: result, resume=resume, force=force,
-        workers=workers, executor=executor, progress=progress,
-    )  # fmt: skip
+        jobs,
+        out,
+        judge_episode,
+        lost=lost_episode,
+        store=lambda result: result,
+        resume=resume,
+        force=force,
+        workers=workers,
+        executor=executor,
+        progress=progress,
+    )
     result = SkillEvaluationResult(
-        skills=skills, rows=tuple(row for one in played for row in one["rows"]), failed=_faults(jobs, played),
+        skills=skills,
+        rows=tuple(row for one in played for row in one["rows"]),
+        failed=_faults(jobs, played),
         new=new,
-    )  # fmt: skip
+    )
     write_table(out, result.to_text(), result.to_dict())
     return result
 

@@ -86,9 +86,13 @@ class BenchmarkWorlds:
         robots = [a for a in self.agents if isinstance(a, RobotAgent)]
         self._arm = ArmContact(self.home, robots[0].body) if robots and cell.action == "pick" else None
         self.drawn = StateRenderer(
-            self.home, [agent.body for agent in self._in_order()], worlds=self.worlds, skinned=cell.skinned,
-            objects=[i.name for i in self._loose], backend=backend,
-        )  # fmt: skip
+            self.home,
+            [agent.body for agent in self._in_order()],
+            worlds=self.worlds,
+            skinned=cell.skinned,
+            objects=[i.name for i in self._loose],
+            backend=backend,
+        )
         self.renderer = self.drawn.renderer
         self.touched = np.zeros(self.worlds, np.bool_)
         """Whether the two agents touch, [W], after the last step."""

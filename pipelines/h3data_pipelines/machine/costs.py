@@ -114,9 +114,17 @@ def measure_costs(task: str, *, episodes: int = 4, max_steps: int = 600) -> Cost
         measure_files([of_many], workers=1)
         metrics_s = _cpu(lambda: measure_files([of_many], workers=1)) / (5 * len(sent))
     return Costs(
-        task=task, start_s=start_s, scene_s=max(second - again, 0.0), episode_s=again, step_s=step_s,
-        steps=sum(lengths) / len(lengths), frame_s=frame_s, metrics_s=metrics_s, driver_s=write_s, episode_bytes=size,
-    )  # fmt: skip
+        task=task,
+        start_s=start_s,
+        scene_s=max(second - again, 0.0),
+        episode_s=again,
+        step_s=step_s,
+        steps=sum(lengths) / len(lengths),
+        frame_s=frame_s,
+        metrics_s=metrics_s,
+        driver_s=write_s,
+        episode_bytes=size,
+    )
 
 
 def _short(job: Any, steps: int = 1) -> Any:

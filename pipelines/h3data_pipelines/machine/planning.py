@@ -88,9 +88,13 @@ class Plan:
         frames = sum(costs.frame_s[name] for name in self.cameras)
         shard_s = costs.episode_s + steps * (costs.step_s + frames)
         load = Workload(
-            shards=self.episodes, shard_s=shard_s, scenes=self.scenes, scene_s=costs.scene_s, start_s=costs.start_s,
+            shards=self.episodes,
+            shard_s=shard_s,
+            scenes=self.scenes,
+            scene_s=costs.scene_s,
+            start_s=costs.start_s,
             driver_s=costs.driver_s * steps / costs.steps,
-        )  # fmt: skip
+        )
         went = simulate_schedule(load, cores, datasets=min(self.datasets, cores))
         deaths = self.lost_nodes * cores * went.seconds / 3600
         again_s = deaths * (shard_s / 2 + costs.start_s + min(self.scenes, self.episodes / cores) * costs.scene_s)
@@ -108,11 +112,12 @@ class Plan:
 
     def _text(self, costs: Costs, rows: list[dict[str, Any]]) -> str:
         lines = [
-            _costs_text(costs), "",
+            _costs_text(costs),
+            "",
             f"{self.episodes:,} episodes into {self.datasets} dataset{'s' if self.datasets > 1 else ''}, "
             f"{self.episodes * costs.episode_bytes / 1e9:.1f} GB without videos (forecast)",
             f"{'cores':>7}{'time':>16}{'speed-up':>10}{'busy':>7}{'core hours':>12}{'price':>10}  held up by",
-        ]  # fmt: skip
+        ]
         lines += [
             f"{row['cores']:>7,}{_duration(row['seconds']):>16}{row['speedup']:>10,.0f}{row['busy']:>7.0%}"
             f"{row['core_hours']:>12,.1f}{row['price']:>10,.2f}  {row['held_up_by']}"

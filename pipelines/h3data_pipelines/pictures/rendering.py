@@ -63,9 +63,14 @@ def render_files(
             return [sink.prepare(pictures[n][output], step) for n, output, sink in sinks]
 
         frames = replay.stage.frames(
-            [track for track, _ in views], steps, outputs=outputs, samples=samples, threads=threads, then=prepare,
+            [track for track, _ in views],
+            steps,
+            outputs=outputs,
+            samples=samples,
+            threads=threads,
+            then=prepare,
             backend=backend,
-        )  # fmt: skip
+        )
         shown = progress(frames, total=len(steps), desc=description, unit="frame") if frame_done is None else frames
         for _, prepared in shown:
             for encoder, frame in zip(encoders, prepared, strict=True):

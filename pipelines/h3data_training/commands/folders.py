@@ -9,9 +9,15 @@ from h3data.commands.command import claim_folder
 from h3data.errors import InputError
 
 LEFT = (
-    "checkpoint.pt", "policy.npz", "partner_*.npz", "curve.parquet", "tensorboard", "episodes.json.gz", "episodes.npz",
+    "checkpoint.pt",
+    "policy.npz",
+    "partner_*.npz",
+    "curve.parquet",
+    "tensorboard",
+    "episodes.json.gz",
+    "episodes.npz",
     "starts.npz",
-)  # fmt: skip
+)
 """What runs leave in their folders (h3data docs training, h3data docs populations, h3data docs skills)."""
 
 

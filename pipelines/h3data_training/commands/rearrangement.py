@@ -38,9 +38,17 @@ def plan_rearrange(out: Path, settings: PopulationSettings, *, workers: int | No
 
 
 def train_rearrange(
-    out: Path, settings: PopulationSettings, *, seed: int, workers: int | None, device: str, resume: bool, force: bool,
-    stop_after: float | None, episodes_file: Path | None,
-) -> Outcome:  # fmt: skip
+    out: Path,
+    settings: PopulationSettings,
+    *,
+    seed: int,
+    workers: int | None,
+    device: str,
+    resume: bool,
+    force: bool,
+    stop_after: float | None,
+    episodes_file: Path | None,
+) -> Outcome:
     """Trains in a folder, as `h3data_training.populations.run.train`.
 
     Raises:
@@ -49,13 +57,24 @@ def train_rearrange(
     from h3data_training.populations.run import train
 
     folder = run_folder(
-        out, force=force, resume=resume, device=device, checkpoint_bytes=CHECKPOINT_BYTES * len(settings.learners),
+        out,
+        force=force,
+        resume=resume,
+        device=device,
+        checkpoint_bytes=CHECKPOINT_BYTES * len(settings.learners),
         keep=episodes_file,
-    )  # fmt: skip
+    )
     result = train(
-        folder, settings, seed=seed, workers=workers, device=device, resume=resume, stop_after=stop_after,
-        episodes_file=episodes_file, say=say,
-    )  # fmt: skip
+        folder,
+        settings,
+        seed=seed,
+        workers=workers,
+        device=device,
+        resume=resume,
+        stop_after=stop_after,
+        episodes_file=episodes_file,
+        say=say,
+    )
     return Outcome(text=_summary(result, settings), data=result.as_data(), result=result)
 
 
@@ -68,10 +87,13 @@ def _cost(settings: PopulationSettings, workers: int | None) -> dict[str, float]
     seconds = settings.episodes * STEPS_PER_EPISODE / per_s
     updates = settings.updates or 60 * settings.minutes * count / seconds
     return {
-        "workers": count, "updates": round(updates), "episodes": round(updates) * settings.episodes,
-        "steps": round(updates) * settings.episodes * STEPS_PER_EPISODE, "cpu_s": round(updates * seconds),
+        "workers": count,
+        "updates": round(updates),
+        "episodes": round(updates) * settings.episodes,
+        "steps": round(updates) * settings.episodes * STEPS_PER_EPISODE,
+        "cpu_s": round(updates * seconds),
         "checkpoint_bytes": CHECKPOINT_BYTES * len(settings.learners),
-    }  # fmt: skip
+    }
 
 
 def _plan(settings: PopulationSettings, workers: int | None) -> str:

@@ -194,13 +194,24 @@ class Train:
             return Outcome(text=f"{describe(settings)}\n{_plan(settings)}\nNothing has been done.", data=data)
         beside = (torchrun_place() or (0, 1))[0] > 0  # the first process of several has claimed the folder
         folder = run_folder(
-            self.out, force=self.force and not beside, resume=self.resume or beside, device=self.device,
+            self.out,
+            force=self.force and not beside,
+            resume=self.resume or beside,
+            device=self.device,
             checkpoint_bytes=_cost(settings)["checkpoint_bytes"],
-        )  # fmt: skip
+        )
         result = train(
-            folder, settings, seed=self.seed, device=self.device, gpus=self.gpus, init=first, resume=self.resume,
-            stop_after=self.stop_after, name=name, say=say,
-        )  # fmt: skip
+            folder,
+            settings,
+            seed=self.seed,
+            device=self.device,
+            gpus=self.gpus,
+            init=first,
+            resume=self.resume,
+            stop_after=self.stop_after,
+            name=name,
+            say=say,
+        )
         return Outcome(text=_summary(result, settings.task), data=result.as_data(), result=result)
 
     def _settings(self) -> tuple[str, Settings]:
@@ -209,10 +220,17 @@ class Train:
         from h3data_training.skills.settings import skill_recipe
 
         changes: dict[str, Any] = {
-            **self._length(), "scenes": self._scenes, "episodes_per_home": self.episodes_per_home, "worlds": self.worlds,
-            "hold": self.action_repeat, "observations": self.observations or None, "robot": self.robot, "rollout": self.rollout,
-            "minibatches": self.minibatches, "light": self.light,
-        }  # fmt: skip
+            **self._length(),
+            "scenes": self._scenes,
+            "episodes_per_home": self.episodes_per_home,
+            "worlds": self.worlds,
+            "hold": self.action_repeat,
+            "observations": self.observations or None,
+            "robot": self.robot,
+            "rollout": self.rollout,
+            "minibatches": self.minibatches,
+            "light": self.light,
+        }
         name = self.recipe or "tiny"
         if self.task == "skill":
             return name, skill_recipe(name, self.skill, **changes)
@@ -242,17 +260,30 @@ class Train:
         from h3data_training.populations.settings import rearrange_recipe
 
         settings = rearrange_recipe(
-            self.recipe, **self._length(), population=self.population, scenes=self._scenes,
-            episodes_per_home=self.episodes_per_home, robot=self.robot, walk=self.human_walk, without=self.ablate,
-        )  # fmt: skip
+            self.recipe,
+            **self._length(),
+            population=self.population,
+            scenes=self._scenes,
+            episodes_per_home=self.episodes_per_home,
+            robot=self.robot,
+            walk=self.human_walk,
+            without=self.ablate,
+        )
         if self.worlds is not None:
             settings = settings.in_worlds(self.worlds)
         if self.dry_run:
             return plan_rearrange(self.out, settings, workers=self.workers)
         return train_rearrange(
-            self.out, settings, seed=self.seed, workers=self.workers, device=self.device, resume=self.resume,
-            force=self.force, stop_after=self.stop_after, episodes_file=self.episodes_file,
-        )  # fmt: skip
+            self.out,
+            settings,
+            seed=self.seed,
+            workers=self.workers,
+            device=self.device,
+            resume=self.resume,
+            force=self.force,
+            stop_after=self.stop_after,
+            episodes_file=self.episodes_file,
+        )
 
 
 def _first(name: str) -> VisualPolicy:

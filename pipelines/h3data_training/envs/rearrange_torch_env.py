@@ -107,9 +107,13 @@ class RearrangeTorchEnv(TorchEnv[Play]):
             raise InputError("The bank has rules of its own. Hint: leave out spec.", code="H3-ENV-006")
         self.bank = episodes
         self.sim = RearrangeTensors(
-            episodes, device=self.device, dtype=dtype, planners=set(KINDS) - set(self.agents), partner=partner,
+            episodes,
+            device=self.device,
+            dtype=dtype,
+            planners=set(KINDS) - set(self.agents),
+            partner=partner,
             interrupts="close" if interrupts_when_close else "never",
-        )  # fmt: skip
+        )
         nothing = torch.full((self.num_envs,), -1, dtype=torch.int64, device=self.device)
         self._actions = {kind: torch.full_like(nothing, FREE) for kind in KINDS}
         self.play: Play = self.sim.before_the_first(nothing)
@@ -169,9 +173,12 @@ class RearrangeTorchEnv(TorchEnv[Play]):
     def _known(self, views: Mapping[str, View]) -> Tensors:
         play = self.play
         known = {
-            "episode": play.episode, "steps": play.steps, "success": play.success, "collision": play.collides,
+            "episode": play.episode,
+            "steps": play.steps,
+            "success": play.success,
+            "collision": play.collides,
             "held_by": play.held_by,
-        }  # fmt: skip
+        }
         for agent, view in views.items():
             prefix = f"{agent}_" if len(views) > 1 else ""
             free = view.does.skill == FREE

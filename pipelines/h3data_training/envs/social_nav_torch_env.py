@@ -162,9 +162,13 @@ class SocialNavTorchEnv(TorchEnv[Play]):
         """Facts beyond the observations, [W] each; ``episode`` is a number in the bank."""
         play = self.play
         known = {
-            "geodesic_m": play.geodesic, "found": play.found, "followed": play.followed, "collides": play.collides,
-            "robot_contact": play.robot.contact, "episode": play.episode,
-        }  # fmt: skip
+            "geodesic_m": play.geodesic,
+            "found": play.found,
+            "followed": play.followed,
+            "collides": play.collides,
+            "robot_contact": play.robot.contact,
+            "episode": play.episode,
+        }
         return {
             **{name: tensor.clone() for name, tensor in known.items()},
             "success": play.followed >= self.sim.paper.follow_steps,
@@ -199,9 +203,17 @@ class SocialNavTorchEnv(TorchEnv[Play]):
                 code="H3-ENV-012",
             )
         return TensorCameras(
-            self.bank.scenes, load_robot(robot), load_humanoid(human), self.sim.spec.human, worlds=self.num_envs,
-            floor_y=heights[0], views=arm_cameras(self._names), size=size, device=self.device, compile=compile,
-        )  # fmt: skip
+            self.bank.scenes,
+            load_robot(robot),
+            load_humanoid(human),
+            self.sim.spec.human,
+            worlds=self.num_envs,
+            floor_y=heights[0],
+            views=arm_cameras(self._names),
+            size=size,
+            device=self.device,
+            compile=compile,
+        )
 
     def _pictures(self, cameras: TensorCameras) -> Tensors:
         place = self.sim.place_of(self.play) if len(self.bank.scenes) > 1 else None
@@ -253,7 +265,11 @@ class SocialNavTorchEnv(TorchEnv[Play]):
     def __repr__(self) -> str:
         robot, human = self._models
         what = in_words(
-            "social_nav", self.bank.scenes, len(self.bank.scenes), {"robot": robot}, beside={"human": human},
+            "social_nav",
+            self.bank.scenes,
+            len(self.bank.scenes),
+            {"robot": robot},
+            beside={"human": human},
             worlds=self.num_envs,
-        )  # fmt: skip
+        )
         return f"SocialNavTorchEnv({what}, {len(self.bank)} episodes, {self.device}, {self.sim.dtype})"

@@ -88,10 +88,17 @@ class ChooserLearner:
         """The policy so far."""
         s = self.settings
         card = PolicyCard(
-            task="rearrange", robot=s.robot, observations=s.observations_of(self.agent), picture_size=None,
-            hold=s.think_steps, network=KIND, agent=self.agent, objects=self.objects,
-            primitives=self.agent != ROBOT or "primitives" not in s.without, training=training or {},
-        )  # fmt: skip
+            task="rearrange",
+            robot=s.robot,
+            observations=s.observations_of(self.agent),
+            picture_size=None,
+            hold=s.think_steps,
+            network=KIND,
+            agent=self.agent,
+            objects=self.objects,
+            primitives=self.agent != ROBOT or "primitives" not in s.without,
+            training=training or {},
+        )
         return SkillPolicyNetwork(card=card, arrays=self.net.arrays())
 
     def update(self, decisions: Decisions, plan: Plan, *, update: int) -> dict[str, float]:

@@ -142,10 +142,17 @@ class _Sampler(RecurrentSkillPolicy):
         each, rest, state, allowed, chosen, log_prob = (np.array(column) for column in zip(*self.rows, strict=True))
         gains, spans = discounted(np.array(rewards), self.steps, gamma)
         return Decisions(
-            each=each, rest=rest, state=state, allowed=allowed, chosen=chosen, log_prob=log_prob.astype(np.float32),
-            gain=gains.astype(np.float32), discount=np.append(gamma ** spans[:-1], 0.0).astype(np.float32),
-            counts=np.array([len(chosen)]), partners=(partner,),
-        )  # fmt: skip
+            each=each,
+            rest=rest,
+            state=state,
+            allowed=allowed,
+            chosen=chosen,
+            log_prob=log_prob.astype(np.float32),
+            gain=gains.astype(np.float32),
+            discount=np.append(gamma ** spans[:-1], 0.0).astype(np.float32),
+            counts=np.array([len(chosen)]),
+            partners=(partner,),
+        )
 
 
 def log_softmax(scores: Floats) -> Floats:

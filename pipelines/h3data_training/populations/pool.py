@@ -65,9 +65,12 @@ class Pool(msgspec.Struct, frozen=True, kw_only=True):
 def drawn_by(settings: PopulationSettings) -> dict[str, Any]:
     """The settings that decide which episodes there are."""
     return {
-        "scenes": settings.scenes, "episodes_per_home": settings.episodes_per_home, "robot": settings.robot,
-        "human": settings.human, "walk": settings.walk,
-    }  # fmt: skip
+        "scenes": settings.scenes,
+        "episodes_per_home": settings.episodes_per_home,
+        "robot": settings.robot,
+        "human": settings.human,
+        "walk": settings.walk,
+    }
 
 
 def pool_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> Pool:
@@ -173,9 +176,16 @@ def _episode(entry: PoolEntry, home: Home, settings: PopulationSettings, roster:
         )
     places = np.array(entry.starts, np.float64)
     return RearrangeEpisode(
-        scene=home.scene, free=home.free, seed=entry.seed, spec=rules_of(entry.walk), roster=roster, starts=places,
-        targets=tuple(map(target_of, entry.goals)), pair=(settings.robot, settings.human), pair_starts=Starts.of(places),
-    )  # fmt: skip
+        scene=home.scene,
+        free=home.free,
+        seed=entry.seed,
+        spec=rules_of(entry.walk),
+        roster=roster,
+        starts=places,
+        targets=tuple(map(target_of, entry.goals)),
+        pair=(settings.robot, settings.human),
+        pair_starts=Starts.of(places),
+    )
 
 
 def _home(name: str) -> Home:

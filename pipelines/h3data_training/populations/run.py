@@ -38,10 +38,19 @@ FORMAT = "h3data.populations/1"
 
 
 def train(
-    folder: Path, settings: PopulationSettings, *, seed: int = 0, workers: int | None = None, device: str = "cpu",
-    resume: bool = False, stop_after: float | None = None, checkpoint_s: float = 30.0, episodes_file: Path | None = None,
-    episodes: Sequence[RearrangeEpisode] | None = None, say: Say = lambda text: None,
-) -> RunResult:  # fmt: skip
+    folder: Path,
+    settings: PopulationSettings,
+    *,
+    seed: int = 0,
+    workers: int | None = None,
+    device: str = "cpu",
+    resume: bool = False,
+    stop_after: float | None = None,
+    checkpoint_s: float = 30.0,
+    episodes_file: Path | None = None,
+    episodes: Sequence[RearrangeEpisode] | None = None,
+    say: Say = lambda text: None,
+) -> RunResult:
     """Trains until the run is over, ``stop_after`` minutes have passed, or somebody interrupts it, and saves.
 
     A run whose length is given in updates comes to the very same weights on any number of workers, interrupted or not.
@@ -85,9 +94,14 @@ def train(
 
 
 def _players(
-    episodes: Sequence[RearrangeEpisode] | None, settings: PopulationSettings, workers: int, device: str, file: Path | None,
-    folder: Path, say: Say,
-) -> Players | TensorPlayers:  # fmt: skip
+    episodes: Sequence[RearrangeEpisode] | None,
+    settings: PopulationSettings,
+    workers: int,
+    device: str,
+    file: Path | None,
+    folder: Path,
+    say: Say,
+) -> Players | TensorPlayers:
     """Processes with the full rules, or worlds on a device, with these episodes or those of a file."""
     if not settings.oracle:
         if episodes is None:
@@ -105,9 +119,15 @@ def _players(
 
 class _Run:
     def __init__(
-        self, folder: Path, settings: PopulationSettings, seed: int, players: Players | TensorPlayers,
-        kept: dict[str, Any] | None, began: float, say: Say,
-    ) -> None:  # fmt: skip
+        self,
+        folder: Path,
+        settings: PopulationSettings,
+        seed: int,
+        players: Players | TensorPlayers,
+        kept: dict[str, Any] | None,
+        began: float,
+        say: Say,
+    ) -> None:
         self.folder, self.settings, self.seed, self.say = folder, settings, seed, say
         self.players, self._began = players, began
         self.learners = {
@@ -162,9 +182,14 @@ class _Run:
         self._save(is_last=True)
         last = dict(self.curve[-1]) if self.curve else {}
         return RunResult(
-            folder=self.folder, done=self.share >= 1, updates=len(self.curve), decisions=int(last.get("decisions", 0)),
-            seconds=self.seconds, setup_s=self.setup_s, last=last,
-        )  # fmt: skip
+            folder=self.folder,
+            done=self.share >= 1,
+            updates=len(self.curve),
+            decisions=int(last.get("decisions", 0)),
+            seconds=self.seconds,
+            setup_s=self.setup_s,
+            last=last,
+        )
 
     def _jobs(self, update: int) -> list[Job]:
         """The episodes of an update."""
@@ -175,11 +200,14 @@ class _Run:
             partner = s.partner_of(self.seed, number)
             jobs.append(
                 Job(
-                    number=number, entry=pool_order(self.players.size, self.seed, number), partner=partner,
-                    networks={name: networks[name] for name in (ROBOT, partner) if name in networks}, seed=self.seed,
+                    number=number,
+                    entry=pool_order(self.players.size, self.seed, number),
+                    partner=partner,
+                    networks={name: networks[name] for name in (ROBOT, partner) if name in networks},
+                    seed=self.seed,
                     gamma=1 - 1 / s.horizon,
                 )
-            )  # fmt: skip
+            )
         return jobs
 
     def _update(self, share: float) -> dict[str, float]:
@@ -196,12 +224,18 @@ class _Run:
         decisions = sum(map(len, found.values()))
         steps = sum(p.steps for p in played)
         row = {
-            "update": update + 1, "episodes": before.get("episodes", 0) + len(played),
-            "decisions": before.get("decisions", 0) + decisions, "steps": before.get("steps", 0) + steps,
-            "seconds": round(self.seconds, 2), **_outcome(played), **losses[ROBOT],
-            **_others({name: row for name, row in losses.items() if name != ROBOT}), "rate": plan.rate,
-            "playing_share": playing_s / (time.monotonic() - start), "steps_per_s": steps / (time.monotonic() - start),
-        }  # fmt: skip
+            "update": update + 1,
+            "episodes": before.get("episodes", 0) + len(played),
+            "decisions": before.get("decisions", 0) + decisions,
+            "steps": before.get("steps", 0) + steps,
+            "seconds": round(self.seconds, 2),
+            **_outcome(played),
+            **losses[ROBOT],
+            **_others({name: row for name, row in losses.items() if name != ROBOT}),
+            "rate": plan.rate,
+            "playing_share": playing_s / (time.monotonic() - start),
+            "steps_per_s": steps / (time.monotonic() - start),
+        }
         return {name: float(value) for name, value in row.items()}
 
     def _line(self) -> str:
@@ -233,10 +267,14 @@ class _Run:
     def _save(self, *, is_last: bool) -> None:
         """Checkpoint, curve and policies, each whole or not at all. A disk that is full ends the run only at its end."""
         kept = {
-            "format": FORMAT, "settings": self.settings.as_dict(), "seed": self.seed, "curve": self.curve,
-            "seconds": self.seconds, "setups_s": self.setups_s,
+            "format": FORMAT,
+            "settings": self.settings.as_dict(),
+            "seed": self.seed,
+            "curve": self.curve,
+            "seconds": self.seconds,
+            "setups_s": self.setups_s,
             "learners": {name: learner.state for name, learner in self.learners.items()},
-        }  # fmt: skip
+        }
         try:
             with part_file(self.folder / CHECKPOINT) as part:
                 torch.save(kept, part)
@@ -256,13 +294,18 @@ class _Run:
         last = self.curve[-1] if self.curve else {}
         shown = ("reward", "success", "collided", "steps_per_episode", "robot_share")
         return {
-            "population": self.settings.population, "seed": self.seed, "updates": len(self.curve),
+            "population": self.settings.population,
+            "seed": self.seed,
+            "updates": len(self.curve),
             **{name: int(last.get(name, 0)) for name in ("episodes", "decisions", "steps")},
-            "seconds": round(self.seconds, 1), "workers": self.players.workers,
+            "seconds": round(self.seconds, 1),
+            "workers": self.players.workers,
             "device": str(self.learners[ROBOT].device),
-            "torch": str(torch.__version__), "h3data": own_version(), "settings": self.settings.as_dict(),
+            "torch": str(torch.__version__),
+            "h3data": own_version(),
+            "settings": self.settings.as_dict(),
             "last_update": {name: round(last[name], 4) for name in shown if name in last},
-        }  # fmt: skip
+        }
 
 
 def _outcome(played: Sequence[Played]) -> dict[str, float]:

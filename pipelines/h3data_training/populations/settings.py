@@ -109,8 +109,15 @@ class PopulationSettings:
             )
         object.__setattr__(self, "without", tuple(name for name in ABLATIONS if name in self.without))
         whole = (
-            "episodes_per_home", "think_steps", "episodes", "hidden", "width", "chunk", "epochs", "chunks_per_minibatch",
-        )  # fmt: skip
+            "episodes_per_home",
+            "think_steps",
+            "episodes",
+            "hidden",
+            "width",
+            "chunk",
+            "epochs",
+            "chunks_per_minibatch",
+        )
         for name in whole:
             if getattr(self, name) < 1:
                 raise InputError(f"Expected {name} of at least 1, got {getattr(self, name)}.", code="H3-TRAIN-039")
@@ -178,11 +185,26 @@ class PopulationSettings:
 
 RECIPES: dict[str, PopulationSettings] = {
     "paper": PopulationSettings(
-        walk="paper", episodes=20, updates=8_333, hidden=512, width=512, chunk=128, chunks_per_minibatch=10, epochs=1,
-        critic_updates=0, kl_most=1e9, rate=2.5e-4, rate_end=1.0, entropy=1e-4, entropy_end=1.0, horizon=3000.0,
-        gae_lambda=0.95, gradient_norm=0.2, reward_scale=1.0,
+        walk="paper",
+        episodes=20,
+        updates=8_333,
+        hidden=512,
+        width=512,
+        chunk=128,
+        chunks_per_minibatch=10,
+        epochs=1,
+        critic_updates=0,
+        kl_most=1e9,
+        rate=2.5e-4,
+        rate_end=1.0,
+        entropy=1e-4,
+        entropy_end=1.0,
+        horizon=3000.0,
+        gae_lambda=0.95,
+        gradient_norm=0.2,
+        reward_scale=1.0,
     ),
-}  # fmt: skip
+}
 """``paper``: as published, as far as a policy that is shown state goes. The 12,288 steps of an update (96 environments of 128)
 are 20 episodes of about 600, and 100 M steps are 8,333 updates. A rollout of 128 is a chunk, so that 10 chunks are one of two
 minibatches. The discount of 0.99 is that of a decision of ``think_steps``."""

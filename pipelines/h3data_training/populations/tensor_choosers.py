@@ -155,9 +155,11 @@ class TensorSkillPolicy:
             at = when[own], world[own]
             found[name] = Decisions(
                 **{column: t[at] for column, t in self._kept.items() if column != "asked"},
-                gain=gain[own].float(), discount=discount[own].float(), counts=asked.sum(0)[rows].cpu().numpy(),
+                gain=gain[own].float(),
+                discount=discount[own].float(),
+                counts=asked.sum(0)[rows].cpu().numpy(),
                 partners=tuple(partners[w] for w in rows.tolist()),
-            )  # fmt: skip
+            )
         return found
 
 

@@ -95,19 +95,44 @@ class SkillSettings(Settings):
 
 
 _TINY = SkillSettings(
-    picture_size=(32, 24), worlds=512, rollout=16, hidden=48, act_width=64, critic_width=128, channels=(8, 16, 16),
-    features=32, rate=1.5e-3, warmup_updates=5, epochs=6, entropy=0.0, std=0.4, auxiliary=0.0, horizon=(100.0, 300.0),
-    teacher=3.0, minutes=10.0,
-)  # fmt: skip
+    picture_size=(32, 24),
+    worlds=512,
+    rollout=16,
+    hidden=48,
+    act_width=64,
+    critic_width=128,
+    channels=(8, 16, 16),
+    features=32,
+    rate=1.5e-3,
+    warmup_updates=5,
+    epochs=6,
+    entropy=0.0,
+    std=0.4,
+    auxiliary=0.0,
+    horizon=(100.0, 300.0),
+    teacher=3.0,
+    minutes=10.0,
+)
 _ARM = replace(_TINY, skill="pick", observations=OF_THE_ARM, path_m=(0.0, 5.0), near_share=0.5)
 _FAST = SkillSettings(
-    episodes_per_home=8, starts=24, limit=600, observations=("arm_depth", "target_gps_compass"), std=0.4, entropy=0.0,
-    horizon=(100.0, 300.0), teacher=3.0, minutes=6.0,
-)  # fmt: skip
+    episodes_per_home=8,
+    starts=24,
+    limit=600,
+    observations=("arm_depth", "target_gps_compass"),
+    std=0.4,
+    entropy=0.0,
+    horizon=(100.0, 300.0),
+    teacher=3.0,
+    minutes=6.0,
+)
 _FAST_ARM = replace(
-    _FAST, skill="pick", observations=("arm_depth", "target_sensor", "resting_sensor", "arm_joints", "is_holding"),
-    path_m=(0.0, 5.0), near_share=0.5, limit=300,
-)  # fmt: skip
+    _FAST,
+    skill="pick",
+    observations=("arm_depth", "target_sensor", "resting_sensor", "arm_joints", "is_holding"),
+    path_m=(0.0, 5.0),
+    near_share=0.5,
+    limit=300,
+)
 RECIPES: dict[str, dict[Skill, SkillSettings]] = {
     "fast": {"nav": _FAST, "pick": _FAST_ARM, "place": replace(_FAST_ARM, skill="place")},
     "tiny": {"nav": _TINY, "pick": _ARM, "place": replace(_ARM, skill="place")},

@@ -30,9 +30,15 @@ class ActionRepeatSkills(ActionRepeat):
     counts = COUNTS
 
     def __init__(
-        self, settings: SkillSettings, bank: SkillBank, *, device: str, compile: bool | None = None, hold: int | None = None,
+        self,
+        settings: SkillSettings,
+        bank: SkillBank,
+        *,
+        device: str,
+        compile: bool | None = None,
+        hold: int | None = None,
         count: int | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """``count`` worlds, by default those of the settings; of several processes, each has its share of them."""
         self.hold, self.num_envs, self.device = hold or settings.hold, count or settings.worlds, torch.device(device)
         self.limit, self._by_sight = settings.limit, "way" not in settings.observations
@@ -99,9 +105,13 @@ class ActionRepeatSkills(ActionRepeat):
     def _counted(self, before: None, live: Tensor, ends: Tensor) -> list[Tensor]:
         play = self.play
         return [
-            (live & play.success).sum(), (live & play.terminated & ~play.success).sum(), ends.sum(), live.sum(),
-            (live & play.robot.contact).sum(), (live & (play.held >= 0)).sum(),
-        ]  # fmt: skip
+            (live & play.success).sum(),
+            (live & play.terminated & ~play.success).sum(),
+            ends.sum(),
+            live.sum(),
+            (live & play.robot.contact).sum(),
+            (live & (play.held >= 0)).sum(),
+        ]
 
     def taught(self) -> Tensor:
         """Actions of the scripted teacher in these states, [W, A]."""
@@ -112,7 +122,11 @@ class ActionRepeatSkills(ActionRepeat):
         """Columns of the learning curve that follow from the totals by name."""
         steps, ended = max(total["steps"], 1.0), max(total["ended"], 1.0)
         return {
-            "reward": total["reward"] / steps, "succeeded": total["succeeded"] / ended, "failed": total["failed"] / ended,
-            "holding": total["holding"] / steps, "contact": total["contact"] / steps, "steps_per_episode": steps / ended,
+            "reward": total["reward"] / steps,
+            "succeeded": total["succeeded"] / ended,
+            "failed": total["failed"] / ended,
+            "holding": total["holding"] / steps,
+            "contact": total["contact"] / steps,
+            "steps_per_episode": steps / ended,
             "ended": total["ended"],
-        }  # fmt: skip
+        }

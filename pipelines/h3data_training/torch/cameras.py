@@ -38,11 +38,21 @@ class TensorCameras:
     """Homes with a resting robot and a walking person, in W worlds that differ in the home and in where the two are."""
 
     def __init__(
-        self, scenes: Scene | Sequence[Scene], robot: Robot, human: Humanoid, walker: WalkerSpec, *, worlds: int,
-        floor_y: float = 0.0, views: Sequence[str] = ("robot_arm",), size: tuple[int, int] | None = None,
-        hfov_deg: float | None = None, device: torch.device | str = "cuda",
-        compile: bool = False, renderer: Callable[..., GpuRenderer] | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        scenes: Scene | Sequence[Scene],
+        robot: Robot,
+        human: Humanoid,
+        walker: WalkerSpec,
+        *,
+        worlds: int,
+        floor_y: float = 0.0,
+        views: Sequence[str] = ("robot_arm",),
+        size: tuple[int, int] | None = None,
+        hfov_deg: float | None = None,
+        device: torch.device | str = "cuda",
+        compile: bool = False,
+        renderer: Callable[..., GpuRenderer] | None = None,
+    ) -> None:
         """Copies the meshes of homes and agents to the GPU.
 
         Args:
@@ -136,9 +146,10 @@ class TensorCameras:
     def _taken(self, views: Sequence[str], outputs: Sequence[Output]) -> dict[str, Tensor]:
         pictures = self.renderer.render(
             [self._lenses[view] for view in views for _ in range(self.worlds)],
-            worlds=list(range(self.worlds)) * len(views), outputs=outputs,
+            worlds=list(range(self.worlds)) * len(views),
+            outputs=outputs,
             poses=torch.cat([self._eyes[view] for view in views]),
-        )  # fmt: skip
+        )
         return {name: t.unflatten(0, (len(views), self.worlds)) for name, t in pictures.items()}
 
     def _frames_of(self, robot: RobotTensors, human: HumanTensors) -> tuple[Tensor, Tensor]:

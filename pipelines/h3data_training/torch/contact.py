@@ -73,10 +73,14 @@ class TouchTest:
             return torch.as_tensor(array, dtype=dtype, device=device)
 
         return cls(
-            field=on_device(_trilinear(distance)), low=on_device(low), last=on_device(counts - 2.0),
+            field=on_device(_trilinear(distance)),
+            low=on_device(low),
+            last=on_device(counts - 2.0),
             strides=(int((counts[1] - 1) * (counts[2] - 1)), int(counts[2] - 1)),
-            balls=on_device(centres[:, near]), radii=on_device(radii[near]), cycle=cycle,
-        )  # fmt: skip
+            balls=on_device(centres[:, near]),
+            radii=on_device(radii[near]),
+            cycle=cycle,
+        )
 
     def touching(self, robot: RobotTensors, human: HumanTensors) -> Tensor:
         """Whether they touch, bool [W]."""

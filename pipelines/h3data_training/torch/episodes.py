@@ -46,9 +46,15 @@ class EpisodeBank:
 
     @classmethod
     def draw(
-        cls, scenes: Scenes, count: int, *, seed: int = 0, spec: SocialNavSpec = TRAINING,
-        robot: str = "quad_arm", human: str = "female_0",
-    ) -> EpisodeBank:  # fmt: skip
+        cls,
+        scenes: Scenes,
+        count: int,
+        *,
+        seed: int = 0,
+        spec: SocialNavSpec = TRAINING,
+        robot: str = "quad_arm",
+        human: str = "female_0",
+    ) -> EpisodeBank:
         """The first ``count`` episodes of the run ``seed``: those that environments of the same seed begin.
 
         Raises:

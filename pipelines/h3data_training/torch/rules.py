@@ -25,9 +25,17 @@ class Held(NamedTuple):
 
 
 _BASE = (
-    "max_speed_mps", "max_turn_rad_s", "max_lateral_mps", "allow_back", "disc_offsets_m", "disc_radius_m",
-    "slide_iterations", "clearance_tolerance_m", "contact_tolerance_m", "keeps_speed",
-)  # fmt: skip
+    "max_speed_mps",
+    "max_turn_rad_s",
+    "max_lateral_mps",
+    "allow_back",
+    "disc_offsets_m",
+    "disc_radius_m",
+    "slide_iterations",
+    "clearance_tolerance_m",
+    "contact_tolerance_m",
+    "keeps_speed",
+)
 _WALKER = ("speed_mps", "turn_rad_s", "turn_before_walk_rad", "arrive_m", "blend_s")
 _SCRIPTED = ("maneuvers",)
 """Scripts drive no robot here."""
@@ -47,7 +55,15 @@ HELD: Mapping[str, Held] = {
         ORACLE_RULES,
         {
             RearrangeSpec: (
-                "max_steps", "objects", "at_goal_m", "near_m", "end_on_collision", "reward", "robot", "human", "oracle",
+                "max_steps",
+                "objects",
+                "at_goal_m",
+                "near_m",
+                "end_on_collision",
+                "reward",
+                "robot",
+                "human",
+                "oracle",
             ),
             BaseSpec: _BASE,
             WalkerSpec: _WALKER,
@@ -65,14 +81,27 @@ HELD: Mapping[str, Held] = {
         SkillSpec(),
         {
             SkillSpec: (
-                "nav_steps", "arm_steps", "near_m", "facing_dot", "rest_m", "place_m", "slack", "contact", "facing",
-                "facing_within_m", "nav_success", "pick_success", "place_success", "placed", "lost",
+                "nav_steps",
+                "arm_steps",
+                "near_m",
+                "facing_dot",
+                "rest_m",
+                "place_m",
+                "slack",
+                "contact",
+                "facing",
+                "facing_within_m",
+                "nav_success",
+                "pick_success",
+                "place_success",
+                "placed",
+                "lost",
             )
         },
         {SkillSpec: ("nav_start_m", "arm_start_m", "arm_most_m")},
     ),
     "arm of a skill": Held(ArmSpec(), {ArmSpec: ("joint_step", "grasp_m")}, {}),
-}  # fmt: skip
+}
 """By task, and by part of a learned skill."""
 
 

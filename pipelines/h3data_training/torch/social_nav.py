@@ -88,11 +88,22 @@ class Play(NamedTuple):
         return cls(
             robot=RobotTensors(numbers(2), numbers(), flags()),
             human=HumanTensors(numbers(2), numbers(), numbers(), numbers(), numbers()),
-            episode=episode.clone(), leg=torch.zeros_like(episode), steps=torch.zeros_like(episode), ended=~flags(),
-            found=flags(), followed=torch.zeros_like(episode), geodesic=numbers(), towards=numbers(2),
-            collides=flags(), before_xz=numbers(2), before_heading=numbers(),
-            human_before_xz=numbers(2), reward=numbers(), terminated=flags(), truncated=flags(),
-        )  # fmt: skip
+            episode=episode.clone(),
+            leg=torch.zeros_like(episode),
+            steps=torch.zeros_like(episode),
+            ended=~flags(),
+            found=flags(),
+            followed=torch.zeros_like(episode),
+            geodesic=numbers(),
+            towards=numbers(2),
+            collides=flags(),
+            before_xz=numbers(2),
+            before_heading=numbers(),
+            human_before_xz=numbers(2),
+            reward=numbers(),
+            terminated=flags(),
+            truncated=flags(),
+        )
 
     def tensors(self) -> Iterator[Tensor]:
         """All of it, in a fixed order."""
@@ -231,25 +242,33 @@ class SocialNavTensors:
         start = drawn.starts[episode]
         zero, begins = start.new_zeros(()), fresh[:, None]
         robot = RobotTensors(
-            torch.where(begins, start[:, :2], robot.xz), torch.where(fresh, start[:, 2], robot.heading),
+            torch.where(begins, start[:, :2], robot.xz),
+            torch.where(fresh, start[:, 2], robot.heading),
             robot.contact & ~fresh,
-        )  # fmt: skip
+        )
         human = HumanTensors(
-            torch.where(begins, start[:, 3:5], human.xz), torch.where(fresh, start[:, 5], human.heading),
+            torch.where(begins, start[:, 3:5], human.xz),
+            torch.where(fresh, start[:, 5], human.heading),
             *(torch.where(fresh, zero, t) for t in human[2:]),
-        )  # fmt: skip
+        )
         steps = torch.where(fresh, 0, play.steps + 1)
         way = shortest_way(grids, lattices, robot.xz, human.xz)
         return self._judged(
             play,
             play._replace(
-                robot=robot, human=human, episode=episode, leg=leg, steps=steps,
-                geodesic=way.length, towards=way.towards, collides=self.touch.touching(robot, human),
+                robot=robot,
+                human=human,
+                episode=episode,
+                leg=leg,
+                steps=steps,
+                geodesic=way.length,
+                towards=way.towards,
+                collides=self.touch.touching(robot, human),
                 before_xz=torch.where(begins, robot.xz, play.robot.xz),
                 before_heading=torch.where(fresh, robot.heading, play.robot.heading),
                 human_before_xz=torch.where(begins, human.xz, play.human.xz),
             ),
-        )  # fmt: skip
+        )
 
     def _judged(self, before: Play, now: Play) -> Play:
         """With what the step was worth: the paper's reward (`sim_kinematic.tasks.rules.rewards.SocialNavReward`)."""
@@ -262,10 +281,13 @@ class SocialNavTensors:
         terminated = going & ((ends | success) if self._end_on_success else ends)
         truncated = going & (now.steps >= rules.max_steps)
         return now._replace(
-            ended=terminated | truncated, found=going & (before.found | is_found(now.geodesic, faces, rules)),
-            followed=torch.where(going, followed, 0), reward=torch.where(going, reward, 0.0), terminated=terminated,
+            ended=terminated | truncated,
+            found=going & (before.found | is_found(now.geodesic, faces, rules)),
+            followed=torch.where(going, followed, 0),
+            reward=torch.where(going, reward, 0.0),
+            terminated=terminated,
             truncated=truncated,
-        )  # fmt: skip
+        )
 
     @staticmethod
     def _distance(play: Play) -> Tensor:

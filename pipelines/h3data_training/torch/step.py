@@ -184,9 +184,15 @@ def integrate(xz: Tensor, direction: Tensor, speed: Tensor, lateral: Tensor | No
 
 
 def drive_base(
-    grids: Grids, xz: Tensor, heading: Tensor, speed: Tensor, lateral: Tensor | None, turn: Tensor, spec: BaseSpec,
+    grids: Grids,
+    xz: Tensor,
+    heading: Tensor,
+    speed: Tensor,
+    lateral: Tensor | None,
+    turn: Tensor,
+    spec: BaseSpec,
     dt: float,
-) -> RobotTensors:  # fmt: skip
+) -> RobotTensors:
     """One strict step of W robot bases, all of them moving."""
     offsets, radius = spec.disc_offsets_m, spec.disc_radius_m
     limit = radius - spec.clearance_tolerance_m

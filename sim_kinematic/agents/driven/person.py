@@ -250,7 +250,7 @@ class DrivenPerson(PersonActor):
             others = None if self.others_discs is None else self.others_discs()[None]
             drive_people(
                 gait, self.free, np.array([velocity]), self.spec, radius_m=self.radius_m, backwards=True, others=others
-            )  # fmt: skip
+            )
             self._show(gait)
             if others is not None or not self.meets():
                 break
@@ -288,9 +288,17 @@ class DrivenPerson(PersonActor):
                 target, share, solver = self._targets[k], self._shares[k], reacher(body, hand)
                 turn = _NO_TURN if target.rotation is None else np.array(target.rotation)
                 lead_arm(
-                    solver.body, solver.table.values, solver.table.low, solver.table.step, quats, pelvis,
-                    self._points[k], turn, target.rotation is not None, share * share * (3 - 2 * share),
-                )  # fmt: skip
+                    solver.body,
+                    solver.table.values,
+                    solver.table.low,
+                    solver.table.step,
+                    quats,
+                    pelvis,
+                    self._points[k],
+                    turn,
+                    target.rotation is not None,
+                    share * share * (3 - 2 * share),
+                )
         if self._head.any():
             turn_head(quats, *self._head)
         person.show("walk", quats, pelvis)

@@ -73,9 +73,14 @@ class RoomDoors:
         return bool((joints_of(self.scene).shares(positions)[list(self.joints)] <= OPEN_SHARE).any())
 
     def first(
-        self, start: Array, stands: Callable[[FreeSpace], Array], floor: FreeSpace, positions: Array, *,
+        self,
+        start: Array,
+        stands: Callable[[FreeSpace], Array],
+        floor: FreeSpace,
+        positions: Array,
+        *,
         detour_m: float = DETOUR_M,
-    ) -> int:  # fmt: skip
+    ) -> int:
         """The first door that has to be opened to get from a floor point [2] to a place to stand; -1: none.
 
         Args:

@@ -66,9 +66,15 @@ class FloorCells:
         middles = samples[np.arange(len(samples)), seen.argmax(1)]
         start, corners, away, whole = _cell_corners(free.graph, middles, samples)
         return cls(
-            origin=origin, shape=shape, middles=middles, samples=samples, start=start, corners=corners, away=away,
+            origin=origin,
+            shape=shape,
+            middles=middles,
+            samples=samples,
+            start=start,
+            corners=corners,
+            away=away,
             whole=whole,
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -117,9 +123,17 @@ def ways_to(free: FreeSpace, places: ArrayLike | Sequence[Array]) -> Ways:
     cells, nodes = floor_cells(free), free.graph.nodes
     left, after = _from_corners(free.graph, ends, SKIP_M)
     first = _from_cells(
-        free.graph, cells.middles, cells.samples, cells.start, cells.corners, cells.away, cells.whole, left, ends,
+        free.graph,
+        cells.middles,
+        cells.samples,
+        cells.start,
+        cells.corners,
+        cells.away,
+        cells.whole,
+        left,
+        ends,
         DETOUR_M,
-    )  # fmt: skip
+    )
     return Ways(
         points=np.concatenate([nodes, ends]),
         corners=len(nodes),
@@ -206,9 +220,17 @@ def _from_corners(graph: Graph, ends: NDArray, skip: float) -> tuple[NDArray, ND
 
 @kernel()
 def _from_cells(
-    graph: Graph, middles: NDArray, samples: NDArray, start: NDArray, corners: NDArray, away: NDArray, whole: NDArray,
-    left: NDArray, ends: NDArray, detour: float,
-) -> NDArray:  # fmt: skip
+    graph: Graph,
+    middles: NDArray,
+    samples: NDArray,
+    start: NDArray,
+    corners: NDArray,
+    away: NDArray,
+    whole: NDArray,
+    left: NDArray,
+    ends: NDArray,
+    detour: float,
+) -> NDArray:
     """Point to go to first from each cell on the shortest path.
 
     It is the best point that is visible from the whole cell, unless the path through it is more than ``detour`` longer

@@ -63,7 +63,7 @@ class ArmClearance:
         self._hand, self._arm = (
             _Part(MovingShapes([shape for _, shape in part]), [k for k, _ in part])
             for part in ([*in_hand, (hand, held)], behind)
-        )  # fmt: skip
+        )
         joints = joints_of(scene)
         self._drawers = {name for name, k in joints.owner.items() if joints.parts[k][1].joint.kind == "prismatic"}
         """Drawers: an object is taken from inside a drawer, past its rim."""

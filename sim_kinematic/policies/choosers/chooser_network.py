@@ -28,10 +28,26 @@ KIND = "gru_chooser"
 SKILLS_WITH_OBJECT = 4
 """``nav_to_object``, ``nav_to_goal``, ``pick`` and ``place``, the first of `sim_kinematic.agents.skills.choices`."""
 OBSERVATIONS = (
-    "obj_gps_compass", "obj_goal_gps_compass", "way_to_objects", "way_to_goals", "other_way_to_objects", "other_way_to_goals",
-    "other_approach", "path_ahead", "other_path_ahead", "holds", "held_by_other", "at_goal", "other_gps_compass",
-    "other_velocity", "close", "elapsed_s", "last_done", "last_failed", "interrupted",
-)  # fmt: skip
+    "obj_gps_compass",
+    "obj_goal_gps_compass",
+    "way_to_objects",
+    "way_to_goals",
+    "other_way_to_objects",
+    "other_way_to_goals",
+    "other_approach",
+    "path_ahead",
+    "other_path_ahead",
+    "holds",
+    "held_by_other",
+    "at_goal",
+    "other_gps_compass",
+    "other_velocity",
+    "close",
+    "elapsed_s",
+    "last_done",
+    "last_failed",
+    "interrupted",
+)
 """What a chooser is shown, in this order (`sim_kinematic.sensing.table.SENSES`)."""
 OF_OTHER = tuple(name for name in OBSERVATIONS if SENSES[name].of_other)
 """Observations that tell where the other agent is."""
@@ -193,15 +209,21 @@ def shapes(card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[in
     wide, hidden = width("object.weight"), width("gru.weight_ih") // 3
     each, other = width("each_0.weight"), width("rest_0.weight")
     layers = {
-        "object": (wide, of_object + card.objects), "each_0": (each, hidden + wide), "each_1": (SKILLS_WITH_OBJECT, each),
-        "rest_0": (other, hidden + rest), "rest_1": (rest_count(card.agent), other),
-    }  # fmt: skip
+        "object": (wide, of_object + card.objects),
+        "each_0": (each, hidden + wide),
+        "each_1": (SKILLS_WITH_OBJECT, each),
+        "rest_0": (other, hidden + rest),
+        "rest_1": (rest_count(card.agent), other),
+    }
     found: dict[str, tuple[int, ...]] = {f"{name}.weight": shape for name, shape in layers.items()}
     found |= {f"{name}.bias": shape[:1] for name, shape in layers.items()}
     return found | {
-        "gru.weight_ih": (3 * hidden, rest + card.objects * wide), "gru.weight_hh": (3 * hidden, hidden),
-        "gru.bias_ih": (3 * hidden,), "gru.bias_hh": (3 * hidden,), "persist": (1,),
-    }  # fmt: skip
+        "gru.weight_ih": (3 * hidden, rest + card.objects * wide),
+        "gru.weight_hh": (3 * hidden, hidden),
+        "gru.bias_ih": (3 * hidden,),
+        "gru.bias_hh": (3 * hidden,),
+        "persist": (1,),
+    }
 
 
 def _faults(card: PolicyCard, arrays: Mapping[str, Floats]) -> list[str]:

@@ -101,9 +101,15 @@ class ResNetLSTM(nn.Module):
     """The actor. Its state [n, S] is what all layers of the LSTM hold, one after the other."""
 
     def __init__(
-        self, numbers: int, *, size: tuple[int, int] | None, given: int = 1, planes: int = 32, features: int = 512,
+        self,
+        numbers: int,
+        *,
+        size: tuple[int, int] | None,
+        given: int = 1,
+        planes: int = 32,
+        features: int = 512,
         hidden: int = 512,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """``size`` of pictures, None where there are none; ``given`` their planes."""
         super().__init__()
         self.visual = None if size is None else ResNet18(size, given=given, planes=planes, features=features)
@@ -188,9 +194,13 @@ def _net(card: PolicyCard, arrays: Mapping[str, Floats]) -> ResNetLSTM:
     sees = picture_in(card.observations)
     planes = max(rows("visual.first.weight", GROUPS) // GROUPS, 1) * GROUPS
     return ResNetLSTM(
-        number_count(card.observations), size=card.picture_size if sees else None, given=PICTURES[sees or "arm_depth"],
-        planes=planes, features=max(rows("visual.out.weight", 1), 1), hidden=max(rows("lstm.weight_hh_l0", 4) // 4, 1),
-    )  # fmt: skip
+        number_count(card.observations),
+        size=card.picture_size if sees else None,
+        given=PICTURES[sees or "arm_depth"],
+        planes=planes,
+        features=max(rows("visual.out.weight", 1), 1),
+        hidden=max(rows("lstm.weight_hh_l0", 4) // 4, 1),
+    )
 
 
 @contextmanager

@@ -125,10 +125,18 @@ class NetworkSkill:
 
     def _view(self, actor: RobotActor, point: Array, stand_xz: Array, before: tuple[Array, float]) -> SkillView:
         return SkillView(
-            free=actor.free, xz=actor.xz, heading=actor.heading, before=before, point=point, stand_xz=stand_xz,
-            hand=actor.hand_pose, resting=actor.resting_point, arm=actor.arm,
-            holds=actor.objects.held(actor.number) >= 0, beyond_m=actor.base.disc_radius_m / 2,
-        )  # fmt: skip
+            free=actor.free,
+            xz=actor.xz,
+            heading=actor.heading,
+            before=before,
+            point=point,
+            stand_xz=stand_xz,
+            hand=actor.hand_pose,
+            resting=actor.resting_point,
+            arm=actor.arm,
+            holds=actor.objects.held(actor.number) >= 0,
+            beyond_m=actor.base.disc_radius_m / 2,
+        )
 
     def _ending(
         self, actor: RobotActor, action: Action, point: Array, stand_xz: Array, before: tuple[Array, float], held: bool

@@ -403,8 +403,17 @@ def placed(
     for number, placement in enumerate(placements):
         surfaces = [(i, r) for i, r in scene.receptacles() if i.name.partition("/")[0] in placement.receptacles]
         rng = generator(seed, "rearrange_places", step=number)
-        spot = free_spot(scene, free, spec, load_robot(pair[0]), load_humanoid(pair[1]), surfaces, rng,
-                         things[placement.object], taken)  # fmt: skip
+        spot = free_spot(
+            scene,
+            free,
+            spec,
+            load_robot(pair[0]),
+            load_humanoid(pair[1]),
+            surfaces,
+            rng,
+            things[placement.object],
+            taken,
+        )
         if spot is None:
             raise SceneError(
                 f"Found no place for {placement.object!r} within reach of both agents on {' or '.join(placement.receptacles)}: "

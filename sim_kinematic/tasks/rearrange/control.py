@@ -168,9 +168,11 @@ class SkillControl(Control):
             on_track = is_counterfactual(recording) and agent.kind == "human" and bool(agent.action_names)
             if not on_track and (k not in commands or 0 < since < until):
                 policy = RecordedPolicy(
-                    *_checked(recording, k, objects, since if k in commands else 0, joints), until=until, since=since,
+                    *_checked(recording, k, objects, since if k in commands else 0, joints),
+                    until=until,
+                    since=since,
                     joints=joints,
-                )  # fmt: skip
+                )
                 if assigned.policy is not None:
                     begins = until if changed[k] or is_remote(assigned.policy) else min(since, until)
                     policy.own, policy.since = assigned.policy, begins

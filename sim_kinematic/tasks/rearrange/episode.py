@@ -386,9 +386,16 @@ class _EpisodeSampler:
         return tuple(found)
 
     def _place(
-        self, rng: np.random.Generator, thing: Instance, taken: list[tuple[NDArray, float]], here: Array,
-        within_m: float, away_from: tuple[Array, str] | None = None, *, spots: int = 1,
-    ) -> tuple[Array, str] | None:  # fmt: skip
+        self,
+        rng: np.random.Generator,
+        thing: Instance,
+        taken: list[tuple[NDArray, float]],
+        here: Array,
+        within_m: float,
+        away_from: tuple[Array, str] | None = None,
+        *,
+        spots: int = 1,
+    ) -> tuple[Array, str] | None:
         """A free spot [3] for a thing that both agents reach, and its receptacle; it is taken from then on."""
         radius, low, high = object_extent(self.scene, thing)
         order = rng.permutation(len(self.surfaces))

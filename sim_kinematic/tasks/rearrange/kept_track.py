@@ -61,10 +61,13 @@ class KeptTrack:
             )
         held = np.array([np.flatnonzero(bodies == body)[0] if body in bodies else -1 for body in grasp.tolist()])
         return cls(
-            base=base.astype(np.float64), root=root.astype(np.float64), joints=joints.astype(np.float64),
-            held=np.where(held == len(bodies) - 1, -1, held), objects=objects.astype(np.float64),
+            base=base.astype(np.float64),
+            root=root.astype(np.float64),
+            joints=joints.astype(np.float64),
+            held=np.where(held == len(bodies) - 1, -1, held),
+            objects=objects.astype(np.float64),
             led=_led(recording, number),
-        )  # fmt: skip
+        )
 
 
 def _led(recording: Recording, number: int) -> dict[int, list[tuple[int, float]]]:

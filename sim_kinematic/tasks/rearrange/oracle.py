@@ -51,9 +51,12 @@ def _errands(episode: RearrangeEpisode, number: int) -> SubGoals:
     floor = agent_floor(episode, number)
     ways = [ways_to(floor, places) for places in stand_places(episode, number, [*starts, *goals])]
     return SubGoals(
-        oracle=episode.spec.oracle or OracleSpec(), to_start=ways[: len(starts)], to_goal=ways[len(starts) :],
-        starts=starts, goals=goals,
-    )  # fmt: skip
+        oracle=episode.spec.oracle or OracleSpec(),
+        to_start=ways[: len(starts)],
+        to_goal=ways[len(starts) :],
+        starts=starts,
+        goals=goals,
+    )
 
 
 def stand_places(episode: RearrangeEpisode, number: int, points: list[Array]) -> list[Array]:

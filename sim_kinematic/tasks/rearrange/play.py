@@ -239,9 +239,13 @@ class SkillRollout:
                 code="H3-TASK-016",
             )
         self.world = World(
-            world.roster, base=world.spec.robot, walker=world.spec.human, person_radius_m=world.spec.agent_radius_m,
-            objects=len(names), scene_joints=len(joints),
-        )  # fmt: skip
+            world.roster,
+            base=world.spec.robot,
+            walker=world.spec.human,
+            person_radius_m=world.spec.agent_radius_m,
+            objects=len(names),
+            scene_joints=len(joints),
+        )
         """All that moves: agents, objects, who holds them, doors and drawers. Skills move it; `World.step` is not called."""
         self.world.rest_at(world.starts[None], np.zeros(1, np.intp))
         self.state = state = self.world.state
@@ -346,9 +350,15 @@ class SkillRollout:
         if not self.policies[number].takes_commands:
             return PersonActor(person, world.free, spec.human, self.objects, number, room)
         return DrivenPerson(
-            person, world.free, spec.human, self.objects, number, room,
-            object_room=ObjectRoom(world.scene, self.objects.names, world.free.floor_y), radius_m=spec.agent_radius_m,
-        )  # fmt: skip
+            person,
+            world.free,
+            spec.human,
+            self.objects,
+            number,
+            room,
+            object_room=ObjectRoom(world.scene, self.objects.names, world.free.floor_y),
+            radius_m=spec.agent_radius_m,
+        )
 
     def _openables(self) -> ArticulatedParts | None:
         """The doors and drawers of the home at their rest positions; None if nothing opens."""
@@ -356,9 +366,13 @@ class SkillRollout:
         if not self.objects.joints:
             return None
         found = ArticulatedParts(
-            world.scene, self.objects, world.free.floor_y, discs=self._discs_of, agents=len(world.roster),
+            world.scene,
+            self.objects,
+            world.free.floor_y,
+            discs=self._discs_of,
+            agents=len(world.roster),
             doors=frozenset(self.doorways.joints),
-        )  # fmt: skip
+        )
         self.state.joint_pos[0] = found.joints.rest.astype(np.float32)  # as they are recorded
         return found
 
@@ -514,15 +528,30 @@ class SkillRollout:
         ahead, aside = _seen(xz, heading, other_xz)
         a, b = self.episode.spec.near_m
         return RearrangeView(
-            step=self.step, free=self.doorways.open_floor, agent=runner.number, xz=xz, heading=heading,
-            other_xz=other_xz, other_track=track[-TRACK:].copy(), close=bool((ahead / a) ** 2 + (aside / b) ** 2 < 1),
-            objects=self.objects.poses[:, :3].copy(), goals=self.objects.goals, held_by=self.objects.held_by.copy(),
-            at_goal=self._at_goal(), action=runner.action, last=runner.ending,
-            starts=self.starts, hand=lambda: me.hand_pose, arm=me.arm,
-            start=self.episode.starts[runner.number], before=self.before[runner.number], collision=self.collision,
+            step=self.step,
+            free=self.doorways.open_floor,
+            agent=runner.number,
+            xz=xz,
+            heading=heading,
+            other_xz=other_xz,
+            other_track=track[-TRACK:].copy(),
+            close=bool((ahead / a) ** 2 + (aside / b) ** 2 < 1),
+            objects=self.objects.poses[:, :3].copy(),
+            goals=self.objects.goals,
+            held_by=self.objects.held_by.copy(),
+            at_goal=self._at_goal(),
+            action=runner.action,
+            last=runner.ending,
+            starts=self.starts,
+            hand=lambda: me.hand_pose,
+            arm=me.arm,
+            start=self.episode.starts[runner.number],
+            before=self.before[runner.number],
+            collision=self.collision,
             contact=isinstance(me, RobotActor) and bool(me.state.contact[0]),
-            barrier=partial(self.barrier, me), observe=partial(self.observe, runner.number),
-        )  # fmt: skip
+            barrier=partial(self.barrier, me),
+            observe=partial(self.observe, runner.number),
+        )
 
     def errand(self, number: int) -> TaskProgress:
         """Progress of an agent with its present task."""
@@ -649,8 +678,10 @@ class SkillRollout:
             at, actor = f"agent_{runner.number}.", runner.actor
             if isinstance(actor, RobotActor):
                 row |= {
-                    at + "base_pose": actor.pose, at + "joint_pos": actor.joints.copy(), at + "action": actor.command,
-                }  # fmt: skip
+                    at + "base_pose": actor.pose,
+                    at + "joint_pos": actor.joints.copy(),
+                    at + "action": actor.command,
+                }
             else:
                 frame = frames[runner.number]
                 row |= {at + "base_pose": frame.base, at + "root_pose": frame.root, at + "joint_quat": frame.joints}

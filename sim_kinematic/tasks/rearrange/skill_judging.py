@@ -38,9 +38,11 @@ def action_of(start: SkillStart) -> Action:
 
 
 def judge(
-    episode: RearrangeEpisode, start: SkillStart, learned: Mapping[str, LearnedSkill],
+    episode: RearrangeEpisode,
+    start: SkillStart,
+    learned: Mapping[str, LearnedSkill],
     watch: Callable[[SkillRollout], object] | None = None,
-) -> SkillScore:  # fmt: skip
+) -> SkillScore:
     """Plays one skill to its end.
 
     Args:

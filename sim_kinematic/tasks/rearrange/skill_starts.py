@@ -67,9 +67,16 @@ def distances_of(skill: Skill, rules: SkillSpec) -> tuple[float, float]:
 
 
 def draw_starts(
-    episode: RearrangeEpisode, skill: Skill, count: int, rng: np.random.Generator, *, robot: int = 0,
-    path_m: tuple[float, float] | None = None, any_spot: bool = False, rules: SkillSpec | None = None,
-) -> list[SkillStart]:  # fmt: skip
+    episode: RearrangeEpisode,
+    skill: Skill,
+    count: int,
+    rng: np.random.Generator,
+    *,
+    robot: int = 0,
+    path_m: tuple[float, float] | None = None,
+    any_spot: bool = False,
+    rules: SkillSpec | None = None,
+) -> list[SkillStart]:
     """So many starts of a robot of an episode for one skill; fewer where there is no room.
 
     Args:
@@ -109,10 +116,16 @@ def draw_starts(
         objects[k] = point
         found.append(
             SkillStart(
-                skill=skill, target=k, holds=skill == "place" or (skill == "nav" and at_goal), point=point,
-                stand_xz=stand[:2].copy(), xz=place[:2], heading=float(place[2]), objects=objects,
+                skill=skill,
+                target=k,
+                holds=skill == "place" or (skill == "nav" and at_goal),
+                point=point,
+                stand_xz=stand[:2].copy(),
+                xz=place[:2],
+                heading=float(place[2]),
+                objects=objects,
             )
-        )  # fmt: skip
+        )
     return found
 
 

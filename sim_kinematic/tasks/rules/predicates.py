@@ -31,9 +31,13 @@ def is_object_at(position: Any, goal: Any, *, distance_m: float = OBJECT_AT_M, x
 
 
 def is_robot_at_position(
-    robot_xz: ArrayLike, heading: ArrayLike, position: ArrayLike, *, distance_m: float = ROBOT_AT_M,
+    robot_xz: ArrayLike,
+    heading: ArrayLike,
+    position: ArrayLike,
+    *,
+    distance_m: float = ROBOT_AT_M,
     angle_rad: float | None = None,
-) -> Flags:  # fmt: skip
+) -> Flags:
     """Habitat's predicate ``robot_at``: whether bases [..., 2] are near positions [..., 3] on the floor.
 
     With ``angle_rad``, they must also face the positions to within that angle.

@@ -109,9 +109,14 @@ class SocialNavReward:
     """The reward of social navigation in W worlds. It remembers the last distances and how long each robot has followed."""
 
     def __init__(
-        self, worlds: int, *, profile: RewardProfile = "paper", rules: SocialNavSpec | None = None,
-        paper: PaperReward | None = None, habitat: HabitatConfig | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        worlds: int,
+        *,
+        profile: RewardProfile = "paper",
+        rules: SocialNavSpec | None = None,
+        paper: PaperReward | None = None,
+        habitat: HabitatConfig | None = None,
+    ) -> None:
         check_profile(profile)
         self.profile: RewardProfile = profile
         self.rules, self.paper, self.habitat = (

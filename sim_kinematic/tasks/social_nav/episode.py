@@ -136,9 +136,14 @@ def stored_episode(episode: Episode) -> SocialNavEpisode:
 
 
 def episode_from(
-    episode: SocialNavEpisode, scene: Scene, *, spec: SocialNavSpec | None = None, free: FreeSpace | None = None,
-    human: str | None = None, robot: str | None = None,
-) -> Episode:  # fmt: skip
+    episode: SocialNavEpisode,
+    scene: Scene,
+    *,
+    spec: SocialNavSpec | None = None,
+    free: FreeSpace | None = None,
+    human: str | None = None,
+    robot: str | None = None,
+) -> Episode:
     """The episode that a record stores, in its scene.
 
     ``spec`` and the bodies ``human`` and ``robot`` stand in for the record's own; ``free`` saves building the map again.
@@ -157,9 +162,14 @@ def episode_from(
     with nullcontext() if robot else names_from_data():
         roster = make_roster(("robot", "human"), robot=robot_name, human=human_name)
     return Episode(
-        scene=scene, free=free, seed=episode.seed, spec=spec, starts=np.hstack([points[:2], headings]), roster=roster,
+        scene=scene,
+        free=free,
+        seed=episode.seed,
+        spec=spec,
+        starts=np.hstack([points[:2], headings]),
+        roster=roster,
         extra={"human_goals": goals} if goals else {},
-    )  # fmt: skip
+    )
 
 
 def rules_of(episode: SocialNavEpisode) -> SocialNavSpec:

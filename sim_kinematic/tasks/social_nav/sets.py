@@ -21,9 +21,10 @@ def set_episode(scenes: SceneSet, entry: SceneEntry, index: int, *, seed: int = 
         SceneError: the scene has no two starts so far apart.
     """
     return sampled_episode(
-        entry.source, seed=scenes.episode_seed(entry.id, index, seed=seed),
+        entry.source,
+        seed=scenes.episode_seed(entry.id, index, seed=seed),
         spec=SocialNavSpec(spawn_distance_m=scenes.social_nav.spawn_distance_m),
-    )  # fmt: skip
+    )
 
 
 def sampled_episode(

@@ -27,9 +27,18 @@ ROOT = np.array([[0, 0, 0, 0, 0, 0, 1.0]])
 CHILDREN = tuple(f"child_{k}" for k in range(4))
 CLOTH = tuple(k for k, name in enumerate(SLOTS) if name in ("top", "top trim", "bottom", "bottom trim"))
 MOVES = (
-    "joint_offsets", "bind_rotation", "bind_position", "capsule_start", "capsule_end", "capsule_radius", "feet",
-    "ankle_height", "walk", "jog", "height_m",
-)  # fmt: skip
+    "joint_offsets",
+    "bind_rotation",
+    "bind_position",
+    "capsule_start",
+    "capsule_end",
+    "capsule_radius",
+    "feet",
+    "ankle_height",
+    "walk",
+    "jog",
+    "height_m",
+)
 MOVES_DIGEST = "b8169aed82264ae9"
 
 
@@ -233,9 +242,13 @@ def test_packed_faces_round_trip(rows: list[list[int]]) -> None:
 
 def test_looks_round_trip() -> None:
     look = Look(
-        complexion=Complexion(skin=(1, 2, 3), hair=(4, 5, 6), lines=0.5), hair=HAIRSTYLES[0], beard=True, outfit="knit",
-        palette=2, colors={"scarf": (7, 8, 9)},
-    )  # fmt: skip
+        complexion=Complexion(skin=(1, 2, 3), hair=(4, 5, 6), lines=0.5),
+        hair=HAIRSTYLES[0],
+        beard=True,
+        outfit="knit",
+        palette=2,
+        colors={"scarf": (7, 8, 9)},
+    )
     assert read_look(look.to_json()) == look
 
 

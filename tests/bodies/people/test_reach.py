@@ -158,9 +158,10 @@ def test_the_hanging_hand_is_the_standing_pose(name: str, hand: Hand) -> None:
 
 
 @given(
-    st.sampled_from(BODIES), st.sampled_from(HANDS),
+    st.sampled_from(BODIES),
+    st.sampled_from(HANDS),
     st.tuples(st.floats(-3, 3), st.floats(-0.5, 3), st.floats(-3, 3)),
-)  # fmt: skip
+)
 def test_refusals_come_with_advice(name: str, hand: Hand, target: tuple) -> None:
     body = load_humanoid(name)
     answer = reach(body, target, hand)

@@ -226,9 +226,15 @@ def test_clip_for_speed() -> None:
     body = load_humanoid("female_0")
     name = {speed: body.motion_names[body.clip_for_speed(speed)] for speed in (0, 0.1, 0.5, 1.1, 1.29, 1.9, 2.4, 9.0)}
     assert name == {
-        0: "stand", 0.1: "stand", 0.5: "walk_0.6", 1.1: "walk_1.0", 1.29: "walk_1.3", 1.9: "walk_1.6", 2.4: "jog_2.5",
+        0: "stand",
+        0.1: "stand",
+        0.5: "walk_0.6",
+        1.1: "walk_1.0",
+        1.29: "walk_1.3",
+        1.9: "walk_1.6",
+        2.4: "jog_2.5",
         9.0: "jog_2.5",
-    }  # fmt: skip
+    }
 
 
 def test_unknown_motion_is_refused() -> None:

@@ -81,8 +81,15 @@ def test_places_and_limits_are_spots(robot: Robot) -> None:
         robot.base_cylinders("four")
     degrees = np.degrees(np.stack([robot.lower, robot.upper], -1)).round()
     assert degrees[:8].tolist() == [
-        [-150, 180], [-180, 30], [-160, 160], [0, 180], [-160, 160], [-105, 105], [-165, 165], [-90, 0],
-    ]  # fmt: skip
+        [-150, 180],
+        [-180, 30],
+        [-160, 160],
+        [0, 180],
+        [-160, 160],
+        [-105, 105],
+        [-165, 165],
+        [-90, 0],
+    ]
     for leg in range(4):
         assert degrees[8 + 3 * leg : 11 + 3 * leg].tolist() == [[-45, 45], [-52, 131], [-160, -14]]
 
@@ -276,9 +283,17 @@ def test_joint_targets_that_are_none_are_refused(robot: Robot, wanted: object, m
 def test_the_arm_of_lift_arm_goes_out_in_four_stages_alike() -> None:
     robot = load_robot("lift_arm")
     assert robot.joint_names == (
-        "wheel_left", "wheel_right", "lift", "arm_extend", "wrist_yaw", "wrist_pitch", "wrist_roll", "gripper", "head_pan",
+        "wheel_left",
+        "wheel_right",
+        "lift",
+        "arm_extend",
+        "wrist_yaw",
+        "wrist_pitch",
+        "wrist_roll",
+        "gripper",
+        "head_pan",
         "head_tilt",
-    )  # fmt: skip
+    )
     joints = np.tile(robot.rest, (3, 1))
     joints[1, 3], joints[2, [2, 3]] = 0.13, [1.0, 0.13]
     frames = robot.link_matrices(np.tile(ROOT, (3, 1)), joints)

@@ -32,10 +32,21 @@ from h3data_habitat.episodes.episode_files import read_episodes, write_episodes
 
 IDENTITY = np.eye(4).tolist()
 HABITAT_KEYS = {
-    "episode_id", "scene_id", "scene_dataset_config", "additional_obj_config_paths", "start_position", "start_rotation",
-    "info", "ao_states", "rigid_objs", "targets", "markers", "target_receptacles", "goal_receptacles",
+    "episode_id",
+    "scene_id",
+    "scene_dataset_config",
+    "additional_obj_config_paths",
+    "start_position",
+    "start_rotation",
+    "info",
+    "ao_states",
+    "rigid_objs",
+    "targets",
+    "markers",
+    "target_receptacles",
+    "goal_receptacles",
     "name_to_receptacle",
-}  # fmt: skip
+}
 """What habitat-lab's own class takes; any other key is a TypeError there."""
 
 
@@ -133,8 +144,10 @@ def episodes_json(draw: st.DrawFn) -> dict[str, Any]:
     objects = [[draw(names) + ".object_config.json", draw(matrices()).tolist()] for _ in range(draw(st.integers(0, 4)))]
     labels = draw(st.dictionaries(words, words, max_size=2))
     marker = {
-        "name": "m", "type": "articulated_object", "params": {"offset": [0.1, 0, 0], "link": "door", "object": "f"},
-    }  # fmt: skip
+        "name": "m",
+        "type": "articulated_object",
+        "params": {"offset": [0.1, 0, 0], "link": "door", "object": "f"},
+    }
     full = episode(
         episode_id=draw(st.integers(0, 99) | words),
         rigid_objs=objects,
@@ -175,8 +188,10 @@ def test_handles_of_one_template_in_two_folders_differ() -> None:
         RigidObject(name, np.eye(4)) for name in ("b/cup.object_config.json", "a/cup.object_config.json", "cup")
     )
     assert instance_handles(RearrangeEpisode(episode_id="0", scene_id="s", rigid_objects=things)) == [
-        "cup_:0001", "cup_:0000", "cup_:0002",
-    ]  # fmt: skip
+        "cup_:0001",
+        "cup_:0000",
+        "cup_:0002",
+    ]
 
 
 @given(matrices(), matrices())
@@ -546,8 +561,17 @@ def test_a_million_brackets(tmp_path: Path, frame: str) -> None:
         read_episodes(file)
 
 
-@pytest.mark.parametrize("pattern", ["{data_path}/../{scene}.json.gz", "/etc/{scene}", "{data_path}//etc/{scene}.x", 3,
-                                     "{data_path}/content", "{data_path}/{scene}/x.json"])  # fmt: skip
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        "{data_path}/../{scene}.json.gz",
+        "/etc/{scene}",
+        "{data_path}//etc/{scene}.x",
+        3,
+        "{data_path}/content",
+        "{data_path}/{scene}/x.json",
+    ],
+)
 def test_content_must_stay_in_its_folder(tmp_path: Path, pattern: Any) -> None:
     with pytest.raises(FormatError, match="content_scenes_path"):
         read_episodes(put(tmp_path / "val.json.gz", content_scenes_path=pattern))

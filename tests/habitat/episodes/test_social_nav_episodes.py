@@ -73,10 +73,21 @@ def test_the_file_is_one_of_habitat(tmp_path: Path) -> None:
         [raw] = json.load(file)["episodes"]
     # the keyword arguments of habitat-lab's RearrangeEpisode, no other: it refuses unknown ones
     assert set(raw) == {
-        "episode_id", "scene_id", "scene_dataset_config", "additional_obj_config_paths", "start_position",
-        "start_rotation", "info", "ao_states", "rigid_objs", "targets", "markers", "target_receptacles",
-        "goal_receptacles", "name_to_receptacle",
-    }  # fmt: skip
+        "episode_id",
+        "scene_id",
+        "scene_dataset_config",
+        "additional_obj_config_paths",
+        "start_position",
+        "start_rotation",
+        "info",
+        "ao_states",
+        "rigid_objs",
+        "targets",
+        "markers",
+        "target_receptacles",
+        "goal_receptacles",
+        "name_to_receptacle",
+    }
     assert [name for name, _ in raw["rigid_objs"]] == ["bowl.object_config.json", "cup.object_config.json"]
     assert raw["info"]["h3data"]["human_goals"] == [[5, 6]]
 

@@ -148,12 +148,14 @@ def test_fold_of_real_sessions_agrees_with_a_slow_player(path: Path) -> None:
 def test_what_moves_has_a_track_and_what_does_not_is_static(tmp_path: Path) -> None:
     rec = read(
         tmp_path,
-        {"creations": [create(0, "data/stages/home.glb", isStatic=True), create(1), create(2)],
-         "stateUpdates": [update(0), update(1, 1.0), update(2, 2.0)]},
+        {
+            "creations": [create(0, "data/stages/home.glb", isStatic=True), create(1), create(2)],
+            "stateUpdates": [update(0), update(1, 1.0), update(2, 2.0)],
+        },
         {},
         {"stateUpdates": [update(1, 1.0), update(2, 3.0)], "creations": [create(7)]},
         {"deletions": [7]},
-    )  # fmt: skip
+    )
     home, same, mover, visitor = rec.bodies
     assert (home.moving, same.moving, mover.moving, visitor.moving) == (-1, -1, 0, 1)
     assert rec.episode.scene == "home"
@@ -195,18 +197,26 @@ def test_frames_units_and_colours_come_from_loads_and_suffixes(tmp_path: Path) -
                 {"type": 0, "filepath": "a/two.stl", "overridePhongMaterial": phong},
             ],
             "creations": [
-                create(0, "a/b.glb", scale=[1, 2, 3]), create(1, "a/red.stl"), create(2, "a/two.stl"),
+                create(0, "a/b.glb", scale=[1, 2, 3]),
+                create(1, "a/red.stl"),
+                create(2, "a/two.stl"),
                 create(3, "a/two.stl?phong_amb_3657433343_dif_3657433343_spec_2863311615"),
-                create(4, "cubeSolid?phong_amb_1_dif_14287103_spec_1"), create(5, "invalid_filepath"),
+                create(4, "cubeSolid?phong_amb_1_dif_14287103_spec_1"),
+                create(5, "invalid_filepath"),
                 create(6, "x/../a/unloaded.glb"),
             ],
         },
-    )  # fmt: skip
+    )
     refs = {b.name: next(a for a in rec.assets if a.name == b.asset) for b in rec.bodies}
     assert [(r.uri, r.color) for r in refs.values()] == [
-        ("a/b.glb", None), ("a/red.stl", (218, 0, 0)), ("a/two.stl", None), ("a/two.stl", (218, 0, 0)),
-        ("primitive:cubeSolid", (0, 218, 0)), ("primitive:empty", None), ("a/unloaded.glb", None),
-    ]  # fmt: skip
+        ("a/b.glb", None),
+        ("a/red.stl", (218, 0, 0)),
+        ("a/two.stl", None),
+        ("a/two.stl", (218, 0, 0)),
+        ("primitive:cubeSolid", (0, 218, 0)),
+        ("primitive:empty", None),
+        ("a/unloaded.glb", None),
+    ]
     b = refs["b_0"]
     assert (b.up, b.front, b.units_m) == ((0, 0, 1), (0, 1, 0), 0.01)
     np.testing.assert_array_equal(rec.bodies[0].scale, [1, 2, 3])
@@ -218,9 +228,12 @@ def test_frames_units_and_colours_come_from_loads_and_suffixes(tmp_path: Path) -
 def test_semantic_ids_of_old_and_new_files(tmp_path: Path) -> None:
     rec = read(
         tmp_path,
-        {"creations": [create(0), create(1), create(2)], "stateUpdates": [update(0, semanticId=104)],
-         "metadata": [{"instanceKey": 1, "metadata": {"objectId": 1, "semanticId": 11}}]},
-    )  # fmt: skip
+        {
+            "creations": [create(0), create(1), create(2)],
+            "stateUpdates": [update(0, semanticId=104)],
+            "metadata": [{"instanceKey": 1, "metadata": {"objectId": 1, "semanticId": 11}}],
+        },
+    )
     assert [b.semantic_id for b in rec.bodies] == [104, 11, 0]
 
 
@@ -228,11 +241,14 @@ def test_user_transforms_are_not_sticky_and_lights_are_kept(tmp_path: Path) -> N
     light = {"vector": [0, -1, 0, 0], "color": [1, 1, 1], "model": "global"}
     rec = read(
         tmp_path,
-        {"userTransforms": [{"name": "sensor_head", "transform": transform(1.0, (0, 1.0, 0, 0))}], "lightsChanged": True,
-         "lights": [light]},
+        {
+            "userTransforms": [{"name": "sensor_head", "transform": transform(1.0, (0, 1.0, 0, 0))}],
+            "lightsChanged": True,
+            "lights": [light],
+        },
         {},
         {"userTransforms": [{"name": "sensor_head", "transform": transform(2.0)}], "lightsChanged": True},
-    )  # fmt: skip
+    )
     column = rec.columns["user.sensor_head"]
     np.testing.assert_array_equal(np.isnan(column[:, 0]), [False, True, False])
     np.testing.assert_array_equal(column[0], [1, 0, 0, 1, 0, 0, 0])
@@ -242,8 +258,10 @@ def test_user_transforms_are_not_sticky_and_lights_are_kept(tmp_path: Path) -> N
 
 
 def test_quaternions_become_unit_and_continuous(tmp_path: Path) -> None:
-    turn = [update(0, q=(np.cos(a / 2) * s, 0, np.sin(a / 2) * s, 0)) for a, s in
-            zip(np.linspace(0, 4, 9), [1, -1, 1.001, -1, 1, 1, -0.999, 1, -1], strict=True)]  # fmt: skip
+    turn = [
+        update(0, q=(np.cos(a / 2) * s, 0, np.sin(a / 2) * s, 0))
+        for a, s in zip(np.linspace(0, 4, 9), [1, -1, 1.001, -1, 1, 1, -0.999, 1, -1], strict=True)
+    ]
     rec = read(tmp_path, {"creations": [create(0)]}, *({"stateUpdates": [t]} for t in turn))
     q = rec.columns["object_pose"][1:, 0, 3:].astype(np.float64)
     np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1, atol=1e-6)
@@ -272,12 +290,23 @@ PERSON = "data/humanoids/humanoid_data/female_0/female_0.glb"
 
 
 def test_several_agents_robots_first(tmp_path: Path) -> None:
-    files = [PERSON, SPOT + "base.glb", SPOT + "fl.hip.glb", SPOT + "base.glb", SPOT + "fl.hip.glb", "data/sofa.glb",
-             "data/robots/hab_stretch/meshes/base_link.dae", "data/robots/hab_stretch/meshes/arm.dae"]  # fmt: skip
+    files = [
+        PERSON,
+        SPOT + "base.glb",
+        SPOT + "fl.hip.glb",
+        SPOT + "base.glb",
+        SPOT + "fl.hip.glb",
+        "data/sofa.glb",
+        "data/robots/hab_stretch/meshes/base_link.dae",
+        "data/robots/hab_stretch/meshes/arm.dae",
+    ]
     rec = read(tmp_path, {"creations": [create(k, f) for k, f in enumerate(files)]})
     assert [(a.name, a.kind) for a in rec.agents] == [
-        ("robot_0", "robot"), ("robot_1", "robot"), ("robot_2", "robot"), ("human", "human")
-    ]  # fmt: skip
+        ("robot_0", "robot"),
+        ("robot_1", "robot"),
+        ("robot_2", "robot"),
+        ("human", "human"),
+    ]
     assert [b.agent for b in rec.bodies] == [3, 0, 0, 1, 1, -1, 2, 2]
     assert "metrics.dist_agents" not in rec.columns
     assert any("at the floor" in w for w in rec.episode.info["warnings"])
@@ -430,28 +459,65 @@ BROKEN: dict[str, tuple[Any, str]] = {
     "hitl session": ({"session": {}, "users": [], "episodes": []}, "human-in-the-loop session"),
     "episodes": ({"episodes": [], "config": None}, "episode dataset"),
     "other": ({"a": 1, "b": 2}, "a, b"),
-    "short rotation": ({"keyframes": [{}, {"stateUpdates": [update(1), update(17, q=(1, 0, 0))]}]},
-                       "keyframe 1, stateUpdates, instance 17"),
-    "long translation": ({"keyframes": [{"stateUpdates": [{"instanceKey": 4, "state": {"absTransform": {
-        "translation": [1, 2, 3, 4], "rotation": [1, 0, 0, 0]}}}]}]}, "instance 4"),
-    "text in translation": ({"keyframes": [{"stateUpdates": [{"instanceKey": 4, "state": {"absTransform": {
-        "translation": ["x", 2, 3], "rotation": [1, 0, 0, 0]}}}]}]}, "instance 4"),
-    "infinite": ('{"keyframes":[{"stateUpdates":[{"instanceKey":9,"state":{"absTransform":{"translation":[1e999,0,0],'
-                 '"rotation":[1,0,0,0]}}}]}]}', "range"),
-    "zero rotation": ({"keyframes": [{"creations": [create(2)]}, {"stateUpdates": [update(2, q=(0, 0, 0, 0))]}]},
-                      "keyframe 1, stateUpdates, instance 2"),
-    "zero user rotation": ({"keyframes": [{"userTransforms": [{"name": "cam", "transform": transform(q=(0, 0, 0, 0))}]}]},
-                           "'cam'"),
+    "short rotation": (
+        {"keyframes": [{}, {"stateUpdates": [update(1), update(17, q=(1, 0, 0))]}]},
+        "keyframe 1, stateUpdates, instance 17",
+    ),
+    "long translation": (
+        {
+            "keyframes": [
+                {
+                    "stateUpdates": [
+                        {
+                            "instanceKey": 4,
+                            "state": {"absTransform": {"translation": [1, 2, 3, 4], "rotation": [1, 0, 0, 0]}},
+                        }
+                    ]
+                }
+            ]
+        },
+        "instance 4",
+    ),
+    "text in translation": (
+        {
+            "keyframes": [
+                {
+                    "stateUpdates": [
+                        {
+                            "instanceKey": 4,
+                            "state": {"absTransform": {"translation": ["x", 2, 3], "rotation": [1, 0, 0, 0]}},
+                        }
+                    ]
+                }
+            ]
+        },
+        "instance 4",
+    ),
+    "infinite": (
+        '{"keyframes":[{"stateUpdates":[{"instanceKey":9,"state":{"absTransform":{"translation":[1e999,0,0],'
+        '"rotation":[1,0,0,0]}}}]}]}',
+        "range",
+    ),
+    "zero rotation": (
+        {"keyframes": [{"creations": [create(2)]}, {"stateUpdates": [update(2, q=(0, 0, 0, 0))]}]},
+        "keyframe 1, stateUpdates, instance 2",
+    ),
+    "zero user rotation": (
+        {"keyframes": [{"userTransforms": [{"name": "cam", "transform": transform(q=(0, 0, 0, 0))}]}]},
+        "'cam'",
+    ),
     "negative key": ({"keyframes": [{"creations": [create(-3)]}]}, "instance -3"),
     "negative deletion": ({"keyframes": [{"deletions": [-1]}]}, "deletions"),
     "text key": ({"keyframes": [{"creations": [{"instanceKey": "a", "creation": {"filepath": "x"}}]}]}, "instance a"),
     "no filepath": ({"keyframes": [{"creations": [{"instanceKey": 1, "creation": {}}]}]}, "filepath"),
     "bones": ({"keyframes": [rig(2), rig(3)]}, "rig 3 has 2 bones"),
-    "axes": ({"keyframes": [{"loads": [{"filepath": "x.glb", "frame": FRAME}], "creations": [create(0, "x.glb")]}]},
-             "perpendicular"),
+    "axes": (
+        {"keyframes": [{"loads": [{"filepath": "x.glb", "frame": FRAME}], "creations": [create(0, "x.glb")]}]},
+        "perpendicular",
+    ),
     "twice": ('{"keyframes":[{"deletions":[-1],"deletions":3}]}', "keyframe 0, deletions"),
     "lists": ({"keyframes": [{"creations": 5}]}, "keyframe 0, creations"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", BROKEN)
@@ -515,7 +581,7 @@ DATASET_0 = "habitat-sim/data/test_assets/dataset_tests/dataset_0"
         ("habitat-sim/reference/navmesh/simple_room_6chairs/simple_room_6chairs.navmesh", "navmesh"),
         ("habitat-sim/LICENSE", "unknown"),
     ],
-)  # fmt: skip
+)
 def test_formats_of_real_files_are_detected(path: str, kind: str) -> None:
     if not (REAL / path).exists():
         pytest.skip(f"{path} is not on this machine")

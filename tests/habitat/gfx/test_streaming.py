@@ -62,9 +62,11 @@ values = st.recursive(
 
 
 @given(
-    objects=st.lists(st.dictionaries(strings, values, max_size=3), max_size=5), size=st.integers(1, 40),
-    indent=st.none() | st.integers(0, 2), ascii_only=st.booleans(),
-)  # fmt: skip
+    objects=st.lists(st.dictionaries(strings, values, max_size=3), max_size=5),
+    size=st.integers(1, 40),
+    indent=st.none() | st.integers(0, 2),
+    ascii_only=st.booleans(),
+)
 def test_any_objects_come_out_as_they_went_in(objects: Any, size: int, indent: int | None, ascii_only: bool) -> None:
     text = json.dumps(objects, indent=indent, ensure_ascii=ascii_only).encode("utf-8", "surrogatepass")
     assert elements(cut(text[1:] + b"}", size))[0] == objects
@@ -72,10 +74,20 @@ def test_any_objects_come_out_as_they_went_in(objects: Any, size: int, indent: i
 
 @pytest.mark.parametrize(
     ("text", "fault"),
-    [("{}", "truncated"), ('{"a":"]', "truncated"), ("{}{}]", "comma"), ("{},]", "missing"), ("{},,{}]", "no json"),
-     (",{}]", "no json"), ("3,{}]", "no json"), ("{},3]", "no json"), ("[}]", "no json"), ('{"a" 3}]', "no json"),
-     ("{" * 2000 + "}" * 2000 + "]", "longer")],
-)  # fmt: skip
+    [
+        ("{}", "truncated"),
+        ('{"a":"]', "truncated"),
+        ("{}{}]", "comma"),
+        ("{},]", "missing"),
+        ("{},,{}]", "no json"),
+        (",{}]", "no json"),
+        ("3,{}]", "no json"),
+        ("{},3]", "no json"),
+        ("[}]", "no json"),
+        ('{"a" 3}]', "no json"),
+        ("{" * 2000 + "}" * 2000 + "]", "longer"),
+    ],
+)
 def test_what_is_no_array_of_objects_is_told(text: str, fault: str) -> None:
     if fault == "no json":
         with pytest.raises(msgspec.DecodeError):
@@ -130,9 +142,15 @@ def test_keyframes_need_not_come_first(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("tail", "fault"),
-    [(b"", "truncated"), (b",", "truncated"), (b"]", "malformed|not"), (b"} x", "byte"),
-     (b',"keyframes":[{}]}', "two lists"), (b',"a":NaN}', "NaN under 'a'")],
-)  # fmt: skip
+    [
+        (b"", "truncated"),
+        (b",", "truncated"),
+        (b"]", "malformed|not"),
+        (b"} x", "byte"),
+        (b',"keyframes":[{}]}', "two lists"),
+        (b',"a":NaN}', "NaN under 'a'"),
+    ],
+)
 def test_what_stands_behind_the_keyframes_is_read_too(tmp_path: Path, tail: bytes, fault: str) -> None:
     path = tmp_path / "x.json"
     path.write_bytes(json.dumps(replay(400)).encode()[:-1] + tail)

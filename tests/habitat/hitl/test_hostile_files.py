@@ -37,22 +37,45 @@ def frame(k: int, *, wxyz: bool = False, **more: Any) -> dict[str, Any]:
 
     return {
         "t": round(0.1 + k / 30, 5),
-        "users": [{"events": [], "held_object": None, "camera_transform": {
-            "right": [1, 0, 0], "up": [0, 1, 0], "backward": [0, 0, 1], "translation": [k, 1.5, 0]}}],
-        "object_states": [{"position": [0, 1, k], "rotation": order([0, 0.6, 0, 0.8]), "object_handle": "can_:0000",
-                           "object_id": 5, "states": {"is_clean": k > 1}}],
+        "users": [
+            {
+                "events": [],
+                "held_object": None,
+                "camera_transform": {
+                    "right": [1, 0, 0],
+                    "up": [0, 1, 0],
+                    "backward": [0, 0, 1],
+                    "translation": [k, 1.5, 0],
+                },
+            }
+        ],
+        "object_states": [
+            {
+                "position": [0, 1, k],
+                "rotation": order([0, 0.6, 0, 0.8]),
+                "object_handle": "can_:0000",
+                "object_id": 5,
+                "states": {"is_clean": k > 1},
+            }
+        ],
         "agent_states": [
             {"position": [0.03 * k, 0.48, 0], "rotation": order([0, 0.6, 0, 0.8]), "grasp_mgr_snap_idx": 5},
             {"position": [2, 0.92, 0.04 * k], "rotation": order(TILTED), "grasp_mgr_snap_idx": None},
         ],
-    } | more  # fmt: skip
+    } | more
 
 
 def session(frames: Any, **more: Any) -> dict[str, Any]:
     return {
-        "session": {}, "users": [], "frames": frames,
-        "episode": {"episode_id": "3", "scene_id": "a/b.scene_instance.json", "user_index_to_agent_index_map": {"0": 1}},
-    } | more  # fmt: skip
+        "session": {},
+        "users": [],
+        "frames": frames,
+        "episode": {
+            "episode_id": "3",
+            "scene_id": "a/b.scene_instance.json",
+            "user_index_to_agent_index_map": {"0": 1},
+        },
+    } | more
 
 
 def person(joints: np.ndarray, place: tuple[float, float, float]) -> list[float]:
@@ -74,7 +97,11 @@ def hanging(names: tuple[str, ...]) -> np.ndarray:
 
 def log(steps: int = 4, *, names: tuple[str, ...] = HABITAT_JOINTS, **more: Any) -> dict[str, Any]:
     return {
-        "start_time": "x", "episode_id": "1", "scene_id": "", "target_obj_ids": [7], "goal_positions": [[0, 0, 0]],
+        "start_time": "x",
+        "episode_id": "1",
+        "scene_id": "",
+        "target_obj_ids": [7],
+        "goal_positions": [[0, 0, 0]],
         "steps": [
             {
                 "action": [0.5, 0.25, *person(hanging(names), (1, 0.9, 0))],
@@ -83,11 +110,12 @@ def log(steps: int = 4, *, names: tuple[str, ...] = HABITAT_JOINTS, **more: Any)
                     {"position": [0, 0.48, 0], "rotation_xyzw": LEVEL, "grasp_mgr_snap_idx": None},
                     {"position": [1, 0.92, 0], "rotation_xyzw": TILTED, "grasp_mgr_snap_idx": 7},
                 ],
-                "target_object_positions": [[k, 0.5, 0]], "metrics": {"n": k, "ok": True, "deep": {"a": 1.5}},
+                "target_object_positions": [[k, 0.5, 0]],
+                "metrics": {"n": k, "ok": True, "deep": {"a": 1.5}},
             }
             for k in range(steps)
         ],
-    } | more  # fmt: skip
+    } | more
 
 
 def stored(folder: Path, content: Any, name: str = "x.json") -> Path:
@@ -195,10 +223,18 @@ def test_unknown_keys_and_odd_values_are_skipped(tmp_path: Path) -> None:
 def test_partnr_results_are_found_beside_the_trajectory(tmp_path: Path) -> None:
     folder = tmp_path / "raw" / "s1"
     folder.mkdir(parents=True)
-    (tmp_path / "processed_metrics.json").write_text(json.dumps({
-        "eid_to_filename": {"3": "data/raw/s1/7.json.gz", "4": "data/raw/s2/7.json.gz"}, "eid_to_pc": {"3": 0.5},
-        "eid_to_success": {"3": False}, "eid_to_explanation": {}, "eid_to_round_needed": [1], "ratio_agent_0": {"3": 0.25},
-    }))  # fmt: skip
+    (tmp_path / "processed_metrics.json").write_text(
+        json.dumps(
+            {
+                "eid_to_filename": {"3": "data/raw/s1/7.json.gz", "4": "data/raw/s2/7.json.gz"},
+                "eid_to_pc": {"3": 0.5},
+                "eid_to_success": {"3": False},
+                "eid_to_explanation": {},
+                "eid_to_round_needed": [1],
+                "ratio_agent_0": {"3": 0.25},
+            }
+        )
+    )
     path = folder / "7.json.gz"
     path.write_bytes(gzip.compress(json.dumps(session([frame(0)])).encode()))
     result = read_hitl_episode(path).episode.info["partnr"]
@@ -274,10 +310,19 @@ BROKEN: dict[str, Any] = {
     "text": session([frame(0, t="x")]),
     "no steps": log(0),
     "log without objects": log(0) | {"steps": [1, 2]},
-    "many bodies": session([frame(0, object_states=[
-        {"object_handle": f"a{k}", "position": [0, 0, 0], "rotation": LEVEL} for k in range(3000)])] + [{}] * 20_000),
+    "many bodies": session(
+        [
+            frame(
+                0,
+                object_states=[
+                    {"object_handle": f"a{k}", "position": [0, 0, 0], "rotation": LEVEL} for k in range(3000)
+                ],
+            )
+        ]
+        + [{}] * 20_000
+    ),
     "nested": '{"session":{"config":' + "[" * 100_000 + "]" * 100_000 + '},"episode":{},"frames":[{}]}',
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", BROKEN)
@@ -356,8 +401,17 @@ def test_mutated_files_are_read_or_refused(
 
 leaf = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=4)
 anything = st.recursive(leaf, lambda s: st.lists(s, max_size=4) | st.dictionaries(st.text(max_size=6), s, max_size=4))
-KEYS = ("t", "users", "object_states", "agent_states", "task_percent_complete", "action", "gui_humanoid", "metrics",
-        "target_object_positions")  # fmt: skip
+KEYS = (
+    "t",
+    "users",
+    "object_states",
+    "agent_states",
+    "task_percent_complete",
+    "action",
+    "gui_humanoid",
+    "metrics",
+    "target_object_positions",
+)
 
 
 @given(key=st.sampled_from(KEYS), value=anything)

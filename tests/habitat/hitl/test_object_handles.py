@@ -46,8 +46,10 @@ def test_handles_become_templates() -> None:
     names = ["can_:0000", "can_:0001", "objects/ycb/mug_:0012", "object_63"]
     assets, bodies, _ = object_bodies(names, [track.copy() for _ in names])
     assert [(a.name, a.uri) for a in assets] == [
-        ("can", "handle:can"), ("mug", "handle:mug"), ("object_63", "rearranged_objects/object_63.glb"),
-    ]  # fmt: skip
+        ("can", "handle:can"),
+        ("mug", "handle:mug"),
+        ("object_63", "rearranged_objects/object_63.glb"),
+    ]
     assert [b.asset for b in bodies] == ["can", "can", "mug", "object_63"]
 
 

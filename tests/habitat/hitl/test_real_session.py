@@ -90,9 +90,20 @@ def test_a_replay_whose_assets_are_here(real: Path, tmp_path: Path, capsys: pyte
     data = run(capsys, "import", source, "-o", tmp_path, "--assets", real / "habitat-sim")
     assert data["files"][0]["missing_assets"] == 0
     data = run(
-        capsys, "rerender", tmp_path / "replay.mcap", "--camera", "user.cam_rgba_256x256", "--steps", "0:3", "--outputs",
-        "rgb,depth", "--assets", real / "habitat-sim", "-o", tmp_path / "v",
-    )  # fmt: skip
+        capsys,
+        "rerender",
+        tmp_path / "replay.mcap",
+        "--camera",
+        "user.cam_rgba_256x256",
+        "--steps",
+        "0:3",
+        "--outputs",
+        "rgb,depth",
+        "--assets",
+        real / "habitat-sim",
+        "-o",
+        tmp_path / "v",
+    )
     assert data["recordings"][0]["missing"] == {}
 
 
@@ -104,9 +115,20 @@ def test_a_folder_is_walked(real: Path, tmp_path: Path, capsys: pytest.CaptureFi
 def test_episodes_in_a_real_habitat_scene(real: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     stage = real / "habitat-sim" / "data" / "test_assets" / "scenes" / "simple_room.stage_config.json"
     data = run(
-        capsys, "generate", "social_nav", "--scenes", stage, "--spawn-distance", "2.5", "--episodes", "2", "--max-steps",
-        "90", "-o", tmp_path / "ds",
-    )  # fmt: skip
+        capsys,
+        "generate",
+        "social_nav",
+        "--scenes",
+        stage,
+        "--spawn-distance",
+        "2.5",
+        "--episodes",
+        "2",
+        "--max-steps",
+        "90",
+        "-o",
+        tmp_path / "ds",
+    )
     assert data["episodes"] == 2
     recording = h3data.open(tmp_path / "ds").recording(0)
     picture = h3data.render_frame(recording, camera="top_down", step=-1, outputs=("instance",))["instance"]

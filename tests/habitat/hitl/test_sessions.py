@@ -98,8 +98,9 @@ def test_what_else_a_paper_era_log_holds(hitl: Path, truth: Any) -> None:
     np.testing.assert_array_equal(np.isfinite(columns["input.user_0.cam_yaw"]), by_keys)
     np.testing.assert_array_equal(np.isnan(columns["input.user_0.hint_walk_dir"]).all(1), by_keys)
     assert [(e.step, e.agent, e.kind, e.target) for e in recording.events] == [
-        (80, 1, "pick", "object_63"), (148, 1, "place", ""),
-    ]  # fmt: skip
+        (80, 1, "pick", "object_63"),
+        (148, 1, "place", ""),
+    ]
 
 
 # --- second generation ------------------------------------------------------------------------------------------------

@@ -30,17 +30,21 @@ class Dataset:
     def __init__(self, root: Path) -> None:
         self.root = root
         self.config = root / "home.scene_dataset_config.json"
-        self.json(self.config.name, {
-            "stages": {"paths": {".json": ["stages"]}},
-            "objects": {"paths": {".json": ["objects"]}},
-            "articulated_objects": {"paths": {".urdf": ["urdf/*"], ".json": ["urdf/*"]}},
-            "light_setups": {"paths": {".json": ["lighting"]}},
-            "semantic_scene_descriptor_instances": {
-                "default_attributes": {"semantic_descriptor_filename": "lexicon.json"}, "paths": {".json": ["semantics"]}
+        self.json(
+            self.config.name,
+            {
+                "stages": {"paths": {".json": ["stages"]}},
+                "objects": {"paths": {".json": ["objects"]}},
+                "articulated_objects": {"paths": {".urdf": ["urdf/*"], ".json": ["urdf/*"]}},
+                "light_setups": {"paths": {".json": ["lighting"]}},
+                "semantic_scene_descriptor_instances": {
+                    "default_attributes": {"semantic_descriptor_filename": "lexicon.json"},
+                    "paths": {".json": ["semantics"]},
+                },
+                "navmesh_instances": {"walk": "navmeshes/one.navmesh"},
+                "scene_instances": {"paths": {".json": ["scenes"]}},
             },
-            "navmesh_instances": {"walk": "navmeshes/one.navmesh"},
-            "scene_instances": {"paths": {".json": ["scenes"]}},
-        })  # fmt: skip
+        )
         self.mesh("stages/room.glb", trimesh.creation.box(extents=(10, 0.2, 8)))
         self.json("stages/room.stage_config.json", {"render_asset": "room.glb"})
         self.write("urdf/chest/chest.urdf", CHEST)

@@ -168,7 +168,9 @@ def test_the_reader_says_which_keys_it_did_not_read() -> None:
 
 
 def test_keys_that_count_as_read_are_named_by_the_readers() -> None:
-    code = "".join(p.read_text() for p in (ROOT / "h3data" / "habitat" / "scenes").glob("*.py") if "keys" not in p.name)
+    code = "".join(
+        p.read_text() for p in (ROOT / "pipelines" / "h3data_habitat" / "scenes").glob("*.py") if "keys" not in p.name
+    )
     for kind, keys in READ.items():
         for key in keys:
             named = f'"{key}"' in code or f"'{key}'" in code

@@ -95,11 +95,14 @@ class Dataset:
     def __init__(self, root: Path) -> None:
         self.root = root
         self.config = root / "home.scene_dataset_config.json"
-        self.json("home.scene_dataset_config.json", {
-            "stages": {"paths": {".json": ["stages"]}},
-            "objects": {"paths": {".json": ["objects/*", "objects"], ".glb": ["bare"]}},
-            "scene_instances": {"paths": {".json": ["scenes"]}},
-        })  # fmt: skip
+        self.json(
+            "home.scene_dataset_config.json",
+            {
+                "stages": {"paths": {".json": ["stages"]}},
+                "objects": {"paths": {".json": ["objects/*", "objects"], ".glb": ["bare"]}},
+                "scene_instances": {"paths": {".json": ["scenes"]}},
+            },
+        )
         self.brick("stages/room.glb", (10, 0.2, 8), (0, -0.1, 0))
         self.json("stages/room.stage_config.json", {"render_asset": "room.glb"})
 
@@ -133,8 +136,12 @@ def dataset(tmp_path: Path) -> Dataset:
 def test_object_poses_are_moved_from_the_centre_of_mass(dataset: Dataset) -> None:
     turn = [S, 0, S, 0]  # w x y z: 90 degrees about y, (x, y, z) -> (z, y, -x)
     here = {"template_name": "brick", "translation": [10, 0, 0], "rotation": turn}
-    scene = dataset.scene(here, {**here, "translation_origin": "asset_local"}, {**here, "uniform_scale": 0.5},
-                          {**here, "motion_type": "STATIC", "non_uniform_scale": [1, 2, 1]})  # fmt: skip
+    scene = dataset.scene(
+        here,
+        {**here, "translation_origin": "asset_local"},
+        {**here, "uniform_scale": 0.5},
+        {**here, "motion_type": "STATIC", "non_uniform_scale": [1, 2, 1]},
+    )
     com, local, half, tall = scene.instances[1:]
     np.testing.assert_allclose(com.pose[:3], [10 - 3, -2, 1], atol=1e-6)
     np.testing.assert_allclose(com.pose[3:], [0, S, 0, S], atol=1e-9)
@@ -149,8 +156,11 @@ def test_object_poses_are_moved_from_the_centre_of_mass(dataset: Dataset) -> Non
 
 def test_scene_wide_origin_and_config_com(dataset: Dataset) -> None:
     dataset.json("objects/0/brick.object_config.json", {"render_asset": "brick.glb", "COM": [0, 1, 0]})
-    scene = dataset.scene({"template_name": "brick"}, {"template_name": "brick", "translation_origin": "com"},
-                          translation_origin="ASSET_LOCAL")  # fmt: skip
+    scene = dataset.scene(
+        {"template_name": "brick"},
+        {"template_name": "brick", "translation_origin": "com"},
+        translation_origin="ASSET_LOCAL",
+    )
     np.testing.assert_array_equal(scene.instances[1].pose[:3], [0, 0, 0])
     np.testing.assert_array_equal(scene.instances[2].pose[:3], [0, -1, 0])
 
@@ -160,8 +170,10 @@ def test_collision_shapes(dataset: Dataset) -> None:
     dataset.json("objects/hull.object_config.json", base)
     dataset.json("objects/crate.object_config.json", {**base, "use_bounding_box_for_collision": True})
     dataset.json("objects/ghost.object_config.json", {**base, "is_collidable": False})
-    dataset.json("objects/ball.object_config.json",
-                 {**base, "collision_asset": "icosphereSolid_subdivs_1", "collision_asset_size": [0.25] * 3})  # fmt: skip
+    dataset.json(
+        "objects/ball.object_config.json",
+        {**base, "collision_asset": "icosphereSolid_subdivs_1", "collision_asset_size": [0.25] * 3},
+    )
     names = ("hull", "crate", "ghost", "ball")
     scene = dataset.scene(*({"template_name": n} for n in names))
     (hull,), (crate,), ghost, (ball,) = (scene.assets[n].shapes for n in names)
@@ -179,17 +191,25 @@ def test_templates_defaults_overrides_and_directives(dataset: Dataset) -> None:
     config = json.loads(dataset.config.read_text())
     config["objects"]["default_attributes"] = {"semantic_id": 1, "scale": [2, 2, 2]}
     config["objects"]["configs"] = [
-        {"original_file": "objects/0/brick.object_config.json", "template_handle": "slick", "attributes": {"scale": [3, 3, 3]}},
+        {
+            "original_file": "objects/0/brick.object_config.json",
+            "template_handle": "slick",
+            "attributes": {"scale": [3, 3, 3]},
+        },
         {"template_handle": "made_here", "attributes": {"render_asset": "objects/0/brick.glb", "semantic_id": 9}},
-    ]  # fmt: skip
+    ]
     dataset.json("home.scene_dataset_config.json", config)
     dataset.brick("objects/vase.glb", (1, 1, 1))
     dataset.json("objects/vase.object_config.json", {"render_asset": "%%CONFIG_NAME_AS_ASSET_FILENAME%%.glb"})
     dataset.brick("bare/lamp.glb", (1, 1, 1))
     scene = dataset.scene(*({"template_name": n} for n in ("brick", "slick", "made_here", "vase", "lamp")))
     assert [(i.asset, i.scale[0], i.semantic_id) for i in scene.instances[1:]] == [
-        ("brick", 2, 7), ("slick", 3, 7), ("made_here", 2, 9), ("vase", 2, 1), ("lamp", 2, 1)
-    ]  # fmt: skip
+        ("brick", 2, 7),
+        ("slick", 3, 7),
+        ("made_here", 2, 9),
+        ("vase", 2, 1),
+        ("lamp", 2, 1),
+    ]
 
 
 def test_a_name_finds_its_best_match(dataset: Dataset) -> None:
@@ -210,16 +230,21 @@ def test_receptacles_of_objects(dataset: Dataset) -> None:
         process=False,
     )
     el.export(dataset.root / "objects" / "0" / "top.ply")
-    dataset.json("objects/0/brick.object_config.json", {
-        "render_asset": "brick.glb", "up": [0, 0, 1], "front": [0, 1, 0],
-        "user_defined": {
-            "receptacle_aabb_top": {"name": "receptacle_aabb_top", "position": [1, 2, 6.25], "scale": [1, 2, 0.25]},
-            "receptacle_mesh_top": {"position": [0, 0, 0], "scale": [1, 1, 1], "mesh_filepath": "top.ply"},
-            "receptacle_mesh_lost": {"position": [0, 0, 0], "scale": [1, 1, 1], "mesh_filepath": "lost.ply"},
-            "receptacle_aabb_bad": {"position": "here"},
-            "other": 3,
+    dataset.json(
+        "objects/0/brick.object_config.json",
+        {
+            "render_asset": "brick.glb",
+            "up": [0, 0, 1],
+            "front": [0, 1, 0],
+            "user_defined": {
+                "receptacle_aabb_top": {"name": "receptacle_aabb_top", "position": [1, 2, 6.25], "scale": [1, 2, 0.25]},
+                "receptacle_mesh_top": {"position": [0, 0, 0], "scale": [1, 1, 1], "mesh_filepath": "top.ply"},
+                "receptacle_mesh_lost": {"position": [0, 0, 0], "scale": [1, 1, 1], "mesh_filepath": "lost.ply"},
+                "receptacle_aabb_bad": {"position": "here"},
+                "other": 3,
+            },
         },
-    })  # fmt: skip
+    )
     scene = dataset.scene({"template_name": "brick", "motion_type": "STATIC"})
     box, mesh = scene.assets["brick"].receptacles
     np.testing.assert_allclose(box.center, [1, 6, -2], atol=1e-9)
@@ -237,9 +262,10 @@ def test_turned_stage_boxes_shrink_to_what_fits_inside(tmp_path: Path) -> None:
     c, s = np.cos(np.pi / 8), np.sin(np.pi / 8)  # 45 degrees about y
     entry = {"position": [0, 1, 0], "scale": [1, 0.1, 1], "rotation": [c, 0, s, 0]}
     tilted = {**entry, "rotation": [c, s, 0, 0]}
-    made.json("stages/room.stage_config.json", {
-        "render_asset": "room.glb", "user_defined": {"receptacle_aabb_a": entry, "receptacle_aabb_b": tilted}
-    })  # fmt: skip
+    made.json(
+        "stages/room.stage_config.json",
+        {"render_asset": "room.glb", "user_defined": {"receptacle_aabb_a": entry, "receptacle_aabb_b": tilted}},
+    )
     scene = made.scene()
     (receptacle,) = scene.assets["room"].receptacles
     np.testing.assert_allclose(receptacle.half_size, [S, S], atol=1e-6)
@@ -289,7 +315,10 @@ def test_missing_meshes_are_an_error_unless_allowed(dataset: Dataset) -> None:
         ("home.scene_dataset_config.json", {"stages": 3}),
         ("home.scene_dataset_config.json", {"scene_instances": {"paths": {".json": ["nowhere"]}}}),
         ("stages/room.stage_config.json", {"render_asset": "room.glb", "up": [0, 0]}),
-        ("stages/room.stage_config.json", {"render_asset": "room.glb", "up": [0, 0, 1]}),  # front is parallel to nothing
+        (
+            "stages/room.stage_config.json",
+            {"render_asset": "room.glb", "up": [0, 0, 1]},
+        ),  # front is parallel to nothing
         ("stages/room.stage_config.json", {"render_asset": 5}),
         ("stages/room.stage_config.json", {"render_asset": "room.glb", "scale": ["a", 1, 1]}),
         ("stages/room.stage_config.json", {"render_asset": "room.glb", "units_to_meters": "m"}),
@@ -301,7 +330,7 @@ def test_missing_meshes_are_an_error_unless_allowed(dataset: Dataset) -> None:
         ("scenes/one.scene_instance.json", {"object_instances": {"a": 1}}),
         ("scenes/one.scene_instance.json", "nonsense"),
     ],
-)  # fmt: skip
+)
 def test_broken_configs_give_one_clear_line(dataset: Dataset, file: str, content: Any) -> None:
     dataset.scene({"template_name": "brick"})
     dataset.json(file, content)

@@ -80,13 +80,17 @@ def test_uniform_scale_scales_lengths_but_not_positions(dataset: Dataset) -> Non
 def test_receptacles_hang_on_their_link_and_point_up(dataset: Dataset) -> None:
     """The lid's link is turned by 90 degrees about x, so its own z axis points down in the world."""
     box = {"position": [0, 0, -0.05], "scale": [0.5, 0.4, 0.05], "rotation": [1, 0, 0, 0]}
-    dataset.json("urdf/chest/chest.ao_config.json", {
-        "urdf_filepath": "chest.urdf", "semantic_id": 5,
-        "user_defined": {
-            "receptacle_aabb_lid": {**box, "parent_link": "a_lid"},
-            "receptacle_aabb_lost": {**box, "parent_link": "handle"},
+    dataset.json(
+        "urdf/chest/chest.ao_config.json",
+        {
+            "urdf_filepath": "chest.urdf",
+            "semantic_id": 5,
+            "user_defined": {
+                "receptacle_aabb_lid": {**box, "parent_link": "a_lid"},
+                "receptacle_aabb_lost": {**box, "parent_link": "handle"},
+            },
         },
-    })  # fmt: skip
+    )
     scene = dataset.chest()
     ((instance, receptacle),) = scene.receptacles()
     assert instance.name == "chest_:0000/a_lid"
@@ -125,19 +129,29 @@ def test_missing_parts_of_articulated_objects(dataset: Dataset) -> None:
 
 # --- lights, rooms, filters, navmesh ----------------------------------------------------------------------------------
 def test_lights_survive_saving(dataset: Dataset, tmp_path: Path) -> None:
-    dataset.json("lighting/lamps.lighting_config.json", {
-        "positive_intensity_scale": 2, "negative_intensity_scale": 0.5,
-        "lights": {
-            "sun": {"type": "directional", "direction": [0, -1, 0], "intensity": 1.5, "color": [1, 0.9, 0.8]},
-            "hole": {"type": "point", "position": [1, 2, 3], "intensity": -4},
-            "spot": {"type": "spot", "position_model": "camera", "spot": {"innerConeAngle": 0.1, "outerConeAngle": 0.2}},
+    dataset.json(
+        "lighting/lamps.lighting_config.json",
+        {
+            "positive_intensity_scale": 2,
+            "negative_intensity_scale": 0.5,
+            "lights": {
+                "sun": {"type": "directional", "direction": [0, -1, 0], "intensity": 1.5, "color": [1, 0.9, 0.8]},
+                "hole": {"type": "point", "position": [1, 2, 3], "intensity": -4},
+                "spot": {
+                    "type": "spot",
+                    "position_model": "camera",
+                    "spot": {"innerConeAngle": 0.1, "outerConeAngle": 0.2},
+                },
+            },
         },
-    })  # fmt: skip
+    )
     scene = dataset.load(default_lighting="lamps")
     assert scene.lights is not None
     assert [(light.name, light.kind, light.intensity, light.frame) for light in scene.lights] == [
-        ("sun", "directional", 3.0, "global"), ("hole", "point", -2.0, "global"), ("spot", "spot", 2.0, "camera")
-    ]  # fmt: skip
+        ("sun", "directional", 3.0, "global"),
+        ("hole", "point", -2.0, "global"),
+        ("spot", "spot", 2.0, "camera"),
+    ]
     save_scene(scene, tmp_path / "s.glb")
     again = load_scene(tmp_path / "s.glb")
     assert scene_digest(again) == scene_digest(scene) != scene_digest(dataset.load())
@@ -155,11 +169,21 @@ def test_regions_become_rooms_and_the_lexicon_names_classes(dataset: Dataset) ->
     dataset.brick(semantic_id=7)
     dataset.json("semantics/lexicon.json", {"classes": [{"id": 7, "name": "sofa"}]})
     corners = [(0, 0), (4, 0), (4, 2), (2, 2), (2, 3), (0, 3)]
-    dataset.json("semantics/one.semantic_config.json", {"region_annotations": [
-        {"name": "hall", "label": "hallway", "poly_loop": [[x, 0.5, z] for x, z in corners], "floor_height": 0.5},
-        {"name": "hall", "label": "bath", "min_bounds": [-3, 0, -2], "max_bounds": [-1, 2, 0]},
-        {"name": "line", "label": "none", "poly_loop": [[0, 0, 0], [1, 0, 0]]},
-    ]})  # fmt: skip
+    dataset.json(
+        "semantics/one.semantic_config.json",
+        {
+            "region_annotations": [
+                {
+                    "name": "hall",
+                    "label": "hallway",
+                    "poly_loop": [[x, 0.5, z] for x, z in corners],
+                    "floor_height": 0.5,
+                },
+                {"name": "hall", "label": "bath", "min_bounds": [-3, 0, -2], "max_bounds": [-1, 2, 0]},
+                {"name": "line", "label": "none", "poly_loop": [[0, 0, 0], [1, 0, 0]]},
+            ]
+        },
+    )
     scene = dataset.load({"template_name": "brick"}, semantic_scene_instance="one.semantic_config.json")
     hall, bath = scene.rooms
     np.testing.assert_allclose(hall.rectangles, [[0, 0, 4, 2], [0, 2, 2, 3]])
@@ -189,11 +213,18 @@ def test_rectangles_of_a_star_shaped_polygon_have_its_area(points: list[tuple[fl
 def test_the_filter_decides_which_receptacles_are_in_use(dataset: Dataset, tmp_path: Path) -> None:
     box = {"position": [0, 3, 0], "scale": [1, 1, 1]}
     dataset.brick(user_defined={"receptacle_aabb_top": box, "receptacle_aabb_shelf": box})
-    dataset.json("filters/one.json", {
-        "active": ["brick_:0000|receptacle_aabb_top", "brick_:0001|receptacle_aabb_shelf", "brick_:0001|receptacle_aabb_top"],
-        "within_set": ["brick_:0001|receptacle_aabb_shelf"],
-        "height_filtered": ["brick_:0000|receptacle_aabb_shelf"],
-    })  # fmt: skip
+    dataset.json(
+        "filters/one.json",
+        {
+            "active": [
+                "brick_:0000|receptacle_aabb_top",
+                "brick_:0001|receptacle_aabb_shelf",
+                "brick_:0001|receptacle_aabb_top",
+            ],
+            "within_set": ["brick_:0001|receptacle_aabb_shelf"],
+            "height_filtered": ["brick_:0000|receptacle_aabb_shelf"],
+        },
+    )
     brick = {"template_name": "brick", "motion_type": "STATIC"}
     scene = dataset.load(brick, brick, user_defined={"scene_filter_file": "filters/one.json"})
     used = [f"{i.name}|{r.name}" for i, r in scene.receptacles()]

@@ -107,8 +107,14 @@ def eight_views(scene: RenderScene) -> list[Camera]:
     floor = np.concatenate([scene.meshes[0].vertices @ m[:, :3].T + m[:, 3] for m in scene.instance_matrix[:1]])
     low, high = floor.min(0), floor.max(0)
     rng = np.random.default_rng(3)
-    eyes = np.stack([rng.uniform(low[0] + 0.5, high[0] - 0.5, 8), rng.uniform(0.5, 1.7, 8),
-                     rng.uniform(low[2] + 0.5, high[2] - 0.5, 8)], axis=1)  # fmt: skip
+    eyes = np.stack(
+        [
+            rng.uniform(low[0] + 0.5, high[0] - 0.5, 8),
+            rng.uniform(0.5, 1.7, 8),
+            rng.uniform(low[2] + 0.5, high[2] - 0.5, 8),
+        ],
+        axis=1,
+    )
     yaw, pitch = rng.uniform(0, 2 * np.pi, 8), rng.uniform(-0.5, 0.1, 8)
     ahead = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(pitch), np.sin(yaw) * np.cos(pitch)], axis=1)
     return views(eyes, eyes + ahead)
@@ -494,8 +500,10 @@ def test_an_empty_scene_is_sky(make):
 
 def compare_sky(make: Any) -> dict[str, NDArray]:
     empty = RenderScene([], [])
-    got = {k: t.cpu().numpy()[0] for k, t in make(empty, width=WIDTH, height=HEIGHT, worlds=1)
-           .render(ROOM_VIEWS[0], outputs=OUTPUTS).items()}  # fmt: skip
+    got = {
+        k: t.cpu().numpy()[0]
+        for k, t in make(empty, width=WIDTH, height=HEIGHT, worlds=1).render(ROOM_VIEWS[0], outputs=OUTPUTS).items()
+    }
     want = Renderer(empty).render(ROOM_VIEWS[0], outputs=OUTPUTS)
     assert np.abs(got["rgb"].astype(int) - want["rgb"]).max() <= 1
     return got
@@ -520,7 +528,7 @@ def test_wrong_arguments_are_named(make):
         (lambda: make(scene, width=4, height=4, worlds=2, scene_of_world=[0, 1]), "numbers from 0 to 0"),
         (lambda: make(GpuScene(scene, moving=[3]), width=4, height=4, worlds=1), "moving lists instance 3"),
         (lambda: make(GpuScene(scene, skins={0: (None, None)}), width=4, height=4, worlds=1), "not deformable"),  # type: ignore[dict-item]
-    ]:  # fmt: skip
+    ]:
         with pytest.raises(InputError, match=words):
             call()
 

@@ -45,11 +45,23 @@ class EmulatedProgram:
             (folder / "kernels.cpp").write_text(text)
             assert COMPILER
             subprocess.run(
-                [COMPILER, "-O2", "-std=c++17", "-w", "-fPIC", "-shared", "-U_FORTIFY_SOURCE", "-ffp-contract=off",
-                 f"-I{Path(__file__).parent}", *(f"-D{name}={value}" for name, value in defines.items()),
-                 str(folder / "kernels.cpp"), "-o", str(path)],
+                [
+                    COMPILER,
+                    "-O2",
+                    "-std=c++17",
+                    "-w",
+                    "-fPIC",
+                    "-shared",
+                    "-U_FORTIFY_SOURCE",
+                    "-ffp-contract=off",
+                    f"-I{Path(__file__).parent}",
+                    *(f"-D{name}={value}" for name, value in defines.items()),
+                    str(folder / "kernels.cpp"),
+                    "-o",
+                    str(path),
+                ],
                 check=True,
-            )  # fmt: skip
+            )
         self._library = ctypes.CDLL(str(path))
 
     def launch(

@@ -21,9 +21,13 @@ def lit() -> LitScene:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("H3DATA_CACHE", "off")
         boxes = {
-            "floor": ((0, -0.1, 0), (4, 0, 3)), "ceiling": ((0, 2.5, 0), (4, 2.6, 3)), "left": ((-0.1, 0, 0), (0, 2.5, 3)),
-            "right": ((4, 0, 0), (4.1, 2.5, 3)), "back": ((0, 0, -0.1), (4, 2.5, 0)), "front": ((0, 0, 3), (4, 2.5, 3.1)),
-        }  # fmt: skip
+            "floor": ((0, -0.1, 0), (4, 0, 3)),
+            "ceiling": ((0, 2.5, 0), (4, 2.6, 3)),
+            "left": ((-0.1, 0, 0), (0, 2.5, 3)),
+            "right": ((4, 0, 0), (4.1, 2.5, 3)),
+            "back": ((0, 0, -0.1), (4, 2.5, 0)),
+            "front": ((0, 0, 3), (4, 2.5, 3.1)),
+        }
         meshes, instances = [], []
         for name, (low, high) in boxes.items():
             matrix = np.eye(4)

@@ -92,8 +92,11 @@ def test_instance_and_semantic_ids_and_mesh_triangles():
     assert (picture["triangle"][miss] == -1).all()
     assert (picture["depth"][miss] == 0).all()
     assert {name: a.dtype for name, a in picture.items()} == {
-        "depth": np.float32, "instance": np.int32, "semantic": np.int32, "triangle": np.int32,
-    }  # fmt: skip
+        "depth": np.float32,
+        "instance": np.int32,
+        "semantic": np.int32,
+        "triangle": np.int32,
+    }
 
 
 def test_moving_hiding_and_layers():

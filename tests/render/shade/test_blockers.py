@@ -104,9 +104,16 @@ def reference(rows: NDArray, points: NDArray, normals: NDArray, owners: NDArray)
 @kernel()
 def _run(cast, rays, near, owners, strip, scratch):
     block_pixels(
-        cast, 0, rays, np.uintp(near.ctypes.data), np.uintp(owners.ctypes.data), np.float32(-1),
-        np.uintp(strip.ctypes.data), np.uintp(strip.shape[1] * 4), scratch,
-    )  # fmt: skip
+        cast,
+        0,
+        rays,
+        np.uintp(near.ctypes.data),
+        np.uintp(owners.ctypes.data),
+        np.float32(-1),
+        np.uintp(strip.ctypes.data),
+        np.uintp(strip.shape[1] * 4),
+        scratch,
+    )
 
 
 def test_eight_pixels_at_a_time_equal_the_reference_bit_by_bit() -> None:

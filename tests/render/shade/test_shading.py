@@ -29,9 +29,7 @@ from h3data.render.shade.borrowed import borrowed
 from h3data.render.shade.shading import tone_map
 from h3data.srgb import linear_to_srgb, srgb_to_linear
 
-WHITE_ROOM = Light(
-    sky=(0.5, 0.5, 0.5), ground=(0.5, 0.5, 0.5), sun=(0, 0, 0), fill=(0, 0, 0), headlight=(0, 0, 0)
-)  # fmt: skip
+WHITE_ROOM = Light(sky=(0.5, 0.5, 0.5), ground=(0.5, 0.5, 0.5), sun=(0, 0, 0), fill=(0, 0, 0), headlight=(0, 0, 0))
 
 
 def triangle(points: list, colors: list, normals: NDArray | None = None) -> Mesh:

@@ -173,8 +173,11 @@ def test_straight_lines_stay_straight_in_perspective():
     # a stripe along the floor: its middle must project onto the line between the projections of its ends
     pixels = np.full((1, 64, 4), 255, np.uint8)
     pixels[:, 30:34, :3] = 0
-    floor = quad(Texture(pixels=pixels), [[0, 0], [1, 0], [1, 1], [0, 1]],
-                 points=np.array([[-2, 0, 1], [2, 0, 1], [2, 0, 30], [-2, 0, 30]]))  # fmt: skip
+    floor = quad(
+        Texture(pixels=pixels),
+        [[0, 0], [1, 0], [1, 1], [0, 1]],
+        points=np.array([[-2, 0, 1], [2, 0, 1], [2, 0, 30], [-2, 0, 30]]),
+    )
     camera = pinhole(320, 240, hfov_deg=70, pose=look_at([1.5, 1.2, -0.5], [0, 0, 4]))
     rgb = render([floor], camera)["rgb"][..., 0].astype(float)
     ends, _ = camera.project([[0, 0, 1.3], [0, 0, 6]])

@@ -219,10 +219,16 @@ def test_processes_that_build_the_same_scene_do_not_disturb_each_other(tmp_path)
         "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path]),
     }
     workers = [
-        subprocess.Popen([sys.executable, "-W", "error", "-c", script], env=environment, text=True,
-                         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        subprocess.Popen(
+            [sys.executable, "-W", "error", "-c", script],
+            env=environment,
+            text=True,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
         for _ in range(2)
-    ]  # fmt: skip
+    ]
     for worker in workers:
         assert worker.stdin is not None
         worker.stdin.write("\n")

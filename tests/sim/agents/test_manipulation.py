@@ -183,9 +183,10 @@ def shelf(depth_m: float, hand: np.ndarray) -> Scene:
     box = Box(pose=IDENTITY_POSE, half_extents=np.array([0.5, 0.5, 0.5]))
     pose = np.array([hand[0] - depth_m + 0.5, hand[1], hand[2], 0, 0, 0, 1.0])
     return Scene(
-        name="one", assets={"box": Asset(name="box", mesh=mesh, shapes=(box,))},
+        name="one",
+        assets={"box": Asset(name="box", mesh=mesh, shapes=(box,))},
         instances=(Instance(name="shelf", asset="box", pose=pose),),
-    )  # fmt: skip
+    )
 
 
 def test_a_held_box_in_a_shelf_is_as_deep_as_it_is(robot: Robot) -> None:

@@ -90,8 +90,11 @@ def test_impossible_states_are_refused(bad: dict[str, Any]) -> None:
 def test_a_cast_counts_robots_first() -> None:
     cast = make_roster("human, lift_arm,male_1,robot")
     assert [(m.name, m.model) for m in cast] == [
-        ("robot_1", "lift_arm"), ("robot_2", "quad_arm"), ("human_1", "female_0"), ("human_2", "male_1"),
-    ]  # fmt: skip
+        ("robot_1", "lift_arm"),
+        ("robot_2", "quad_arm"),
+        ("human_1", "female_0"),
+        ("human_2", "male_1"),
+    ]
     assert kinds_of(make_roster(["human"])) == ("human",)
     assert make_roster(["human"])[0].name == "human"
 
@@ -156,8 +159,17 @@ def test_robot_and_person_touch_as_in_social_navigation(home: Scene, free: FreeS
     assert 40 < expected.sum() < 180
 
 
-@pytest.mark.parametrize("bad", [[], [[[0, 0]]], [[[0, 0]], [[0, 0]], [[0, 0]]], [[[0, np.nan]], [[0, 0]]],
-                                 [[[0, 0]], [[np.inf, 0]]], [[[0, 0, 0]], [[0, 0]]]])  # fmt: skip
+@pytest.mark.parametrize(
+    "bad",
+    [
+        [],
+        [[[0, 0]]],
+        [[[0, 0]], [[0, 0]], [[0, 0]]],
+        [[[0, np.nan]], [[0, 0]]],
+        [[[0, 0]], [[np.inf, 0]]],
+        [[[0, 0, 0]], [[0, 0]]],
+    ],
+)
 def test_bad_actions_move_nobody(home: Scene, free: FreeSpace, bad: Any) -> None:
     worlds = AgentWorlds(home, free=free)
     worlds.reset(0)
@@ -227,7 +239,7 @@ def test_everybody_wanders(home: Scene, free: FreeSpace, agents: str, tmp_path: 
         ("robot", "greedy_nearest", "both"),
         pytest.param("robot,robot,human", "complement", "object_1", marks=pytest.mark.slow),
     ],
-)  # fmt: skip
+)
 def test_any_agents_rearrange(
     drawn: RearrangeEpisode, free: FreeSpace, agents: str, policy: str, partner: str, tmp_path: Any
 ) -> None:

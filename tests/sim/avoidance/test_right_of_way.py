@@ -41,8 +41,12 @@ def free(home: Scene) -> FreeSpace:
 
 
 SIZES: dict[str, Any] = {
-    "floor_y": 0.0, "radius_m": 0.25, "height_m": 1.4, "max_climb_m": 0.2, "cell_m": 0.05,
-}  # fmt: skip
+    "floor_y": 0.0,
+    "radius_m": 0.25,
+    "height_m": 1.4,
+    "max_climb_m": 0.2,
+    "cell_m": 0.05,
+}
 
 
 def floor_of(*rooms: shapely.Polygon) -> FreeSpace:

@@ -41,9 +41,12 @@ def poses() -> Poses:
     joints[:, order] = [c["human_joint_positions"] for c in cases]
     base = {who: pose_from_matrix(np.array([c[f"{who}_sim_obj_T"] for c in cases])) for who in ("robot", "human")}
     return Poses(
-        cases, robot, human, robot.link_matrices(base["robot"], [c["robot_joint_positions"] for c in cases]),
+        cases,
+        robot,
+        human,
+        robot.link_matrices(base["robot"], [c["robot_joint_positions"] for c in cases]),
         human.link_matrices(base["human"], joints),
-    )  # fmt: skip
+    )
 
 
 def shapes_of(robot: Robot) -> tuple[list[Shape], list[int]]:

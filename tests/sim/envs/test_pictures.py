@@ -50,10 +50,14 @@ def test_pictures_have_the_sizes_of_the_papers_cameras() -> None:
     for env in (social_nav_env(HOME, observations=names), rearrange_env(HOME, observations=names)):
         seen, _ = env.reset(seed=4)
         assert {name: array.shape for name, array in seen.items()} == {
-            "arm_depth": (171, 224, 1), "arm_rgb": (480, 640, 3), "humanoid_detector": (1,),
-            "humanoid_mask": (171, 224, 1), "humanoid_box": (171, 224, 1), "front_left_depth": (212, 120, 1),
+            "arm_depth": (171, 224, 1),
+            "arm_rgb": (480, 640, 3),
+            "humanoid_detector": (1,),
+            "humanoid_mask": (171, 224, 1),
+            "humanoid_box": (171, 224, 1),
+            "front_left_depth": (212, 120, 1),
             "front_left_rgb": (212, 120, 3),
-        }  # fmt: skip
+        }
         assert env.observation_space.contains(seen)
         assert {seen[name].dtype for name in names if name.endswith("_rgb")} == {np.dtype(np.uint8)}
         assert 0 < seen["arm_depth"].max() <= 1
@@ -175,9 +179,15 @@ def test_worlds_side_by_side_are_watched_one_by_one(scenes: Any) -> None:
 # --- sensors against each other -----------------------------------------------------------------------------------------
 def test_both_tasks_have_the_sensors_of_the_list() -> None:
     common = {
-        "humanoid_gps", "egomotion", "arm_joints", "is_holding", "localization", "localization_in_start_frame",
-        "humanoid_in_start_frame", "collision",
-    }  # fmt: skip
+        "humanoid_gps",
+        "egomotion",
+        "arm_joints",
+        "is_holding",
+        "localization",
+        "localization_in_start_frame",
+        "humanoid_in_start_frame",
+        "collision",
+    }
     assert common <= set(SENSORS) & set(SENSES)
     assert set(PAPER_SENSES) - {"arm_depth"} <= set(SENSES) >= set(HABITAT_SENSES) - {"arm_depth"}
 

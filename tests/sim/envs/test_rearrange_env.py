@@ -256,9 +256,11 @@ def play_at_random(c: dict[str, Any], *, actions: int) -> None:
     """Random actions, half of the time only feasible ones: nothing breaks, and bases stay out of obstacles."""
     env, rng = make(c), np.random.default_rng(c["seed"])
     single = isinstance(env, TaskEnv)
-    spaces = {"": (env.action_space, env.observation_space)} if single else {
-        a: (env.action_space(a), env.observation_space(a)) for a in env.possible_agents
-    }  # fmt: skip
+    spaces = (
+        {"": (env.action_space, env.observation_space)}
+        if single
+        else {a: (env.action_space(a), env.observation_space(a)) for a in env.possible_agents}
+    )
     for space, _ in spaces.values():
         space.seed(c["seed"] % 2**31)
 

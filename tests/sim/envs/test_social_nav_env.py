@@ -328,15 +328,24 @@ configurations = st.fixed_dictionaries(
 def play_at_random(c: dict[str, Any], episodes: int) -> int:
     """Plays at least so many episodes of a configuration; returns how many."""
     spec = SocialNavSpec(
-        max_steps=c["steps"], spawn_distance_m=3.0, human=WalkerSpec(speed_mps=c["speed"]),
+        max_steps=c["steps"],
+        spawn_distance_m=3.0,
+        human=WalkerSpec(speed_mps=c["speed"]),
         robot=BaseSpec(max_lateral_mps=c["lateral"]),
-    )  # fmt: skip
+    )
     robot, human = c["body"]
     seen = EVERYTHING if c["pictures"] else ("humanoid_gps", "egomotion", "localization")
     batch = Batch(
-        c["scenes"], worlds=c["worlds"], spec=spec, reward=c["profile"], driven=c["driven"], robot=robot, human=human,
-        observations=seen, depth_size=(16, 12),
-    )  # fmt: skip
+        c["scenes"],
+        worlds=c["worlds"],
+        spec=spec,
+        reward=c["profile"],
+        driven=c["driven"],
+        robot=robot,
+        human=human,
+        observations=seen,
+        depth_size=(16, 12),
+    )
     space = gymnasium.vector.utils.batch_space(batch.space(), c["worlds"])
     width = batch.stepper.action_space("robot").shape[0]
     rng = np.random.default_rng(c["seed"])

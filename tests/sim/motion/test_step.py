@@ -151,9 +151,22 @@ def test_compiled_is_the_readable_reference(free: FreeSpace) -> None:
     state = random_starts(free, rng, 40)
     for w in range(40):
         args = (
-            free.sdf, free.origin, free.cell_m, *state.xz[w], state.heading[w], rng.uniform(-2.5, 2.5),
-            0.5 * (w % 2), rng.uniform(-2.5, 2.5), 0.2, OFFSETS, 0.25, 3, 2e-3, 1e-5, 0.3 if w % 3 else math.inf,
-        )  # fmt: skip
+            free.sdf,
+            free.origin,
+            free.cell_m,
+            *state.xz[w],
+            state.heading[w],
+            rng.uniform(-2.5, 2.5),
+            0.5 * (w % 2),
+            rng.uniform(-2.5, 2.5),
+            0.2,
+            OFFSETS,
+            0.25,
+            3,
+            2e-3,
+            1e-5,
+            0.3 if w % 3 else math.inf,
+        )
         np.testing.assert_allclose(kernels.drive_base(*args), kernels.drive_base.py_func(*args), atol=1e-12)
 
 

@@ -55,9 +55,11 @@ def weights(tmp_path: Path) -> Path:
 
 # --- the network --------------------------------------------------------------------------------------------------------
 @given(
-    widths=st.lists(st.integers(1, 9), min_size=2, max_size=5), kind=st.sampled_from([nn.Tanh, nn.ReLU]),
-    bias=st.booleans(), seed=st.integers(0, 100),
-)  # fmt: skip
+    widths=st.lists(st.integers(1, 9), min_size=2, max_size=5),
+    kind=st.sampled_from([nn.Tanh, nn.ReLU]),
+    bias=st.booleans(),
+    seed=st.integers(0, 100),
+)
 @settings(max_examples=30, deadline=None)
 def test_it_gives_what_pytorch_gives(widths: list[int], kind: type, bias: bool, seed: int) -> None:
     torch.manual_seed(seed)
@@ -110,10 +112,18 @@ class Bomb:
 def other_arrays(**change: object) -> dict:
     net = small_network()
     arrays = {
-        "format": FILE_FORMAT, "task": "social_nav", "activation": "tanh", "observations": list(NAMES), "mean": net.mean,
-        "scale": net.scale, "weight_0": net.weights[0], "bias_0": net.biases[0], "weight_1": net.weights[1],
-        "bias_1": net.biases[1], **change,
-    }  # fmt: skip
+        "format": FILE_FORMAT,
+        "task": "social_nav",
+        "activation": "tanh",
+        "observations": list(NAMES),
+        "mean": net.mean,
+        "scale": net.scale,
+        "weight_0": net.weights[0],
+        "bias_0": net.biases[0],
+        "weight_1": net.weights[1],
+        "bias_1": net.biases[1],
+        **change,
+    }
     return {name: value for name, value in arrays.items() if value is not None}
 
 
@@ -310,9 +320,11 @@ def copied_chooser(world: RearrangeEpisode) -> Network:
     x, y = np.stack([row for row, _ in rows]), np.array([k for _, k in rows])
     weight = np.linalg.lstsq(np.append(x, np.ones((len(x), 1)), axis=1), np.eye(len(known))[y], rcond=None)[0]
     return Network(
-        task="rearrange", observations=CHOOSER_INPUTS, weights=(weight[:-1].T.astype(np.float32).copy(),),
+        task="rearrange",
+        observations=CHOOSER_INPUTS,
+        weights=(weight[:-1].T.astype(np.float32).copy(),),
         biases=(weight[-1].astype(np.float32),),
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.slow  # quick: training/test_populations.py

@@ -39,10 +39,15 @@ def constant(task: str, command: Any = None, **card: Any) -> VisualPolicy:
     command = np.zeros(actions) if command is None else np.asarray(command)
     numbers = number_count(SHOWN[task], actions)
     arrays = {
-        "gru.weight_ih": np.zeros((12, numbers)), "gru.weight_hh": np.zeros((12, 4)), "gru.bias_ih": np.zeros(12),
-        "gru.bias_hh": np.zeros(12), "act_0.weight": np.zeros((8, 4 + numbers)), "act_0.bias": np.zeros(8),
-        "act_1.weight": np.zeros((actions, 8)), "act_1.bias": command,
-    }  # fmt: skip
+        "gru.weight_ih": np.zeros((12, numbers)),
+        "gru.weight_hh": np.zeros((12, 4)),
+        "gru.bias_ih": np.zeros(12),
+        "gru.bias_hh": np.zeros(12),
+        "act_0.weight": np.zeros((8, 4 + numbers)),
+        "act_0.bias": np.zeros(8),
+        "act_1.weight": np.zeros((actions, 8)),
+        "act_1.bias": command,
+    }
     about = {"task": task, "robot": "quad_arm", "observations": SHOWN[task], "picture_size": None, "hold": 3, **card}
     return VisualPolicy(
         card=PolicyCard(**{"actions": actions, **about}), arrays={n: a.astype(np.float32) for n, a in arrays.items()}

@@ -58,10 +58,19 @@ def views(free: FreeSpace, count: int) -> list[SocialNavView]:
         future = partial(free.snap, human + velocity * (np.arange(1, 200)[:, None] * STEP_S))
         found.append(
             SocialNavView(
-                free, xz, heading, human, float(free.geodesic(xz, human)), bool(k % 4), 5, k, None,
-                human - velocity * STEP_S, future,
+                free,
+                xz,
+                heading,
+                human,
+                float(free.geodesic(xz, human)),
+                bool(k % 4),
+                5,
+                k,
+                None,
+                human - velocity * STEP_S,
+                future,
             )
-        )  # fmt: skip
+        )
     return found
 
 
@@ -92,9 +101,12 @@ def test_a_mirrored_world_has_mirrored_commands() -> None:
     for k, view in enumerate(views(free, 60)):
         assert view.human_before is not None
         other = view._replace(
-            free=mirrored, robot_xz=view.robot_xz * MIRROR, robot_heading=-view.robot_heading,
-            human_xz=view.human_xz * MIRROR, human_before=view.human_before * MIRROR,
-        )  # fmt: skip
+            free=mirrored,
+            robot_xz=view.robot_xz * MIRROR,
+            robot_heading=-view.robot_heading,
+            human_xz=view.human_xz * MIRROR,
+            human_before=view.human_before * MIRROR,
+        )
         one, two = rollout_expert(view, SPEC), rollout_expert(other, SPEC)
         assert one.skill == two.skill
         assert one[:2] == pytest.approx((two.forward, -two.turn), abs=1e-6), k

@@ -59,8 +59,9 @@ def test_the_picture_is_that_of_the_replay(home: Scene, bodies: tuple[Robot, Hum
     (robot,), (walker,) = state.robots, state.people
     base, person = recording.columns["agent_0.base_pose"][step], recording.columns["agent_1.base_pose"][step]
     for pose, xz, heading in (
-        (base, robot.xz, robot.heading), (person, walker.xz, walker.heading),
-    ):  # fmt: skip
+        (base, robot.xz, robot.heading),
+        (person, walker.xz, walker.heading),
+    ):
         xz[0] = pose[[0, 2]]
         heading[0] = 2 * np.arctan2(pose[4], pose[6])
     clip = human.clips[human.clip_for_speed(2.5)]

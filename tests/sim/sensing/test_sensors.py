@@ -139,8 +139,11 @@ def test_one_world_is_as_many() -> None:
     rng = np.random.default_rng(0)
     xz, heading, other = rng.normal(size=(64, 2)), rng.normal(size=64), rng.normal(size=(64, 2))
     functions: list[Any] = [
-        sensors.gps_compass, sensors.agents_within_threshold, sensors.facing, sensors.in_base_frame,
-    ]  # fmt: skip
+        sensors.gps_compass,
+        sensors.agents_within_threshold,
+        sensors.facing,
+        sensors.in_base_frame,
+    ]
     for function in functions:
         many = function(xz, heading, other)
         np.testing.assert_array_equal(many, [function(*row) for row in zip(xz, heading, other, strict=True)])

@@ -151,13 +151,13 @@ def test_its_columns_say_what_was_commanded(whole: Path) -> None:
 # --- any command ------------------------------------------------------------------------------------------------------
 numbers = st.floats(-2, 2)
 places = st.tuples(*[st.floats(-999, 999)] * 3)
-hands = st.none() | st.builds(HandTarget, places) | st.builds(
-    HandTarget, st.tuples(*[st.floats(-1.5, 1.5)] * 3), st.tuples(*[st.floats(0.1, 1)] * 4)
-)  # fmt: skip
+hands = (
+    st.none()
+    | st.builds(HandTarget, places)
+    | st.builds(HandTarget, st.tuples(*[st.floats(-1.5, 1.5)] * 3), st.tuples(*[st.floats(0.1, 1)] * 4))
+)
 skills = st.none() | st.sampled_from([Pick(0), Pick(1), Drop(), HandOver(0)]) | st.builds(Place, places)
-commands = st.builds(
-    PersonCommand, numbers, numbers, hands, hands, st.none() | st.tuples(numbers, numbers), skills
-)  # fmt: skip
+commands = st.builds(PersonCommand, numbers, numbers, hands, hands, st.none() | st.tuples(numbers, numbers), skills)
 
 
 @pytest.fixture(scope="module")

@@ -228,8 +228,9 @@ def test_a_person_under_commands_opens_takes_places_and_closes(session: Session)
     assert openables.positions[k] == openables.joints.closed[k]
     recording = session.close()
     assert [(e.kind, e.target) for e in recording.events if e.kind in ("open", "close")] == [
-        ("open", DRAWER), ("close", DRAWER),
-    ]  # fmt: skip
+        ("open", DRAWER),
+        ("close", DRAWER),
+    ]
     assert verify(recording).difference is None
 
 

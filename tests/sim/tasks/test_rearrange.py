@@ -247,9 +247,11 @@ def test_infeasible_skills_are_reported_no_ops(world: RearrangeEpisode) -> None:
     recording = simulate_rearrange(short, policy=script, partner="still", solo_steps=1)
     spans = [s for s in recording.skills if s.agent == 0]
     assert [(s.name, s.outcome, s.reason, s.end_step - s.start_step + 1) for s in spans[:4]] == [
-        ("pick", "failed", "out_of_reach", 1), ("place", "failed", "not_held", 1), ("turn_left", "done", "", 2),
+        ("pick", "failed", "out_of_reach", 1),
+        ("place", "failed", "not_held", 1),
+        ("turn_left", "done", "", 2),
         ("wait", "done", "", 2),
-    ]  # fmt: skip
+    ]
     base = recording.columns["agent_0.base_pose"]
     assert np.ptp(base[:2], axis=0).max() == 0
     turned = 2 * np.arccos(np.clip(np.abs(np.sum(base[1, 3:] * base[3, 3:])), 0, 1))

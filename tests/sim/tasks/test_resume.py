@@ -77,10 +77,14 @@ def test_a_recording_comes_out_again_through_both_stores(policy: str, tmp_path: 
 @pytest.mark.parametrize(
     ("column", "value"),
     [
-        ("agent_0.base_pose", np.float32(0.125)), ("agent_1.motion_phase", np.float32(0.125)), ("sim.human_leg", 77),
-        ("metrics.dist_agents", np.nan), ("state_hash", np.uint64(1)), ("time_ns", 40 * 33_333_333 + 1),
+        ("agent_0.base_pose", np.float32(0.125)),
+        ("agent_1.motion_phase", np.float32(0.125)),
+        ("sim.human_leg", 77),
+        ("metrics.dist_agents", np.nan),
+        ("state_hash", np.uint64(1)),
+        ("time_ns", 40 * 33_333_333 + 1),
     ],
-)  # fmt: skip
+)
 def test_the_first_difference_is_named(episode: Recording, column: str, value: Any) -> None:
     found = verify(changed(episode, column, 40, value))
     assert found.difference is not None
@@ -124,7 +128,7 @@ def test_resuming_is_exact_for_50_random_episodes_and_steps() -> None:
     for seed in range(50):
         recording = simulated(
             int(rng.integers(2**31)), policy=list(POLICIES)[seed % 3], steps=1500, told=bool(seed % 2)
-        )  # fmt: skip
+        )
         _resumes_exactly(recording, int(rng.integers(len(recording) + 1)))
 
 
@@ -157,9 +161,12 @@ def test_what_a_crash_left_can_be_continued() -> None:
     known = {k: v for k, v in whole.episode.info.items() if k not in ("ended", "oracle_min_steps")}
     goals = known["human_goals"][:GOALS]  # all that is known before the first step
     part = replace(
-        whole, columns={n: a[:70] for n, a in whole.columns.items()}, events=(), skills=(),
+        whole,
+        columns={n: a[:70] for n, a in whole.columns.items()},
+        events=(),
+        skills=(),
         episode=replace(whole.episode, info={**known, "human_goals": goals}),
-    )  # fmt: skip
+    )
     again = resume(part, 70)
     assert {n: a.tobytes() for n, a in again.columns.items()} == {n: a.tobytes() for n, a in whole.columns.items()}
 
@@ -281,15 +288,22 @@ def test_the_command(episode: Recording, tmp_path: Path, capsys: pytest.CaptureF
 @pytest.mark.parametrize(
     "arguments",
     [
-        [], ["--verify", "--resume-from", "3"], ["--verify", "--policy", "random"], ["--resume-from", "3"],
-        ["--resume-from", "3", "-o", "x.txt"], ["--counterfactual", "-o", "x.mcap"],
+        [],
+        ["--verify", "--resume-from", "3"],
+        ["--verify", "--policy", "random"],
+        ["--resume-from", "3"],
+        ["--resume-from", "3", "-o", "x.txt"],
+        ["--counterfactual", "-o", "x.mcap"],
         ["--resume-from", "3", "--policy", "none_such", "-o", "x.mcap"],
     ],
-)  # fmt: skip
+)
 def test_options_that_do_not_go_together(
-    arguments: list[str], episode: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    episode: Recording,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.chdir(tmp_path)
     write_mcap(episode, tmp_path / "a.mcap")
     assert run_json(capsys, "replay", "a.mcap", *arguments, code=2)["error"]

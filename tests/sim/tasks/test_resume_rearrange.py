@@ -60,8 +60,11 @@ def require_same(one: Recording, other: Recording) -> None:
     """Every bit of every column, all skills and events."""
     assert {n: a.tobytes() for n, a in one.columns.items()} == {n: a.tobytes() for n, a in other.columns.items()}
     assert (one.skills, one.events, one.agents) == (other.skills, other.events, other.agents)
-    same = [n for n in ("ended", "solo_steps", "policy", "partner", "partner_plan", "population", "spec", "goals")
-            if n in other.episode.info]  # fmt: skip
+    same = [
+        n
+        for n in ("ended", "solo_steps", "policy", "partner", "partner_plan", "population", "spec", "goals")
+        if n in other.episode.info
+    ]
     assert [one.episode.info[n] for n in same] == [other.episode.info[n] for n in same]
 
 
@@ -72,13 +75,13 @@ def known(world: RearrangeEpisode, episode: Recording) -> Callable[[int], Record
 
     def of(number: int) -> Recording:
         agents, policy, partner = (
-            ("robot,human", "complement", "both"), ("robot,human", "greedy_nearest", "plan_pop_4"),
-            ("robot,robot", "complement,both", "both"), ("human", "complement", "both"),
-        )[number]  # fmt: skip
+            ("robot,human", "complement", "both"),
+            ("robot,human", "greedy_nearest", "plan_pop_4"),
+            ("robot,robot", "complement,both", "both"),
+            ("human", "complement", "both"),
+        )[number]
         if number not in played:
-            played[number] = simulate_rearrange(
-                world.played_by(agents), policy=policy, partner=partner, solo_steps=500
-            )  # fmt: skip
+            played[number] = simulate_rearrange(world.played_by(agents), policy=policy, partner=partner, solo_steps=500)
         return played[number]
 
     return of
@@ -231,9 +234,12 @@ def test_what_a_crash_left_can_be_continued(episode: Recording) -> None:
     left = {k: v for k, v in episode.episode.info.items() if k != "ended"}
     for rows in (1, 150):
         part = replace(
-            episode, columns={n: a[:rows] for n, a in episode.columns.items()}, episode=replace(episode.episode, info=left),
-            events=(), skills=tuple(s for s in episode.skills if s.end_step < rows - 1),
-        )  # fmt: skip
+            episode,
+            columns={n: a[:rows] for n, a in episode.columns.items()},
+            episode=replace(episode.episode, info=left),
+            events=(),
+            skills=tuple(s for s in episode.skills if s.end_step < rows - 1),
+        )
         assert verify(part).equal
         require_same(resume(part, rows), episode)
 
@@ -268,8 +274,11 @@ def test_the_person_keeps_her_track_and_it_says_so(episode: Recording, step: int
         assert other.columns[name].tobytes() == episode.columns[name][:rows].tobytes()
     assert other.episode.info["human_reactive"] is False
     assert other.episode.info["counterfactual"] == {
-        "uid": episode.episode.uid, "step": step, "policy": "complement", "track_from": step,
-    }  # fmt: skip
+        "uid": episode.episode.uid,
+        "step": step,
+        "policy": "complement",
+        "track_from": step,
+    }
     np.testing.assert_array_equal(
         state_hash({n: a for n, a in other.columns.items() if n != "state_hash"}), other.columns["state_hash"]
     )
@@ -351,10 +360,13 @@ def test_what_cannot_be_simulated_is_refused(episode: Recording, name: str) -> N
 @pytest.mark.parametrize(
     "broken",
     [
-        with_info(starts=[[0.0, 0.0]]), with_info(starts=[[1e6, 0.0, 0.0]] * 2), with_info(spec={"max_steps": "x"}),
-        with_models("robot/quad_arm", "humanoid/nobody"), lambda r: changed(r, "agent_0.action", 3, np.nan),
+        with_info(starts=[[0.0, 0.0]]),
+        with_info(starts=[[1e6, 0.0, 0.0]] * 2),
+        with_info(spec={"max_steps": "x"}),
+        with_models("robot/quad_arm", "humanoid/nobody"),
+        lambda r: changed(r, "agent_0.action", 3, np.nan),
     ],
-)  # fmt: skip
+)
 def test_wanderers_that_cannot_be_simulated_are_refused(
     wandering: Recording, broken: Callable[[Recording], Recording]
 ) -> None:
@@ -405,6 +417,9 @@ def test_the_command(
     made = run(file, "--counterfactual", "--policy", "greedy_nearest", "-o", out, "--force")
     assert made["human_reactive"] is False
     assert run(out, "--verify")["equal"] == 1
-    assert "tracks" in run(
-        file, "--counterfactual", "--policy", "still", "--partner", "both", "-o", out, "--force", code=2
-    )["error"]  # fmt: skip
+    assert (
+        "tracks"
+        in run(file, "--counterfactual", "--policy", "still", "--partner", "both", "-o", out, "--force", code=2)[
+            "error"
+        ]
+    )

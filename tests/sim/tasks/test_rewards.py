@@ -47,11 +47,14 @@ def test_every_step_pays_what_habitat_pays(path: Path) -> None:
     def seen(k: int) -> Encounter:
         rows = [k, max(k - 1, 0)]
         return Encounter(
-            robot_xz=data["robot_base_pos_f32"][rows][:, [0, 2]], robot_heading=data["in_robot_yaw"][rows],
-            human_xz=data["human_base_pos_f32"][rows][:, [0, 2]], geodesic=data["geodesic"][rows],
-            collides=data["in_did_collide"][rows], collisions=data["in_total_collisions"][rows],
+            robot_xz=data["robot_base_pos_f32"][rows][:, [0, 2]],
+            robot_heading=data["in_robot_yaw"][rows],
+            human_xz=data["human_base_pos_f32"][rows][:, [0, 2]],
+            geodesic=data["geodesic"][rows],
+            collides=data["in_did_collide"][rows],
+            collisions=data["in_total_collisions"][rows],
             goal_xz=np.tile(data["nav_goal_pos"][[0, 2]], (2, 1)),
-        )  # fmt: skip
+        )
 
     first = reward.reset(seen(0))
     rows = [first.reward[0]]

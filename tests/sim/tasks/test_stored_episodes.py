@@ -44,9 +44,13 @@ spawn_distance_m = 4.0
 
 def small_set(seed: int = 1) -> SceneSet:
     return SceneSet(
-        name="two", split="eval", scenes=(SceneEntry(id="a", source=HomeSpec(seed=seed)),),
-        social_nav=SocialNavRules(spawn_distance_m=4.0), about="", sha256="",
-    )  # fmt: skip
+        name="two",
+        split="eval",
+        scenes=(SceneEntry(id="a", source=HomeSpec(seed=seed)),),
+        social_nav=SocialNavRules(spawn_distance_m=4.0),
+        about="",
+        sha256="",
+    )
 
 
 def run_json(capsys: pytest.CaptureFixture[str], *arguments: str | Path, code: int = 0) -> Any:
@@ -132,8 +136,10 @@ def test_the_person_goes_where_the_episode_says() -> None:
     person = recording.columns["agent_1.base_pose"][:, [0, 2]]
     for goal in walked[:2]:
         assert np.hypot(*(person - goal).T).min() < 0.05
-    uids = {simulate_social_nav(episode_from(e, open_scene(HOME), spec=SocialNavSpec(max_steps=2))).episode.uid
-            for e in (episode, told)}  # fmt: skip
+    uids = {
+        simulate_social_nav(episode_from(e, open_scene(HOME), spec=SocialNavSpec(max_steps=2))).episode.uid
+        for e in (episode, told)
+    }
     assert len(uids) == 2
 
 
@@ -155,7 +161,7 @@ def test_an_episode_of_another_home_is_refused() -> None:
     episode = sampled_episode(HOME, seed=5, spec=SocialNavSpec())
     rounded = msgspec.structs.replace(
         episode, human_goals=tuple((round(x, 2), round(z, 2)) for x, z in episode.human_goals)
-    )  # fmt: skip
+    )
     world = episode_from(rounded, open_scene(HOME))
     assert world.free.is_navigable(np.array(goals_of(world))).all()
     for change in ({"robot_start": (99.0, 0.0, 0.0)}, {"human_goals": ((1e9, 0.0),)}):
@@ -203,9 +209,12 @@ def test_generate_plays_a_set_and_says_so(tmp_path: Path, capsys: pytest.Capture
     ],
 )
 def test_refusals(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: tuple[str, ...],
     words: str,
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.chdir(tmp_path)
     Path("two.toml").write_text(SET_TEXT)
     given = [a.replace("SET", "two.toml") for a in arguments]

@@ -112,8 +112,14 @@ def test_each_world_sees_the_home_of_its_episode(device: Any, monkeypatch: pytes
     homes = ("small:1", "h3-homes-v2/train#0")
     bank = EpisodeBank.merged([EpisodeBank.draw(home, 1, seed=k, spec=rules(settings)) for k, home in enumerate(homes)])
     env = SocialNavTorchEnv(
-        4, device=name, dtype=torch.float32, observations=shown, spec=rules(settings), episodes=bank, depth_size=SIZE,
-    )  # fmt: skip
+        4,
+        device=name,
+        dtype=torch.float32,
+        observations=shown,
+        spec=rules(settings),
+        episodes=bank,
+        depth_size=SIZE,
+    )
     worlds = ActionRepeatEnv(settings, bank, device="cpu", compile=False, hold=1)
     seen, info = env.reset(seed=1)
     want, _ = worlds.reset(seed=1)

@@ -174,8 +174,14 @@ def test_the_same_choices_give_the_episodes_of_the_cpu(episodes: list[RearrangeE
     spans = count_spans(pair)
     assert pair.seen["collision"] >= 2
     assert pair.seen["picked"] > 100
-    for what in ("pick done", "place done", "nav_to_object done", "nav_to_goal done", "aborted agents_close",
-                 "failed out_of_reach"):  # fmt: skip
+    for what in (
+        "pick done",
+        "place done",
+        "nav_to_object done",
+        "nav_to_goal done",
+        "aborted agents_close",
+        "failed out_of_reach",
+    ):
         assert spans[what], f"nothing was ever: {what}"
 
 

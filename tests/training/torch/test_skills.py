@@ -124,10 +124,18 @@ def test_a_step_is_that_of_the_lower_layer(episode: RearrangeEpisode, skill: Ski
 def view_of(play: SkillRollout, start: SkillStart, before: tuple[Any, float]) -> SkillView:
     robot = play.robots[0]
     return SkillView(
-        free=robot.free, xz=robot.xz, heading=robot.heading, before=before, point=start.point, stand_xz=start.stand_xz,
-        hand=robot.hand_pose, resting=robot.resting_point, arm=robot.arm, holds=robot.objects.held(0) >= 0,
+        free=robot.free,
+        xz=robot.xz,
+        heading=robot.heading,
+        before=before,
+        point=start.point,
+        stand_xz=start.stand_xz,
+        hand=robot.hand_pose,
+        resting=robot.resting_point,
+        arm=robot.arm,
+        holds=robot.objects.held(0) >= 0,
         beyond_m=robot.base.disc_radius_m / 2,
-    )  # fmt: skip
+    )
 
 
 def told(sim: SkillTensors, now: SkillPlay, **changes: Any) -> SkillPlay:

@@ -99,8 +99,11 @@ def test_odd_places_give_the_step_of_the_kernel(place: Any, heading: float, acti
     robot = RobotState.zeros(1)
     robot.xz[:], robot.heading[:] = place, heading
     moved = drive_robots(
-        Grids.of([FLOOR], "cpu", torch.float64), RobotTensors.of(robot, "cpu", torch.float64), doubles([action]), BaseSpec()
-    )  # fmt: skip
+        Grids.of([FLOOR], "cpu", torch.float64),
+        RobotTensors.of(robot, "cpu", torch.float64),
+        doubles([action]),
+        BaseSpec(),
+    )
     kernels.drive_robots(robot, FLOOR, np.array([action]), BaseSpec())  # type: ignore[arg-type]
     np.testing.assert_allclose(moved.xz, robot.xz, rtol=0, atol=1e-6)
     np.testing.assert_allclose(moved.heading, robot.heading, rtol=0, atol=1e-6)

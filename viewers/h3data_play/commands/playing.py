@@ -119,9 +119,14 @@ class Play:
 
     def _serving(self) -> dict[str, Any]:
         return serving_options(
-            "h3data play", host=self.host, port=self.port, cert=self.cert, key=self.key, behind_proxy=self.behind_proxy,
+            "h3data play",
+            host=self.host,
+            port=self.port,
+            cert=self.cert,
+            key=self.key,
+            behind_proxy=self.behind_proxy,
             allow_hosts=self.allow_hosts,
-        )  # fmt: skip
+        )
 
     def _plan(self, out: Path) -> dict[str, Any]:
         from h3data_play.app import find_app

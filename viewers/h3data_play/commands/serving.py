@@ -69,9 +69,13 @@ def serving_options(
                 code="H3-PLAY-012",
             )
     return {
-        "host": host, "port": port, "cert": str(cert or ""), "key": str(key or ""), "behind_proxy": behind_proxy,
+        "host": host,
+        "port": port,
+        "cert": str(cert or ""),
+        "key": str(key or ""),
+        "behind_proxy": behind_proxy,
         "allow_hosts": list(allow_hosts),
-    }  # fmt: skip
+    }
 
 
 def require_aiohttp(what: str) -> None:
@@ -147,9 +151,11 @@ def _reports(process: subprocess.Popen[bytes]) -> Iterator[dict[str, Any]]:
 def _start(module: str, options: dict[str, Any]) -> subprocess.Popen[bytes]:
     paths = os.pathsep.join(path for path in sys.path if path)
     process = subprocess.Popen(
-        [sys.executable, "-m", module], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        [sys.executable, "-m", module],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
         env={**os.environ, "PYTHONPATH": paths},
-    )  # fmt: skip
+    )
     assert process.stdin is not None
     process.stdin.write(msgspec.json.encode(options) + b"\n")
     process.stdin.flush()

@@ -316,9 +316,13 @@ class _Analyser:
             metric.name: [values[id(e)] for e in chosen],
         }
         fit = fit_glmm(
-            rows, metric.name, "binomial" if metric.binary else "poisson", fixed=["condition"],
-            random=[name for name in self._model.random if len(set(rows[name])) > 1], observation_effect=observation,
-        )  # fmt: skip
+            rows,
+            metric.name,
+            "binomial" if metric.binary else "poisson",
+            fixed=["condition"],
+            random=[name for name in self._model.random if len(set(rows[name])) > 1],
+            observation_effect=observation,
+        )
         means = marginal_means(fit, "condition")
         return FittedMeans(label=label, fit=fit, means=means, differences=contrasts(means, scale="response"))
 

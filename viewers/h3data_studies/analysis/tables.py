@@ -142,8 +142,9 @@ def _contrasts(model: FittedMeans, order: Sequence[str]) -> dict[str, list[Cell]
         if order.index(c.first) > order.index(c.second):
             names, difference = (c.second, c.first), (-c.difference, -c.high, -c.low)
         cells[" − ".join(names)] = [
-            mean_cell(*difference, digits=1 if abs(c.difference) >= 1 else 2), Cell(text=p_text(c.p), value=c.p)
-        ]  # fmt: skip
+            mean_cell(*difference, digits=1 if abs(c.difference) >= 1 else 2),
+            Cell(text=p_text(c.p), value=c.p),
+        ]
     return cells
 
 

@@ -18,9 +18,15 @@ import aiohttp
 from h3data_studies.bots.client import BUSY, ENDED, Client
 
 DEVICE = {
-    "webgl": True, "ping_ms": 1, "fps": 60, "width": 1280, "height": 720, "browser": "bot", "system": "script",
+    "webgl": True,
+    "ping_ms": 1,
+    "fps": 60,
+    "width": 1280,
+    "height": 720,
+    "browser": "bot",
+    "system": "script",
     "gpu": "none",
-}  # fmt: skip
+}
 SAID = "Filled in by a script."
 DONE_M = 0.15
 """A thing this near to its goal is where it belongs, as for the page."""
@@ -39,9 +45,15 @@ class ScriptedParticipant(Client):
     view: dict[str, Any]
 
     def __init__(
-        self, link: str, name: str, report: Callable[[str], None] = lambda _: None, *, pid: str = "", rejoin: str = "",
+        self,
+        link: str,
+        name: str,
+        report: Callable[[str], None] = lambda _: None,
+        *,
+        pid: str = "",
+        rejoin: str = "",
         right: Mapping[tuple[str, str], float] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Connects a participant to a study.
 
         Args:

@@ -106,9 +106,12 @@ class StudyBots:
         if folder is not None:
             lines.append(f"Everything is in {folder}.\nh3data study report {folder}")
         data = {
-            "folder": None if folder is None else str(folder), "statuses": dict(crowd.statuses), "episodes": dict(crowd.ends),
-            "seconds": seconds, "slipped": crowd.slipped,
-        }  # fmt: skip
+            "folder": None if folder is None else str(folder),
+            "statuses": dict(crowd.statuses),
+            "episodes": dict(crowd.ends),
+            "seconds": seconds,
+            "slipped": crowd.slipped,
+        }
         return Outcome(text="\n".join(lines), data=data, exit_code=int(crowd.faults > 0), result=folder)
 
 

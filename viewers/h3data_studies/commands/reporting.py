@@ -114,9 +114,16 @@ class StudyReport:
             more = [t for t in (_forms_table(design, used), _rules_table(design, rules)) if t is not None]
             title = f"{design.name}, version {design.version}" + (" (scripted participants)" if _bots(people) else "")
             write_report(
-                files, page, title=title, pictures=self.pictures, study_model=self.model, failed=self.failed, more=more,
-                folder=folder, command=command_line("study report", self),
-            )  # fmt: skip
+                files,
+                page,
+                title=title,
+                pictures=self.pictures,
+                study_model=self.model,
+                failed=self.failed,
+                more=more,
+                folder=folder,
+                command=command_line("study report", self),
+            )
         else:
             page.unlink(missing_ok=True)  # of an earlier report
             notes.append("No report.html: it needs an episode that can be used.")
@@ -251,9 +258,17 @@ def participant_rows(design: Design, people: Sequence[Participant]) -> list[list
     for person in people:
         progress, measured = person.progress, participant_measures(person)
         rows.append(
-            [person.id, int(is_bot(person)), progress.status, progress.reason, person.language, len(played(person)),
-             *(round(measured[name], 6) for name in PARTICIPANT_MEASURES), rules.people.get(person.id, "")]
-        )  # fmt: skip
+            [
+                person.id,
+                int(is_bot(person)),
+                progress.status,
+                progress.reason,
+                person.language,
+                len(played(person)),
+                *(round(measured[name], 6) for name in PARTICIPANT_MEASURES),
+                rules.people.get(person.id, ""),
+            ]
+        )
     return rows
 
 
@@ -307,14 +322,28 @@ def trial_rows(
             when = datetime.fromtimestamp(person.times[e.row], UTC).isoformat(timespec="seconds")
             values = found.get((person.id, e.condition, str(block.episodes[e.trial - 1])), {})
             rows.append(
-                [person.id, int(is_bot(person)), number, e.block, e.trial, e.condition,
-                 design.condition(e.condition).partner or "", block.scene, block.episodes[e.trial - 1], when,
-                 round(e.steps * STEP_NS * 1e-9, 3), e.ended, e.steps, e.slipped,
-                 trial_measures(person, e)["away_s"], why,
-                 str(path.relative_to(folder)) if path.is_file() else "",
-                 *("" if (v := values.get(name, math.nan)) != v else float(v) for name in metrics),
-                 *(answered.get((person.id, e.block, e.trial, name), "") for name in questions)]
-            )  # fmt: skip
+                [
+                    person.id,
+                    int(is_bot(person)),
+                    number,
+                    e.block,
+                    e.trial,
+                    e.condition,
+                    design.condition(e.condition).partner or "",
+                    block.scene,
+                    block.episodes[e.trial - 1],
+                    when,
+                    round(e.steps * STEP_NS * 1e-9, 3),
+                    e.ended,
+                    e.steps,
+                    e.slipped,
+                    trial_measures(person, e)["away_s"],
+                    why,
+                    str(path.relative_to(folder)) if path.is_file() else "",
+                    *("" if (v := values.get(name, math.nan)) != v else float(v) for name in metrics),
+                    *(answered.get((person.id, e.block, e.trial, name), "") for name in questions),
+                ]
+            )
     return rows
 
 
@@ -394,10 +423,14 @@ def _forms_table(design: Design, people: Sequence[Participant]) -> Table | None:
         for d in differences
     ]
     return Table(
-        key="forms", title="Questionnaires", name_head="Condition", columns=tuple(Column(head=form) for form in forms),
+        key="forms",
+        title="Questionnaires",
+        name_head="Condition",
+        columns=tuple(Column(head=form) for form in forms),
         caption="Mean score of each questionnaire over participants with 95 % intervals; reversed items are turned round.",
-        sections=(Section(title="", rows=rows),), notes=tuple(notes),
-    )  # fmt: skip
+        sections=(Section(title="", rows=rows),),
+        notes=tuple(notes),
+    )
 
 
 def _rules_table(design: Design, rules: Exclusions) -> Table | None:
@@ -412,12 +445,15 @@ def _rules_table(design: Design, rules: Exclusions) -> Table | None:
     )
     notes = [f"{who}: {why}." for who, why in rules.people.items()]
     return Table(
-        key="exclusions", title="Left out by rules", name_head="Rule",
+        key="exclusions",
+        title="Left out by rules",
+        name_head="Rule",
         columns=(Column(head="leaves out"), Column(head="count")),
         caption="Rules that were part of the study file before anybody took part. The tables beside the report have everybody, "
         "with the reason.",
-        sections=(Section(title="", rows=rows),), notes=tuple(notes),
-    )  # fmt: skip
+        sections=(Section(title="", rows=rows),),
+        notes=tuple(notes),
+    )
 
 
 def _table_data(table: Table) -> dict[str, Any]:

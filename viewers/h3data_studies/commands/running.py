@@ -97,9 +97,14 @@ class StudyRun:
         from h3data_studies.files import make_plan, read_design, study_folder
 
         serving = serving_options(
-            "h3data study run", host=self.host, port=self.port, cert=self.cert, key=self.key,
-            behind_proxy=self.behind_proxy, allow_hosts=self.allow_hosts,
-        )  # fmt: skip
+            "h3data study run",
+            host=self.host,
+            port=self.port,
+            cert=self.cert,
+            key=self.key,
+            behind_proxy=self.behind_proxy,
+            allow_hosts=self.allow_hosts,
+        )
         if self.workers < 1 or self.seats_per_address < 1:
             raise InputError("Expected --workers and --seats-per-address of at least 1.", code="H3-STUDY-012")
         design = read_design(self.study)

@@ -146,13 +146,22 @@ class ReportCommand:
             )
         with opened(self.executor, self.workers) as executor:
             report = write_report(
-                self.datasets, self.out, title=self.title, pictures=self.pictures, assets=self.assets, people=self.people,
-                light=self.light, stand_ins=self.stand_ins,
-                study_model=self.study_model, failed=self.failed,
-                unseen_partners=self.unseen_partners, seeds=self.seeds, replays=self.replays,
+                self.datasets,
+                self.out,
+                title=self.title,
+                pictures=self.pictures,
+                assets=self.assets,
+                people=self.people,
+                light=self.light,
+                stand_ins=self.stand_ins,
+                study_model=self.study_model,
+                failed=self.failed,
+                unseen_partners=self.unseen_partners,
+                seeds=self.seeds,
+                replays=self.replays,
                 spread=partial(executor.run, lost=lost_part),
                 command=f"{command_line('report', self)} -o {shlex.quote(self.out.name)}",
-            )  # fmt: skip
+            )
         if self.markdown is not None:
             write_text(self.markdown, report.to_markdown())
         if self.latex is not None:

@@ -259,8 +259,13 @@ def _learning(name: str, curves: Mapping[str, Mapping[str, NDArray[np.float64]]]
         return ""
     low, high = (f(float(f(v)) for v in finite if len(v)) for f in (min, max))
     last = max(float(np.nanmax(s)) for _, s, _ in lines)
-    svg, x, y = _panel(last, high if high > low else low + 1.0, f"Learning curve of {name}: from {tick_text(low)} to "
-                       f"{tick_text(high)}", "training steps", low)  # fmt: skip
+    svg, x, y = _panel(
+        last,
+        high if high > low else low + 1.0,
+        f"Learning curve of {name}: from {tick_text(low)} to {tick_text(high)}",
+        "training steps",
+        low,
+    )
     for k, steps, values in lines:
         keep = np.unique(np.linspace(0, len(steps) - 1, 400).astype(int))
         svg.path([(x(a), y(b)) for a, b in zip(steps[keep], values[keep], strict=True)], f"line {series_class(k)}")

@@ -81,9 +81,13 @@ class Run:
             known = [kept for each in values if (kept := [v for v in each if not np.isnan(v)])]
             over = over_seeds([float(np.mean(each)) for each in known])
             found[name] = Mean(
-                mean=over.mean, low=over.mean - over.std, high=over.mean + over.std, deviation=over.std, seeds=over.seeds,
+                mean=over.mean,
+                low=over.mean - over.std,
+                high=over.mean + over.std,
+                deviation=over.std,
+                seeds=over.seeds,
                 count=sum(map(len, known)),
-            )  # fmt: skip
+            )
         return found
 
     @property
@@ -272,11 +276,13 @@ def _with_each_partner(episode: ReportEpisode, info: Mapping[str, Any]) -> list[
         return [episode]
     return [
         replace(
-            episode, partner=metrics.partner, population=population_beside(metrics.partner, metrics.task),
+            episode,
+            partner=metrics.partner,
+            population=population_beside(metrics.partner, metrics.task),
             metrics=replace(metrics, episode_id=f"{metrics.episode_id} with {metrics.partner}"),
         )
         for metrics in for_each_partner(episode.metrics, info)
-    ]  # fmt: skip
+    ]
 
 
 def same_episodes(first: Run, second: Run) -> bool:
@@ -363,11 +369,15 @@ def _runs(
         merged.append((name, task, policy, profiles[place, task, policy], episodes))
     return tuple(
         Run(
-            name=name, policy=policy, task=task, profile=profile, episodes=tuple(episodes),
+            name=name,
+            policy=policy,
+            task=task,
+            profile=profile,
+            episodes=tuple(episodes),
             table=tabulate((e.metrics for e in episodes), profile=profile.name),
         )
         for name, task, policy, profile, episodes in merged
-    )  # fmt: skip
+    )
 
 
 def _pooled(runs: Sequence[Run], roots: Sequence[Path], patterns: Sequence[str]) -> tuple[Run, ...]:
@@ -394,9 +404,14 @@ def _pooled(runs: Sequence[Run], roots: Sequence[Path], patterns: Sequence[str])
             unique = (replace(e.metrics, uid=f"{e.metrics.uid} {e.policy}") for e in episodes)
             first = members[0]
             out[out.index(first)] = Run(
-                name=pattern, policy=pattern, task=task, profile=first.profile, episodes=episodes, seeds=names,
+                name=pattern,
+                policy=pattern,
+                task=task,
+                profile=first.profile,
+                episodes=episodes,
+                seeds=names,
                 table=tabulate(unique, profile=first.profile.name),
-            )  # fmt: skip
+            )
             out = [run for run in out if run not in members]
     return tuple(out)
 

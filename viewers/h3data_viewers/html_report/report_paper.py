@@ -305,9 +305,11 @@ class _Shade:
             return Cell(text="–")
         spread = f"± {number(self.factor * found.deviation, self.digits)}, " if found.seeds > 1 else ""
         return Cell(
-            text=number(self.factor * found.mean, self.digits), value=found.mean, small=f"{spread}n = {found.count}",
+            text=number(self.factor * found.mean, self.digits),
+            value=found.mean,
+            small=f"{spread}n = {found.count}",
             heat=(found.mean - self.low) / ((self.high - self.low) or 1.0),
-        )  # fmt: skip
+        )
 
     def ends(self, metric: Metric) -> tuple[str, str]:
         """What is said at the pale and the dark end of the bar of colours."""

@@ -121,9 +121,14 @@ def _drawn(key: str, scene: Scene) -> Plan:
     scale = float(x1 - x0)
     fit = min(_PLAN_WIDTH / image.shape[1], _PLAN_HEIGHT / image.shape[0])
     return Plan(
-        key=key, scene=scene.name, width=image.shape[1] * fit, height=image.shape[0] * fit, scale=scale * fit,
-        origin=(-float(x0) / scale, -float(y0) / scale), image=jpeg_data_uri(_pale(image), quality=_QUALITY),
-    )  # fmt: skip
+        key=key,
+        scene=scene.name,
+        width=image.shape[1] * fit,
+        height=image.shape[0] * fit,
+        scale=scale * fit,
+        origin=(-float(x0) / scale, -float(y0) / scale),
+        image=jpeg_data_uri(_pale(image), quality=_QUALITY),
+    )
 
 
 def _blank(key: str, episode: ReportEpisode) -> Plan:
@@ -134,9 +139,13 @@ def _blank(key: str, episode: ReportEpisode) -> Plan:
     span = np.asarray(high - low, np.float64)
     scale = float(min(_PLAN_WIDTH / span[0], _PLAN_HEIGHT / span[1]))
     return Plan(
-        key=key, scene=episode.metrics.scene, width=span[0] * scale, height=span[1] * scale, scale=scale,
+        key=key,
+        scene=episode.metrics.scene,
+        width=span[0] * scale,
+        height=span[1] * scale,
+        scale=scale,
         origin=(float(low[0]), float(low[1])),
-    )  # fmt: skip
+    )
 
 
 # --- trajectories -----------------------------------------------------------------------------------------------------
@@ -255,9 +264,12 @@ class ReplayFiles:
         path = self.folder / f"{task}_{len(self.written) + 1}_{highlight.kind}.html"
         replay = posed(recording, detail=False)
         write_html(
-            replay.recording, path, replay=replay,
-            title=f"{highlight.run.name}, episode {recording.episode.episode_id}", overwrite=True,
-        )  # fmt: skip
+            replay.recording,
+            path,
+            replay=replay,
+            title=f"{highlight.run.name}, episode {recording.episode.episode_id}",
+            overwrite=True,
+        )
         self.written.append(path)
         return f'<a href="{escape(quote(f"{self.folder.name}/{path.name}"))}">Play this episode</a>'
 

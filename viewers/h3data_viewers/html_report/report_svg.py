@@ -101,8 +101,17 @@ def tick_text(value: float) -> str:
     return f"{value:.6g}".replace("-", "−")
 
 
-def axes(svg: Svg, x: Scale, y: Scale, xs: Sequence[float], ys: Sequence[float], box: tuple[float, float, float, float],
-         *, x_title: str, y_text: Callable[[float], str] = tick_text) -> None:  # fmt: skip
+def axes(
+    svg: Svg,
+    x: Scale,
+    y: Scale,
+    xs: Sequence[float],
+    ys: Sequence[float],
+    box: tuple[float, float, float, float],
+    *,
+    x_title: str,
+    y_text: Callable[[float], str] = tick_text,
+) -> None:
     """Grid lines with numbers left and below. ``box``: left, top, right, bottom."""
     left, top, right, bottom = box
     for value in ys:
@@ -111,8 +120,9 @@ def axes(svg: Svg, x: Scale, y: Scale, xs: Sequence[float], ys: Sequence[float],
     x_axis(svg, x, xs, (left, top, right, bottom), title=x_title, grid=False)
 
 
-def x_axis(svg: Svg, x: Scale, xs: Sequence[float], box: tuple[float, float, float, float], *, title: str,
-           grid: bool = True) -> None:  # fmt: skip
+def x_axis(
+    svg: Svg, x: Scale, xs: Sequence[float], box: tuple[float, float, float, float], *, title: str, grid: bool = True
+) -> None:
     """Numbers below, with lines upwards if ``grid``."""
     left, top, right, bottom = box
     for value in xs:

@@ -12,9 +12,23 @@ from numpy.typing import NDArray
 from h3data.bodies.people.look.patches import Floats, Patch
 
 SLOTS = (
-    "skin", "sclera", "iris", "pupil", "brows", "hair", "scarf", "top", "top trim", "shirt", "bottom", "bottom trim",
-    "legs", "shoes", "soles", "buttons",
-)  # fmt: skip
+    "skin",
+    "sclera",
+    "iris",
+    "pupil",
+    "brows",
+    "hair",
+    "scarf",
+    "top",
+    "top trim",
+    "shirt",
+    "bottom",
+    "bottom trim",
+    "legs",
+    "shoes",
+    "soles",
+    "buttons",
+)
 """Parts that have a color of their own. ``shirt`` is seen under a jacket, ``legs`` are tights or socks."""
 SLOT = {name: k for k, name in enumerate(SLOTS)}
 PAINTS = ("lips", "blush", "lashes", "lids", "lines", "stubble", "scalp", "legs")
@@ -51,9 +65,15 @@ def slot_colors(complexion: Complexion, cloth: Mapping[str, Color]) -> Floats:
     skin, hair = np.array(complexion.skin, np.float32), np.array(complexion.hair, np.float32)
     fair = 0.58 if hair.mean() > 120 else 0.85
     own: dict[str, Any] = {
-        "skin": skin, "sclera": SCLERA, "iris": complexion.iris, "pupil": PUPIL, "hair": hair, "buttons": BUTTONS,
-        "brows": fair * 0.82 * hair + (1 - fair) * skin, "soles": (222, 219, 212),
-    }  # fmt: skip
+        "skin": skin,
+        "sclera": SCLERA,
+        "iris": complexion.iris,
+        "pupil": PUPIL,
+        "hair": hair,
+        "buttons": BUTTONS,
+        "brows": fair * 0.82 * hair + (1 - fair) * skin,
+        "soles": (222, 219, 212),
+    }
     return np.array([cloth.get(name, own.get(name, (128, 128, 128))) for name in SLOTS], np.float32)
 
 

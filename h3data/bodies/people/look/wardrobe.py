@@ -115,10 +115,21 @@ OUTFITS: dict[str, Outfit] = {
             (214, 120, 92, 196, 108, 82, 86, 90, 100, 0, 0, 0, 226, 224, 218),
         ),
     ),
-}  # fmt: skip
+}
 HAIRSTYLES = (
-    "crop", "short", "swept", "tousled", "bob", "long", "tail", "bun", "curls", "waves", "receding", "scarf",
-)  # fmt: skip
+    "crop",
+    "short",
+    "swept",
+    "tousled",
+    "bob",
+    "long",
+    "tail",
+    "bun",
+    "curls",
+    "waves",
+    "receding",
+    "scarf",
+)
 SCALP = {"receding": 0.12, "crop": 0.85}
 """Share of the color of hair in the scalp, by hair style, where it is not the usual one."""
 SCALP_USUAL = 0.6

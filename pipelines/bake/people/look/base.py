@@ -48,9 +48,12 @@ class Base:
     def starts(self) -> dict[str, int]:
         """First vertex of each part."""
         sizes = {
-            "skin": len(self.kept), "left last": 2 * LAST_ROWS**2, "right last": 2 * LAST_ROWS**2,
-            "head": HEAD_ROWS * HEAD_COLUMNS, "skirt": SKIRT_ROWS * SKIRT_COLUMNS,
-        }  # fmt: skip
+            "skin": len(self.kept),
+            "left last": 2 * LAST_ROWS**2,
+            "right last": 2 * LAST_ROWS**2,
+            "head": HEAD_ROWS * HEAD_COLUMNS,
+            "skirt": SKIRT_ROWS * SKIRT_COLUMNS,
+        }
         return dict(zip(sizes, np.cumsum([0, *sizes.values()])[:-1].tolist(), strict=True))
 
     @cached_property

@@ -156,22 +156,27 @@ def hemmed(draft: Draft, *, source: NDArray[np.int64] | None = None, close_m: fl
     outer = len(mesh.vertices) + np.arange(len(rows))
     inner = outer + len(rows)
     a, b = compact.reshape(-1, 2).T
-    strip = np.concatenate([
-        np.stack([outer[b], outer[a], inner[a]], 1), np.stack([outer[b], inner[a], inner[b]], 1),
-    ])  # fmt: skip
+    strip = np.concatenate(
+        [
+            np.stack([outer[b], outer[a], inner[a]], 1),
+            np.stack([outer[b], inner[a], inner[b]], 1),
+        ]
+    )
     index = np.concatenate([np.arange(len(mesh.vertices)), rows, rows])
     shade = np.ones(len(mesh.vertices)) if draft.shade is None else draft.shade
     low = np.minimum(draft.lift[rows], close_m)
     return replace(
         draft,
         mesh=Sheet(
-            vertices=mesh.vertices[index], weights=mesh.weights[index], slots=mesh.slots[index],
+            vertices=mesh.vertices[index],
+            weights=mesh.weights[index],
+            slots=mesh.slots[index],
             faces=np.concatenate([mesh.faces, strip]).astype(np.int32),
         ),
         lift=np.concatenate([draft.lift, draft.lift[rows], low]),
         shade=np.concatenate([shade, 0.85 * shade[rows], np.full(len(rows), INSIDE_SHADE)]),
         weights=None if draft.weights is None else draft.weights[index],
-    )  # fmt: skip
+    )
 
 
 def border_loops(faces: NDArray[np.int32]) -> list[NDArray[np.int64]]:

@@ -37,9 +37,11 @@ def sheet(body: Cloth, faces: NDArray[np.int32]) -> Sheet:
     """The piece that these faces of a body make up."""
     used, compact = np.unique(faces, return_inverse=True)
     return Sheet(
-        vertices=body.vertices[used], weights=body.weights[used], faces=compact.reshape(-1, 3).astype(np.int32),
+        vertices=body.vertices[used],
+        weights=body.weights[used],
+        faces=compact.reshape(-1, 3).astype(np.int32),
         slots=np.zeros(len(used), np.uint8),
-    )  # fmt: skip
+    )
 
 
 def _split(s: Sheet, edges: NDArray[np.int64], t: Array) -> Sheet:
@@ -86,9 +88,12 @@ def only(s: Sheet, faces: NDArray[np.bool_]) -> Sheet:
     """Some of the faces and the vertices that they use."""
     used, compact = np.unique(s.faces[faces], return_inverse=True)
     return replace(
-        s, vertices=s.vertices[used], weights=s.weights[used], slots=s.slots[used],
+        s,
+        vertices=s.vertices[used],
+        weights=s.weights[used],
+        slots=s.slots[used],
         faces=compact.reshape(-1, 3).astype(np.int32),
-    )  # fmt: skip
+    )
 
 
 def refined(s: Sheet, where: Callable[[Cloth], NDArray[np.bool_]], *, longer_m: float = 0.0) -> Sheet:
@@ -128,9 +133,12 @@ def colored(s: Sheet, face_slots: NDArray[np.uint8]) -> tuple[Sheet, NDArray[np.
     pairs, corner = np.unique(key.ravel(), return_inverse=True)
     source = pairs // 64
     return replace(
-        s, vertices=s.vertices[source], weights=s.weights[source], slots=(pairs % 64).astype(np.uint8),
+        s,
+        vertices=s.vertices[source],
+        weights=s.weights[source],
+        slots=(pairs % 64).astype(np.uint8),
         faces=corner.reshape(-1, 3).astype(np.int32),
-    ), source  # fmt: skip
+    ), source
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -162,9 +170,11 @@ def joined(drafts: list[Draft]) -> Draft:
     if any(d.offset is not None for d in drafts):
         offset = np.concatenate([np.zeros_like(d.mesh.vertices) if d.offset is None else d.offset for d in drafts])
     return Draft(
-        mesh=mesh, lift=np.concatenate([d.lift for d in drafts]), offset=offset,
+        mesh=mesh,
+        lift=np.concatenate([d.lift for d in drafts]),
+        offset=offset,
         shade=np.concatenate([np.ones(len(d.lift)) if d.shade is None else d.shade for d in drafts]),
-    )  # fmt: skip
+    )
 
 
 class Ground:

@@ -24,7 +24,7 @@ from bake.people.look.cloth import (
     tube,
     turned_out,
     wobble,
-)  # fmt: skip
+)
 from bake.people.look.drafts import Draft, Field, Ground, Sheet, colored, cut, hollows, joined, kept, refined
 from bake.people.look.measures import Cloth, Measures, bump, smoothstep
 from h3data.bodies.people.look.colors import SLOT
@@ -98,15 +98,49 @@ class Dress(Top):
 TOPS: dict[str, Top] = {
     "tshirt": Top(sleeve=("upper", 0.62), flare_m=0.012, ease_m=0.008, collar="rib", hem=-0.035, folds_m=0.0045),
     "shirt": Top(neck=(-0.012, 0.42, 3.0), collar="shirt", buttoned=True, hem=-0.045, folds_m=0.005, cuffs_m=0.0),
-    "pullover": Top(ease_m=0.016, sleeve_ease_m=0.015, cuffs_m=0.045, collar="rib", neck=(-0.020, 0.45, 3.5),
-                    hem=-0.02, hang=0.12, folds_m=0.006),
-    "hoodie": Top(ease_m=0.019, sleeve_ease_m=0.018, cuffs_m=0.055, collar="hood", neck=(-0.020, 0.50, 3.5),
-                  hem=-0.03, hang=0.05, folds_m=0.008),
-    "pyjama": Top(ease_m=0.012, sleeve_ease_m=0.015, flare_m=0.006, neck=(-0.030, 0.72, 3.0), collar="lapels",
-                  buttoned=True, hem=-0.055, hang=0.05, folds_m=0.007, stripes=True),
-    "dress": Dress(sleeve=("upper", 0.50), flare_m=0.008, ease_m=0.006, neck=(-0.040, 0.55, 4.5), hem=0.052,
-                   hang=0.6, folds_m=0.003, collar="none"),
-}  # fmt: skip
+    "pullover": Top(
+        ease_m=0.016,
+        sleeve_ease_m=0.015,
+        cuffs_m=0.045,
+        collar="rib",
+        neck=(-0.020, 0.45, 3.5),
+        hem=-0.02,
+        hang=0.12,
+        folds_m=0.006,
+    ),
+    "hoodie": Top(
+        ease_m=0.019,
+        sleeve_ease_m=0.018,
+        cuffs_m=0.055,
+        collar="hood",
+        neck=(-0.020, 0.50, 3.5),
+        hem=-0.03,
+        hang=0.05,
+        folds_m=0.008,
+    ),
+    "pyjama": Top(
+        ease_m=0.012,
+        sleeve_ease_m=0.015,
+        flare_m=0.006,
+        neck=(-0.030, 0.72, 3.0),
+        collar="lapels",
+        buttoned=True,
+        hem=-0.055,
+        hang=0.05,
+        folds_m=0.007,
+        stripes=True,
+    ),
+    "dress": Dress(
+        sleeve=("upper", 0.50),
+        flare_m=0.008,
+        ease_m=0.006,
+        neck=(-0.040, 0.55, 4.5),
+        hem=0.052,
+        hang=0.6,
+        folds_m=0.003,
+        collar="none",
+    ),
+}
 BOTTOMS: dict[str, Bottom] = {
     "jeans": Bottom(),
     "chinos": Bottom(width_m=(0.086, 0.064, 0.055), folds_m=0.004, ease_m=0.006, end=1.95, crease=True),
@@ -236,8 +270,14 @@ def _sewn(ground: Ground, draft: Draft, source: NDArray[np.int64], spec: Top, *,
     up = np.tile([0, 1.0, 0], (n, 1))
     slot = SLOT["top trim"]
     if spec.collar == "rib":
-        points, faces = tube(ring - 0.003 * across + [0, 0.001, 0], across + 0.5 * up, up - 0.2 * across,
-                             np.full(n, 0.0050), np.full(n, 0.0105), 6 if fine else 4)  # fmt: skip
+        points, faces = tube(
+            ring - 0.003 * across + [0, 0.001, 0],
+            across + 0.5 * up,
+            up - 0.2 * across,
+            np.full(n, 0.0050),
+            np.full(n, 0.0105),
+            6 if fine else 4,
+        )
         parts.append(free(ground, points, faces, slot))
     if spec.collar == "hood":
         back = 1 - front
@@ -329,8 +369,12 @@ def bottom(ground: Ground, skin: Sheet, spec: Bottom, *, fine: bool) -> Draft:
     slots = np.full(len(s.faces), SLOT["bottom"], np.uint8)
     if spec.cuffs_m:
         s, _ = cut(s, lambda mesh: spec.cuffs_m - end(mesh))
-        slots = np.where(end(Cloth(vertices=s.vertices[s.faces].mean(1), weights=s.weights[s.faces].mean(1), faces=s.faces))
-                         < spec.cuffs_m, SLOT["bottom trim"], SLOT["bottom"]).astype(np.uint8)  # fmt: skip
+        slots = np.where(
+            end(Cloth(vertices=s.vertices[s.faces].mean(1), weights=s.weights[s.faces].mean(1), faces=s.faces))
+            < spec.cuffs_m,
+            SLOT["bottom trim"],
+            SLOT["bottom"],
+        ).astype(np.uint8)
     s, source = colored(s, slots)
     u, angle, r = m.along_leg(s)
     wide = np.interp(u, [0.45, 1.0, 1.95], spec.width_m)
@@ -373,9 +417,11 @@ def dress(ground: Ground, skin: Sheet, spec: Dress, *, fine: bool) -> list[tuple
     angle = np.arctan2(flat[:, 0], flat[:, 2] - m.pelvis[2])
     down = (cage[0, 0, 1] - flat[:, 1]) / (cage[0, 0, 1] - cage[-1, 0, 1])
     mesh = Sheet(
-        vertices=flat, weights=skirt_weights(m, flat), faces=grid_faces(rows, across),
+        vertices=flat,
+        weights=skirt_weights(m, flat),
+        faces=grid_faces(rows, across),
         slots=np.full(len(flat), SLOT["top"], np.uint8),
-    )  # fmt: skip
+    )
     depth = spec.pleat_m if fine else 0.4 * spec.pleat_m
     turns = angle * spec.pleats / (2 * np.pi) + 0.28 * wobble(mesh, 0.30, 4)
     lift = (
@@ -390,9 +436,11 @@ def dress(ground: Ground, skin: Sheet, spec: Dress, *, fine: bool) -> list[tuple
     row = np.arange(rows * across).reshape(rows, across)
     back = row[[-1, -2, -3]].ravel()
     lip = Sheet(
-        vertices=flat[back], weights=mesh.weights[back], faces=grid_faces(3, across)[:, ::-1].copy(),
+        vertices=flat[back],
+        weights=mesh.weights[back],
+        faces=grid_faces(3, across)[:, ::-1].copy(),
         slots=mesh.slots[back],
-    )  # fmt: skip
+    )
     lip_lift = lift[back] - np.repeat([0.0, 0.004, 0.006] if fine else [0.0, 0.012, 0.020], across)
     lip_draft = Draft(mesh=lip, lift=lip_lift, shade=np.repeat([0.8, 0.5, INSIDE_SHADE], across))
     whole = joined([replace(skirt, shade=shade), lip_draft])

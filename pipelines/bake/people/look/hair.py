@@ -59,11 +59,19 @@ HAIR: dict[str, Hair] = {
     "tail": Hair(line="over ears", top_m=0.010, side_m=0.007, knot="tail", strand_m=0.0015, strands=44),
     "bun": Hair(line="over ears", top_m=0.012, side_m=0.008, knot="bun", strand_m=0.0015, strands=44),
     "curls": Hair(line="over ears", top_m=0.050, side_m=0.038, curl_m=0.026, strand_m=0.0),
-    "waves": Hair(line="over ears", top_m=0.026, side_m=0.026, hang_m=0.030, side_hang=1.0, curl_m=0.040, part_x=0.3,
-                  strand_m=0.002),
+    "waves": Hair(
+        line="over ears",
+        top_m=0.026,
+        side_m=0.026,
+        hang_m=0.030,
+        side_hang=1.0,
+        curl_m=0.040,
+        part_x=0.3,
+        strand_m=0.002,
+    ),
     "receding": Hair(line="over ears", top_m=0.010, side_m=0.010, bald="receding", strand_m=0.0014, strands=50),
     "scarf": Hair(line="over ears", top_m=0.014, side_m=0.014, scarf=True, strand_m=0.003, strands=9),
-}  # fmt: skip
+}
 
 
 class Skull:
@@ -190,9 +198,11 @@ def hair(ground: Ground, spec: Hair, *, fine: bool) -> Draft:
     count = len(shell)
     flat_points = shell.reshape(-1, 3)
     mesh = Sheet(
-        vertices=low.reshape(-1, 3), weights=_hair_weights(m, flat_points), faces=grid_faces(count, columns),
+        vertices=low.reshape(-1, 3),
+        weights=_hair_weights(m, flat_points),
+        faces=grid_faces(count, columns),
         slots=np.full(len(flat_points), SLOT["scarf" if spec.scarf else "hair"], np.uint8),
-    )  # fmt: skip
+    )
     shade = _streaks(
         spec, np.broadcast_to(azimuth, (count, columns)).ravel(), np.repeat(np.arange(count), columns), fine=fine
     )
@@ -312,8 +322,14 @@ def _knot(skull: Skull, kind: str, *, fine: bool) -> Draft:
     else:
         rows, sides = (14, 10) if fine else (5, 5)
         k = np.linspace(0, 1, rows)
-        path = back + np.stack([0 * k, 0.014 * np.sin(np.pi * np.minimum(2 * k, 1)) - 0.235 * k**1.15,
-                                0.006 - 0.052 * np.sqrt(k) - 0.004 * k], 1)  # fmt: skip
+        path = back + np.stack(
+            [
+                0 * k,
+                0.014 * np.sin(np.pi * np.minimum(2 * k, 1)) - 0.235 * k**1.15,
+                0.006 - 0.052 * np.sqrt(k) - 0.004 * k,
+            ],
+            1,
+        )
         size = 0.021 * np.interp(k, [0, 0.06, 0.12, 0.5, 0.85, 1], [0.3, 0.62, 0.62, 1.1, 0.85, 0.12])
         angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
         ring = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], 1)
@@ -327,9 +343,11 @@ def _knot(skull: Skull, kind: str, *, fine: bool) -> Draft:
     low = 0.7 * smoothstep(back[1] - 0.08, back[1] - 0.22, points[:, 1])
     weights[:, JOINT_INDEX["head"]], weights[:, JOINT_INDEX["spine3"]] = 1 - low, low
     mesh = Sheet(
-        vertices=np.tile(back, (len(points), 1)), weights=weights, faces=faces,
+        vertices=np.tile(back, (len(points), 1)),
+        weights=weights,
+        faces=faces,
         slots=np.full(len(points), SLOT["hair"], np.uint8),
-    )  # fmt: skip
+    )
     return Draft(mesh=mesh, lift=np.zeros(len(points)), offset=points - back, shade=shade)
 
 
@@ -378,9 +396,11 @@ def _wrap(ground: Ground, skull: Skull, *, fine: bool) -> Draft:
     own = np.einsum("vk,vkj->vj", shares, ground.body.weights[corners])
     anchor = skull.at(np.array([100.0]), np.array([np.pi]))[0]
     mesh = Sheet(
-        vertices=np.tile(anchor, (len(shell), 1)), weights=own, faces=faces,
+        vertices=np.tile(anchor, (len(shell), 1)),
+        weights=own,
+        faces=faces,
         slots=np.full(len(shell), SLOT["scarf"], np.uint8),
-    )  # fmt: skip
+    )
     return Draft(mesh=mesh, lift=np.zeros(len(shell)), offset=shell - anchor, shade=hollows(shell, faces, 40.0))
 
 

@@ -48,9 +48,11 @@ def _shoe(ground: Ground, spec: Shoe, side: str, *, fine: bool) -> Draft:
         points = s.vertices.reshape(rows, 2 * rows, 3)[[0, 2, 4, 6, 8, 10, 12, 15], ::4]
         weights = s.weights.reshape(rows, 2 * rows, -1)[[0, 2, 4, 6, 8, 10, 12, 15], ::4]
         s = Sheet(
-            vertices=points.reshape(-1, 3), weights=weights.reshape(-1, weights.shape[-1]),
-            faces=grid_faces(8, rows // 2), slots=np.zeros(8 * rows // 2, np.uint8),
-        )  # fmt: skip
+            vertices=points.reshape(-1, 3),
+            weights=weights.reshape(-1, weights.shape[-1]),
+            faces=grid_faces(8, rows // 2),
+            slots=np.zeros(8 * rows // 2, np.uint8),
+        )
 
     def sole(mesh: Cloth) -> Array:
         return spec.sole_m - mesh.vertices[:, 1]

@@ -18,14 +18,36 @@ LIGHT_FACES = 2300
 IRIS_M, PUPIL_M = 0.0060, 0.0024
 HAIRLINES = {
     "over ears": (
-        (0, 66), (25, 64), (45, 56), (60, 44), (69, 34), (76, 6), (82, -10), (88, 12), (95, 20), (106, 14), (118, -28),
-        (150, -60), (180, -68),
+        (0, 66),
+        (25, 64),
+        (45, 56),
+        (60, 44),
+        (69, 34),
+        (76, 6),
+        (82, -10),
+        (88, 12),
+        (95, 20),
+        (106, 14),
+        (118, -28),
+        (150, -60),
+        (180, -68),
     ),
     "short": (
-        (0, 66), (25, 64), (45, 56), (60, 45), (69, 37), (76, 14), (81, 6), (87, 28), (95, 36), (107, 32), (122, -4),
-        (138, -38), (180, -57),
+        (0, 66),
+        (25, 64),
+        (45, 56),
+        (60, 45),
+        (69, 37),
+        (76, 14),
+        (81, 6),
+        (87, 28),
+        (95, 36),
+        (107, 32),
+        (122, -4),
+        (138, -38),
+        (180, -57),
     ),
-}  # fmt: skip
+}
 """Azimuth [deg] and height above the eyes [mm at 1.63 m of stature] of the hairline."""
 
 
@@ -62,8 +84,9 @@ def light_sheet(base: Base) -> Sheet:
     skin = Sheet(
         vertices=np.einsum("nk,nkj->nj", shares, body.vertices[corners]),
         weights=np.einsum("nk,nkj->nj", shares, body.weights[corners]),
-        faces=compact.reshape(-1, 3).astype(np.int32), slots=np.zeros(len(kept), np.uint8),
-    )  # fmt: skip
+        faces=compact.reshape(-1, 3).astype(np.int32),
+        slots=np.zeros(len(kept), np.uint8),
+    )
     eye_vertices, eye_faces = np.unique(eyes, return_inverse=True)
     return Sheet(
         vertices=np.concatenate([skin.vertices, body.vertices[eye_vertices]]),
@@ -166,8 +189,12 @@ def painted(m: Measures, s: Sheet, masks: dict[str, Array]) -> dict[str, Array]:
     legs = (m.arms(s) < 0.5) * smoothstep(m.pelvis[1], m.pelvis[1] - 0.04, y)
     hands = joint_weight(s, tuple(f"{k}_{f}{n}" for k in ("left", "right") for f in FINGERS for n in (2, 3)))
     return {
-        "lips": lips * front, "blush": np.clip(front * blush + 0.5 * masks["ears"] + 0.35 * hands, 0, 1),
-        "lashes": rim * np.where(up > -0.0015, 1.0, 0.30) * front, "lids": masks["eyelids"] * front,
-        "lines": np.clip(lines * front * (1 - lips), 0, 1), "stubble": stubble,
-        "scalp": smoothstep(-0.006, 0.010, hairline(m, s, "short")) * (1 - masks["ears"]), "legs": legs,
-    }  # fmt: skip
+        "lips": lips * front,
+        "blush": np.clip(front * blush + 0.5 * masks["ears"] + 0.35 * hands, 0, 1),
+        "lashes": rim * np.where(up > -0.0015, 1.0, 0.30) * front,
+        "lids": masks["eyelids"] * front,
+        "lines": np.clip(lines * front * (1 - lips), 0, 1),
+        "stubble": stubble,
+        "scalp": smoothstep(-0.006, 0.010, hairline(m, s, "short")) * (1 - masks["ears"]),
+        "legs": legs,
+    }

@@ -75,8 +75,16 @@ class _Body:
 
 
 def _door(
-    name: str, x: Span, y: Span, z: Span, mesh: MeshBuilder, *, hinge: str, handle: Sequence[float], behind: Sequence[str]
-) -> MovingPart:  # fmt: skip
+    name: str,
+    x: Span,
+    y: Span,
+    z: Span,
+    mesh: MeshBuilder,
+    *,
+    hinge: str,
+    handle: Sequence[float],
+    behind: Sequence[str],
+) -> MovingPart:
     """A door whose panel fills a box, hinged at its outer ``left``, ``right`` or ``bottom`` edge."""
     (x0, x1), (y0, y1), (z0, z1) = x, y, z
     axis, origin = {
@@ -166,9 +174,11 @@ def opening_fridge(size: tuple[float, float, float], body: Color, metal: Color) 
             y, name = low + wall + i * inner / boards, f"{part}_shelf_{i}"
             x, z = (-half + wall, half - wall), (back + wall, front - 0.03)
             above = inner / boards - 0.02
-            made = frame.floor(name, x, y + 0.001, z, above) if i == 0 else frame.shelf(
-                name, x, y, z, above, (206, 214, 216), thick=0.008
-            )  # fmt: skip
+            made = (
+                frame.floor(name, x, y + 0.001, z, above)
+                if i == 0
+                else frame.shelf(name, x, y, z, above, (206, 214, 216), thick=0.008)
+            )
             names[part].append(made)
     frame.surfaces.append(surface("top", (0, h, -0.05), (w - 0.1, d - 0.2), 2.5 - h))
     parts = []
@@ -192,9 +202,16 @@ def _cabinet(x: Span, y: Span, z: Span, front: Color, looks: MeshBuilder | None)
 
 
 def opening_counter(
-    size: tuple[float, float, float], front: float, colors: Sequence[Color], metal: Color, worktop: Color,
-    *, kind: str, top: Receptacle, looks: MeshBuilder | None = None,
-) -> Opening:  # fmt: skip
+    size: tuple[float, float, float],
+    front: float,
+    colors: Sequence[Color],
+    metal: Color,
+    worktop: Color,
+    *,
+    kind: str,
+    top: Receptacle,
+    looks: MeshBuilder | None = None,
+) -> Opening:
     """A base cabinet: ``drawers``, ``doors``, ``sink`` or ``dishwasher``.
 
     Args:
@@ -309,10 +326,12 @@ def opening_cabinet(
             x[0] + BOARD_M + (i + 1) * (width - 2 * BOARD_M) / count,
         )
         above = middle - y[0] - 2 * BOARD_M - 0.01
-        shelves.append([
-            frame.floor(f"bottom_{i}", part, y[0] + BOARD_M + 0.001, deep, above),
-            frame.floor(f"shelf_{i}", part, middle, (deep[0], deep[1] - 0.02), above),
-        ])  # fmt: skip
+        shelves.append(
+            [
+                frame.floor(f"bottom_{i}", part, y[0] + BOARD_M + 0.001, deep, above),
+                frame.floor(f"shelf_{i}", part, middle, (deep[0], deep[1] - 0.02), above),
+            ]
+        )
     parts = _fronts(x, y, depth / 2 - 0.02, colors, metal, shelves, knob=False)
     return _opening("kitchen_cabinet", "kitchen_cabinet", frame, parts)
 

@@ -136,18 +136,27 @@ class RearrangeBank:
         after, after_of = _joined([[one.after for one in of_episode] for of_episode in ways])
         left, left_of = _joined([[one.left.astype(np.float32) for one in of_episode] for of_episode in below])
         return cls(
-            spec=spec, robot=robot, human=human, floors=floors,
+            spec=spec,
+            robot=robot,
+            human=human,
+            floors=floors,
             scenes=tuple(episode.scene for episode in homes.values()),
             place=np.array([number[id(episode.free)] for episode in episodes], np.int64),
             seeds=np.array([episode.seed for episode in episodes], np.int64),
             starts=np.array([episode.starts for episode in episodes]),
             spots=np.array([[*(t.start[:3] for t in e.targets), *(t.goal for t in e.targets)] for e in episodes]),
-            ends=ends, first=first, first_of=first_of, after=after, after_of=after_of, left=left, left_of=left_of,
+            ends=ends,
+            first=first,
+            first_of=first_of,
+            after=after,
+            after_of=after_of,
+            left=left,
+            left_of=left_of,
             corners=np.concatenate([*(free.graph.nodes for free in floors), np.zeros((1, 2))]),  # never empty
             corners_of=np.cumsum([0, *(len(free.graph.nodes) for free in floors)]),
             origins=np.array([sample[r].origin for r in range(len(floors))]),
             shapes=np.array([sample[r].shape for r in range(len(floors))], np.int64),
-        )  # fmt: skip
+        )
 
     @classmethod
     def merged(cls, banks: Sequence[RearrangeBank]) -> RearrangeBank:
@@ -171,15 +180,21 @@ class RearrangeBank:
         counts = np.concatenate([np.diff(bank.corners_of) for bank in banks])
         columns = ("seeds", "starts", "spots", "origins", "shapes")
         return replace(
-            banks[0], floors=tuple(floor for bank in banks for floor in bank.floors),
+            banks[0],
+            floors=tuple(floor for bank in banks for floor in bank.floors),
             scenes=tuple(scene for bank in banks for scene in bank.scenes),
             place=np.concatenate([bank.place + n for bank, n in zip(banks, homes, strict=False)]),
             ends=np.concatenate([wide(bank.ends) for bank in banks]),
-            first=first, first_of=first_of, after=after, after_of=after_of, left=left, left_of=left_of,
+            first=first,
+            first_of=first_of,
+            after=after,
+            after_of=after_of,
+            left=left,
+            left_of=left_of,
             corners=np.concatenate([*(bank.corners[:-1] for bank in banks), banks[-1].corners[-1:]]),
             corners_of=np.cumsum([0, *counts]),
             **{name: np.concatenate([getattr(bank, name) for bank in banks]) for name in columns},
-        )  # fmt: skip
+        )
 
     def __len__(self) -> int:
         return len(self.place)
@@ -195,8 +210,10 @@ class RearrangeBank:
         Raises:
             InputError: there is no such planner.
         """
-        return orders([planner(partner_plan(partner, seed), seed, self.objects).objects for seed in self.seeds.tolist()],
-                      self.objects)  # fmt: skip
+        return orders(
+            [planner(partner_plan(partner, seed), seed, self.objects).objects for seed in self.seeds.tolist()],
+            self.objects,
+        )
 
     def __repr__(self) -> str:
         return f"RearrangeBank({len(self)} episodes of {self.objects} objects, {len(self.floors)} homes)"

@@ -42,10 +42,12 @@ class KeptFloor:
 def save_bank(bank: RearrangeBank, path: str | Path, *, drawn_by: Mapping[str, Any]) -> None:
     """Writes a compressed npz that appears whole or not at all; ``drawn_by`` are the settings that the episodes follow from."""
     about = {
-        "format": FORMAT, "drawn_by": dict(drawn_by), "rules": _rules(bank.spec),
+        "format": FORMAT,
+        "drawn_by": dict(drawn_by),
+        "rules": _rules(bank.spec),
         "bodies": [bank.robot.name, bank.human.name],
         "floors": [[*map(float, f.origin), float(f.cell_m), float(f.floor_y)] for f in bank.floors],
-    }  # fmt: skip
+    }
     arrays = {name: getattr(bank, name) for name in ARRAYS}
     grids = {f"sdf_{k}": np.asarray(floor.sdf, np.float32) for k, floor in enumerate(bank.floors)}
     with part_file(path) as part, part.open("wb") as stream:

@@ -76,10 +76,16 @@ class View(NamedTuple):
         own, other = (play.robot, play.human) if agent == "robot" else (play.human, play.robot)
         is_robot = agent == "robot"
         return cls(
-            sim=sim, play=play, places=sim.tables.at(play.episode), choices=sim.choices(agent),
-            does=play.robot_does if is_robot else play.human_does, now=own, other=other,
-            contact=play.robot.contact if is_robot else torch.zeros_like(play.robot.contact), paths=paths,
-        )  # fmt: skip
+            sim=sim,
+            play=play,
+            places=sim.tables.at(play.episode),
+            choices=sim.choices(agent),
+            does=play.robot_does if is_robot else play.human_does,
+            now=own,
+            other=other,
+            contact=play.robot.contact if is_robot else torch.zeros_like(play.robot.contact),
+            paths=paths,
+        )
 
     @property
     def xp(self) -> ModuleType:
@@ -193,9 +199,14 @@ OBSERVED = tuple(
 )
 """Sensors of a device: not those of the hand and of the start frame, which worlds there do not keep."""
 OF_PATHS = (
-    "way_to_objects", "way_to_goals", "other_way_to_objects", "other_way_to_goals", "other_approach", "path_ahead",
+    "way_to_objects",
+    "way_to_goals",
+    "other_way_to_objects",
+    "other_way_to_goals",
+    "other_approach",
+    "path_ahead",
     "other_path_ahead",
-)  # fmt: skip
+)
 """Those that `Paths` are needed for."""
 
 

@@ -58,12 +58,14 @@ class Choices:
 
         still = [(0.0, 0.0)] * (4 * objects + 1)
         return cls(
-            who=0 if isinstance(body, Robot) else 1, kind=whole(kinds),
+            who=0 if isinstance(body, Robot) else 1,
+            kind=whole(kinds),
             target=whole([*list(range(objects)) * 4, *[0] * (1 + len(primitives))]),
             steps=whole([*handling, CHOICE_WAIT_STEPS, *(steps for *_, steps in primitives)]),
             command=torch.tensor([*still, *((f, t) for f, t, _ in primitives)], dtype=dtype, device=device),
-            carry=torch.tensor(carry_point(body), dtype=dtype, device=device), changes=changes,
-        )  # fmt: skip
+            carry=torch.tensor(carry_point(body), dtype=dtype, device=device),
+            changes=changes,
+        )
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -109,9 +111,10 @@ def precondition(choices: Choices, number: Tensor, hands: Hands) -> Tensor:
     full = full[:, None] if k.ndim == 2 else full
     mine, free = holder == choices.who, holder == NOBODY
     return torch.where(
-        kind == NAV_OBJECT, free,
+        kind == NAV_OBJECT,
+        free,
         torch.where(kind == PICK, free & ~full, torch.where(kind == PLACE, mine, torch.ones_like(mine))),
-    )  # fmt: skip
+    )
 
 
 def every_choice(choices: Choices, worlds: int) -> Tensor:
@@ -120,9 +123,16 @@ def every_choice(choices: Choices, worlds: int) -> Tensor:
 
 
 def begin(
-    choices: Choices, does: SubGoal, chosen: Tensor, places: Places, xz: Tensor, heading: Tensor, bearing: float, hands: Hands,
+    choices: Choices,
+    does: SubGoal,
+    chosen: Tensor,
+    places: Places,
+    xz: Tensor,
+    heading: Tensor,
+    bearing: float,
+    hands: Hands,
     oracle: OracleSpec,
-) -> Turn:  # fmt: skip
+) -> Turn:
     """Agents that are free begin what they have ``chosen`` [W], if they can; else they fail and do nothing in this step."""
     objects, free = places.tables.objects, does.skill == FREE
     number = torch.where(free, chosen, does.skill)
@@ -217,9 +227,7 @@ def move_robots(
     return robot, _ended(does, done, turn.goes & ~done & (does.since > STUCK_STEPS))
 
 
-def move_people(
-    turn: Turn, person: HumanTensors, places: Places, walker: WalkerSpec
-) -> tuple[HumanTensors, SubGoal]:  # fmt: skip
+def move_people(turn: Turn, person: HumanTensors, places: Places, walker: WalkerSpec) -> tuple[HumanTensors, SubGoal]:
     """One step of the person; whoever has arrived turned is free again."""
     spot, within = turn.spot[:, 0::2], walker.arrive_m
     does, point, away, is_end = _go_on(turn, places, person.xz, within)

@@ -52,10 +52,18 @@ class SubGoal(NamedTuple):
             return torch.full((worlds, *axes), value, dtype=torch.int64, device=device)
 
         return cls(
-            skill=whole(FREE), field=whole(0), way=whole(0),
-            best=torch.full((worlds,), torch.inf, dtype=dtype, device=device), since=whole(0), timer=whole(0),
-            last=whole(-1), outcome=whole(RUNNING), order=whole(-1, objects), passed=whole(0), tries=whole(0),
-        )  # fmt: skip
+            skill=whole(FREE),
+            field=whole(0),
+            way=whole(0),
+            best=torch.full((worlds,), torch.inf, dtype=dtype, device=device),
+            since=whole(0),
+            timer=whole(0),
+            last=whole(-1),
+            outcome=whole(RUNNING),
+            order=whole(-1, objects),
+            passed=whole(0),
+            tries=whole(0),
+        )
 
 
 class Play(NamedTuple):
@@ -110,12 +118,24 @@ class Play(NamedTuple):
         return cls(
             robot=RobotTensors(numbers(2), numbers(), flags()),
             human=HumanTensors(numbers(2), numbers(), numbers(), numbers(), numbers()),
-            robot_does=SubGoal.none(worlds, objects, device, dtype), human_does=SubGoal.none(worlds, objects, device, dtype),
-            objects=numbers(objects, 3), held_by=nobody, moved=flags(objects), placed_by=nobody.clone(),
-            paid=flags(2 * objects), track=numbers(TRACK, 2, 2), before=numbers(2, 3), episode=episode.clone(),
-            steps=torch.zeros_like(episode), ended=~flags(), success=flags(), collides=flags(), reward=numbers(),
-            terminated=flags(), truncated=flags(),
-        )  # fmt: skip
+            robot_does=SubGoal.none(worlds, objects, device, dtype),
+            human_does=SubGoal.none(worlds, objects, device, dtype),
+            objects=numbers(objects, 3),
+            held_by=nobody,
+            moved=flags(objects),
+            placed_by=nobody.clone(),
+            paid=flags(2 * objects),
+            track=numbers(TRACK, 2, 2),
+            before=numbers(2, 3),
+            episode=episode.clone(),
+            steps=torch.zeros_like(episode),
+            ended=~flags(),
+            success=flags(),
+            collides=flags(),
+            reward=numbers(),
+            terminated=flags(),
+            truncated=flags(),
+        )
 
     def tensors(self) -> Iterator[Tensor]:
         """All of it, in a fixed order."""

@@ -57,13 +57,25 @@ class Tables:
 
         ends = np.where(np.isnan(bank.ends), np.inf, bank.ends)
         return cls(
-            objects=bank.objects, fields=ends.shape[1], place=moved(bank.place), starts=moved(bank.starts),
-            spots=moved(bank.spots), ends=moved(ends.reshape(-1, *ends.shape[2:])), first=moved(bank.first),
-            first_of=moved(bank.first_of), after=moved(bank.after), after_of=moved(bank.after_of),
-            left=moved(bank.left).to(dtype), left_of=moved(bank.left_of), corners=moved(bank.corners),
-            corners_of=moved(bank.corners_of[:-1]), counts=moved(np.diff(bank.corners_of)), origins=moved(bank.origins),
-            shapes=moved(bank.shapes), floor_y=moved(np.array([floor.floor_y for floor in bank.floors])),
-        )  # fmt: skip
+            objects=bank.objects,
+            fields=ends.shape[1],
+            place=moved(bank.place),
+            starts=moved(bank.starts),
+            spots=moved(bank.spots),
+            ends=moved(ends.reshape(-1, *ends.shape[2:])),
+            first=moved(bank.first),
+            first_of=moved(bank.first_of),
+            after=moved(bank.after),
+            after_of=moved(bank.after_of),
+            left=moved(bank.left).to(dtype),
+            left_of=moved(bank.left_of),
+            corners=moved(bank.corners),
+            corners_of=moved(bank.corners_of[:-1]),
+            counts=moved(np.diff(bank.corners_of)),
+            origins=moved(bank.origins),
+            shapes=moved(bank.shapes),
+            floor_y=moved(np.array([floor.floor_y for floor in bank.floors])),
+        )
 
     def at(self, episode: Tensor) -> Places:
         """Those of the episodes of W worlds."""

@@ -111,9 +111,10 @@ class RearrangeTensors:
         kept = [choose(over, a, b) for a, b in zip(play.tensors(), after.tensors(), strict=True)]
         stays = packed(play, kept)
         return stays._replace(
-            reward=torch.where(over, nothing, after.reward), terminated=after.terminated & ~over,
+            reward=torch.where(over, nothing, after.reward),
+            terminated=after.terminated & ~over,
             truncated=after.truncated & ~over,
-        )  # fmt: skip
+        )
 
     def _moved(self, play: Play, robot_choice: Tensor, human_choice: Tensor) -> Play:
         """After a step of those that go on: people first, then robots, as on the CPU."""
@@ -127,10 +128,18 @@ class RearrangeTensors:
         now = torch.stack([robot.xz, human.xz], 1)
         row = one_of(steps % TRACK, TRACK)
         play = play._replace(
-            robot=robot, human=human, robot_does=robot_does, human_does=does, objects=hands.objects, held_by=hands.held_by,
-            moved=hands.moved, placed_by=hands.placed_by, steps=steps, before=before,
+            robot=robot,
+            human=human,
+            robot_does=robot_does,
+            human_does=does,
+            objects=hands.objects,
+            held_by=hands.held_by,
+            moved=hands.moved,
+            placed_by=hands.placed_by,
+            steps=steps,
+            before=before,
             track=torch.where(row[..., None, None], now[:, None], play.track),
-        )  # fmt: skip
+        )
         return self._judged(play, places)
 
     def _human(
@@ -182,9 +191,14 @@ class RearrangeTensors:
         terminated = success | collides if spec.end_on_collision else success
         truncated = ~terminated & (play.steps >= spec.max_steps)
         return play._replace(
-            paid=play.paid | stages, success=success, collides=collides, reward=reward, terminated=terminated,
-            truncated=truncated, ended=terminated | truncated,
-        )  # fmt: skip
+            paid=play.paid | stages,
+            success=success,
+            collides=collides,
+            reward=reward,
+            terminated=terminated,
+            truncated=truncated,
+            ended=terminated | truncated,
+        )
 
     def _begun(self, before: Play, after: Play, fresh: Tensor) -> Play:
         """Worlds that are ``fresh`` [W] at the start of their next episode, the others as they are ``after``."""
@@ -201,10 +215,15 @@ class RearrangeTensors:
         human = fresh.human._replace(xz=torch.stack([hx, hz], -1), heading=hh)
         order = self.orders[episode]
         return fresh._replace(
-            robot=robot, human=human, objects=objects, before=starts, ended=torch.zeros_like(fresh.ended),
-            robot_does=fresh.robot_does._replace(order=order), human_does=fresh.human_does._replace(order=order),
+            robot=robot,
+            human=human,
+            objects=objects,
+            before=starts,
+            ended=torch.zeros_like(fresh.ended),
+            robot_does=fresh.robot_does._replace(order=order),
+            human_does=fresh.human_does._replace(order=order),
             track=torch.stack([robot.xz, human.xz], 1)[:, None].expand(-1, TRACK, -1, -1),
-        )  # fmt: skip
+        )
 
     # --- what holds now -----------------------------------------------------------------------------------------------
     def at_goal(self, hands: Hands, places: Places) -> Tensor:

@@ -85,9 +85,12 @@ class Arm:
             moved = (turn @ (np.eye(3) + np.sin(offset) * cross + (1 - np.cos(offset)) * cross @ cross), *moved[1:])
         place = origin[:3, 3] + (turn @ axis * offset if kind == SLIDES and own < 0 else 0.0)
         return _Joint(
-            column=own, gain=gain, offset=offset, parts=constant(np.column_stack([*moved, place])),
+            column=own,
+            gain=gain,
+            offset=offset,
+            parts=constant(np.column_stack([*moved, place])),
             slides=constant(turn @ axis) if kind == SLIDES and own >= 0 else None,
-        )  # fmt: skip
+        )
 
     def moved(self, joints: Tensor, action: Tensor, spec: ArmSpec) -> Tensor:
         """Joints [W, n] after a step by ``action`` [W, n], as `sim_kinematic.agents.manipulation.move_arms`."""

@@ -68,16 +68,19 @@ class SkillBank:
         number = {id(scene): k for k, (scene, _) in enumerate(homes)}
         found = [start for _, _, start in rows]
         return cls(
-            floors=tuple(floor for _, floor in homes), scenes=tuple(scene for scene, _ in homes),
+            floors=tuple(floor for _, floor in homes),
+            scenes=tuple(scene for scene, _ in homes),
             place=np.array([number[id(episode.scene)] for episode, _, _ in rows], np.int64),
-            xz=np.array([s.xz for s in found], np.float64), heading=np.array([s.heading for s in found], np.float64),
+            xz=np.array([s.xz for s in found], np.float64),
+            heading=np.array([s.heading for s in found], np.float64),
             objects=np.array([s.objects for s in found], np.float64),
             bodies=np.array([body_indices(episode) for episode, _, _ in rows], np.int64),
             turned=np.array([[t.start[3:] for t in episode.targets] for episode, _, _ in rows], np.float64),
-            target=np.array([s.target for s in found], np.int64), holds=np.array([s.holds for s in found], np.bool_),
+            target=np.array([s.target for s in found], np.int64),
+            holds=np.array([s.holds for s in found], np.bool_),
             point=np.array([s.point for s in found], np.float64),
             stand=np.array([s.stand_xz for s in found], np.float64),
-        )  # fmt: skip
+        )
 
     @classmethod
     def merged(cls, banks: Sequence[SkillBank]) -> SkillBank:

@@ -26,9 +26,15 @@ class SkillCameras:
     """A camera of the robot in each of W worlds, which differ in the home, in robot and arm, and in where the objects are."""
 
     def __init__(
-        self, sim: SkillTensors, *, worlds: int, camera: str = "robot_arm", size: tuple[int, int] | None = None,
-        compile: bool = False, renderer: Callable[..., GpuRenderer] | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        sim: SkillTensors,
+        *,
+        worlds: int,
+        camera: str = "robot_arm",
+        size: tuple[int, int] | None = None,
+        compile: bool = False,
+        renderer: Callable[..., GpuRenderer] | None = None,
+    ) -> None:
         """Copies the meshes of homes, robot and objects to the GPU.
 
         Args:

@@ -59,9 +59,10 @@ class Drive:
             return narrow
         broad = drive_robots(grids, robot, action, self.carrying)
         return RobotTensors(
-            torch.where(wide[:, None], broad.xz, narrow.xz), torch.where(wide, broad.heading, narrow.heading),
+            torch.where(wide[:, None], broad.xz, narrow.xz),
+            torch.where(wide, broad.heading, narrow.heading),
             torch.where(wide, broad.contact, narrow.contact),
-        )  # fmt: skip
+        )
 
     def _step_on_cpu(self, place: Tensor, robot: RobotTensors, action: Tensor, wide: Tensor) -> RobotTensors:
         """The same, a third of the time: most bases are in the open, and only the others are pushed out of obstacles."""

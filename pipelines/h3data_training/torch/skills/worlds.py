@@ -157,9 +157,17 @@ class SkillTensors:
     """W worlds, each in an episode of a bank; when it is over, the next step begins the one after it."""
 
     def __init__(
-        self, skill: Skill, bank: SkillBank, *, device: torch.device | str, dtype: torch.dtype, robot: str = "quad_arm",
-        base: BaseSpec | None = None, rules: SkillSpec | None = None, arm: ArmSpec | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        skill: Skill,
+        bank: SkillBank,
+        *,
+        device: torch.device | str,
+        dtype: torch.dtype,
+        robot: str = "quad_arm",
+        base: BaseSpec | None = None,
+        rules: SkillSpec | None = None,
+        arm: ArmSpec | None = None,
+    ) -> None:
         """Copies a bank of starts to the device.
 
         Args:
@@ -222,13 +230,28 @@ class SkillTensors:
             return torch.zeros(worlds, dtype=torch.bool, device=self.device)
 
         return SkillPlay(
-            robot=RobotTensors(numbers(2), numbers(), flags()), joints=numbers(self.arm.count),
-            objects=numbers(self.bank.objects.shape[1], 3), turned=numbers(self.bank.objects.shape[1], 3, 3),
-            grip=numbers(3, 3), held=torch.full_like(episode, NOTHING), wide=flags(),
-            episode=episode.clone(), steps=torch.zeros_like(episode), ended=~flags(), way=numbers(), towards=numbers(2),
-            apart=numbers(), folded=numbers(), paid=flags(), before_xz=numbers(2), before_heading=numbers(),
-            reward=numbers(), success=flags(), terminated=flags(), truncated=flags(),
-        )  # fmt: skip
+            robot=RobotTensors(numbers(2), numbers(), flags()),
+            joints=numbers(self.arm.count),
+            objects=numbers(self.bank.objects.shape[1], 3),
+            turned=numbers(self.bank.objects.shape[1], 3, 3),
+            grip=numbers(3, 3),
+            held=torch.full_like(episode, NOTHING),
+            wide=flags(),
+            episode=episode.clone(),
+            steps=torch.zeros_like(episode),
+            ended=~flags(),
+            way=numbers(),
+            towards=numbers(2),
+            apart=numbers(),
+            folded=numbers(),
+            paid=flags(),
+            before_xz=numbers(2),
+            before_heading=numbers(),
+            reward=numbers(),
+            success=flags(),
+            terminated=flags(),
+            truncated=flags(),
+        )
 
     # --- a step -------------------------------------------------------------------------------------------------------
     def step(self, play: SkillPlay, action: Tensor, *, looks: bool = True) -> SkillPlay:
@@ -246,9 +269,10 @@ class SkillTensors:
         wide = self.drive.widened(place, play.robot, play.held != NOTHING, play.wide)
         robot = self.drive.step(place, play.robot, action[:, :2], wide)
         robot = RobotTensors(
-            torch.where(begins, start[:, :2], robot.xz), torch.where(fresh, start[:, 2], robot.heading),
+            torch.where(begins, start[:, :2], robot.xz),
+            torch.where(fresh, start[:, 2], robot.heading),
             robot.contact & ~fresh,
-        )  # fmt: skip
+        )
         joints, held = play.joints, play.held
         if self.skill != "nav":
             joints = self.arm.moved(joints, action[:, 2:-1], self.arm_rules)
@@ -266,12 +290,22 @@ class SkillTensors:
         if looks:
             way = shortest_way(self.drive.grids.at(place), self.lattices.at(place), robot.xz, self._stand[episode])
         moved = play._replace(
-            robot=robot, joints=joints, objects=objects, turned=axes, grip=grip, held=held, wide=wide & ~fresh,
-            episode=episode, steps=torch.where(fresh, 0, play.steps + 1), way=way.length, towards=way.towards,
-            apart=(hand.point - self._point[episode]).norm(dim=-1), folded=self._from_rest(hand, robot, floor_y),
+            robot=robot,
+            joints=joints,
+            objects=objects,
+            turned=axes,
+            grip=grip,
+            held=held,
+            wide=wide & ~fresh,
+            episode=episode,
+            steps=torch.where(fresh, 0, play.steps + 1),
+            way=way.length,
+            towards=way.towards,
+            apart=(hand.point - self._point[episode]).norm(dim=-1),
+            folded=self._from_rest(hand, robot, floor_y),
             before_xz=torch.where(begins, robot.xz, play.robot.xz),
             before_heading=torch.where(fresh, robot.heading, play.robot.heading),
-        )  # fmt: skip
+        )
         return self._judged(play, moved)
 
     def _gripped(self, hand: Hand, objects: Tensor, held: Tensor, action: Tensor) -> Tensor:
@@ -312,9 +346,13 @@ class SkillTensors:
         terminated = success | lost
         truncated = going & ~terminated & (now.steps >= self.most_steps)
         return now._replace(
-            ended=terminated | truncated, paid=going & paid, reward=torch.where(going, reward, 0.0), success=success,
-            terminated=terminated, truncated=truncated,
-        )  # fmt: skip
+            ended=terminated | truncated,
+            paid=going & paid,
+            reward=torch.where(going, reward, 0.0),
+            success=success,
+            terminated=terminated,
+            truncated=truncated,
+        )
 
     def _facing(self, now: SkillPlay) -> tuple[Tensor, Tensor]:
         """Straight distance from the base to the target on the floor plane [W] [m], and the cosine to it."""
