@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from h3data.builtin import builtin_root
-from h3data.errors import FormatError, InputError
+from h3data.errors import FormatError, InputError, UntrustedNameError
 from h3data.recording import DatasetWriter, Recording
 from h3data.recording.finding import find_episodes
 from h3data_pipelines.benchmark.definition import (
@@ -219,6 +220,40 @@ def test_people_decide_again(tmp_path: Path) -> None:
             writer.add(recording)
     renew_digests(out)
     assert "takes another course" in faults(out, folder)
+
+
+CANARY = """
+from pathlib import Path
+Path("ran").write_text("")
+from sim_kinematic.policies.policy import Still as Mine
+"""
+
+
+def test_neither_a_definition_nor_a_result_runs_what_it_names(
+    short_nav: tuple[Path, Path], result: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "canary.py").write_text(CANARY)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path)])
+    path = result / "episodes" / "000000.json"
+    changed = json.loads(path.read_text())
+    changed["rows"][0] |= {"partner": "canary:Mine", "policy": "canary:Mine"}
+    path.write_text(json.dumps(changed))
+
+    def named(recording: Recording) -> None:
+        recording.episode.info.update(partner="canary:Mine", policy="canary:Mine", partners=["canary:Mine"])
+
+    rewrite(result, 0, named)
+    assert faults(result, short_nav[0])
+    for line, other in (
+        ('task = "social_nav"', 'task = "canary:Mine"'),
+        ("rules", 'partners = ["canary:Mine"]\nrules'),
+    ):
+        (tmp_path / "theirs").mkdir(exist_ok=True)
+        (tmp_path / "theirs" / "benchmark.toml").write_text(SOCIAL_NAV.replace(line, other, 1))
+        with pytest.raises(UntrustedNameError):
+            read_benchmark(tmp_path / "theirs")
+    assert not (tmp_path / "ran").exists()
 
 
 def test_what_cannot_be_is_refused(short_nav: tuple[Path, Path], result: Path, tmp_path: Path) -> None:

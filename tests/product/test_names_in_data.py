@@ -69,7 +69,19 @@ READING = {
     "generate": [["wander", "--episodes-file", "PATH", "-o", "more"], ["wander", "--resume", "-o", "PATH"]],
 }
 """Command lines by command; PATH is the hostile file or dataset, ONE its episode."""
-NOT_OF_RECORDINGS = {"bench", "completion", "demo", "docs", "doctor", "plan", "play", "pull", "train", "warmup"}
+NOT_OF_RECORDINGS = {
+    "bench",
+    "completion",
+    "demo",
+    "docs",
+    "doctor",
+    "plan",
+    "play",
+    "pull",
+    "serve",
+    "train",
+    "warmup",
+}
 
 
 @pytest.fixture(scope="module")

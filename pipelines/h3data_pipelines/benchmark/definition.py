@@ -17,6 +17,7 @@ import msgspec
 
 from h3data.builtin import builtin_root
 from h3data.errors import FormatError, InputError, did_you_mean
+from h3data.plugins import names_from_data
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest
 
 if TYPE_CHECKING:
@@ -175,6 +176,7 @@ def read_benchmark(folder: Path) -> Benchmark:
 
     Raises:
         FormatError: its definition is damaged, or of another version of the format.
+        UntrustedNameError: it names a task or policy that is neither built in nor installed nor trusted.
     """
     path, episodes = folder / DEFINITION, folder / EPISODES
     try:
@@ -188,8 +190,24 @@ def read_benchmark(folder: Path) -> Benchmark:
         )
     if file.episodes < 1 or not file.scenes or not file.metrics:
         raise FormatError(f"Expected at least one scene, episode and metric. File: {path}", code="H3-OPTION-082")
+    _check_names(file)
     listed = episodes.read_bytes() if episodes.is_file() else b""
     return Benchmark(folder=folder, file=file, sha256=hashlib.sha256(text + b"\0" + listed).hexdigest())
+
+
+def _check_names(file: BenchmarkFile) -> None:
+    """Looks up what a definition names, which may be anybody's: only what is built in, installed or trusted is imported.
+
+    Raises:
+        UntrustedNameError: it names a module of the working directory.
+    """
+    from sim_kinematic.policies.assignment import resolve_policy
+    from sim_kinematic.tasks.registry import find_task
+
+    with names_from_data():
+        task = find_task(file.task)
+        for partner in file.partners:
+            resolve_policy(task, "human", partner)
 
 
 def _version(label: str) -> int:
