@@ -110,6 +110,11 @@ def test_shipped_benchmarks_are_whole() -> None:
         assert benchmark.file.rank in {metric.name for metric in benchmark.metrics()}
         first = benchmark.jobs()[0].base
         assert episode_uid(first.found_task, first.episode()) == benchmark.episode_uids()[0]
+        for entry in leaderboard(
+            benchmark, []
+        ).entries:  # baselines were played in all episodes of this very definition
+            assert entry.row.played == entry.row.expected
+            assert entry.result.definition_sha256 == benchmark.sha256
     assert find_benchmark("h3-social-nav").label == "h3-social-nav@1"
     assert {"h3-social-nav@1", "h3-rearrange@1"} <= {path.name for path in (builtin_root() / "benchmarks").iterdir()}
 

@@ -29,7 +29,7 @@ class Entry:
     row: ResultRow
     result: BenchmarkResult
     source: str
-    """Folder of the result, or ``baseline`` of those that ship with the benchmark."""
+    """Name of the folder of the result, or ``baseline`` of those that ship with the benchmark."""
     checked: str
     """What `h3data benchmark verify` found."""
 
@@ -117,7 +117,7 @@ def leaderboard(benchmark: Benchmark, folders: Sequence[Path]) -> Leaderboard:
                 code="H3-OPTION-087",
             )
         checked = _checked(folder, result)
-        entries += [Entry(row=row, result=result, source=str(folder), checked=checked) for row in result.rows]
+        entries += [Entry(row=row, result=result, source=folder.resolve().name, checked=checked) for row in result.rows]
     rank = next(metric for metric in benchmark.metrics() if metric.name == benchmark.file.rank)
     sign = 1.0 if rank.direction == "lower" else -1.0
 
