@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -250,7 +251,7 @@ def shut_steps(recording: Recording, scene: Scene, free: FreeSpace) -> int:
 
 
 @dataclass
-class Driver:
+class Driver(ABC):
     """Somebody who drives a robot from place to place."""
 
     free: FreeSpace
@@ -277,8 +278,8 @@ class Driver:
         self.errands.append((self._number, left if np.isfinite(left) else np.nan))
         return action
 
-    def _decide(self, view: RearrangeView) -> Action:
-        raise NotImplementedError
+    @abstractmethod
+    def _decide(self, view: RearrangeView) -> Action: ...
 
     def __post_init__(self) -> None:
         self._doorways = narrow_places(self.free)

@@ -8,7 +8,7 @@ import time
 import uuid
 import weakref
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -74,10 +74,16 @@ def adapter_for(connection: Connection, where: Address, chosen: Adapter | None) 
     """
     if chosen is not None:
         return chosen
-    own = connection.metadata.get(OWN)
-    if isinstance(own, dict) and "adapter" in own:
+    own = own_facts(connection.metadata)
+    if "adapter" in own:
         return adapter_of(own["adapter"], f"The adapter of the policy server at {where}")
     return read_adapter(DEFAULTS[where.scheme])
+
+
+def own_facts(metadata: Mapping[str, Any]) -> Mapping[str, Any]:
+    """What a server of ours says of itself in its metadata; nothing of other servers."""
+    own = metadata.get(OWN)
+    return own if isinstance(own, dict) else {}
 
 
 class RemotePolicy:
@@ -119,8 +125,7 @@ class RemotePolicy:
             )
         self.width = 2 + self._arm * (adapter.action == "control")
         """Numbers of one action."""
-        own = self.connection.metadata.get(OWN)
-        self._shows_view = isinstance(own, dict) and own.get("view") is True
+        self._shows_view = own_facts(self.connection.metadata).get("view") is True
         if self._shows_view and self._with_objects:
             raise InputError(
                 f"The policy at {where} is for bases that drive; {task.name} has objects to bring as well.",
@@ -221,8 +226,7 @@ class RemotePolicy:
     @property
     def takes_batches(self) -> bool:
         """Whether the server answers for several worlds at once."""
-        own = self.connection.metadata.get(OWN)
-        return self._batched or (isinstance(own, dict) and own.get("batch") is True)
+        return self._batched or own_facts(self.connection.metadata).get("batch") is True
 
     @staticmethod
     def act_together(policies: Sequence[RemotePolicy], views: Sequence[Any]) -> list[Velocity | Action]:
@@ -319,8 +323,7 @@ def _usual_skill(view: Any) -> str:
 
 
 def _name(metadata: dict[str, Any], adapter: Adapter, where: Address) -> str:
-    own = metadata.get(OWN)
-    said = own.get("name") if isinstance(own, dict) else metadata.get("name")
+    said = own_facts(metadata).get("name") if isinstance(metadata.get(OWN), dict) else metadata.get("name")
     name = re.sub(r"[^A-Za-z0-9_.-]+", "_", said)[:40].strip("_") if isinstance(said, str) else ""
     digest = _digest([metadata, msgspec.to_builtins(adapter)])
     return f"{'zmq' if where.scheme == 'zmq' else 'ws'}:{name or adapter.name}@{digest[:12]}"

@@ -185,6 +185,8 @@ class WorldRollout:
         self._commands: list[Command] = []
         self._words: list[str] = []
         self._checked, self._records_judgement = False, bool(task.codec.records_judgement)
+        self._arms = [np.tile(resting_arm(member.body), (self.world.worlds, 1)) for member in self.world.roster]
+        """Resting positions of the arm joints of each agent, [W, n]."""
         self._sensors: dict[int, AgentSensors] = {}
         """Sensors of the agents for which observations were requested."""
         self._traffic: dict[int, Traffic] = {}
@@ -267,7 +269,7 @@ class WorldRollout:
             before[other],
             world.blocked[:, agent],
             np.asarray(world.touching[:, mine].any(1)),
-            np.tile(resting_arm(world.roster[agent].body), (world.worlds, 1)),
+            self._arms[agent],
             lambda: world.geodesic(agent, other),
         )
 

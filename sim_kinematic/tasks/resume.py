@@ -131,7 +131,7 @@ def verify_episode(recording: Recording, task: Task, episode: Episode, people: A
         mine if mine.kind == "human" else AssignedPolicy(None, name, mine.kind)
         for mine, name in zip(assigned, named, strict=True)
     ]
-    repeated = task.control.recorded_policies(recording, episode, own, until=steps, changed=[False] * len(own))
+    repeated = task.control.recorded_policies(recording, episode, own, until=steps)
     policies = [mine if mine.kind == "human" else again for mine, again in zip(own, repeated, strict=True)]
     played = _Played(task, episode, policies, recording, steps=steps, keeps_people=False, since=steps)
     found = compared(recording, played.columns, played.ended)

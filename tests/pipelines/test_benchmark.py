@@ -24,9 +24,10 @@ from h3data_pipelines.benchmark.definition import (
     read_benchmark,
 )
 from h3data_pipelines.benchmark.leaderboard import leaderboard
-from h3data_pipelines.benchmark.result import MANIFEST, file_digest, result_files, run_benchmark
+from h3data_pipelines.benchmark.result import MANIFEST, result_files, run_benchmark
 from h3data_pipelines.benchmark.verification import verify_result
 from h3data_pipelines.cli import main
+from h3data_pipelines.hub.checksums import checksums_of
 
 SOCIAL_NAV = """
 format = 1
@@ -87,8 +88,13 @@ def faults(result: Path, benchmark: Path) -> str:
 def renew_digests(result: Path) -> None:
     """As somebody would who wants a changed file to pass."""
     manifest = json.loads((result / MANIFEST).read_text())
-    manifest["files"] = {name: file_digest(result / name) for name in result_files(result)}
+    manifest["files"] = checksums_of(result, result_files(result))
     (result / MANIFEST).write_text(json.dumps(manifest))
+
+
+def recorded(recording: Recording) -> dict[str, Any]:
+    assert isinstance(recording.episode.info, dict)
+    return recording.episode.info
 
 
 def rewrite(result: Path, index: int, change: Callable[[Recording], None]) -> None:
@@ -194,6 +200,22 @@ def test_another_episode_is_found(short_nav: tuple[Path, Path], result: Path) ->
     assert "it is another episode than the benchmark's: robot_start" in faults(result, short_nav[0])
 
 
+@pytest.mark.parametrize("partner", [["plan_pop_1"], 3, {"a": 1}])
+def test_what_is_no_name_is_found(short_nav: tuple[Path, Path], result: Path, partner: object) -> None:
+    path = result / "episodes" / "000000.json"
+    stored = json.loads(path.read_text())
+    stored["rows"][0]["partner"] = partner
+    path.write_text(json.dumps(stored))
+
+    def unnamed(recording: Recording) -> None:
+        recorded(recording)["partners"] = partner
+
+    rewrite(result, 1, unnamed)
+    found = faults(result, short_nav[0])
+    assert "episodes/000000.json: expected the results of an episode" in found
+    assert "recordings/000001" in found
+
+
 def test_missing_recordings_are_found(short_nav: tuple[Path, Path], result: Path) -> None:
     shutil.rmtree(result / "recordings" / "000001")
     renew_digests(result)
@@ -246,7 +268,7 @@ def test_neither_a_definition_nor_a_result_runs_what_it_names(
     path.write_text(json.dumps(changed))
 
     def named(recording: Recording) -> None:
-        recording.episode.info.update(partner="canary:Mine", policy="canary:Mine", partners=["canary:Mine"])
+        recorded(recording).update(partner="canary:Mine", policy="canary:Mine", partners=["canary:Mine"])
 
     rewrite(result, 0, named)
     assert faults(result, short_nav[0])

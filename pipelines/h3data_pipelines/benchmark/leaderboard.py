@@ -6,6 +6,7 @@ import html
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,9 @@ from h3data.errors import FormatError, InputError
 from h3data.metrics import Metric
 from h3data.metrics.table import legend
 from h3data_pipelines.benchmark.definition import BASELINES, Benchmark
-from h3data_pipelines.benchmark.result import BenchmarkResult, ResultRow, cell_text, read_result, row_label
+from h3data_pipelines.benchmark.result import MANIFEST, BenchmarkResult, ResultRow, cell_text, read_result, row_label
 from h3data_pipelines.benchmark.verification import ResultVerification
+from h3data_pipelines.hub.checksums import file_sha256
 
 VERDICT = "verification.json"
 """File beside ``benchmark.json`` that ``h3data benchmark verify`` writes."""
@@ -41,7 +43,7 @@ class Leaderboard:
     benchmark: Benchmark
     entries: tuple[Entry, ...]
 
-    @property
+    @cached_property
     def _columns(self) -> list[Metric]:
         return self.benchmark.metrics()
 
@@ -130,18 +132,14 @@ def leaderboard(benchmark: Benchmark, folders: Sequence[Path]) -> Leaderboard:
 
 def write_verdict(verdict: ResultVerification) -> dict[str, Any]:
     """What ``verification.json`` says of a check, with the digest of the result that was checked."""
-    from h3data_pipelines.benchmark.result import MANIFEST, file_digest
-
-    return {**verdict.to_dict(), "result_sha256": file_digest(verdict.folder / MANIFEST)}
+    return {**verdict.to_dict(), "result_sha256": file_sha256(verdict.folder / MANIFEST)}
 
 
 def _checked(folder: Path, result: BenchmarkResult) -> str:
     """What the leaderboard says of the check of a result: of how many episodes, if it is of this very result."""
-    from h3data_pipelines.benchmark.result import MANIFEST, file_digest
-
     try:
         found = json.loads((folder / VERDICT).read_text(encoding="utf-8"))
-        if found["result_sha256"] != file_digest(folder / MANIFEST) or found["benchmark"] != result.benchmark:
+        if found["result_sha256"] != file_sha256(folder / MANIFEST) or found["benchmark"] != result.benchmark:
             return "no"
         return f"{found['episodes']} of {found['of_episodes']}" if found["true"] else "not true"
     except (OSError, ValueError, KeyError, TypeError):

@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import platform
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -23,6 +22,7 @@ from h3data.metrics import Metric
 from h3data.plugins import own_version
 from h3data.terminal import aligned
 from h3data_pipelines.benchmark.definition import EPISODES, Benchmark, episode_uid
+from h3data_pipelines.hub.checksums import checksums_of
 from h3data_pipelines.jobs.evaluation_runs import RECORDINGS, evaluate_task
 from h3data_pipelines.jobs.result_files import RESULTS
 from h3data_pipelines.jobs.table_cells import cell_dict, cell_of
@@ -136,7 +136,7 @@ def run_benchmark(
         created_by=list(played.created_by),
         machine=this_machine(),
         rows=rows,
-        files={name: file_digest(out / name) for name in result_files(out)},
+        files=checksums_of(out, result_files(out)),
     )
     write_text(out / MANIFEST, json.dumps(msgspec.to_builtins(result), indent=1) + "\n")
     return BenchmarkRun(folder=out, benchmark=benchmark, result=result, failed=played.failed)
@@ -218,12 +218,6 @@ def result_files(folder: Path) -> list[str]:
         for path in (folder / part).rglob("*")
         if path.is_file()
     )
-
-
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def this_machine() -> dict[str, str]:

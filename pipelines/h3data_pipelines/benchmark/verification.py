@@ -25,13 +25,13 @@ from h3data_pipelines.benchmark.definition import Benchmark, episode_uid, find_b
 from h3data_pipelines.benchmark.result import (
     MANIFEST,
     BenchmarkResult,
-    file_digest,
     read_result,
     result_files,
     summarized,
 )
+from h3data_pipelines.hub.checksums import checksums_of
 from h3data_pipelines.jobs.evaluation_runs import RECORDINGS
-from h3data_pipelines.jobs.result_files import RESULTS
+from h3data_pipelines.jobs.result_files import RESULTS, NoProgress
 
 if TYPE_CHECKING:
     from h3data_pipelines.jobs.episodes import Job
@@ -140,7 +140,7 @@ def verify_result(
     count = 0
     with (
         opened("local", workers) as workforce,
-        (progress or _NoProgress)(total=len(parts), desc="verify", unit="episode") as bar,
+        (progress or NoProgress)(total=len(parts), desc="verify", unit="episode") as bar,
         closing(workforce.run(_check_episode, parts, lost=_lost)) as results,
     ):
         for recordings, wrong in results:
@@ -170,7 +170,8 @@ def _of_manifest(folder: Path, result: BenchmarkResult, benchmark: Benchmark) ->
         faults.append(f"{MANIFEST}: {counted(len(missing), 'file')} missing, the first is {missing[0]}.")
     if added := sorted(set(there) - set(result.files)):
         faults.append(f"{MANIFEST}: {counted(len(added), 'file')} not listed, the first is {added[0]}.")
-    changed = [name for name in there if name in result.files and file_digest(folder / name) != result.files[name]]
+    found = checksums_of(folder, [name for name in there if name in result.files])
+    changed = [name for name, digest in found.items() if digest != result.files[name]]
     return [*faults, *(f"{name}: the file is not the one that {MANIFEST} lists." for name in changed)]
 
 
@@ -182,20 +183,27 @@ def _stored_rows(folder: Path, benchmark: Benchmark) -> tuple[dict[int, list[dic
         path = folder / RESULTS / f"{index:06d}.json"
         try:
             rows = json.loads(path.read_text(encoding="utf-8"))["rows"]
-            stored[index] = [{**row, "policy": str(row["policy"]), "values": dict(row["values"])} for row in rows]
-        except (OSError, ValueError, KeyError, TypeError) as fault:
+            stored[index] = [_checked_row(row) for row in rows]
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as fault:
             faults.append(f"{RESULTS}/{path.name}: expected the results of an episode, got {fault!r}.")
             continue
         pairs = [(row["policy"], row.get("partner")) for row in stored[index]]
         if len(pairs) != len(set(pairs)):
             faults.append(f"{RESULTS}/{path.name}: a policy is listed twice.")
         expected: set[Any] = set(benchmark.file.partners) or {None}
-        if {row.get("partner") for row in rows} - expected:
+        if {row.get("partner") for row in stored[index]} - expected:
             faults.append(
                 f"{RESULTS}/{path.name}: expected the partners {', '.join(benchmark.file.partners) or 'of no name'}."
             )
             stored[index] = [row for row in stored[index] if row.get("partner") in expected]
     return stored, faults
+
+
+def _checked_row(row: Any) -> dict[str, Any]:
+    """Result of a policy in an episode, as a file gives it; a ValueError, KeyError or TypeError if it is none."""
+    if not isinstance(row.get("partner"), str | None):
+        raise TypeError(f"a partner that is no name: {row['partner']!r}")
+    return {**row, "policy": str(row["policy"]), "values": dict(row["values"])}
 
 
 def _of_table(
@@ -236,7 +244,10 @@ def _check_episode(part: _Part) -> tuple[int, list[str]]:
         try:
             recording = source.read()
             info = recording.episode.info
-            policy, partners = str(info.get("policy")), list(info.get("partners") or [None])
+            policy, partners = str(info.get("policy")), info.get("partners") or [None]
+            if not isinstance(partners, list) or not all(isinstance(partner, str | None) for partner in partners):
+                faults.append(f"{name}, {policy}: its partners are no list of names.")
+                continue
             rows = [row for row in part.rows if row["policy"] == policy and row.get("partner") in partners]
             seen |= {(policy, partner) for partner in partners}
             with names_from_data():  # whoever made the result chose the names in it
@@ -293,17 +304,3 @@ def _other_facts(recording: Recording, task: Task, episode: Episode) -> list[str
 
 def _lost(part: _Part, fault: Exception) -> tuple[int, list[str]]:
     return 0, [f"{RECORDINGS}/{part.index:06d}: {fault}"]
-
-
-class _NoProgress:
-    """A progress bar that shows nothing."""
-
-    def __init__(self, **_options: object) -> None: ...
-
-    def __enter__(self) -> _NoProgress:
-        return self
-
-    def __exit__(self, *_error: object) -> None: ...
-
-    def update(self) -> None:
-        """One more is done."""

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from h3data.errors import FormatError
 from h3data.progress import progress
+from h3data.recording.storage import AnyPath, open_binary
 
 FILE = "h3/checksums.json"
 PARTS = ("meta", "data", "h3", "videos")
@@ -25,7 +26,7 @@ def files_of(root: Path) -> list[str]:
 
 def checksums_of(root: Path, names: Sequence[str]) -> dict[str, str]:
     """SHA-256 of files by their path below ``root``."""
-    return {name: _sha256(root / name) for name in progress(names, desc="checksums", unit="file", leave=False)}
+    return {name: file_sha256(root / name) for name in progress(names, desc="checksums", unit="file", leave=False)}
 
 
 def to_json(checksums: Mapping[str, str]) -> bytes:
@@ -63,9 +64,10 @@ def require_checksums(root: Path) -> int:
     return len(expected)
 
 
-def _sha256(path: Path) -> str:
+def file_sha256(path: AnyPath) -> str:
+    """SHA-256 of a file, also of one in an object store, read in blocks."""
     digest = hashlib.sha256()
-    with path.open("rb") as stream:
+    with open_binary(path) as stream:
         while block := stream.read(_BLOCK):
             digest.update(block)
     return digest.hexdigest()

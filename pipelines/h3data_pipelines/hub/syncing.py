@@ -19,6 +19,7 @@ from h3data.progress import progress
 from h3data.recording.parquet.files import is_dataset, write_atomic
 from h3data.recording.storage import AnyPath, RemotePath, open_binary, place, sizes_below
 from h3data.terminal import counted
+from h3data_pipelines.hub.checksums import file_sha256
 
 if TYPE_CHECKING:
     from h3data.commands.arguments import FilePath
@@ -115,7 +116,7 @@ class Sync:
         if not self.quick:
 
             def differs(name: str) -> bool:
-                return _sha256(source / name) != _sha256(target / name)
+                return file_sha256(source / name) != file_sha256(target / name)
 
             with ThreadPoolExecutor(_THREADS) as pool:
                 found = progress(pool.map(differs, alike), total=len(alike), desc="compare", unit="file", leave=False)
@@ -161,7 +162,7 @@ def _copy_file(source: AnyPath, target: AnyPath, name: str, info: bytes | None) 
         write_atomic(at, content)
         _require_digest(at, hashlib.sha256(content).hexdigest())
         return
-    digest = _sha256(source / name)
+    digest = file_sha256(source / name)
     with open_binary(source / name) as read:
         if isinstance(at, RemotePath):
             at.put(read)
@@ -172,18 +173,10 @@ def _copy_file(source: AnyPath, target: AnyPath, name: str, info: bytes | None) 
 
 
 def _require_digest(path: AnyPath, digest: str) -> None:
-    if _sha256(path) != digest:
+    if file_sha256(path) != digest:
         raise FormatError(
             f"The copy differs from the original; it may have changed meanwhile. Try again: {path}", code="H3-HUB-010"
         )
-
-
-def _sha256(path: AnyPath) -> str:
-    digest = hashlib.sha256()
-    with open_binary(path) as stream:
-        while block := stream.read(_BLOCK):
-            digest.update(block)
-    return digest.hexdigest()
 
 
 def _read(path: AnyPath) -> bytes | None:

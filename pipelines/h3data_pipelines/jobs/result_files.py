@@ -93,7 +93,9 @@ def results_of(
                 file.unlink()
         prepare()
         wanted = [job for job in jobs if not (_is_done(files[job.base.index], job) and is_whole(job))]
-        bar = (progress or _Quiet)(total=len(jobs), initial=len(jobs) - len(wanted), desc="evaluate", unit="episode")
+        bar = (progress or NoProgress)(
+            total=len(jobs), initial=len(jobs) - len(wanted), desc="evaluate", unit="episode"
+        )
         with (
             keeping(lambda: _kept(files.values(), out)),
             bar,
@@ -117,12 +119,12 @@ def write_table(out: Path, text: str, data: dict[str, Any]) -> None:
     write_text(out / "table.json", json.dumps(data, indent=2) + "\n")
 
 
-class _Quiet:
+class NoProgress:
     """A progress bar that shows nothing."""
 
     def __init__(self, **_options: object) -> None: ...
 
-    def __enter__(self) -> _Quiet:
+    def __enter__(self) -> NoProgress:
         return self
 
     def __exit__(self, *_error: object) -> None: ...

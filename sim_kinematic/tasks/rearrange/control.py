@@ -174,7 +174,7 @@ class SkillControl(Control):
                     joints=joints,
                 )
                 if assigned.policy is not None:
-                    begins = until if changed[k] or is_remote(assigned.policy) else min(since, until)
+                    begins = until if (changed and changed[k]) or is_remote(assigned.policy) else min(since, until)
                     policy.own, policy.since = assigned.policy, begins
             if k in commands or on_track:  # of a recording that was continued, only the steps before
                 policy = RecordedCommands(commands.get(k, []), until=min(since or until, until), own=policy)
