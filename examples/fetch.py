@@ -109,7 +109,7 @@ class Fetch(Rearrange):
 
     @property
     def codec(self) -> FetchCodec:
-        """How episodes are written."""
+        """The codec that writes its episodes to files."""
         return FetchCodec(self)
 
     def sample(self, scene: Any, free: Any, seed: int, spec: Any, roster: Any) -> Any:

@@ -87,7 +87,7 @@ def walk_attachments(models: Iterable[str]) -> dict[str, bytes]:
 
 
 def walk_facts(models: Iterable[str]) -> dict[str, Any]:
-    """What recordings say about the walks that stored names of bodies contain, by the name of the attachment."""
+    """Entries of a recording's info about the walks that stored names of bodies contain, by the name of the attachment."""
     return {
         name: {**_reader().facts(data), "sha256": hashlib.sha256(data).hexdigest()}
         for name, data in walk_attachments(models).items()
