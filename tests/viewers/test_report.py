@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from h3data.commands.shards import LostShardError
@@ -717,6 +717,9 @@ def test_names_cannot_break_out(runs: dict[str, Path], tmp_path: Path) -> None:
 
 @settings(max_examples=10)
 @given(st.text(max_size=40))
+@example("[")
+@example("1.0 [0.5, 1.5]")
+@example("a [b [c] <![CDATA[")
 def test_any_text_stays_text(text: str) -> None:
     table = Table(
         key="k",

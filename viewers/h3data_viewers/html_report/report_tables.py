@@ -212,8 +212,8 @@ def _html_section(table: Table, section: Section) -> str:
 
 
 def _html_cell(cell: Cell) -> str:
-    text = _fitting(cell.text).replace(" [", ' <span class="interval">[', 1)
-    text += "</span>" if "[" in cell.text else ""
+    value, bracket, interval = _fitting(cell.text).partition(" [")
+    text = f'{value} <span class="interval">[{interval}</span>' if bracket else value
     text = f"<strong>{text}</strong>" if cell.strong else text
     small = f"<small>{escape(cell.small)}</small>" if cell.small else ""
     value = "" if math.isnan(cell.value) else f' data-v="{cell.value:.6g}"'
