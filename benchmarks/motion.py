@@ -24,7 +24,7 @@ Joints are those of a replay, as pictures show them; a step is 1/30 s. For each 
     within five steps; per minute of a robot of rearrangement and wandering.
 
 ``motion.<metric>`` is the worst of the tasks (pops, slide, jerk), their sum (mid-air stops) or all their steps together
-(turning share). ``motion.paper.<task>.*`` are those of social navigation and rearrangement with ``human_walk="paper"``, in
+(turning share). ``motion.paper.<task>.*`` are those of social navigation and rearrangement with ``rules="paper"``, in
 small homes.
 ``motion.real.<name>.*`` are the same figures of captured walks in ``../shared``, put on a body at 30 frames/s;
 where they are absent, ``motion.real.clips`` is 0.
@@ -176,7 +176,7 @@ def trot_slides(base: Array) -> Array:
 
 
 def _paper(task: str, home: int, options: dict[str, Any]) -> Recording:
-    return h3data.simulate(task, f"small:{home}", seed=home, human_walk="paper", **options)
+    return h3data.simulate(task, f"small:{home}", seed=home, rules="paper", **options)
 
 
 def _emit_all(emit: Emit, prefix: str, found: dict[str, Array]) -> None:

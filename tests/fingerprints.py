@@ -923,7 +923,7 @@ def _cases() -> Iterator[Case]:
         "rearrange that fails twice",
         "--human",
         "any",
-        "--human-walk",
+        "--rules",
         "paper",
         "--human-speed",
         "1.3",

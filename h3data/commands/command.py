@@ -52,10 +52,18 @@ BackendOption = Annotated[
     Literal["auto", "cpu", "gpu"],
     tyro.conf.arg(help="Renderer: cpu; gpu, whose images differ in a few pixels; or auto, a GPU if there is one."),
 ]
-WalkOption = Literal["paper", "natural"]
-RulesOption = Annotated[
+RuleSet = Literal["natural", "paper"]
+RuleSetOption = Annotated[
+    RuleSet | None,
+    tyro.conf.arg(
+        help="Rules of the task: natural, whose people walk curves at 1.3 m/s, set off and brake; or paper, those behind the "
+        "paper's numbers, whose people turn on the spot and are at 2.5 m/s at once; in rearrange also 750 steps and nobody "
+        "who gives way (default: the episode's, else natural)."
+    ),
+]
+OverridesOption = Annotated[
     tuple[str, ...],
-    tyro.conf.arg(name="set", help="Other rules of the task, as NAME=VALUE: --set objects=3 --set near_m=[2.0,1.5]."),
+    tyro.conf.arg(name="set", help="A single rule of the task, as NAME=VALUE: --set objects=3 --set near_m=[2.0,1.5]."),
 ]
 StrictFlag = Annotated[bool, tyro.conf.arg(help="Refuse a Habitat scene of which anything was left out or guessed.")]
 MissingFlag = Annotated[
@@ -270,21 +278,21 @@ def remove_dataset(root: AnyPath) -> None:
             (root / name).unlink()
 
 
-def read_rules(texts: Iterable[str]) -> tuple[tuple[str, Any], ...]:
-    """Names and values of a task's rules, from ``NAME=VALUE`` with a value as in JSON or a bare word.
+def read_overrides(texts: Iterable[str]) -> tuple[tuple[str, Any], ...]:
+    """Names and values of single rules of a task, from ``NAME=VALUE`` with a value as in JSON or a bare word.
 
     Raises:
         InputError: one is written in another way.
     """
-    rules = []
+    overrides = []
     for text in texts:
         name, sign, value = text.partition("=")
         if not sign or not name:
             raise InputError(f"Expected --set NAME=VALUE, got {text!r}.", code="H3-OPTION-075")
         with suppress(ValueError):
             value = json.loads(value)
-        rules.append((name, value))
-    return tuple(rules)
+        overrides.append((name, value))
+    return tuple(overrides)
 
 
 def check_backend(backend: BackendOption) -> None:

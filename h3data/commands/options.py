@@ -42,13 +42,14 @@ _FOLDERS = re.compile(r"(?<![\w.~-])[/~](?:[^/,\s:]*/)+")
 _POSITIONAL = get_args(tyro.conf.Positional[str])[1]
 RENAMED = {
     "--hold": "--action-repeat",
+    "--human-walk": "--rules",
     "--init": "--warm-start",
     "--light": "--person-detail",
     "--keep": "--save-recordings",
     "--lod": "--low-detail",
     "--play-as": "--as",
     "--rule": "--set",
-    "--walk": "--human-walk",
+    "--walk": "--rules",
     "--without": "--ablate",
     "--zsc": "--unseen-partners",
 }

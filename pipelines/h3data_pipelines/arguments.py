@@ -21,5 +21,5 @@ if TYPE_CHECKING:
     """Name of a policy, ``weights:FILE``, ``module:name``, or a class or function that makes one for each episode."""
     Policies = NamedPolicy | Sequence[NamedPolicy]
     TaskChoice = str | type[Task]
-    Rules = Mapping[str, Any] | Sequence[str]
-    """Rules of a task by name, such as ``{"objects": 3}``."""
+    Overrides = Mapping[str, Any] | Sequence[str]
+    """Single rules of a task by name, such as ``{"objects": 3}``."""

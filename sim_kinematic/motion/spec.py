@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 from h3data.errors import InputError
 
@@ -171,6 +172,10 @@ HOME_WALKER = WalkerSpec(clearance_m=0.4, arms=ArmRoomSpec())
 WALKERS = {"paper": HOME_WALKER, "natural": NATURAL_WALKER}
 """Gaits by name: ``paper`` walks at 2.5 m/s and turns on the spot, ``natural`` walks as people do."""
 
+RULE_SETS: Mapping[str, Mapping[str, Any]] = {name: {"human": walker} for name, walker in WALKERS.items()}
+"""Fields of a spec by the name of a set of rules: ``paper`` is what the published numbers were measured under, as far as our
+assets allow (`h3data.metrics.paper.protocol`), and ``natural`` the default of new episodes."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SocialNavSpec:
@@ -189,6 +194,7 @@ class SocialNavSpec:
     """Height of Habitat's navigation mesh for Spot, which both agents use [m] (spec/habitat.md 1.2)."""
     robot: BaseSpec = HOME_BASE
     human: WalkerSpec = NATURAL_WALKER
+    rule_sets: ClassVar[Mapping[str, Mapping[str, Any]]] = RULE_SETS
     solid_agents: bool = field(default=False, repr=False)
     """Whether a person under commands slides along the discs of others as along walls: the rule where people play live. Left
     out of ``repr``, from which episodes have their identity."""

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec, common_floor, sample_places
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.motion.randomness import generator
-from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, WALKERS, BaseSpec, WalkerSpec
+from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, RULE_SETS, BaseSpec, WalkerSpec
 
 if not TYPE_CHECKING:
     __getattr__ = refuse_renamed(__name__)
@@ -41,6 +41,8 @@ class TaskSpec:
     """Size of the agent for which the free floor is computed; Habitat's navigation mesh for Spot (spec/habitat.md 1.2)."""
     robot: BaseSpec = HOME_BASE
     human: WalkerSpec = NATURAL_WALKER
+    rule_sets: ClassVar[Mapping[str, Mapping[str, Any]]] = RULE_SETS
+    """Fields by the name of a set of rules, ``natural`` and ``paper``, as `with_options` takes them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -136,20 +138,24 @@ def rules_dict(spec: Any) -> dict[str, Any]:
 def with_options(spec: Any, **options: Any) -> Any:
     """Rules with some options replaced; options that are None leave them as they are.
 
-    Beside the fields of ``spec`` there are ``human_walk``, the gait of people (``paper`` or ``natural``), and
-    ``human_speed``, their walking speed [m/s].
+    Beside the fields of ``spec`` there are ``rules``, the name of a set of rules (``paper`` or ``natural``) that the other
+    options change, and ``human_speed``, the walking speed of people [m/s].
     """
-    speed, walk = options.pop("human_speed", None), options.pop("human_walk", None)
-    if walk not in (None, *WALKERS):
-        raise InputError(f"Unknown human_walk {walk!r}. Expected one of: {', '.join(WALKERS)}.", code="H3-TASK-001")
-    if walk is not None:
-        spec = replace(spec, human=WALKERS[walk])
+    speed, rules = options.pop("human_speed", None), options.pop("rules", None)
+    if rules is not None:
+        sets: Mapping[str, Mapping[str, Any]] = getattr(spec, "rule_sets", {})
+        if rules not in sets:
+            raise InputError(
+                f"Unknown rules {rules!r}. Expected one of: {', '.join(sets) or 'none, this task has no sets of rules'}.",
+                code="H3-TASK-001",
+            )
+        spec = replace(spec, **sets[rules])
     if speed is not None:
         spec = replace(spec, human=replace(spec.human, speed_mps=speed))
     known = [field.name for field in fields(spec) if field.init]
     for name in options:
         if name not in known:
-            valid = [*known, "human_speed", "human_walk"]
+            valid = [*known, "human_speed", "rules"]
             raise InputError(
                 f"Unknown rule {name!r}.{suggest(name, valid, lead='Expected some of')}", code="H3-JOB-020"
             )

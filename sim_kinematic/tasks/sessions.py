@@ -40,10 +40,10 @@ def session(
     share_in: str | os.PathLike[str] | None = None,
     robot: str | Path | Robot = ROBOT_BODY,
     human: str = HUMAN_BODY,
-    human_walk: Literal["natural", "paper"] | None = None,
+    rules: Literal["natural", "paper"] | None = None,
     human_speed: float | None = None,
     max_steps: int | None = None,
-    **rules: RuleValue,
+    **overrides: RuleValue,
 ) -> Session:
     """Begins an episode that is played one step at a time, with agents driven from outside (h3data docs sessions).
 
@@ -62,16 +62,16 @@ def session(
             the recording.
         robot: Body of robots.
         human: Body of people.
-        human_walk: How people walk (default: as ``spec`` says, natural).
+        rules: Set of rules, ``natural`` or ``paper`` (default: as ``spec`` says, natural).
         human_speed: How fast people walk [m/s].
         max_steps: Steps after which the episode ends.
-        **rules: Further rules of the task, by the name of their field in its spec, such as ``objects=3``.
+        **overrides: Single rules of the task, by the name of their field in its spec, such as ``objects=3``.
 
     Raises:
         InputError: there is no such task, scene, agent, policy or rule.
         SceneError: no scene has room for the episode.
     """
-    changes = {"human_walk": human_walk, "human_speed": human_speed, "max_steps": max_steps, **rules}
+    changes = {"rules": rules, "human_speed": human_speed, "max_steps": max_steps, **overrides}
     found, episode = _episode(task, scenes, roster, seed, index, spec, robot, human, changes)
     return Session(found, episode, agents, sink=_sink(record, overwrite, share_in))
 
@@ -90,13 +90,13 @@ def simulate(
     share_in: str | os.PathLike[str] | None = None,
     robot: str | Path | Robot = ROBOT_BODY,
     human: str = HUMAN_BODY,
-    human_walk: Literal["natural", "paper"] | None = None,
+    rules: Literal["natural", "paper"] | None = None,
     human_speed: float | None = None,
     max_steps: int | None = None,
-    **rules: RuleValue,
+    **overrides: RuleValue,
 ) -> Recording:
     """Plays one episode under policies and returns its recording; arguments as `session`."""
-    changes = {"human_walk": human_walk, "human_speed": human_speed, "max_steps": max_steps, **rules}
+    changes = {"rules": rules, "human_speed": human_speed, "max_steps": max_steps, **overrides}
     found, episode = _episode(task, scenes, roster, seed, index, spec, robot, human, changes)
     return simulate_episode(found, episode, agents, sink=_sink(record, overwrite, share_in))
 
@@ -110,10 +110,10 @@ def _episode(
     spec: Spec | None,
     robot: str | Path | Robot,
     human: str,
-    rules: Mapping[str, Any],
+    changes: Mapping[str, Any],
 ) -> tuple[Task, Episode]:
     found = find_task(task)
-    changed = with_options(found.Spec() if spec is None else spec, **rules)
+    changed = with_options(found.Spec() if spec is None else spec, **changes)
     source = EpisodeSource(found, scenes, spec=changed, agents=roster, robot=robot, human=human)
     return found, source.sample(seed, index)
 

@@ -34,7 +34,7 @@ made = h3data.generate(
     agents=["human", robot],
     policies=[TurnAround],
     cameras=["third_person"],
-    rules={"max_steps": 40},
+    overrides={"max_steps": 40},
 )
 dataset: h3data.Dataset = h3data.load_dataset("out")
 result = h3data.evaluate("social_nav", "table", policies=["stand_still", TurnAround], episodes=2, save_recordings=True)

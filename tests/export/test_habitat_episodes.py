@@ -38,7 +38,7 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Path:
         policies="still",
         partners="both",
         max_steps=600,
-        human_walk="paper",
+        rules="paper",
     )
     return out
 

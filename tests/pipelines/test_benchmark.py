@@ -38,8 +38,8 @@ task = "social_nav"
 scenes = ["small"]
 episodes = 2
 seed = 3
-human_walk = "natural"
-rules = { max_steps = 60 }
+rules = "natural"
+overrides = { max_steps = 60 }
 metrics = ["S", "F", "TD"]
 rank = "TD"
 """
@@ -52,7 +52,7 @@ task = "rearrange"
 scenes = ["small"]
 episodes = 1
 seed = 3
-rules = { max_steps = 900 }
+overrides = { max_steps = 900 }
 partners = ["plan_pop_3", "still"]
 metrics = ["SR", "RE"]
 rank = "SR"
@@ -274,7 +274,7 @@ def test_neither_a_definition_nor_a_result_runs_what_it_names(
     assert faults(result, short_nav[0])
     for line, other in (
         ('task = "social_nav"', 'task = "canary:Mine"'),
-        ("rules", 'partners = ["canary:Mine"]\nrules'),
+        ("overrides", 'partners = ["canary:Mine"]\noverrides'),
     ):
         (tmp_path / "theirs").mkdir(exist_ok=True)
         (tmp_path / "theirs" / "benchmark.toml").write_text(SOCIAL_NAV.replace(line, other, 1))

@@ -22,6 +22,8 @@ from h3data_pipelines.jobs.cross_play import cross_play_table
 from h3data_pipelines.jobs.evaluations import chosen_names, files_of
 from h3data_pipelines.jobs.policy_table import policy_table
 from sim_kinematic.policies.network import Network, save_network
+from sim_kinematic.tasks.episode import rules_dict, with_options
+from sim_kinematic.tasks.registry import find_task
 
 METRICS = ("S", "SPS", "F", "CR", "BYR", "TD", "FD")
 RULES = ("--scenes", "h3-homes/val#1", "--max-steps", "150", "--json")
@@ -177,6 +179,20 @@ def test_only_deviations_from_the_protocol_are_mentioned() -> None:
     assert measure(recording).protocol_deviations == ""
     assert measure(replace(changed, agents=agents), "field").protocol_deviations == ""
     assert "human.speed_mps 1.0 (paper 2.5): 1 episode" in measure_many([replace(changed, agents=agents)]).to_text()
+
+
+@pytest.mark.parametrize("task", ["social_nav", "rearrange"])
+def test_the_papers_rules_do_not_differ_from_the_paper(task: str) -> None:
+    def deviations(rules: str) -> str:
+        spec = rules_dict(with_options(find_task(task).Spec(), rules=rules))
+        episode = Episode(uid="u", episode_id="e", task=task, scene="s", info={"spec": spec})
+        agents = (Agent(name="robot", kind="robot"), Agent(name="human", kind="human"))
+        pose = np.tile(np.array([0, 0, 0, 0, 0, 0, 1], np.float32), (2, 1))
+        columns = {"time_ns": np.arange(2), "agent_0.base_pose": pose, "agent_1.base_pose": pose}
+        return protocol_deviations(Recording(episode=episode, agents=agents, columns=columns))
+
+    assert deviations("paper") == ""
+    assert deviations("natural") != ""
 
 
 def test_rearrangement_with_learned_skills_or_with_agents_that_heed_each_other_is_not_the_papers() -> None:

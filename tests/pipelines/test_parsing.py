@@ -14,7 +14,7 @@ from typing import Any, get_args
 import pytest
 
 import h3data
-from h3data.commands.command import Group, WalkOption
+from h3data.commands.command import Group, RuleSet
 from h3data.commands.options import RENAMED, in_python_words, in_shell_words, options_of, split_list
 from h3data.errors import InputError
 from h3data_pipelines.cli import main
@@ -28,7 +28,7 @@ from h3data_pipelines.jobs.episodes import Choices, Job, make_jobs
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest
 from h3data_pipelines.parsing import parse
 from h3data_viewers.commands.viewing import View
-from sim_kinematic.motion.spec import WALKERS
+from sim_kinematic.tasks.registry import find_task
 
 COMMANDS = all_commands()
 
@@ -248,7 +248,7 @@ def test_a_job_file_gives_options_and_the_command_line_wins(tmp_path: Path) -> N
     command = parsed.command
     assert isinstance(command, Generate)
     assert (command.task, command.episodes, command.human_speed, command.mcap) == ("wander", 3, 1.5, True)
-    assert (command.rules, command.out) == (("a=1", "b=2"), Path("ds"))
+    assert (command.overrides, command.out) == (("a=1", "b=2"), Path("ds"))
 
 
 @pytest.mark.parametrize(
@@ -370,8 +370,9 @@ raise SystemExit(code)
     assert "Cannot export to 'b'." in said.stderr
 
 
-def test_human_walk_names_every_walker() -> None:
-    assert set(get_args(WalkOption)) == set(WALKERS)
+def test_the_option_names_every_set_of_rules() -> None:
+    for name in ("social_nav", "rearrange", "wander"):
+        assert set(get_args(RuleSet)) == set(find_task(name).Spec.rule_sets)
 
 
 SHELL_AND_PYTHON = [

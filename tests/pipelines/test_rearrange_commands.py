@@ -59,7 +59,7 @@ def test_generate_resumes_with_the_same_episodes(tmp_path: Path, capsys: pytest.
 def test_an_episode_that_raises_is_marked_and_the_job_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    args = (*GENERATE[:-1], "--human-walk", "paper", "--policy", "still", "--partner", "still", "--episodes", "2", "-o")
+    args = (*GENERATE[:-1], "--rules", "paper", "--policy", "still", "--partner", "still", "--episodes", "2", "-o")
     made = []
 
     def first_breaks(*_: object) -> planners.HighLevelPolicy:
@@ -244,7 +244,7 @@ def test_oracle_skills_are_played_as_worlds_on_a_device_play_them(
     )
     assert table["failed"] == []
     for task, more, message in (
-        ("rearrange", ("--human-walk", "natural"), "--skills oracle has the paper's people"),
+        ("rearrange", ("--rules", "natural"), "--skills oracle has the paper's people"),
         ("social_nav", (), "no options of social_nav: --skills"),
     ):
         other = run_json(capsys, "evaluate", task, *more, *args, tmp_path / "other", code=2)
@@ -270,7 +270,7 @@ def test_rules_of_other_names_and_types_are_refused(
 
 
 def test_rules_are_numbers_words_and_lists() -> None:
-    choices = Choices(task="rearrange", rules=(("max_steps", 90), ("at_goal_m", 1), ("near_m", [1, 2])))
+    choices = Choices(task="rearrange", overrides=(("max_steps", 90), ("at_goal_m", 1), ("near_m", [1, 2])))
     spec = choices.spec()
     assert (spec.max_steps, spec.at_goal_m, spec.near_m) == (90, 1.0, (1.0, 2.0))
     assert {type(spec.at_goal_m), *map(type, spec.near_m)} == {float}

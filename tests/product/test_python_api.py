@@ -127,7 +127,7 @@ def test_python_gives_one_thing_or_several_by_name_or_itself(given: dict[str, An
 
 def test_a_policy_by_its_class_and_rules_by_name(tmp_path: Path) -> None:
     done = h3data.generate(
-        "wander", tmp_path, policies=Still, rules={"max_steps": 12}, scenes=["small:1", "small:2"], episodes=2
+        "wander", tmp_path, policies=Still, overrides={"max_steps": 12}, scenes=["small:1", "small:2"], episodes=2
     )
     assert [len(recording) for recording in done.dataset] == [12, 12]
     first = done.dataset[0]

@@ -184,7 +184,7 @@ def test_the_command_line_plans_and_refuses(tmp_path: Path, capsys: pytest.Captu
         (["skill"], "Expected the name of a skill: h3data train skill nav, pick or place."),
         (["skill", "nav", "--recipe", "paper"], "Unknown recipe 'paper' of skills"),
         (["skill", "nav", "--recipe", "fast", "--observations", "arm_rgb"], "arm_rgb"),
-        (["skill", "nav", "--human-walk", "paper"], "no options of skill: --human-walk"),
+        (["skill", "nav", "--rules", "paper"], "no options of skill: --rules"),
         (["social_nav", "nav"], "after the task skill only"),
     ):
         assert main(["train", *words, "-o", str(tmp_path / "run")]) == 2

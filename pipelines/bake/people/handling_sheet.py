@@ -121,7 +121,7 @@ def corridor() -> NDArray[np.uint8]:
 
 def handling() -> NDArray[np.uint8]:
     """The rows of an episode of rearrangement."""
-    recording = h3data.simulate("rearrange", HOME, seed=SEED, human_walk="natural")
+    recording = h3data.simulate("rearrange", HOME, seed=SEED, rules="natural")
     replay, length = Replay(recording), len(recording)
     stage = Stage(replay)
     spans = [s for s in recording.skills if s.agent == PERSON and s.outcome in ("done", "running")]

@@ -45,9 +45,10 @@ class BenchmarkFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     seed: int = 0
     partners: list[str] = []
     """Policies of people, of tasks in which every robot plays with several of them."""
-    human_walk: str | None = None
-    rules: dict[str, Any] = {}
-    """Fields of the task's rules that differ from their defaults."""
+    rules: str | None = None
+    """Name of a set of rules: ``natural`` or ``paper``."""
+    overrides: dict[str, Any] = {}
+    """Single fields of the task's rules that differ from them."""
     metrics: list[str]
     """Columns of the leaderboard."""
     rank: str
@@ -78,8 +79,8 @@ class Benchmark:
             scenes=tuple(of.scenes),
             episodes=of.episodes,
             seed=of.seed,
-            human_walk=of.human_walk,
-            rules=tuple(of.rules.items()),
+            rules=of.rules,
+            overrides=tuple(of.overrides.items()),
         )
 
     def jobs(self) -> list[Evaluation]:

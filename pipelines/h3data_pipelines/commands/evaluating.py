@@ -17,9 +17,10 @@ from h3data.commands.command import (
     JsonFlag,
     MissingFlag,
     Outcome,
-    RulesOption,
-    WalkOption,
-    read_rules,
+    OverridesOption,
+    RuleSet,
+    RuleSetOption,
+    read_overrides,
 )
 from h3data.commands.executors import ExecutorOption
 from h3data.commands.options import OfTasks, TaskNotes, command_of
@@ -30,7 +31,7 @@ from h3data_pipelines.jobs.skill_evaluations import evaluate_skills
 
 if TYPE_CHECKING:
     from h3data.commands.arguments import FilePath, Paths
-    from h3data_pipelines.arguments import Body, Policies, Rules, Scenes, TaskChoice
+    from h3data_pipelines.arguments import Body, Overrides, Policies, Scenes, TaskChoice
     from h3data_pipelines.jobs.evaluation_runs import EvaluationResult
     from h3data_pipelines.jobs.skill_evaluations import SkillEvaluationResult
 
@@ -59,7 +60,7 @@ def evaluate(
     partners: Policies = "all",
     unseen_partners: Policies = (),
     skills: Paths = (),
-    rules: Rules = (),
+    overrides: Overrides = (),
     scenes: Scenes = "h3-homes/test",
     episodes_file: FilePath | None = None,
     assets: Paths = (),
@@ -70,7 +71,7 @@ def evaluate(
     robot: Body | None = None,
     human: FilePath | None = None,
     motion: FilePath | None = None,
-    human_walk: WalkOption | None = None,
+    rules: RuleSet | None = None,
     human_speed: float | None = None,
     max_steps: int | None = None,
     light: LightMode | None = None,
@@ -148,17 +149,15 @@ class Evaluate:
     adults; random: a new person for each episode (default: female_0)."""
     motion: Path | None
     """Motion file with the gait of people, as for h3data generate."""
-    human_walk: WalkOption | None
-    """How people walk: natural walks curves at 1.3 m/s, sets off and brakes; paper turns on the spot and is at 2.5 m/s at
-    once (default: the episode's, else natural)."""
+    rules: RuleSetOption
     human_speed: float | None
-    """Walking speed of the person [m/s] (default: that of --human-walk)."""
+    """Walking speed of the person [m/s] (default: that of --rules)."""
     max_steps: int | None
     """Length limit of an episode (default: 1500)."""
     skills: Annotated[tuple[str, ...], OfTasks(("rearrange", "skill")), SKILLS]
     """Learned skills of robots: learned (those that come with the package), a folder of training runs, or policy files of
     h3data train skill."""
-    rules: RulesOption
+    overrides: OverridesOption
     light: Annotated[LightMode | None, OfTasks(("social_nav", "rearrange"))]
     """Light in the colours that policies are shown: baked, from windows, sun and lamps, or flat, the same everywhere (default:
     the light that each was trained in). It does not matter to policies that see no colours."""
@@ -191,11 +190,11 @@ class Evaluate:
             robot=self.robot,
             human=self.human,
             motion=None if self.motion is None else str(self.motion),
-            human_walk=self.human_walk,
+            rules=self.rules,
             human_speed=self.human_speed,
             max_steps=self.max_steps,
             skills=",".join(self.skills) or ("learned" if is_skill else ""),
-            rules=read_rules(self.rules),
+            overrides=read_overrides(self.overrides),
             light=self.light,
         )
         if is_skill:

@@ -20,14 +20,15 @@ from h3data.commands.command import (
     LightOption,
     MissingFlag,
     Outcome,
+    OverridesOption,
     PeopleOption,
-    RulesOption,
+    RuleSet,
+    RuleSetOption,
     ShareScenesFlag,
-    WalkOption,
     check_backend,
     claim_folder,
     keeping,
-    read_rules,
+    read_overrides,
     remove_dataset,
     unfinished_dataset,
     uninterrupted,
@@ -69,7 +70,7 @@ if TYPE_CHECKING:
     from h3data.commands.arguments import FilePath, Paths
     from h3data.recording import DatasetWriter
     from h3data.render.light.sources import LightMode
-    from h3data_pipelines.arguments import Agents, Body, Policies, Rules, Scenes, TaskChoice
+    from h3data_pipelines.arguments import Agents, Body, Overrides, Policies, Scenes, TaskChoice
 
 COMMIT_STEPS = 30_000
 """Steps after which episodes are committed: about a minute of one core's work is lost when the process is killed. Not seconds:
@@ -118,11 +119,11 @@ def generate(
     robot: Body | None = None,
     human: FilePath | None = None,
     motion: FilePath | None = None,
-    human_walk: WalkOption | None = None,
+    rules: RuleSet | None = None,
     human_speed: float | None = None,
     max_steps: int | None = None,
     spawn_distance: float | None = None,
-    rules: Rules = (),
+    overrides: Overrides = (),
     cameras: Paths = (),
     people: PeopleStyle = "skin",
     light: LightMode = "baked",
@@ -211,11 +212,9 @@ class Generate:
     motion: Path | None
     """Motion file with the gait of people: one of h3data motion import, AMASS, Habitat or BVH (h3data docs motion). It is
     stored in each recording."""
-    human_walk: WalkOption | None
-    """How people walk: natural walks curves at 1.3 m/s, sets off and brakes; paper turns on the spot and is at 2.5 m/s at
-    once (default: the episode's, else natural)."""
+    rules: RuleSetOption
     human_speed: float | None
-    """Walking speed of the person [m/s] (default: the episode's, else that of --human-walk)."""
+    """Walking speed of the person [m/s] (default: the episode's, else that of --rules)."""
     max_steps: Annotated[int | None, MAX_STEPS]
     """Length limit of an episode, at 30 steps per second (default: the episode's, else that of the task)."""
     spawn_distance: Annotated[float | None, SPAWN_DISTANCE]
@@ -224,7 +223,7 @@ class Generate:
     """Skills of the robots: learned (those that come with the package), a folder of training runs, or policy files of h3data
     train skill; or oracle: simple rules that a GPU plays too, with the paper's people, where nobody gives way to anybody
     (default: skills that know the whole state)."""
-    rules: RulesOption
+    overrides: OverridesOption
     cameras: tuple[str, ...]
     """Cameras whose videos are added to the dataset (observation.images.<name>), as in rerender."""
     people: PeopleOption
@@ -407,11 +406,11 @@ class Generate:
             human=self.human,
             robot=self.robot,
             motion=None if self.motion is None else str(self.motion),
-            human_walk=self.human_walk,
+            rules=self.rules,
             human_speed=self.human_speed,
             max_steps=self.max_steps,
             spawn_distance=self.spawn_distance,
-            rules=read_rules(self.rules),
+            overrides=read_overrides(self.overrides),
         )
         choices = with_skills(choices, ",".join(self.skills))
         in_set = self.episodes_file is None and len(self.scenes) == 1

@@ -154,12 +154,13 @@ class Choices:
     motion: str | None = None
     """Motion file of people's walk."""
     robot: str | None = None
-    human_walk: str | None = None
+    rules: str | None = None
+    """Name of a set of rules."""
     human_speed: float | None = None
     max_steps: int | None = None
     spawn_distance: float | None = None
-    rules: tuple[tuple[str, Any], ...] = ()
-    """Further fields of the task's rules, by name."""
+    overrides: tuple[tuple[str, Any], ...] = ()
+    """Single fields of the task's rules, by name."""
     oracle: bool = False
     """Oracle skills in rearrangement (`sim_kinematic.tasks.rearrange.episode.ORACLE_RULES`)."""
 
@@ -179,16 +180,16 @@ class Choices:
             from sim_kinematic.tasks.rearrange.episode import with_oracle_skills
 
             base = with_oracle_skills(base)
-        rules = {name: rule_value(base, name, value) for name, value in self.rules}
+        overrides = {name: rule_value(base, name, value) for name, value in self.overrides}
         for name, option in (("max_steps", "max_steps"), ("spawn_distance_m", "spawn_distance")):
             if (asked := getattr(self, option)) is None:
                 continue
-            if name in rules:
+            if name in overrides:
                 raise InputError(
                     f"Expected --{option.replace('_', '-')} or --set {name}=..., got both.", code="H3-JOB-048"
                 )
-            rules[name] = asked
-        return with_options(base, human_walk=self.human_walk, human_speed=self.human_speed, **rules)
+            overrides[name] = asked
+        return with_options(base, rules=self.rules, human_speed=self.human_speed, **overrides)
 
     def job(self, drawn: SampledEpisode, **more: Any) -> Job:
         """The job of one sampled episode."""
@@ -248,12 +249,12 @@ def with_skills(choices: Choices, skills: str) -> Choices:
     if not hasattr(dataset_rules(choices.found_task), "skills"):
         raise InputError(f"--skills is for rearrange, not for {choices.task}.", code="H3-JOB-016")
     if skills == ORACLE:
-        if choices.human_walk is not None or choices.human_speed is not None:
+        if choices.rules == "natural" or choices.human_speed is not None:
             raise InputError(
-                "--skills oracle has the paper's people: no --human-walk or --human-speed.", code="H3-JOB-024"
+                "--skills oracle has the paper's people: no --rules natural or --human-speed.", code="H3-JOB-024"
             )
         return replace(choices, oracle=True)
-    return replace(choices, rules=(*choices.rules, ("skills", recorded_skills(skills))))
+    return replace(choices, overrides=(*choices.overrides, ("skills", recorded_skills(skills))))
 
 
 @dataclass(frozen=True)

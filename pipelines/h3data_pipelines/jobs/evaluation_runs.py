@@ -58,14 +58,15 @@ class EvaluationRequest:
     robot: str | None = None
     human: str | None = None
     motion: str | None = None
-    human_walk: str | None = None
+    rules: str | None = None
+    """Name of a set of rules."""
     human_speed: float | None = None
     max_steps: int | None = None
     skills: str = ""
     """Learned skills of robots in rearrangement (`sim_kinematic.policies.skills.names.recorded_skills`), or ``oracle``; empty:
     those that know all."""
-    rules: tuple[tuple[str, Any], ...] = ()
-    """Further fields of the task's rules, by name."""
+    overrides: tuple[tuple[str, Any], ...] = ()
+    """Single fields of the task's rules, by name."""
     light: LightMode | None = None
     """Light in the colours that policies are shown; None: that in which each has learned."""
 
@@ -106,10 +107,10 @@ class EvaluationRequest:
             robot=self.robot,
             human=self.human,
             motion=self.motion,
-            human_walk=self.human_walk,
+            rules=self.rules,
             human_speed=self.human_speed,
             max_steps=self.max_steps,
-            rules=self.rules,
+            overrides=self.overrides,
         )
         choices = with_skills(choices, self.skills)
         for kind, names in (("robot", policies), ("human", partners)):

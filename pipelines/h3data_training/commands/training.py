@@ -132,8 +132,8 @@ class Train:
     """Steps of 1/30 s for which an action is held (default: 3)."""
     robot: str | None = None
     """Body of the robot (default: quad_arm)."""
-    human_walk: Annotated[Literal["natural", "paper", "both"] | None, WITH_PEOPLE] = None
-    """How people walk, as of h3data generate (default: natural; rearrange both, half of the episodes each)."""
+    rules: Annotated[Literal["natural", "paper", "both"] | None, WITH_PEOPLE] = None
+    """Rules of the episodes, as of h3data generate, or both, half of the episodes each (default: natural; rearrange both)."""
     gpus: Annotated[int, BY_PPO] = 1
     """Processes that train together, one for each GPU, each with its share of the worlds; on the CPU as many processes. In
     processes that torchrun starts, as many as there are."""
@@ -234,7 +234,7 @@ class Train:
         name = self.recipe or "tiny"
         if self.task == "skill":
             return name, skill_recipe(name, self.skill, **changes)
-        return name, recipe(name, **changes, walk=self.human_walk, follow_steps=self.follow_steps)
+        return name, recipe(name, **changes, walk=self.rules, follow_steps=self.follow_steps)
 
     @property
     def _scenes(self) -> str | None:
@@ -266,7 +266,7 @@ class Train:
             scenes=self._scenes,
             episodes_per_home=self.episodes_per_home,
             robot=self.robot,
-            walk=self.human_walk,
+            walk=self.rules,
             without=self.ablate,
         )
         if self.worlds is not None:

@@ -10,10 +10,10 @@ and it can be solved.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,16 @@ from sim_kinematic.agents.waypoint_walker import walking_path
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.motion.randomness import generator
-from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, STEP_S, BaseSpec, OracleSpec, SocialNavSpec, WalkerSpec
+from sim_kinematic.motion.spec import (
+    HOME_BASE,
+    NATURAL_WALKER,
+    RULE_SETS,
+    STEP_S,
+    BaseSpec,
+    OracleSpec,
+    SocialNavSpec,
+    WalkerSpec,
+)
 from sim_kinematic.policies.skills.names import recorded_skills
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
@@ -96,6 +105,10 @@ class RearrangeSpec:
     agent_height_m: float = 1.41
     robot: BaseSpec = HOME_BASE
     human: WalkerSpec = NATURAL_WALKER
+    rule_sets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "natural": {**RULE_SETS["natural"], "max_steps": 1500, "people_give_way": None},
+        "paper": {**RULE_SETS["paper"], "max_steps": 750, "people_give_way": False},
+    }
     people_give_way: bool | None = field(default=None, repr=False)
     """Whether a person heeds the one robot that they are with, as all agents heed each other where there are more. By default
     with every base but Habitat's, whose planners heed nobody. Left out of ``repr``, from which episodes have their identity."""

@@ -249,7 +249,7 @@ def person_of(recording: Recording) -> tuple[Array, Array]:
     ["social_nav", *(pytest.param(task, marks=pytest.mark.slow) for task in ("rearrange", "wander"))],
 )
 def test_episodes_with_strides_verify(task: str) -> None:
-    recording = h3data.simulate(task, "small:1", seed=2, human_walk="natural", max_steps=900)
+    recording = h3data.simulate(task, "small:1", seed=2, rules="natural", max_steps=900)
     speed, turn = person_of(recording)
     assert speed.max() <= 1.3 + 1e-4
     assert (speed > 1.0).any()
@@ -261,7 +261,7 @@ def test_episodes_with_strides_verify(task: str) -> None:
 
 
 def test_the_speed_of_strides_can_be_chosen_and_metrics_say_that_they_are_not_the_papers() -> None:
-    recording = h3data.simulate("social_nav", "small:1", human_walk="natural", human_speed=0.8, max_steps=300)
+    recording = h3data.simulate("social_nav", "small:1", rules="natural", human_speed=0.8, max_steps=300)
     told = protocol_deviations(recording)
     assert "human.speed_mps 0.8 (paper 2.5)" in told
     assert "people walk curves" in told
@@ -287,5 +287,5 @@ def _rules():
 
 
 def test_an_unknown_walk_is_refused() -> None:
-    with pytest.raises(InputError, match="Expected one of: paper, natural"):
-        h3data.simulate("social_nav", "small:1", human_walk="moon", max_steps=3)
+    with pytest.raises(InputError, match="H3-TASK-001"):
+        h3data.simulate("social_nav", "small:1", rules="moon", max_steps=3)

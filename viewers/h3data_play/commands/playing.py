@@ -12,7 +12,15 @@ from typing import Annotated, Any
 import msgspec
 import tyro
 
-from h3data.commands.command import JsonFlag, Outcome, RulesOption, WalkOption, claim_folder, keeping, read_rules
+from h3data.commands.command import (
+    JsonFlag,
+    Outcome,
+    OverridesOption,
+    RuleSetOption,
+    claim_folder,
+    keeping,
+    read_overrides,
+)
 from h3data.errors import InputError
 from h3data.files import part_file
 from h3data.progress import say
@@ -74,9 +82,8 @@ class Play:
     """Length limit of an episode (default: the app's; rearrange and teleop 180, social_nav 90, tutorial 600)."""
     motion: Path | None = None
     """How people walk: as in a motion file, as of h3data generate."""
-    rules: RulesOption = ()
-    human_walk: WalkOption | None = None
-    """How fast people walk: natural is 1.3 m/s, paper 2.5 m/s (default: natural)."""
+    overrides: OverridesOption = ()
+    rules: RuleSetOption = None
     port: PortOption = 0
     host: HostOption = "127.0.0.1"
     cert: CertOption = None
@@ -142,13 +149,13 @@ class Play:
                 code="H3-PLAY-027",
             )
         spec = find_task(find_app(self.app).task).Spec()
-        rules: dict[str, Any] = {name: rule_value(spec, name, value) for name, value in read_rules(self.rules)}
+        rules: dict[str, Any] = {name: rule_value(spec, name, v) for name, v in read_overrides(self.overrides)}
         if self.seconds is not None and "max_steps" in rules:
             raise InputError("Expected --seconds or --set max_steps=..., got both.", code="H3-PLAY-028")
         if self.seconds is not None:
             rules["max_steps"] = round(self.seconds * 30)
-        if self.human_walk is not None:
-            rules["human_walk"] = self.human_walk
+        if self.rules is not None:
+            rules["rules"] = self.rules
         if self.motion is not None:
             from h3data.bodies.names import walk_file
 
