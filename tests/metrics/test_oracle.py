@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from h3data.errors import InputError
 from h3data.geometry import ground_pose
 from h3data.metrics.paper.oracle import LONGEST, oracle_min_steps, steps_to_find
-from h3data.scene.navmesh.pathfinder import PathFinder
-from h3data_habitat.navmesh_file import read_navmesh
+from h3data_habitat.navmesh.navmesh_file import read_navmesh
+from h3data_habitat.navmesh.pathfinder import PathFinder
 from tests.paths import REFERENCE
 
 golden = pytest.mark.skipif(

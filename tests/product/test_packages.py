@@ -104,13 +104,22 @@ def test_a_package_that_is_not_there_costs_only_its_commands(package: str, lost:
         assert package in said[word][1]
 
 
-def test_learning_on_a_device_names_the_package_that_has_it(tmp_path: Path) -> None:
-    script = SCRIPT.replace("said = {}", "import h3data\nfrom h3data.errors import InputError\nsaid = {}").replace(
+CALLS = {
+    "h3data_training": "import h3data; h3data.make('social_nav', scenes='small:1', device='cpu')",
+    "h3data_habitat": "from sim_kinematic.motion.step import SLIDES; SLIDES.get('habitat')",
+}
+"""What is refused in Python alone, without each package: learning on a device, bases that slide as in Habitat."""
+
+
+@pytest.mark.parametrize("package", CALLS)
+def test_a_call_names_the_package_that_it_needs(package: str, tmp_path: Path) -> None:
+    script = SCRIPT.replace(
         "for words in commands:",
-        "try:\n    h3data.make('social_nav', scenes='small:1', device='cpu')\n"
-        "except InputError as error:\n    said['make'] = [2, str(error)]\nfor words in commands:",
+        "from h3data.errors import H3DataError\n"
+        f"try:\n    {CALLS[package]}\n"
+        "except H3DataError as error:\n    said['call'] = [2, str(error)]\nfor words in commands:",
     )
-    install_without("h3data_training", tmp_path)
+    install_without(package, tmp_path)
     done = subprocess.run(
         [sys.executable, "-P", "-c", script, str(ROOT), str(tmp_path), "[]"],
         capture_output=True,
@@ -118,7 +127,7 @@ def test_learning_on_a_device_names_the_package_that_has_it(tmp_path: Path) -> N
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert "h3data_training" in json.loads(done.stdout.splitlines()[-1])["make"][1]
+    assert package in json.loads(done.stdout.splitlines()[-1])["call"][1]
 
 
 def test_what_makes_homes_names_their_package_and_leaves_no_folder(tmp_path: Path) -> None:

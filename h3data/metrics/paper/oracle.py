@@ -30,7 +30,7 @@ LONGEST = 1501
 
 
 class Paths(Protocol):
-    """A shortest-path planner: `h3data.scene.navmesh.pathfinder.PathFinder` or habitat-sim's own."""
+    """A shortest-path planner: `h3data_habitat.navmesh.pathfinder.PathFinder` or habitat-sim's own."""
 
     def path(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
         """Returns waypoints [k, 3] from start to end; k = 0 if there is no path."""

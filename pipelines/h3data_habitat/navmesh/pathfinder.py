@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
 from h3data.scene.freespace.free_space import FreeSpace
-from h3data.scene.navmesh._surface import REACH_M, Surface, height, island_map, navigable, nearest, try_step, wall
-from h3data.scene.navmesh._surface_build import build_surface, with_graph
-from h3data.scene.navmesh._surface_paths import way
-from h3data.scene.navmesh.navmesh import NavMesh, NavMeshSettings, navmesh_from_free_space
+from h3data_habitat.navmesh._surface import REACH_M, Surface, height, island_map, navigable, nearest, try_step, wall
+from h3data_habitat.navmesh._surface_build import build_surface, with_graph
+from h3data_habitat.navmesh._surface_paths import way
+from h3data_habitat.navmesh.navmesh import NavMesh, NavMeshSettings, navmesh_from_free_space
 
 ENDS_TOUCH_M = 0.01
 """Points on the surface may be this far off the polygons of a `FreeSpace`: the one is float32, the other float64."""
@@ -77,7 +77,7 @@ class PathFinder:
 
     @property
     def surface(self) -> Surface:
-        """The polygons as flat arrays, for kernels (`h3data.scene.navmesh._surface`)."""
+        """The polygons as flat arrays, for kernels (`h3data_habitat.navmesh._surface`)."""
         return self._surface
 
     @cached_property

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.scene.navmesh._surface import Surface
-from h3data.scene.navmesh._surface_paths import link_nodes
-from h3data.scene.navmesh.navmesh import NavMesh
+from h3data_habitat.navmesh._surface import Surface
+from h3data_habitat.navmesh._surface_paths import link_nodes
+from h3data_habitat.navmesh.navmesh import NavMesh
 
 BUCKET_M = 0.5
 """Side of a bucket of polygons; larger where a mesh would have more than `BUCKETS_MAX` on a side."""

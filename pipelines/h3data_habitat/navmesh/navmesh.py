@@ -17,7 +17,7 @@ from h3data.scene.floor_heights import STEPS, flight_rectangle
 from h3data.scene.freespace._sdf import sdf_from_edges
 from h3data.scene.freespace._visibility_build import area_edges, build_graph, polygon_parts
 from h3data.scene.freespace.free_space import FreeSpace
-from h3data.scene.navmesh.merging import CORNERS_MAX, merged_polygons, plain_outline
+from h3data_habitat.navmesh.merging import CORNERS_MAX, merged_polygons, plain_outline
 
 ZERO_AREA_M2 = 1e-5
 """Habitat disables polygons smaller than this: its queries would fail on them (spec/habitat.md 6.7)."""
@@ -229,7 +229,7 @@ def navmesh_from_free_space(
     Args:
         free_space: The floor.
         merge: Whether to write few polygons of up to six corners, whose outlines are within 3 cm of the floor's, as
-            habitat-sim needs for large homes (`h3data.scene.navmesh.merging`). Else exact triangles (constrained Delaunay).
+            habitat-sim needs for large homes (`h3data_habitat.navmesh.merging`). Else exact triangles (constrained Delaunay).
         settings: What to record as settings; by default those of the floor's agent.
     """
     area = plain_outline(free_space.polygon) if merge else free_space.polygon

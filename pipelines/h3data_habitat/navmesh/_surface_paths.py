@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.kernels import kernel
-from h3data.scene.navmesh._surface import ANGLE_EPS, TAUT_EPS, TOUCH_M, Surface, _cross, _on_segment, nearest
+from h3data_habitat.navmesh._surface import ANGLE_EPS, TAUT_EPS, TOUCH_M, Surface, _cross, _on_segment, nearest
 
 STARTS_MAX = 64
 """Polygons that may meet in one point."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
-from h3data.scene.navmesh.navmesh import NavMesh, NavMeshSettings
+from h3data_habitat.navmesh.navmesh import NavMesh, NavMeshSettings
 
 SET_MAGIC = 0x4D534554
 TILE_MAGIC = 0x444E4156
