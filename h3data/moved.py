@@ -52,6 +52,7 @@ MOVED = {
     "h3data.mesh.readers": "h3data_meshes",
     "h3data.metrics.studies": "h3data_studies.analysis",
     "h3data.recording.motion_recording": "h3data_motion.recording",
+    "h3data.render.gpu": "h3data_gpu",
     "h3data.render.sheets.motion_sheet": "h3data_motion.pictures",
     "h3data.scene.homes": "h3data_homes",
     "h3data.scene.navmesh": "h3data_habitat.navmesh",

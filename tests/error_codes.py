@@ -37,7 +37,7 @@ AREAS = {
     "HABITAT": ("files of Habitat", "habitat", "pipelines/h3data_habitat"),
     "RECORDING": ("recordings and datasets", "format", "h3data/recording"),
     "REPLAY": ("replay", "replay", "h3data/replay"),
-    "RENDER": ("pictures", "rendering", "h3data/render pipelines/h3data_pipelines/pictures"),
+    "RENDER": ("pictures", "rendering", "h3data/render pipelines/h3data_gpu pipelines/h3data_pipelines/pictures"),
     "EXPORT": ("exports", "export", "h3data/exporters pipelines/h3data_exporters"),
     "METRIC": ("metrics", "metrics", "h3data/metrics"),
     "STATS": ("statistics", "statistics", "h3data/stats"),

@@ -26,6 +26,7 @@ PLACES = {
     "sim_kinematic": ".",
     "h3data_habitat": "pipelines",
     "h3data_exporters": "pipelines",
+    "h3data_gpu": "pipelines",
     "h3data_homes": "pipelines",
     "h3data_meshes": "pipelines",
     "h3data_motion": "pipelines",
@@ -107,8 +108,9 @@ def test_a_package_that_is_not_there_costs_only_its_commands(package: str, lost:
 CALLS = {
     "h3data_training": "import h3data; h3data.make('social_nav', scenes='small:1', device='cpu')",
     "h3data_habitat": "from sim_kinematic.motion.step import SLIDES; SLIDES.get('habitat')",
+    "h3data_gpu": "from h3data.replay.stage import chosen_backend; chosen_backend('auto'); chosen_backend('gpu')",
 }
-"""What is refused in Python alone, without each package: learning on a device, bases that slide as in Habitat."""
+"""What is refused in Python without each package: learning on a device, Habitat's sliding, pictures of a GPU."""
 
 
 @pytest.mark.parametrize("package", CALLS)

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.render.gpu.gpu_scene import GpuScene
-from h3data.render.gpu.layout import GROUP
-from h3data.render.gpu.meshlets import Meshlets, build_meshlets
-from h3data.render.gpu.pool import Pool, mesh_arrays
 from h3data.render.scene import RenderScene
+from h3data_gpu.gpu_scene import GpuScene
+from h3data_gpu.layout import GROUP
+from h3data_gpu.meshlets import Meshlets, build_meshlets
+from h3data_gpu.pool import Pool, mesh_arrays
 
 
 class Deformables:

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.render.camera import Camera
-from h3data.render.gpu.gpu_scene import GpuScene
-from h3data.render.gpu.renderer import GpuRenderer
 from h3data.render.outputs import Poses
 from h3data.render.scene import RenderScene
 from h3data.render.shade.blockers import Blockers
 from h3data.render.shade.shading import Light
+from h3data_gpu.gpu_scene import GpuScene
+from h3data_gpu.renderer import GpuRenderer
 
 
 class GpuEngine:
@@ -26,7 +26,7 @@ class GpuEngine:
 
     renderer_class = GpuRenderer
 
-    def __init__(self, scene: RenderScene, *, light: Light, worlds: int = 1) -> None:
+    def __init__(self, scene: RenderScene, *, light: Light, worlds: int = 1, threads: int = 1) -> None:
         self.scene, self.light, self.world_count = scene, light, worlds
         self._stage = GpuScene(scene, moving=range(len(scene.instances)))
         self._matrix = np.tile(scene.instance_matrix, (worlds, 1, 1, 1))

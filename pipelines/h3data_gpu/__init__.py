@@ -5,10 +5,10 @@
 - `cuda`: NVRTC and the driver; `layout`: the kernels' structs; `views`: cameras; `shader`: ids, normals and RGB
 """
 
-from h3data.render.gpu.auto import AutoEngine
-from h3data.render.gpu.cuda import GpuError, gpu_problem
-from h3data.render.gpu.engine import GpuEngine
-from h3data.render.gpu.gpu_scene import GpuScene
-from h3data.render.gpu.renderer import GpuRenderer
+from h3data_gpu.auto import AutoEngine
+from h3data_gpu.cuda import GpuError, gpu_problem
+from h3data_gpu.engine import GpuEngine
+from h3data_gpu.gpu_scene import GpuScene
+from h3data_gpu.renderer import GpuRenderer
 
 __all__ = ["AutoEngine", "GpuEngine", "GpuError", "GpuRenderer", "GpuScene", "gpu_problem"]

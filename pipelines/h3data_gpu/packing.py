@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.render.gpu.deformables import Deformables
-from h3data.render.gpu.gpu_scene import GpuScene
-from h3data.render.gpu.layout import BOX, PLACE, SCENE
-from h3data.render.gpu.meshlets import build_meshlets
-from h3data.render.gpu.pool import Pool, mesh_arrays
 from h3data.render.scene import RenderScene
 from h3data.render.shade.shading_simd import MIRROR_SIDES
+from h3data_gpu.deformables import Deformables
+from h3data_gpu.gpu_scene import GpuScene
+from h3data_gpu.layout import BOX, PLACE, SCENE
+from h3data_gpu.meshlets import build_meshlets
+from h3data_gpu.pool import Pool, mesh_arrays
 
 MAX_LAYERS, MAX_ITEMS, MAX_JOINTS = 32, 65535, 256
 

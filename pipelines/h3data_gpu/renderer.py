@@ -11,16 +11,16 @@ import numpy as np
 
 from h3data.errors import InputError
 from h3data.render.camera import Camera
-from h3data.render.gpu.cuda import Program, resolve_device
-from h3data.render.gpu.gpu_scene import GpuScene
-from h3data.render.gpu.layout import Cutouts, Deform, Raster, World
-from h3data.render.gpu.packing import Packed, pack_scenes
-from h3data.render.gpu.shader import Shader
-from h3data.render.gpu.views import Variant, Views, choose_variant, depth_range, new_views, tensor_of
 from h3data.render.outputs import FORMS, Output, check_outputs
 from h3data.render.scene import RenderScene
 from h3data.render.shade.blockers import Blockers
 from h3data.render.shade.shading import Light
+from h3data_gpu.cuda import Program, resolve_device
+from h3data_gpu.gpu_scene import GpuScene
+from h3data_gpu.layout import Cutouts, Deform, Raster, World
+from h3data_gpu.packing import Packed, pack_scenes
+from h3data_gpu.shader import Shader
+from h3data_gpu.views import Variant, Views, choose_variant, depth_range, new_views, tensor_of
 
 if TYPE_CHECKING:
     import torch

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from h3data.render.gpu.layout import Occlude, Shade, World
-from h3data.render.gpu.packing import Packed
 from h3data.render.shade.blockers import Blockers
 from h3data.render.shade.blockers_simd import BLOCKER_WORDS
 from h3data.render.shade.occlusion import CONTRAST, RADIUS_M, SPREAD, TAP_OFFSETS
 from h3data.render.shade.occlusion_simd import TAPS
 from h3data.render.shade.shading import BYTE_OF_LINEAR, LINEAR_OF_BYTE, Light, light_table
+from h3data_gpu.layout import Occlude, Shade, World
+from h3data_gpu.packing import Packed
 
 if TYPE_CHECKING:
     import torch

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.render.camera import Camera
-from h3data.render.gpu.cuda import resolve_device
-from h3data.render.gpu.engine import GpuEngine, copied_to
-from h3data.render.gpu.views import tensor_of
 from h3data.render.hybrid import HybridEngine
 from h3data.render.scene import RenderScene
 from h3data.render.shade.blockers import Blockers
 from h3data.render.shade.shading import Light
+from h3data_gpu.cuda import resolve_device
+from h3data_gpu.engine import GpuEngine, copied_to
+from h3data_gpu.views import tensor_of
 
 if TYPE_CHECKING:
     import torch

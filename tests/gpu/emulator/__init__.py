@@ -11,8 +11,8 @@ from typing import Any
 
 import torch
 
-from h3data.render.gpu.cuda import source_text
-from h3data.render.gpu.renderer import GpuRenderer
+from h3data_gpu.cuda import source_text
+from h3data_gpu.renderer import GpuRenderer
 
 COMPILER = shutil.which("g++")
 KERNELS = {
@@ -28,7 +28,7 @@ KERNELS = {
 
 
 class EmulatedProgram:
-    """Stands in for `h3data.render.gpu.cuda.Program`."""
+    """Stands in for `h3data_gpu.cuda.Program`."""
 
     def __init__(self, folder: Path, defines: dict[str, int]) -> None:
         path = folder / f"kernels_{'_'.join(map(str, defines.values()))}.so"

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.render.gpu.layout import BOX
-from h3data.render.gpu.meshlets import Meshlets
 from h3data.render.scene import RenderScene
 from h3data.render.shade.shading_simd import MIRROR_SIDES
+from h3data_gpu.layout import BOX
+from h3data_gpu.meshlets import Meshlets
 
 _BOX_MARGIN_M = 1e-6
 _CUT_OUT = np.int32(-(2**31))

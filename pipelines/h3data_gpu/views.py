@@ -10,7 +10,7 @@ import numpy as np
 
 from h3data.errors import InputError
 from h3data.render.camera import Camera
-from h3data.render.gpu.layout import CAMERA_WORDS
+from h3data_gpu.layout import CAMERA_WORDS
 
 if TYPE_CHECKING:
     import torch
