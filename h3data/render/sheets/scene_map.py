@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,9 +20,33 @@ if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
     from h3data.scene.freespace.free_space import FreeSpace
-    from h3data.scene.validation import Problem
 
 Color = tuple[int, int, int]
+
+
+class Problem(Protocol):
+    """A fault of a scene, as a plan shows it."""
+
+    @property
+    def kind(self) -> str:
+        """What kind of fault it is."""
+        ...
+
+    @property
+    def subject(self) -> str:
+        """The room, instance or receptacle."""
+        ...
+
+    @property
+    def text(self) -> str:
+        """Description of the fault."""
+        ...
+
+    @property
+    def position(self) -> NDArray[np.float64] | None:
+        """Where it is, shape [3] [m]; None if nowhere."""
+        ...
+
 
 MAIN_COLOR, ISLAND_COLOR = (46, 160, 110), (226, 128, 30)
 RECEPTACLE_COLOR, PROBLEM_COLOR, INK = (120, 70, 200), (214, 30, 40), (30, 30, 36)

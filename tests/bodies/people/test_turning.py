@@ -15,8 +15,8 @@ from h3data.bodies.people.turning import turned, turning_feet
 from h3data.geometry import ground_pose, heading_from_quat
 from h3data.recording import Recording
 from h3data.replay import Replay
-from h3data.replay.validation import LOW_M, SLIDE_MPS, validate_recording
 from h3data_homes import HomeSpec, build_home
+from h3data_pipelines.validation.recordings import LOW_M, SLIDE_MPS, validate_recording
 from sim_kinematic.motion.gait import walk_humans
 from sim_kinematic.motion.spec import HOME_WALKER, STEP_S, WalkerSpec
 from sim_kinematic.motion.state import HumanState

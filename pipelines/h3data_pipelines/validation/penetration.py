@@ -21,10 +21,10 @@ from h3data.errors import InputError
 from h3data.geometry import Array, pose_to_matrix
 from h3data.recording import Recording
 from h3data.replay import Replay
-from h3data.replay.validation import Finding
 from h3data.scene import Scene, Shape
 from h3data.scene.records import Capsule, instance_matrix
 from h3data.scene.shape_bounds import shape_bounds
+from h3data_pipelines.validation.recordings import Finding
 from sim_kinematic.agents.arm_contact import arm_links
 from sim_kinematic.contact import FclScene, MovingShapes, contacts
 from sim_kinematic.contact.clearance import FLOOR_M, supports

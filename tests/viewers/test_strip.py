@@ -10,10 +10,11 @@ import pytest
 
 from h3data.errors import InputError
 from h3data.recording import Event, Recording, write_mcap
-from h3data.replay import Replay, strip
-from h3data.replay.strip import MOST, PASSING_M, crossing_of, episode_strip, moments_of
+from h3data.replay import Replay
 from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
+from h3data_viewers import strip
+from h3data_viewers.strip import MOST, PASSING_M, crossing_of, episode_strip, moments_of
 from tests.simulated import rearrange_episode, simulate_rearrange
 
 
