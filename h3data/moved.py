@@ -90,6 +90,7 @@ MOVED = {
     "sim_kinematic.tasks.social_nav.storage": "sim_kinematic.tasks.social_nav.codec",
     "sim_kinematic.tasks.storage": "sim_kinematic.tasks.codec",
     "sim_kinematic.torch": "h3data_training.torch",
+    "h3data.bodies.people.foot_planting": "h3data.bodies.people.soles",
     "h3data.bodies.people.skinning_torch": "h3data_gpu.skinning",
     "h3data.formats.json_files": "h3data_habitat.json_files",
     "h3data.formats.json_stream": "h3data_habitat.json_stream",

@@ -97,7 +97,7 @@ def validate_scene(
 ) -> dict[str, Any]:
     """Finds the problems of a scene, as JSON data; with ``picture``, also marks them on a floor plan (PNG)."""
     from h3data.render import write_png
-    from h3data.render.sheets.scene_map import scene_map
+    from h3data_pipelines.assets.scene_plan import scene_map
     from h3data_pipelines.validation.scenes import Problem, find_problems, free_space_for_validation
 
     scene, missing = _load_without_missing(named.source)

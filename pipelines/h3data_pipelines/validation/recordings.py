@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from shapely import intersects, linestrings, union_all
 
 from h3data.bodies import Humanoid, Robot
-from h3data.bodies.people.foot_planting import LEG_JOINTS, runs, sole_points
+from h3data.bodies.people.soles import LEG_JOINTS, runs, sole_points
 from h3data.errors import H3DataError
 from h3data.recording import Agent, AssetRef, Body, Recording, state_hash
 from h3data.recording.assets.library import AssetLibrary

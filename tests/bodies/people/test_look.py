@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from h3data.bodies import Humanoid, humanoid_names, load_humanoid
-from h3data.bodies.people.foot_planting import LEG_JOINTS, sole_points
+from h3data.bodies.people.soles import LEG_JOINTS, sole_points
 from h3data.bodies.people.humanoid_file import ADULTS, FILE_FORMAT, read_arrays
 from h3data.bodies.people.look.colors import PAINTS, SLOTS, Complexion
 from h3data.bodies.people.look.dressing import Look, read_look

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.bodies.people.soles import ANKLE, HIP, KNEE, LEG_JOINTS, leg_frames, runs, sole_points
 from h3data.bodies.people.humanoid import Humanoid
 from h3data.bodies.people.legs import LEG_MAX
-from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.geometry import (
     Array,
     normalized,
@@ -23,7 +23,6 @@ from h3data.geometry import (
     quat_from_matrix,
     quat_multiply,
     quat_rotate,
-    quat_to_matrix,
 )
 
 LOW_M, SLOW_MPS = 0.04, 0.25
@@ -37,10 +36,6 @@ SLIDE_M = 0.20
 """A foot that slides further than this while it touches means it; it is left alone."""
 SINK_S = 0.12
 """The pelvis is lowered towards feet out of reach over so long."""
-SIDES = ("left", "right")
-LEG_JOINTS = np.array([[JOINT_INDEX[f"{s}_{j}"] for j in ("hip", "knee", "ankle", "foot")] for s in SIDES])
-HIP, KNEE, ANKLE, TOE = range(4)
-"""Columns of `LEG_JOINTS`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,35 +46,6 @@ class Contacts:
     """Shape [T, 2]: left, right."""
     slide_m: Array
     """Distance by which the lowest point of a touching sole moved along the floor since the frame before, shape [T, 2]."""
-
-
-def leg_frames(body: Humanoid, quats: Array, pelvis: Array) -> Array:
-    """Frames [T, 2, 4, 4, 4] of hip, knee, ankle and toe joint of the left and right leg, in the frame of ``pelvis`` [T, 3].
-
-    As `h3data.bodies.people.kernels.clips.joint_frames`, for these joints alone: a seventh of the memory.
-    """
-    frames = np.zeros((len(quats), 2, 4, 4, 4))
-    frames[..., 3, 3] = 1
-    turn, place = quat_to_matrix(quats[:, 0])[:, None], pelvis[:, None]
-    for k, joints in enumerate(LEG_JOINTS.T):
-        place = place + (turn @ body.joint_offsets[joints][..., None])[..., 0]
-        turn = turn @ quat_to_matrix(quats[:, joints])
-        frames[:, :, k, :3, :3], frames[:, :, k, :3, 3] = turn, place
-    return frames
-
-
-def sole_points(body: Humanoid, frames: Array) -> Array:
-    """Heel, the point below the ball, and toe tip of both feet, [T, 2, 3, 3] [m], of `leg_frames`."""
-    legs = body.gaits.legs
-    points = np.empty((len(frames), 2, 3, 3))
-    for k in range(2):
-        heel, ball, tip = legs.feet[k]
-        ankle, toe = frames[:, k, ANKLE], frames[:, k, TOE]
-        sole = np.array([0.0, -(legs.ankle_height + ball[1]), 0.0])
-        points[:, k, 0] = ankle[:, :3, 3] + ankle[:, :3, :3] @ heel
-        points[:, k, 1] = toe[:, :3, 3] + toe[:, :3, :3] @ sole
-        points[:, k, 2] = toe[:, :3, 3] + toe[:, :3, :3] @ (tip - ball)
-    return points
 
 
 def find_contacts(points: Array, fps: float) -> Contacts:
@@ -117,12 +83,6 @@ def _without_short(mask: NDArray[np.bool_], gap: int, least: int) -> NDArray[np.
         if end - start < least and start > 0 and end < len(mask):
             out[start:end] = False
     return out
-
-
-def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Start and end (exclusive) of every run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def planted(body: Humanoid, quats: Array, pelvis: Array, fps: float) -> tuple[Array, Array]:
