@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies.people.soles import ANKLE, HIP, KNEE, LEG_JOINTS, leg_frames, runs, sole_points
 from h3data.bodies.people.humanoid import Humanoid
 from h3data.bodies.people.legs import LEG_MAX
+from h3data.bodies.people.soles import ANKLE, HIP, KNEE, LEG_JOINTS, leg_frames, runs, sole_points
 from h3data.geometry import (
     Array,
     normalized,

@@ -33,7 +33,6 @@ from h3data.scene import (
 from h3data.scene.open import named_scenes
 from h3data_habitat.exporters.scenes import export_habitat
 from h3data_homes import HomeSpec, build_home
-from h3data_pipelines.assets.scene_reports import validate_scene
 from h3data_pipelines.assets.scene_plan import (
     ISLAND_COLOR,
     MAIN_COLOR,
@@ -41,6 +40,7 @@ from h3data_pipelines.assets.scene_plan import (
     RECEPTACLE_COLOR,
     scene_map,
 )
+from h3data_pipelines.assets.scene_reports import validate_scene
 from h3data_pipelines.cli import main
 from h3data_pipelines.validation.scenes import Problem, find_problems, free_space_for_validation, hull_fills_hollows
 from sim_kinematic.contact import overlapping_instances

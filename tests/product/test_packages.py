@@ -217,6 +217,7 @@ NEEDING = {
         "scenes export {files}/home_small_3.glb -o {out}/dataset",
         "motion import {files}/walk.pkl -o {out}/motions",
     ),
+    "h3data_gpu": ("rerender {files}/ds#0 --camera robot_arm --backend gpu -o {out}/device",),
     "h3data_homes": ("scenes show small:1 -o {out}/plan.png",),
     "h3data_viewers": ("view {files}/ds#0 -o {out}/walk.rrd", "report {files}/ds -o {out}/report.html"),
     "h3data_play": (),
@@ -224,8 +225,12 @@ NEEDING = {
     "h3data_training": (),
 }
 """Commands that need a package and end by themselves; the commands of the last three run on, and are refused above."""
-NEED_MORE = ("motion import", "export {files}/ds#0 --to habitat-episodes")
-"""Beginnings of those that also need a whole file or another task to succeed, and so are only refused."""
+NEED_MORE = (
+    "motion import",
+    "export {files}/ds#0 --to habitat-episodes",
+    "rerender {files}/ds#0 --camera robot_arm --backend gpu",
+)
+"""Beginnings of those that also need a whole file, another task or a GPU to succeed, and so are only refused."""
 
 
 @pytest.mark.slow
