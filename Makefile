@@ -75,7 +75,7 @@ $(DEV): $(INSTALLED)
 	touch $@
 
 # kernels of navmeshes, of Habitat's sliding, of pictures for a GPU and the like, which `h3data warmup` leaves to who needs them
-KERNEL_TESTS := tests/scene/navmesh/test_pathfinder.py tests/sim/motion/test_habitat_slide.py tests/training/torch/test_cameras.py \
+KERNEL_TESTS := tests/habitat/navmesh/test_pathfinder.py tests/habitat/navmesh/test_slide.py tests/training/torch/test_cameras.py \
 	tests/pipelines/test_scenes_command.py::test_a_scene_without_floor_does_not_stop_the_others tests/sim/agents/test_oracle.py \
 	tests/scene/freespace/test_free_space.py tests/play/test_wire.py tests/play/test_apps.py
 

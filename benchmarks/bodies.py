@@ -66,7 +66,7 @@ def _skin_on_gpu(body: Humanoid, emit: Emit) -> None:
 
     if not torch.cuda.is_available():
         return
-    from h3data.bodies.people.skinning_torch import TorchSkin
+    from h3data_gpu.skinning import TorchSkin
 
     joints = torch.from_numpy(_joints(body)).to("cuda", torch.float32)
     for lod, name in ((False, "full"), (True, "lod")):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from h3data.kernels import kernel
 from h3data.scene import FreeSpace
 from h3data.scene.freespace._visibility import Graph, sees
-from h3data.scene.navmesh.pathfinder import PathFinder
+from h3data_habitat.navmesh.pathfinder import PathFinder
 from h3data_homes import HomeSpec, build_home
 from h3data_homes.spec import Preset
 

@@ -44,7 +44,7 @@ import numpy as np
 import h3data
 from benchmarks.penetration import DEFAULT_ROBOT, EPISODES
 from h3data.bodies import JOINT_INDEX, Humanoid, load_humanoid, load_robot
-from h3data.bodies.people.foot_planting import LEG_JOINTS, sole_points
+from h3data.bodies.people.soles import LEG_JOINTS, sole_points
 from h3data.bodies.robots.trot import trot
 from h3data.geometry import Array, ground_pose, heading_from_quat, transform_points, wrap_angle
 from h3data.recording import Recording

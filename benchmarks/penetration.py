@@ -11,7 +11,7 @@ wander beside ``quad_arm`` and another person: ``penetration.<body>.wander``.
 
 For each task and kind of agent, and each part of its body that ever is deeper than 2 mm: the share of steps in which it is
 deeper than 2 mm, 2 cm, 5 cm, and the worst. ``any`` is any part of an agent, ``arm`` arms, hands and what they hold; of people
-``walking`` is any part while the hands reach for nothing. `h3data_pipelines.commands.penetration` says what depth is.
+``walking`` is any part while the hands reach for nothing. `h3data_pipelines.validation.penetration` says what depth is.
 ``robot.handling.through_walls``: picks and places of robots whose straight line from the arm's base to 10 cm over the object
 goes through a wall.
 
@@ -32,7 +32,7 @@ from h3data.recording import Recording
 from h3data.replay import Replay
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.open import named_scenes, open_free_space, open_scene
-from h3data_pipelines.commands.penetration import Penetration, penetrations, unintended_depth
+from h3data_pipelines.validation.penetration import Penetration, penetrations, unintended_depth
 from sim_kinematic.agents.arm_contact import arm_links
 from sim_kinematic.agents.robots.arm_clearance import APPROACH_M, LINE_RADIUS_M
 from sim_kinematic.contact import FclScene, MovingShapes, capsule_transforms, contacts, shapes_from_capsules

@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.render import SIZES, Emit, blob, box, colored, home, poses
 from h3data.bodies.people.humanoid_file import load_humanoid
 from h3data.render import RenderInstance, RenderScene, pinhole
-from h3data.render.gpu import GpuRenderer, GpuScene, gpu_problem
+from h3data_gpu import GpuRenderer, GpuScene, gpu_problem
 
 if TYPE_CHECKING:
     import torch

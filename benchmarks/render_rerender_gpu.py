@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from benchmarks.render_rerender import OUTPUTS, Emit, scene_of
 from h3data.render import VideoWriter
-from h3data.render.gpu import gpu_problem
 from h3data.render.image_files import depth_to_mm, stored_ids, write_png
 from h3data.replay import CameraTrack, Replay
 from h3data.replay.stage import WORLDS
+from h3data_gpu import gpu_problem
 from h3data_pipelines.outputs import Target
 from h3data_pipelines.pictures.rendering import render_files
 

@@ -18,6 +18,7 @@ PACKAGES = {
     "h3data_play": ROOT / "viewers" / "h3data_play",
     "h3data_studies": ROOT / "viewers" / "h3data_studies",
     "h3data_exporters": ROOT / "pipelines" / "h3data_exporters",
+    "h3data_gpu": ROOT / "pipelines" / "h3data_gpu",
     "h3data_homes": ROOT / "pipelines" / "h3data_homes",
     "h3data_habitat": ROOT / "pipelines" / "h3data_habitat",
     "h3data_meshes": ROOT / "pipelines" / "h3data_meshes",
@@ -32,6 +33,7 @@ LAYERS = (
     "h3data",
     "sim_kinematic",
     "h3data_exporters",
+    "h3data_gpu",
     "h3data_homes",
     "h3data_habitat",
     "h3data_meshes",
@@ -62,7 +64,12 @@ AGAINST_THE_LAYERS = {
         "sim_kinematic.envs.vector",
     ],
     "h3data.formats.builtin_formats": ["h3data.exporters.gltf_animation"],
-    "h3data.kernels.digests": ["sim_kinematic"],  # whose kernels are ours
+    "h3data.kernels.digests": [
+        "h3data_gpu",
+        "h3data_habitat",
+        "h3data_meshes",
+        "sim_kinematic",
+    ],  # whose kernels are ours
     "h3data.metrics.table_files": ["h3data.metrics"],  # no module: a key in the metadata of Parquet files
     "h3data.plugins": ["h3data_pipelines"],  # whether a command runs
     "h3data.scene.scene_file": ["h3data.scene"],  # no module: the name of the file format

@@ -13,7 +13,11 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
+from h3data.plugins import Registry
+
 MESHOPT = "EXT_meshopt_compression"
+CODECS: Registry[Callable[..., NDArray[np.uint8]]] = Registry("h3data.gltf_codecs", {}, what="codec of glTF files")
+"""Decoders of compressed buffer views, by the extension that describes them."""
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _MAX_ZEROS = 1 << 20
@@ -66,14 +70,12 @@ class GltfArrays:
 
     def _unpack(self, packed: Any, where: str) -> memoryview:
         """The bytes of a buffer view that is compressed as ``packed`` says."""
-        from h3data.mesh.meshopt import decode_view  # numba, which few files need
-
         if not isinstance(packed, dict):
             raise ValueError(f"{where} is not an object")
         count, stride = natural(packed, "count", where), natural(packed, "byteStride", where)
         data, mode = self._bytes(packed, where), str(packed.get("mode"))
         try:
-            unpacked = decode_view(
+            unpacked = CODECS.get(MESHOPT)(
                 data, mode=mode, filter=str(packed.get("filter", "NONE")), count=count, stride=stride
             )
         except ValueError as fault:

@@ -36,7 +36,7 @@ PROFILES: Registry[Profile | tuple[Profile, ...]] = Registry(
         "habitat": "",  # of h3data_habitat
         "habitat@0.3.0": "",
         "field": "h3data.metrics.field.profile:PROFILE",
-        "partnr": "h3data.metrics.partnr:PROFILE",
+        "partnr": "",
         ANY_TASK: "h3data.metrics.any_task:PROFILE",
     },
     what="metrics profile",

@@ -35,7 +35,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -50,18 +49,8 @@ SCHEMA_VERSION = "1.7"
 JOINTS = "scene.joint_pos"
 """The column with the positions of a home's doors and drawers."""
 
-PLANTED_SINCE = (1, 5)
-"""Schema version since which people walk with planted feet (`h3data.bodies.people.planted_gait`)."""
-
-PAPERS_EXPERT_SINCE = (1, 6)
-"""Schema version since which social navigation's ``heuristic_expert`` is the paper's."""
-
-
-@lru_cache(maxsize=64)
-def is_since(version: str, since: tuple[int, int]) -> bool:
-    """Whether a schema version is ``since`` or a later one; parts that are no numbers count as 0."""
-    return tuple(int(part) if part.isdigit() else 0 for part in version.split(".")) >= since
-
+OLDEST_VERSION = (1, 6)
+"""Oldest schema version that can be read: older ones were never published, and meant other things by the same columns."""
 
 STEP_NS = 33_333_333
 """Nominal step: 30 steps per second, in whole nanoseconds."""
@@ -177,14 +166,6 @@ class Episode:
     schema_version: str = SCHEMA_VERSION
     info: Mapping[str, Any] = field(default_factory=dict)
     """Any other JSON values: task parameters, start poses, way points, provenance, import warnings."""
-
-    @property
-    def plants_feet(self) -> bool:
-        """Whether people walk with planted feet, as they do since schema 1.5.
-
-        It applies to replays of people recorded by motion clips, and to episodes that are simulated again.
-        """
-        return is_since(self.schema_version, PLANTED_SINCE)
 
     @property
     def is_lerobot_export(self) -> bool:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
 from h3data.recording.records import (
-    PAPERS_EXPERT_SINCE,
+    OLDEST_VERSION,
     SCHEMA_VERSION,
     Agent,
     AssetRef,
@@ -30,7 +30,6 @@ from h3data.recording.records import (
     Recording,
     RecordingHeader,
     SkillSpan,
-    is_since,
 )
 
 Topic = Literal["state", "action", "metrics", "input"]
@@ -91,7 +90,7 @@ def topic_of(column: str) -> Topic:
 def log_topic_of(column: str) -> Topic:
     """Per-step topic of the log that a column is written to.
 
-    Metrics share the topic of the state since version 1.2: a topic of their own took 21 B/step, 16 of them in the index.
+    Metrics share the topic of the state: a topic of their own took 21 B/step, 16 of them in the index.
     """
     return "action" if topic_of(column) == "action" else "state"
 
@@ -165,10 +164,10 @@ def version_numbers(version: str) -> tuple[int, int]:
 
 
 def check_version(version: str, *, path: object) -> None:
-    """Raises a `FormatError` if the major schema version of a file is newer than ours, or unreadable."""
-    ours = int(SCHEMA_VERSION.split(".")[0])
+    """Raises a `FormatError` if the schema version of a file is unreadable, of a newer major one, or too old."""
+    ours, _ = version_numbers(SCHEMA_VERSION)
     try:
-        major = int(version.split(".")[0])
+        major, minor = version_numbers(version)
     except (ValueError, AttributeError):
         raise FormatError(
             f"Expected a schema version such as {SCHEMA_VERSION!r}, got {version!r}: {path}", code="H3-RECORDING-112"
@@ -178,6 +177,12 @@ def check_version(version: str, *, path: object) -> None:
             f"Written with schema version {version}; this h3data reads up to {ours}.x. "
             f"Hint: install a newer h3data (pip install --upgrade h3data): {path}",
             code="H3-RECORDING-110",
+        )
+    if (major, minor) < OLDEST_VERSION:
+        raise FormatError(
+            f"Written with schema version {version} before h3data 0.2; this h3data reads {'.'.join(map(str, OLDEST_VERSION))} "
+            f"and later. Hint: h3data 0.2.0 is the last that reads it; export it to another format with that: {path}",
+            code="H3-RECORDING-129",
         )
 
 
@@ -307,16 +312,6 @@ def info_to_json(info: Mapping[str, Any]) -> str:
         raise InputError(f"Episode.info must hold only what JSON can hold: {error}.", code="H3-RECORDING-114") from None
 
 
-def current_info(task: str, version: str, info: str) -> str:
-    """JSON of `Episode.info` with the present names of policies.
-
-    Before `PAPERS_EXPERT_SINCE`, social navigation's ``rollout_expert`` was called ``heuristic_expert``.
-    """
-    if task != "social_nav" or is_since(version, PAPERS_EXPERT_SINCE):
-        return info
-    return info.replace('"heuristic_expert"', '"rollout_expert"')
-
-
 def episode_to_dict(episode: Episode) -> dict[str, Any]:
     """Fields of an episode; ``info`` as JSON text."""
     return {
@@ -336,8 +331,10 @@ def episode_from_dict(values: Mapping[str, Any], *, path: object) -> Episode:
     """The inverse of `episode_to_dict`; numbers may come as text."""
     try:
         texts = {k: str(values[k]) for k in ("uid", "episode_id", "task", "scene", "created_by", "schema_version")}
-        info = json.loads(current_info(texts["task"], texts["schema_version"], values["info"]))
-        episode = Episode(**texts, seed=int(values["seed"]), dt_ns=int(values["dt_ns"]), info=info)
+        check_version(texts["schema_version"], path=path)
+        episode = Episode(
+            **texts, seed=int(values["seed"]), dt_ns=int(values["dt_ns"]), info=json.loads(values["info"])
+        )
     except (KeyError, ValueError, TypeError, OverflowError, RecursionError) as error:
         raise FormatError(
             f"The episode record is incomplete or malformed ({error}): {path}", code="H3-RECORDING-115"

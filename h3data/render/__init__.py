@@ -1,7 +1,8 @@
 """Rendering: depth, ids, normals and RGB of a scene from any camera.
 
 - `camera`, `scene`: what to render; `renderer`: `Renderer`, one interface to all back ends; `outputs`: their outputs
-- back ends: `raster/` with `shade/` (CPU), `gpu/` (CUDA), `rays` (Embree) and `hybrid` (CPU rasteriser plus rays)
+- back ends: `raster/` with `shade/` (CPU), `rays` (Embree) and `hybrid` (CPU rasteriser plus rays); those for GPUs are
+  entry points of the group `h3data.renderers`
 - from images: `colors`, `flow`, `boxes`, `overlay`; to files: `image_files`, `video`
 - `sheets/`: contact sheets of bodies, robots and motions, and plans of scenes
 

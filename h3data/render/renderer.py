@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError, MissingExtraError
+from h3data.plugins import Registry
 from h3data.render.camera import Camera
 from h3data.render.outputs import Output, Poses, check_outputs
 from h3data.render.scene import RenderScene
@@ -17,6 +18,8 @@ from h3data.render.shade.blockers_simd import BLOCKER_WORDS
 from h3data.render.shade.shading import Light
 
 Backend = Literal["auto", "cpu", "gpu", "rays"]
+DEVICE_ENGINES: Registry[Callable[..., Engine]] = Registry("h3data.renderers", {}, what="back end")
+"""The back ends ``gpu`` and ``auto``: made of a scene, a light and the numbers of worlds and threads."""
 
 
 class Engine(Protocol):
@@ -235,20 +238,14 @@ class Renderer:
         return f"Renderer({self.scene!r}, backend={self.backend!r}, worlds={self.world_count})"
 
 
-def _gpu_engines() -> tuple[Any, str]:
-    """The module of the GPU back end, and why it cannot be used (empty if it can)."""
-    try:
-        from h3data.render import gpu
-    except ImportError as error:
-        return None, f"it cannot be imported ({error})"
-    import torch
-
-    return gpu, "" if torch.cuda.is_available() else "PyTorch finds no CUDA device"
-
-
 def gpu_fault() -> str:
     """Why the back end ``gpu`` cannot be used here; empty if it can."""
-    return _gpu_engines()[1]
+    missing = DEVICE_ENGINES.missing().get("gpu")
+    if missing:
+        return f"it needs the package {missing}, which this installation does not have"
+    import torch
+
+    return "" if torch.cuda.is_available() else "PyTorch finds no CUDA device"
 
 
 def _engine(scene: RenderScene, light: Light, backend: str, worlds: int, threads: int) -> tuple[Backend, Engine]:
@@ -257,11 +254,9 @@ def _engine(scene: RenderScene, light: Light, backend: str, worlds: int, threads
             f"Unknown back end {backend!r}. Available: {', '.join(get_args(Backend))}.", code="H3-RENDER-054"
         )
     if backend in ("auto", "gpu"):
-        gpu, fault = _gpu_engines()
-        if not fault and backend == "auto":
-            return "gpu", gpu.AutoEngine(scene, light=light, worlds=worlds, threads=threads)
+        fault = gpu_fault()
         if not fault:
-            return "gpu", gpu.GpuEngine(scene, light=light, worlds=worlds)
+            return "gpu", DEVICE_ENGINES.get(backend)(scene, light=light, worlds=worlds, threads=threads)
         if backend == "gpu":
             raise MissingExtraError(
                 f"The back end 'gpu' cannot be used: {fault}. Hint: backend='cpu'.", code="H3-RENDER-064"

@@ -3,8 +3,7 @@
 - `replay`: `Replay`; `posed_recording`: its poses, with `link_poses` for robots; `stage`: its images; `records`: its data
 - `cameras`: cameras by name, among them `third_person` (with `sight`); `camera_files`: cameras from TOML and JSON files;
   `follow`: a camera for recordings without a home
-- `strip`: the moments of an episode of rearrangement side by side
-- `validation`: faults of a recording; `recorded_robots`: whether its robots have changed since
+- `recorded_robots`: whether the robots of a recording have changed since
 """
 
 from h3data.replay.cameras import camera_at, camera_names, camera_track

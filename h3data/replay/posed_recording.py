@@ -15,7 +15,6 @@ from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.bodies.people.arms import draw_in
 from h3data.bodies.people.planted_gait import on_stairs, planted_states, pose_planted
 from h3data.bodies.people.rigid_parts import PeopleStyle, rigid_parts
-from h3data.bodies.people.turning import TurningFeet, turned, turning_feet
 from h3data.bodies.robots.trot import legs_are_posed, trot
 from h3data.errors import FormatError, InputError
 from h3data.geometry import Array, pose_to_matrix
@@ -258,7 +257,7 @@ class PosedRecording:
         """Joint positions of a robot at all steps as they are shown, shape [T, J]: its legs may trot (``stepping``)."""
         base, joints = (self.recording.agent_column(agent, name) for name in ("base_pose", "joint_pos"))
         if self.stepping and legs_are_posed(robot, joints):
-            return trot(robot, base, joints, even_strides=not self.plants_feet, heights=self.heights)
+            return trot(robot, base, joints, heights=self.heights)
         return joints
 
     def _part_poses(self, agent: int, body: Humanoid) -> tuple[Callable[[NDArray[np.integer]], Array], int, int]:
@@ -310,7 +309,7 @@ class PosedRecording:
         if prefix + "joint_quat" in columns:
             return body.joint_matrices_free(columns[prefix + "root_pose"][steps], columns[prefix + "joint_quat"][steps])
         arms = columns[prefix + "motion_arms"][steps] if prefix + "motion_arms" in columns else None
-        if self.stepping and self.plants_feet:
+        if self.stepping:
             quats, pelvis = pose_planted(on_stairs(body.gait_tables, self.heights), self._gait_of(agent, body)[steps])
             if arms is not None:
                 draw_in(quats, arms, shoulders_forward=True)
@@ -321,9 +320,6 @@ class PosedRecording:
             columns[prefix + "motion_blend"][steps],
             arms=arms,
         )
-        if self.stepping:
-            feet = self._feet_of(agent)
-            quats, pelvis = turned(body, quats, pelvis, feet.yaw[steps], feet.lift[steps])
         return body.joint_matrices(columns[prefix + "base_pose"][steps], quats, pelvis)
 
     @cached_property
@@ -334,15 +330,6 @@ class PosedRecording:
         """
         return LEVEL if self.scene is None else room_heights(self.scene.rooms)
 
-    @cached_property
-    def plants_feet(self) -> bool:
-        """Whether people recorded by motion clips walk with planted feet, and robots' strides depend on their speed.
-
-        This is so since schema 1.5 (`h3data.bodies.people.planted_gait`, `h3data.bodies.robots.trot`); older recordings
-        are posed as they were when they were made.
-        """
-        return self.recording.episode.plants_feet
-
     def _gait_of(self, agent: int, body: Humanoid) -> Array:
         if agent not in self._gaits:
             base = self.recording.agent_column(agent, "base_pose")
@@ -352,16 +339,6 @@ class PosedRecording:
 
     @cached_property
     def _gaits(self) -> dict[int, Array]:
-        return {}
-
-    def _feet_of(self, agent: int) -> TurningFeet:
-        if agent not in self._feet:
-            names = ("base_pose", "motion_phase", "motion_blend")
-            self._feet[agent] = turning_feet(*(self.recording.agent_column(agent, name) for name in names))
-        return self._feet[agent]
-
-    @cached_property
-    def _feet(self) -> dict[int, TurningFeet]:
         return {}
 
     def vertices(self, index: int, steps: NDArray[np.integer]) -> NDArray[np.float32]:

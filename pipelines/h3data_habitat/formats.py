@@ -29,7 +29,7 @@ HITL_LOG = replace(
     read_options=("fps", "assets"),
 )
 PICKLE = replace(_RECOGNISED["pickle"], read=HITL_LOG.read, read_options=HITL_LOG.read_options)
-NAVMESH = replace(_RECOGNISED["navmesh"], hint="read it with h3data_habitat.navmesh_file.read_navmesh")
+NAVMESH = replace(_RECOGNISED["navmesh"], hint="read it with h3data_habitat.navmesh.navmesh_file.read_navmesh")
 HABITAT_EPISODES = replace(
     _RECOGNISED["habitat_episodes"],
     write="h3data_habitat.exporters.episodes:export_habitat_episodes",

@@ -1,4 +1,4 @@
-"""Meshes in files other than glTF: Collada, OBJ, PLY and STL, for `h3data.mesh` (the group ``h3data.meshes``)."""
+"""Meshes in files other than glTF (Collada, OBJ, PLY, STL) for the group ``h3data.meshes``, and a codec of glTF files."""
 
 from pathlib import Path
 

@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from h3data.bodies.people.foot_planting import find_contacts, leg_frames, planted, sole_points
 from h3data.bodies.people.humanoid import Humanoid
+from h3data.bodies.people.soles import leg_frames, sole_points
 from h3data.geometry import Array, quat_sign_continuous
 from h3data_motion.clip import Motion
+from h3data_motion.contacts import find_contacts, planted
 
 ADULT_LEG_M = 0.80
 """Thigh and shank of an adult: for motion that says neither how long its legs are nor shows it by walking."""
@@ -37,7 +38,7 @@ def retarget(motion: Motion, body: Humanoid, *, plant: bool = True) -> Motion:
 
     Rotations apply by joint. The pelvis' way is scaled by the length of the legs; where the motion does not say how long
     they were, by what keeps planted feet in place. The floor is where soles are when they rest. With ``plant``, legs are
-    then solved again so that feet on the floor stand still (`h3data.bodies.people.foot_planting`).
+    then solved again so that feet on the floor stand still (`h3data_motion.contacts`).
     """
     if motion.body == body.name:
         return motion

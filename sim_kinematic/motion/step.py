@@ -3,29 +3,31 @@
 Robot base: the velocity command moves the base first along its old heading, then turns it, as Habitat integrates
 (spec/habitat.md 0). The base is a row of discs; each must keep its radius from every obstacle of the signed distance
 grid. Sliding is strict: a move that cannot be made free of penetration is given up part by part
-(research: navigation-and-stepping 3.2); or, where the spec says so, Habitat's (`sim_kinematic.motion.habitat_slide`).
+(research: navigation-and-stepping 3.2); or, where the spec says so, that of another package (`SLIDES`).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 
 from h3data.errors import InputError
 from h3data.kernels import kernel
+from h3data.plugins import Registry
 from h3data.scene import FreeSpace
 from h3data.scene.floor_heights import way_to_stairs
 from h3data.scene.freespace.free_space import sample_sdf, sdf_gradient
-from h3data.scene.navmesh.pathfinder import PathFinder
-from sim_kinematic.motion.habitat_slide import slide_as_habitat
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, Slide
 from sim_kinematic.motion.state import AgentState, RobotState
 
 STAIRS_SHARE, STAIRS_NEAR_M = 0.4, 0.6
 """Share of their speed that robots keep on stairs, in the plan, and the distance before these on which they slow down [m]."""
+SLIDES: Registry[Callable[..., None]] = Registry("h3data.slides", {}, what="way to slide along walls")
+"""How bases slide other than strictly: ``habitat`` is `h3data_habitat.navmesh.slide.slide_bases`."""
 APART_ITERATIONS, APART_TOLERANCE_M = 4, 1e-6
 """How often discs push each other apart, and a distance that counts as none."""
 
@@ -236,18 +238,15 @@ def _drive_worlds(
 
 
 @kernel(error_model="numpy")
-def _drive_worlds_as_habitat(surface, root_y, xz, heading, contact, action, limits, dt, offsets, touch, rules):
+def _aim_worlds(xz, heading, action, limits, dt, goals, drives):
+    """Where bases get in the open, ``goals`` [W, 3], and which of them drive at all, [W]."""
     broken = first_not_finite(action)
     if broken >= 0:
         return broken
     for w in range(len(heading)):
         speed, lateral, turn = velocities(action[w], limits)
-        contact[w] = False
-        if speed != 0.0 or lateral != 0.0 or turn != 0.0:
-            goal = integrate(xz[w, 0], xz[w, 1], heading[w], speed, lateral, turn, dt)
-            xz[w, 0], xz[w, 1], heading[w], contact[w] = slide_as_habitat(
-                surface, xz[w, 0], root_y, xz[w, 1], heading[w], goal, offsets, touch, rules
-            )
+        drives[w] = speed != 0.0 or lateral != 0.0 or turn != 0.0
+        goals[w] = integrate(xz[w, 0], xz[w, 1], heading[w], speed, lateral, turn, dt)
     return -1
 
 
@@ -258,7 +257,7 @@ def drive_robots(
     spec: BaseSpec,
     *,
     dt: float = STEP_S,
-    finder: PathFinder | None = None,
+    finder: Any = None,
 ) -> None:
     """Moves a robot in all its worlds by one step, in place.
 
@@ -271,10 +270,12 @@ def drive_robots(
             the left follows, [W, 3].
         spec: limits of the base.
         dt: duration of the step [s].
-        finder: navmesh for ``slide="habitat"``; by default one is made of ``free`` and cached.
+        finder: the `h3data_habitat.navmesh.pathfinder.PathFinder` for ``slide="habitat"``; by default one is made of ``free``
+            and cached.
 
     Raises:
-        InputError: the actions have another shape, or one is not finite; then nothing moves.
+        InputError: the actions have another shape, or one is not finite; then nothing moves. Or the package that slides
+            bases in this way is not there.
     """
     action = per_world(action, state, width=3 if spec.max_lateral_mps else 2)
     if free.has_stairs:
@@ -300,23 +301,20 @@ def drive_robots(
             spec.farthest_m(dt),
         )
     elif spec.slide == "habitat":
-        if len(free.heights):
-            raise InputError(
-                "Bases slide as in Habitat on one level floor only. Hint: slide='strict' in homes with stairs.",
-                code="H3-SIM-037",
+        slide, goals, drives = SLIDES.get(spec.slide), np.empty((len(action), 3)), np.empty(len(action), np.bool_)
+        broken = _aim_worlds(state.xz, state.heading, action, limits, dt, goals, drives)
+        if broken < 0:
+            slide(
+                free,
+                finder,
+                moved=moved,
+                goals=goals,
+                drives=drives,
+                offsets=offsets,
+                touch_m=spec.contact_tolerance_m,
+                root_height_m=spec.habitat.root_height_m,
+                rules=(spec.habitat.slides, spec.habitat.slides_while_turning, spec.habitat.navmesh_slides),
             )
-        rules = spec.habitat.slides, spec.habitat.slides_while_turning, spec.habitat.navmesh_slides
-        broken = _drive_worlds_as_habitat(
-            (finder or _finder(free)).surface,
-            free.floor_y + spec.habitat.root_height_m,
-            *moved,
-            action,
-            limits,
-            dt,
-            offsets,
-            spec.contact_tolerance_m,
-            rules,
-        )
     else:
         raise InputError(
             f"Unknown slide {spec.slide!r}. Expected one of: {', '.join(get_args(Slide))}.", code="H3-SIM-036"
@@ -353,11 +351,6 @@ def discs_at(xz: np.ndarray, heading: np.ndarray, offsets_m: tuple[float, ...], 
 def _offsets(disc_offsets_m: tuple[float, ...]) -> np.ndarray:
     """As an array; to make one takes a tenth of the step of one world."""
     return np.array(disc_offsets_m)
-
-
-@lru_cache(maxsize=8)
-def _finder(free: FreeSpace) -> PathFinder:
-    return PathFinder(free)
 
 
 def per_world(rows: np.ndarray, state: AgentState, *, width: int) -> np.ndarray:

@@ -271,10 +271,6 @@ EXPERTS = ("rollout_expert", "sampling_expert", "future_oracle")
 """Those that, chosen by name, also back out of where they are stuck (`sim_kinematic.policies.maneuvering`); `heuristic_expert`
 has the paper's two rules and no more."""
 
-EARLIER_NAMES = {"plain_expert": "heuristic_expert"}
-"""What recordings before version 1.6 call it; their ``heuristic_expert`` is read as ``rollout_expert``
-(`h3data.recording.schema.current_info`)."""
-
 
 def policy_by_name(name: str) -> Policy:
     """The policy called ``name``, or the one in a file (``weights:FILE``); an `InputError` lists what exists."""
@@ -282,7 +278,6 @@ def policy_by_name(name: str) -> Policy:
         network = network_of(name)
         with naming(name):
             return navigation_of(network)
-    name = EARLIER_NAMES.get(name, name)
     if name not in POLICIES:
         there = [*POLICIES, *SHIPPED_IN["social_nav"]]
         raise InputError(

@@ -20,7 +20,6 @@ from hypothesis import strategies as st
 
 from h3data.errors import FormatError, H3DataError
 from h3data.formats import detect
-from h3data.limits import MAX_AGENTS
 from h3data.mesh.glb_write import glb_bytes
 from h3data.mesh.loading import load_mesh
 from h3data.mesh.primitives import primitive_mesh
@@ -33,6 +32,7 @@ from h3data_habitat.gfx.gfx_keyframes import KEYFRAME_BYTES
 from h3data_habitat.gfx.gfx_replay import read_gfx_replay
 from h3data_habitat.hitl.hitl_paper_logs import read_hitl_log
 from h3data_habitat.hitl.hitl_sessions import read_hitl_episode
+from h3data_habitat.limits import MAX_AGENTS
 from h3data_motion.bvh import read_bvh_file
 from h3data_pipelines.cli import main
 from tests.examples import examples

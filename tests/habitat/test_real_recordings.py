@@ -13,9 +13,9 @@ import pytest
 import h3data
 from h3data.geometry import pose_from_matrix, pose_inverse, pose_multiply, pose_to_matrix
 from h3data.recording.assets.library import AssetLibrary
-from h3data.replay.validation import validate_recording
 from h3data_habitat.gfx.gfx_replay import read_gfx_replay
 from h3data_pipelines.cli import main
+from h3data_pipelines.validation.recordings import validate_recording
 
 FLOAT32 = 2e-6
 """gfx-replays hold 7 decimals of single precision; matrices of quaternions that were rounded so."""

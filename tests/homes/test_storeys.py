@@ -11,9 +11,9 @@ from h3data.scene import FreeSpace, instance_bounds, scene_digest
 from h3data.scene.articulation import joints_of
 from h3data.scene.kinds import KINDS, categories_of
 from h3data.scene.open import named_scenes, open_scene
-from h3data.scene.validation import find_problems, free_space_for_validation
 from h3data_homes import HomeSpec, build_home
 from h3data_homes.storeys.plan import GOING_M, RISE_M, RISERS, STOREY_M
+from h3data_pipelines.validation.scenes import find_problems, free_space_for_validation
 from tests import storeys
 
 

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from h3data.errors import SceneError
-from h3data.mesh import meshopt
 from h3data.mesh.accessors import MESHOPT
+from h3data_meshes import meshopt
 from tests.mesh.gltf_builder import FLOAT, U16, Builder
 
 K = np.arange(40)

@@ -220,7 +220,7 @@ def test_refusals(arguments: list[str], message: str, capsys: pytest.CaptureFixt
 
 @pytest.mark.gpu
 def test_gpu_draws_the_same_worlds() -> None:
-    from h3data.render.gpu import gpu_problem
+    from h3data_gpu import gpu_problem
 
     if problem := gpu_problem():
         pytest.skip(problem)

@@ -13,8 +13,8 @@ from h3data.bodies.robots.robot_files import robot_names
 from h3data.geometry import ground_pose
 from h3data.recording import Recording, state_hash, write_mcap
 from h3data_homes import HomeSpec, build_home
-from h3data_pipelines.commands.penetration import HELD, REACHING, penetration_findings, penetrations, unintended_depth
 from h3data_pipelines.commands.validating import Validate
+from h3data_pipelines.validation.penetration import HELD, REACHING, penetration_findings, penetrations, unintended_depth
 from sim_kinematic.motion.spec import SocialNavSpec
 from tests.simulated import rearrange_episode, simulate_rearrange, simulate_social_nav, social_nav_episode
 

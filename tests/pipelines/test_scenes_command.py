@@ -14,15 +14,7 @@ import numpy as np
 import pytest
 
 from h3data.geometry import IDENTITY_POSE, quat_from_axis_angle
-from h3data.render.sheets.scene_map import (
-    ISLAND_COLOR,
-    MAIN_COLOR,
-    PROBLEM_COLOR,
-    RECEPTACLE_COLOR,
-    eye_level_camera,
-    plan_picture,
-    scene_map,
-)
+from h3data.render.sheets.scene_map import eye_level_camera, plan_picture
 from h3data.scene import (
     Asset,
     Box,
@@ -39,11 +31,18 @@ from h3data.scene import (
     scene_digest,
 )
 from h3data.scene.open import named_scenes
-from h3data.scene.validation import Problem, find_problems, free_space_for_validation, hull_fills_hollows
 from h3data_habitat.exporters.scenes import export_habitat
 from h3data_homes import HomeSpec, build_home
+from h3data_pipelines.assets.scene_plan import (
+    ISLAND_COLOR,
+    MAIN_COLOR,
+    PROBLEM_COLOR,
+    RECEPTACLE_COLOR,
+    scene_map,
+)
 from h3data_pipelines.assets.scene_reports import validate_scene
 from h3data_pipelines.cli import main
+from h3data_pipelines.validation.scenes import Problem, find_problems, free_space_for_validation, hull_fills_hollows
 from sim_kinematic.contact import overlapping_instances
 
 SHUT = ["island", "unreachable_room", "out_of_reach"]

@@ -16,8 +16,8 @@ from h3data.geometry import heading_from_quat, pose_multiply, wrap_angle
 from h3data.kernels import compiled_count
 from h3data.recording import read_mcap
 from h3data.recording.live_input import CLIENT
-from h3data.replay.validation import validate_recording
 from h3data_motion.files import save_motion
+from h3data_pipelines.validation.recordings import validate_recording
 from h3data_play.app import App, Hud
 from h3data_play.live import EpisodeFactory, LiveGame
 from h3data_play.messages import decode

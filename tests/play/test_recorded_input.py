@@ -12,8 +12,8 @@ import pytest
 
 from h3data.recording import Dataset, DatasetWriter, InputEvent, Recording, read_mcap, recordings_equal, state_hash
 from h3data.recording.live_input import AWAY, NOTHING, STEERS, live_inputs, slipped_steps
-from h3data.replay.validation import validate_recording
 from h3data_pipelines.cli import main
+from h3data_pipelines.validation.recordings import validate_recording
 from h3data_play.messages import decode
 from h3data_play.plan import GameOrder
 from h3data_viewers.rerun.rrd_file import write_rrd

@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from h3data.bodies import Humanoid
+from h3data.geometry import IDENTITY_POSE
+from h3data.recording.records import Columns
+from h3data.replay import Replay
+from h3data_homes import HomeSpec, build_home
 from h3data_play.messages import Leave, Move, Pick, decode
-from h3data_play.wire import _OTHERS, pack_rotations
+from h3data_play.wire import _OTHERS, StatePacker, pack_rotations
 from tests.play import golden
+from tests.simulated import simulate_wander
 
 
 def unpack_rotations(data: bytes) -> np.ndarray:
@@ -37,6 +44,21 @@ def test_states_are_the_golden_ones_to_the_byte():
     assert struct.unpack_from("<Ii", second, 4) == (2, 0)
     assert len(fourth) == len(first) + 3 * 6, "all doors and drawers"
     assert fifth[len(second) :] == struct.pack("<Hf", 1, 0.25), "the one that has moved"
+
+
+def test_drawn_in_arms_are_where_a_replay_has_them():
+    recording = simulate_wander(build_home(HomeSpec(preset="small", seed=5)), "human", seed=3, steps=2)
+    arms = np.ones((len(recording), 2), np.float32)
+    recording = replace(recording, columns={**recording.columns, "agent_0.motion_arms": arms})
+    replay = Replay(recording)
+    body = replay.model(0)
+    assert isinstance(body, Humanoid)
+    first = {name: column[:1] for name, column in recording.columns.items()}
+    base = first["agent_0.base_pose"][0].astype(np.float64)
+    live = StatePacker(recording, (body,), replay.heights)._pose(0, body, base, Columns(first))
+    pelvis, quats = live[0], np.concatenate([live[0][None, 3:], live[1]])
+    ours = body.joint_matrices(IDENTITY_POSE[None], quats[None], pelvis[None, :3])
+    np.testing.assert_allclose(ours[0], replay.joint_matrices(0, np.array([0]))[0], atol=1e-6)
 
 
 def test_rotations_lose_less_than_a_quarter_of_a_degree():

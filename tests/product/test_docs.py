@@ -280,6 +280,7 @@ def test_sources_name_pages_as_the_command_shows_them() -> None:
         "sim_kinematic",
         "pipelines/h3data_habitat",
         "pipelines/h3data_exporters",
+        "pipelines/h3data_gpu",
         "pipelines/h3data_homes",
         "pipelines/h3data_meshes",
         "pipelines/h3data_motion",

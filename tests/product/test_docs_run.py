@@ -54,7 +54,7 @@ ABSENT = {
     "h3data play": "waits for players; tests/play plays it",
     "bodies bake": "the extra bodies",
     "import supersuit": "SuperSuit; tests/sim/envs wraps environments by it where it is installed",
-    "flat.navmesh": "a navmesh of Habitat; tests/scene/navmesh runs these calls",
+    "flat.navmesh": "a navmesh of Habitat; tests/habitat/navmesh runs these calls",
     "female_0_motion_data_smplx.pkl": "Habitat's motion of a person; tests/motion runs these calls",
     "run(person": "walking frames of its own; tests/sim run these calls",
 }

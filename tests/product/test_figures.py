@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import h3data
-from h3data import limits
 from h3data.formats import source_file
 from h3data.mesh import gltf_primitives, images, png
+from h3data_habitat import limits
 from h3data_habitat.gfx import gfx_keyframes
 from h3data_pipelines.cli import main
 from tests.paths import DOCS, ROOT

@@ -26,6 +26,7 @@ PLACES = {
     "sim_kinematic": ".",
     "h3data_habitat": "pipelines",
     "h3data_exporters": "pipelines",
+    "h3data_gpu": "pipelines",
     "h3data_homes": "pipelines",
     "h3data_meshes": "pipelines",
     "h3data_motion": "pipelines",
@@ -104,13 +105,23 @@ def test_a_package_that_is_not_there_costs_only_its_commands(package: str, lost:
         assert package in said[word][1]
 
 
-def test_learning_on_a_device_names_the_package_that_has_it(tmp_path: Path) -> None:
-    script = SCRIPT.replace("said = {}", "import h3data\nfrom h3data.errors import InputError\nsaid = {}").replace(
+CALLS = {
+    "h3data_training": "import h3data; h3data.make('social_nav', scenes='small:1', device='cpu')",
+    "h3data_habitat": "from sim_kinematic.motion.step import SLIDES; SLIDES.get('habitat')",
+    "h3data_gpu": "from h3data.replay.stage import chosen_backend; chosen_backend('auto'); chosen_backend('gpu')",
+}
+"""What is refused in Python without each package: learning on a device, Habitat's sliding, pictures of a GPU."""
+
+
+@pytest.mark.parametrize("package", CALLS)
+def test_a_call_names_the_package_that_it_needs(package: str, tmp_path: Path) -> None:
+    script = SCRIPT.replace(
         "for words in commands:",
-        "try:\n    h3data.make('social_nav', scenes='small:1', device='cpu')\n"
-        "except InputError as error:\n    said['make'] = [2, str(error)]\nfor words in commands:",
+        "from h3data.errors import H3DataError\n"
+        f"try:\n    {CALLS[package]}\n"
+        "except H3DataError as error:\n    said['call'] = [2, str(error)]\nfor words in commands:",
     )
-    install_without("h3data_training", tmp_path)
+    install_without(package, tmp_path)
     done = subprocess.run(
         [sys.executable, "-P", "-c", script, str(ROOT), str(tmp_path), "[]"],
         capture_output=True,
@@ -118,7 +129,7 @@ def test_learning_on_a_device_names_the_package_that_has_it(tmp_path: Path) -> N
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert "h3data_training" in json.loads(done.stdout.splitlines()[-1])["make"][1]
+    assert package in json.loads(done.stdout.splitlines()[-1])["call"][1]
 
 
 def test_what_makes_homes_names_their_package_and_leaves_no_folder(tmp_path: Path) -> None:
@@ -206,6 +217,7 @@ NEEDING = {
         "scenes export {files}/home_small_3.glb -o {out}/dataset",
         "motion import {files}/walk.pkl -o {out}/motions",
     ),
+    "h3data_gpu": ("rerender {files}/ds#0 --camera robot_arm --backend gpu -o {out}/device",),
     "h3data_homes": ("scenes show small:1 -o {out}/plan.png",),
     "h3data_viewers": ("view {files}/ds#0 -o {out}/walk.rrd", "report {files}/ds -o {out}/report.html"),
     "h3data_play": (),
@@ -213,8 +225,12 @@ NEEDING = {
     "h3data_training": (),
 }
 """Commands that need a package and end by themselves; the commands of the last three run on, and are refused above."""
-NEED_MORE = ("motion import", "export {files}/ds#0 --to habitat-episodes")
-"""Beginnings of those that also need a whole file or another task to succeed, and so are only refused."""
+NEED_MORE = (
+    "motion import",
+    "export {files}/ds#0 --to habitat-episodes",
+    "rerender {files}/ds#0 --camera robot_arm --backend gpu",
+)
+"""Beginnings of those that also need a whole file, another task or a GPU to succeed, and so are only refused."""
 
 
 @pytest.mark.slow

@@ -1,10 +1,8 @@
-"""Writes the stored recordings of older format versions.
+"""Writes the stored recording of an older format version: 1.3, at commit cd1147a.
 
-    1.0 2879968^    1.1 63d0670^    1.2 71e00bd    1.3 cd1147a
-
-For each of these run ``python tests/recording/golden_recordings.py VERSION COMMIT`` from the repository's root. It checks
-the commit out beside, lets its code write one log and one dataset of `recording()`, and packs both. Never write one again
-with newer code: the tests compare with what the code of that time wrote.
+``python tests/recording/golden_recordings.py VERSION COMMIT``, run from the repository's root, checks the commit out beside,
+lets its code write one log and one dataset of `recording()`, and packs both. Never write one again with newer code: the
+tests compare with what the code of that time wrote.
 """
 
 from __future__ import annotations

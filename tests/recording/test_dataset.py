@@ -290,26 +290,23 @@ def test_every_dtype_in_parquet(tmp_path):
     assert recordings_equal(rec, written(tmp_path / "ds", rec).recording(0)) == []
 
 
-def test_uint64_is_stored_as_int64_and_older_datasets_are_read_and_continued_as_they_are(tmp_path):
+def test_uint64_is_stored_as_int64(tmp_path):
     rec = simple_recording(steps=8)
     rng = np.random.default_rng(0)
     more = {n: rng.integers(0, 2**64, (8, *s), np.uint64) for n, s in (("state_hash", ()), ("sim.rng", (3,)))}
     rec = replace(rec, columns={**rec.columns, **more})
-    new = written(tmp_path / "new", rec)
-    (tmp_path / "old/h3").mkdir(parents=True)
-    (tmp_path / "old/h3/schema.json").write_bytes(replace(new.schema, version="1.1").to_json())
-    with DatasetWriter(tmp_path / "old", resume=True) as writer:
-        writer.add(rec)
-    for ds, dtype, version in ((new, pa.int64(), SCHEMA_VERSION), (Dataset(tmp_path / "old"), pa.uint64(), "1.1")):
-        table = pads.dataset(ds.root / "data", format="parquet").to_table()
-        info = json.loads((ds.root / "meta/info.json").read_text())
-        assert table.schema.field("state_hash").type == table.schema.field("sim.rng").type.value_type == dtype
-        assert info["features"]["state_hash"]["dtype"] == info["features"]["sim.rng"]["dtype"] == str(dtype)
-        assert info["h3data"]["schema_version"] == table.schema.metadata[b"h3data.schema_version"].decode() == version
-        assert np.array_equal(table["state_hash"].to_numpy().view(np.uint64), more["state_hash"])
-        assert recordings_equal(rec, ds.recording(0)) == []
-        assert rebuild_meta(ds.root) == 1
-        assert json.loads((ds.root / "meta/info.json").read_text()) == info
+    ds = written(tmp_path / "new", rec)
+    table = pads.dataset(ds.root / "data", format="parquet").to_table()
+    info = json.loads((ds.root / "meta/info.json").read_text())
+    assert table.schema.field("state_hash").type == table.schema.field("sim.rng").type.value_type == pa.int64()
+    assert info["features"]["state_hash"]["dtype"] == info["features"]["sim.rng"]["dtype"] == "int64"
+    assert (
+        info["h3data"]["schema_version"] == table.schema.metadata[b"h3data.schema_version"].decode() == SCHEMA_VERSION
+    )
+    assert np.array_equal(table["state_hash"].to_numpy().view(np.uint64), more["state_hash"])
+    assert recordings_equal(rec, ds.recording(0)) == []
+    assert rebuild_meta(ds.root) == 1
+    assert json.loads((ds.root / "meta/info.json").read_text()) == info
 
 
 def test_attachments_are_stored_once(tmp_path):

@@ -1,5 +1,4 @@
-"""Files of older format versions, written by the code of their time (tests/recording/golden_recordings.py): they are read as
-they were meant, become current ones without loss, and are continued as what they are; newer ones are refused."""
+"""Versions of the format: files of before 0.2, which the code of their time wrote, and newer ones are refused by version."""
 
 from __future__ import annotations
 
@@ -8,115 +7,70 @@ import zipfile
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 from h3data.errors import FormatError
-from h3data.recording import (
-    SCHEMA_VERSION,
-    Dataset,
-    DatasetWriter,
-    InputEvent,
-    open_steps,
-    read_mcap,
-    recordings_equal,
-    write_mcap,
-)
-from h3data.recording.parquet.tables import record_table
+from h3data.recording import SCHEMA_VERSION, Dataset, DatasetWriter, open_steps, read_mcap, recordings_equal, write_mcap
+from h3data.recording.records import OLDEST_VERSION
 from tests.recording.golden_recordings import FOLDER, recording
 
-VERSIONS = ("1.0", "1.1", "1.2", "1.3")
+TOO_OLD = r"schema version 1\.3 before h3data 0\.2; this h3data reads 1\.6 and later\. Hint: h3data 0\.2\.0 .*: .*"
 
 
-@pytest.fixture(params=VERSIONS)
-def old(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """A folder with ``log.mcap`` and ``dataset`` of an older version."""
-    with zipfile.ZipFile(FOLDER / f"{request.param}.zip") as packed:
+@pytest.fixture
+def old(tmp_path: Path) -> Path:
+    """A folder with ``log.mcap`` and ``dataset`` of version 1.3."""
+    with zipfile.ZipFile(FOLDER / "1.3.zip") as packed:
         packed.extractall(tmp_path)
-    version = json.loads((tmp_path / "dataset/meta/info.json").read_text())["h3data"]["schema_version"]
-    assert version == request.param != SCHEMA_VERSION
     return tmp_path
 
 
-def test_old_files_are_read_as_they_were_meant(old):
-    assert recordings_equal(recording(), read_mcap(old / "log.mcap")) == []
-    assert recordings_equal(recording(), Dataset(old / "dataset").recording(0)) == []
-    for path, episode in ((old / "log.mcap", None), (old / "dataset", 0)):
-        with open_steps(path, episode=episode) as steps:
-            row = steps[7]
-            assert all(
-                np.array_equal(row[n], a[7], equal_nan=a.dtype.kind == "f") for n, a in recording().columns.items()
-            )
+def test_files_of_before_0_2_are_refused_with_what_reads_them(old: Path) -> None:
+    for again in (
+        lambda: read_mcap(old / "log.mcap"),
+        lambda: open_steps(old / "log.mcap"),
+        lambda: Dataset(old / "dataset"),
+        lambda: open_steps(old / "dataset", episode=0),
+        lambda: DatasetWriter(old / "dataset", resume=True),
+    ):
+        with pytest.raises(FormatError, match=TOO_OLD):
+            again()
 
 
-def test_old_files_become_current_ones(old):
-    now = read_mcap(write_mcap(read_mcap(old / "log.mcap"), old / "now.mcap"))
-    assert recordings_equal(recording(), now) == []
-    with DatasetWriter(old / "now") as writer:
-        writer.add(Dataset(old / "dataset")[0])
-    assert recordings_equal(recording(), Dataset(old / "now").recording(0)) == []
-    info = json.loads((old / "now/meta/info.json").read_text())
-    assert info["h3data"]["schema_version"] == SCHEMA_VERSION
-    assert str(pq.read_schema(old / "now/data/chunk-000/file-000.parquet").field("state_hash").type) == "int64"
+def test_episodes_of_before_0_2_in_newer_files_are_refused_too(tmp_path: Path) -> None:
+    """What was converted keeps the version of its episode, by which its people were meant to be shown."""
+    told = replace(recording(), episode=replace(recording().episode, schema_version="1.3"))
+    with DatasetWriter(tmp_path / "ds") as writer:
+        writer.add(told)
+    for again in (
+        lambda: read_mcap(write_mcap(told, tmp_path / "a.mcap")),
+        lambda: Dataset(tmp_path / "ds").recording(0),
+    ):
+        with pytest.raises(FormatError, match=TOO_OLD):
+            again()
 
 
-def test_an_old_dataset_is_continued_as_what_it_is(old):
-    other = replace(recording(), episode=replace(recording().episode, uid="second"))
-    with DatasetWriter(old / "dataset", resume=True) as writer:
-        assert writer.add(other) == 1
-    dataset = Dataset(old / "dataset")
-    assert recordings_equal(recording(), dataset.recording(0)) == []
-    assert recordings_equal(other, dataset.recording(1)) == []
-    kinds = {str(pq.read_schema(p).field("state_hash").type) for p in (old / "dataset/data").rglob("*.parquet")}
-    version = dataset.schema.version
-    assert kinds == {"int64" if version in ("1.2", "1.3") else "uint64"}, (
-        "one kind in all files, or LeRobot and DuckDB could not read them together"
-    )
+@pytest.mark.parametrize("version", [".".join(map(str, OLDEST_VERSION)), SCHEMA_VERSION, "1.99"])
+def test_other_minor_versions_are_read(tmp_path: Path, version: str) -> None:
+    told = replace(recording(), episode=replace(recording().episode, schema_version=version))
+    with DatasetWriter(tmp_path / "ds") as writer:
+        writer.add(told)
+    for name in ("meta/info.json", "h3/schema.json"):
+        path = tmp_path / "ds" / name
+        path.write_text(
+            path.read_text().replace(f'"schema_version": "{SCHEMA_VERSION}"', f'"schema_version": "{version}"')
+        )
+    assert Dataset(tmp_path / "ds").schema.version == version
+    assert recordings_equal(told, Dataset(tmp_path / "ds").recording(0)) == []
+    assert recordings_equal(told, read_mcap(write_mcap(told, tmp_path / "a.mcap"))) == []
 
 
-def test_old_files_hold_no_raw_input_and_can_be_given_some(old):
-    """The sidecar of inputs came with 1.3: shards before it have none, those added later do."""
-    assert read_mcap(old / "log.mcap").inputs == Dataset(old / "dataset")[0].inputs == ()
-    assert len(record_table(Dataset(old / "dataset"), "inputs")) == 0
-    key = InputEvent(time_ns=5, kind="key_down", payload='{"key": "w"}')
-    typed = replace(recording(), episode=replace(recording().episode, uid="second"), inputs=(key,))
-    with DatasetWriter(old / "dataset", resume=True) as writer:
-        writer.add(typed)
-    dataset = Dataset(old / "dataset")
-    assert [episode.inputs for episode in dataset.recordings(range(2))] == [(), (key,)]
-    assert record_table(dataset, "inputs")["episode_index"].to_pylist() == [1]
-
-
-def test_a_newer_major_version_is_refused(old):
-    info = old / "dataset/meta/info.json"
+def test_a_newer_major_version_is_refused(tmp_path: Path) -> None:
+    with DatasetWriter(tmp_path / "ds") as writer:
+        writer.add(replace(recording(), episode=replace(recording().episode, schema_version=SCHEMA_VERSION)))
+    info = tmp_path / "ds/meta/info.json"
     text = json.loads(info.read_text())
     for version in ("2.0", "10.3"):
         info.write_text(json.dumps({**text, "h3data": {**text["h3data"], "schema_version": version}}))
         with pytest.raises(FormatError, match=rf"schema version {version}.*newer h3data"):
-            Dataset(old / "dataset")
-    info.write_text(json.dumps({**text, "h3data": {**text["h3data"], "schema_version": "1.99"}}))
-    assert recordings_equal(recording(), Dataset(old / "dataset").recording(0)) == []
-
-
-@pytest.mark.parametrize(
-    ("version", "task", "recorded", "read"),
-    [
-        ("1.5", "social_nav", "heuristic_expert", "rollout_expert"),
-        ("1.5", "social_nav", "plain_expert", "plain_expert"),
-        ("1.5", "mine", "heuristic_expert", "heuristic_expert"),
-        ("1.6", "social_nav", "heuristic_expert", "heuristic_expert"),
-    ],
-)
-def test_the_name_of_a_policy_means_what_it_meant_when_it_was_recorded(tmp_path, version, task, recorded, read):
-    info = {"policy": recorded, "counterfactual": {"policy": recorded}}
-    episode = replace(recording().episode, task=task, schema_version=version, info=info)
-    write_mcap(replace(recording(), episode=episode), tmp_path / "a.mcap")
-    with DatasetWriter(tmp_path / "ds") as writer:
-        writer.add(replace(recording(), episode=episode))
-    logged, dataset = read_mcap(tmp_path / "a.mcap"), Dataset(tmp_path / "ds")
-    expected = {"policy": read, "counterfactual": {"policy": read}}
-    assert logged.episode.info == dataset.recording(0).episode.info == expected
-    assert json.loads(dataset.row(0)["info"]) == expected
-    again = read_mcap(write_mcap(logged, tmp_path / "b.mcap"))
-    assert again.episode == logged.episode, "reading and writing twice renames once"
+            Dataset(tmp_path / "ds")

@@ -27,10 +27,9 @@ from h3data.recording import (
     recover_mcap,
     write_mcap,
 )
-from h3data.recording.mcap import wire
 from h3data.recording.mcap.scan import MAGIC
 from h3data.recording.mcap.wire import message_class, step_descriptor, struct_descriptor, wire_layouts
-from h3data.recording.schema import RECORD_TYPES, STRUCTS, layout_of, topic_of
+from h3data.recording.schema import RECORD_TYPES, STRUCTS, layout_of
 from tests.examples import examples
 from tests.recording.strategies import recordings, simple_recording
 
@@ -227,16 +226,6 @@ def test_metadata_records_out_of_reach_are_not_made_up(tmp_path):
     assert recordings_equal(rec, read_mcap(tmp_path / "a.mcap")) == []
     with pytest.raises(FormatError, match=r"does not tell where its metadata records are.*h3data convert"):
         open_steps(tmp_path / "a.mcap")
-
-
-def test_metrics_on_a_topic_of_their_own_are_read(tmp_path, monkeypatch):
-    rec = simple_recording(steps=9)
-    with monkeypatch.context() as patch:
-        patch.setattr(wire, "log_topic_of", topic_of)  # as schema versions 1.0 and 1.1 wrote them
-        old = write_mcap(rec, tmp_path / "old.mcap")
-    topics = {channel.topic for _, channel, _ in make_reader(io.BytesIO(old.read_bytes())).iter_messages()}
-    assert "/h3/metrics" in topics
-    assert recordings_equal(rec, read_mcap(old)) == []
 
 
 def test_unknown_topics_and_fields_are_skipped(tmp_path):

@@ -14,8 +14,8 @@ from h3data.errors import FormatError, H3DataError
 from h3data.geometry import ground_pose, heading_from_quat, quat_rotate
 from h3data.scene import FreeSpace, Ramp, Room, Scene, load_scene, save_scene, scene_digest
 from h3data.scene.floor_heights import LEVEL, floor_heights, nose_heights, off_risers, room_heights
-from h3data.scene.navmesh.navmesh import navmesh_from_free_space
-from h3data.scene.navmesh.pathfinder import PathFinder
+from h3data_habitat.navmesh.navmesh import navmesh_from_free_space
+from h3data_habitat.navmesh.pathfinder import PathFinder
 from h3data_homes import HomeSpec, build_home
 from tests import storeys
 from tests.scene.freespace.test_free_space import scene_of, solid

@@ -155,7 +155,7 @@ class StatePacker:
             walk.step(base)
         quats, pelvis = walk.pose()
         if agent + "motion_arms" in columns:
-            draw_in(quats[None], columns[agent + "motion_arms"][-1:])
+            draw_in(quats[None], columns[agent + "motion_arms"][-1:], shoulders_forward=True)
         return pose_multiply(base, np.concatenate([pelvis, quats[0]])), quats[1:]
 
 

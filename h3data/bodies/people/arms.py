@@ -16,7 +16,7 @@ forearm in front of the body."""
 
 CLOSE_HANG_DEG, COLLAR_DEG = 88.0, 20.0
 """Upper arm and collar of people with planted feet, whose shoulders go forward too: broad bodies are then 2.5 cm narrower a
-side, so that they fit between walls 50 cm apart. People of recordings before schema 1.5 keep `HANG_DEG`."""
+side, so that they fit between walls 50 cm apart. Poses by clips, which contact takes, have `HANG_DEG`."""
 CARRY_FORWARD_DEG, CARRY_TWIST_DEG, CARRY_COLLAR_DEG, CARRY_ELBOW_DEG = -22.0, 18.0, 10.0, 118.0
 """An arm that holds something close to the body: the elbow at the side and slightly back, the forearm across the belly."""
 
@@ -64,7 +64,7 @@ def draw_in(quats: Array, arms: ArrayLike, *, shoulders_forward: bool = False) -
     Args:
         quats: Local rotations [T, 55, 4] of arms that hang or swing. Shoulders and collars change; elbows keep what they do.
         arms: How far the left and the right arm are drawn in, 0 (as they are) to 1 (close to the body), [T, 2] or [2].
-        shoulders_forward: Closer, as people with planted feet do; else as in recordings before schema 1.5.
+        shoulders_forward: Closer, as people with planted feet do; else as poses by clips, which contact takes.
 
     Raises:
         InputError: there are not two finite numbers for each pose; then nothing has changed.

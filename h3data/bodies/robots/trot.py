@@ -26,9 +26,8 @@ SMOOTH_STEPS = 9
 """Steps over which the distance covered in a step is averaged for that."""
 DUTY = 0.55
 """Fraction of the cycle in which a foot stands."""
-LIFT_M, EVEN_LIFT_M = 0.05, 0.08
-"""Height to which a swinging foot is lifted now, and was lifted before schema 1.5: thighs then stuck out 4 cm behind the
-discs of the base."""
+LIFT_M = 0.05
+"""Height to which a swinging foot is lifted; with 8 cm, thighs stuck out 4 cm behind the discs of the base."""
 TUCK = 0.7
 """A swinging foot is drawn towards its place at rest by up to this share of its distance from it, half-way. In 24 episodes,
 hind legs were more than 2 cm in walls in 21 steps without it, in 11 with 0.4 and in 1 to 3 with this."""
@@ -54,7 +53,6 @@ def trot(
     base_pose: ArrayLike,
     joint_pos: ArrayLike,
     *,
-    even_strides: bool = False,
     heights: NDArray[np.float64] = LEVEL,
 ) -> NDArray[np.float64]:
     """Joint positions [T, J] with the legs of a robot stepping along its base track; other joints stay as they are.
@@ -63,7 +61,6 @@ def trot(
         robot: A robot; one without legs gets its joint positions back.
         base_pose: Agent roots at consecutive steps, shape [T, 7] [m]; NaN where the robot is not there.
         joint_pos: Its joint positions, shape [T, J].
-        even_strides: Strides of `STRIDE_M` at every speed, as recordings before schema 1.5 were shown.
         heights: How high the floor is at a place (`h3data.scene.floor_heights`): feet stand on the treads of its stairs.
     """
     bases, out = np.asarray(base_pose, np.float64), np.array(joint_pos, np.float64)
@@ -88,12 +85,11 @@ def trot(
             track = bases[first:last]
             heading, way = _headings_and_way(track, feet)
             lean = _lean(robot, track) if len(heights) else np.zeros(len(track))
-            cycles = way / STRIDE_M if even_strides else _cycles(way)
+            cycles = _cycles(way)
             for start in range(0, len(track), _BLOCK_STEPS):
                 rows = np.arange(start, min(start + _BLOCK_STEPS, len(track)))
                 to_base = np.linalg.inv(pose_to_matrix(track[rows]) @ robot.to_base)
-                most, tuck = (EVEN_LIFT_M, 0.0) if even_strides else (LIFT_M, TUCK)
-                places = _feet(track, heading, way, cycles, feet, rows, most, tuck, heights, lean)
+                places = _feet(track, heading, way, cycles, feet, rows, heights, lean)
                 spots = np.einsum("tij,tlj->tli", to_base[:, :3, :3], places) + to_base[:, None, :3, 3]
                 for k, leg in enumerate(robot.legs):
                     out[first + rows[:, None], leg.columns] = leg_angles(robot, leg, spots[:, k])
@@ -142,8 +138,6 @@ def _feet(
     cycles: Array,
     feet: Array,
     rows: NDArray[np.integer],
-    most: float,
-    tuck: float,
     heights: NDArray[np.float64],
     lean: Array,
 ) -> Array:
@@ -152,7 +146,7 @@ def _feet(
     ``feet`` [L, 3] are their places at rest, which on stairs are ``lean`` [T] ahead of the root.
     """
     edges = np.clip(rows[:, None] + [-SETTLE_STEPS, SETTLE_STEPS], 0, len(way) - 1)
-    lift = most * np.clip(np.diff(way[edges], axis=1)[:, 0] / SETTLE_M, 0, 1)
+    lift = LIFT_M * np.clip(np.diff(way[edges], axis=1)[:, 0] / SETTLE_M, 0, 1)
     out = np.empty((len(rows), len(feet), 3))
     roots = pose_to_matrix(ground_pose(bases[rows][:, [0, 2]], heading[rows], bases[rows, 1]))
     for k, foot in enumerate(feet):
@@ -178,7 +172,7 @@ def _feet(
         rest = transform_points(roots, foot[None])[:, 0]
         if len(heights):
             rest[:, ::2] += _ahead(lean[rows], heading[rows])
-        out[:, k] += (tuck * np.sin(np.pi * swing) ** 2)[:, None] * (rest - out[:, k])
+        out[:, k] += (TUCK * np.sin(np.pi * swing) ** 2)[:, None] * (rest - out[:, k])
         if len(heights):
             noses = foot[1] + NOSE_CLEAR_M + nose_heights(heights, 0.0, out[:, k, ::2])
             over = np.clip(np.minimum(swing, 1 - swing) / OVER_SHARE, 0, 1)

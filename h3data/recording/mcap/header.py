@@ -12,8 +12,8 @@ from h3data.recording.schema import CONVENTIONS, Topic, episode_to_dict, struct_
 
 PROFILE = "h3data"
 _LAST_LOG_TIME = 2**63 - 1
-TOPIC_MESSAGES: dict[Topic, str] = {"state": "State", "action": "Action", "metrics": "Metrics"}
-"""Per-step topics that readers know; logs before version 1.2 had ``metrics`` on a topic of their own."""
+TOPIC_MESSAGES: dict[Topic, str] = {"state": "State", "action": "Action"}
+"""Topics with a message for each step."""
 
 
 def start_time(header: RecordingHeader | Recording, t0_unix_ns: int | None) -> int:

@@ -55,7 +55,7 @@ def to_numpy(stored: pa.ChunkedArray | None, column: Column, declared: Column, s
 
 
 def _as_declared(stored: NDArray[Any], dtype: str) -> NDArray[Any]:
-    """Stored values in the dtype of their column: since version 1.2 a uint64 is stored as an int64 of the same bits."""
+    """Stored values in the dtype of their column: a uint64 is stored as an int64 of the same bits."""
     if dtype == "uint64" and stored.dtype == np.int64:
         return stored.view(np.uint64)
     if stored.dtype != dtype:

@@ -19,7 +19,7 @@ from h3data.recording.parquet.columns import conform
 from h3data.recording.parquet.files import FILES_PER_CHUNK, is_dataset, shard_files, shard_path
 from h3data.recording.parquet.records import DAMAGE, DatasetRecords, read_whole
 from h3data.recording.parquet.schema import EPISODE_SCHEMA, DatasetSchema
-from h3data.recording.schema import check_version, current_info
+from h3data.recording.schema import check_version
 from h3data.recording.storage import AnyPath, RemotePath, place, readable
 
 _OPEN_FILES = 4
@@ -60,10 +60,7 @@ class EpisodeRows(Sequence[dict[str, Any]]):
         return EpisodeRows, (self._table,)
 
     def _decoded(self, block: int) -> list[dict[str, Any]]:
-        rows = self._table.slice(block * _BLOCK, _BLOCK).to_pylist()
-        for row in rows:
-            row["info"] = current_info(row["task"], row["schema_version"], row["info"])
-        return rows
+        return self._table.slice(block * _BLOCK, _BLOCK).to_pylist()
 
 
 class DatasetFolder:
@@ -96,7 +93,7 @@ class DatasetFolder:
         self._promised = self._promised_episodes()
         self.schema = DatasetSchema.load(self.root)
         self._files: dict[int, pq.ParquetFile] = {}
-        self._records = DatasetRecords(self.root, self.schema.version)
+        self._records = DatasetRecords(self.root)
 
     @cached_property
     def episodes(self) -> pa.Table:
@@ -180,12 +177,12 @@ class DatasetFolder:
         return table.replace_schema_metadata(None)
 
     def sidecar(self, kind: str, shard: int) -> pa.Table:
-        """The records of a kind in one shard; none if the dataset is older than that kind of record."""
+        """The records of a kind in one shard."""
         return self._records.table(kind, shard)
 
     def __getstate__(self) -> dict[str, Any]:
         """The same episodes in another process, which opens the files for itself."""
-        return {**self.__dict__, "_files": {}, "_records": DatasetRecords(self.root, self.schema.version)}
+        return {**self.__dict__, "_files": {}, "_records": DatasetRecords(self.root)}
 
     # --- private ---
     def _promised_episodes(self) -> int:

@@ -19,7 +19,7 @@ from h3data.errors import FormatError
 from h3data.recording.parquet.columns import conform
 from h3data.recording.parquet.files import FILES_PER_CHUNK, shard_files, write_atomic
 from h3data.recording.parquet.moments import Moments, lerobot_stats, merge_into, unpack_moments
-from h3data.recording.parquet.schema import STANDARD, DatasetSchema
+from h3data.recording.parquet.schema import STANDARD, DatasetSchema, stored_dtype
 from h3data.recording.parquet.videos import MAX_FILE_BYTES
 from h3data.recording.schema import Column, layout_hash
 from h3data.recording.storage import AnyPath, RemotePath, place, readable
@@ -104,7 +104,7 @@ def rebuild_meta(root: str | os.PathLike[str] | RemotePath) -> int:
 def _features(schema: DatasetSchema) -> dict[str, dict[str, Any]]:
     """``features`` of info.json: every column of the data files, as LeRobot requires, and the videos."""
     ours: dict[str, dict[str, Any]] = {
-        c.name: {"dtype": schema.stored_dtype(c), "shape": [c.width], "names": _names(schema, c)}
+        c.name: {"dtype": stored_dtype(c), "shape": [c.width], "names": _names(schema, c)}
         for c in schema.columns
         if c.width
     }

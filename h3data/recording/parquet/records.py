@@ -16,8 +16,8 @@ from h3data.errors import FormatError
 from h3data.recording.file_store import FileStore
 from h3data.recording.parquet.columns import conform
 from h3data.recording.parquet.files import shard_path
-from h3data.recording.parquet.schema import SIDECAR_SINCE, SIDECARS, record_schema
-from h3data.recording.schema import struct_from_dict, version_numbers
+from h3data.recording.parquet.schema import SIDECARS, record_schema
+from h3data.recording.schema import struct_from_dict
 from h3data.recording.storage import AnyPath, readable
 
 DAMAGE = (
@@ -52,19 +52,15 @@ def read_whole(path: AnyPath, leave_out: Callable[[str], bool] | None = None) ->
 class DatasetRecords:
     """The records of a dataset folder; tables of the shards read last are kept."""
 
-    def __init__(self, root: AnyPath, version: str) -> None:
-        """Records of the dataset in ``root``, whose schema version is ``version``."""
-        self._root, self._version = root, version
+    def __init__(self, root: AnyPath) -> None:
+        """Records of the dataset in ``root``."""
+        self._root = root
         self._tables: dict[tuple[str, int], tuple[pa.Table, NDArray[np.int64]]] = {}
         self._files = FileStore(root / "h3" / "files")
 
     def table(self, kind: str, shard: int) -> pa.Table:
-        """The records of a kind in one shard; none if the dataset is older than that kind of record."""
-        path = shard_path(self._root, f"h3/{kind}", shard)
-        # missing may be right only for older datasets; in a newer one the file is lost, and reading it says so
-        if version_numbers(self._version) < SIDECAR_SINCE.get(kind, (0, 0)) and not path.exists():
-            return record_schema(SIDECARS[kind]).empty_table()
-        return read_whole(path)
+        """The records of a kind in one shard."""
+        return read_whole(shard_path(self._root, f"h3/{kind}", shard))
 
     def of_episodes(self, kind: str, shard: int, episodes: range) -> list[tuple[Any, ...]]:
         """The records of a kind of each of some consecutive episodes of one shard.

@@ -22,7 +22,6 @@ from h3data.recording.schema import (
     check_version,
     layout_from_json,
     layout_hash,
-    version_numbers,
 )
 from h3data.recording.storage import AnyPath
 
@@ -44,8 +43,6 @@ SIDECARS = {
     "inputs": "Input",
 }
 """Tables beside the data files, with the struct that each holds."""
-SIDECAR_SINCE = {"inputs": (1, 3)}
-"""Schema version from which every shard has this sidecar."""
 
 EPISODE_SCHEMA = pa.schema(
     [
@@ -77,6 +74,14 @@ EPISODE_SCHEMA = pa.schema(
 _ARROW = {"string": pa.string(), "int64": pa.int64(), "double": pa.float64(), "float": pa.float32()}
 
 
+def stored_dtype(column: Column) -> str:
+    """The dtype of a column in the data files: a uint64 is an int64 of the same bits.
+
+    Torch tensors hold no uint64, so LeRobot's loader would refuse the whole dataset.
+    """
+    return "int64" if column.dtype == "uint64" else column.dtype
+
+
 @dataclass(frozen=True, kw_only=True)
 class DatasetSchema:
     """Columns that every data file of a dataset holds, decided before the first one is written."""
@@ -93,13 +98,6 @@ class DatasetSchema:
     """Names of the numbers in a column, by column, where an export to LeRobot knows them."""
     episode_stats: bool = True
     """Whether the episode tables have LeRobot's statistics of every feature; those of older datasets have the videos' alone."""
-
-    def stored_dtype(self, column: Column) -> str:
-        """The dtype of a column in the data files: since version 1.2 a uint64 is an int64 of the same bits.
-
-        Torch tensors hold no uint64, so LeRobot's loader would refuse the whole dataset.
-        """
-        return "int64" if column.dtype == "uint64" and version_numbers(self.version) >= (1, 2) else column.dtype
 
     def to_json(self) -> bytes:
         """Contents of ``h3/schema.json``."""
@@ -128,7 +126,6 @@ class DatasetSchema:
             # through the same reader as logs, so that damaged columns are refused by the same rules
             text = json.dumps([[c["name"], c["dtype"], c["shape"]] for c in values["columns"]], ensure_ascii=False)
             fps, robot, version = int(values["fps"]), str(values["robot_type"]), values["schema_version"]
-            version_numbers(version)
             videos = tuple(VideoFeature(**video) for video in values.get("videos", ()))
             columns = layout_from_json(text)
             names = {str(name): tuple(map(str, each)) for name, each in dict(values.get("names", {})).items()}
@@ -182,7 +179,7 @@ def union_layout(layouts: Iterable[Layout], *, max_bodies: int | None = None) ->
 def data_schema(schema: DatasetSchema) -> pa.Schema:
     """Arrow schema of the data files: LeRobot's columns, then ours that have a width."""
     fields = [pa.field(name, arrow_rows(dtype, 1)) for name, dtype in STANDARD.items()]
-    fields += [pa.field(c.name, arrow_rows(schema.stored_dtype(c), c.width)) for c in schema.columns if c.width]
+    fields += [pa.field(c.name, arrow_rows(stored_dtype(c), c.width)) for c in schema.columns if c.width]
     return pa.schema(
         fields, metadata={"h3data.schema_version": schema.version, "h3data.layout_hash": layout_hash(schema.columns)}
     )
@@ -200,7 +197,7 @@ def episode_schema(schema: DatasetSchema) -> pa.Schema:
         names = STATISTICS if schema.episode_stats else ("min", "max", "mean", "std")
         fields += [pa.field(f"{stats}/{name}", channels) for name in names]
         fields.append(pa.field(f"{stats}/count", pa.list_(pa.int64())))
-    stored = STANDARD | {c.name: schema.stored_dtype(c) for c in schema.columns if c.width}
+    stored = STANDARD | {c.name: stored_dtype(c) for c in schema.columns if c.width}
     for name, dtype in stored.items() if schema.episode_stats else ():
         # float32 where the column has it: the extremes are exact, and half as large
         numbers = pa.list_(pa.float32() if dtype == "float32" else pa.float64())

@@ -23,6 +23,7 @@ from h3data.recording.parquet.schema import (
     data_schema,
     episode_schema,
     record_schema,
+    stored_dtype,
 )
 from h3data.recording.parquet.videos import EpisodeVideo, VideoAppender
 from h3data.recording.records import Recording
@@ -99,7 +100,7 @@ class Shard:
         arrays |= {name: values[:, None] for name, values in standard.items()}
         for c in self.schema.columns:
             if c.width:  # the same bits
-                arrays[c.name] = arrays[c.name].view(self.schema.stored_dtype(c))
+                arrays[c.name] = arrays[c.name].view(stored_dtype(c))
         table = pa.Table.from_arrays([to_arrow(arrays[name]) for name in self._arrow.names], schema=self._arrow)
         tables = {kind: _record_table(kind, records, index) for kind, records in sidecars.items() if records}
         # before anything is written: what numpy refuses must not spoil the file
@@ -256,7 +257,7 @@ def _parquet_options(schema: DatasetSchema) -> dict[str, Any]:
             encodings[path] = "PLAIN"
         elif c.dtype in ("float32", "float64"):
             encodings[path] = "BYTE_STREAM_SPLIT"
-        elif schema.stored_dtype(c) in ("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32"):
+        elif stored_dtype(c) in ("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32"):
             encodings[path] = "DELTA_BINARY_PACKED"
     return {
         "compression": "zstd",

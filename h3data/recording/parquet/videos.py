@@ -202,21 +202,6 @@ class VideoAppender:
             self._stack.close()
 
 
-def count_frames(path: AnyPath) -> int:
-    """Number of frames in a video file, without decoding them.
-
-    Raises:
-        FormatError: the file is damaged.
-    """
-    with ExitStack() as stack:
-        container = _opened(path, stack)
-        try:
-            # the last packet is empty: it tells a decoder to hand out what it holds
-            return sum(packet.size > 0 for packet in container.demux(video=0))
-        except (OSError, ValueError) as error:
-            raise FormatError(f"The video is damaged ({error}): {path}", code="H3-RECORDING-087") from None
-
-
 def _packets(video: EpisodeVideo, stack: ExitStack) -> Iterator[Any]:
     """The packets of an episode, in order; fewer if the file ends before."""
     container = _opened(video.path, stack)

@@ -1,1 +1,1 @@
-"""Contact sheets of people, motions and robots, and maps of scenes, for docs and commands."""
+"""People side by side, and scenes from above and at eye level, for commands, docs and reports."""

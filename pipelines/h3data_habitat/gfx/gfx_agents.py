@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from h3data.bodies import load_robot, robot_names
 from h3data.bodies.people.skeleton import HUMAN_ROOT_HEIGHT_M
 from h3data.geometry import IDENTITY_POSE, ground_pose, quat_rotate, quat_sign_continuous
-from h3data.limits import MAX_AGENTS, check_count, check_size
 from h3data.recording.records import Agent, AssetRef, Body
+from h3data_habitat.limits import MAX_AGENTS, check_count, check_size
 
 ROBOT_BASE_HEIGHT_M = {"spot": 0.48, "fetch": 0.0}
 """Height of a robot's base link over the floor [m], habitat-lab's ``base_offset`` (spec/habitat.md 0). Our own robots, which

@@ -17,9 +17,9 @@ import msgspec
 from h3data.errors import FormatError
 from h3data.formats import SourceFile, json_format
 from h3data.formats.builtin_formats import REPLAY_MEMBERS
-from h3data.formats.json_files import not_json, truncated
-from h3data.formats.json_stream import ArrayElements, ArrayFault
 from h3data.formats.source_file import BYTE_ORDER_MARK, decode_json
+from h3data_habitat.json_files import not_json, truncated
+from h3data_habitat.json_stream import ArrayElements, ArrayFault
 
 Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 """Fits a float32 even after a product or two."""

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError, SceneError
 from h3data.formats import SourceFile
-from h3data.limits import check_size
 from h3data.mesh.loading import frame_rotation
 from h3data.mesh.primitives import is_primitive
 from h3data.recording.assets.folders import clean_path
@@ -25,6 +24,7 @@ from h3data.srgb import linear_to_bytes
 from h3data_habitat.gfx.gfx_agents import PERSON_ROOT_PREFIX, add_agents
 from h3data_habitat.gfx.gfx_fold import Fold, Life, Loaded, Updates, filled, fold_keyframes, fold_tracks
 from h3data_habitat.gfx.gfx_keyframes import Load, read_keyframes
+from h3data_habitat.limits import check_size
 
 _DIFFUSE = re.compile(r"_dif_(\d{1,20})")
 _SCENE_FOLDER = re.compile(r"(^|/)(stages?|scenes?|navmesh)/")

@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError
 from h3data.formats import FORMATS, json_format
 from h3data.formats.builtin_formats import JSON
-from h3data.formats.json_files import not_json
 from h3data.formats.source_file import decode_json
 from h3data.geometry import quat_sign_continuous
-from h3data.limits import check_size
 from h3data.recording.assets.handles import HANDLE, template_of
 from h3data.recording.records import AssetRef, Body, Episode, Event, Recording
 from h3data_habitat.hitl.hitl_agents import AgentKind, AgentTrack, JointOrder, add_agents, agent_kinds, root_height_m
 from h3data_habitat.hitl.hitl_scenes import Place
+from h3data_habitat.json_files import not_json
+from h3data_habitat.limits import check_size
 
 Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 Vec3 = tuple[Number, Number, Number]

@@ -16,7 +16,6 @@ from h3data.bodies.people.skeleton import HUMAN_ROOT_HEIGHT_M
 from h3data.errors import FormatError
 from h3data.formats import SourceFile
 from h3data.geometry import Array, ground_pose
-from h3data.limits import MAX_TRACK_VALUES, check_size
 from h3data.recording.assets.library import AssetLibrary
 from h3data.recording.records import STEP_NS, Event, Recording
 from h3data.safe_pickle import is_pickle
@@ -36,6 +35,7 @@ from h3data_habitat.hitl.hitl_episode import (
 from h3data_habitat.hitl.hitl_outcomes import AT_GOAL_M, at_goal, logged_outcomes
 from h3data_habitat.hitl.hitl_pickled_logs import json_of_pickled_log
 from h3data_habitat.hitl.hitl_scenes import find_place
+from h3data_habitat.limits import MAX_TRACK_VALUES, check_size
 from h3data_habitat.motion.habitat_humanoid import HABITAT_JOINTS
 
 JOINT_VALUES = 4 * len(HABITAT_JOINTS)

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError
 from h3data.formats import SourceFile
 from h3data.geometry import normalized, pose_from_matrix, quat_rotate, quat_sign_continuous
-from h3data.limits import MAX_TRACK_VALUES, check_size
 from h3data.recording.assets.library import AssetLibrary
 from h3data.recording.records import STEP_NS, Event, Recording
 from h3data_habitat.episodes.partnr import partnr_result
@@ -35,6 +34,7 @@ from h3data_habitat.hitl.hitl_episode import (
 from h3data_habitat.hitl.hitl_outcomes import logged_outcomes, max_steps
 from h3data_habitat.hitl.hitl_scenes import find_place
 from h3data_habitat.hitl.hitl_users import participation, without_user_ids
+from h3data_habitat.limits import MAX_TRACK_VALUES, check_size
 
 Order = Literal["xyzw", "wxyz"]
 _LAST_UNIX_S = 9e9

@@ -12,7 +12,7 @@ _FOUND = ("agent_<robot>.base_pose", "agent_<human>.base_pose", "metrics.geodesi
 _POSES = _FOUND[:2]
 _SHORTEST = (
     "l is read from info:habitat_min_steps, a mapping of the oracle's rate ('60' on main, '120' in 0.3.0) to l as "
-    "h3data.metrics.paper.oracle finds it; without it l is infinite, as with Habitat's default configuration."
+    "h3data_habitat.metrics.oracle finds it; without it l is infinite, as with Habitat's default configuration."
 )
 _NEVER = "Never undefined: what was not found counts as 0."
 

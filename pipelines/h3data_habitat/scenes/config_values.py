@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from h3data.errors import FormatError
-from h3data.formats.json_files import read_json
+from h3data_habitat.json_files import read_json
 
 
 def read_object(path: Path) -> dict[str, Any]:

@@ -87,7 +87,7 @@ class BodiesShow:
 
     def _render(self, people: list[Humanoid]) -> Any:
         from h3data.bodies.people.look.wardrobe import OUTFITS
-        from h3data.render.sheets.people_sheet import face_picture, sheet_picture, walk_picture
+        from h3data_pipelines.assets.people_pictures import face_picture, sheet_picture, walk_picture
 
         if self.view == "walk":
             strips = [walk_picture(body, self.speed, lod=self.low_detail, width=self.width) for body in people]

@@ -69,7 +69,7 @@ class RobotsShow:
         return Outcome(text=f"wrote {target} ({width}x{height}, {len(robots)} robots)", data=data)
 
     def _draw(self, robots: list[Robot]) -> Any:
-        from h3data.render.sheets.robot_sheet import turntable
+        from h3data_pipelines.assets.turntable import turntable
 
         strips = []
         for robot in robots:

@@ -19,7 +19,7 @@ from h3data.scene.scene_sets import builtin_sets, find_scene_set
 from h3data.scene.sources import SceneFile, SceneSource, scene_generators
 
 if TYPE_CHECKING:
-    from h3data.scene.validation import Problem
+    from h3data_pipelines.validation.scenes import Problem
 
 AGENT_RADIUS_M, AGENT_HEIGHT_M = 0.25, 1.41
 
@@ -97,8 +97,8 @@ def validate_scene(
 ) -> dict[str, Any]:
     """Finds the problems of a scene, as JSON data; with ``picture``, also marks them on a floor plan (PNG)."""
     from h3data.render import write_png
-    from h3data.render.sheets.scene_map import scene_map
-    from h3data.scene.validation import Problem, find_problems, free_space_for_validation
+    from h3data_pipelines.assets.scene_plan import scene_map
+    from h3data_pipelines.validation.scenes import Problem, find_problems, free_space_for_validation
 
     scene, missing = _load_without_missing(named.source)
     problems = [Problem(kind="missing_asset", subject=scene.name, text=missing)] if missing else []
@@ -141,7 +141,7 @@ def _same_object(first: str, second: str) -> bool:
 
 def _overlaps(scene: Scene) -> tuple[list[Problem], int]:
     """Overlapping objects, and the number of further pairs that may overlap only because one is a filled hull."""
-    from h3data.scene.validation import Problem, hull_fills_hollows
+    from h3data_pipelines.validation.scenes import Problem, hull_fills_hollows
     from sim_kinematic.contact import overlapping_instances
 
     hollow = {name for name, asset in scene.assets.items() if hull_fills_hollows(asset)}

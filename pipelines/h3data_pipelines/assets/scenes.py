@@ -142,7 +142,8 @@ class ScenesShow:
     def run(self) -> Outcome:
         """Renders the scene to a PNG file."""
         from h3data.render import write_png
-        from h3data.render.sheets.scene_map import eye_level_picture, plan_picture, scene_map
+        from h3data.render.sheets.scene_map import eye_level_picture, plan_picture
+        from h3data_pipelines.assets.scene_plan import scene_map
 
         named = _one(self.scene, self.assets, self.strict, self.allow_missing)
         scene = _renamed(named)

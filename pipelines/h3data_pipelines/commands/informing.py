@@ -106,7 +106,7 @@ def _of_dataset(dataset: Dataset) -> tuple[str, dict[str, Any]]:
 
 def _of_episode_file(path: Path) -> tuple[str, dict[str, Any]]:
     from h3data.recording.task_episodes.episode_files import episode_files
-    from h3data.recording.task_episodes.episode_summary import summary_of
+    from h3data_pipelines.commands.episode_summary import summary_of
 
     files = episode_files()
     try:

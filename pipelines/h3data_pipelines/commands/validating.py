@@ -80,7 +80,7 @@ class Validate:
 
     def row(self, source: StoredEpisode, read: Callable[[], Recording], library: Any, *, alone: bool) -> dict[str, Any]:
         """Findings in one recording, which ``read`` returns."""
-        from h3data.replay.validation import Finding, validate_recording
+        from h3data_pipelines.validation.recordings import Finding, validate_recording
 
         steps = 0
         try:
@@ -88,7 +88,7 @@ class Validate:
             steps = len(recording)
             findings = validate_recording(recording, assets=library)
             if self.parts and not any(finding.severity == "error" for finding in findings):  # else it may not be posed
-                from h3data_pipelines.commands.penetration import penetration_findings
+                from h3data_pipelines.validation.penetration import penetration_findings
 
                 findings += penetration_findings(recording)
             for video in source.read_videos():
@@ -131,7 +131,7 @@ _SEVERITIES = ("error", "warning")
 
 
 def _text(rows: list[dict[str, Any]], failed: int) -> str:
-    from h3data.replay.validation import Finding
+    from h3data_pipelines.validation.recordings import Finding
 
     width = max(len(row["recording"]) for row in rows)
     lines = [f"{'recording':<{width}}  {'steps':>6}  verdict   errors  warnings"]

@@ -23,6 +23,7 @@ PACKAGES = (
     "h3data_viewers",
     "h3data_training",
     "h3data_habitat",
+    "h3data_gpu",
     "h3data_homes",
     "h3data_meshes",
     "h3data_motion",

@@ -13,9 +13,9 @@ from h3data.formats import FORMATS, Format, SourceFile, detect, import_suffixes,
 from h3data.progress import progress
 from h3data.recording import Recording
 from h3data.recording.assets.library import AssetLibrary
-from h3data.recording.session_manifest import SessionManifest, read_manifest
 from h3data.replay import Replay
 from h3data.terminal import counted
+from h3data_pipelines.session_manifest import SessionManifest, read_manifest
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def import_files(
         paths: Files, and folders that are walked.
         out: Folder of the recordings; files of a folder keep their place below it.
         assets: Folders below which recorded asset files are searched (default: H3DATA_ASSETS).
-        manifest: CSV table of participants and conditions (`h3data.recording.session_manifest`).
+        manifest: CSV table of participants and conditions (`h3data_pipelines.session_manifest`).
         fps: Steps per second of files without times.
         strict: Whether recordings with warnings or missing assets are refused.
         force: Whether existing recordings are replaced.

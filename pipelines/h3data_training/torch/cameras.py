@@ -14,7 +14,6 @@ from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE
 from h3data.render import Output, RenderInstance, RenderScene, pinhole
-from h3data.render.gpu import GpuRenderer, GpuScene
 from h3data.render.sheets.scene_map import render_scene
 from h3data.replay.cameras import HEAD_NEAR_M, HEAD_POSE
 from h3data.scene import Mesh, Scene
@@ -27,6 +26,8 @@ from sim_kinematic.sensing.sensor import HUMAN_ID
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from h3data_gpu import GpuRenderer, GpuScene
 
 HUMAN = "human"
 """The view between a person's eyes; others have the names of the robot's cameras."""
@@ -97,7 +98,9 @@ class TensorCameras:
         focal = max(lens.fx for lens in self._lenses.values())
         stages = [_stage(home, robot, human, light=human.light_enough(focal, NEAREST_M)) for home in homes]
         links = [k for k, link in enumerate(robot.links) if link.mesh is not None]
-        self.renderer = (renderer or GpuRenderer)(stages, width=width, height=height, worlds=worlds, device=device)
+        if renderer is None:
+            from h3data_gpu import GpuRenderer as renderer
+        self.renderer = renderer(stages, width=width, height=height, worlds=worlds, device=device)
         self._eyes: dict[str, Tensor] = {}
         """Poses of the cameras as last posed, [W, 3, 4] each."""
 
@@ -161,6 +164,8 @@ class TensorCameras:
 
 def _stage(scene: Scene, robot: Robot, human: Humanoid, *, light: bool) -> GpuScene:
     """A home with one robot and one person in it. Robot and person have the same slots in all homes."""
+    from h3data_gpu import GpuScene
+
     skin, worn = (human.lod, human.lod_mesh) if light else (human.full, human.mesh)
     meshes, instances, links = with_robot(scene, robot)
     person = len(meshes)

@@ -152,13 +152,6 @@ class SkillControl(Control):
     ) -> list[AssignedPolicy]:
         """Policies that repeat the recorded skills of each agent until step ``until``, then continue with ``own``."""
         assert isinstance(episode, RearrangeEpisode)
-        if until and not recording.episode.plants_feet and "human" in {agent.kind for agent in recording.agents}:
-            raise InputError(
-                f"People in recordings of schema 1.5 and later walk with planted feet, this one is of "
-                f"{recording.episode.schema_version}: it replays as it was recorded, but its people cannot be simulated "
-                f"again. Hint: verify or resume it with the version that made it ({recording.episode.created_by}).",
-                code="H3-TASK-028",
-            )
         objects, joints = tuple(target.name for target in episode.targets), joint_names(episode.scene)
         commands, policies = recorded_commands(recording, self.from_json), []
         for k, (assigned, since) in enumerate(zip(own, deciding_since(recording), strict=True)):

@@ -16,10 +16,10 @@ from h3data.bodies import JOINT_INDEX, JOINT_NAMES, Humanoid, humanoid_names, lo
 from h3data.bodies.people.humanoid_file import ADULTS, from_planes, to_planes
 from h3data.bodies.people.look.colors import SLOTS
 from h3data.bodies.people.look.patches import vertex_normals
-from h3data.bodies.people.skinning_torch import TorchSkin
 from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
 from h3data.geometry import ground_pose, normalized, pose_from_matrix, quat_from_heading, quat_to_matrix
+from h3data_gpu.skinning import TorchSkin
 from tests.bodies.people.everybody import EVERYBODY
 
 BODIES = humanoid_names()

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from h3data.bodies import Humanoid, humanoid_names, load_humanoid
-from h3data.bodies.people.foot_planting import LEG_JOINTS, sole_points
 from h3data.bodies.people.humanoid_file import ADULTS, FILE_FORMAT, read_arrays
 from h3data.bodies.people.look.colors import PAINTS, SLOTS, Complexion
 from h3data.bodies.people.look.dressing import Look, read_look
@@ -18,6 +17,7 @@ from h3data.bodies.people.look.patches import canonical, pack_faces, unpack_face
 from h3data.bodies.people.look.wardrobe import HAIRSTYLES, OUTFITS, builtin_wardrobe, split_outfit
 from h3data.bodies.people.reach import reach
 from h3data.bodies.people.skeleton import JOINT_INDEX
+from h3data.bodies.people.soles import LEG_JOINTS, sole_points
 from h3data.builtin import builtin_path
 from h3data.errors import InputError
 from h3data.render import Renderer, RenderInstance, RenderScene, look_at, pinhole

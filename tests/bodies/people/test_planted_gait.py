@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from benchmarks.motion import figures_of, motion_of
 from h3data.bodies import JOINT_INDEX, Humanoid, load_humanoid
-from h3data.bodies.people.foot_planting import LEG_JOINTS, sole_points
 from h3data.bodies.people.kernels.planted import AIR, FOOT, FOOT_COLUMNS, IDLE, LOOK
 from h3data.bodies.people.planted_gait import on_floor, planted_states, pose_planted
+from h3data.bodies.people.soles import LEG_JOINTS, sole_points
 from h3data.geometry import Array, ground_pose, pose_to_matrix
 from h3data.scene.floor_heights import LEVEL
 from tests.examples import examples

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 import h3data
 from h3data.bodies import Humanoid, load_humanoid
-from h3data.bodies.people.foot_planting import LEG_JOINTS, sole_points
 from h3data.bodies.people.humanoid_file import _builtin_arrays, humanoid_names
 from h3data.bodies.people.humanoid_file import load_humanoid as load
 from h3data.bodies.people.random_humanoid import ADULT_HEIGHT_M, DIRECTIONS, _shape_space, _weights
+from h3data.bodies.people.soles import LEG_JOINTS, sole_points
 from h3data.errors import InputError
 from h3data_pipelines.cli import main
 

@@ -20,10 +20,10 @@ from hypothesis import strategies as st
 from h3data.errors import FormatError
 from h3data.formats import SourceFile, detect
 from h3data.formats.builtin_formats import REPLAY_MEMBERS
-from h3data.formats.json_stream import ArrayElements, ArrayFault
 from h3data.recording import recordings_equal
 from h3data_habitat.gfx.gfx_keyframes import Keyframe, read_keyframes
 from h3data_habitat.gfx.gfx_replay import read_gfx_replay
+from h3data_habitat.json_stream import ArrayElements, ArrayFault
 
 NASTY = ['"', "\\", '\\"', "}{][", "é\u2028\x00", "\\\\", 'a"b\\', ""]
 TEXT = b'[{"loads":[{"filepath":"a\\\\\\"]}{[\\u0022.glb"}]} ,\n{}, {"a":{"b":[[],[{}],"}"]}},{"c":"\\\\"}\t]  ,"more":[{}]}'

@@ -17,7 +17,7 @@ from h3data.scene import FreeSpace
 from h3data.scene.freespace._visibility import GROW_M, sees, tangent, visible_nodes
 from h3data.scene.freespace._visibility_build import edges_inside
 from h3data.scene.freespace.build import build_from_walkable
-from h3data.scene.navmesh.navmesh import free_space_from_navmesh, navmesh_from_free_space
+from h3data_habitat.navmesh.navmesh import free_space_from_navmesh, navmesh_from_free_space
 from h3data_homes import HomeSpec, build_home
 from tests.examples import examples
 

@@ -9,7 +9,7 @@ from hypothesis import settings as runs
 from hypothesis import strategies as st
 
 from h3data.scene.freespace._visibility_build import edges_inside
-from h3data.scene.navmesh.pathfinder import PathFinder
+from h3data_habitat.navmesh.pathfinder import PathFinder
 from tests.scene.freespace.test_distance_field import cluttered
 
 seeds = st.integers(0, 10**6)

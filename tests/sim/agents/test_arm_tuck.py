@@ -17,7 +17,7 @@ from h3data.geometry import IDENTITY_POSE, ground_pose
 from h3data.replay import Replay
 from h3data.scene import FreeSpace, Scene
 from h3data_homes import HomeSpec, build_home
-from h3data_pipelines.commands.penetration import penetrations
+from h3data_pipelines.validation.penetration import penetrations
 from sim_kinematic.agents.arm_tuck import draw_arms, width_m
 from sim_kinematic.agents.person import Held, Person, joint_steps, run
 from sim_kinematic.agents.waypoint_walker import aside, sharp_corners, with_room

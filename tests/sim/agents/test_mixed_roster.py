@@ -15,9 +15,9 @@ from h3data.geometry import ground_pose
 from h3data.metrics import measure
 from h3data.recording import Recording, open_recording, write_mcap
 from h3data.replay import Replay
-from h3data.replay.validation import validate_recording
 from h3data.scene import FreeSpace, Scene
 from h3data_homes import HomeSpec, build_home
+from h3data_pipelines.validation.recordings import validate_recording
 from sim_kinematic.agents.roster import kinds_of, make_roster
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.contact.clearance import RobotHumanContact

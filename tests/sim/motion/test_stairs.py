@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from h3data.bodies import humanoid_names, load_humanoid, load_robot
-from h3data.bodies.people.foot_planting import leg_frames, sole_points
 from h3data.bodies.people.kernels.planted import AIR, FOOT, FOOT_COLUMNS
 from h3data.bodies.people.planted_gait import on_stairs, planted_states, pose_planted
+from h3data.bodies.people.soles import leg_frames, sole_points
 from h3data.bodies.robots.trot import trot
 from h3data.errors import InputError
 from h3data.geometry import pose_to_matrix, transform_points

@@ -9,10 +9,10 @@ import pytest
 
 from h3data.recording import Recording, state_hash
 from h3data.recording.records import JOINTS
-from h3data.replay.validation import validate_recording
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.articulation import joints_of, posed
 from h3data_homes import HomeSpec, build_home
+from h3data_pipelines.validation.recordings import validate_recording
 from sim_kinematic.agents.driven.commands import Close, Open
 from sim_kinematic.agents.opening.doorways import RoomDoors
 from sim_kinematic.agents.skills import Action

@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 import h3data
 from h3data.errors import InputError
 from h3data.recording import Recording, open_recording
-from h3data.replay.validation import validate_recording
 from h3data_pipelines.cli import main
+from h3data_pipelines.validation.recordings import validate_recording
 from sim_kinematic.agents.driven.commands import (
     STAND,
     Drop,

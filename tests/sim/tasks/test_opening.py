@@ -13,13 +13,13 @@ import h3data
 from h3data.errors import FormatError, InputError
 from h3data.mesh.glb import unpack_glb
 from h3data.recording import DatasetWriter, Recording, write_mcap
-from h3data.replay.validation import validate_recording
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.articulation import joints_of, posed
 from h3data_exporters.csv_tables import write_csv_tables
 from h3data_habitat.gfx.gfx_replay import read_gfx_replay
 from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
+from h3data_pipelines.validation.recordings import validate_recording
 from sim_kinematic.agents.driven.commands import (
     Close,
     Drop,

@@ -138,15 +138,6 @@ def test_a_command_that_did_not_act_is_found(wandering: Recording) -> None:
     assert found.difference.step == 30
 
 
-def test_people_of_before_planted_feet_are_not_simulated_again(episode: Recording) -> None:
-    """Their joints were recorded, and would not come out again; what needs none of their steps goes on."""
-    old = replace(episode, episode=replace(episode.episode, schema_version="1.4", created_by="h3data 0.1"))
-    for again in (verify, lambda recording: resume(recording, STEP)):
-        with pytest.raises(InputError, match=r"this one is of 1\.4: it replays .* that made it \(h3data 0\.1\)"):
-            again(old)
-    assert len(counterfactual(old, "still")) > STEP
-
-
 # --- resume -----------------------------------------------------------------------------------------------------------
 def test_a_policy_that_remembers_goes_on_under_any_of_its_names(world: RearrangeEpisode, tmp_path: Path) -> None:
     weights = tmp_path / "mine.npz"

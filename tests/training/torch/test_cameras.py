@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.render.gpu_emulator import COMPILER, EmulatedRenderer
+from tests.gpu.emulator import COMPILER, EmulatedRenderer
 
 torch = pytest.importorskip("torch")
 
 from h3data.bodies import load_humanoid, load_robot  # noqa: E402
-from h3data.render.gpu import GpuRenderer  # noqa: E402
 from h3data.scene import FreeSpace  # noqa: E402
+from h3data_gpu import GpuRenderer  # noqa: E402
 from h3data_homes import HomeSpec, build_home  # noqa: E402
 from h3data_training.envs.social_nav_torch_env import SocialNavTorchEnv  # noqa: E402
 from h3data_training.episodes import rules  # noqa: E402

@@ -126,7 +126,7 @@ class View:
 
     def _strip(self, form: str) -> Outcome:
         from h3data.render.image_files import write_image
-        from h3data.replay.strip import episode_strip, moments_of
+        from h3data_viewers.strip import episode_strip, moments_of
 
         assert self.out is not None
         recording = open_episode(self.recording)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -13,13 +13,15 @@ from torch import Tensor
 from h3data.bodies import Robot
 from h3data.geometry import Array
 from h3data.render import Output, RenderScene, pinhole
-from h3data.render.gpu import GpuRenderer, GpuScene
 from h3data.scene import Scene, instance_matrix
 from h3data_training.torch.cameras import in_world, with_robot
 from h3data_training.torch.graph import fused
 from h3data_training.torch.skills.arm import turned
 from h3data_training.torch.skills.bank import SkillBank
 from h3data_training.torch.skills.worlds import SkillPlay, SkillTensors
+
+if TYPE_CHECKING:
+    from h3data_gpu import GpuRenderer, GpuScene
 
 
 class SkillCameras:
@@ -53,7 +55,9 @@ class SkillCameras:
         width, height = size or (mounted.width, mounted.height)
         moving = moved_bodies(bank)
         stages = [_stage(home, robot, bodies) for home, bodies in zip(bank.scenes, moving, strict=True)]
-        self.renderer = (renderer or GpuRenderer)(stages, width=width, height=height, worlds=worlds, device=sim.device)
+        if renderer is None:
+            from h3data_gpu import GpuRenderer as renderer
+        self.renderer = renderer(stages, width=width, height=height, worlds=worlds, device=sim.device)
         self._camera = pinhole(width, height, hfov_deg=mounted.hfov_deg, name=camera)
         self._arm = sim.arm
         self._links = [k for k, link in enumerate(robot.links) if link.mesh is not None] + [mounted.link]
@@ -105,6 +109,8 @@ def moved_bodies(bank: SkillBank) -> list[NDArray[np.int64]]:
 
 def _stage(scene: Scene, robot: Robot, bodies: NDArray[np.int64]) -> GpuScene:
     """A home with a robot and movable objects; the links have the same slots in all homes, the objects come after them."""
+    from h3data_gpu import GpuScene
+
     meshes, instances, links = with_robot(scene, robot)
     number = {instance.name: k for k, instance in enumerate(instances[: links.start])}
     objects = [number[scene.instances[body].name] for body in bodies]

@@ -1,0 +1,50 @@
+"""Legs and soles of people: where their joints are, and the points of their feet that touch the floor."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies.people.humanoid import Humanoid
+from h3data.bodies.people.skeleton import JOINT_INDEX
+from h3data.geometry import Array, quat_to_matrix
+
+SIDES = ("left", "right")
+LEG_JOINTS = np.array([[JOINT_INDEX[f"{s}_{j}"] for j in ("hip", "knee", "ankle", "foot")] for s in SIDES])
+HIP, KNEE, ANKLE, TOE = range(4)
+"""Columns of `LEG_JOINTS`."""
+
+
+def leg_frames(body: Humanoid, quats: Array, pelvis: Array) -> Array:
+    """Frames [T, 2, 4, 4, 4] of hip, knee, ankle and toe joint of the left and right leg, in the frame of ``pelvis`` [T, 3].
+
+    As `h3data.bodies.people.kernels.clips.joint_frames`, for these joints alone: a seventh of the memory.
+    """
+    frames = np.zeros((len(quats), 2, 4, 4, 4))
+    frames[..., 3, 3] = 1
+    turn, place = quat_to_matrix(quats[:, 0])[:, None], pelvis[:, None]
+    for k, joints in enumerate(LEG_JOINTS.T):
+        place = place + (turn @ body.joint_offsets[joints][..., None])[..., 0]
+        turn = turn @ quat_to_matrix(quats[:, joints])
+        frames[:, :, k, :3, :3], frames[:, :, k, :3, 3] = turn, place
+    return frames
+
+
+def sole_points(body: Humanoid, frames: Array) -> Array:
+    """Heel, the point below the ball, and toe tip of both feet, [T, 2, 3, 3] [m], of `leg_frames`."""
+    legs = body.gaits.legs
+    points = np.empty((len(frames), 2, 3, 3))
+    for k in range(2):
+        heel, ball, tip = legs.feet[k]
+        ankle, toe = frames[:, k, ANKLE], frames[:, k, TOE]
+        sole = np.array([0.0, -(legs.ankle_height + ball[1]), 0.0])
+        points[:, k, 0] = ankle[:, :3, 3] + ankle[:, :3, :3] @ heel
+        points[:, k, 1] = toe[:, :3, 3] + toe[:, :3, :3] @ sole
+        points[:, k, 2] = toe[:, :3, 3] + toe[:, :3, :3] @ (tip - ball)
+    return points
+
+
+def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Start and end (exclusive) of every run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

@@ -1,0 +1,185 @@
+"""Feet that stand still: where they touch the floor is found by height and speed, and legs are solved anew to keep them.
+
+A foot on the floor rolls over its heel, the ball below its toe joint, and the tip of its toes, whichever is lowest; the
+rotations of the foot stay, so its path follows: the lowest point rests while it is the lowest. Before and after, the
+correction fades from one stance to the next. Everything is in a frame with the floor at y = 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies.people.humanoid import Humanoid
+from h3data.bodies.people.legs import LEG_MAX
+from h3data.bodies.people.soles import ANKLE, HIP, KNEE, LEG_JOINTS, leg_frames, runs, sole_points
+from h3data.geometry import (
+    Array,
+    normalized,
+    quat_conjugate,
+    quat_from_axis_angle,
+    quat_from_matrix,
+    quat_multiply,
+    quat_rotate,
+)
+
+LOW_M, SLOW_MPS = 0.04, 0.25
+"""A point of a sole touches the floor if height / LOW_M + speed / SLOW_MPS is below 1: on the floor it may slide, as it does
+on a body of other proportions; in the air it counts only if it rests."""
+SPEED_S = 1 / 60
+"""Speeds are ways over at least so long, before or after, whichever is less."""
+GAP_S, STANCE_S = 0.06, 0.10
+"""Shorter interruptions of a stance are not believed, nor shorter stances."""
+SLIDE_M = 0.20
+"""A foot that slides further than this while it touches means it; it is left alone."""
+SINK_S = 0.12
+"""The pelvis is lowered towards feet out of reach over so long."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Contacts:
+    """Where soles touch the floor."""
+
+    touching: NDArray[np.bool_]
+    """Shape [T, 2]: left, right."""
+    slide_m: Array
+    """Distance by which the lowest point of a touching sole moved along the floor since the frame before, shape [T, 2]."""
+
+
+def find_contacts(points: Array, fps: float) -> Contacts:
+    """Which soles touch the floor, from `sole_points` [T, 2, 3, 3] at ``fps`` frames/s."""
+    span = max(1, min(round(SPEED_S * fps), len(points) - 1))
+    way = np.linalg.norm(points[span:] - points[:-span], axis=-1)
+    ends = np.full((span, *way.shape[1:]), np.inf)
+    speed = np.minimum(np.concatenate([way, ends]), np.concatenate([ends, way]))[: len(points)] * fps / span
+    if len(points) == 1:
+        speed = np.zeros(points.shape[:-1])
+    resting = np.maximum(points[..., 1], 0) / LOW_M + speed / SLOW_MPS < 1
+    gap, least = round(GAP_S * fps), round(STANCE_S * fps)
+    any_point = np.logical_or.reduce(resting, axis=2)
+    touching = np.stack([_without_short(any_point[:, k], gap, least) for k in range(2)], axis=1)
+    return Contacts(touching=touching, slide_m=_slide(points, touching))
+
+
+def _slide(points: Array, touching: NDArray[np.bool_]) -> Array:
+    """How far the point moved that was lowest in both frames, along the floor."""
+    out = np.zeros(points.shape[:2])
+    heights = points[1:, ..., 1] + points[:-1, ..., 1]
+    pivot = np.argmin(heights, axis=2)[..., None]
+    way = np.linalg.norm(np.diff(points[..., ::2], axis=0), axis=-1)
+    out[1:] = np.take_along_axis(way, pivot, axis=2)[..., 0]
+    return np.where(touching & np.roll(touching, 1, axis=0), out, 0.0)
+
+
+def _without_short(mask: NDArray[np.bool_], gap: int, least: int) -> NDArray[np.bool_]:
+    """Gaps of up to ``gap`` frames closed (not at the ends), then runs below ``least`` frames dropped."""
+    out = mask.copy()
+    for start, end in runs(~mask):
+        if end - start <= gap and start > 0 and end < len(mask):
+            out[start:end] = True
+    for start, end in runs(out):
+        if end - start < least and start > 0 and end < len(mask):
+            out[start:end] = False
+    return out
+
+
+def planted(body: Humanoid, quats: Array, pelvis: Array, fps: float) -> tuple[Array, Array]:
+    """Rotations [T, 55, 4] and pelvis places [T, 3] with feet that neither slide nor sink into the floor (y = 0)."""
+    frames = leg_frames(body, quats, pelvis)
+    points = sole_points(body, frames)
+    touching = find_contacts(points, fps).touching
+    ankles = frames[:, :, ANKLE, :3, 3].copy()
+    for k in range(2):
+        ankles[:, k] += _correction(points[:, k], touching[:, k])
+    pelvis = pelvis - _sinking(body, frames, ankles, fps)[:, None] * np.array([0.0, 1, 0])
+    return legs_to(body, quats, pelvis, ankles), pelvis
+
+
+def _correction(points: Array, touching: NDArray[np.bool_]) -> Array:
+    """How far an ankle is moved, [T, 3] [m], for the sole points [T, 3, 3] of its foot."""
+    frames = len(points)
+    shift, known = np.zeros((frames, 3)), np.zeros(frames, bool)
+    lowest = points[..., 1].min(axis=1)
+    for start, end in runs(touching):
+        part = points[start:end]
+        pivot = np.argmin(part[1:, :, 1] + part[:-1, :, 1], axis=1)
+        way = np.diff(part[..., ::2], axis=0)[np.arange(len(pivot)), pivot]
+        drift = np.concatenate([np.zeros((1, 2)), -np.cumsum(way, axis=0)])
+        drift -= drift.mean(axis=0)
+        if np.abs(drift).max() > SLIDE_M / 2:
+            continue
+        shift[start:end, ::2] = drift
+        shift[start:end, 1] = -lowest[start:end]
+        known[start:end] = True
+    if known.any():
+        at = np.flatnonzero(known)
+        for start, end in runs(~known):
+            before, after = shift[max(start - 1, at[0])], shift[min(end, at[-1])]
+            u = (np.arange(start, end) - start + 1) / (end - start + 1)
+            u = (u * u * (3 - 2 * u))[:, None]
+            shift[start:end] = before + u * (after - before)
+    shift[:, 1] = np.maximum(shift[:, 1], -lowest)
+    return shift
+
+
+def _sinking(body: Humanoid, frames: Array, ankles: Array, fps: float) -> Array:
+    """How far the pelvis must go down, [T] [m], smoothly, so that both ankles [T, 2, 3] are within reach."""
+    need = np.zeros(len(frames))
+    for k in range(2):
+        hip = frames[:, k, HIP, :3, 3]
+        aside = np.sum((hip - ankles[:, k])[:, ::2] ** 2, axis=1)
+        room = np.sqrt(np.maximum((LEG_MAX * body.gaits.legs.length) ** 2 - aside, 0.0))
+        need = np.maximum(need, hip[:, 1] - ankles[:, k, 1] - room)
+    reach = max(1, round(SINK_S * fps))
+    if len(need) == 1 or not need.any():
+        return need
+    wide = np.pad(need, 2 * reach, mode="edge")
+    highest = np.max(np.lib.stride_tricks.sliding_window_view(wide, 2 * reach + 1), axis=1)
+    window = np.hanning(2 * reach + 3)[1:-1]
+    return np.convolve(highest, window / window.sum(), mode="valid")
+
+
+def legs_to(body: Humanoid, quats: Array, pelvis: Array, ankles: Array) -> Array:
+    """Rotations [T, 55, 4] with hips and knees turned so that the ankles are at ``ankles`` [T, 2, 3].
+
+    They turn as little as possible, and the feet keep their rotations in the world. The solution is that of two bones
+    in closed form: the knee bends about its own axis, then the leg swings.
+    """
+    out = np.array(quats, np.float64)
+    frames = leg_frames(body, quats, pelvis)
+    legs = body.gaits.legs
+    root = quats[:, 0]
+    for k, (hip, knee, ankle, _) in enumerate(LEG_JOINTS.tolist()):
+        top, middle, low = (frames[:, k, joint, :3, 3] for joint in (HIP, KNEE, ANKLE))
+        hinge = frames[:, k, HIP, :3, 0]
+        thigh, shank = middle - top, low - middle
+        across = np.cross(thigh, shank)
+        sign = np.where(np.sum(across * hinge, axis=1) < 0, -1.0, 1.0)
+        bend = sign * np.arctan2(np.linalg.norm(across, axis=1), np.sum(thigh * shank, axis=1))
+        axis = normalized(sign[:, None] * across + 0.02 * legs.thigh * legs.shank * hinge)
+        aim = ankles[:, k] - top
+        far = np.clip(np.linalg.norm(aim, axis=1), abs(legs.thigh - legs.shank) + 1e-3, 0.9999 * legs.length)
+        cosine = (far**2 - legs.thigh**2 - legs.shank**2) / (2 * legs.thigh * legs.shank)
+        wanted = np.arccos(np.clip(cosine, -1, 1))
+        knee_turn = quat_from_axis_angle(axis, np.where(_at(far, low - top), 0.0, wanted - bend))
+        leg_turn = _shortest_turn(thigh + quat_rotate(knee_turn, shank), aim)
+        thigh_was, knee_was, foot = (quat_from_matrix(frames[:, k, joint, :3, :3]) for joint in (HIP, KNEE, ANKLE))
+        thigh_is = quat_multiply(leg_turn, thigh_was)
+        knee_is = quat_multiply(leg_turn, quat_multiply(knee_turn, knee_was))
+        out[:, hip] = quat_multiply(quat_conjugate(root), thigh_is)
+        out[:, knee] = quat_multiply(quat_conjugate(thigh_is), knee_is)
+        out[:, ankle] = quat_multiply(quat_conjugate(knee_is), foot)
+    return out
+
+
+def _at(far: Array, reached: Array) -> NDArray[np.bool_]:
+    """Whether a leg is as long as it shall be: then its knee is left alone, whatever its axis."""
+    return np.abs(far - np.linalg.norm(reached, axis=1)) < 1e-12
+
+
+def _shortest_turn(a: Array, b: Array) -> Array:
+    """Quaternions [T, 4] by the shortest way from directions ``a`` [T, 3] to ``b`` [T, 3]."""
+    a, b = normalized(a), normalized(b)
+    return normalized(np.concatenate([np.cross(a, b), 1 + np.sum(a * b, axis=1, keepdims=True)], axis=1))

@@ -1,0 +1,274 @@
+"""How deep the bodies of a recording are in the home: FCL on every part of every agent, and on what it holds.
+
+The base of a robot and the path of a person keep out of walls and furniture; arms and feet are not looked at while an episode
+runs. This looks at them afterwards.
+
+The one contact that an agent intends: while it picks or places, the hand, the forearm of a person and what the hand holds may
+be in the thing on or in which the object lies, or is to lie, because what is taken from a shelf is taken from inside it.
+Anything else counts: the same hand in the wall beside the shelf, an upper arm in the shelf, the carried object on its way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Humanoid, Robot
+from h3data.errors import InputError
+from h3data.geometry import Array, pose_to_matrix
+from h3data.recording import Recording
+from h3data.replay import Replay
+from h3data.scene import Scene, Shape
+from h3data.scene.records import Capsule, instance_matrix
+from h3data.scene.shape_bounds import shape_bounds
+from h3data_pipelines.validation.recordings import Finding
+from sim_kinematic.agents.arm_contact import arm_links
+from sim_kinematic.contact import FclScene, MovingShapes, contacts
+from sim_kinematic.contact.clearance import FLOOR_M, supports
+from sim_kinematic.contact.frames import body_shapes, shape_frames
+
+CORE_M = 1e-3
+"""Radius of the thin capsule within a capsule, from which depth is measured."""
+REACHING = ("pick", "place", "drop")
+"""Skills in which a hand goes to what something lies on."""
+HELD = "held object"
+"""The part under which everything that an agent carries is counted."""
+
+
+class Penetration(NamedTuple):
+    """How deep one agent is in the static things of its home."""
+
+    agent: int
+    parts: tuple[str, ...]
+    """Capsules of a person, links of a robot (``arm``: those that move its hand), and `HELD`."""
+    arm: NDArray[np.bool_]
+    """Which parts are arms, hands and what they hold, [P]."""
+    reaching: NDArray[np.bool_]
+    """Parts that may be in what an object lies on while it is picked or placed: hands, people's forearms, what is held, [P]."""
+    steps: NDArray[np.intp]
+    """The steps that were looked at, [T]."""
+    depth_m: NDArray[np.float64]
+    """Of each part, 0 where it touches nothing, [T, P] [m]. Of a capsule whose axis is outside: its radius less the distance
+    of the axis. Else the shorter of FCL's depth, which is too great for what is deep, and the way out along an axis of
+    the world."""
+    thing: NDArray[np.object_]
+    """Name of the instance in which it is deepest, empty where none, [T, P]."""
+    intended: NDArray[np.bool_]
+    """Which of these contacts the agent intends, [T, P]."""
+
+    @property
+    def unintended_m(self) -> NDArray[np.float64]:
+        """``depth_m`` outside contact that the agent intends, [T, P] [m]."""
+        return np.where(self.intended, 0.0, self.depth_m)
+
+
+def penetrations(recording: Recording, *, every: int = 1) -> list[Penetration]:
+    """Penetration of all agents drawn by built-in bodies, at each so many-th step.
+
+    A robot stands on what lies on the floor, up to `FLOOR_M`; people have no such allowance, but floors have no shapes.
+
+    Raises:
+        InputError: the recording carries no scene, or ``every`` is not at least 1.
+    """
+    replay = Replay(recording)
+    if replay.scene is None:
+        raise InputError(
+            "Penetration is measured in the recording's own scene, and it has no attachment scene.glb.",
+            code="H3-SIM-011",
+        )
+    if every < 1:
+        raise InputError(f"Expected every so many-th step, at least 1, got {every}.", code="H3-SIM-012")
+    steps, scenery = np.arange(0, len(recording), every), _Scenery(replay.scene)
+    return [_of_agent(replay, k, steps, scenery) for k, agent in enumerate(recording.agents) if agent.model]
+
+
+def unintended_depth(measured: Sequence[Penetration]) -> NDArray[np.float64]:
+    """Returns how deep the deepest part of any agent is in each step looked at, outside contact it intends, [T] [m]."""
+    deepest = np.zeros(len(measured[0].steps) if measured else 0)
+    for found in measured:
+        deepest = np.maximum(deepest, found.unintended_m.max(1))
+    return deepest
+
+
+def penetration_findings(recording: Recording, *, limit_m: float = 0.02) -> list[Finding]:
+    """Returns a warning for each part of an agent that is deeper than ``limit_m`` in something, outside contact it intends.
+
+    Recordings without a scene, or whose agents have no built-in body, yield none.
+    """
+    if "scene.glb" not in recording.attachments:
+        return []
+    findings = []
+    for found in penetrations(recording):
+        depth = found.unintended_m
+        for part, deep, things in zip(found.parts, depth.T, found.thing.T, strict=True):
+            over = deep > limit_m
+            if not over.any():
+                continue
+            worst = int(deep.argmax())
+            share = f"deeper than {100 * limit_m:g} cm in {over.mean():.1%} of the steps"
+            text = f"{100 * deep[worst]:.1f} cm deep in {things[worst]}; {share}"
+            subject, first = f"{recording.agents[found.agent].name}, {part}", int(found.steps[over.argmax()])
+            findings.append(
+                Finding(
+                    check="penetration",
+                    severity="warning",
+                    subject=subject,
+                    text=text,
+                    step=first,
+                    count=int(over.sum()),
+                )
+            )
+    return findings
+
+
+def _supports(recording: Recording, agent: int, steps: NDArray[np.intp], scenery: _Scenery) -> list[frozenset[str]]:
+    """Names of the things on which the object lies, or is to lie, that an agent picks or places in each step."""
+    moving = {body.name: body.moving for body in recording.bodies}
+    found = [frozenset[str]()] * len(steps)
+    for span in recording.skills:
+        if span.agent != agent or span.name not in REACHING or moving.get(span.target, -1) < 0:
+            continue
+        lies_at = span.start_step if span.name == "pick" else min(span.end_step, len(recording) - 1)
+        point = recording.columns["object_pose"][lies_at, moving[span.target], :3].astype(np.float64)
+        things = frozenset(scenery.supports(point))
+        for row in np.flatnonzero((steps >= span.start_step) & (steps <= span.end_step)):
+            found[row] = things
+    return found
+
+
+def _of_agent(replay: Replay, number: int, steps: NDArray[np.intp], scenery: _Scenery) -> Penetration:
+    body = replay.model(number)
+    if isinstance(body, Robot):
+        frames = replay.link_matrices(number, steps).astype(np.float64)
+        parts = tuple(link.name for link in body.links)
+        of_part = np.array([k for k, link in enumerate(body.links) for _ in link.shapes])
+        arm = np.isin(np.arange(len(parts)), arm_links(body)) if body.hand_link >= 0 else np.zeros(len(parts), np.bool_)
+        reaching = np.array(
+            [link == body.hand_link or body.links[link].parent == body.hand_link for link in range(len(parts))]
+        )
+        reaching &= body.hand_link >= 0
+    else:
+        frames = replay.joint_matrices(number, steps)
+        parts = tuple(capsule.name for capsule in body.capsules)
+        of_part = np.arange(len(parts))
+        arm = np.array([name.endswith(("upper_arm", "forearm", "hand")) for name in parts])
+        reaching = np.array([name.endswith(("forearm", "hand")) for name in parts])
+    depth, thing = scenery.depths(body_shapes(body), _lifted(shape_frames(body, frames), body))
+    depth, thing = _deepest(depth, thing, of_part, len(parts))
+    held_depth, held_thing = _held(replay, number, steps, scenery)
+    depth, thing = np.column_stack([depth, held_depth]), np.column_stack([thing, held_thing])
+    reaching, intended = np.append(reaching, True), np.zeros(depth.shape, np.bool_)
+    for row, things in enumerate(_supports(replay.recording, number, steps, scenery)):
+        if things:
+            intended[row] = reaching & np.isin(thing[row], list(things))
+    return Penetration(
+        agent=number,
+        parts=(*parts, HELD),
+        arm=np.append(arm, True),
+        reaching=reaching,
+        steps=steps,
+        depth_m=depth,
+        thing=thing,
+        intended=intended,
+    )
+
+
+def _lifted(frames: NDArray[np.floating], body: Robot | Humanoid) -> NDArray[np.float64]:
+    frames = np.array(frames, np.float64)
+    if isinstance(body, Robot):
+        frames[..., 1, 3] += FLOOR_M
+    return frames
+
+
+def _deepest(
+    depth: NDArray[np.float64], thing: NDArray[np.object_], of_part: NDArray[np.intp], parts: int
+) -> tuple[NDArray[np.float64], NDArray[np.object_]]:
+    """From shapes [T, S] to the parts [T, P] that they belong to."""
+    best, where = np.zeros((len(depth), parts)), np.full((len(depth), parts), "", object)
+    for shape, part in enumerate(of_part):
+        deeper = depth[:, shape] > best[:, part]
+        best[deeper, part], where[deeper, part] = depth[deeper, shape], thing[deeper, shape]
+    return best, where
+
+
+def _held(
+    replay: Replay, number: int, steps: NDArray[np.intp], scenery: _Scenery
+) -> tuple[NDArray[np.float64], NDArray[np.object_]]:
+    """Depth [T] and thing [T] of what the agent holds."""
+    recording, scene = replay.recording, replay.scene
+    assert scene is not None
+    depth, thing = np.zeros(len(steps)), np.full(len(steps), "", object)
+    held = recording.columns.get(f"agent_{number}.grasp_body")
+    if held is None:
+        return depth, thing
+    for index in np.unique(held[steps][held[steps] >= 0]):
+        body = recording.bodies[index]
+        shapes = tuple(scene.assets[body.asset].shapes) if body.asset in scene.assets else ()
+        rows = np.flatnonzero(held[steps] == index)
+        if body.moving < 0 or not shapes:
+            continue
+        poses = pose_to_matrix(recording.columns["object_pose"][steps[rows], body.moving].astype(np.float64))
+        frames = np.tile(poses[:, None], (1, len(shapes), 1, 1)).astype(np.float64)
+        of_shapes, where = scenery.depths(shapes, frames)
+        best, names = _deepest(of_shapes, where, np.zeros(len(shapes), np.intp), 1)
+        depth[rows], thing[rows] = best[:, 0], names[:, 0]
+    return depth, thing
+
+
+class _Scenery:
+    """The static things of a scene, and how deep shapes are in them."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = FclScene(scene)
+        self._bounds = [  # in the order of the objects of `FclScene`
+            shape_bounds(shape, instance_matrix(instance))
+            for instance in scene.static_instances
+            for shape in scene.assets[instance.asset].shapes
+        ]
+
+    def depths(
+        self, shapes: Sequence[Shape], frames: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.object_]]:
+        """Depths [T, S] [m] of shapes in frames [T, S, 4, 4], and names [T, S] of the things in which they are deepest."""
+        depth, thing = np.zeros(frames.shape[:2]), np.full(frames.shape[:2], "", object)
+        moving, cores = MovingShapes(shapes), MovingShapes([_core(shape) for shape in shapes])
+        for t, pose in enumerate(frames):
+            moving.set_transforms(pose)
+            deepest: dict[tuple[int, int], float] = {}
+            for contact in contacts(self._scene, moving):  # deepest first
+                deepest.setdefault((contact.index_a, contact.index_b), contact.depth_m)
+            if deepest:
+                cores.set_transforms(pose)
+            for (a, b), deep in deepest.items():
+                gap = self._gap(a, cores, b) if isinstance(shapes[b], Capsule) else 0.0
+                if gap > 0:
+                    deep = shapes[b].radius - CORE_M - gap  # pyright: ignore[reportAttributeAccessIssue]
+                else:
+                    deep = min(deep, _way_out(self._bounds[a], shape_bounds(shapes[b], pose[b])))
+                if deep > depth[t, b]:
+                    depth[t, b], thing[t, b] = deep, self._scene.names[a]
+        return depth, thing
+
+    def supports(self, point: Array) -> set[str]:
+        """Names of the things on which something at a world point [3] lies."""
+        return supports(self._scene, point)
+
+    def _gap(self, a: int, cores: MovingShapes, b: int) -> float:
+        """Distance [m] from thing ``a`` to the core of capsule ``b``, not above 0 where it is inside."""
+        import fcl
+
+        pair = self._scene.objects[a], cores.objects[b]
+        return float(fcl.distance(*pair, fcl.DistanceRequest(), fcl.DistanceResult()))
+
+
+def _core(shape: Shape) -> Shape:
+    """A capsule made thin; other shapes stay."""
+    return Capsule(start=shape.start, end=shape.end, radius=CORE_M) if isinstance(shape, Capsule) else shape
+
+
+def _way_out(thing: Array, part: Array) -> float:
+    """The shortest way [m] along an axis of the world by which two boxes [2, 3] get out of each other."""
+    return float(np.minimum(part[1] - thing[0], thing[1] - part[0]).min())
