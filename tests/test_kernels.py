@@ -19,6 +19,7 @@ import numba.extending
 import numpy as np
 import pytest
 from numba import types
+from numba.core.errors import NumbaError
 from numba.core.runtime import _nrt_python  # type: ignore[attr-defined]
 from numba.core.runtime.nrt import rtsys
 
@@ -164,6 +165,57 @@ def test_a_part_has_no_machine_code_and_is_compiled_once_for_all_constants():
         assert not made.library._codegen._engine.is_symbol_defined(made.fndesc.llvm_func_name)
     (whole,) = summed.overloads.values()
     assert whole.library._codegen._engine.is_symbol_defined(whole.fndesc.llvm_func_name)
+
+
+def test_a_part_that_borrows_counts_no_references():
+    def sum_until_5(table, count):
+        total = 0.0
+        for k in range(count):
+            for x in table[0][k]:
+                if x > 5:
+                    break
+                total += x
+        return total
+
+    def counts(**options):
+        part = kernels.kernel_part(**options)(sum_until_5)
+        assert kernels.kernel()(lambda table, count: part(table, count))((np.ones((4, 2)), 1), 3) == 6.0
+        (made,) = part.overloads.values()
+        return made.library.get_llvm_str().count("@NRT_incref(")
+
+    assert counts() > 0
+    assert counts(borrows=True) == 0
+
+
+def test_a_part_that_borrows_neither_makes_nor_returns_nor_gets_arrays():
+    @kernels.kernel_part()
+    def first(a):
+        return a[0]
+
+    @kernels.kernel_part(borrows=True)
+    def returns(a):
+        return 1, a
+
+    @kernels.kernel_part(borrows=True)
+    def gets(a):
+        return first(a)[0]
+
+    @kernels.kernel_part(borrows=True)
+    def makes(a):
+        return np.empty(len(a)).size
+
+    @kernels.kernel_part(borrows=True)
+    def copies(a):
+        return a[a > 0].size
+
+    @kernels.kernel_part(borrows=True)
+    def adds(a):
+        return (a + a)[0, 0]
+
+    for part, why in ((returns, "return"), (gets, "get"), (makes, "get"), (copies, "get"), (adds, "get")):
+        with pytest.raises(NumbaError, match=f"borrows arrays and must not {why}"):
+            kernels.kernel()(lambda a, part=part: part(a))(np.ones((2, 2)))
+    assert kernels.kernel()(lambda a: first(a)[0])(np.ones((2, 2))) == 1.0, "parts that are called are not changed"
 
 
 def test_garbage_is_collected_again_after_compiling():

@@ -9,13 +9,21 @@ from h3data.errors import FormatError
 from h3data.recording.parquet.files import write_atomic
 from h3data.recording.storage import AnyPath
 
+_KEPT, _KEPT_BYTES = 8, 64 << 20
+"""Most files, and bytes of all of them, that a store keeps in memory."""
+
 
 class FileStore:
-    """A folder of files named ``<sha256>.<ext>``; each is checked once, when this object first reads or keeps it."""
+    """A folder of files named ``<sha256>.<ext>``; each is checked once, when this object first reads or keeps it.
+
+    Those read last are kept: episodes of a dataset often have their home in common.
+    """
 
     def __init__(self, folder: AnyPath) -> None:
         self.folder = folder
         self._sound: set[str] = set()
+        self._read: dict[str, bytes] = {}
+        """Contents of the files read last, the oldest first."""
 
     def put(self, name: str, data: bytes) -> str:
         """Stores contents unless they are there already, and returns the file's name; ``name`` gives its suffix.
@@ -43,6 +51,8 @@ class FileStore:
         Raises:
             FormatError: it is missing, or its contents do not have the hash that names it.
         """
+        if (kept := self._read.get(stored)) is not None:
+            return kept
         path = self.folder / Path(stored).name
         try:
             data = path.read_bytes()
@@ -58,4 +68,8 @@ class FileStore:
                     code="H3-RECORDING-005",
                 )
             self._sound.add(stored)
+        read = {**self._read, stored: data}
+        while len(read) > _KEPT or sum(map(len, read.values())) > _KEPT_BYTES:
+            del read[next(iter(read))]
+        self._read = read
         return data

@@ -101,6 +101,7 @@ class PosedRecording:
         self._assets: dict[str, Mesh | None] = {}
         self.missing: dict[str, int] = missing
         """Number of bodies that refer to each asset file that was not found."""
+        self._models: dict[int, Robot | Humanoid] = {}
         self._joints = _recorded_joints(recording, self.scene)
         refs = {ref.name: ref for ref in recording.assets}
         rigs = {rig["body"]: rig for rig in recording.episode.info.get("rigs", ())}
@@ -218,6 +219,11 @@ class PosedRecording:
 
     def model(self, agent: int) -> Robot | Humanoid:
         """The built-in model of an agent."""
+        if agent not in self._models:  # to find a robot again, its files are looked at
+            self._models[agent] = self._load_model(agent)
+        return self._models[agent]
+
+    def _load_model(self, agent: int) -> Robot | Humanoid:
         kind, _, name = self.recording.agents[agent].model.partition("/")
         if kind == "robot":
             with names_from_data():

@@ -26,10 +26,12 @@ from hypothesis import strategies as st
 from h3data.errors import FormatError, InputError
 from h3data.recording import (
     SCHEMA_VERSION,
+    Agent,
     Dataset,
     DatasetWriter,
     InputEvent,
     Recording,
+    file_store,
     open_recording,
     read_mcap,
     rebuild_meta,
@@ -40,7 +42,9 @@ from h3data.recording import (
 from h3data.recording.parquet import shard as dataset_shard
 from h3data.recording.parquet.folder import EpisodeRows
 from h3data.recording.parquet.moments import lerobot_stats, merged, moments_of, pack_moments, unpack_moments
-from h3data.recording.schema import DTYPES
+from h3data.recording.parquet.records import _records
+from h3data.recording.parquet.schema import SIDECARS, record_schema
+from h3data.recording.schema import DTYPES, struct_from_dict
 from tests.examples import examples
 from tests.paths import REAL, ROOT
 from tests.recording.strategies import recordings, simple_recording
@@ -317,6 +321,39 @@ def test_attachments_are_stored_once(tmp_path):
     assert len(list((root / "h3/files").iterdir())) == 4
     assert ds.recording(4).attachments == recs[4].attachments
     assert not list(tmp_path.glob("**/evil*"))
+
+
+def test_an_attachment_that_episodes_share_is_read_once(tmp_path, monkeypatch):
+    shared, other = simple_recording(seed=0), replace(simple_recording(seed=1), attachments={"scene.glb": b"other"})
+    ds = written(tmp_path / "ds", shared, other, replace(simple_recording(seed=2), attachments=shared.attachments))
+    first = ds.recording(0).attachments["scene.glb"]
+    assert ds.recording(2).attachments["scene.glb"] is first
+    monkeypatch.setattr(file_store, "_KEPT_BYTES", 5)  # no more than the other one
+    assert ds.recording(1).attachments["scene.glb"] == b"other"
+    assert ds.recording(0).attachments["scene.glb"] is not first
+    assert ds.recording(0).attachments["scene.glb"] == first
+
+
+@SOME
+@given(rec=recordings(max_steps=3))
+def test_records_are_read_by_columns_as_they_are_row_by_row(tmp_path, rec):
+    ds = written(tmp_path / "ds", rec)
+    for kind, struct in SIDECARS.items():
+        table = ds._records.table(kind, 0)
+        found, expected = _records(struct, table), [struct_from_dict(struct, row) for row in table.to_pylist()]
+        assert list(map(repr, found)) == list(map(repr, expected))
+        assert all(a.flags.writeable for each in found for a in vars(each).values() if isinstance(a, np.ndarray))
+
+
+def test_lists_with_nulls_are_refused_and_lost_fields_keep_their_defaults():
+    rows = {"name": ["spot"], "kind": ["robot"], "joint_names": [["a", None]]}
+    schema = pa.schema([(name, record_schema("Agent").field(name).type) for name in rows])
+    with pytest.raises(ValueError, match="a list of string values has nulls"):
+        _records("Agent", pa.table(rows, schema=schema))
+    (agent,) = _records("Agent", pa.table({**rows, "joint_names": [["a", "b"]]}, schema=schema))
+    assert agent == Agent(name="spot", kind="robot", joint_names=("a", "b"))
+    with pytest.raises(TypeError):  # `of_episodes` says which file it is
+        _records("Agent", pa.table({"episode_index": [0]}))
 
 
 def test_an_attachment_that_is_not_what_its_name_says_is_refused(tmp_path):

@@ -4,7 +4,7 @@ The one definition of "found" for the paper's metrics and whatever follows it; h
 `h3data_habitat.metrics.stats`.
 """
 
-# NumPy, so that a command over a few episodes does not import numba (0.25 s); a kernel (`encounter_kernel`), a third of the
+# NumPy, so that a command over a few episodes does not import numba (0.25 s); a kernel (`encounter_kernel`), a sixth of the
 # time, where numba is there anyway or so many rows are measured that it is worth its import. Values are the same to the
 # last bit.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from h3data.recording.file_store import FileStore
 from h3data.recording.parquet.columns import conform
 from h3data.recording.parquet.files import shard_path
 from h3data.recording.parquet.schema import SIDECARS, record_schema
-from h3data.recording.schema import struct_from_dict
+from h3data.recording.schema import RECORD_TYPES, STRUCTS
 from h3data.recording.storage import AnyPath, readable
 
 DAMAGE = (
@@ -79,8 +79,7 @@ class DatasetRecords:
             table, owners = self._tables[key]
             # records are sorted by episode, since episodes are only ever appended
             bounds = np.searchsorted(owners, [*episodes, episodes.stop])
-            rows = table.slice(bounds[0], bounds[-1] - bounds[0]).to_pylist()
-            records = [struct_from_dict(SIDECARS[kind], row) for row in rows]
+            records = _records(SIDECARS[kind], table.slice(bounds[0], bounds[-1] - bounds[0]))
             return [tuple(records[a - bounds[0] : b - bounds[0]]) for a, b in itertools.pairwise(bounds)]
         except DAMAGE as error:
             last = episodes[-1]
@@ -108,3 +107,31 @@ class DatasetRecords:
             name: self._files.get(file, what=f"The attachment {name} of episode {episode}", hint=_RESTORE)
             for name, file in stored.items()
         }
+
+
+def _records(struct: str, table: pa.Table) -> list[Any]:
+    """The records in a table of `record_schema`, column by column: half the time of `struct_from_dict` for each.
+
+    Fields that the file lacks keep their defaults.
+    """
+    columns = {name: _cells(table[name], kind) for name, kind in STRUCTS[struct].items() if name in table.column_names}
+    if "color" in columns:
+        columns["color"] = [color or None for color in columns["color"]]
+    rows = zip(*columns.values(), strict=True) if columns else [()] * len(table)
+    return [RECORD_TYPES[struct](**dict(zip(columns, row, strict=True))) for row in rows]
+
+
+def _cells(column: pa.ChunkedArray, kind: str) -> Sequence[Any]:
+    """The values of a column of this kind: numbers, texts, tuples, or float32 arrays."""
+    if not kind.endswith("*"):
+        return column.to_pylist()
+    lists = column.combine_chunks()
+    flat = lists.flatten()
+    ends = np.cumsum(lists.value_lengths().to_numpy(zero_copy_only=False)).tolist()
+    if kind == "float*":
+        values: Any = np.array(flat.to_numpy(zero_copy_only=False), np.float32)
+    elif flat.null_count:
+        raise ValueError(f"a list of {kind[:-1]} values has nulls")
+    else:
+        values = tuple(flat.to_pylist())
+    return [values[a:b] for a, b in itertools.pairwise([0, *ends])]

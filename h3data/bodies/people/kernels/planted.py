@@ -170,7 +170,7 @@ class GaitTables(NamedTuple):
     """How high the floor is at a place (`h3data.scene.floor_heights`), [K, 10]; [0, 10]: it is level."""
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _row(table, speed):
     """Row below a speed, and the share of the next one."""
     v = abs(speed)
@@ -183,55 +183,55 @@ def _row(table, speed):
     return k, (v - table.speeds[k]) / (table.speeds[k + 1] - table.speeds[k])
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _at(column, k, f):
     return column[k] + f * (column[k + 1] - column[k])
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _eased(u):
     return u * u * (3 - 2 * u)
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _wrapped(angle):
     return angle - 2 * math.pi * math.floor((angle + math.pi) / (2 * math.pi))
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _to_world(x, z, heading, left, ahead, yaw):
     c, s = math.cos(heading), math.sin(heading)
     return x + c * ahead - s * left, z - s * ahead - c * left, heading + yaw
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _to_body(x, z, heading, px, pz, ph):
     c, s = math.cos(heading), math.sin(heading)
     dx, dz = px - x, pz - z
     return -s * dx - c * dz, c * dx - s * dz, _wrapped(ph - heading)
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _gait_ahead(table, k, f, speed, phase):
     """How far ahead of the pelvis the steady gait has a foot on the floor at its own phase, 0 at its strike."""
     way = math.copysign(1.0, speed) * _at(table.travel, k, f)
     return _at(table.middle, k, f) + way * (_at(table.strike, k, f) - phase)
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _swing_ahead(table, k, f, speed, share):
     stance = _at(table.stance, k, f)
     off, on = _gait_ahead(table, k, f, speed, stance), _gait_ahead(table, k, f, speed, 0.0)
     return off + _eased(share) * (on - off)
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _own_phase(phase, foot):
     own = phase - 0.5 * foot
     return own - math.floor(own)
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _slides_to(table, x, z, to_x, to_z):
     """Where a point gets that moves from free floor towards a place and slides along what is in between."""
     for _ in range(SLIDES):
@@ -258,7 +258,7 @@ def _slides_to(table, x, z, to_x, to_z):
     return x, z
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _beside_things(table, state, foot, left, ahead, yaw):
     """A place of a foot in the body frame, moved out of walls and furniture: (left, ahead)."""
     if table.sdf.shape[0] == 0:
@@ -279,7 +279,7 @@ def _beside_things(table, state, foot, left, ahead, yaw):
     return left, ahead
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _lands_at(table, k, f, state, foot, left, ahead, gone):
     """World position (x, z) at which a swinging foot will land.
 
@@ -292,7 +292,7 @@ def _lands_at(table, k, f, state, foot, left, ahead, gone):
     return x, z
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _on_a_tread(table, state, foot, x, z, heading, came_from):
     """Moves the place of a foot in the world along the stairs so that it lies on one tread.
 
@@ -302,7 +302,7 @@ def _on_a_tread(table, state, foot, x, z, heading, came_from):
     return on_a_tread(table.heights, x, z, heading, feet[0, 2], feet[2, 2], came_from)
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _came_from(table, state, foot):
     """Number of the tread that a foot stands on or has left."""
     at, feet = FOOT + foot * FOOT_COLUMNS, table.legs.feet[foot]
@@ -310,7 +310,7 @@ def _came_from(table, state, foot):
     return tread_of(table.heights, place[0], place[1], place[2], feet[0, 2], feet[2, 2])
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _stand_place(table, state, foot):
     """Where a foot of a standing person belongs, in the body frame: (left, ahead)."""
     side = table.half_width if foot == 0 else -table.half_width
@@ -322,7 +322,7 @@ def _stand_place(table, state, foot):
     return left, ahead
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _above_root(table, k, f, state, foot, along):
     """Height of the floor under a foot above that under the root [m].
 
@@ -346,14 +346,14 @@ def _above_root(table, k, f, state, foot, along):
     return over_steps(table.heights, x, z, heading, heel + along, toe + along, low, high, share) - root
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _steps_off(table, state, foot):
     """Whether a swinging foot has left a place in a stairwell: then it goes straight from there to where it will land."""
     at = FOOT + foot * FOOT_COLUMNS
     return table.heights.shape[0] > 0 and step_at(table.heights, state[at + PLANT], state[at + PLANT + 1])[0] >= 0
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _stair_line(table, k, f, state, foot, done, gone):
     """Foot on its path between two treads, of which it has passed the share ``done``.
 
@@ -368,7 +368,7 @@ def _stair_line(table, k, f, state, foot, done, gone):
     return left, ahead, yaw, done
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _swing_line(table, k, f, state, foot, share):
     """As `_swing_place`, at a share of the swing, where nothing stands in the way."""
     at = FOOT + foot * FOOT_COLUMNS
@@ -385,7 +385,7 @@ def _swing_line(table, k, f, state, foot, share):
     return left, ahead, yaw, done
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _swing_place(table, k, f, state, foot):
     """Where a swinging foot is over the floor, in the body frame, and how far it has got since it left."""
     left, ahead, yaw, done = _swing_line(table, k, f, state, foot, state[FOOT + foot * FOOT_COLUMNS + SHARE])
@@ -393,7 +393,7 @@ def _swing_place(table, k, f, state, foot):
     return left, ahead, yaw, done
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _foot_place(table, k, f, state, foot):
     """Where a foot is over the floor, in the body frame: left, ahead, yaw."""
     at = FOOT + foot * FOOT_COLUMNS
@@ -403,7 +403,7 @@ def _foot_place(table, k, f, state, foot):
     return _to_body(state[X], state[Z], state[HEADING], state[at + PLANT], state[at + PLANT + 1], state[at + PLANT + 2])
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _curve(curves, k, f, share, i):
     place = min(max(share, 0.0), 1.0) * (curves.shape[1] - 1)
     low = min(int(place), curves.shape[1] - 2)
@@ -413,7 +413,7 @@ def _curve(curves, k, f, share, i):
     return below + f * (above - below)
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _gait_shape(table, k, f, state, foot):
     """Pitch, bend [deg], and the ankle's place forward and up from a foot's place on the floor, as the gait has them."""
     at = FOOT + foot * FOOT_COLUMNS
@@ -432,7 +432,7 @@ def _gait_shape(table, k, f, state, foot):
     return forwards * pitch, forwards * bend, forwards * along, up + min(LIFT * off, LIFT_MOST_M) * arc * arc
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _shape(table, k, f, state, foot):
     """As `_gait_shape`, as it is: a foot on the floor pivots about heel or ball, one in the air does not enter the floor."""
     at, feet = FOOT + foot * FOOT_COLUMNS, table.legs.feet[foot]
@@ -450,7 +450,7 @@ def _shape(table, k, f, state, foot):
     return pitch, bend, along, up + max(clear - lowest(feet, up, pitch, bend), 0.0)
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _ankle(table, k, f, state, foot):
     """Ankle in the body frame, pitch, bend [deg] and yaw [rad] of a foot."""
     left, ahead, yaw = _foot_place(table, k, f, state, foot)
@@ -460,7 +460,7 @@ def _ankle(table, k, f, state, foot):
     return (left + s * along, up, ahead + c * along), pitch, bend, yaw
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _keep_shape(table, k, f, state, foot, shape):
     """Lets a foot that has just left the floor, or landed, look as it did before: (pitch, bend, forward, up)."""
     at = FOOT + foot * FOOT_COLUMNS
@@ -470,7 +470,7 @@ def _keep_shape(table, k, f, state, foot, shape):
     state[at + SHAPE_OFF + 2], state[at + SHAPE_OFF + 3] = in_air * (shape[2] - now[2]), in_air * (shape[3] - now[3])
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _plant(table, state, foot, place, steps):
     at = FOOT + foot * FOOT_COLUMNS
     x, z, heading = _to_world(state[X], state[Z], state[HEADING], place[0], place[1], place[2])
@@ -480,7 +480,7 @@ def _plant(table, state, foot, place, steps):
     state[at + PLANT], state[at + PLANT + 1], state[at + PLANT + 2] = x, z, heading
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _leave(table, k, f, state, foot, share):
     """The foot leaves the floor, with a share of its swing behind it."""
     at = FOOT + foot * FOOT_COLUMNS
@@ -496,7 +496,7 @@ def _leave(table, k, f, state, foot, share):
     _keep_shape(table, k, f, state, foot, shape)
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def stand_at(table, state, x, z, heading):
     """A state that stands at a root."""
     for i in range(len(state)):
@@ -509,7 +509,7 @@ def stand_at(table, state, x, z, heading):
     _settle_pelvis(table, k, f, state, 0.0)
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def is_settled(table, state):
     """Whether both feet stand where a standing person's do."""
     k, f = _row(table, 0.0)
@@ -524,7 +524,7 @@ def is_settled(table, state):
     return True
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _begin(table, k, f, state):
     """The first step: the foot that stands more wrongly makes it, or the one on the side to which the root turns."""
     worst, wrong = 1 if state[TURN] < 1e-3 else 0, 0.0
@@ -542,7 +542,7 @@ def _begin(table, k, f, state):
     _leave(table, k, f, state, worst, max((own - stance) / (1 - stance), 0.0))
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _change_speed(table, state, velocity, most):
     """Brings the gait's speed nearer to the root's, with the feet where they are: what they are off it fades later."""
     k, f = _row(table, state[SPEED])
@@ -568,7 +568,7 @@ def _change_speed(table, state, velocity, most):
     state[SPEED] = speed
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def step_gait(table, state, x, z, heading, dt):
     """Brings a state on by one step in which the root gets to (x, z, heading)."""
     dx, dz = x - state[X], z - state[Z]
@@ -622,7 +622,7 @@ def step_gait(table, state, x, z, heading, dt):
     _settle_pelvis(table, k, f, state, dt)
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _climbing_speed(table):
     """Speed of the gait whose steps are one tread long [m/s]."""
     length = 2 * tread_length(table.heights)
@@ -633,7 +633,7 @@ def _climbing_speed(table):
     return table.speeds[k] + share * (table.speeds[k + 1] - table.speeds[k])
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _turn_look(state, dt):
     """Turns the head by one step towards where the root will be turned."""
     wanted = min(max(LOOK_S * state[TURN], -LOOK_RAD), LOOK_RAD)
@@ -643,7 +643,7 @@ def _turn_look(state, dt):
     state[LOOK] += state[LOOK_RATE] * dt
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _toes(table, k, f, state, foot, share):
     """Ankle and toes of a swinging foot along the floor in the body frame, left and ahead each, where nothing stands there."""
     left, ahead, yaw, _ = _swing_line(table, k, f, state, foot, share)
@@ -652,7 +652,7 @@ def _toes(table, k, f, state, foot, share):
     return left + s * along, ahead + c * along, left + s * (along + TOE_M), ahead + c * (along + TOE_M)
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _unhurried(table, k, f, state, ahead, dt):
     """The cycles, ``ahead`` at most, that the phase runs on in a step so that no swinging foot moves too fast."""
     most = max(SWING_MPS, _at(table.swing, k, f)) * dt
@@ -672,7 +672,7 @@ def _unhurried(table, k, f, state, ahead, dt):
     return slowest
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _advance(table, k, f, state, ahead, rate, rests):
     """Runs the phase on by ``ahead`` cycles: feet leave the floor, fly and land."""
     stance = _at(table.stance, k, f)
@@ -721,7 +721,7 @@ def _advance(table, k, f, state, ahead, rate, rests):
         _keep_shape(table, k, f, state, landed, shapes)
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _aim(table, k, f, state, foot, span, gone):
     """Moves the place where a swinging foot will land: half of what the root does in its stance beyond the gait, ahead."""
     at = FOOT + foot * FOOT_COLUMNS
@@ -741,7 +741,7 @@ def _aim(table, k, f, state, foot, span, gone):
         state[at + LANDS_AT + i] += min(max(step, -most), most)
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _show(state, ahead):
     """Trunk and arms follow the phase of the feet, which has gone on by ``ahead`` cycles."""
     gap = state[PHASE] - state[SHOWN] - ahead
@@ -749,14 +749,14 @@ def _show(state, ahead):
     state[SHOWN] = (state[SHOWN] + ahead + min(max(0.15 * gap, -CATCH_UP), CATCH_UP)) % 1.0
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _columns(table, phase):
     place = phase * table.quats.shape[1]
     low = int(math.floor(place)) % table.quats.shape[1]
     return low, (low + 1) % table.quats.shape[1], place - math.floor(place)
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _pelvis(table, state):
     k, f = _row(table, state[STYLE])
     low, high, share = _columns(table, state[SHOWN])
@@ -772,7 +772,7 @@ def _pelvis(table, state):
     return x, y, z
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _joint(table, k, f, low, high, share, j):
     below = nlerp(row4(table.quats[k, low], j), row4(table.quats[k, high], j), share)
     if f == 0.0:
@@ -781,14 +781,14 @@ def _joint(table, k, f, low, high, share, j):
     return nlerp(below, above, f)
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _pelvis_turn(table, state):
     k, f = _row(table, state[STYLE])
     low, high, share = _columns(table, state[SHOWN])
     return _joint(table, k, f, low, high, share, 0)
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _lacks(table, k, f, state, foot):
     """How far the pelvis of the gait must sink for a foot to be within reach [m]."""
     place, turn = _pelvis(table, state), _pelvis_turn(table, state)
@@ -800,7 +800,7 @@ def _lacks(table, k, f, state, foot):
     return place[1] + hip[1] - ankle[1] - room
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _will_lack(table, k, f, state, foot):
     """As `_lacks`, of a swinging foot that has come down where it will, flat, while the pelvis stays where it is."""
     place, turn = _pelvis(table, state), _pelvis_turn(table, state)
@@ -819,7 +819,7 @@ def _will_lack(table, k, f, state, foot):
     return place[1] + hip[1] - up - room
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def _settle_pelvis(table, k, f, state, dt):
     """How far the pelvis must be below that of the gait for the planted feet: down at once, up at leisure."""
     sink, climbs = 0.0, table.heights.shape[0] > 0
@@ -836,7 +836,7 @@ def _settle_pelvis(table, k, f, state, dt):
     state[SINK] = max(sink, state[SINK] - RISE_MPS * dt)
 
 
-@kernel_part()
+@kernel_part(borrows=True)
 def pose_state(table, state, quats, pelvis, ankle, foot, angles):
     """The pose of a state, into quats [55, 4] and pelvis [3] in the agent root frame."""
     k, f = _row(table, state[STYLE])

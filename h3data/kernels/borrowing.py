@@ -1,0 +1,77 @@
+"""Parts of kernels that only borrow arrays, to which numba counts no references.
+
+Counting is atomic. It takes most of the time of functions that take arrays out of tuples and rows out of arrays.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, Literal
+
+from numba import types
+from numba.core.compiler_machinery import register_pass
+from numba.core.errors import TypingError
+
+from h3data.kernels.parts import PartCompiler, _PartLowering, part_type
+
+_VIEWS = ("getitem", "static_getitem", "getattr", "getiter", "iternext", "pair_first", "exhaust_iter")
+"""Operations whose results are part of what they are applied to."""
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _BorrowingLowering(_PartLowering):
+    """`_PartLowering` without counting. The option of numba would be passed on to all parts that are called from here."""
+
+    _name = "h3data_borrowing_lowering"
+
+    def run_pass(self, state: Any) -> Literal[True]:
+        _check(state)
+        counting = state.targetctx
+        state.targetctx = counting.subtarget(enable_nrt=False)
+        try:
+            return super().run_pass(state)
+        finally:
+            state.targetctx = counting
+
+
+def _check(state: Any) -> None:
+    """Refuses a part that returns an array, which would be freed while in use, or makes or is given one, which never would."""
+
+    def holds_arrays(kind: types.Type) -> bool:
+        return state.targetctx.data_model_manager[kind].contains_nrt_meminfo()
+
+    name = state.func_id.func_name
+    if holds_arrays(state.return_type):
+        raise TypingError(f"{name} borrows arrays and must not return {state.return_type}.")
+    for expression, signature in state.calltypes.items():
+        if not hasattr(signature, "return_type") or not holds_arrays(signature.return_type):
+            continue
+        operation = getattr(expression, "op", "")
+        if operation in _VIEWS:
+            is_view = not any(isinstance(kind, types.Array) for kind in signature.args[1:])
+        else:
+            called = state.typemap[expression.func.name] if operation == "call" else None
+            is_view = isinstance(called, types.BoundFunction) and called.typing_key == "array.reshape"
+        if not is_view:
+            raise TypingError(f"{name} borrows arrays and must not get a new {signature.return_type}: {expression}.")
+
+
+class BorrowingCompiler(PartCompiler):
+    """`PartCompiler` with `_BorrowingLowering`."""
+
+    def define_pipelines(self) -> list[Any]:
+        """The pipelines of parts, with `_BorrowingLowering` in place of `_PartLowering`."""
+        pipelines = super().define_pipelines()
+        for pipeline in pipelines:
+            pipeline.passes[:] = [
+                (_BorrowingLowering if step is _PartLowering else step, text) for step, text in pipeline.passes
+            ]
+            pipeline._finalized = False
+            pipeline.finalize()
+        return pipelines
+
+
+@functools.cache
+def borrowing_type(dispatcher_type: type) -> type:
+    """The class of parts that borrow: its name is in the digest of their code (`h3data.kernels.digests`)."""
+    return type("BorrowingPart", (part_type(dispatcher_type),), {})
