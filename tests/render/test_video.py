@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -62,6 +64,23 @@ def test_the_same_frames_make_the_same_file(tmp_path: Path, codec):
             np.testing.assert_array_equal(image, expected)
         else:
             assert np.abs(image.astype(int) - expected).mean() < 6
+
+
+def test_depth_is_encoded_by_the_thread_that_has_it(tmp_path: Path):
+    """Threads encode frames of one FFV1 video side by side; the file is that of FFmpeg's encoder with threads of its own."""
+    rng = np.random.default_rng(2)
+    frames = [rng.integers(0, 300, (48, 64)).astype(np.uint16) for _ in range(12)]
+    with VideoWriter(tmp_path / "a.mkv", 64, 48, 29.97, codec="ffv1") as video, ThreadPoolExecutor(3) as pool:
+        for packet in pool.map(video.planes, frames):
+            video.write_planes(packet)
+    options = {"level": "3", "slices": "4", "slicecrc": "1", "g": "1"}
+    with av.open(str(tmp_path / "b.mkv"), "w", format="matroska", options={"fflags": "+bitexact"}) as container:
+        stream = container.add_stream("ffv1", rate=Fraction(29.97).limit_denominator(1001), options=options)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "gray16le"
+        for image in frames:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="gray16le")))
+        container.mux(stream.encode(None))
+    assert (tmp_path / "a.mkv").read_bytes() == (tmp_path / "b.mkv").read_bytes()
 
 
 def test_colours_become_yuv_as_ffmpeg_has_it(tmp_path: Path):
