@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from benchmarks.render_rerender import OUTPUTS, Emit, scene_of
 from h3data.render import VideoWriter
 from h3data.render.gpu import gpu_problem
-from h3data.render.image_files import depth_to_mm, stored_ids, write_png
+from h3data.render.id_png import id_png_bytes
+from h3data.render.image_files import depth_to_mm, stored_ids
 from h3data.replay import CameraTrack, Replay
 from h3data.replay.stage import WORLDS
 from h3data_pipelines.outputs import Target
@@ -126,7 +127,7 @@ def _run_encoders(emit: Emit, replay: Replay, track: CameraTrack) -> None:
             def write() -> None:
                 with VideoWriter(Path(folder) / f"alone{suffix}", 640, 480, codec=codec) as video:
                     for frame in frames:
-                        video.write_planes(frame)
+                        (video.write if codec == "ffv1" else video.write_planes)(frame)
 
             _emit_both(emit, f"rerender.gpu.{name}", write, count)
 
@@ -137,9 +138,7 @@ def _run_encoders(emit: Emit, replay: Replay, track: CameraTrack) -> None:
     encode("h264", ".mp4", "h264", colors)
     encode("ffv1", ".mkv", "ffv1", [depth_to_mm(one["depth"]) for one in drawn])
     ids = [stored_ids(one["instance"]) for one in drawn]
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "ids.png"
-        _emit_both(emit, "rerender.gpu.png_of_ids", lambda: [write_png(path, one) for one in ids], count)
+    _emit_both(emit, "rerender.gpu.png_of_ids", lambda: [id_png_bytes(one) for one in ids], count)
 
 
 def _emit_both(emit: Emit, name: str, work: Callable[[], object], count: int) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import timeit
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 from pathlib import Path
@@ -10,10 +12,12 @@ import av
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from h3data.errors import InputError
 from h3data.render import VideoWriter, write_depth_png, write_png
-from h3data.render.image_files import stored_ids
+from h3data.render.id_png import id_png_bytes
+from h3data.render.image_files import png_bytes, stored_ids
 
 
 def frame(k: int, width: int, height: int) -> np.ndarray:
@@ -144,6 +148,45 @@ def test_png_round_trips(tmp_path: Path):
     assert stored.dtype == np.uint16
     np.testing.assert_array_equal(stored, [[0, 1, 1234], [65535, 0, 3001]])
     assert sorted(p.name for p in tmp_path.iterdir()) == ["depth.png", "rgb.png"]
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 5), (3, 16), (5, 17), (40, 33), (3, 700)])
+def test_pictures_of_ids_round_trip(size: tuple[int, int]):
+    height, width = size
+    rng = np.random.default_rng(height)
+    columns = np.repeat(rng.integers(0, 600, (height, -(-width // 3))), 3, 1)[:, :width]
+    pictures = [
+        rng.integers(0, 65536, size),
+        257 * rng.integers(0, 2, size),
+        np.zeros(size),
+        np.repeat(rng.integers(0, 600, (height, 1)), width, 1),
+        columns,
+        np.full(size, 65535),
+    ]
+    for picture in pictures:
+        stored = picture.astype(np.uint16)
+        read = cv2.imdecode(np.frombuffer(id_png_bytes(stored), np.uint8), cv2.IMREAD_UNCHANGED)
+        assert read.dtype == np.uint16
+        np.testing.assert_array_equal(read, stored)
+        with Image.open(
+            io.BytesIO(id_png_bytes(stored[:, ::-1]))
+        ) as other:  # another reader, and a picture with strides
+            np.testing.assert_array_equal(np.array(other), stored[:, ::-1])
+
+
+def test_pictures_of_ids_are_smaller_than_those_of_zlib():
+    """Rectangles and discs before each other, as a home shows: three quarters of what zlib makes of them, and less time."""
+    rng, (y, x) = np.random.default_rng(4), np.mgrid[0:480, 0:640]
+    ids = np.zeros((480, 640), np.uint16)
+    for k in range(60):
+        column, row, side = rng.integers(0, 640), rng.integers(0, 480), rng.integers(10, 120)
+        inside = np.hypot(x - column, y - row) < side if k % 2 else (abs(x - column) < side) & (abs(y - row) < side)
+        ids[inside] = rng.integers(1, 400)
+    assert len(id_png_bytes(ids)) < 0.75 * len(png_bytes(ids))
+    for encode in (id_png_bytes, png_bytes):
+        encode(ids)
+    seconds = [min(timeit.repeat(lambda e=encode: e(ids), number=1, repeat=9)) for encode in (id_png_bytes, png_bytes)]
+    assert seconds[0] < 0.6 * seconds[1]
 
 
 def test_ids_are_stored_one_up(tmp_path: Path):
