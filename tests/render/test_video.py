@@ -17,7 +17,7 @@ from PIL import Image
 from h3data.errors import InputError
 from h3data.render import VideoWriter, write_depth_png, write_png
 from h3data.render.id_png import id_png_bytes
-from h3data.render.image_files import png_bytes, stored_ids
+from h3data.render.image_files import depth_to_mm, png_bytes, stored_ids
 
 
 def frame(k: int, width: int, height: int) -> np.ndarray:
@@ -77,7 +77,7 @@ def test_depth_is_encoded_by_the_thread_that_has_it(tmp_path: Path):
     with VideoWriter(tmp_path / "a.mkv", 64, 48, 29.97, codec="ffv1") as video, ThreadPoolExecutor(3) as pool:
         for packet in pool.map(video.planes, frames):
             video.write_planes(packet)
-    options = {"level": "3", "slices": "4", "slicecrc": "1", "g": "1"}
+    options = {"level": "3", "slices": "4", "slicecrc": "1", "g": "1", "qtable": "greater8bit"}
     with av.open(str(tmp_path / "b.mkv"), "w", format="matroska", options={"fflags": "+bitexact"}) as container:
         stream = container.add_stream("ffv1", rate=Fraction(29.97).limit_denominator(1001), options=options)
         stream.width, stream.height, stream.pix_fmt = 64, 48, "gray16le"
@@ -85,6 +85,18 @@ def test_depth_is_encoded_by_the_thread_that_has_it(tmp_path: Path):
             container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="gray16le")))
         container.mux(stream.encode(None))
     assert (tmp_path / "a.mkv").read_bytes() == (tmp_path / "b.mkv").read_bytes()
+
+
+def test_depth_in_millimetres_is_small(tmp_path: Path):
+    """Surfaces that recede, as a home shows: a bit a pixel, and what is read back is what was written."""
+    y, x = np.mgrid[0:240, 0:320]
+    surfaces = [(y - 100 + 0.1 * x) / 250.0, (x - 200 + 0.2 * y) / 460.0, (150 - x + 0.15 * y) / 510.0]
+    depth = depth_to_mm((1 / np.maximum.reduce([*surfaces, 0.21 + 1e-4 * (x + y)])).astype(np.float32))
+    with VideoWriter(tmp_path / "a.mkv", 320, 240, codec="ffv1") as video:
+        video.write(depth)
+    with av.open(str(tmp_path / "a.mkv")) as container:
+        np.testing.assert_array_equal(next(container.decode(video=0)).to_ndarray(format="gray16le"), depth)
+    assert 8 * (tmp_path / "a.mkv").stat().st_size < 1.05 * depth.size
 
 
 def test_colours_become_yuv_as_ffmpeg_has_it(tmp_path: Path):
