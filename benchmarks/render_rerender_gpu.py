@@ -92,6 +92,7 @@ def _run_parts(emit: Emit, replay: Replay, track: CameraTrack, samples: Literal[
         torch.cuda.synchronize()
         return drawn
 
+    from h3data.replay.stage import _HostCopies
     from h3data.replay.stage import _show as stage_show
 
     pose()
@@ -104,7 +105,8 @@ def _run_parts(emit: Emit, replay: Replay, track: CameraTrack, samples: Literal[
     emit(f"rerender.gpu.s{samples}_pose_upload_launch_ms", _wall(posed_and_launched) / len(steps) * 1e3, "ms")
     emit(f"rerender.gpu.s{samples}_launch_ms", _wall(launch) / len(steps) * 1e3, "ms")
     drawn = launch()
-    copied = _wall(lambda: {name: array.cpu() for name, array in drawn.items()})
+    copies = _HostCopies()
+    copied = _wall(lambda: copies.copied(0, drawn))
     emit(f"rerender.gpu.s{samples}_copy_to_host_ms", copied / len(steps) * 1e3, "ms")
 
 
