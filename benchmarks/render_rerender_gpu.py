@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from benchmarks.render_rerender import OUTPUTS, Emit, scene_of
 from h3data.render import VideoWriter
-from h3data.render.image_files import depth_to_mm, stored_ids, write_png
+from h3data.render.id_png import id_png_bytes
+from h3data.render.image_files import depth_to_mm, stored_ids
 from h3data.replay import CameraTrack, Replay
 from h3data.replay.stage import WORLDS
 from h3data_gpu import gpu_problem
@@ -91,6 +92,7 @@ def _run_parts(emit: Emit, replay: Replay, track: CameraTrack, samples: Literal[
         torch.cuda.synchronize()
         return drawn
 
+    from h3data.replay.stage import _HostCopies
     from h3data.replay.stage import _show as stage_show
 
     pose()
@@ -103,7 +105,8 @@ def _run_parts(emit: Emit, replay: Replay, track: CameraTrack, samples: Literal[
     emit(f"rerender.gpu.s{samples}_pose_upload_launch_ms", _wall(posed_and_launched) / len(steps) * 1e3, "ms")
     emit(f"rerender.gpu.s{samples}_launch_ms", _wall(launch) / len(steps) * 1e3, "ms")
     drawn = launch()
-    copied = _wall(lambda: {name: array.cpu() for name, array in drawn.items()})
+    copies = _HostCopies()
+    copied = _wall(lambda: copies.copied(0, drawn))
     emit(f"rerender.gpu.s{samples}_copy_to_host_ms", copied / len(steps) * 1e3, "ms")
 
 
@@ -126,7 +129,7 @@ def _run_encoders(emit: Emit, replay: Replay, track: CameraTrack) -> None:
             def write() -> None:
                 with VideoWriter(Path(folder) / f"alone{suffix}", 640, 480, codec=codec) as video:
                     for frame in frames:
-                        video.write_planes(frame)
+                        (video.write if codec == "ffv1" else video.write_planes)(frame)
 
             _emit_both(emit, f"rerender.gpu.{name}", write, count)
 
@@ -137,9 +140,7 @@ def _run_encoders(emit: Emit, replay: Replay, track: CameraTrack) -> None:
     encode("h264", ".mp4", "h264", colors)
     encode("ffv1", ".mkv", "ffv1", [depth_to_mm(one["depth"]) for one in drawn])
     ids = [stored_ids(one["instance"]) for one in drawn]
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "ids.png"
-        _emit_both(emit, "rerender.gpu.png_of_ids", lambda: [write_png(path, one) for one in ids], count)
+    _emit_both(emit, "rerender.gpu.png_of_ids", lambda: [id_png_bytes(one) for one in ids], count)
 
 
 def _emit_both(emit: Emit, name: str, work: Callable[[], object], count: int) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
@@ -53,6 +53,34 @@ class _Person:
     agent: int
     full: _Skin | None
     light: _Skin | None
+
+
+class _HostCopies:
+    """Pictures copied from a GPU into page-locked memory, which is used again: several times as fast as into new memory."""
+
+    def __init__(self) -> None:
+        self._buffers: dict[tuple[int, str], Any] = {}
+
+    def copied(self, camera: int, drawn: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+        """A camera's outputs [N, H, W, ...] as arrays, which are valid until the next call for this camera."""
+        arrays: dict[str, NDArray[Any]] = {}
+        devices: set[Any] = set()
+        for name, array in drawn.items():
+            if not hasattr(array, "cpu"):
+                arrays[name] = array
+                continue
+            buffer = self._buffers.get((camera, name))
+            if buffer is None or len(buffer) < len(array):
+                buffer = array.new_empty(array.shape, device="cpu", pin_memory=array.is_cuda)
+                self._buffers[camera, name] = buffer
+            arrays[name] = buffer[: len(array)].copy_(array, non_blocking=True).numpy()
+            devices |= {array.device} if array.is_cuda else set()
+        if devices:
+            import torch
+
+            for device in devices:
+                torch.cuda.current_stream(device).synchronize()
+        return arrays
 
 
 class Stage:
@@ -187,18 +215,25 @@ class Stage:
         *,
         outputs: Sequence[Output],
         samples: Literal[1, 4] = 1,
+        copies: _HostCopies | None = None,
     ) -> list[Images]:
-        """`render` for several steps at once, each in a world of the renderer."""
+        """`render` for several steps at once, each in a world of the renderer.
+
+        With ``copies``, the images are valid until the next call with them; otherwise they are new.
+        """
         people = [self._pose(renderer, step, outputs, world=world) for world, step in enumerate(steps)]
         posed: list[set[_Skin]] = [set() for _ in steps]
         images: list[Images] = [[] for _ in steps]
-        for track in tracks:
+        for number, track in enumerate(tracks):
             cameras = [track.at(step) for step in steps]
             for world, camera in enumerate(cameras):
                 for person, joints in people[world]:
                     _show(renderer, person, joints, camera, posed[world], world=world)
             drawn = renderer.render_batch(cameras, worlds=range(len(steps)), outputs=outputs, samples=samples)
-            host = {name: array.cpu().numpy() if hasattr(array, "cpu") else array for name, array in drawn.items()}
+            if copies is not None:
+                host = copies.copied(number, drawn)
+            else:
+                host = {name: array.cpu().numpy() if hasattr(array, "cpu") else array for name, array in drawn.items()}
             for world in range(len(steps)):
                 images[world].append({name: array[world] for name, array in host.items()})
         return images
@@ -259,7 +294,7 @@ class Stage:
         """Yields ``(step, images)`` like `Replay.frames`, or ``(step, then(step, images))``.
 
         ``then`` runs in the thread that rendered the images, or in one of the threads beside a GPU, e.g. to encode them in
-        parallel. ``backend`` as of `chosen_backend`.
+        parallel; it must not keep them, as a GPU's later images take their place. ``backend`` as of `chosen_backend`.
         """
         if chosen_backend(backend) == "gpu":
             yield from self._frames_at_once(tracks, steps, outputs, samples, threads, then)
@@ -301,11 +336,16 @@ class Stage:
         """`frames` by a GPU, which draws the next steps while ``then`` works on the last ones."""
         renderer = self.renderer("auto", worlds=min(WORLDS, max(len(steps), 1)))
         before: list[tuple[int, Future[Any]]] = []
+        # while one batch is drawn, `then` works on the one before; without `then`, the images go to somebody who may keep them
+        copies = [None, None] if then is None else [_HostCopies(), _HostCopies()]
         with ThreadPoolExecutor(max(threads, 1), thread_name_prefix="h3data-render") as pool:
             try:
                 for first in range(0, len(steps), WORLDS):
                     some = steps[first : first + WORLDS]
-                    images = self.render_steps(renderer, some, tracks, outputs=outputs, samples=samples)
+                    copies.reverse()
+                    images = self.render_steps(
+                        renderer, some, tracks, outputs=outputs, samples=samples, copies=copies[0]
+                    )
                     work = then or (lambda _, pictures: pictures)
                     now = [(step, pool.submit(work, step, one)) for step, one in zip(some, images, strict=True)]
                     yield from ((step, future.result()) for step, future in before)

@@ -65,7 +65,7 @@ class Target:
     def open(self, camera: Camera, fps: float, picture: ToPicture) -> AbstractContextManager[Sink]:
         """A sink for the frames. The target gets its name at the end of the block, unless an exception occurs."""
         if self.form == "png":
-            return _open_folder(self.path, picture)
+            return _open_folder(self.path, picture, ids=self.output in ("instance", "semantic"))
         return _open_video(self, camera, fps, picture)
 
 
@@ -106,20 +106,23 @@ def _open_video(target: Target, camera: Camera, fps: float, picture: ToPicture) 
 class _FolderSink:
     folder: Path
     picture: ToPicture
+    ids: bool
 
     def prepare(self, image: NDArray[Any], step: int) -> None:
+        from h3data.render.id_png import id_png_bytes
         from h3data.render.image_files import png_bytes
 
+        encoded = (id_png_bytes if self.ids else png_bytes)(self.picture(image, step))
         # under its name at once: the folder has its own name only when it is complete
         with open(f"{self.folder}/{step:06d}.png", "wb") as file:
-            file.write(png_bytes(self.picture(image, step)))
+            file.write(encoded)
 
     def write(self, frame: None) -> None:
         pass
 
 
 @contextmanager
-def _open_folder(target: Path, picture: ToPicture) -> Iterator[Sink]:
+def _open_folder(target: Path, picture: ToPicture, *, ids: bool) -> Iterator[Sink]:
     """A folder of pictures that gets the name ``target`` when it is complete, replacing older pictures."""
     part = target.with_name(target.name + ".part")
     for folder in (part, target):
@@ -132,7 +135,7 @@ def _open_folder(target: Path, picture: ToPicture) -> Iterator[Sink]:
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)
     try:
-        yield _FolderSink(part, picture)
+        yield _FolderSink(part, picture, ids)
     except OSError:
         raise
     except BaseException:

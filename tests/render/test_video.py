@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import io
+import timeit
+from concurrent.futures import ThreadPoolExecutor
+from fractions import Fraction
 from pathlib import Path
 
 import av
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from h3data.errors import InputError
 from h3data.render import VideoWriter, write_depth_png, write_png
-from h3data.render.image_files import stored_ids
+from h3data.render.id_png import id_png_bytes
+from h3data.render.image_files import depth_to_mm, png_bytes, stored_ids
 
 
 def frame(k: int, width: int, height: int) -> np.ndarray:
@@ -62,6 +68,35 @@ def test_the_same_frames_make_the_same_file(tmp_path: Path, codec):
             np.testing.assert_array_equal(image, expected)
         else:
             assert np.abs(image.astype(int) - expected).mean() < 6
+
+
+def test_depth_is_encoded_by_the_thread_that_has_it(tmp_path: Path):
+    """Threads encode frames of one FFV1 video side by side; the file is that of FFmpeg's encoder with threads of its own."""
+    rng = np.random.default_rng(2)
+    frames = [rng.integers(0, 300, (48, 64)).astype(np.uint16) for _ in range(12)]
+    with VideoWriter(tmp_path / "a.mkv", 64, 48, 29.97, codec="ffv1") as video, ThreadPoolExecutor(3) as pool:
+        for packet in pool.map(video.planes, frames):
+            video.write_planes(packet)
+    options = {"level": "3", "slices": "4", "slicecrc": "1", "g": "1", "qtable": "greater8bit"}
+    with av.open(str(tmp_path / "b.mkv"), "w", format="matroska", options={"fflags": "+bitexact"}) as container:
+        stream = container.add_stream("ffv1", rate=Fraction(29.97).limit_denominator(1001), options=options)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "gray16le"
+        for image in frames:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="gray16le")))
+        container.mux(stream.encode(None))
+    assert (tmp_path / "a.mkv").read_bytes() == (tmp_path / "b.mkv").read_bytes()
+
+
+def test_depth_in_millimetres_is_small(tmp_path: Path):
+    """Surfaces that recede, as a home shows: a bit a pixel, and what is read back is what was written."""
+    y, x = np.mgrid[0:240, 0:320]
+    surfaces = [(y - 100 + 0.1 * x) / 250.0, (x - 200 + 0.2 * y) / 460.0, (150 - x + 0.15 * y) / 510.0]
+    depth = depth_to_mm((1 / np.maximum.reduce([*surfaces, 0.21 + 1e-4 * (x + y)])).astype(np.float32))
+    with VideoWriter(tmp_path / "a.mkv", 320, 240, codec="ffv1") as video:
+        video.write(depth)
+    with av.open(str(tmp_path / "a.mkv")) as container:
+        np.testing.assert_array_equal(next(container.decode(video=0)).to_ndarray(format="gray16le"), depth)
+    assert 8 * (tmp_path / "a.mkv").stat().st_size < 1.05 * depth.size
 
 
 def test_colours_become_yuv_as_ffmpeg_has_it(tmp_path: Path):
@@ -125,6 +160,45 @@ def test_png_round_trips(tmp_path: Path):
     assert stored.dtype == np.uint16
     np.testing.assert_array_equal(stored, [[0, 1, 1234], [65535, 0, 3001]])
     assert sorted(p.name for p in tmp_path.iterdir()) == ["depth.png", "rgb.png"]
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 5), (3, 16), (5, 17), (40, 33), (3, 700)])
+def test_pictures_of_ids_round_trip(size: tuple[int, int]):
+    height, width = size
+    rng = np.random.default_rng(height)
+    columns = np.repeat(rng.integers(0, 600, (height, -(-width // 3))), 3, 1)[:, :width]
+    pictures = [
+        rng.integers(0, 65536, size),
+        257 * rng.integers(0, 2, size),
+        np.zeros(size),
+        np.repeat(rng.integers(0, 600, (height, 1)), width, 1),
+        columns,
+        np.full(size, 65535),
+    ]
+    for picture in pictures:
+        stored = picture.astype(np.uint16)
+        read = cv2.imdecode(np.frombuffer(id_png_bytes(stored), np.uint8), cv2.IMREAD_UNCHANGED)
+        assert read.dtype == np.uint16
+        np.testing.assert_array_equal(read, stored)
+        with Image.open(
+            io.BytesIO(id_png_bytes(stored[:, ::-1]))
+        ) as other:  # another reader, and a picture with strides
+            np.testing.assert_array_equal(np.array(other), stored[:, ::-1])
+
+
+def test_pictures_of_ids_are_smaller_than_those_of_zlib():
+    """Rectangles and discs before each other, as a home shows: three quarters of what zlib makes of them, and less time."""
+    rng, (y, x) = np.random.default_rng(4), np.mgrid[0:480, 0:640]
+    ids = np.zeros((480, 640), np.uint16)
+    for k in range(60):
+        column, row, side = rng.integers(0, 640), rng.integers(0, 480), rng.integers(10, 120)
+        inside = np.hypot(x - column, y - row) < side if k % 2 else (abs(x - column) < side) & (abs(y - row) < side)
+        ids[inside] = rng.integers(1, 400)
+    assert len(id_png_bytes(ids)) < 0.75 * len(png_bytes(ids))
+    for encode in (id_png_bytes, png_bytes):
+        encode(ids)
+    seconds = [min(timeit.repeat(lambda e=encode: e(ids), number=1, repeat=9)) for encode in (id_png_bytes, png_bytes)]
+    assert seconds[0] < 0.6 * seconds[1]
 
 
 def test_ids_are_stored_one_up(tmp_path: Path):

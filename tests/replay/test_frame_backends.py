@@ -64,6 +64,44 @@ def test_steps_in_worlds_are_steps_one_by_one(recording: Recording, monkeypatch:
                 np.testing.assert_array_equal(one[name], other[name], err_msg=f"{name} of step {step}")
 
 
+def test_a_devices_pictures_are_copied_into_the_same_memory(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Batches take turns in two sets of buffers; without ``then``, whoever gets the pictures may keep them."""
+    torch = pytest.importorskip("torch")
+    replay = Replay(recording, light="flat")
+    tracks = [camera_track(replay, name).resized(40, 32) for name in ("third_person", "top_down")]
+    steps, options = range(0, 70, 5), {"outputs": OUTPUTS, "threads": 2}
+    want = frames(replay, tracks, steps, "cpu")
+    monkeypatch.setattr(stage_module, "chosen_backend", lambda _: "gpu")
+    monkeypatch.setattr(stage_module, "WORLDS", 4)
+    renderer = stage_module.Stage.renderer
+
+    def on_the_cpu(stage: Any, backend: Any = "cpu", **options: Any) -> Any:
+        made = renderer(stage, "cpu", **options)
+        draw = made.render_batch
+        made.render_batch = lambda *a, **k: {name: torch.from_numpy(one) for name, one in draw(*a, **k).items()}
+        return made
+
+    monkeypatch.setattr(stage_module.Stage, "renderer", on_the_cpu)
+    places: set[int] = set()
+
+    def digested(step: int, images: Any) -> Any:
+        places.update(image["depth"].ctypes.data for image in images)
+        time.sleep(0.002)  # the next batch is drawn meanwhile
+        return [{name: image[name].copy() for name in OUTPUTS} for image in images]
+
+    kept = frames(replay, tracks, steps, "gpu")
+    then = list(replay.stage.frames(tracks, steps, then=digested, **options))  # type: ignore[arg-type]
+    assert len(places) == 2 * 4 * len(tracks)
+    for got in (kept, then):
+        assert [step for step, _ in got] == list(steps)
+        for (step, images), (_, expected) in zip(got, want, strict=True):
+            for one, other in zip(images, expected, strict=True):
+                for name in OUTPUTS:
+                    np.testing.assert_array_equal(one[name], other[name], err_msg=f"{name} of step {step}")
+
+
 @pytest.mark.skipif(not gpu_fault(), reason="there is a GPU")
 def test_without_a_gpu_it_is_refused_in_one_sentence(
     recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]

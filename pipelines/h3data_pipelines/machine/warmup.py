@@ -130,6 +130,7 @@ def _pictures() -> None:
     from h3data.mesh.mesh import Mesh, Texture
     from h3data.render import Renderer, RenderInstance, RenderScene, VideoWriter, look_at, orthographic, pinhole
     from h3data.render.colors import depth_to_rgb, instance_to_rgb
+    from h3data.render.id_png import id_png_bytes
     from h3data.render.image_files import depth_to_mm, stored_ids
 
     texture = Texture(pixels=np.full((2, 2, 4), 255, np.uint8))
@@ -152,7 +153,7 @@ def _pictures() -> None:
             video.write(images["rgb"])
             for convert in (depth_to_mm, lambda depth: depth_to_rgb(depth, 0.0, 10.0)):
                 convert(images["depth"])
-            for convert in (instance_to_rgb, stored_ids):
+            for convert in (instance_to_rgb, lambda ids: id_png_bytes(stored_ids(ids))):
                 convert(images["instance"])
 
 

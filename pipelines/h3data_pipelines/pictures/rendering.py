@@ -38,9 +38,9 @@ def render_files(
 ) -> None:
     """Renders ``steps`` from every camera into its targets.
 
-    ``threads`` threads pose, render and prepare frames (colour maps, PNG encoding); each target has one more thread that
-    encodes or writes. Few frames are in flight at a time, so memory stays constant. The files do not depend on the number
-    of threads, and they get their final names only when complete.
+    ``threads`` threads pose, render and prepare frames (colour maps, PNG and FFV1 encoding); each target has one more thread
+    that encodes H.264 or AV1, or writes. Few frames are in flight at a time, so memory stays constant. The files do not
+    depend on the number of threads, and they get their final names only when complete.
 
     ``frame_done`` is called after each frame, in place of a bar of progress with ``description``.
     """
