@@ -26,6 +26,7 @@ from sim_kinematic.envs.world_stepper import WorldStepper  # noqa: E402
 from sim_kinematic.motion.spec import StrideSpec, WalkerSpec  # noqa: E402
 from sim_kinematic.sensing.table import SENSORS, TABLE  # noqa: E402
 from sim_kinematic.tasks.episode import StepOutcome  # noqa: E402
+from tests.training.torch.capturable import CapturableOnly  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
 HOMES, SEED, WORLDS = ["small:1", "small:2"], 3, 6
@@ -97,6 +98,16 @@ def test_make_gives_any_task_on_a_device(bank: EpisodeBank) -> None:
     assert not (terminated | truncated).any()
     for name, rows in observation.items():
         assert all(env.single_observation_space[name].contains(row) for row in rows.numpy()), name
+
+
+def test_a_step_can_be_part_of_a_graph(bank: EpisodeBank) -> None:
+    sim = TaskTensors(bank, task=PointGoal(), device="cpu", spec=RULES)
+    play, still = sim.before_the_first(torch.zeros(4, dtype=torch.int64)), torch.zeros(4, 2)
+    with CapturableOnly():
+        after = sim.step(play, still)
+        sim.observations(("goal_gps", "way", "range_scan"), after)
+    for mine, theirs in zip(play.tensors(), after.tensors(), strict=True):
+        assert (mine.shape, mine.dtype) == (theirs.shape, theirs.dtype)
 
 
 @pytest.mark.slow
