@@ -157,7 +157,7 @@ def _depth_fps(worlds: int, *, compile: bool) -> float:
     from h3data_training.torch.cameras import TensorCameras
     from h3data_training.torch.episodes import EpisodeBank
     from h3data_training.torch.graph import captured, fused, overwrite
-    from h3data_training.torch.social_nav import Play, SocialNavTensors
+    from h3data_training.torch.social_nav import SocialNavTensors
     from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
 
     rules = SocialNavSpec(end_on_collision=False, max_steps=3000, human=HOME_WALKER)
@@ -175,7 +175,7 @@ def _depth_fps(worlds: int, *, compile: bool) -> float:
         hfov_deg=90.0,
         compile=compile,
     )
-    play = Play.before_the_first(torch.arange(worlds, device="cuda") % len(bank), sim.dtype)
+    play = sim.before_the_first(torch.arange(worlds, device="cuda") % len(bank))
     actions = torch.rand(64, worlds, 2, device="cuda") * 2 - 1
     row = torch.zeros(1, dtype=torch.int64, device="cuda")
 

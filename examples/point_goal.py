@@ -19,7 +19,6 @@ import h3data
 from h3data.errors import SceneError
 from h3data.geometry import wrap_angle
 from h3data.policies import AgentView, Velocity
-from h3data.recording import Event
 from h3data.sensors import SENSORS, Sensor, gps_compass
 from h3data.tasks import (
     Control,
@@ -76,31 +75,25 @@ class PointGoal(Task):
                 return Episode(scene=scene, free=free, seed=seed, spec=spec, roster=roster, starts=starts, extra=extra)
         raise SceneError(f"No free point {near} to {far} m from the person's start. Hint: another scene or seed.")
 
-    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
-        """Remembers where the goals are and how far it is to them."""
-        if play.memory is None:
-            worlds = play.world.worlds
-            play.memory = {"goal": np.zeros((worlds, 2)), "left": np.zeros(worlds), "done": np.zeros(worlds, np.bool_)}
-        play.memory["goal"][rows] = [play.episodes[w].extra["goal"] for w in rows]
-        play.memory["left"][rows] = self._distance(play)[rows]
-        play.memory["done"][rows] = False
+    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> Mapping[str, Any]:
+        """Remembers where the goals are and how far it is to them; ``play.xp`` is NumPy, or torch on a device."""
+        goal = play.extra("goal")
+        return {"goal": goal, "left": self._distance(play, goal), "done": play.steps < 0}
 
     def judge(self, play: WorldRollout) -> StepOutcome:
         """Progress along the shortest path is rewarded, disturbing costs, arriving ends the episode."""
-        memory, spec, (robot, *people) = play.memory, play.spec, play.world.state.agents
-        left, before = self._distance(play), memory["left"]
-        gap = np.min([np.hypot(*(person.xz - robot.xz).T) for person in people], axis=0)
+        xp, memory, spec, (robot, *people) = play.xp, play.memory, play.spec, play.world.state.agents
+        left, before = self._distance(play, memory["goal"]), memory["left"]
+        gaps = [person.xz - robot.xz for person in people]
+        gap = xp.amin(xp.stack([xp.hypot(gap[:, 0], gap[:, 1]) for gap in gaps]), 0)
         disturbs, arrived = gap < spec.personal_m, left < spec.arrive_m
-        events = [
-            (int(w), Event(step=int(play.steps[w]) - 1, agent=0, kind="arrived")) for w in np.flatnonzero(arrived)
-        ]
         memory["left"], memory["done"] = left, memory["done"] | arrived
         return StepOutcome(
             reward=before - left - 0.1 * disturbs + 10.0 * arrived,
             terminated=arrived,
             success=memory["done"],
             columns={"metrics.goal_distance": left, "metrics.disturbs": disturbs},
-            events=events,
+            events=play.events_where(arrived, "arrived", agent=0),
         )
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
@@ -108,15 +101,14 @@ class PointGoal(Task):
         goal = Sensor(partial(_goal_gps), [0.0, -np.pi], [100.0, np.pi])
         return {**super().sensors(kind), "goal_gps": goal} if kind == "robot" else super().sensors(kind)
 
-    def _distance(self, play: WorldRollout) -> NDArray[np.float64]:
+    def _distance(self, play: WorldRollout, goal: Any) -> Any:
         """Length of the shortest path to the goal [m], [W]; the straight line where there is none."""
-        xz, goal = play.world.state.agents[0].xz, play.memory["goal"]
-        far = np.array([play.episodes[w].free.geodesic(xz[w], goal[w]) for w in range(len(xz))])
-        return np.where(np.isfinite(far), far, np.hypot(*(goal - xz).T))
+        far, gap = play.path_length(0, goal), goal - play.world.state.agents[0].xz
+        return play.xp.where(play.xp.isfinite(far), far, play.xp.hypot(gap[:, 0], gap[:, 1]))
 
 
-def _goal_gps(moment: Any) -> NDArray[np.floating]:
-    return gps_compass(moment.now.xz, moment.now.heading, moment.memory["goal"])
+def _goal_gps(moment: Any) -> Any:
+    return gps_compass(moment.now.xz, moment.now.heading, moment.memory["goal"], xp=moment.xp)
 
 
 if __name__ == "__main__":

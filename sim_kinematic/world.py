@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
-from h3data.geometry import Array, ground_pose
+from h3data.geometry import Array, ground_pose, quat_conjugate, quat_rotate
 from h3data.kernels import kernel
 from h3data.moved import refuse_renamed
 from h3data.scene import FreeSpace
@@ -36,7 +36,7 @@ from sim_kinematic.contact.clearance import RobotHumanContact, clip_reach, robot
 from sim_kinematic.contact.frames import body_frames, body_shapes, root_pose, shape_frames
 from sim_kinematic.motion.gait import cycle_phase, drive_people, move_people, walk_humans
 from sim_kinematic.motion.spec import HOME_BASE, BaseSpec, WalkerSpec
-from sim_kinematic.motion.state import HumanState, RobotState, WorldState
+from sim_kinematic.motion.state import AgentState, HumanState, RobotState, WorldState
 from sim_kinematic.motion.step import discs_at, drive_robots, first_not_finite
 
 if not TYPE_CHECKING:
@@ -290,6 +290,18 @@ class World:
             at = group if rows is None else np.intersect1d(group, rows)
             lengths[at] = free.geodesic(xz[at], other[at])
         return lengths if rows is None else lengths[rows]
+
+    def clearance(self, points: Array) -> Array:
+        """Signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
+        left = np.empty(points.shape[:-1])
+        for free, rows in self.groups:
+            left[rows] = free.signed_distance(points[rows])
+        return left
+
+    def in_root_frame(self, own: AgentState, points: Array) -> Array:
+        """World points [W, n, 3] in the agent root frames of agents."""
+        root = ground_pose(own.xz, own.heading, self.heights(own.xz))[:, None]
+        return np.asarray(quat_rotate(quat_conjugate(root[..., 3:]), points - root[..., :3]))
 
     def posture(self, agent: int, rows: Rows) -> Posture:
         """A person's posture in the worlds ``rows`` [n], in float32 precision, as it is recorded."""

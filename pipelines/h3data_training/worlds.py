@@ -9,7 +9,8 @@ from torch import Tensor
 
 from h3data.errors import InputError
 from h3data_training.cpu_cameras import CpuCameras
-from h3data_training.envs.social_nav_torch_env import SocialNavTorchEnv, arm_cameras
+from h3data_training.envs.social_nav_torch_env import SocialNavTorchEnv
+from h3data_training.envs.task_torch_env import arm_cameras
 from h3data_training.episodes import rules
 from h3data_training.held import ActionRepeat
 from h3data_training.settings import CRITIC, Settings
@@ -75,22 +76,22 @@ class ActionRepeatEnv(ActionRepeat, SocialNavTorchEnv):
         self._shown = {name: self._shown[name] for name in self._names}
 
     def _step_held(self, k: int) -> Tensor:
-        followed = self.play.followed.clone()
+        followed = self.play.memory["followed"].clone()
         self._shown = self._move()
         return followed
 
     def _long_enough(self) -> Tensor | None:
-        return self.play.followed >= self.follow_steps if self.follow_steps else None
+        return self.play.memory["followed"] >= self.follow_steps if self.follow_steps else None
 
     def _counted(self, before: Tensor, live: Tensor, ends: Tensor) -> list[Tensor]:
         play = self.play
         return [
-            (live & (play.followed > before)).sum(),
+            (live & (play.memory["followed"] > before)).sum(),
             (live & play.terminated).sum(),
             ends.sum(),
             live.sum(),
             (live & play.robot.contact).sum(),
-            (ends & (play.followed > 0)).sum(),
+            (ends & (play.memory["followed"] > 0)).sum(),
             torch.where(live, (play.robot.xz - play.human.xz).square().sum(-1).sqrt(), 0.0).sum(),
         ]
 

@@ -34,7 +34,9 @@ class Bank(Protocol):
 
 
 DEVICE_ENVS: Registry[Callable[..., Any]] = Registry("h3data.device_envs", {}, what="task on a torch device")
-"""By name of the task, what makes W worlds of it on a torch device: ``(worlds, scenes, *, device, agents, **options)``."""
+"""By name of the task, what makes W worlds of it on a torch device: ``(worlds, scenes, *, device, agents, **options)``.
+
+Those of tasks without an entry are made by ``any``, which is given the ``task``."""
 
 
 class MakeOptions(TypedDict, total=False):
@@ -215,7 +217,7 @@ def make_env(
         task: By name, ``module:Class``, or a `Task`.
         scenes: Where to play (`sim_kinematic.tasks.sources.EpisodeSource`).
         num_envs: W worlds as a Gymnasium vector environment; None is one world as a Gymnasium environment.
-        device: A torch device: worlds as tensors (social navigation and rearrangement).
+        device: A torch device: worlds as tensors.
         agents: Agents that act; several make a PettingZoo environment, which has one world.
         render_mode: ``rgb_array`` for ``render()``.
         flatten: Observations are one vector instead of a dictionary of arrays.
@@ -316,5 +318,7 @@ def _require_known(task: Task, stepper: Any, options: dict[str, Any], shared: Se
 def _on_device(
     task: Task, scenes: Scenes, num_envs: int | None, device: Any, agents: Sequence[str], options: dict[str, Any]
 ) -> Any:
-    make = DEVICE_ENVS.get(task.name)
-    return make(1 if num_envs is None else num_envs, scenes, device=device, agents=agents, **options)
+    worlds, place = 1 if num_envs is None else num_envs, {"device": device, "agents": agents}
+    if task.name in DEVICE_ENVS.names():
+        return DEVICE_ENVS.get(task.name)(worlds, scenes, **place, **options)
+    return DEVICE_ENVS.get("any")(worlds, scenes, task=task, **place, **options)

@@ -19,7 +19,7 @@ from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.agent_pictures import picture_names
 from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names
-from sim_kinematic.sensing.table import STATE_OBSERVATIONS
+from sim_kinematic.sensing.table import STATE_OBSERVATIONS, sensed
 from sim_kinematic.tasks.describe import in_words
 from sim_kinematic.tasks.play import WorldRollout, resting_arm
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
@@ -188,8 +188,8 @@ class WorldStepper:
         """Observations of an agent in all worlds, [W, ...] each."""
         own = self._sets[self.numbers[agent]]
         moment = self.play.sensor_context(self.numbers[agent])
-        sensors = self.task.sensors(self.source.roster[self.numbers[agent]].kind)
-        exact: Arrays = {name: np.asarray(sensors[name].of(moment), np.float64) for name in own.states}
+        sensors, who = self.task.sensors(self.source.roster[self.numbers[agent]].kind), (self.task.name, agent)
+        exact: Arrays = {name: np.asarray(sensed(name, sensors[name], moment, *who), np.float64) for name in own.states}
         if own.pictures.names:
             exact |= self._pictures(own)
         return own.shown(exact, [episode.seed for episode in self.play.episodes], self.play.steps.tolist())

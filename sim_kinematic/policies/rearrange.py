@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,8 @@ ZSC = ("both", "object_1", "object_2", "still")
 """The planners of the paper's zero-shot population (appendix)."""
 ZSC_TEN = (*ZSC, *SHIPPED_PARTNERS)
 """That population with its six learned partners, which are trained here: the paper's were not published."""
+TRIES = 3
+"""A planner fails so often at an object before it goes on to the next."""
 REPLAN_STEPS = 15
 """Interval at which a robot that drives to an object chooses again [steps]; 1 while the person is close."""
 IN_REACH_M = 0.9
@@ -69,6 +71,44 @@ def errand(view: RearrangeView, k: int) -> Action:
     return Action(handle if done is not None and (done.skill, done.target) == (came, k) else came, k)
 
 
+class Plan(NamedTuple):
+    """Where planners of W worlds are in their plans, as arrays or tensors."""
+
+    order: Any
+    """Objects to bring to their goals, one after the other, int [W, K]; -1 after the last."""
+    passed: Any
+    """So many of them are done or skipped, int [W]."""
+    tries: Any
+    """How often the planner has failed at the present one, int [W]."""
+
+    def next(
+        self, asked: Any, failed: Any, held_by: Any, at_goal: Any, agent: int, *, xp: Any = np
+    ) -> tuple[Any, Plan]:
+        """The objects [W] to bring to their goals now, -1 where none is left or nobody asks, and where plans are then.
+
+        Args:
+            asked: whether the planner chooses now, bool [W].
+            failed: whether its last choice failed, bool [W].
+            held_by: number of the agent that holds each object, int [W, K].
+            at_goal: which objects are at their goals, bool [W, K].
+            agent: number of the planner.
+            xp: array namespace.
+        """
+        order, passed, tries = self
+        places = xp.cumsum(xp.ones_like(order), -1) - 1
+        count, chosen = (order >= 0).sum(-1), xp.full_like(passed, -1)
+        mine_all, free_all = held_by == agent, ~at_goal & ((held_by == agent) | (held_by == NOBODY))
+        for _ in range(order.shape[-1]):
+            asked = asked & (passed < count)
+            k = xp.where(places == passed[:, None], order, 0).sum(-1)
+            tries = tries + (asked & failed)
+            here = places == k[:, None]
+            goes = asked & ((mine_all & here).any(-1) | ((free_all & here).any(-1) & (tries < TRIES)))
+            chosen, asked = xp.where(goes, k, chosen), asked & ~goes
+            passed, tries = passed + asked, xp.where(asked, 0, tries)
+        return chosen, Plan(order, passed, tries)
+
+
 @dataclass
 class Planner:
     """Partner that brings its objects to their goals one after the other, then stands still.
@@ -89,13 +129,13 @@ class Planner:
         blocked = view.last is not None and view.last[:2] == ("failed", "blocked")
         if rest and blocked and view.held_by[rest[0]] != view.agent:  # who keeps it from there goes away some day
             self.objects, self._tries = (*done, *rest[1:], rest[0]), 0
-        while self._passed < len(self.objects):
-            k = self.objects[self._passed]
-            self._tries += view.last is not None and view.last.outcome == "failed" and view.last.reason != "blocked"
-            if view.held_by[k] == view.agent or (k in view.left_to_do() and self._tries < 3):
-                return errand(view, k)
-            self._passed, self._tries = self._passed + 1, 0
-        return Action("wait")
+        failed = view.last is not None and view.last.outcome == "failed" and view.last.reason != "blocked"
+        order = np.array([(*self.objects, *(-1 for _ in range(len(view.held_by) - len(self.objects))))])
+        plan = Plan(order, np.array([self._passed]), np.array([self._tries]))
+        asked, hands = np.array([True]), np.asarray(view.held_by)[None]
+        chosen, plan = plan.next(asked, np.array([failed]), hands, np.asarray(view.at_goal)[None], view.agent)
+        k, self._passed, self._tries = chosen.item(), plan.passed.item(), plan.tries.item()
+        return Action("wait") if k < 0 else errand(view, k)
 
 
 @dataclass

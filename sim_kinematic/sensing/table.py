@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.geometry import Array, ground_pose
+from h3data.errors import InputError
+from h3data.geometry import Array
 from h3data.moved import refuse_renamed
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.state import NOBODY, AgentState
@@ -24,10 +25,8 @@ from sim_kinematic.sensing.sensor import (
     RANGE_M,
     RANGES,
     egomotion,
-    first_point,
     gps_compass,
     humanoid_velocity,
-    in_frame,
     localization,
     localization_in_start_frame,
     other_agent_gps,
@@ -138,7 +137,9 @@ class Context(Protocol):
 
 
 class SensorContext(NamedTuple):
-    """One agent of each world, now: the `Context` of worlds whose agents drive and walk, on the CPU."""
+    """One agent of each world, now: the `Context` of worlds whose agents drive and walk, on the CPU and on devices.
+
+    On a device (``xp`` is torch) ``episodes`` is empty and ``world`` a `h3data_training.torch.task_worlds.TensorWorld`."""
 
     spec: Any
     """The task's rules."""
@@ -163,8 +164,8 @@ class SensorContext(NamedTuple):
     """It touches another agent, [W]."""
     arm: Array
     """Joint positions of its arm, which rests, [W, n]; of a person [W, 0]."""
-    distance: Callable[[], Array]
-    """Length of the shortest path to the other agent [m], [W]."""
+    path: Callable[[], tuple[Array, Array]]
+    """The shortest path to the other agent: its length [W] [m] and its first way point [W, 2] [m]."""
     xp: Any = np
 
     @property
@@ -176,30 +177,18 @@ class SensorContext(NamedTuple):
         """Heights of the floor where the agent is, [W] [m]."""
         return self.world.heights(self.now.xz)
 
-    def path(self) -> tuple[Array, Array]:
-        """The shortest path to the other agent: its length [W] [m] and its first way point [W, 2] [m]."""
-        begun, lengths, points = self.base.disc_radius_m / 2, self.distance(), np.empty_like(self.now.xz)
-        for free, rows in self.world.groups:
-            for w in rows.tolist():
-                points[w] = first_point(free, self.now.xz[w], self.other.xz[w], float(lengths[w]), beyond_m=begun)
-        return lengths, points
-
     def clearance(self, points: Array) -> Array:
         """Signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
-        left = np.empty(points.shape[:-1])
-        for free, rows in self.world.groups:
-            left[rows] = free.signed_distance(points[rows])
-        return left
+        return self.world.clearance(points)
 
     def from_start(self, points: Array) -> Array:
         """World points [W, n, 3] in the agent root frame of the start."""
-        xz = self.start.xz
-        return np.asarray(in_frame(ground_pose(xz, self.start.heading, self.world.heights(xz)), points))
+        return self.world.in_root_frame(self.start, points)
 
     def other_root(self) -> Array:
         """Root of the other agent in the world [W, 3] [m]."""
         xz = self.other.xz
-        return np.stack([xz[:, 0], self.world.heights(xz), xz[:, 1]], -1)
+        return self.xp.stack([xz[:, 0], self.world.heights(xz), xz[:, 1]], -1)
 
 
 class Sensor(NamedTuple):
@@ -436,6 +425,24 @@ STATE_SENSES = (
     "interrupted",
 )
 """All that a policy without memory needs to do the task of rearrangement."""
+
+
+def sensed(name: str, sensor: Sensor, moment: Any, task: str, agent: str) -> Any:
+    """Values of a named sensor of an agent.
+
+    Raises:
+        InputError: the sensor needs what the worlds of the task do not have; the message names task, agent and sensor.
+    """
+    try:
+        return sensor.of(moment)
+    except AttributeError as fault:
+        if fault.obj is not moment:
+            raise
+        raise InputError(
+            f"The sensor {name!r} of {agent} needs {fault.name!r}, which worlds of {task} do not have here. Hint: leave "
+            "the sensor out.",
+            code="H3-SIM-055",
+        ) from fault
 
 
 def sensors_of(kind: str) -> Mapping[str, Sensor]:

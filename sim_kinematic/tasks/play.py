@@ -24,7 +24,8 @@ from sim_kinematic.policies.traffic import Traffic
 from sim_kinematic.policies.views import AgentView
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.agent_pictures import picture_names
-from sim_kinematic.sensing.table import Sensor, SensorContext
+from sim_kinematic.sensing.sensor import first_point
+from sim_kinematic.sensing.table import Sensor, SensorContext, sensed
 from sim_kinematic.tasks.episode import Episode, StepOutcome, agent_floor
 from sim_kinematic.world import (
     Command,
@@ -114,7 +115,7 @@ class Rules(Protocol):
         """Says whether reward and success are recorded (`sim_kinematic.tasks.codec.EpisodeCodec`)."""
         ...
 
-    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
+    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> Mapping[str, Any] | None:
         """Prepares the worlds ``rows`` [n], whose episodes have just begun."""
 
     def judge(self, play: WorldRollout) -> StepOutcome:
@@ -132,6 +133,9 @@ class Rules(Protocol):
 
 class WorldRollout:
     """W worlds of one task, each in an episode of its own; with W = 1 a `Rollout`."""
+
+    xp: ClassVar[Any] = np
+    """The array namespace: `Task.begin`, `Task.judge` and sensors written with it run on a torch device too."""
 
     def __init__(
         self,
@@ -203,7 +207,14 @@ class WorldRollout:
             self._traffic.pop(w, None)
         self.world.place(np.stack([e.starts for e in episodes]), [e.free for e in episodes], rows)
         self.steps[rows] = 0
-        self.task.begin(self, rows)
+        begun = self.task.begin(self, rows)
+        if begun is not None and self.memory is None:
+            self.memory = dict(begun)
+        elif begun is not None:
+            for name, values in begun.items():
+                kept = np.array(self.memory[name])  # a copy: the last outcome may hold the same array
+                kept[rows] = values[rows]
+                self.memory[name] = kept
 
     def advance(self, commands: Sequence[Command]) -> StepOutcome:
         """Moves all worlds one step and judges it.
@@ -221,6 +232,24 @@ class WorldRollout:
             outcome, self._checked = checked_outcome(self.task, outcome, self.world.worlds), True
         self.outcome = outcome
         return outcome
+
+    def extra(self, name: str) -> NDArray[Any]:
+        """An entry of `Episode.extra` of every world, [W, ...]."""
+        return np.array([episode.extra[name] for episode in self.episodes])
+
+    def path_length(self, agent: int, points: Array) -> Array:
+        """Lengths of the shortest paths from an agent to points [W, 2], [W] [m]; inf where there is none."""
+        xz, lengths = self.world.state.agents[agent].xz, np.zeros(self.world.worlds)
+        for free, rows in self.world.groups:
+            lengths[rows] = free.geodesic(xz[rows], points[rows])
+        return lengths
+
+    def events_where(
+        self, flags: NDArray[np.bool_], kind: str, *, agent: int = -1, target: str = ""
+    ) -> list[tuple[int, Event]]:
+        """An event of this step for each world where a flag [W] is set, as `StepOutcome.events` takes them."""
+        worlds = np.flatnonzero(flags).tolist()
+        return [(w, Event(step=int(self.steps[w]) - 1, agent=agent, kind=kind, target=target)) for w in worlds]
 
     @property
     def out_of_time(self) -> NDArray[np.bool_]:
@@ -270,8 +299,15 @@ class WorldRollout:
             world.blocked[:, agent],
             np.asarray(world.touching[:, mine].any(1)),
             self._arms[agent],
-            lambda: world.geodesic(agent, other),
+            partial(self._path, agent, other),
         )
+
+    def _path(self, agent: int, other: int) -> tuple[Array, Array]:
+        """The shortest paths from an agent to another: their lengths [W] [m] and their first way points [W, 2] [m]."""
+        world, lengths = self.world, self.world.geodesic(agent, other)
+        xz, to, begun = world.state.agents[agent].xz, world.state.agents[other].xz, world.bases[agent].disc_radius_m / 2
+        ends = zip(world.floors, xz, to, lengths.tolist(), strict=True)
+        return lengths, np.array([first_point(free, a, b, length, beyond_m=begun) for free, a, b, length in ends])
 
     def observe(
         self, agent: int, world: int, names: Sequence[str], size: PictureSize = None, light: LightMode = "flat"
@@ -289,7 +325,8 @@ class WorldRollout:
         context = self.sensor_context(agent) if measured else None
         for name in measured:
             sensor, low, high = own.sensors[name]
-            shown[name] = np.minimum(np.maximum(sensor.of(context)[world], low), high).astype(np.float32)
+            values = sensed(name, sensor, context, type(self.task).__name__, own.agent)[world]
+            shown[name] = np.minimum(np.maximum(values, low), high).astype(np.float32)
         if len(measured) < len(names):
             shown |= self.pictures(agent, world, [name for name in names if name in own.pictures], size, light)
         return shown

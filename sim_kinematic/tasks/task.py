@@ -171,18 +171,20 @@ class Task:
         return self.sample(scene, free, seed, spec, roster)
 
     # --- rules --------------------------------------------------------------------------------------------------------
-    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
-        """Prepares the worlds ``rows`` [n], whose episodes have just begun; keeps what it needs in ``play.memory``."""
+    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> Mapping[str, Any] | None:
+        """Prepares the worlds ``rows`` [n], whose episodes have just begun; keeps what it needs in ``play.memory``.
+
+        It may return that instead: arrays by name, [W, ...], with the values of worlds that begin where they are now. The
+        worlds ``rows`` get theirs. Of a task that plays on a device, this is how it remembers.
+        """
 
     def judge(self, play: WorldRollout) -> StepOutcome:
         """Judges the step that all worlds have just made.
 
         By default nothing is rewarded and an episode lasts ``max_steps``.
         """
-        worlds = play.world.worlds
-        return StepOutcome(
-            reward=np.zeros(worlds), terminated=np.zeros(worlds, np.bool_), success=np.zeros(worlds, np.bool_)
-        )
+        never, nothing = play.steps < 0, 0.0 * play.steps  # of any array namespace
+        return StepOutcome(reward=nothing, terminated=never, success=never)  # type: ignore[arg-type]
 
     def view(self, play: WorldRollout, agent: int, world: int) -> Any:
         """Observation of an agent's policy, by default an `AgentView`."""

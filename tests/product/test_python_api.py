@@ -317,7 +317,7 @@ def test_the_specification_makes_the_environment_again() -> None:
 def test_wrong_options_of_make_say_what_was_meant() -> None:
     with pytest.raises(InputError, match=re.escape("Unknown option 'nenvs' of social_nav. Did you mean 'num_envs'?")):
         h3data.make("social_nav", "small:1", nenvs=3)
-    with pytest.raises(InputError, match="task on a torch device 'wander'"):
+    with pytest.raises(InputError, match="person of wander walks by 'waypoints'"):
         h3data.make("wander", "small:1", device="cpu")
 
 
@@ -330,6 +330,7 @@ def test_make_names_every_option_of_every_environment() -> None:
     """`h3data.make` repeats the options of the environments, so that editors, type checkers and the reference know them."""
     from h3data_training.envs.rearrange_torch_env import RearrangeTorchEnv
     from h3data_training.envs.social_nav_torch_env import SocialNavTorchEnv
+    from h3data_training.envs.task_torch_env import TaskTorchEnv
     from sim_kinematic.envs import make as maker
     from sim_kinematic.envs.make import MakeOptions
     from sim_kinematic.envs.skill_stepper import SkillStepper
@@ -341,7 +342,7 @@ def test_make_names_every_option_of_every_environment() -> None:
         return {p.name for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY}
 
     real = keywords(maker.make_env) | {field.name for field in fields(Options)}
-    for environment in (WorldStepper, SkillStepper, SocialNavTorchEnv, RearrangeTorchEnv):
+    for environment in (WorldStepper, SkillStepper, TaskTorchEnv, SocialNavTorchEnv, RearrangeTorchEnv):
         real |= keywords(environment)
     for task in ("social_nav", "rearrange"):
         real |= set(find_task(task).usage.env_options)

@@ -240,7 +240,7 @@ def test_episodes_are_cut_short_after_following(bank: EpisodeBank) -> None:
     for limit in (0, 5):
         worlds = ActionRepeatEnv(small(follow_steps=limit, observations=BLIND), bank, device="cpu", compile=False)
         worlds.reset(seed=0)
-        worlds.play.followed.copy_(torch.tensor([0, 4, 5, 900]))
+        worlds.play.memory["followed"].copy_(torch.tensor([0, 4, 5, 900]))
         _, _, over, timed_out, idle = worlds.held(torch.zeros(4, 2))
         cut = [False, False, True, True] if limit else [False] * 4
         assert (over.tolist(), timed_out.tolist(), idle.tolist()) == (cut, cut, [False] * 4)

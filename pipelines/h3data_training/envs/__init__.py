@@ -1,6 +1,6 @@
 """Environments whose worlds are tensors on a torch device: what `h3data.make(task, device=...)` returns.
 
-The functions are entry points of `h3data.device_envs`, by the name of the task.
+The functions are entry points of `h3data.device_envs`, by the name of the task; ``any`` makes those of tasks that have none.
 """
 
 from __future__ import annotations
@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from h3data.errors import InputError
 from sim_kinematic.tasks.sources import Scenes
+from sim_kinematic.tasks.task import Task
 
 if TYPE_CHECKING:
     from h3data_training.envs.rearrange_torch_env import RearrangeTorchEnv
     from h3data_training.envs.social_nav_torch_env import SocialNavTorchEnv
+    from h3data_training.envs.task_torch_env import TaskTorchEnv
 
 
 def make_social_nav(
@@ -24,13 +26,12 @@ def make_social_nav(
     Raises:
         InputError: others than the robot are asked to act, or an option is wrong.
     """
-    if tuple(agents) != ("robot",):
-        raise InputError(
-            "On a torch device only the robot acts in social_nav. Hint: leave out agents or device.", code="H3-ENV-001"
-        )
+    _require_robot("social_nav", agents)
     from h3data_training.envs.social_nav_torch_env import SocialNavTorchEnv
+    from h3data_training.envs.torch_env import enough_memory
 
-    return SocialNavTorchEnv(worlds, scenes, device=device, **options)
+    with enough_memory(device, worlds, "social_nav"):
+        return SocialNavTorchEnv(worlds, scenes, device=device, **options)
 
 
 def make_rearrange(
@@ -42,5 +43,42 @@ def make_rearrange(
         InputError: an option is wrong.
     """
     from h3data_training.envs.rearrange_torch_env import RearrangeTorchEnv
+    from h3data_training.envs.torch_env import enough_memory
 
-    return RearrangeTorchEnv(worlds, scenes, device=device, agents=agents, **options)
+    with enough_memory(device, worlds, "rearrange"):
+        return RearrangeTorchEnv(worlds, scenes, device=device, agents=agents, **options)
+
+
+def make_any(
+    worlds: int, scenes: Scenes, *, task: Task, device: Any, agents: Sequence[str], **options: Any
+) -> TaskTorchEnv:
+    """A task of one robot, which acts, and one scripted person; ``options`` are those of `TaskTorchEnv`.
+
+    Raises:
+        InputError: the task has skills or another person, its functions are not for tensors, or an option is wrong.
+    """
+    if not task.control.batched:
+        raise InputError(
+            f"On a torch device agents drive and walk, and those of {task.name} choose skills; of tasks with skills only "
+            "rearrange plays there. Hint: leave out device.",
+            code="H3-ENV-035",
+        )
+    _require_robot(task.name, agents)
+    script = options.pop("partner", None) or task.defaults["human"]
+    if script != "waypoints":
+        raise InputError(
+            f"On a torch device the person of {task.name} walks by 'waypoints', not {script!r}. Hint: partner='waypoints'.",
+            code="H3-ENV-036",
+        )
+    from h3data_training.envs.task_torch_env import TaskTorchEnv
+    from h3data_training.envs.torch_env import enough_memory
+
+    with enough_memory(device, worlds, task.name):
+        return TaskTorchEnv(task, worlds, scenes, device=device, **options)
+
+
+def _require_robot(task: str, agents: Sequence[str]) -> None:
+    if tuple(agents) != ("robot",):
+        raise InputError(
+            f"On a torch device only the robot acts in {task}. Hint: leave out agents or device.", code="H3-ENV-001"
+        )

@@ -97,6 +97,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
                 f"of: {', '.join(PARTNERS)}.",
                 code="H3-ENV-004",
             )
+        self.name = "rearrange"
         super().__init__(num_envs, device, graph=graph, compile=compile)
         self._names = checked_observations((observations,) if isinstance(observations, str) else tuple(observations))
         self._partner = partner

@@ -6,7 +6,8 @@ The interface is Gymnasium's of vector environments, which need not be installed
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
@@ -63,6 +64,8 @@ P = TypeVar("P", bound=Playing)
 class TorchEnv(Generic[P]):
     """The part that all tasks share. A task sets ``play`` and ``bank`` and has `_moved`, `_result` and `info`."""
 
+    name: str
+    """Of the task."""
     bank: Any
     """The episodes."""
     play: P
@@ -101,7 +104,7 @@ class TorchEnv(Generic[P]):
         """
         if seed is None and not self._begun:
             seed = int.from_bytes(os.urandom(7), "little")
-        with torch.no_grad():
+        with enough_memory(self.device, self.num_envs, self.name), torch.no_grad():
             if self._graph and self._advance == self._eager:
                 self._advance = captured(self._eager, list(self.play.tensors()))
             if seed is not None:
@@ -126,7 +129,8 @@ class TorchEnv(Generic[P]):
 
     def _stepped(self) -> tuple[Any, Tensor, Tensor, Tensor, Tensors]:
         """All worlds a step further, by the actions that are set."""
-        self._advance()
+        with enough_memory(self.device, self.num_envs, self.name):
+            self._advance()
         play = self.play
         ends = play.reward.to(torch.float32, copy=True), play.terminated.clone(), play.truncated.clone()
         return self._result(), *ends, self.info()
@@ -175,6 +179,28 @@ class TorchEnv(Generic[P]):
         from sim_kinematic.envs.stepper import gymnasium
 
         return gymnasium.vector.utils.batch_space(space, self.num_envs)
+
+
+@contextmanager
+def enough_memory(device: Any, worlds: int, task: str) -> Iterator[None]:
+    """Says in one sentence which worlds a device has no memory for.
+
+    Raises:
+        InputError: its memory does not suffice.
+    """
+    try:
+        yield
+    except (
+        RuntimeError,
+        MemoryError,
+    ) as fault:  # torch's own error of a GPU is a RuntimeError, that of a CPU nothing more
+        if not isinstance(fault, torch.OutOfMemoryError | MemoryError) and "allocate memory" not in str(fault):
+            raise
+        raise InputError(
+            f"There is no memory on {device} for {worlds} worlds of {task} with the robot's observations. Hint: fewer "
+            "worlds, episodes or pixels.",
+            code="H3-ENV-037",
+        ) from fault
 
 
 def checked_device(device: torch.device | str) -> torch.device:

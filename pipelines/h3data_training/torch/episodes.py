@@ -1,4 +1,4 @@
-"""Bank of sampled episodes of social navigation.
+"""Bank of sampled episodes of a task of one robot and one person who keeps to a script.
 
 Everything that needs a search (starts clear of furniture, shortest paths between random goals) is computed once on the
 host, so that steps on a device only look it up.
@@ -6,20 +6,26 @@ host, so that steps on a device only look it up.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.scene import FreeSpace, Scene
+from sim_kinematic.agents.roster import kinds_of
 from sim_kinematic.agents.waypoint_walker import WaypointHuman
-from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
+from sim_kinematic.motion.spec import STEP_S
+from sim_kinematic.motion.state import HUMAN
+from sim_kinematic.policies.assignment import resolve_policy
 from sim_kinematic.tasks.episode import Episode
+from sim_kinematic.tasks.rearrange.episode import PAIR
 from sim_kinematic.tasks.social_nav import TRAINING, SocialNav
-from sim_kinematic.tasks.social_nav.episode import Starts, goals_of
+from sim_kinematic.tasks.social_nav.episode import Starts
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
+from sim_kinematic.tasks.task import Task
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,6 +49,8 @@ class EpisodeBank:
     headings: NDArray[np.float64] | None
     seeds: NDArray[np.int64]
     """Of the episodes, as in recordings, [N]."""
+    extra: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    """Entries of `Episode.extra` that are arrays of one shape in all episodes, [N, ...] each."""
 
     @classmethod
     def draw(
@@ -51,19 +59,29 @@ class EpisodeBank:
         count: int,
         *,
         seed: int = 0,
-        spec: SocialNavSpec = TRAINING,
+        task: Task | None = None,
+        spec: Any = TRAINING,
         robot: str = "quad_arm",
         human: str = "female_0",
     ) -> EpisodeBank:
         """The first ``count`` episodes of the run ``seed``: those that environments of the same seed begin.
 
+        ``task`` is social navigation by default, and ``spec`` its rules.
+
         Raises:
-            InputError: as `EpisodeSource`.
+            InputError: as `EpisodeSource`, or the task is not of one robot and one person.
             SceneError: a scene has no two starts as far apart as the rules say.
         """
         if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
             raise InputError(f"Expected at least 1 episode, a whole number, got {count!r}.", code="H3-TRAIN-060")
-        source = EpisodeSource(SocialNav(), scenes, spec=spec, robot=robot, human=human)
+        task = task or SocialNav()
+        source = EpisodeSource(task, scenes, spec=spec, robot=robot, human=human)
+        if (kinds := kinds_of(source.roster)) != PAIR:
+            raise InputError(
+                f"On a device a task is of one robot and one person, {task.name} has: {', '.join(kinds)}. "
+                "Hint: leave out device.",
+                code="H3-ENV-038",
+            )
         runs = [(seed, k) for k in range(count)]
         source.prepare(runs)
         episodes = [source.sample(*run) for run in runs]
@@ -72,7 +90,9 @@ class EpisodeBank:
         homes.sort(key=lambda scene: order[id(scene)])
         starts = [Starts.of(episode.starts) for episode in episodes]
         strides = spec.human.stride is not None
-        tracks = [_strides(episode) if strides else _way_points(episode) for episode in episodes]
+        script = resolve_policy(task, "human", "waypoints", spec)
+        walkers = [script(episode, HUMAN).policy for episode in episodes]
+        tracks = [(_strides if strides else _way_points)(*each) for each in zip(episodes, walkers, strict=True)]
         longest = max(map(len, tracks))
         padded = np.stack([np.pad(t, ((0, longest - len(t)), (0, 0)), mode="edge") for t in tracks])
         floors = {id(episode.scene): episode.free for episode in episodes}
@@ -87,6 +107,7 @@ class EpisodeBank:
             way_points=padded[..., :2].copy(),
             headings=padded[..., 2].copy() if strides else None,
             seeds=np.array([episode.seed for episode in episodes], np.int64),
+            extra=_columns([episode.extra for episode in episodes]),
         )
 
     @classmethod
@@ -106,6 +127,7 @@ class EpisodeBank:
             place=np.concatenate([bank.place + n for bank, n in zip(banks, first[:-1], strict=True)]),
             way_points=np.concatenate([padded(bank.way_points) for bank in banks]),
             headings=np.concatenate([padded(h) for h in headings]) if len(headings) == len(banks) else None,
+            extra=_columns([{name: rows[n] for name, rows in b.extra.items()} for b in banks for n in range(len(b))]),
             **{name: np.concatenate([getattr(bank, name) for bank in banks]) for name in columns},
         )
 
@@ -113,9 +135,21 @@ class EpisodeBank:
         return len(self.place)
 
 
-def _strides(episode: Episode) -> NDArray[np.float64]:
+def _columns(of_episodes: Sequence[Mapping[str, Any]]) -> dict[str, NDArray[Any]]:
+    """Entries that are numbers, and of one shape in all episodes, as arrays [N, ...]."""
+    found = {}
+    for name in of_episodes[0]:
+        try:
+            rows = np.array([extra.get(name) for extra in of_episodes])
+        except ValueError:  # of several shapes
+            continue
+        if rows.dtype.kind in "biuf":
+            found[name] = rows
+    return found
+
+
+def _strides(episode: Episode, walker: WaypointHuman) -> NDArray[np.float64]:
     """Where the person is after each step, (x, z, heading) [P, 3]."""
-    walker = WaypointHuman(episode.free, episode.seed, episode.spec.human, goals_of(episode))
     starts = Starts.of(episode.starts)
     track = np.empty((episode.spec.max_steps + 1, 3))
     before = np.array([*starts.human_xz, starts.human_heading])
@@ -124,9 +158,8 @@ def _strides(episode: Episode) -> NDArray[np.float64]:
     return track
 
 
-def _way_points(episode: Episode) -> NDArray[np.float64]:
+def _way_points(episode: Episode, walker: WaypointHuman) -> NDArray[np.float64]:
     """Where the person walks [P, 2], at least as far as they can get in an episode. They land on each way point exactly."""
-    walker = WaypointHuman(episode.free, episode.seed, episode.spec.human, goals_of(episode))
     stride = episode.spec.human.speed_mps * STEP_S
     points = [Starts.of(episode.starts).human_xz]
     steps = 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from typing import Any, NamedTuple
 
 from h3data.errors import InputError
@@ -103,15 +103,27 @@ HELD: Mapping[str, Held] = {
     "arm of a skill": Held(ArmSpec(), {ArmSpec: ("joint_step", "grasp_m")}, {}),
 }
 """By task, and by part of a learned skill."""
+_WORLD = ("solid_agents", "floor_moves")
+"""Rules that the CPU's world reads of the spec of any task."""
+
+
+def _held(rules: Any) -> Held:
+    """Of a task of one's own, whose functions read its rules themselves: what moves agents is as in social navigation."""
+    task, like = type(rules), HELD["social_nav"]
+    ported = tuple(f.name for f in fields(rules) if f.name not in (*_SAMPLED, *_WORLD))
+    usual = replace(
+        rules, robot=like.like.robot, human=like.like.human, **{n: False for n in _WORLD if hasattr(rules, n)}
+    )
+    return Held(usual, {**like.ported, task: ported}, {**like.drawn, task: _SAMPLED})
 
 
 def refuse_others(task: str, rules: Any) -> None:
-    """Refuses rules of a task that do not hold on a device.
+    """Refuses rules of a task that do not hold on a device; those of a task of one's own are for its functions to read.
 
     Raises:
         InputError: a field that a device does not read has another value than it has in `Held.like`.
     """
-    held = HELD[task]
+    held = HELD.get(task) or _held(rules)
     _refuse(held, rules, held.like)
 
 

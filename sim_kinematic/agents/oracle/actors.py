@@ -1,6 +1,6 @@
 """Robots and people with the oracle skills of `sim_kinematic.motion.spec.OracleSpec`.
 
-`h3data_training.torch.rearrange` is the same with tensors, line by line.
+Their rules (`sim_kinematic.agents.oracle.rules`) are shared with worlds on a device, `h3data_training.torch.rearrange`.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from h3data.bodies import Humanoid, Robot
 from h3data.bodies.people.reach import reacher
 from h3data.geometry import IDENTITY_POSE, Array, pose_inverse, pose_multiply, wrap_angle
 from sim_kinematic.agents.contact_tracker import AgentContactTracker, AnyActor
+from sim_kinematic.agents.oracle.rules import AIMED_RAD, VIA_M, gets_on, is_there, left_to_do, reaches
 from sim_kinematic.agents.oracle.ways import NONE, Ways
 from sim_kinematic.agents.person import CARRY, Held
 from sim_kinematic.agents.person_skills import PersonActor
-from sim_kinematic.agents.robots.driving import ARRIVED_M, FACING_RAD, NEARLY_M, STUCK_STEPS
+from sim_kinematic.agents.robots.driving import FACING_RAD, STUCK_STEPS
 from sim_kinematic.agents.robots.hand_reach import reach_bearing
 from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Skill, SkillResult
@@ -28,13 +29,6 @@ from sim_kinematic.motion.gait import move_people
 from sim_kinematic.motion.spec import STEP_S, OracleSpec
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.motion.step import discs_at
-
-VIA_M = 0.125
-"""A robot goes on to the next corner of its path from this distance."""
-STALLED_STEPS = 10
-"""A robot that has not got on for this long is content with a place from `NEARLY_M`."""
-AIMED_RAD = 1e-3
-"""A person faces a point within this angle."""
 
 
 class SubGoal(NamedTuple):
@@ -66,9 +60,7 @@ class SubGoals:
 
     def reaches(self, errand: SubGoal, xz: Array, error_rad: float) -> bool:
         """Whether an agent at a floor point [2] is at one of the places, and faces the point but for an angle."""
-        gap = errand.ways.ends - xz
-        there = (gap[:, 0] ** 2 + gap[:, 1] ** 2 <= self.oracle.reach_m**2).any()
-        return bool(there) and abs(error_rad) <= self.oracle.reach_rad
+        return bool(reaches(self.oracle, errand.ways.ends - xz, error_rad))
 
 
 def carry_point(body: Robot | Humanoid) -> Array:
@@ -123,28 +115,22 @@ class OracleRobot(RobotActor):
     def _go(self, errand: SubGoal) -> Skill:
         """Drives along a path, and at its end turns until the hand points at what it came for."""
         ways, (number, best, since) = errand.ways, (errand.ways.start(self.xz), np.inf, 0)
-
-        def is_there(away: float) -> bool:
-            content = since > STALLED_STEPS or best < 0.0  # it has begun to turn
-            return number >= ways.corners and (away <= ARRIVED_M or (away <= NEARLY_M and content))
-
         while since <= STUCK_STEPS:
             before = number
             number, away = _way(errand, number, self.xz, VIA_M)
             best = best if number == before else np.inf
-            if is_there(away):
-                error = self.facing_error(errand)
-                left = 0.1 * abs(error) - 1.0
+            is_end, error = number >= ways.corners, self.facing_error(errand)
+            on_the_way, turning = left_to_do(away, error)
+            turns = is_there(away, is_end, best, since)
+            if turns:
                 self._step(0.0, self._turn(error))
             else:
-                left = away
-                self._drive(ways.points[number], away if number >= ways.corners else np.inf)
-            best, since = (left, 0) if left < best - 1e-3 else (best, since + 1)
+                self._drive(ways.points[number], away if is_end else np.inf)
+            left = turning if turns else on_the_way
+            best, since = (left, 0) if gets_on(left, best) else (best, since + 1)
             yield
-            if (
-                is_there(float(np.hypot(*(ways.points[number] - self.xz))))
-                and abs(self.facing_error(errand)) < FACING_RAD
-            ):
+            away = float(np.hypot(*(ways.points[number] - self.xz)))
+            if is_there(away, is_end, best, since) and abs(self.facing_error(errand)) < FACING_RAD:
                 return SkillResult("done")
         return SkillResult("failed", "stuck")
 

@@ -90,21 +90,19 @@ class Rearrange(Task):
     def begin(self, play: Any, rows: NDArray[np.intp]) -> None:
         """Remembers which sub-goals have been paid: of each object that it was taken, and that it came to its goal."""
         del rows
-        play.memory = [False] * (2 * len(play.objects.names))
+        play.memory = np.zeros((1, 2 * len(play.objects.names)), np.bool_)
 
     def judge(self, play: Any) -> StepOutcome:
         """Pays for sub-goals that are reached for the first time; ends with all objects at their goals, or by a contact."""
-        success, paid, reached = bool(play.at_goal.all()), play.memory, 0
-        stages = [*(held != NOBODY for held in play.objects.held_by.tolist()), *play.at_goal.tolist()]
-        for k, stage in enumerate(stages):
-            if stage and not paid[k]:
-                reached, paid[k] = reached + 1, True
-        collides = play.collision
+        held, at_goal, collides = play.objects.held_by[None] != NOBODY, play.at_goal[None], np.array([play.collision])
+        worth = REARRANGE_REWARDS[play.spec.reward]
+        reward, play.memory, done = worth.step(held, at_goal, play.memory, collides.astype(np.float64))
+        success = bool(done[0])
         return StepOutcome(
-            reward=np.array([REARRANGE_REWARDS[play.spec.reward].of(reached, collides, success)], np.float64),
-            terminated=np.array([success or (collides and play.spec.end_on_collision)]),
-            success=np.array([success]),
-            columns={"metrics.at_goal": play.at_goal[None]},
+            reward=reward,
+            terminated=done | (collides & play.spec.end_on_collision),
+            success=done,
+            columns={"metrics.at_goal": at_goal},
             ended="success" if success else "collision",
             events=[(0, Event(step=play.step, agent=-1, kind="success"))] if success else (),
         )

@@ -254,19 +254,21 @@ class RearrangeReward:
     """Taken away when the agents touch, which ends the episode."""
     slack: float = -0.005
 
-    def step(
-        self, stages: ArrayLike, paid: NDArray[np.bool_], *, collides: ArrayLike = False, success: ArrayLike = False
-    ) -> NDArray[np.float64]:
-        """The reward of a step in W worlds [W], marking in ``paid`` [W, S] the sub-goals that have now been paid.
+    def step(self, held: Any, at_goal: Any, paid: Any, collides: Any, *, xp: Any = np) -> tuple[Any, Any, Any]:
+        """What a step is worth in W worlds of K objects, by arrays or tensors.
 
-        ``stages`` [W, S]: which sub-goals hold now; ``collides`` and ``success`` [W].
+        Args:
+            held: which objects somebody holds, bool [W, K].
+            at_goal: which are at their goals, and in nobody's hand, bool [W, K].
+            paid: sub-goals that have been paid before: each object taken, then each at its goal, bool [W, 2 K].
+            collides: whether the agents touch, as numbers [W] in the type of the reward.
+            xp: array namespace.
+
+        Returns:
+            The reward; the sub-goals that have been paid now; whether all objects are at their goals.
         """
-        now = np.asarray(stages, np.bool_)
-        if now.shape != paid.shape:
-            raise InputError(f"Expected sub-goals {list(paid.shape)}, got {list(now.shape)}.", code="H3-TASK-043")
-        reached = (now & ~paid).sum(axis=-1)
-        paid |= now
-        return self.of(reached, np.asarray(collides, np.bool_), np.asarray(success, np.bool_))
+        stages, success = xp.concatenate([held, at_goal], -1), at_goal.all(-1)
+        return self.of((stages & ~paid).sum(-1), collides, success), paid | stages, success
 
     def of(self, reached: Any, collides: Any, success: Any) -> Any:
         """The reward of a step in which ``reached`` sub-goals were paid: numbers, or arrays [W]."""

@@ -351,7 +351,12 @@ def test_nobody_steps_aside_to_where_the_other_is_about_to_walk(rooms: FreeSpace
 
 def test_a_planner_comes_back_to_what_others_kept_it_from() -> None:
     view: Any = SimpleNamespace(
-        last=None, action=None, held_by=np.array([-1, -1]), agent=1, left_to_do=lambda: [0, 1], barrier=lambda k, at: -1
+        last=None,
+        action=None,
+        held_by=np.array([-1, -1]),
+        agent=1,
+        at_goal=np.zeros(2, np.bool_),
+        barrier=lambda k, at: -1,
     )
     for reason, goes_on in (("blocked", True), ("stuck", False)):
         planner = Planner((0,))
@@ -362,7 +367,12 @@ def test_a_planner_comes_back_to_what_others_kept_it_from() -> None:
 
 def test_a_planner_does_first_what_nobody_keeps_it_from() -> None:
     view: Any = SimpleNamespace(
-        last=None, action=None, held_by=np.array([-1, -1]), agent=1, left_to_do=lambda: [0, 1], barrier=lambda k, at: -1
+        last=None,
+        action=None,
+        held_by=np.array([-1, -1]),
+        agent=1,
+        at_goal=np.zeros(2, np.bool_),
+        barrier=lambda k, at: -1,
     )
     planner = Planner((0, 1))
     assert planner.act(view).target == 0

@@ -76,12 +76,15 @@ def test_every_step_pays_what_habitat_pays(path: Path) -> None:
 @needs_real
 def test_cooperation_pays_what_habitat_pays() -> None:
     for case in json.loads((GOLDEN / "rearrange" / "cooperate_reward.json").read_text()):
-        spec = RearrangeReward(stage=case["stage_sparse_reward"], collision=case["collide_penalty"], slack=0.0)
-        paid, ended = np.zeros((1, 4), np.bool_), False
+        pays, costs = case["stage_sparse_reward"], case["collide_penalty"]
+        spec, ended = RearrangeReward(stage=pays, collision=costs, slack=0.0, success=0.0), False
+        paid = np.zeros((1, 4), np.bool_)
         for k, truth in enumerate(case["stage_truth"]):
             hit = case["did_collide"][k]
             ended |= hit
-            assert spec.step([list(truth.values())], paid, collides=hit)[0] == case["reward"][k]
+            stages = np.array([list(truth.values())], np.bool_)
+            reward, paid, _ = spec.step(stages[:, :2], stages[:, 2:], paid, np.array([float(hit)]))
+            assert reward[0] == case["reward"][k]
             assert ended == case["should_end"][k]
 
 
@@ -120,10 +123,14 @@ def test_without_a_way_the_straight_distance_counts() -> None:
 def test_rearrangement_in_both_profiles() -> None:
     for profile, collision, slack in (("paper", 5.0, -0.005), ("habitat", 0.5, -0.0005)):
         spec, paid = REARRANGE_REWARDS[profile], np.zeros((2, 4), np.bool_)
-        first = spec.step([[True, False, True, False], [False] * 4], paid, collides=[False, True])
+        one, none, both = [True, False], [False, False], [True, True]
+        first, paid, done = spec.step(np.array([one, none]), np.array([one, none]), paid, np.array([0.0, 1.0]))
         np.testing.assert_allclose(first, [10 + slack, slack - collision])
-        again = spec.step([[True, True, False, False], [False] * 4], paid, success=[True, False])
+        assert not done.any()
+        again, paid, done = spec.step(np.array([none, none]), np.array([both, none]), paid, np.zeros(2))
         np.testing.assert_allclose(again, [5 + 10 + slack, slack])
+        assert done.tolist() == one
+        assert paid.tolist() == [[True, False, True, True], [False] * 4]
 
 
 def test_what_cannot_be_rewarded_is_refused() -> None:
@@ -131,5 +138,3 @@ def test_what_cannot_be_rewarded_is_refused() -> None:
         SocialNavReward(1, profile="galactic")  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"\[3, 2\]"):
         SocialNavReward(3).step(meeting(1.0))
-    with pytest.raises(InputError, match="H3-TASK-043"):
-        RearrangeReward().step([[True]], np.zeros((1, 4), np.bool_))

@@ -17,9 +17,11 @@ pytest.importorskip("fcl")
 
 from h3data.errors import InputError  # noqa: E402
 from h3data_training.torch.rules import HELD, refuse_others  # noqa: E402
+from sim_kinematic.agents.oracle.rules import gets_on, is_there, left_to_do, reaches  # noqa: E402
 from sim_kinematic.motion import spec as specs  # noqa: E402
-from sim_kinematic.motion.spec import SocialNavSpec  # noqa: E402
-from sim_kinematic.sensing.sensor import agents_within_threshold, facing  # noqa: E402
+from sim_kinematic.motion.spec import OracleSpec, SocialNavSpec  # noqa: E402
+from sim_kinematic.policies.rearrange import Plan  # noqa: E402
+from sim_kinematic.sensing.sensor import agents_within_threshold, facing, in_base_frame, scaled_depth  # noqa: E402
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec  # noqa: E402
 from sim_kinematic.tasks.rules.predicates import is_found, is_object_at  # noqa: E402
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS, PaperReward  # noqa: E402
@@ -28,6 +30,7 @@ from tests.paths import ROOT  # noqa: E402
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
 TORCH = ROOT / "pipelines" / "h3data_training" / "torch"
 RULES = ROOT / "sim_kinematic" / "tasks" / "rules"
+ORACLE_RULES = ROOT / "sim_kinematic" / "agents" / "oracle" / "rules.py"
 
 
 # --- every field of every spec ------------------------------------------------------------------------------------------
@@ -77,7 +80,8 @@ def test_a_rule_holds_on_a_device_or_is_refused_by_its_name(task: str, path: tup
     assert not (ported and drawn)
     if ported:
         refuse_others(task, rules)
-        sources = [file.read_text() for folder in (TORCH, RULES) for file in folder.rglob("*.py")]
+        files = [ORACLE_RULES, *TORCH.rglob("*.py"), *RULES.rglob("*.py")]
+        sources = [file.read_text() for file in files]
         assert any(re.search(rf"\.{name}\b", text) for text in sources), "nothing on a device reads it"
     elif drawn:
         refuse_others(task, rules)
@@ -109,6 +113,18 @@ XZ, OTHER = rng.uniform(-1, 1, (2, WORLDS, 2))
 HEADING = rng.uniform(-4, 4, WORLDS)
 POINT, GOAL = rng.uniform(0, 0.5, (2, WORLDS, 3))
 FLAGS = rng.random((3, WORLDS)) < 0.3
+TAKEN, THERE = rng.random((2, WORLDS, 2)) < 0.4
+PAID, HOLDERS = rng.random((WORLDS, 4)) < 0.3, rng.integers(-1, 2, (WORLDS, 2))
+ORDER = np.array([[0, 1], [1, 0], [1, -1], [-1, -1]])[rng.integers(0, 4, WORLDS)]
+PASSED, TRIED = rng.integers(0, 3, (2, WORLDS))
+GAPS, ORACLE = rng.uniform(-0.4, 0.4, (WORLDS, 3, 2)), OracleSpec(reach_m=0.2)
+
+
+def _flat(planned: Any) -> tuple[Any, ...]:
+    """The object and the plan."""
+    return planned[0], *planned[1][1:]
+
+
 FORMULAS: dict[str, Callable[[Any, Callable[[Any], Any]], Any]] = {
     "social_nav reward": lambda xp, a: PaperReward().of(
         a(DISTANCE), a(BEFORE), a(FACES), a(FOLLOWED), SocialNavSpec(), xp=xp
@@ -118,12 +134,49 @@ FORMULAS: dict[str, Callable[[Any, Callable[[Any], Any]], Any]] = {
     "close": lambda xp, a: agents_within_threshold(a(XZ), a(HEADING), a(OTHER), ahead_m=0.8, aside_m=0.5, xp=xp),
     "object_at": lambda xp, a: is_object_at(a(POINT), a(GOAL), xp=xp),
     **{
-        f"rearrange reward {profile}": lambda xp, a, worth=worth: worth.of(
-            *(a(flags.astype(np.float64)) for flags in FLAGS)
+        f"rearrange reward {profile}": lambda xp, a, worth=worth: worth.step(
+            a(TAKEN), a(THERE), a(PAID), a(FLAGS[0].astype(np.float64)), xp=xp
         )
         for profile, worth in REARRANGE_REWARDS.items()
     },
+    **{
+        f"plan of agent {agent}": lambda xp, a, agent=agent: _flat(
+            Plan(a(ORDER), a(PASSED), a(TRIED)).next(a(~FLAGS[0]), a(FLAGS[1]), a(HOLDERS), a(THERE), agent, xp=xp)
+        )
+        for agent in (0, 1)
+    },
+    "in_base_frame": lambda xp, a: in_base_frame(a(XZ), a(HEADING), a(OTHER), xp=xp),
+    "scaled_depth": lambda xp, a: scaled_depth(a(4 * DISTANCE)),
+    "is_there": lambda xp, a: is_there(a(DISTANCE / 8), a(~FLAGS[0]), a(FACES), a(FOLLOWED % 14)),
+    "left_to_do": lambda xp, a: left_to_do(a(DISTANCE), a(HEADING)),
+    "gets_on": lambda xp, a: gets_on(a(DISTANCE), a(BEFORE)),
+    "reaches": lambda xp, a: reaches(ORACLE, a(GAPS), a(HEADING / 4)),
 }
+TABLED = {
+    "is_found": "found",
+    "agents_within_threshold": "close",
+    "is_object_at": "object_at",
+    "PaperReward": "social_nav reward",
+    "REARRANGE_REWARDS": "rearrange reward paper",
+    "Plan": "plan of agent 0",
+}
+"""Keys of `FORMULAS` that are not the names of what is called."""
+
+
+def test_every_rule_that_a_device_shares_is_in_the_table() -> None:
+    """What `h3data_training` calls of the modules of rules, sensors and planners is compared below."""
+    modules = r"tasks\.rules\.\w+|agents\.oracle\.rules|sensing\.sensor|policies\.rearrange"
+    shared = rf"^from sim_kinematic\.(?:{modules}) import (.+)$"
+    named = set()
+    for file in TORCH.parent.rglob("*.py"):
+        for names in re.findall(shared, file.read_text(), re.MULTILINE):
+            named |= set(re.findall(r"\w+", names))
+    called = {name for name in named if not name.isupper() or name in TABLED} - {
+        "partner_plan",
+        "planner",
+    }  # of the host
+    assert called >= {"facing", "Plan", "is_there", "in_base_frame"}
+    assert {TABLED.get(name, name) for name in called} <= set(FORMULAS)
 
 
 @pytest.mark.parametrize("name", FORMULAS)

@@ -16,7 +16,7 @@ pytest.importorskip("fcl")
 
 from h3data_training.torch.episodes import EpisodeBank  # noqa: E402
 from h3data_training.torch.rearrange.observations import OBSERVED, OF_PATHS, View, observed  # noqa: E402
-from h3data_training.torch.social_nav import Play, SocialNavTensors  # noqa: E402
+from h3data_training.torch.social_nav import SocialNavTensors  # noqa: E402
 from sim_kinematic.agents.skills import CONTROL, Action  # noqa: E402
 from sim_kinematic.motion.state import NOBODY  # noqa: E402
 from sim_kinematic.policies.rearrange_observations import exact  # noqa: E402
@@ -137,7 +137,7 @@ def _social_nav() -> Pairs:
     batch = Batch(test_social_nav.HOMES, worlds=8, spec=test_social_nav.RULES, observations=FOLLOWER)
     batch.begin(test_social_nav.SEED, index)
     sim, rng = SocialNavTensors(bank, device="cpu", spec=test_social_nav.RULES), np.random.default_rng(1)
-    play = sim.step(Play.before_the_first(torch.tensor(index - 1), torch.float64), torch.zeros(8, 2))
+    play = sim.step(sim.before_the_first(torch.tensor(index - 1)), torch.zeros(8, 2))
     for _ in range(50):
         shown, seen = sim.observations(FOLLOWER, play), batch.observe()
         for name in FOLLOWER:

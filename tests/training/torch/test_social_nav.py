@@ -28,7 +28,7 @@ from h3data_training.torch.contact import TOLERANCE_M, TouchTest  # noqa: E402
 from h3data_training.torch.episodes import EpisodeBank  # noqa: E402
 from h3data_training.torch.geodesic import Lattices, shortest_way  # noqa: E402
 from h3data_training.torch.graph import fused  # noqa: E402
-from h3data_training.torch.social_nav import Play, SocialNavTensors  # noqa: E402
+from h3data_training.torch.social_nav import SocialNavTensors  # noqa: E402
 from h3data_training.torch.state import HumanTensors, RobotTensors  # noqa: E402
 from h3data_training.torch.step import Grids  # noqa: E402
 from sim_kinematic.motion.spec import StrideSpec, WalkerSpec  # noqa: E402
@@ -83,12 +83,12 @@ def test_the_same_actions_give_the_episodes_of_the_batch(rules: Any, homes: list
     batch = Batch(homes, worlds=worlds, spec=rules)
     batch.begin(SEED, index)
     sim = SocialNavTensors(bank, device="cpu", spec=rules)
-    play = sim.step(Play.before_the_first(torch.tensor(index - 1), torch.float64), torch.zeros(worlds, 2))
+    play = sim.step(sim.before_the_first(torch.tensor(index - 1)), torch.zeros(worlds, 2))
     (robots,), (people,) = batch.state.robots, batch.state.people
     rewards = SocialNavReward(worlds, rules=rules)
 
     def met() -> Encounter:
-        return Encounter(robots.xz, robots.heading, people.xz, play.geodesic.numpy(), play.collides.numpy())
+        return Encounter(robots.xz, robots.heading, people.xz, play.memory["geodesic"].numpy(), play.collides.numpy())
 
     rewards.reset(met())
     ended, touches, follows = np.zeros(worlds, np.bool_), 0, 0
@@ -108,12 +108,12 @@ def test_the_same_actions_give_the_episodes_of_the_batch(rules: Any, homes: list
         np.testing.assert_array_equal(play.episode, index)
         clear = sim.touch.gap(play.robot, play.human).abs().numpy() > TOLERANCE_M
         np.testing.assert_array_equal(play.collides.numpy()[clear], batch.memory.collides[clear])
-        np.testing.assert_allclose(play.geodesic, batch.memory.geodesic, rtol=0.1, atol=0.05)
+        np.testing.assert_allclose(play.memory["geodesic"], batch.memory.geodesic, rtol=0.1, atol=0.05)
         worth = rewards.step(met())  # the CPU's reward of what the device saw
         if ended.any():
             rewards.reset(met(), where=ended)
         np.testing.assert_allclose(play.reward, np.where(ended, 0, worth.reward), rtol=0, atol=1e-9)
-        np.testing.assert_array_equal(play.followed, rewards.followed)
+        np.testing.assert_array_equal(play.memory["followed"], rewards.followed)
         ended = ~ended & batch.play.out_of_time
         np.testing.assert_array_equal(play.truncated, ended)
         touches += batch.memory.collides.sum()
@@ -128,7 +128,7 @@ def test_float32_plays_nearly_the_same(bank: EpisodeBank) -> None:
     worlds, rng = 24, np.random.default_rng(4)
     first = torch.arange(worlds) % len(bank) - 1
     exact, single = (SocialNavTensors(bank, device="cpu", dtype=t, spec=RULES) for t in (torch.float64, torch.float32))
-    a, b = (Play.before_the_first(first, sim.dtype) for sim in (exact, single))
+    a, b = (sim.before_the_first(first) for sim in (exact, single))
     for _ in range(130):
         actions = torch.tensor(chase(exact.observations(GPS, a)["humanoid_gps"].numpy(), rng))
         a, b = exact.step(a, actions), single.step(b, actions.float())
@@ -143,7 +143,7 @@ def test_float32_plays_nearly_the_same(bank: EpisodeBank) -> None:
 
 def test_her_way_points_last_for_the_whole_episode(bank: EpisodeBank) -> None:
     sim = SocialNavTensors(bank, device="cpu", spec=RULES)
-    play = sim.step(Play.before_the_first(torch.arange(len(bank)) - 1, torch.float64), torch.zeros(len(bank), 2))
+    play = sim.step(sim.before_the_first(torch.arange(len(bank)) - 1), torch.zeros(len(bank), 2))
     last = 0
     for _ in range(RULES.max_steps):
         before = play.human
@@ -158,7 +158,7 @@ def test_her_way_points_last_for_the_whole_episode(bank: EpisodeBank) -> None:
 def test_a_collision_ends_the_episode_where_the_rules_say_so(bank: EpisodeBank) -> None:
     rules = replace(RULES, end_on_collision=True, max_steps=500)
     sim = SocialNavTensors(bank, device="cpu", spec=rules)
-    play = sim.step(Play.before_the_first(torch.arange(len(bank)) - 1, torch.float64), torch.zeros(len(bank), 2))
+    play = sim.step(sim.before_the_first(torch.arange(len(bank)) - 1), torch.zeros(len(bank), 2))
     ends = 0
     for _ in range(200):
         gps = sim.observations(GPS, play)["humanoid_gps"]
@@ -175,7 +175,7 @@ def test_a_collision_ends_the_episode_where_the_rules_say_so(bank: EpisodeBank) 
 def test_a_step_waits_for_nothing(bank: EpisodeBank) -> None:
     # tensors without data: whatever asked for a value, or mixed devices, would fail
     sim = SocialNavTensors(bank, device="meta", dtype=torch.float32, spec=RULES)
-    play = Play.before_the_first(torch.zeros(7, dtype=torch.int64, device="meta"), torch.float32)
+    play = sim.before_the_first(torch.zeros(7, dtype=torch.int64, device="meta"))
     after = sim.step(play, torch.zeros(7, 2, device="meta"))
     for mine, theirs in zip(play.tensors(), after.tensors(), strict=True):
         assert (mine.shape, mine.dtype, mine.device) == (theirs.shape, theirs.dtype, theirs.device)

@@ -1,6 +1,6 @@
 """One turn of an agent: its choice, its motion, and what changes hands.
 
-It is `sim_kinematic.agents.oracle.actors`, line by line.
+Its rules are `sim_kinematic.agents.oracle.rules`; the rest repeats `sim_kinematic.agents.oracle.actors`.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from h3data_training.torch.rearrange.state import ABORTED, DONE, FAILED, FREE, N
 from h3data_training.torch.rearrange.tables import Places
 from h3data_training.torch.state import HumanTensors, RobotTensors
 from h3data_training.torch.step import Grids, drive_robots, walk_humans, wrap_angle
-from sim_kinematic.agents.oracle.actors import AIMED_RAD, STALLED_STEPS, VIA_M, carry_point
-from sim_kinematic.agents.robots.driving import ARRIVED_M, FACING_RAD, NEARLY_M, STUCK_STEPS
+from sim_kinematic.agents.oracle.actors import carry_point
+from sim_kinematic.agents.oracle.rules import AIMED_RAD, VIA_M, gets_on, is_there, left_to_do, reaches
+from sim_kinematic.agents.robots.driving import FACING_RAD, STUCK_STEPS
 from sim_kinematic.agents.skills import CHOICE_WAIT_STEPS, PRIMITIVES
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, OracleSpec, WalkerSpec
 
@@ -143,8 +144,7 @@ def begin(
     first = places.first(field, xz)
     goes, handles = (kind == NAV_OBJECT) | (kind == NAV_GOAL), (kind == PICK) | (kind == PLACE)
     gap = places.ends(field) - xz[:, None]
-    there = (gap[..., 0] ** 2 + gap[..., 1] ** 2 <= oracle.reach_m**2).any(1)
-    reached = there & (error_to(xz, heading, spot[:, 0::2], bearing).abs() <= oracle.reach_rad)
+    reached = reaches(oracle, gap, error_to(xz, heading, spot[:, 0::2], bearing))
     can = precondition(choices, number, hands) & (~goes | (first >= 0)) & (~handles | reached)
     starts, fails = free & can, free & ~can
     zero = torch.zeros_like(does.timer)
@@ -193,18 +193,13 @@ def _go_on(turn: Turn, places: Places, xz: Tensor, within_m: float) -> tuple[Sub
     return does, point, away, way >= places.n
 
 
-def _is_there(does: SubGoal, away: Tensor, is_end: Tensor) -> Tensor:
-    content = (does.since > STALLED_STEPS) | (does.best < 0.0)
-    return is_end & ((away <= ARRIVED_M) | ((away <= NEARLY_M) & content))
-
-
 def move_robots(
     choices: Choices, turn: Turn, robot: RobotTensors, places: Places, grids: Grids, base: BaseSpec, bearing: float
 ) -> tuple[RobotTensors, SubGoal]:
     """One step of the base; whoever has arrived turned, or is stuck, is free again."""
     xz, heading, spot = robot.xz, robot.heading, turn.spot[:, 0::2]
     does, point, away, is_end = _go_on(turn, places, xz, VIA_M)
-    there = _is_there(does, away, is_end)
+    there = is_there(away, is_end, does.best, does.since)
     facing = error_to(xz, heading, spot, bearing)
     error = torch.where(there, facing, error_to(xz, heading, point))
     stride = base.max_speed_mps * STEP_S
@@ -215,14 +210,15 @@ def move_robots(
     going = torch.stack([torch.where(there, 0.0, forward), turned], -1)
     primitive = torch.where((turn.kind > WAIT)[:, None], choices.command[does.skill.clamp_min(0)], 0.0)
     robot = drive_robots(grids, robot, torch.where(turn.goes[:, None], going, primitive), base)
-    left = torch.where(there, 0.1 * facing.abs() - 1.0, away)
-    gets_on = left < does.best - 1e-3
+    on_the_way, turning = left_to_do(away, facing)
+    left = torch.where(there, turning, on_the_way)
+    better = gets_on(left, does.best)
     does = does._replace(
-        best=torch.where(turn.goes & gets_on, left, does.best),
-        since=torch.where(turn.goes, torch.where(gets_on, 0, does.since + 1), does.since),
+        best=torch.where(turn.goes & better, left, does.best),
+        since=torch.where(turn.goes, torch.where(better, 0, does.since + 1), does.since),
     )
     gap = point - robot.xz
-    there = _is_there(does, torch.hypot(gap[:, 0], gap[:, 1]), is_end)
+    there = is_there(torch.hypot(gap[:, 0], gap[:, 1]), is_end, does.best, does.since)
     done = turn.goes & there & (error_to(robot.xz, robot.heading, spot, bearing).abs() < FACING_RAD)
     return robot, _ended(does, done, turn.goes & ~done & (does.since > STUCK_STEPS))
 

@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 
 from h3data_training.torch.rearrange.bank import RearrangeBank
-from h3data_training.torch.rearrange.planners import planned
 from h3data_training.torch.rearrange.skills import (
     Choices,
     Hands,
@@ -23,15 +22,17 @@ from h3data_training.torch.rearrange.skills import (
     interrupted,
     move_people,
     move_robots,
+    of_object,
     one_of,
 )
-from h3data_training.torch.rearrange.state import FREE, NOBODY, Play, SubGoal, choose
+from h3data_training.torch.rearrange.state import DONE, FAILED, FREE, NOBODY, Play, SubGoal, choose
 from h3data_training.torch.rearrange.tables import Places, Tables
 from h3data_training.torch.state import HumanTensors, RobotTensors
 from h3data_training.torch.step import Grids, heading_direction
 from sim_kinematic.agents.robots.hand_reach import reach_bearing
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.motion.spec import OracleSpec
+from sim_kinematic.policies.rearrange import Plan
 from sim_kinematic.sensing.sensor import agents_within_threshold
 from sim_kinematic.tasks.rearrange.play import TRACK
 from sim_kinematic.tasks.rules.predicates import is_object_at
@@ -171,27 +172,32 @@ class RearrangeTensors:
     ) -> tuple[SubGoal, Tensor]:
         """What an agent is at after having been interrupted, and what it chooses if it is free."""
         if agent in self.planners:
-            number, does = planned(choices, does, hands, self.at_goal(hands, places))
-            return does, number
+            return self._planned(choices, does, hands, self.at_goal(hands, places))
         choice = choice.clamp(FREE, len(choices) - 1)
         if self.interrupts != "never":
             does = interrupted(does, choice, close if self.interrupts == "close" else torch.ones_like(close))
         return does, torch.where(choice == FREE, 4 * self.bank.objects, choice)
 
+    def _planned(self, choices: Choices, does: SubGoal, hands: Hands, at_goal: Tensor) -> tuple[SubGoal, Tensor]:
+        """What planners that are free choose, and what they remember of it."""
+        plan, failed = Plan(does.order, does.passed, does.tries), does.outcome == FAILED
+        k, plan = plan.next(does.skill == FREE, failed, hands.held_by, at_goal, choices.who, xp=torch)
+        came = torch.where(of_object(hands.held_by, k.clamp_min(0)) == choices.who, self.bank.objects + k, k)
+        there = (does.outcome == DONE) & (does.last == came)
+        number = torch.where(there, came + 2 * self.bank.objects, came)
+        waits = 4 * self.bank.objects
+        return does._replace(passed=plan.passed, tries=plan.tries), torch.where(k < 0, waits, number)
+
     def _judged(self, play: Play, places: Places) -> Play:
         """With what the step was worth."""
         hands = Hands(play.objects, play.held_by, play.moved, play.placed_by)
-        at_goal, spec = self.at_goal(hands, places), self.spec
-        success = at_goal.all(1)
-        collides = self.touching(play.robot, play.human)
-        stages = torch.cat([play.held_by != NOBODY, at_goal], 1)
-        reached = (stages & ~play.paid).sum(1)
-        worth = REARRANGE_REWARDS[spec.reward]
-        reward = worth.of(reached.to(self.dtype), collides.to(self.dtype), success.to(self.dtype))
+        spec, collides = self.spec, self.touching(play.robot, play.human)
+        held, at_goal, worth = play.held_by != NOBODY, self.at_goal(hands, places), REARRANGE_REWARDS[spec.reward]
+        reward, paid, success = worth.step(held, at_goal, play.paid, collides.to(self.dtype), xp=torch)
         terminated = success | collides if spec.end_on_collision else success
         truncated = ~terminated & (play.steps >= spec.max_steps)
         return play._replace(
-            paid=play.paid | stages,
+            paid=paid,
             success=success,
             collides=collides,
             reward=reward,

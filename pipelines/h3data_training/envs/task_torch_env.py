@@ -1,0 +1,270 @@
+"""A task of one robot and one scripted person for training on a device: actions, observations and rewards are tensors there."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from h3data.bodies import load_humanoid, load_robot
+from h3data.errors import InputError
+from h3data.render.light.sources import LightMode, check_light
+from h3data_training.envs.torch_env import Tensors, TorchEnv
+from h3data_training.torch.task_worlds import Play, TaskTensors
+from sim_kinematic.sensing.sensor import DETECTED_PIXELS, HUMAN_ID, scaled_depth
+from sim_kinematic.sensing.table import STATE_OBSERVATIONS, Sensor
+from sim_kinematic.tasks.describe import in_words
+from sim_kinematic.tasks.sources import Scenes
+from sim_kinematic.tasks.task import Task
+
+if TYPE_CHECKING:
+    from gymnasium.spaces import Box, Dict
+
+    from h3data.render import Output
+    from h3data_training.torch.cameras import TensorCameras
+    from h3data_training.torch.episodes import EpisodeBank
+
+log = logging.getLogger(__name__)
+
+PICTURED = ("arm_depth", "arm_rgb", "humanoid_detector")
+"""Observations that need a picture, and so a GPU."""
+OUTPUTS: dict[str, Output] = {"arm_depth": "depth", "humanoid_detector": "semantic"}
+"""Outputs of the arm's depth camera that they come from."""
+ARM, ARM_RGB = "robot_arm", "robot_arm_rgb"
+ASKED = "Hint: light='flat' asks for it."
+NO_BAKED_LIGHT = "On a device colours are in flat light. Hint: light='flat', or leave out device for baked light."
+EPISODES = 512
+"""Of the bank, unless said otherwise: some seconds to draw."""
+
+
+def arm_cameras(observations: Sequence[str]) -> tuple[str, ...]:
+    """Cameras of a robot's arm that observations need: that of depth and detector, then that of colours, where there is one."""
+    return (*[ARM] * bool(set(OUTPUTS) & set(observations)), *[ARM_RGB] * ("arm_rgb" in observations))
+
+
+class TaskTorchEnv(TorchEnv[Play]):
+    """W worlds of a task on one device (h3data docs gpu).
+
+    They play the episodes of a bank, each world in order from a place of its own, which follows from its seed.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        num_envs: int = 1,
+        scenes: Scenes = "h3-homes/train",
+        *,
+        device: torch.device | str = "cuda",
+        dtype: torch.dtype | None = None,
+        observations: Sequence[str] = STATE_OBSERVATIONS,
+        spec: Any = None,
+        end_on_success: bool = False,
+        depth_size: tuple[int, int] | None = None,
+        light: LightMode | None = None,
+        episodes: int | EpisodeBank = EPISODES,
+        episodes_seed: int = 0,
+        robot: str = "quad_arm",
+        human: str = "female_0",
+        graph: bool | None = None,
+        compile: bool | None = None,
+    ) -> None:
+        """Samples the episodes, or takes a bank of them, and copies it to the device.
+
+        Args:
+            task: the task, whose functions are for arrays of any namespace (h3data docs extending).
+            num_envs: number of worlds W.
+            scenes: as for `sim_kinematic.tasks.sources.EpisodeSource`.
+            device: device of all tensors: ``cuda``, ``cuda:1``, ``cpu``.
+            dtype: type of the state: by default float64 on the CPU, else float32.
+            observations: names of observations.
+            spec: rules; by default those of the task's environments.
+            end_on_success: whether success ends an episode even where the task goes on.
+            depth_size: width and height of pictures [px]; None is that of the robot's camera.
+            light: light in ``arm_rgb``: ``flat``, the only one on devices. None means flat too, with a warning, since
+                environments on the CPU have baked light.
+            episodes: number of episodes in the bank, or a bank.
+            episodes_seed: seed of the run whose first episodes these are.
+            robot: name of a built-in robot.
+            human: name of a built-in body.
+            graph: whether a step is captured as a CUDA graph; by default on a GPU.
+            compile: whether its operations are fused (`h3data_training.torch.graph.fused`), which makes steps ten times faster
+                and the first reset half a minute longer; by default on a GPU, if Triton is installed.
+
+        Raises:
+            InputError: an argument is not supported on devices, or there is no such device.
+        """
+        from h3data_training.torch.episodes import EpisodeBank
+
+        self.task, self.name, known = task, task.name, (*PICTURED, *self._sensors(task))
+        if set(observations) - set(known) or not observations or isinstance(observations, str):
+            raise InputError(f"On a device there are {', '.join(known)}, got {observations!r}.", code="H3-ENV-008")
+        super().__init__(num_envs, device, graph=graph, compile=compile)
+        rules = spec or task.usage.env_rules or task.Spec()
+        bodies = {"robot": robot, "human": human}
+        self._models = robot, human
+        if not isinstance(episodes, EpisodeBank):
+            episodes = EpisodeBank.draw(scenes, episodes, seed=episodes_seed, task=task, spec=rules, **bodies)
+        self.bank = episodes
+        self._names = tuple(dict.fromkeys(observations))
+        self.sim = self._make_worlds(
+            device=self.device, dtype=dtype, spec=rules, end_on_success=end_on_success, **bodies
+        )
+        if light is not None:
+            check_light(light)
+        self._light: LightMode | None = light
+        pictured = bool(set(PICTURED) & set(observations))
+        self._cameras = self._make_cameras(depth_size, compile=self._compiles, **bodies) if pictured else None
+        self._action = torch.zeros((self.num_envs, self.sim.action_width), dtype=self.sim.dtype, device=self.device)
+        nothing = torch.full((self.num_envs,), -1, dtype=torch.int64, device=self.device)
+        self.play = self.sim.before_the_first(nothing)
+        self._shown: Tensors = {}
+
+    @staticmethod
+    def _sensors(task: Task) -> Mapping[str, Sensor]:
+        """What a device shows beside pictures, by name."""
+        return task.sensors("robot")
+
+    def _make_worlds(self, **options: Any) -> TaskTensors:
+        worlds = TaskTensors(self.bank, task=self.task, **options)
+        worlds.check_functions([name for name in self._names if name not in PICTURED])
+        return worlds
+
+    # --- the interface ------------------------------------------------------------------------------------------------
+    def step(self, actions: Tensor) -> tuple[Tensors, Tensor, Tensor, Tensor, Tensors]:
+        """Moves all worlds by 1/30 s; worlds whose episode is over begin the next one.
+
+        Args:
+            actions: forward velocity and left turn [W, 2] in -1..1 of the limits, clipped. Numbers that are not finite count as
+                0: checking them would have to wait for the device.
+
+        Returns:
+            Observations, rewards [W], terminated [W], truncated [W], and info.
+
+        Raises:
+            InputError: the actions have another shape, or no episode has begun.
+        """
+        self._require_begun()
+        given = torch.as_tensor(actions)
+        if given.shape != self._action.shape:
+            raise InputError(
+                f"Expected actions of shape {list(self._action.shape)}, got {list(given.shape)}.", code="H3-ENV-010"
+            )
+        with torch.no_grad():
+            self._action.copy_(given, non_blocking=True)
+            return self._stepped()
+
+    def info(self) -> Tensors:
+        """Facts beyond the observations, [W] each; ``episode`` is a number in the bank."""
+        play = self.play
+        known = {
+            "success": self.sim.succeeded(play),
+            "collides": play.collides,
+            "robot_contact": play.robot.contact,
+            "episode": play.episode,
+        }
+        return {name: tensor.clone() for name, tensor in known.items()}
+
+    # --- parts --------------------------------------------------------------------------------------------------------
+    def _eager(self) -> None:
+        """One step of all worlds, in place."""
+        shown = self._move()
+        if self._cameras is not None:
+            shown |= self._pictures(self._cameras)
+        self._shown = {name: shown[name] for name in self._names}
+
+    def _moved(self) -> Tensors:
+        """A step but for its pictures."""
+        self._keep(self.sim.step(self.play, self._action))
+        return self.sim.observations([name for name in self._names if name not in PICTURED], self.play)
+
+    def _make_cameras(self, size: tuple[int, int] | None, *, compile: bool, robot: str, human: str) -> TensorCameras:
+        from h3data_training.torch.cameras import TensorCameras
+
+        if "arm_rgb" in self._names and self._light == "baked":
+            raise InputError(NO_BAKED_LIGHT, code="H3-ENV-011")
+        if "arm_rgb" in self._names and self._light is None:
+            log.warning(
+                "arm_rgb on a device is in flat light, that of environments on the CPU in baked light. %s", ASKED
+            )
+        heights = sorted({floor.floor_y for floor in self.bank.floors})
+        if len(heights) != 1:
+            raise InputError(
+                f"Pictures on a device need floors at one height, the scenes have {heights} m. Hint: name one scene.",
+                code="H3-ENV-012",
+            )
+        return TensorCameras(
+            self.bank.scenes,
+            load_robot(robot),
+            load_humanoid(human),
+            self.sim.spec.human,
+            worlds=self.num_envs,
+            floor_y=heights[0],
+            views=arm_cameras(self._names),
+            size=size,
+            device=self.device,
+            compile=compile,
+        )
+
+    def _pictures(self, cameras: TensorCameras) -> Tensors:
+        place = self.sim.place_of(self.play) if len(self.bank.scenes) > 1 else None
+        cameras.pose(self.play.robot, self.play.human, place=place)
+        by_arm: list[Output] = [OUTPUTS[name] for name in self._names if name in OUTPUTS]
+        seen, shown = cameras.picture(cameras.views[0], by_arm) if by_arm else {}, {}
+        if "depth" in seen:
+            shown["arm_depth"] = scaled_depth(seen["depth"])[..., None]
+        if "semantic" in seen:
+            pixels = (seen["semantic"] == HUMAN_ID).sum((-2, -1))
+            shown["humanoid_detector"] = (pixels > int(DETECTED_PIXELS * cameras.share)).float()[:, None]
+        if "arm_rgb" in self._names:
+            shown["arm_rgb"] = cameras.picture(cameras.views[-1], ("rgb",))["rgb"]
+        return shown
+
+    def _forget_actions(self) -> None:
+        self._action.zero_()
+
+    def _result(self) -> Tensors:
+        return {name: tensor.clone() for name, tensor in self._shown.items()}
+
+    # --- spaces, where Gymnasium is installed -------------------------------------------------------------------------
+    @cached_property
+    def single_action_space(self) -> Box:
+        """Space of the action of one world."""
+        from sim_kinematic.envs.stepper import gymnasium
+
+        return gymnasium.spaces.Box(-1.0, 1.0, (self.sim.action_width,), np.float32)
+
+    @cached_property
+    def single_observation_space(self) -> Dict:
+        """Space of the observations of one world."""
+        from sim_kinematic.envs.stepper import gymnasium
+        from sim_kinematic.sensing.observation_set import box
+
+        sensors, joints = self._sensors(self.task), self.sim.arm.shape[1]
+        spaces: dict[str, Any] = {
+            name: box(sensors[name].limits(joints if sensors[name].times == "joints" else 1))
+            for name in self._names
+            if name not in PICTURED
+        }
+        spaces["humanoid_detector"] = gymnasium.spaces.Box(0.0, 1.0, (1,), np.float32)
+        if self._cameras is not None:
+            size = self._cameras.renderer.height, self._cameras.renderer.width
+            spaces["arm_depth"] = gymnasium.spaces.Box(0.0, 1.0, (*size, 1), np.float32)
+            spaces["arm_rgb"] = gymnasium.spaces.Box(0, 255, (*size, 3), np.uint8)
+        return gymnasium.spaces.Dict({name: spaces[name] for name in self._names})
+
+    def __repr__(self) -> str:
+        robot, human = self._models
+        what = in_words(
+            self.task.name,
+            self.bank.scenes,
+            len(self.bank.scenes),
+            {"robot": robot},
+            beside={"human": human},
+            worlds=self.num_envs,
+        )
+        return f"{type(self).__name__}({what}, {len(self.bank)} episodes, {self.device}, {self.sim.dtype})"

@@ -1,0 +1,430 @@
+"""Any task of one robot and one scripted person in W worlds on a device, as tensor operations.
+
+State, actions and results stay where they are and nothing waits for the device, so on a GPU a whole step with its new
+episodes is one CUDA graph. The same episodes with the same actions are those of the CPU, but for what a GPU cannot
+search for: lengths of paths and where they lead are looked up (`h3data_training.torch.geodesic`, lengths mostly within
+0.1 %), contact is right to `h3data_training.torch.contact.TOLERANCE_M`; and arms always swing.
+
+The rules are those of the task: `Task.begin`, `Task.judge` and its sensors are called with tensors, in the namespace
+``play.xp`` or ``moment.xp``.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import is_dataclass, replace
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from h3data.bodies import load_humanoid, load_robot
+from h3data.errors import H3DataError, InputError
+from h3data_training.torch.contact import TouchTest
+from h3data_training.torch.episodes import EpisodeBank
+from h3data_training.torch.geodesic import Lattices, Way, shortest_way
+from h3data_training.torch.rules import refuse_others
+from h3data_training.torch.seen import clearance
+from h3data_training.torch.state import HumanTensors, RobotTensors
+from h3data_training.torch.step import Grids, drive_robots, move_humans, refuse_stairs, walk_humans
+from sim_kinematic.avoidance.robot_base import base_of
+from sim_kinematic.motion.state import ROBOT
+from sim_kinematic.sensing.sensor import in_base_frame
+from sim_kinematic.sensing.table import Pose, SensorContext, sensed
+from sim_kinematic.tasks.play import resting_arm
+from sim_kinematic.tasks.task import Task
+
+
+class Play(NamedTuple):
+    """Where W worlds are in their episodes."""
+
+    robot: RobotTensors
+    human: HumanTensors
+    episode: Tensor
+    """Number in the bank, int64 [W]."""
+    leg: Tensor
+    """Number of the way point that the person walks to, int64 [W]."""
+    steps: Tensor
+    """Steps of the episode so far, int64 [W]."""
+    ended: Tensor
+    """The episode is over: the next step begins another, bool [W]."""
+    memory: Mapping[str, Tensor]
+    """What the task stores between steps, [W, ...] each; ``success`` of the last step is kept with it."""
+    collides: Tensor
+    """They touch, bool [W]."""
+    before_xz: Tensor
+    """Of the robot, before the last step, [W, 2]; ``before_heading`` [W]."""
+    before_heading: Tensor
+    human_before_xz: Tensor
+    """Of the person, [W, 2]."""
+    reward: Tensor
+    """Of the last step, [W]."""
+    terminated: Tensor
+    """The rules ended the episode in the last step, bool [W]."""
+    truncated: Tensor
+    """It had all its steps, bool [W]."""
+
+    @classmethod
+    def before_the_first(cls, episode: Tensor, dtype: torch.dtype, memory: Mapping[str, Tensor]) -> Play:
+        """Worlds whose first step begins the episodes after ``episode`` [W]."""
+        worlds, device = len(episode), episode.device
+
+        def numbers(*axes: int) -> Tensor:
+            return torch.zeros((worlds, *axes), dtype=dtype, device=device)
+
+        def flags() -> Tensor:
+            return torch.zeros(worlds, dtype=torch.bool, device=device)
+
+        return cls(
+            robot=RobotTensors(numbers(2), numbers(), flags()),
+            human=HumanTensors(numbers(2), numbers(), numbers(), numbers(), numbers()),
+            episode=episode.clone(),
+            leg=torch.zeros_like(episode),
+            steps=torch.zeros_like(episode),
+            ended=~flags(),
+            memory=memory,
+            collides=flags(),
+            before_xz=numbers(2),
+            before_heading=numbers(),
+            human_before_xz=numbers(2),
+            reward=numbers(),
+            terminated=flags(),
+            truncated=flags(),
+        )
+
+    def tensors(self) -> Iterator[Tensor]:
+        """All of it, in a fixed order."""
+        for part in self:
+            yield from part.values() if isinstance(part, Mapping) else part if isinstance(part, tuple) else (part,)
+
+
+class Agents(NamedTuple):
+    """The agents of all worlds at one moment; there are no objects."""
+
+    agents: tuple[Any, Any]
+    """Robots and people; each has ``xz`` and ``heading``."""
+    held_by: Tensor | None = None
+    """[W, 0]."""
+
+
+class TensorWorld(NamedTuple):
+    """What tasks and sensors read of a `sim_kinematic.world.World`, on a device."""
+
+    worlds: int
+    state: Agents
+    before: Agents
+    """One step ago; headings of people are not known."""
+    start: Agents
+    touching: Tensor
+    """Robot and person touch, bool [W, 1]."""
+    floor_y: Tensor
+    """Height of the floor in each world [m], [W]."""
+    grids: Grids
+    """Of the worlds' floors."""
+
+    def heights(self, xz: Tensor) -> Tensor:
+        """Heights of the floor at places, [W] [m]: floors are level."""
+        del xz
+        return self.floor_y
+
+    def clearance(self, points: Tensor) -> Tensor:
+        """Signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
+        return clearance(self.grids, points)
+
+    def in_root_frame(self, own: Any, points: Tensor) -> Tensor:
+        """World points [W, n, 3] in the agent root frames of agents."""
+        seen = in_base_frame(own.xz[:, None], own.heading[:, None], points[..., 0:3:2], xp=torch)
+        return torch.stack([seen[..., 0], points[..., 1] - self.floor_y[:, None], -seen[..., 1]], -1)
+
+
+class TensorRollout:
+    """What a task reads of its `sim_kinematic.tasks.play.WorldRollout`, on a device."""
+
+    xp = torch
+
+    def __init__(self, sim: TaskTensors, now: Play, memory: Any) -> None:
+        """``memory`` is what the task stores between steps, [W, ...] each."""
+        self._sim, self._now = sim, now
+        self.spec, self.steps, self.world, self.memory = sim.spec, now.steps, sim.world(now), memory
+
+    def extra(self, name: str) -> Tensor:
+        """An entry of `Episode.extra` of every world, [W, ...]."""
+        return self._sim.extra(name)[self._now.episode]
+
+    def path_length(self, agent: int, points: Tensor) -> Tensor:
+        """Lengths of the shortest paths from an agent to points [W, 2], [W] [m]; inf where there is none."""
+        return self._sim.way_between(self._now, self.world.state.agents[agent].xz, points).length
+
+    def events_where(self, flags: Tensor, kind: str, *, agent: int = -1, target: str = "") -> tuple[()]:
+        """No events: nothing is recorded on a device."""
+        del flags, kind, agent, target
+        return ()
+
+
+class TaskTensors:
+    """W worlds, each in an episode of a bank; when it is over, the next step begins the one after it."""
+
+    def __init__(
+        self,
+        bank: EpisodeBank,
+        *,
+        task: Task,
+        device: torch.device | str,
+        dtype: torch.dtype | None = None,
+        spec: Any,
+        end_on_success: bool = False,
+        robot: str = "quad_arm",
+        human: str = "female_0",
+    ) -> None:
+        """``dtype`` of the state: float64 on the CPU, else float32.
+
+        Raises:
+            InputError: rules do not hold on a device, or a home has stairs.
+        """
+        self.device = torch.device(device)
+        self.dtype = dtype or (torch.float64 if self.device.type == "cpu" else torch.float32)
+        self.task, self.spec, self.bank = task, spec, bank
+        refuse_others(task.name, spec)
+        self._end_on_success = end_on_success
+        self._grids = Grids.of(bank.floors, self.device, self.dtype)
+        refuse_stairs(bank.floors)
+        self._lattices = Lattices.of(bank.floors, self.device, self.dtype)
+        body = load_robot(robot)
+        self.base = base_of(body, spec.robot)
+        self.touch = TouchTest.of(body, load_humanoid(human), spec.human, self.device, self.dtype)
+
+        def on_device(*columns: Any) -> Tensor:
+            parts = [torch.as_tensor(c, dtype=self.dtype, device=self.device) for c in columns]
+            return torch.cat([p if p.ndim == 2 else p[:, None] for p in parts], 1)
+
+        self.arm = on_device(resting_arm(body)[None])
+        """Resting positions of the robot's arm joints, [1, n]."""
+        self._place = torch.as_tensor(bank.place, device=self.device)
+        self._starts = on_device(bank.robot_xz, bank.robot_heading, bank.human_xz, bank.human_heading)
+        self._way_points = on_device(bank.way_points.reshape(-1, 2))
+        self._headings = None if bank.headings is None else on_device(bank.headings.reshape(-1, 1))[:, 0]
+        self._floor_y = on_device([[floor.floor_y] for floor in bank.floors])[:, 0]
+        self._extra = {
+            name: torch.as_tensor(rows, device=self.device, dtype=self.dtype if rows.dtype.kind == "f" else None)
+            for name, rows in bank.extra.items()
+        }
+
+    @property
+    def action_width(self) -> int:
+        """Numbers of an action: 2, or 3 where the robot can move sideways."""
+        return 3 if self.spec.robot.max_lateral_mps else 2
+
+    def place_of(self, play: Play) -> Tensor:
+        """Number of the scene of the bank that each world is in, [W]."""
+        return self._place[play.episode]
+
+    def world(self, play: Play) -> TensorWorld:
+        """Agents and floors."""
+        start, place = self._starts[play.episode], self.place_of(play)
+        return TensorWorld(
+            worlds=len(play.steps),
+            state=Agents((play.robot, play.human), play.steps.new_empty((len(play.steps), 0))),
+            before=Agents((Pose(play.before_xz, play.before_heading), Pose(play.human_before_xz, None))),
+            start=Agents((Pose(start[:, :2], start[:, 2]), Pose(start[:, 3:5], start[:, 5]))),
+            touching=play.collides[:, None],
+            floor_y=self._floor_y[place],
+            grids=self._grids.at(place),
+        )
+
+    def way_between(self, play: Play, start: Tensor, end: Tensor) -> Way:
+        """The shortest paths between points [W, 2]."""
+        place = self.place_of(play)
+        return shortest_way(self._grids.at(place), self._lattices.at(place), start, end)
+
+    def way(self, play: Play) -> Way:
+        """The shortest paths from robots to people."""
+        return self.way_between(play, play.robot.xz, play.human.xz)
+
+    def extra(self, name: str) -> Tensor:
+        """An entry of `Episode.extra` of all episodes of the bank, [N, ...].
+
+        Raises:
+            InputError: they have no such entry of numbers.
+        """
+        if name not in self._extra:
+            there = ", ".join(self._extra) or "none"
+            raise InputError(
+                f"Episodes of {self.task.name} have no {name!r} in Episode.extra that is an array of one shape in all of "
+                f"them; there are: {there}.",
+                code="H3-ENV-039",
+            )
+        return self._extra[name]
+
+    # --- a step -------------------------------------------------------------------------------------------------------
+    def before_the_first(self, episode: Tensor) -> Play:
+        """Worlds whose first step begins the episodes after ``episode`` [W]."""
+        play = Play.before_the_first(episode.to(self.device), self.dtype, {})
+        return play._replace(memory={name: torch.zeros_like(t) for name, t in self._begun(play).items()})
+
+    def step(self, play: Play, action: Tensor) -> Play:
+        """All worlds after ``action`` [W, 2 or 3], those that had ended at the start of their next episode."""
+        spec, fresh, legs = self.spec, play.ended, self.bank.way_points.shape[1]
+        episode = torch.where(fresh, (play.episode + 1) % len(self.bank), play.episode)
+        row = episode * legs
+        if self._headings is not None:  # each step has a place of its own
+            leg, now = play.leg, row + torch.where(fresh, 0, play.steps).clamp_max(legs - 1)
+            human = move_humans(play.human, self._way_points[now], self._headings[now], spec.human)
+        else:
+            gap = self._way_points[row + play.leg] - play.human.xz
+            arrived = torch.hypot(gap[:, 0], gap[:, 1]) <= spec.human.arrive_m
+            leg = torch.where(fresh, 0, (play.leg + arrived).clamp_max(legs - 1))
+            human = walk_humans(play.human, self._way_points[row + leg], spec.human)
+        robot = drive_robots(self._grids.at(self._place[episode]), play.robot, action, self.base)
+        start = self._starts[episode]
+        zero, begins = start.new_zeros(()), fresh[:, None]
+        robot = RobotTensors(
+            torch.where(begins, start[:, :2], robot.xz),
+            torch.where(fresh, start[:, 2], robot.heading),
+            robot.contact & ~fresh,
+        )
+        human = HumanTensors(
+            torch.where(begins, start[:, 3:5], human.xz),
+            torch.where(fresh, start[:, 5], human.heading),
+            *(torch.where(fresh, zero, t) for t in human[2:]),
+        )
+        moved = play._replace(
+            robot=robot,
+            human=human,
+            episode=episode,
+            leg=leg,
+            steps=torch.where(fresh, 0, play.steps + 1),
+            collides=self.touch.touching(robot, human),
+            before_xz=torch.where(begins, robot.xz, play.robot.xz),
+            before_heading=torch.where(fresh, robot.heading, play.robot.heading),
+            human_before_xz=torch.where(begins, human.xz, play.human.xz),
+        )
+        outcome, memory = self._judged(moved, fresh)
+        going = ~fresh
+        ends = outcome.terminated | outcome.success if self._end_on_success else outcome.terminated
+        terminated, truncated = going & ends, going & (moved.steps >= spec.max_steps)
+        return moved._replace(
+            memory=memory,
+            ended=terminated | truncated,
+            reward=torch.where(going, outcome.reward, 0.0),
+            terminated=terminated,
+            truncated=truncated,
+        )
+
+    def _begun(self, play: Play) -> dict[str, Tensor]:
+        """What the task's memory would be if all worlds began where they are."""
+        begun = self.task.begin(TensorRollout(self, play, None), torch.arange(len(play.steps), device=self.device))  # type: ignore[arg-type]
+        return {"success": play.steps < 0, **{name: self._typed(values) for name, values in (begun or {}).items()}}
+
+    def succeeded(self, play: Play) -> Tensor:
+        """Worlds whose last step was judged a success, bool [W]."""
+        return play.memory["success"]
+
+    def _judged(self, now: Play, fresh: Tensor) -> tuple[Any, dict[str, Tensor]]:
+        """What the step was worth, and what the task remembers of it; ``fresh`` worlds [W] have just begun."""
+        begun = self._begun(now)
+        memory = {name: _choose(fresh, values, now.memory[name]) for name, values in begun.items()}
+        rollout = TensorRollout(self, now._replace(memory=memory), dict(memory))
+        outcome: Any = self.task.judge(rollout)  # type: ignore[arg-type]
+        outcome = replace(outcome, reward=self._typed(outcome.reward))
+        after = {name: self._typed(rollout.memory[name]) for name in begun} | {"success": outcome.success}
+        return outcome, {name: _choose(fresh, values, after[name]) for name, values in begun.items()}
+
+    def _typed(self, values: Any) -> Tensor:
+        """A tensor of numbers in the type of the state."""
+        return values.to(self.dtype) if isinstance(values, Tensor) and values.is_floating_point() else values
+
+    # --- what the robot is shown --------------------------------------------------------------------------------------
+    def context(self, play: Play) -> SensorContext:
+        """What sensors of the robot read."""
+        world: Any = self.world(play)
+
+        def path() -> tuple[Tensor, Tensor]:
+            way = self.way(play)
+            return way.length, play.robot.xz + way.towards
+
+        (now, other), (before, other_before), (start, _) = (
+            at.agents for at in (world.state, world.before, world.start)
+        )
+        arm: Any = self.arm.expand(world.worlds, -1)
+        touched: Any = (play.robot.contact, play.collides)
+        agents = now, before, start, other, other_before
+        return SensorContext(self.spec, self.base, play.memory, (), world, ROBOT, *agents, *touched, arm, path, torch)  # type: ignore[arg-type]
+
+    def observations(self, names: Sequence[str], play: Play) -> dict[str, Tensor]:
+        """Sensors of the robot by name, float32 [W, n] each."""
+        sensors, moment = self.task.sensors("robot"), self.context(play)
+        return {name: sensed(name, sensors[name], moment, self.task.name, "robot").float() for name in names}
+
+    # --- whether the task is for arrays of any namespace --------------------------------------------------------------
+    def check_functions(self, names: Sequence[str], worlds: int = 2) -> None:
+        """Calls `Task.begin`, `Task.judge` and the named sensors with tensors without data.
+
+        Whatever waits for the device, needs NumPy or what no device has, fails.
+
+        Raises:
+            InputError: a function does; the message names the task and the function or sensor.
+        """
+        sim, who = _on_meta(copy.copy(self)), self.task.name
+        sim.device = torch.device("meta")
+        blank = Play.before_the_first(torch.zeros(worlds, dtype=torch.int64, device="meta"), self.dtype, {})
+        with _in_words(f"{who}: the function begin"):
+            rollout = TensorRollout(sim, blank, None)
+            begun = self.task.begin(rollout, torch.arange(worlds, device="meta"))  # type: ignore[arg-type]
+            if begun is None and rollout.memory is not None:
+                raise TypeError("it sets play.memory, and must return it: arrays [W, ...] by name")
+            _require_tensors(begun or {}, worlds)
+        play = blank._replace(memory=sim._begun(blank))
+        with _in_words(f"{who}: the function judge"):
+            rollout = TensorRollout(sim, play, dict(play.memory))
+            outcome = self.task.judge(rollout)  # type: ignore[arg-type]
+            flags = {name: getattr(outcome, name) for name in ("terminated", "success")}
+            _require_tensors({"reward": outcome.reward, **flags, **rollout.memory}, worlds)
+            if strange := set(rollout.memory) ^ set(play.memory):
+                raise TypeError(f"begin and judge must remember the same; {', '.join(sorted(strange))} differ")
+        for name in names:
+            with _in_words(f"{who}: the sensor {name} of robot"):
+                sensor = self.task.sensors("robot")[name]
+                _require_tensors({"it": sensed(name, sensor, sim.context(play), who, "robot")}, worlds)
+
+
+def _choose(flag: Tensor, a: Tensor, b: Tensor) -> Tensor:
+    """``a`` in the worlds where ``flag`` [W] holds, else ``b``, both [W, ...]."""
+    return torch.where(flag.reshape(-1, *[1] * (a.ndim - 1)), a, b)
+
+
+def _require_tensors(values: Mapping[str, Any], worlds: int) -> None:
+    for name, value in values.items():
+        if not isinstance(value, Tensor):
+            raise TypeError(f"{name} must be a torch tensor, got {type(value).__name__}")
+        if value.device.type != "meta" or value.shape[:1] != (worlds,):
+            raise TypeError(f"{name} must have a row for each world and follow from the state of the worlds")
+
+
+@contextmanager
+def _in_words(which: str) -> Iterator[None]:
+    """Faults of a task's function as one sentence."""
+    try:
+        yield
+    except H3DataError:
+        raise
+    except Exception as fault:
+        says = str(fault).splitlines()[0] if str(fault) else type(fault).__name__
+        raise InputError(
+            f"On a device, {which} must compute with play.xp or moment.xp, which is torch there, without NumPy and without "
+            f"asking for values: {says}.",
+            code="H3-ENV-040",
+        ) from fault
+
+
+def _on_meta(thing: Any) -> Any:
+    """The same with tensors that have no data, in the attributes of an object and of dataclasses in them."""
+    for name, value in vars(thing).items():
+        if isinstance(value, Tensor):
+            object.__setattr__(thing, name, value.to("meta"))
+        elif isinstance(value, dict) and any(isinstance(v, Tensor) for v in value.values()):
+            object.__setattr__(thing, name, {key: v.to("meta") for key, v in value.items()})
+        elif is_dataclass(value) and any(isinstance(v, Tensor) for v in vars(value).values()):
+            object.__setattr__(thing, name, _on_meta(copy.copy(value)))
+    return thing

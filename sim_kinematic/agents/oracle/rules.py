@@ -1,0 +1,44 @@
+"""Rules of oracle skills, for numbers, arrays and tensors: agents on the CPU and worlds on a device follow the same ones."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sim_kinematic.agents.robots.driving import ARRIVED_M, NEARLY_M
+from sim_kinematic.motion.spec import OracleSpec
+
+VIA_M = 0.125
+"""A robot goes on to the next corner of its path from this distance."""
+STALLED_STEPS = 10
+"""A robot that has not got on for this long is content with a place from `NEARLY_M`."""
+AIMED_RAD = 1e-3
+"""A person faces a point within this angle."""
+
+
+def is_there(away: Any, is_end: Any, best: Any, since: Any) -> Any:
+    """Whether a robot ``away`` [m] from the point that it drives to has come to the end of its path.
+
+    Args:
+        away: the distance [m].
+        is_end: whether that point is the end of the path.
+        best: what it has left to do at the least so far (`left_to_do`), below 0 once it has begun to turn.
+        since: steps since then.
+    """
+    content = (since > STALLED_STEPS) | (best < 0.0)
+    return is_end & ((away <= ARRIVED_M) | ((away <= NEARLY_M) & content))
+
+
+def left_to_do(away: Any, error_rad: Any) -> tuple[Any, Any]:
+    """What a robot has left to do on its way [m], and what while it turns at its end, less than 0."""
+    return away, 0.1 * abs(error_rad) - 1.0
+
+
+def gets_on(left: Any, best: Any) -> Any:
+    """Whether what is left to do has become noticeably less than at the best so far."""
+    return left < best - 1e-3
+
+
+def reaches(oracle: OracleSpec, gaps: Any, error_rad: Any) -> Any:
+    """Whether agents are at one of the places that are ``gaps`` [..., S, 2] away [m], and face their target."""
+    there = (gaps[..., 0] ** 2 + gaps[..., 1] ** 2 <= oracle.reach_m**2).any(-1)
+    return there & (abs(error_rad) <= oracle.reach_rad)
