@@ -209,6 +209,18 @@ def test_pages_that_install_h3data_install_its_compiled_kernels_too(page: Path) 
             assert all("pipelines/h3data_kernels" in line for line in from_clone), from_clone
 
 
+@pytest.mark.parametrize("page", sorted(DOCS.glob("tutorials/*.md")), ids=lambda page: page.name)
+def test_tutorials_show_what_their_commands_print_and_a_picture(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    printed = [
+        block
+        for kind, block in BLOCK.findall(text)
+        if kind == "text" and not re.match(r"(h3data|pip|from|import|#) ", block)
+    ]
+    assert printed
+    assert re.search(r"^!\[.+\]\(\.\./pictures/", text, re.MULTILINE)
+
+
 def test_the_docs_hold_commands() -> None:
     assert sum(len(commands(page)) for page in PAGES) > 200
     assert sum(len(quoted(page)) for page in PAGES) > 100
