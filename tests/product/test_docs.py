@@ -199,6 +199,28 @@ def test_the_glossary_holds_every_metric_of_the_paper() -> None:
         }
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_pages_that_install_h3data_install_its_compiled_kernels_too(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert "https://..." not in text, "an address is a real one or is left out"
+    for _, block in BLOCK.findall(text):
+        from_clone = re.findall(r"^pip install (?:\.|\"\.\[[^\n]*)[^\n]*$", block, re.MULTILINE)
+        if "download.pytorch.org" in block and from_clone:
+            assert all("pipelines/h3data_kernels" in line for line in from_clone), from_clone
+
+
+@pytest.mark.parametrize("page", sorted(DOCS.glob("tutorials/*.md")), ids=lambda page: page.name)
+def test_tutorials_show_what_their_commands_print_and_a_picture(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    printed = [
+        block
+        for kind, block in BLOCK.findall(text)
+        if kind == "text" and not re.match(r"(h3data|pip|from|import|#) ", block)
+    ]
+    assert printed
+    assert re.search(r"^!\[.+\]\(\.\./pictures/", text, re.MULTILINE)
+
+
 def test_the_docs_hold_commands() -> None:
     assert sum(len(commands(page)) for page in PAGES) > 200
     assert sum(len(quoted(page)) for page in PAGES) > 100

@@ -38,6 +38,7 @@ from h3data.scene.open import (
 )
 from h3data.scene.scene_sets import SceneSet, find_scene_set
 from h3data.scene.sources import SceneFile, scene_files
+from h3data.terminal import counted
 from h3data_pipelines.assets.scene_reports import (
     AGENT_HEIGHT_M,
     AGENT_RADIUS_M,
@@ -236,7 +237,7 @@ class ScenesExport:
             else []
         )
         text = "\n".join(
-            [f"wrote {names} as {self.to}: {len(files)} files, {size / 1e6:.1f} MB", *said, first, *episodes]
+            [f"wrote {names} as {self.to}: {counted(len(files), 'file')}, {size / 1e6:.1f} MB", *said, first, *episodes]
         )
         data = {
             "format": self.to,
