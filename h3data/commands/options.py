@@ -119,7 +119,7 @@ class Option:
 
     @property
     def notes(self) -> Mapping[str, str]:
-        """What it means in single tasks."""
+        """Meanings of the option in single tasks."""
         return next((mark.notes for mark in self.metadata if isinstance(mark, TaskNotes)), {})
 
 

@@ -1,4 +1,4 @@
-"""What a recording shows, posed at every step, in the form that writers of foreign formats take."""
+"""Parts of a recording, posed at every step, in the form that writers of other formats take."""
 
 from __future__ import annotations
 

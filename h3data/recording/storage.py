@@ -289,7 +289,7 @@ def put_tree(folder: Path, target: RemotePath, *, last: str) -> None:
 
 @contextmanager
 def _allowed(to: str, path: RemotePath) -> Iterator[None]:
-    """What a user can mend of a store's errors, in words; all others pass.
+    """Explains those errors of a store that a user can correct; all others pass.
 
     Raises:
         InputError: the credentials do not allow that, there is no such bucket, or nobody answers.

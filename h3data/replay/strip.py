@@ -59,7 +59,7 @@ def moments_of(recording: Recording) -> list[KeyFrame]:
 
 
 def crossing_of(recording: Recording) -> KeyFrame | None:
-    """Where two agents are nearest to each other while both move; None if they are never within `PASSING_M` then."""
+    """Returns where two agents pass closest while both move; None if they are never within `PASSING_M` then."""
     positions = [_positions(recording, k)[:, [0, 2]] for k in range(len(recording.agents))]
     moves = [_moves(xz, recording.episode.dt_ns / 1e9) for xz in positions]
     nearest: list[tuple[float, int, int, int]] = []

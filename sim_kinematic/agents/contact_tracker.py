@@ -1,4 +1,4 @@
-"""What the agents of one world see of each other, and which of them touch."""
+"""Mutual views of the agents of one world, and their contacts."""
 
 from __future__ import annotations
 

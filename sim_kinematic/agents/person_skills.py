@@ -45,7 +45,7 @@ HANDS: tuple[Hand, ...] = ("right", "left")
 
 
 class _Posture(NamedTuple):
-    """How a person stands, and what they carry."""
+    """Posture of a person, and what they carry."""
 
     base: Array
     quats: Array

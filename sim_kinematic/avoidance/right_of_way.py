@@ -445,7 +445,7 @@ class RightOfWay:
         return None
 
     def _places_soon(self, walker: Walker) -> NDArray[np.float64]:
-        """Where an agent is, and will be on the next metres of its path, [N, 2]."""
+        """Returns where an agent is, and will be on the next metres of its path, [N, 2]."""
         return np.vstack([walker.xz[None], _dots(first_of_path(self.path(walker), AVOIDANCE.asks_moving_m))])
 
 

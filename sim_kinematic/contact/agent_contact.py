@@ -48,7 +48,7 @@ class AgentContacts:
         return first.is_near(second) and collide(first.posed(), second.posed())
 
     def contacts(self, a: int = 0, b: int = 1) -> list[Contact]:
-        """Where two agents touch, deepest first."""
+        """Returns the contacts of two agents, deepest first."""
         first, second = self._bodies[a], self._bodies[b]
         return contacts(first.posed(), second.posed()) if first.is_near(second) else []
 

@@ -29,7 +29,7 @@ CONTACTS_MAX = 1000
 
 
 class Contact(NamedTuple):
-    """Where a shape of ``a`` and a shape of ``b`` overlap."""
+    """Overlap of a shape of ``a`` and a shape of ``b``."""
 
     index_a: int
     """Index of the shape in ``a`` (for a scene: into ``names``)."""

@@ -1,4 +1,4 @@
-"""What environments need of a task: something that begins episodes, takes actions and shows observations, worlds first.
+"""Interface of a task to environments: it begins episodes, takes actions and returns observations, worlds first.
 
 `sim_kinematic.envs.world_stepper` steps W worlds at once; `sim_kinematic.envs.skill_stepper` steps one world in which an
 action may last many steps; `ManySteppers` puts several of the latter side by side.

@@ -32,7 +32,7 @@ class HabitatSlideSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class BaseSpec:
-    """How a robot's base moves: discs that must stay clear of obstacles, and speed limits."""
+    """Motion of a robot's base: discs that must stay clear of obstacles, and speed limits."""
 
     max_speed_mps: float = 2.5
     max_turn_rad_s: float = 2.5
@@ -100,7 +100,7 @@ class ArmRoomSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class StrideSpec:
-    """How people walk along a path without stopping to turn (`sim_kinematic.motion.stride`)."""
+    """Rules of walking along a path without stopping to turn (`sim_kinematic.motion.stride`)."""
 
     accel_mps2: float = 1.1
     """People reach their walking speed in two to three steps (Breniere and Do 1986: 1.3 m/s in 1.2 s)."""
@@ -138,7 +138,7 @@ class StrideSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class WalkerSpec:
-    """How a way-point humanoid moves: it turns on the spot towards the next way point, then walks (paper section 3.1)."""
+    """Motion of a way-point humanoid: it turns on the spot towards the next way point, then walks (paper section 3.1)."""
 
     speed_mps: float = 2.5
     turn_rad_s: float = 2.5
@@ -196,7 +196,7 @@ class SocialNavSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class ArmSpec:
-    """How a robot's arm moves and takes things (paper appendix, low-level skills; spec/habitat.md 2.8)."""
+    """Motion and grasping of a robot's arm (paper appendix, low-level skills; spec/habitat.md 2.8)."""
 
     joint_step: float = 0.05
     """Most that a joint moves per step [rad or m]."""

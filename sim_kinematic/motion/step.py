@@ -27,7 +27,7 @@ from sim_kinematic.motion.state import AgentState, RobotState
 STAIRS_SHARE, STAIRS_NEAR_M = 0.4, 0.6
 """Share of their speed that robots keep on stairs, in the plan, and the distance before these on which they slow down [m]."""
 APART_ITERATIONS, APART_TOLERANCE_M = 4, 1e-6
-"""How often discs push each other apart, and a distance that counts as none."""
+"""Number of iterations in which discs push each other apart, and the distance that counts as none."""
 
 
 @kernel(error_model="numpy")
@@ -83,7 +83,7 @@ def push_out(sdf, origin, cell, x, z, heading, offsets, radius, iterations):
 
 @kernel(error_model="numpy")
 def integrate(x, z, heading, speed, lateral, turn, dt):
-    """Where a base gets in the open: ``(x, z, heading)``. It moves along its old axes, then turns (spec/habitat.md 0).
+    """Returns the free motion of a base: ``(x, z, heading)``. It moves along its old axes, then turns (spec/habitat.md 0).
 
     ``speed`` [m/s] is along its x axis, ``lateral`` [m/s] to its left, ``turn`` [rad/s] to the left.
     """
@@ -351,7 +351,7 @@ def discs_at(xz: np.ndarray, heading: np.ndarray, offsets_m: tuple[float, ...], 
 
 @lru_cache(maxsize=64)
 def _offsets(disc_offsets_m: tuple[float, ...]) -> np.ndarray:
-    """As an array; to make one takes a tenth of the step of one world."""
+    """Returns the offsets as an array, cached: to make one takes a tenth of the step of one world."""
     return np.array(disc_offsets_m)
 
 

@@ -159,7 +159,7 @@ def _kind_of(network: str) -> type[VisualPolicy] | type[SkillPolicyNetwork]:
 
 # --- social navigation --------------------------------------------------------------------------------------------------
 class NavigationContext:
-    """What a robot of social navigation is told of a view, as a `sim_kinematic.sensing.table.Context` of one world."""
+    """Observations of a robot of social navigation in a view, as a `sim_kinematic.sensing.table.Context` of one world."""
 
     xp = np
 

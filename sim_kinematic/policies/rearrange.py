@@ -22,7 +22,7 @@ from sim_kinematic.policies.learned_chooser import learned_chooser
 from sim_kinematic.policies.views import RearrangeView
 
 PLANS: dict[str, tuple[int, ...]] = {"still": (), "object_1": (0,), "object_2": (1,), "both": (0, 1)}
-"""What a planner does: the objects it rearranges."""
+"""Planners by name, with the objects that each rearranges."""
 POPULATIONS: dict[str, tuple[str, ...]] = {
     "plan_pop_1": ("object_1",),
     "plan_pop_2": ("object_1", "object_2"),
@@ -33,7 +33,7 @@ POPULATIONS: dict[str, tuple[str, ...]] = {
 ZSC = ("both", "object_1", "object_2", "still")
 """The planners of the paper's zero-shot population (appendix)."""
 ZSC_TEN = (*ZSC, *SHIPPED_PARTNERS)
-"""That population with its six learned partners, which are trained here: the paper's were not published."""
+"""The population of ten with its six learned partners, which are trained here: the paper's were not published."""
 REPLAN_STEPS = 15
 """Interval at which a robot that drives to an object chooses again [steps]; 1 while the person is close."""
 IN_REACH_M = 0.9

@@ -1,4 +1,4 @@
-"""What an episode is outside the simulator: its record in episode files, its entries in a recording, its identity, in words.
+"""Form of an episode outside the simulator: record in episode files, entries in a recording, identity and words.
 
 A task has one `EpisodeCodec` (`sim_kinematic.tasks.task.Task.codec`), the only place where its episodes are written and read.
 `TaskCodec` does that for all tasks whose episodes are an `Episode`.
@@ -45,7 +45,7 @@ R = TypeVar("R", bound=StoredEpisode)
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodePlace:
-    """Where a stored episode is played, and what the user wants other than the file."""
+    """Place in which a stored episode is played, and the user's changes to the file."""
 
     scene: Scene
     free: FreeSpace

@@ -1,4 +1,4 @@
-"""What agents of a task are told to do: the form of a choice, what carries it out, and how it is recorded and repeated.
+"""Control of a task's agents: the form of a choice, what carries it out, and how it is recorded and repeated.
 
 A task names one `Control` (`sim_kinematic.tasks.task.Task.control`). With `VelocityControl`, agents drive and walk. With
 `sim_kinematic.tasks.rearrange.control.SkillControl` they have skills: they take things, put them down, open and close.
@@ -22,7 +22,7 @@ from sim_kinematic.tasks.play import Rollout, WorldRollout
 
 
 class Control:
-    """What agents are told to do. A base class; ``play`` is what `rollout` has made, ``number`` that of an agent."""
+    """Control of agents. A base class; ``play`` is the result of `rollout`, ``number`` is the index of an agent."""
 
     batched: ClassVar[bool] = True
     """Whether it plays many worlds at once (`WorldRollout`), or one."""

@@ -249,7 +249,7 @@ class WorldRollout:
         )
 
     def sensor_context(self, agent: int) -> SensorContext:
-        """What the sensors of an agent measure now, in all worlds."""
+        """Returns the input of an agent's sensors now, in all worlds."""
         world = self.world
         kinds = [member.kind for member in world.roster]
         other = next((n for n, kind in enumerate(kinds) if kind != kinds[agent]), (agent + 1) % len(kinds))
@@ -490,7 +490,7 @@ def checked_outcome(task: Rules, outcome: Any, worlds: int) -> StepOutcome:
 
 
 class AgentSensors(NamedTuple):
-    """What one agent can be shown."""
+    """Observations that one agent can have."""
 
     agent: str
     sensors: Mapping[str, tuple[Sensor, Array, Array]]

@@ -1,4 +1,4 @@
-"""Where episodes come from: homes by name, made at first use and kept, and the episodes that seeds sample in them."""
+"""Sources of episodes: homes by name, made at first use and kept, and the episodes that seeds sample in them."""
 
 from __future__ import annotations
 

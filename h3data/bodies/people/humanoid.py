@@ -174,7 +174,7 @@ class Humanoid:
     def walk_pose(
         self, speed_mps: ArrayLike, phase: ArrayLike, blend: ArrayLike = 1.0, *, ground: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """As `clip_pose`, at any speed [T] [m/s]: walking up to 2 m/s, a jog above; exact instead of from a table.
+        """Returns the same as `clip_pose`, exactly instead of from a table, at any speed [T] [m/s]: above 2 m/s, a jog.
 
         The phase [T] advances by distance / `stride_m`. While the speed changes within a step, the planted foot creeps by
         the change of the stride; change it between steps to avoid that.
@@ -285,5 +285,5 @@ class Humanoid:
 
 
 def _doubles(values: ArrayLike) -> Array:
-    """As the kernels take them."""
+    """Returns an array in the form that the kernels take."""
     return np.ascontiguousarray(values, np.float64)

@@ -152,7 +152,7 @@ class PlantedWalk:
 
     @property
     def head_turn(self) -> float:
-        """How far the head has turned to the left in the last step [rad]."""
+        """Angle by which the head has turned to the left in the last step [rad]."""
         from h3data.bodies.people.kernels.planted import LOOK_RATE
 
         return float(self.state[LOOK_RATE]) * STEP_S

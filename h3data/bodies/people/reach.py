@@ -223,7 +223,7 @@ class ReachSolver:
         """Position of the palm of a standing person, shape [3] [m]."""
 
     def poses(self, targets: Array, trunk: ArrayLike = 1.0, arm: ArrayLike = 1.0) -> ReachPoses:
-        """As `reach_poses`."""
+        """Returns the same as `reach_poses`, with the body of this solver."""
         count = len(targets)
         quats, pelvis = np.empty((count, 55, 4)), np.empty((count, 3))
         measures, status = np.empty((count, kernel.MEASURE_COUNT)), np.empty(count, np.int8)
@@ -291,7 +291,7 @@ class ReachSolver:
         return BaseMotion(float(x * c + z * s), float(z * c - x * s), turn)
 
     def _towards(self, starts: Array, ends: Array) -> Array:
-        """How far one gets from valid ``starts`` [N, 3] on straight lines to ``ends`` [N, 3], by bisection."""
+        """Returns how far a posture gets from valid ``starts`` [N, 3] on straight lines to ``ends`` [N, 3], by bisection."""
         low, high = np.zeros((len(starts), 1)), np.ones((len(starts), 1))
         for _ in range(10):
             middle = (low + high) / 2

@@ -38,7 +38,7 @@ RELEASE_STEPS = 4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TurningFeet:
-    """How much the feet differ from those of the motion clips, while the person turns on the spot."""
+    """Differences of the feet from those of the motion clips while the person turns on the spot."""
 
     yaw: Array
     """Turn of each foot to the left about the root, shape [T, 2] [rad]."""

@@ -54,7 +54,7 @@ def compact_posture(robot: Robot, hand: int, body: Sequence[int], joints: Array,
 
 
 class _Cost:
-    """How badly postures [N, J] are folded, [N] [m]."""
+    """Cost of postures [N, J] by how badly they are folded, [N] [m]."""
 
     def __init__(self, robot: Robot, hand: int, body: Sequence[int], joints: Array, reach_m: float) -> None:
         self._robot, self._reach_m = robot, reach_m

@@ -115,7 +115,7 @@ def _headings_and_way(bases: Array, feet: Array) -> tuple[Array, Array]:
 
 
 def _lean(robot: Robot, bases: Array) -> Array:
-    """How far ahead of the root feet stand under a pitched base [T] [m], nearer to being below their hips."""
+    """Returns how far ahead of the root feet stand under a pitched base [T] [m], nearer to being below their hips."""
     up = quat_rotate(bases[:, 3:], np.array([1.0, 0.0, 0.0]))[:, 1]
     return -LEAN_SHARE * robot.base_height_m * up
 

@@ -121,7 +121,7 @@ def _joined_series(
 
 
 def _occurrences(flags: NDArray[np.bool_], offsets: NDArray[np.int64]) -> list[_Occurrences]:
-    """Where a flag holds in each episode."""
+    """Returns the steps at which a flag holds in each episode."""
     rows = np.flatnonzero(flags)
     bounds = np.searchsorted(rows, offsets)
     first = np.append(rows, -1)[bounds[:-1]] - offsets[:-1]

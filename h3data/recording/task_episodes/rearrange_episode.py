@@ -132,7 +132,7 @@ def instance_handles(episode: RearrangeEpisode) -> list[str]:
 
 
 def handles_of(configs: Sequence[str]) -> list[str]:
-    """As `instance_handles`, of the template names alone."""
+    """Returns the same as `instance_handles`, from the template names alone."""
     handles = [""] * len(configs)
     counts: dict[str, int] = {}
     for k in sorted(range(len(configs)), key=configs.__getitem__):

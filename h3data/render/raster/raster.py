@@ -123,8 +123,8 @@ class Target(NamedTuple):
     camera_from_mesh: NDArray[np.float64]
     """Mesh to camera, per instance, shape [I, 3, 4]."""
     pixel_from_mesh: NDArray[np.float32]
-    """As `camera_from_mesh` with the first two rows times the focal lengths; for orthographic cameras the last row maps to
-    nearness. Shape [I, 3, 4]."""
+    """The matrices `camera_from_mesh` with the first two rows times the focal lengths; for orthographic cameras the last row
+    maps to nearness. Shape [I, 3, 4]."""
 
 
 def new_target(width: int, height: int, *, draws: int, instances: int) -> Target:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from h3data.kernels import kernel
 
 GROW_M = 1e-4
-"""How far the blocking edges lie outside the free area [m]."""
+"""Distance of the blocking edges outside the free area [m]."""
 TANGENT_EPS = 1e-9
 """Cross products [m^2] below this count as collinear."""
 

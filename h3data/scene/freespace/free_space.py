@@ -1,4 +1,4 @@
-"""Where the centre of a round agent may be on one floor: exact polygons, distances to obstacles, shortest paths.
+"""Places at which the centre of a round agent may be on one floor: exact polygons, distances to obstacles, shortest paths.
 
 Everything that moves on a floor reads this one object: navigation, the step kernels (through the plain arrays ``sdf``,
 ``origin``, ``cell_m`` and the kernels `sample_sdf`, `sdf_gradient`, `line_of_sight`), rewards and metrics.

@@ -24,7 +24,7 @@ def _in_cone(ux: float, uz: float, rx: float, rz: float, lx: float, lz: float) -
 
 @kernel()
 def _meeting(surface: Surface, polygon: int, x: float, z: float, found: NDArray) -> int:
-    """How many polygons meet in (x, z), from one of them through edges that touch the point; fills their indices."""
+    """Counts the polygons that meet in (x, z), from one of them through edges that touch the point; fills their indices."""
     found[0] = polygon
     count, head = 1, 0
     while head < count:

@@ -22,7 +22,7 @@ Vector = tuple[float, ...]
 
 @dataclass(frozen=True)
 class HandTarget:
-    """Where a palm should be."""
+    """Target position of a palm."""
 
     position: Vector
     """In the agent root frame (x forward, y up, z right), [3] [m]: it moves with the person. Out of reach, the arm stretches

@@ -1,4 +1,4 @@
-"""How a robot with an arm drives to a place: around agents, out of narrow places, with what it holds."""
+"""Driving of a robot with an arm: around agents, out of narrow places, with what it holds."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ class RobotDriver:
 
     @property
     def path(self) -> NDArray[np.floating]:
-        """As `sim_kinematic.avoidance.right_of_way.Walker`; worked out when somebody asks, which is seldom."""
+        """Returns the path of a `sim_kinematic.avoidance.right_of_way.Walker`, computed when it is read."""
         if callable(self._path):
             self._path = self._path()
         return self._path

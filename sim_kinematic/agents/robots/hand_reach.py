@@ -72,7 +72,7 @@ def is_beyond_reach(robot: Robot, hand: Array) -> bool:
 
 
 class _StretchedArm(NamedTuple):
-    """How far an arm gets."""
+    """Reach of a stretched arm."""
 
     shoulder: Array
     """Position of its first joint in the agent root frame [3] [m]."""
@@ -107,7 +107,7 @@ def _stretched_arm(robot: Robot) -> _StretchedArm:
 
 
 def _travel(robot: Robot, link: int) -> float:
-    """How far a joint slides from where the link's origin is drawn, at most [m]."""
+    """Returns the farthest that a joint slides from the modelled origin of its link [m]."""
     if robot.kinds[link] != SLIDES:
         return 0.0
     column = robot.columns[link]

@@ -101,12 +101,12 @@ class RearrangeSpec:
     with every base but Habitat's, whose planners heed nobody. Left out of ``repr``, from which episodes have their identity."""
 
     solid_agents: bool = field(default=False, repr=False)
-    """As in `sim_kinematic.motion.spec.SocialNavSpec`; a person under commands then heeds one robot too."""
+    """The same as in `sim_kinematic.motion.spec.SocialNavSpec`; a person under commands then heeds one robot too."""
     floor_moves: bool = field(default=False, repr=False)
     """Whether what opens and closes takes floor and gives it back. So it is in all episodes that are sampled in homes where
     something opens; those from before 0.3 know nothing of it."""
     oracle: OracleSpec | None = field(default=None, repr=False)
-    """How skills are simplified to those of Habitat's oracles; None: they are not. `ORACLE_RULES` are the rules for them."""
+    """Simplification of skills to those of Habitat's oracles; None for full skills. `ORACLE_RULES` are the rules for them."""
     skills: str = field(default="", repr=False)
     """Learned skills of robots, with digests (`sim_kinematic.policies.skills.names.recorded_skills`). Those that it does not
     name know all."""

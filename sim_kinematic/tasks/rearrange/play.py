@@ -251,7 +251,7 @@ class SkillRollout:
         self.state = state = self.world.state
         state.object_pose[0] = [t.start for t in world.targets]
         self.outcome = StepOutcome(reward=np.zeros(1), terminated=np.zeros(1, np.bool_), success=np.zeros(1, np.bool_))
-        """What the task has said about the last step."""
+        """The task's evaluation of the last step."""
         self._checked, self._records_judgement = False, bool(self.task.codec.records_judgement)
         self.objects = Objects(names, np.array([t.goal for t in world.targets], np.float64), state, joints)
         self.doorways = RoomDoors.of(world.scene, world.free)
@@ -505,7 +505,7 @@ class SkillRollout:
         return discs_at(actor.xz[None], np.array([actor.heading]), offsets, radius)[0]
 
     def _meets_solid(self, person: DrivenPerson) -> bool:
-        """As `AgentContactTracker.meets`, or whether the person has come nearer to others than they may in this step."""
+        """Returns `AgentContactTracker.meets`, or whether the person has come nearer to others than they may in this step."""
         if self.encounters.meets(person):
             return True
         was, radius = self.encounters.track(person.number)[-1], self.episode.spec.agent_radius_m
@@ -574,7 +574,7 @@ class SkillRollout:
         return float(self.floor.geodesic(runner.actor.xz, point[[0, 2]], max_snap_m=2.0))
 
     def barrier(self, actor: AnyActor, k: int, at_goal: bool, *, detour_m: float = DETOUR_M) -> int:
-        """As `RearrangeView.barrier`, of an agent that rather walks ``detour_m`` farther than open a door."""
+        """Returns `RearrangeView.barrier` for an agent that walks up to ``detour_m`` farther to avoid opening a door."""
         if self.openables is None:
             return -1
         shut, positions = self.openables.barrier_of(k, at_goal=at_goal), self.openables.positions
@@ -713,7 +713,7 @@ class SkillRollout:
         return block
 
     def _tell(self, held: NDArray) -> None:
-        """What has happened to things and between agents in this step, as events."""
+        """Returns the events of this step, of things and between agents."""
         for k, (was, now) in enumerate(zip(held.tolist(), self.objects.held_by.tolist(), strict=True)):
             name = self.objects.names[k]
             if was != now and was != NOBODY and now == NOBODY:
