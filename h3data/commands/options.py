@@ -109,7 +109,7 @@ class Option:
 
     @property
     def is_list(self) -> bool:
-        """Whether it takes any number of values, as ``--camera A --camera B`` or ``--cameras A,B``."""
+        """Returns whether it takes any number of values, as ``--camera A --camera B`` or ``--cameras A,B``."""
         return self.count is None and bool(self.flags)
 
     @property

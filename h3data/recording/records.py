@@ -59,7 +59,7 @@ PAPERS_EXPERT_SINCE = (1, 6)
 
 @lru_cache(maxsize=64)
 def is_since(version: str, since: tuple[int, int]) -> bool:
-    """Whether a schema version is ``since`` or a later one; parts that are no numbers count as 0."""
+    """Returns whether a schema version is ``since`` or a later one; parts that are no numbers count as 0."""
     return tuple(int(part) if part.isdigit() else 0 for part in version.split(".")) >= since
 
 
@@ -180,7 +180,7 @@ class Episode:
 
     @property
     def plants_feet(self) -> bool:
-        """Whether people walk with planted feet, as they do since schema 1.5.
+        """Returns whether people walk with planted feet, as they do since schema 1.5.
 
         It applies to replays of people recorded by motion clips, and to episodes that are simulated again.
         """
@@ -188,7 +188,7 @@ class Episode:
 
     @property
     def is_lerobot_export(self) -> bool:
-        """Whether it was exported to LeRobot, which leaves out the last row and the simulator's own columns."""
+        """Returns whether it was exported to LeRobot, which leaves out the last row and the simulator's own columns."""
         return "lerobot" in self.info
 
 

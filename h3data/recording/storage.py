@@ -108,15 +108,15 @@ class RemotePath:
         return self.parent / name
 
     def exists(self) -> bool:
-        """Whether there is a file or folder at this path."""
+        """Returns whether there is a file or folder at this path."""
         return self._info().type != pafs.FileType.NotFound
 
     def is_dir(self) -> bool:
-        """Whether there is a folder at this path."""
+        """Returns whether there is a folder at this path."""
         return self._info().type == pafs.FileType.Directory
 
     def is_file(self) -> bool:
-        """Whether there is a file at this path."""
+        """Returns whether there is a file at this path."""
         return self._info().type == pafs.FileType.File
 
     def iterdir(self) -> Iterator[RemotePath]:

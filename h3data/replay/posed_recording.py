@@ -336,7 +336,7 @@ class PosedRecording:
 
     @cached_property
     def plants_feet(self) -> bool:
-        """Whether people recorded by motion clips walk with planted feet, and robots' strides depend on their speed.
+        """Returns whether people recorded by motion clips walk with planted feet, and robots' strides depend on their speed.
 
         This is so since schema 1.5 (`h3data.bodies.people.planted_gait`, `h3data.bodies.robots.trot`); older recordings
         are posed as they were when they were made.

@@ -190,7 +190,7 @@ def _positions(recording: Recording, agent: int) -> Array:
 
 
 def _moves(xz: Array, dt: float) -> NDArray[np.bool_]:
-    """Whether an agent moves, [T], by its displacement [T, 2] around each step; ``dt`` [s] is the time of a step."""
+    """Returns whether an agent moves, [T], by its displacement [T, 2] around each step; ``dt`` [s] is the time of a step."""
     steps, reach = np.arange(len(xz)), max(round(OVER_S / dt), 1)
     before, after = np.maximum(steps - reach, 0), np.minimum(steps + reach, len(xz) - 1)
     moved = np.linalg.norm(xz[after] - xz[before], axis=1)

@@ -41,9 +41,9 @@ class SceneFile:
     assets: tuple[str, ...] = ()
     """Additional folders to search for the scene's files; if empty, those of H3DATA_ASSETS."""
     strict: bool = False
-    """Whether warnings are errors."""
+    """True if warnings are errors."""
     allow_missing: bool = False
-    """Whether objects whose files are missing are left out with a warning."""
+    """True if objects whose files are missing are left out with a warning."""
 
     def open(self) -> Scene:
         """The scene in the file as it is now.
@@ -235,7 +235,7 @@ def missing_packages() -> str:
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether `h3data.scene.save_scene` wrote it: any other GLB is a mesh."""
+    """Returns whether `h3data.scene.save_scene` wrote it: any other GLB is a mesh."""
     from h3data.mesh.glb import unpack_glb
 
     if path.suffix.lower() != ".glb" or not path.is_file():

@@ -179,7 +179,7 @@ def _square(place: _Place) -> NDArray[np.float64]:
 
 
 def _swings(place: _Place, layout: Layout, doorway: Doorway, taken: Sequence[NDArray[np.float64]]) -> bool:
-    """Whether a leaf swings into a room without meeting anything, and leaves other doorways free when it is open."""
+    """Returns whether a leaf swings into a room without meeting anything, and leaves other doorways free when it is open."""
     square, (a0, b0, a1, b1) = _square(place), place.room.interior
     if square[0] < a0 - 1e-6 or square[1] < b0 - 1e-6 or square[2] > a1 + 1e-6 or square[3] > b1 + 1e-6:
         return False
@@ -194,7 +194,7 @@ def _swings(place: _Place, layout: Layout, doorway: Doorway, taken: Sequence[NDA
 
 
 def _slides(place: _Place, layout: Layout, doorway: Doorway) -> bool:
-    """Whether the wall on the side of the hinge is long enough to slide into, and without another opening there."""
+    """Returns whether the wall on the side of the hinge is long enough to slide into, and without another opening there."""
     along = _axes(place)[0][doorway.axis]
     low, high = doorway.span
     pocket = (low - place.width, low) if along > 0 else (high, high + place.width)

@@ -76,7 +76,7 @@ class MotionGaits(Gaits):
     cycle: Cycle
 
     def plays(self, speed_mps: ArrayLike) -> bool:
-        """Whether the cycle is played at these speeds."""
+        """Returns whether the cycle is played at these speeds."""
         return bool(np.all((np.asarray(speed_mps) > JOG_ABOVE_MPS) == (self.cycle.speed_mps > JOG_ABOVE_MPS)))
 
     def stride_m(self, speed_mps: ArrayLike) -> Array:

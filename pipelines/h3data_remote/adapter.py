@@ -30,7 +30,7 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     size: tuple[Pixels, Pixels] | None = None
     """Width and height of a picture; None: the camera's own."""
     pad: bool = False
-    """Whether a picture keeps its proportions, between black bars, instead of being stretched."""
+    """True if a picture keeps its proportions, between black bars, instead of being stretched."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -50,7 +50,7 @@ class Adapter(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     prompt: str = ""
     """Key of the instruction in words; empty: it is not sent."""
     session: bool = False
-    """Whether the episode's seed, the step, whether it is the first, and a name of the episode's run are sent too, as
+    """True if the episode's seed, the step, whether it is the first, and a name of the episode's run are sent too, as
     ``h3data/seed``, ``h3data/step``, ``h3data/reset`` and ``h3data/session``."""
     actions: str | Annotated[list[str], msgspec.Meta(min_length=1)] = "actions"
     """Key of the chunk of actions in an answer; of several, the columns follow each other."""

@@ -53,7 +53,7 @@ class Address:
 
     @property
     def is_loopback(self) -> bool:
-        """Whether the server is on this machine."""
+        """Returns whether the server is on this machine."""
         return self.host in LOOPBACK
 
     @classmethod

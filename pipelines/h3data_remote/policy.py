@@ -225,7 +225,7 @@ class RemotePolicy:
     # --- several worlds -----------------------------------------------------------------------------------------------
     @property
     def takes_batches(self) -> bool:
-        """Whether the server answers for several worlds at once."""
+        """Returns whether the server answers for several worlds at once."""
         return self._batched or own_facts(self.connection.metadata).get("batch") is True
 
     @staticmethod

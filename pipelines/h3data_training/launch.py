@@ -20,10 +20,10 @@ LOOK_S = 0.5
 
 
 class StopRequest(Protocol):
-    """Whether somebody asked to stop; `threading.Event` is one."""
+    """Request to stop a run; `threading.Event` is one."""
 
     def is_set(self) -> bool:
-        """Whether the run should stop."""
+        """Returns whether the run should stop."""
         ...
 
 

@@ -89,7 +89,7 @@ class Schedule(NamedTuple):
     gamma: float
     """Discount of one decision."""
     acts: bool = True
-    """Whether the actor learns, or only the critic, which is new where the actor is not."""
+    """True if the actor learns, False if only the critic does, which is new where the actor is not."""
     teacher: float = 0.0
     """Weight of what a teacher would do."""
 

@@ -26,7 +26,7 @@ class Ranks:
 
     @property
     def is_first(self) -> bool:
-        """Whether this process writes the files and speaks."""
+        """Returns whether this process writes the files and speaks."""
         return self.rank == 0
 
     def sum(self, tensor: Tensor) -> Tensor:

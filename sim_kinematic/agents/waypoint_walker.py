@@ -185,7 +185,7 @@ def _tangents_meet(arriving: NDArray[np.float64], leaving: NDArray[np.float64]) 
 
 
 def _sees(free: FreeSpace, a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
-    """Whether the straight way from a to b is free: then it is the shortest."""
+    """Returns whether the straight way from a to b is free: then it is the shortest."""
     return float(free.geodesic(a, b, max_snap_m=1e-3)) <= float(np.hypot(*(b - a))) + 1e-6
 
 

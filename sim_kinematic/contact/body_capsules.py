@@ -55,7 +55,7 @@ class PersonCapsules:
 
 
 def may_touch(a: RobotCapsules | PersonCapsules, b: RobotCapsules | PersonCapsules) -> bool:
-    """Whether `AgentContacts` must be asked: two capsules are within `MARGIN_M`."""
+    """Returns whether `AgentContacts` must be asked: two capsules are within `MARGIN_M`."""
     return bool(any_near(a.ends, a.radii, b.ends, b.radii, MARGIN_M))
 
 

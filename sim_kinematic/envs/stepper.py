@@ -44,7 +44,7 @@ class Options:
     noise: Mapping[str, NoiseModel] | None = None
     """Model by name of an observation, as `sim_kinematic.sensing.sensor.with_noise`; by default all are exact."""
     end_on_success: bool = False
-    """Whether success terminates an episode even where the task's rules let it go on."""
+    """True if success terminates an episode even where the task's rules let it go on."""
     threads: int = 1
     """Threads that render pictures."""
 

@@ -39,7 +39,7 @@ class BaseSpec:
     max_lateral_mps: float = 0.0
     """Above 0, an action has a third number: sideways, positive to the left."""
     allow_back: bool = True
-    """Whether it drives backwards."""
+    """True if it drives backwards."""
     slide: Slide = "strict"
     """Behaviour at a wall. ``strict``: no disc ever enters an obstacle. ``habitat``: as Habitat's base action, step for
     step; it moves by the disc that is worst off, so others may get into walls (research: navigation-and-stepping 3.2)."""
@@ -58,10 +58,10 @@ class BaseSpec:
     contact_tolerance_m: float = 1e-5
     """A disc displaced by more than this has touched something."""
     keeps_speed: bool = field(default=False, repr=False)
-    """Whether sliding counts towards the speed limit; else obstacles may push a base on faster (2.76 m/s were seen at a limit
+    """True if sliding counts towards the speed limit; else obstacles may push a base on faster (2.76 m/s were seen at a limit
     of 2.5 m/s). Left out of ``repr``, from which episodes have their identity: those of the paper's base keep theirs."""
     maneuvers: bool = field(default=False, repr=False)
-    """Whether scripts drive it as a robot of our own episodes: it sets off and brakes gradually, and looks for a maneuver where
+    """True if scripts drive it as a robot of our own episodes: it sets off and brakes gradually, and looks for a maneuver where
     it is stuck (`sim_kinematic.avoidance.maneuvers`)."""
 
     def farthest_m(self, dt: float) -> float:
@@ -190,7 +190,7 @@ class SocialNavSpec:
     robot: BaseSpec = HOME_BASE
     human: WalkerSpec = NATURAL_WALKER
     solid_agents: bool = field(default=False, repr=False)
-    """Whether a person under commands slides along the discs of others as along walls: the rule where people play live. Left
+    """True if a person under commands slides along the discs of others as along walls: the rule where people play live. Left
     out of ``repr``, from which episodes have their identity."""
 
 

@@ -48,7 +48,7 @@ def least_clearance(sdf, origin, cell, x, z, heading, offsets):
 
 @kernel(error_model="numpy", inline="always")
 def is_clear(sdf, origin, cell, x, z, heading, offsets, radius):
-    """Whether all discs of the base keep ``radius`` [m] from every obstacle: `least_clearance` >= radius, known sooner."""
+    """Returns whether all discs of the base keep ``radius`` [m] from every obstacle: a quicker `least_clearance` >= radius."""
     c, s = math.cos(heading), math.sin(heading)
     for offset in offsets:  # noqa: SIM110  (numba compiles no generators)
         if sample_sdf(sdf, origin, cell, x + c * offset, z - s * offset) < radius:

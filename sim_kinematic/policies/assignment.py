@@ -62,12 +62,12 @@ class AssignedPolicy(NamedTuple):
 
     @property
     def is_external(self) -> bool:
-        """Whether the agent is controlled from outside."""
+        """Returns whether the agent is controlled from outside."""
         return isinstance(self.policy, External)
 
     @property
     def takes_commands(self) -> bool:
-        """Whether somebody outside decides, now or in the recording that is played again."""
+        """Returns whether somebody outside decides, now or in the recording that is played again."""
         return bool(getattr(self.policy, "takes_commands", False))
 
 
@@ -78,7 +78,7 @@ SERVED = re.compile(r"(?P<scheme>[a-z]+):(?P<name>[^:,]+)@(?P<digest>[0-9a-f]{12
 
 
 def is_address(name: str) -> bool:
-    """Whether the name of a policy is the address of a policy server."""
+    """Returns whether the name of a policy is the address of a policy server."""
     return ADDRESS.fullmatch(name) is not None
 
 

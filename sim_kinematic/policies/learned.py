@@ -51,7 +51,7 @@ AnyNetwork = Network | VisualPolicy | SkillPolicyNetwork
 
 # --- names --------------------------------------------------------------------------------------------------------------
 def is_learned(policy: str) -> bool:
-    """Whether the name of a policy means a file of weights: ``weights:FILE``, or one of `SHIPPED`."""
+    """Returns whether the name of a policy means a file of weights: ``weights:FILE``, or one of `SHIPPED`."""
     return policy.startswith(PREFIX) or policy in SHIPPED
 
 

@@ -125,7 +125,7 @@ class RearrangeView(NamedTuple):
     before: NDArray[np.float64]
     """Pose one step ago, ``(x, z, heading)`` [3]."""
     contact: bool
-    """Whether the robot's base touched an obstacle in the last step."""
+    """True if the robot's base touched an obstacle in the last step."""
     collision: bool
     """Agents touch now."""
     barrier: Callable[[int, bool], int] = lambda k, at_goal: -1

@@ -65,7 +65,7 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     objects: int = 0
     """Number of objects of rearrangement that the policy supports."""
     primitives: bool = True
-    """Whether a robot of rearrangement may choose the primitives of navigation."""
+    """True if a robot of rearrangement may choose the primitives of navigation."""
     training: dict[str, Any] = {}
     """Origin of the policy: recipe, seed, steps, hardware, versions."""
 
@@ -115,7 +115,7 @@ class VisualPolicy:
 
     @property
     def sees_colours(self) -> bool:
-        """Whether the light of the home reaches it."""
+        """Returns whether the light of the home reaches it."""
         return self.sees == "arm_rgb"
 
     def in_light(self, light: LightMode) -> Self:

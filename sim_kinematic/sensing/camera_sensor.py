@@ -119,7 +119,7 @@ class StateRenderer:
         self._rigid: list[tuple[list[int], Array]] = []
         """Instances [n] of objects and of each robot, and their matrices [W, n, 4, 4], as last posed."""
         self._is_shaded = False
-        """Whether shadows are those of what was last posed."""
+        """True if shadows are those of what was last posed."""
 
     @property
     def worlds(self) -> int:

@@ -126,7 +126,7 @@ def agents_within_threshold(
     aside_m: float = 1.5,
     xp: Any = np,
 ) -> Any:
-    """Whether the other agent is inside the ellipse with these half axes around the own base, bool [...]."""
+    """Returns whether the other agent is inside the ellipse with these half axes around the own base, bool [...]."""
     seen = in_base_frame(own_xz, heading, other_xz, xp=xp)
     return (seen[..., 0] / ahead_m) ** 2 + (seen[..., 1] / aside_m) ** 2 < 1.0
 

@@ -65,9 +65,9 @@ class EpisodeCodec(Generic[R]):
     """Converts the episodes of a task to JSON and back: records in episode files, and the info of recordings. A base class."""
 
     samples_starts: ClassVar[bool] = False
-    """Whether it reads files without starts, which are sampled then."""
+    """True if it reads files without starts, which are sampled then."""
     records_judgement: ClassVar[bool] = True
-    """Whether each step's reward and success are recorded (``metrics.reward``, ``metrics.success``), for the metrics profile
+    """True if each step's reward and success are recorded (``metrics.reward``, ``metrics.success``), for the metrics profile
     ``task``. The built-in tasks, whose metrics follow from other columns, do without."""
 
     def __init__(self, task: Any) -> None:
@@ -96,7 +96,7 @@ class EpisodeCodec(Generic[R]):
         raise NotImplementedError
 
     def is_complete(self, record: R) -> bool:
-        """Whether the record leaves nothing to chance."""
+        """Returns whether the record leaves nothing to chance."""
         del record
         return True
 

@@ -25,11 +25,11 @@ class Control:
     """Control of agents. A base class; ``play`` is the result of `rollout`, ``number`` is the index of an agent."""
 
     batched: ClassVar[bool] = True
-    """Whether it plays many worlds at once (`WorldRollout`), or one."""
+    """True if it plays many worlds at once (`WorldRollout`), False if it plays one."""
     clip_coded: ClassVar[bool] = True
-    """Whether people are recorded as motion clips, else joint by joint."""
+    """True if people are recorded as motion clips, False if joint by joint."""
     common_policies: ClassVar[bool] = True
-    """Whether `sim_kinematic.policies.assignment.COMMON` makes such choices."""
+    """True if `sim_kinematic.policies.assignment.COMMON` makes such choices."""
 
     def __init__(self, skills: Mapping[str, tuple[str, ...]] | None = None) -> None:
         """Creates the control.
@@ -65,12 +65,12 @@ class Control:
         raise NotImplementedError
 
     def is_busy(self, play: Any, number: int) -> bool:
-        """Whether an agent goes on with something by itself until it ends or a command interrupts it."""
+        """Returns whether an agent goes on with something by itself until it ends or a command interrupts it."""
         del play, number
         return False
 
     def interrupts(self, play: Any, number: int, choice: Any) -> bool:
-        """Whether a command from outside interrupts what the agent is doing; by default all do."""
+        """Returns whether a command from outside interrupts what the agent is doing; by default all do."""
         del play, number, choice
         return True
 

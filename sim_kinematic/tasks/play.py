@@ -69,7 +69,7 @@ class Rollout(Protocol):
 
     @property
     def over(self) -> bool:
-        """Whether the last step has been played."""
+        """Returns whether the last step has been played."""
         ...
 
     @property
@@ -335,7 +335,7 @@ class WorldRollout:
 
     @property
     def over(self) -> bool:
-        """Whether the rules or the time limit have ended the first world's episode."""
+        """Returns whether the rules or the time limit have ended the first world's episode."""
         return bool(self.outcome.terminated[0] or self.out_of_time[0])
 
     def view(self, agent: int) -> Any:

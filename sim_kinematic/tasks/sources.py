@@ -46,7 +46,7 @@ class Home:
 
     @property
     def is_ready(self) -> bool:
-        """Whether scene and floor have been made."""
+        """Returns whether scene and floor have been made."""
         return "free" in vars(self) and "scene" in vars(self)
 
 

@@ -94,11 +94,11 @@ class TaskUsage:
     named_kinds: tuple[str, ...] = ("robot", "human")
     """Kinds of agents of which a job names the policy also where it is the default one."""
     bodies_in_agents: bool = False
-    """Whether the body that ``--human`` names is written into the roster, for each person of it."""
+    """True if the body that ``--human`` names is written into the roster, for each person of it."""
     crosses_partners: bool = False
-    """Whether an evaluation plays every policy with every partner by default."""
+    """True if an evaluation plays every policy with every partner by default."""
     can_be_solo: bool = False
-    """Whether an episode can be played without its robots (policy ``solo``)."""
+    """True if an episode can be played without its robots (policy ``solo``)."""
 
 
 class Task:

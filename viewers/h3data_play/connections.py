@@ -121,7 +121,7 @@ def require_own_origin(request: web.Request) -> None:
 
 
 def is_known(name: str, names: Iterable[str]) -> bool:
-    """Whether a server goes by a name.
+    """Returns whether a server goes by a name.
 
     Args:
         name: Of a host, without port.

@@ -142,7 +142,7 @@ class WebServer:
         self._left: set[str] = set()
         """Seats that other browsers have now, under other names."""
         self.finishes = True
-        """Whether recordings are finished when the server stops; else the next server goes on with them."""
+        """True if recordings are finished when the server stops; else the next server goes on with them."""
 
     # --- the application ----------------------------------------------------------------------------------------------
     def application(self) -> web.Application:
@@ -290,7 +290,7 @@ class WebServer:
         return self.journal.sit(token, max(places, default=-1) + 1, number)
 
     def _is_attended(self, seat: Seat, away_s: float) -> bool:
-        """Whether a seat's browser is connected, has been within the last ``away_s`` [s], or may just be loading the home."""
+        """Returns whether a seat's browser is connected, was so within the last ``away_s`` [s], or may be loading the home."""
         now = self.clock()
         if (
             now - self._loading.get(seat.sid, -LOADING_S) < LOADING_S
@@ -321,7 +321,7 @@ class WebServer:
         return network(named.rpartition(",")[2].strip() or request.remote or "")
 
     def _is_taken(self, sid: str) -> bool:
-        """Whether somebody still plays in a seat."""
+        """Returns whether somebody still plays in a seat."""
         seat = self.journal.seats.get(sid)
         game = None if seat is None else self.journal.games.get(seat.game)
         return seat is not None and (game is None or not game.over)
@@ -477,7 +477,7 @@ class WebServer:
             self.done.set()
 
     def _is_last(self) -> bool:
-        """Whether no further game will begin."""
+        """Returns whether no further game will begin."""
         return len(self.journal.games) >= self.plan.episodes
 
     def lost(self, worker: WorkerProcess) -> None:

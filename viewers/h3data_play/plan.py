@@ -76,7 +76,7 @@ class GameOrder(msgspec.Struct, frozen=True, kw_only=True):
     hitl: dict[str, Any] = {}
     """What else its recording says in ``info["hitl"]``."""
     resumes: bool = False
-    """Whether another process may have played some of it, or all."""
+    """True if another process may have played some of it, or all."""
     facts: dict[str, Any] | None = None
     """Facts that the process that has prepared the episode found (`EpisodeCodec.precompute`); None: nobody has prepared it."""
 

@@ -96,7 +96,7 @@ class Running:
     floors: dict[int, Any] = field(default_factory=dict)
     """The floor of which each player was last told, if it has ever changed; None: the page may have any."""
     is_stuck: bool = False
-    """Whether it waits for space on the disk, and the front knows."""
+    """True if it waits for space on the disk, and the front knows."""
     recording: Recording | None = None
     """Once it is over; the disk may still have to take its end."""
     planned: dict[int, int] = field(default_factory=dict)
@@ -109,7 +109,7 @@ class Running:
 
     @property
     def runs(self) -> bool:
-        """Whether all who play are there, and the disk takes what they do."""
+        """Returns whether all who play are there, and the disk takes what they do."""
         return not self.over and not self.is_stuck and all(number in self.here for number in self.game.drivers)
 
 

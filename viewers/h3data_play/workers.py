@@ -103,7 +103,7 @@ class WorkerProcess:
 
     @property
     def is_stuck(self) -> bool:
-        """Whether it has not read for a while."""
+        """Returns whether it has not read for a while."""
         return self._writer is not None and self._writer.transport.get_write_buffer_size() > MOST_UNSENT
 
     async def stop(self, seconds: float, *, finish: bool = True) -> None:

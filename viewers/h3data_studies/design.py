@@ -36,7 +36,7 @@ class Condition(Record, frozen=True):
 
     @property
     def is_solo(self) -> bool:
-        """Whether nobody else takes part."""
+        """Returns whether nobody else takes part."""
         return self.partner == "solo"
 
 
@@ -59,7 +59,7 @@ class Device(Record, frozen=True):
     min_fps: Annotated[float, Meta(ge=0)] = 15.0
     """Pictures per second of a blank scene."""
     touch: bool = True
-    """Whether phones and tablets may take part."""
+    """True if phones and tablets may take part."""
 
 
 class Tutorial(Record, frozen=True):
@@ -97,7 +97,7 @@ class Recruiting(Record, frozen=True):
     screen_out_code: str = ""
     screen_out_url: str = ""
     unique_codes: bool = False
-    """Whether everybody who finishes gets a completion code of their own (``h3data study pay`` lists them)."""
+    """True if everybody who finishes gets a completion code of their own (``h3data study pay`` lists them)."""
 
 
 class Exclude(Record, frozen=True):
@@ -148,7 +148,7 @@ class Item(Record, frozen=True):
         return [self.right] if isinstance(self.right, int | float) else self.right
 
     def is_right(self, answer: float | str | None) -> bool:
-        """Whether an answer passes; every answer does where the item is no check."""
+        """Returns whether an answer passes; every answer does where the item is no check."""
         return self.right_answers is None or answer in self.right_answers
 
 
@@ -174,7 +174,7 @@ class Form(Record, frozen=True):
 
     @property
     def has_checks(self) -> bool:
-        """Whether some answers are right and others wrong."""
+        """Returns whether some answers are right and others wrong."""
         return any(item.right is not None for item in self.items)
 
 

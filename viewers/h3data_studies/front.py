@@ -75,7 +75,7 @@ class DeviceReport(msgspec.Struct, frozen=True):
     system: Short = ""
     gpu: Short = ""
     final: bool = False
-    """Whether a window that is too small cannot be enlarged."""
+    """True if a window that is too small cannot be enlarged."""
 
 
 class Filled(msgspec.Struct, frozen=True):
@@ -101,7 +101,7 @@ class Focus(msgspec.Struct, frozen=True):
 
     away: bool
     why: Literal["hidden", "blur"] = "blur"
-    """Whether the page was not to be seen, or only another window had the keys."""
+    """Reason: the page was hidden, or only another window had the keyboard."""
     ms: Annotated[float, Meta(ge=0, le=1e9)] = 0.0
     """How long they were away, once they are back."""
 
@@ -425,7 +425,7 @@ class StudyServer(WebServer):
         return participant
 
     def _is_other(self, participant: Participant, ids: dict[str, str]) -> bool:
-        """Whether a link's ids are those of somebody else than ``participant``."""
+        """Returns whether a link's ids are those of somebody else than ``participant``."""
         given = recruit_ids(ids, self._key).get("PROLIFIC_PID")
         return given is not None and given != participant.ids.get("PROLIFIC_PID", given)
 

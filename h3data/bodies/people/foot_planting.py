@@ -215,7 +215,7 @@ def legs_to(body: Humanoid, quats: Array, pelvis: Array, ankles: Array) -> Array
 
 
 def _at(far: Array, reached: Array) -> NDArray[np.bool_]:
-    """Whether a leg is as long as it shall be: then its knee is left alone, whatever its axis."""
+    """Returns whether a leg is as long as it shall be: then its knee is left alone, whatever its axis."""
     return np.abs(far - np.linalg.norm(reached, axis=1)) < 1e-12
 
 

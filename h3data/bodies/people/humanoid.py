@@ -274,7 +274,7 @@ class Humanoid:
         return full, light
 
     def light_enough(self, focal_px: float, distance_m: float) -> bool:
-        """Whether the light mesh will do for a camera of this focal length [pixels] at this distance [m]."""
+        """Returns whether the light mesh will do for a camera of this focal length [pixels] at this distance [m]."""
         return focal_px * self.height_m < LOD_BELOW_PX * max(distance_m, 1e-6)
 
     def __repr__(self) -> str:

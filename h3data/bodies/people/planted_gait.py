@@ -145,7 +145,7 @@ class PlantedWalk:
 
     @property
     def stands(self) -> bool:
-        """Whether the feet are at rest where a standing person's are."""
+        """Returns whether the feet are at rest where a standing person's are."""
         from h3data.bodies.people.kernels.planted import one_stands
 
         return bool(one_stands(self.tables, self.state))
@@ -165,7 +165,7 @@ class PlantedWalk:
         return abs(float(self.state[SPEED]))
 
     def is_at(self, base: ArrayLike) -> bool:
-        """Whether the root [7] is where the last step left it."""
+        """Returns whether the root [7] is where the last step left it."""
         from h3data.bodies.people.kernels.planted import HEADING, X, Z
 
         x, z, heading = _place(base)

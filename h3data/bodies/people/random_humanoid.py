@@ -68,7 +68,7 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 def is_random(name: str) -> bool:
-    """Whether a body's name means a random person: ``random:`` and a whole number."""
+    """Returns whether a body's name means a random person: ``random:`` and a whole number."""
     return name.startswith(PREFIX) and name.removeprefix(PREFIX).isdecimal()
 
 

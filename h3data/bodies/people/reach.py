@@ -97,7 +97,7 @@ class ReachResult:
 
     @property
     def reached(self) -> bool:
-        """Whether the point can be reached."""
+        """Returns whether the point can be reached."""
         return self.status == "reached"
 
 
@@ -246,7 +246,7 @@ class ReachSolver:
         return ReachPoses(quats, pelvis, status, measures)
 
     def reachable(self, targets: Array) -> NDArray[np.bool_]:
-        """Whether points [T, 3] are reached."""
+        """Returns whether points [T, 3] are reached."""
         return self.poses(targets).status == kernel.REACHED
 
     @property

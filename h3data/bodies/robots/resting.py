@@ -68,7 +68,7 @@ class _Cost:
         self._radius = {k: SPARE_M + 0.5 * float(np.ptp(self._points[k], axis=0).min()) for k in arm}
 
     def _apart(self, a: int, b: int) -> bool:
-        """Whether two links are neither neighbours nor held by a common one."""
+        """Returns whether two links are neither neighbours nor held by a common one."""
         parents = [link.parent for link in self._robot.links]
         return a not in (parents[b], parents[parents[b]]) and b != parents[a] and parents[a] != parents[b]
 

@@ -92,7 +92,7 @@ class DatasetSchema:
     names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Names of the numbers in a column, by column, where an export to LeRobot knows them."""
     episode_stats: bool = True
-    """Whether the episode tables have LeRobot's statistics of every feature; those of older datasets have the videos' alone."""
+    """True if the episode tables have LeRobot's statistics of every feature; those of older datasets have the videos' alone."""
 
     def stored_dtype(self, column: Column) -> str:
         """The dtype of a column in the data files: since version 1.2 a uint64 is an int64 of the same bits.

@@ -60,7 +60,7 @@ class LitScene:
 
     @property
     def baked(self) -> bool:
-        """Whether the meshes carry light; otherwise everything is as it was."""
+        """Returns whether the meshes carry light; otherwise everything is as it was."""
         return self.field is not None
 
 

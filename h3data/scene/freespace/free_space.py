@@ -120,7 +120,7 @@ class FreeSpace(FloorMap):
 
     @property
     def has_stairs(self) -> bool:
-        """Whether one may walk from one storey to another."""
+        """Returns whether one may walk from one storey to another."""
         return bool(self.heights[:, STEPS].any())
 
     @cached_property
@@ -151,7 +151,7 @@ class FreeSpace(FloorMap):
         return np.array([p.area for p in self.polygon.geoms])
 
     def is_navigable(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Whether the agent may stand at points [..., 2], bool [...]; exact to 0.1 mm."""
+        """Returns whether the agent may stand at points [..., 2], bool [...]; exact to 0.1 mm."""
         return self.island(points) >= 0
 
     def island(self, points: ArrayLike) -> NDArray[np.int32]:

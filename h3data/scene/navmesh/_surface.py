@@ -79,7 +79,7 @@ def _cross(ax: float, az: float, bx: float, bz: float) -> float:
 
 @kernel(error_model="numpy")
 def contains(surface: Surface, polygon: int, x: float, z: float) -> bool:
-    """Whether (x, z) is in a polygon, its border included."""
+    """Returns whether (x, z) is in a polygon, its border included."""
     first, last = surface.start[polygon], surface.start[polygon + 1]
     ax, az = surface.corner[last - 1, 0], surface.corner[last - 1, 2]
     for s in range(first, last):

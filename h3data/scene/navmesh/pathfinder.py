@@ -142,7 +142,7 @@ class PathFinder:
         return np.array(self._nearest(point, self._island(island_index))[1:])
 
     def is_navigable(self, point: ArrayLike, max_y_delta: float = 0.5) -> bool:
-        """Whether the navmesh is within 1 cm beside and ``max_y_delta`` [m] above or below a point [3]."""
+        """Returns whether the navmesh is within 1 cm beside and ``max_y_delta`` [m] above or below a point [3]."""
         x, y, z = _point(point)
         return navigable(self._surface, x, y, z, float(max_y_delta)) >= 0
 

@@ -53,6 +53,6 @@ def _result(file: Path, path: Path) -> dict[str, Any]:
 
 
 def _ends_alike(name: str, path: Path) -> bool:
-    """Whether a recorded file name means this file: the session's folder and the file's name are the same, or it has none."""
+    """Returns whether a recorded file name means this file: session folder and file name are the same, or it is empty."""
     recorded, ours = Path(name).parts[-2:], path.absolute().parts[-2:]
     return bool(recorded) and recorded == ours[-len(recorded) :]

@@ -156,7 +156,7 @@ class _Files:
     content: dict[str, bytes] = field(default_factory=dict)
     classes: dict[int, str] = field(default_factory=lambda: {0: "unknown"})
     articulated: bool = False
-    """Whether anything opens."""
+    """True if anything opens."""
     navmeshes: dict[str, str] = field(default_factory=dict)
     """Paths of the navmeshes by handle."""
     _templates: dict[tuple[int, int], str] = field(default_factory=dict)

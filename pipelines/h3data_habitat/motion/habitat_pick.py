@@ -25,11 +25,11 @@ class HabitatPick:
     def __init__(self, person: HabitatHumanoid, *, step_m: float = HAND_STEP_M, snap_m: float = SNAP_M) -> None:
         self.person, self.step_m, self.snap_m = person, step_m, snap_m
         self.retracting = False
-        """Whether the hand is on its way back."""
+        """True if the hand is on its way back."""
         self.steps = 0
         """How many steps of the way out the hand is ahead of its start."""
         self.done = False
-        """Whether the last `step` ended a pick or place."""
+        """True if the last `step` ended a pick or place."""
 
     def reset(self) -> None:
         """A new episode: the hand is where it starts."""

@@ -48,7 +48,7 @@ class Template:
 
     @property
     def is_config(self) -> bool:
-        """Whether the template is a JSON file of its own."""
+        """Returns whether the template is a JSON file of its own."""
         return self.path.name.endswith(".json") and not self.inline
 
     def attributes(self) -> dict[str, Any]:

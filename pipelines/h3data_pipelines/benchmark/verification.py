@@ -59,7 +59,7 @@ class ResultVerification:
 
     @property
     def is_true(self) -> bool:
-        """Whether nothing is wrong with what was checked."""
+        """Returns whether nothing is wrong with what was checked."""
         return not self.faults
 
     def to_text(self) -> str:

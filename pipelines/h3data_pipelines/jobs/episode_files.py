@@ -85,7 +85,7 @@ class EpisodeRequest(Protocol):
 
     @property
     def allow_missing(self) -> bool:
-        """Whether scenes may lack assets."""
+        """Returns whether scenes may lack assets."""
         ...
 
     @property

@@ -51,7 +51,7 @@ class EvaluationRequest:
     assets: tuple[Path, ...] = ()
     """Asset folders for scenes and objects of an episode file."""
     allow_missing: bool = False
-    """Whether scenes of an episode file may lack objects."""
+    """True if scenes of an episode file may lack objects."""
     episodes: int | None = None
     homes: int = 4
     seed: int = 0

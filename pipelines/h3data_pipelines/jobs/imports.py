@@ -113,7 +113,7 @@ def _kept(files: Sequence[ImportedFile], out: Path) -> str:
 
 
 def _is_imported(recording: Recording, target: Path) -> bool:
-    """Whether a file holds this very recording, of an import that was interrupted."""
+    """Returns whether a file holds this very recording, of an import that was interrupted."""
     from h3data.recording import read_mcap, recordings_equal
 
     try:

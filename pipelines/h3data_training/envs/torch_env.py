@@ -34,7 +34,7 @@ class Playing(Protocol):
 
     @property
     def ended(self) -> Tensor:
-        """Whether each world's episode is over, bool [W]."""
+        """Returns whether each world's episode is over, bool [W]."""
         ...
 
     @property
@@ -44,12 +44,12 @@ class Playing(Protocol):
 
     @property
     def terminated(self) -> Tensor:
-        """Whether the rules have ended the episode, bool [W]."""
+        """Returns whether the rules have ended the episode, bool [W]."""
         ...
 
     @property
     def truncated(self) -> Tensor:
-        """Whether the time limit has ended the episode, bool [W]."""
+        """Returns whether the time limit has ended the episode, bool [W]."""
         ...
 
     def tensors(self) -> Any:

@@ -1,4 +1,4 @@
-"""Whether the resting robot touches the walking person, by tensors alone: capsules as balls in the robot's distance field.
+"""Contacts of the resting robot with the walking person, by tensors alone: capsules as balls in the robot's distance field.
 
 `sim_kinematic.contact.clearance.RobotHumanContact` (FCL on the exact shapes) is the truth; this differs from it only
 where the two are
@@ -83,7 +83,7 @@ class TouchTest:
         )
 
     def touching(self, robot: RobotTensors, human: HumanTensors) -> Tensor:
-        """Whether they touch, bool [W]."""
+        """Returns whether they touch, bool [W]."""
         return self.gap(robot, human) <= 0.0
 
     def gap(self, robot: RobotTensors, human: HumanTensors) -> Tensor:

@@ -174,7 +174,7 @@ class DrivenPerson(PersonActor):
 
     @property
     def _stirs(self) -> bool:
-        """Whether something of the last commands is still to be seen: a step, a turn, a hand, the head."""
+        """Returns whether something of the last commands is still to be seen: a step, a turn, a hand, the head."""
         person = self.person
         moves = self._gait.blend[0] > 0 or not person.walk.stands or person.transition.left > 0
         return self._drives and bool(moves or self._shares.any() or self._head.any())

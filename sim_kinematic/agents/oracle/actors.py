@@ -65,7 +65,7 @@ class SubGoals:
         return SubGoal((self.to_goal if moved else self.to_start)[k], (self.goals if moved else self.starts)[k])
 
     def reaches(self, errand: SubGoal, xz: Array, error_rad: float) -> bool:
-        """Whether an agent at a floor point [2] is at one of the places, and faces the point but for an angle."""
+        """Returns whether an agent at a floor point [2] is at one of the places, and faces the point but for an angle."""
         gap = errand.ways.ends - xz
         there = (gap[:, 0] ** 2 + gap[:, 1] ** 2 <= self.oracle.reach_m**2).any()
         return bool(there) and abs(error_rad) <= self.oracle.reach_rad

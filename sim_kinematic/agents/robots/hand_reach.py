@@ -46,7 +46,7 @@ class ReachPostures(NamedTuple):
     joint_pos: NDArray[np.float64]
     """All joints of the robot, [*batch, J]."""
     reached: NDArray[np.bool_]
-    """Whether the hand gets there, [*batch]."""
+    """True if the hand gets there, [*batch]."""
 
 
 def reach_posture(robot: Robot, target: ArrayLike, q0: Array | None = None, *, restarts: int = 32) -> ReachPostures:
@@ -61,7 +61,7 @@ def reach_posture(robot: Robot, target: ArrayLike, q0: Array | None = None, *, r
 
 
 def is_beyond_reach(robot: Robot, hand: Array) -> bool:
-    """Whether a pose7 [7] of the hand in the agent root frame is out of reach by its distance alone.
+    """Returns whether a pose7 [7] of the hand in the agent root frame is out of reach by its distance alone.
 
     It is if it is farther from the shoulder than all links of the arm stretched out. `reach_posture` takes 2 ms to find
     this out, because it tries every starting posture; learning policies ask all the time.

@@ -386,7 +386,7 @@ class RobotActor(RobotDriver):
 
     @property
     def _is_instant(self) -> bool:
-        """Whether its arm takes no time, as in Habitat: then a pick or a place is one step, not one per posture."""
+        """Returns whether its arm takes no time, as in Habitat: then a pick or a place is one step, not one per posture."""
         return bool(np.isinf(self.arm_rad_s))
 
     def _bring_hand(self, over: Array, at: Array) -> Generator[None, None, None]:

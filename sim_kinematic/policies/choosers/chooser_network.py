@@ -111,7 +111,7 @@ def encoded(
 
 
 def hides(name: str, observations: tuple[str, ...]) -> bool:
-    """Whether inputs of an observation are 0 for what the other agent holds."""
+    """Returns whether inputs of an observation are 0 for what the other agent holds."""
     return name in PLACES and "other_gps_compass" not in observations
 
 

@@ -122,7 +122,7 @@ class SkillExecutor:
 
     @property
     def is_free(self) -> bool:
-        """Whether it will have to choose in its next step."""
+        """Returns whether it will have to choose in its next step."""
         return self.skill is None or self.action.skill == CONTROL
 
     def act(self, step: int, view: Callable[[int], RearrangeView]) -> Generator[int, Action, None]:
@@ -460,7 +460,7 @@ class SkillRollout:
 
     @property
     def over(self) -> bool:
-        """Whether the episode has ended, by success, by a rule, or by its number of steps."""
+        """Returns whether the episode has ended, by success, by a rule, or by its number of steps."""
         return self.ended != "max_steps" or self.steps == self.episode.spec.max_steps
 
     @property
@@ -481,7 +481,7 @@ class SkillRollout:
 
     @property
     def collision(self) -> bool:
-        """Whether agents touch now."""
+        """Returns whether agents touch now."""
         return bool(self.encounters.touching)
 
     def _write_people(self) -> None:
@@ -727,7 +727,7 @@ class SkillRollout:
 
 @kernel(error_model="numpy")
 def _reached(poses, goals, held_by, within, at_goal):
-    """Whether objects with poses [K, 7] that nobody holds are ``within`` [m] of goals [K, 3], into ``at_goal`` [K]."""
+    """Returns whether objects with poses [K, 7] that nobody holds are ``within`` [m] of goals [K, 3], into ``at_goal`` [K]."""
     for k in range(len(goals)):
         dx, dy, dz = poses[k, 0] - goals[k, 0], poses[k, 1] - goals[k, 1], poses[k, 2] - goals[k, 2]
         at_goal[k] = held_by[k] == NOBODY and math.sqrt(dx * dx + dy * dy + dz * dz) < within

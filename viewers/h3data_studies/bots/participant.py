@@ -235,7 +235,7 @@ class ScriptedParticipant(Client):
 
     @property
     def over(self) -> bool:
-        """Whether the episode has ended."""
+        """Returns whether the episode has ended."""
         return bool(self.flags & ENDED or self.heard("over"))
 
     @property

@@ -286,7 +286,7 @@ def _with_each_partner(episode: ReportEpisode, info: Mapping[str, Any]) -> list[
 
 
 def same_episodes(first: Run, second: Run) -> bool:
-    """Whether two runs hold the same episodes by the same participant, if any: equal ids, scenes and seeds, each once."""
+    """Returns whether two runs hold the same episodes by the same participant, if any: equal ids, scenes and seeds."""
     a, b = (
         {e.metrics.episode_id: (e.metrics.scene, e.seed, e.participant) for e in run.episodes}
         for run in (first, second)
@@ -417,7 +417,7 @@ def _pooled(runs: Sequence[Run], roots: Sequence[Path], patterns: Sequence[str])
 
 
 def _one_row(parts: Sequence[Sequence[ReportEpisode]]) -> bool:
-    """Whether datasets of a policy belong together: no episode twice with the same partner or participant, the same rules."""
+    """Returns whether datasets of a policy have the same rules, and no episode twice with one partner or participant."""
     keys = [{(e.metrics.episode_id, e.metrics.scene, e.seed, e.partner, e.participant) for e in part} for part in parts]
     rules = {frozenset(e.metrics.protocol_deviations for e in part) for part in parts}
     return sum(map(len, keys)) == len(set().union(*keys)) and len(rules) == 1

@@ -55,7 +55,7 @@ class ReportEpisode:
 
     @property
     def studied(self) -> bool:
-        """Whether it says which participant did it under which condition."""
+        """Returns whether it says which participant did it under which condition."""
         return bool(self.participant and self.condition)
 
     def seconds(self, row: int) -> float:

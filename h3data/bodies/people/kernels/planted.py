@@ -44,7 +44,8 @@ nearly [m/s]; ``LOOK``: turn of the head to the left [rad], and ``LOOK_RATE`` of
 FOOT = 14
 """First column of the left foot."""
 AIR, SHARE, SINCE = 0, 1, 2
-"""Whether the foot swings, how far it has got 0..1, and what that was when it began (above 0 in the first step of a walk)."""
+"""Columns of a foot's swing: whether it swings, its progress 0..1, and its progress at the start (above 0 in the first step
+of a walk)."""
 PLANT, LEFT_AT, LANDS_AT = 3, 6, 9
 """Columns of a foot: its planted place in the world [3], its distance from the gait when it left the floor [3], and that
 distance when it lands [3]."""
@@ -348,7 +349,7 @@ def _above_root(table, k, f, state, foot, along):
 
 @kernel_part()
 def _steps_off(table, state, foot):
-    """Whether a swinging foot has left a place in a stairwell: then it goes straight from there to where it will land."""
+    """Returns whether a swinging foot has left a place in a stairwell, from where it goes straight to where it will land."""
     at = FOOT + foot * FOOT_COLUMNS
     return table.heights.shape[0] > 0 and step_at(table.heights, state[at + PLANT], state[at + PLANT + 1])[0] >= 0
 
@@ -511,7 +512,7 @@ def stand_at(table, state, x, z, heading):
 
 @kernel_part()
 def is_settled(table, state):
-    """Whether both feet stand where a standing person's do."""
+    """Returns whether both feet stand where a standing person's do."""
     k, f = _row(table, 0.0)
     for foot in range(2):
         at = FOOT + foot * FOOT_COLUMNS
@@ -912,7 +913,7 @@ def step_one(table, state, x, z, heading, dt):
 
 @kernel(error_model="numpy")
 def one_stands(table, state):
-    """Whether one state [K] rests with both feet where a standing person's are, so that at rest it takes no further step."""
+    """Returns whether a state [K] rests with both feet where a standing person's are, so that it takes no further step."""
     return state[SPEED] == 0.0 and abs(state[TURN]) < 0.1 and is_settled(table, state)
 
 

@@ -123,7 +123,7 @@ class View(NamedTuple):
 
     @property
     def touching(self) -> Tensor:
-        """Whether the agents touch, bool [W]."""
+        """Returns whether the agents touch, bool [W]."""
         return self.play.collides
 
     @property
@@ -153,7 +153,7 @@ class View(NamedTuple):
 
     @property
     def close(self) -> Tensor:
-        """Whether the other agent is close, bool [W]."""
+        """Returns whether the other agent is close, bool [W]."""
         return self.sim.close(self.now.xz, self.now.heading, self.other.xz)
 
     @property

@@ -98,12 +98,12 @@ def of_object(values: Tensor, k: Tensor) -> Tensor:
 
 
 def one_of(number: Tensor, count: int) -> Tensor:
-    """Whether each of ``count`` things is the one with a number [W], bool [W, count]."""
+    """Returns whether each of ``count`` things is the one with a number [W], bool [W, count]."""
     return number[:, None] == torch.arange(count, device=number.device)
 
 
 def precondition(choices: Choices, number: Tensor, hands: Hands) -> Tensor:
-    """Whether `sim_kinematic.agents.skills.Objects.why_not` finds no fault with choices [W] or, for all of them, [W, C]."""
+    """Returns whether `sim_kinematic.agents.skills.Objects.why_not` accepts choices [W] or, for all of them, [W, C]."""
     kind, k = choices.kind[number], choices.target[number]
     flat = k if k.ndim == 2 else k[:, None]
     holder = hands.held_by.gather(1, flat).reshape(k.shape)

@@ -78,7 +78,7 @@ class Play(NamedTuple):
     held_by: Tensor
     """Who holds each: 0 the robot, 1 the person, -1 nobody, int64 [W, K]."""
     moved: Tensor
-    """Whether each has been put down at its goal, bool [W, K]."""
+    """True if each has been put down at its goal, bool [W, K]."""
     placed_by: Tensor
     """Who was the last to put it down, -1 nobody, int64 [W, K]."""
     paid: Tensor

@@ -232,12 +232,12 @@ class RearrangeTensors:
         return (hands.held_by == NOBODY) & is_object_at(hands.objects, goals, distance_m=self.spec.at_goal_m, xp=torch)
 
     def close(self, xz: Tensor, heading: Tensor, other: Tensor) -> Tensor:
-        """Whether others [W, 2] are in the ellipse around agents in which skills may be interrupted, bool [W]."""
+        """Returns whether others [W, 2] are in the ellipse around agents in which skills may be interrupted, bool [W]."""
         ahead_m, aside_m = self.spec.near_m
         return agents_within_threshold(xz, heading, other, ahead_m=ahead_m, aside_m=aside_m, xp=torch)  # type: ignore[arg-type]
 
     def touching(self, robot: RobotTensors, human: HumanTensors) -> Tensor:
-        """Whether the discs of robot and person overlap, bool [W]."""
+        """Returns whether the discs of robot and person overlap, bool [W]."""
         ahead = heading_direction(robot.heading)
         discs = torch.stack([torch.add(robot.xz, ahead, alpha=offset) for offset in self._base.disc_offsets_m])
         gap = discs - human.xz

@@ -43,7 +43,7 @@ class SkillBank:
     target: NDArray[np.int64]
     """Number of the object, [N]."""
     holds: NDArray[np.bool_]
-    """Whether the robot holds it, [N]."""
+    """True if the robot holds it, [N]."""
     point: NDArray[np.float64]
     """Where it lies or is to go, [N, 3] [m]."""
     stand: NDArray[np.float64]

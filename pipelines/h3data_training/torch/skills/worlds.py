@@ -76,9 +76,9 @@ class SkillPlay(NamedTuple):
     reward: Tensor
     """Reward of the last step [W]."""
     success: Tensor
-    """Whether the skill succeeded in the last step, bool [W]."""
+    """True if the skill succeeded in the last step, bool [W]."""
     terminated: Tensor
-    """Whether the skill has succeeded or can no longer succeed, bool [W]."""
+    """True if the skill has succeeded or can no longer succeed, bool [W]."""
     truncated: Tensor
     """It had all its steps, bool [W]."""
 
