@@ -139,7 +139,7 @@ class Driver:
     # --- the body -----------------------------------------------------------------------------------------------------
     @property
     def place(self) -> tuple[Array, float]:
-        """Where the agent is: (x, z), heading."""
+        """Returns the place of the agent: (x, z), heading."""
         recorder = self.session.recorder
         if recorder.latest is None:
             start = self.session.episode.starts[self.number]

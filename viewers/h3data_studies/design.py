@@ -1,4 +1,4 @@
-"""What a study file says, as records that the command and the server share."""
+"""Content of a study file, as records that the command and the server share."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class DropOut(Record, frozen=True):
 
 
 class Recruiting(Record, frozen=True):
-    """Where participants come from and what they take back."""
+    """Recruiting of participants, and the code that they return to the platform."""
 
     require_id: bool = False
     """Only people whose link has ``PROLIFIC_PID`` may take part."""
@@ -161,9 +161,9 @@ class Form(Record, frozen=True):
     after: Literal["consent", "tutorial", "trial", "condition", "end"] = "condition"
     """``trial``: after each episode."""
     attempts: Count = 1
-    """How often checks (items with ``right``) may be answered."""
+    """Number of times that checks (items with ``right``) may be answered."""
     fail: Literal["screen_out", "note"] = "screen_out"
-    """What follows when no attempt is left: the end of the session, or only a note for the report and its exclusion rules."""
+    """Consequence when no attempt is left: the end of the session, or only a note for the report and its exclusion rules."""
     again: Text = ""
     """Said above the form when a check was not passed and there is another attempt."""
     conditions: list[str] = []
@@ -198,7 +198,7 @@ class Design(Record, frozen=True):
     languages: list[Name] = msgspec.field(default_factory=lambda: ["en"])
     """The first is the default."""
     minutes: Count | None = None
-    """How long it takes, as participants are told."""
+    """Duration that participants are told [minutes]."""
     about: Text = ""
     """Said above the consent text."""
     device: Device = Device()

@@ -1,4 +1,4 @@
-"""How a study is going: participants, conditions, late steps."""
+"""Overview of a running study: participants, conditions, late steps."""
 
 from __future__ import annotations
 

@@ -69,14 +69,14 @@ class Play:
     seed: int = 0
     """Homes and episodes follow from it."""
     episodes: int = 1
-    """How many, one after the other."""
+    """Number of episodes, one after the other."""
     seconds: float | None = None
     """Length limit of an episode (default: the app's; rearrange and teleop 180, social_nav 90, tutorial 600)."""
     motion: Path | None = None
-    """How people walk: as in a motion file, as of h3data generate."""
+    """Motion file with the walk of people, as in h3data generate."""
     rules: RulesOption = ()
     human_walk: WalkOption | None = None
-    """How fast people walk: natural is 1.3 m/s, paper 2.5 m/s (default: natural)."""
+    """Walking speed of people: natural is 1.3 m/s, paper 2.5 m/s (default: natural)."""
     port: PortOption = 0
     host: HostOption = "127.0.0.1"
     cert: CertOption = None

@@ -54,9 +54,9 @@ class Run:
     name: str
     policy: str
     task: str
-    """As the profile calls it: ``social_nav``, ``rearrange``, or a task of another package."""
+    """Name of the task in the profile: ``social_nav``, ``rearrange``, or a task of another package."""
     profile: Profile
-    """What measures the task, and says how it is shown."""
+    """Profile that measures the task and defines its layout."""
     episodes: tuple[ReportEpisode, ...]
     table: MetricsTable
     seeds: tuple[str, ...] = ()
@@ -103,7 +103,7 @@ class Mean:
 
     mean: float
     low: float
-    """Of seeds, one standard deviation below the mean."""
+    """Lower end: one standard deviation of the seeds below the mean."""
     high: float
     count: int
     """Episodes that define the metric."""
@@ -126,7 +126,7 @@ class ReportData:
 
     @property
     def episodes(self) -> Iterator[ReportEpisode]:
-        """Of all runs."""
+        """Episodes of all runs."""
         return (episode for run in self.runs for episode in run.episodes)
 
     @property
