@@ -34,16 +34,16 @@ SWING_RAD = np.pi / 2
 ALONG_M = 0.3
 """A leaf this near to a wall stands along it."""
 SWINGS_M = (np.inf, ALONG_M, -1.0)
-"""How far from a wall leaves may stand, tried in this order until a home has no faults."""
+"""Distances of leaves from a wall, tried in this order until a home has no faults."""
 PRIVATE = ("bathroom", "bedroom", "child", "office", "laundry", "den", "library", "pantry")
 """Kinds of rooms into which leaves swing by preference, most private first."""
 CLOSED: dict[str, float] = {"bathroom": 0.6, "bedroom": 0.5, "child": 0.4, "office": 0.4, "laundry": 0.6, "pantry": 0.7}
-"""How often the door of such a room is found closed; of others, `OTHERS_CLOSED`."""
+"""Share of closed doors by kind of room; of others, `OTHERS_CLOSED`."""
 OTHERS_CLOSED = 0.15
 LEAF = "leaf"
 """Name of the part that moves."""
 STRUCTURE = ("wall", "floor", "ceiling", "trim", "rug")
-"""What leaves pass."""
+"""Parts of the structure that leaves pass."""
 FLAT_M = 0.03
 """Leaves pass over what is no higher."""
 

@@ -1,4 +1,4 @@
-"""What a recording shows, as scene entities that hang in frames, and where those frames are."""
+"""Scene entities of a recording, which hang in frames, and the poses of those frames."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the scene of a stored episode is: a scene that can be generated again, or a file beside the episodes."""
+"""Scenes of stored episodes: a scene that can be generated again, or a file beside the episodes."""
 
 from __future__ import annotations
 

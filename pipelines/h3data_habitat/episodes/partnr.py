@@ -1,4 +1,4 @@
-"""What PARTNR's analysis adds to its human trajectories, which are files of a HITL session (spec/habitat.md 5.6)."""
+"""Results of PARTNR's analysis about its human trajectories, which are files of a HITL session (spec/habitat.md 5.6)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LEVELS = 3
 
 
 def partnr_result(path: Path) -> dict[str, Any]:
-    """What ``processed_metrics.json``, in the folder of an episode or above, says about it; {} if there is none.
+    """Returns the entry of an episode in ``processed_metrics.json``, in its folder or above; {} if there is none.
 
     Keys: ``episode_id``, ``rounds_needed``, ``percent_complete``, ``success``, ``explanation``, as far as they are there,
     and every other table that has the episode, under its own name.

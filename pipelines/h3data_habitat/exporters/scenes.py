@@ -150,7 +150,7 @@ class DatasetExport:
 
 @dataclass
 class _Files:
-    """What the folder will hold, and which asset has which template already."""
+    """Files that the folder will hold, and the templates that assets already have."""
 
     split_building: bool = False
     content: dict[str, bytes] = field(default_factory=dict)

@@ -97,7 +97,7 @@ def points(attributes: Mapping[str, Any], key: str, *, where: Path) -> list[tupl
 
 
 def _list(attributes: Mapping[str, Any], key: str) -> Any:
-    """What stands under ``key``; an empty list if there is nothing."""
+    """Returns the list under ``key``; an empty list if there is none."""
     value = attributes.get(key)
     return [] if value is None else value
 

@@ -37,7 +37,7 @@ class Rigid:
     asset: str
     attributes: Mapping[str, Any]
     scale: NDArray[np.float64]
-    """Of the template, shape [3]."""
+    """Scale of the template, shape [3]."""
     middle: NDArray[np.float64]
     """Habitat's origin of the object in the asset's frame, shape [3] [m]."""
     middle_scales: bool
@@ -55,7 +55,7 @@ class Articulated:
     robot: Robot
     links: tuple[Link, ...]
     assets: tuple[str, ...]
-    """Of each of these links."""
+    """Assets of each of these links."""
     attributes: Mapping[str, Any]
 
 

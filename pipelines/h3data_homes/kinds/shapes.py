@@ -207,7 +207,7 @@ class Surface(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class Model(msgspec.Struct, frozen=True, kw_only=True, eq=False, dict=True, forbid_unknown_fields=True):
-    """How a kind of thing is made."""
+    """Model of a kind of thing."""
 
     shapes: tuple[Box | Rod | Lathe | Ball | Soft | Pillow | Line | Arc | Leaves | Legs | Fronts, ...] = msgspec.field(
         name="parts"
@@ -232,7 +232,7 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, eq=False, dict=True, forb
 
 @cache
 def model_of(kind: Kind) -> Model:
-    """How a kind is made; only for kinds whose `Kind.model` is given.
+    """Returns the model of a kind whose `Kind.model` is given.
 
     Raises:
         ValueError: the kind has no model in the catalogue.

@@ -65,7 +65,7 @@ class BenchmarkResult(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, kw_only=True)
 class BenchmarkRun:
-    """What `run_benchmark` returns."""
+    """Result of `run_benchmark`."""
 
     folder: Path
     benchmark: Benchmark

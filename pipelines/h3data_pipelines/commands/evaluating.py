@@ -149,7 +149,7 @@ class Evaluate:
     motion: Path | None
     """Motion file with the gait of people, as for h3data generate."""
     human_walk: WalkOption | None
-    """How people walk: natural walks curves at 1.3 m/s, sets off and brakes; paper turns on the spot and is at 2.5 m/s at
+    """Walk of people: natural walks curves at 1.3 m/s, sets off and brakes; paper turns on the spot and is at 2.5 m/s at
     once (default: the episode's, else natural)."""
     human_speed: float | None
     """Walking speed of the person [m/s] (default: that of --human-walk)."""

@@ -212,7 +212,7 @@ class Generate:
     """Motion file with the gait of people: one of h3data motion import, AMASS, Habitat or BVH (h3data docs motion). It is
     stored in each recording."""
     human_walk: WalkOption | None
-    """How people walk: natural walks curves at 1.3 m/s, sets off and brakes; paper turns on the spot and is at 2.5 m/s at
+    """Walk of people: natural walks curves at 1.3 m/s, sets off and brakes; paper turns on the spot and is at 2.5 m/s at
     once (default: the episode's, else natural)."""
     human_speed: float | None
     """Walking speed of the person [m/s] (default: the episode's, else that of --human-walk)."""

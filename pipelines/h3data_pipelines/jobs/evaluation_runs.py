@@ -154,9 +154,9 @@ class EvaluationResult:
     left_out: tuple[str, ...] = ()
     """Episodes of the file that cannot be played, and why."""
     warnings: tuple[str, ...] = ()
-    """What stands in for something missing."""
+    """Warnings about stand-ins for missing assets."""
     job: dict[str, Any]
-    """What was asked for."""
+    """The requested job."""
     created_by: tuple[str, ...]
 
     def to_text(self) -> str:
