@@ -49,7 +49,7 @@ class Ranks:
         return self.sum((tensor - middle).square().sum()) / (number - 1)
 
     def first(self, tensor: Tensor) -> Tensor:
-        """What the first process holds."""
+        """Returns the value that the first process holds."""
         if self.count > 1:
             tensor = tensor.contiguous().clone()
             dist.broadcast(tensor, 0)

@@ -251,7 +251,7 @@ class TemplateReader:
 
 
 def _frame(template: Template, attributes: Mapping[str, Any], *, stage: bool) -> _Frame:
-    """As in habitat-sim a bare stage mesh is Z-up; everything else is Y-up unless its config says more."""
+    """Returns a mesh's frame: as in habitat-sim, a bare stage mesh is Z-up; else Y-up unless its config says more."""
     where = template.path
     bare = stage and not template.is_config and not template.inline and not template.defaults
     up, front = _Z_UP if bare else _Y_UP

@@ -34,14 +34,14 @@ log = logging.getLogger(__name__)
 PICTURED = ("arm_depth", "arm_rgb", "humanoid_detector")
 """Observations that need a picture, and so a GPU."""
 OBSERVATIONS = (*PICTURED, *FOLLOWER)
-"""What a device shows; as in `sim_kinematic.sensing.table`."""
+"""Observations on a device, as in `sim_kinematic.sensing.table`."""
 OUTPUTS: dict[str, Output] = {"arm_depth": "depth", "humanoid_detector": "semantic"}
 """Outputs of the arm's depth camera that they come from."""
 ARM, ARM_RGB = "robot_arm", "robot_arm_rgb"
 ASKED = "Hint: light='flat' asks for it."
 NO_BAKED_LIGHT = "On a device colours are in flat light. Hint: light='flat', or leave out device for baked light."
 EPISODES = 512
-"""Of the bank, unless said otherwise: some seconds to draw."""
+"""Default number of episodes in the bank: some seconds to draw."""
 
 
 def arm_cameras(observations: Sequence[str]) -> tuple[str, ...]:

@@ -27,7 +27,7 @@ class EpisodeBank:
     """N episodes: starts, and all way points that the person can get to in the time there is."""
 
     floors: tuple[FreeSpace, ...]
-    """Of the scenes that are played in."""
+    """Floors of the scenes that are played in."""
     scenes: tuple[Scene, ...]
     place: NDArray[np.int64]
     """Number of the scene, [N]."""
@@ -42,7 +42,7 @@ class EpisodeBank:
     after each step, and ``headings`` [N, P] [rad]."""
     headings: NDArray[np.float64] | None
     seeds: NDArray[np.int64]
-    """Of the episodes, as in recordings, [N]."""
+    """Seeds of the episodes, as in recordings, [N]."""
 
     @classmethod
     def draw(
@@ -114,7 +114,7 @@ class EpisodeBank:
 
 
 def _strides(episode: Episode) -> NDArray[np.float64]:
-    """Where the person is after each step, (x, z, heading) [P, 3]."""
+    """Returns where the person is after each step, (x, z, heading) [P, 3]."""
     walker = WaypointHuman(episode.free, episode.seed, episode.spec.human, goals_of(episode))
     starts = Starts.of(episode.starts)
     track = np.empty((episode.spec.max_steps + 1, 3))
@@ -125,7 +125,7 @@ def _strides(episode: Episode) -> NDArray[np.float64]:
 
 
 def _way_points(episode: Episode) -> NDArray[np.float64]:
-    """Where the person walks [P, 2], at least as far as they can get in an episode. They land on each way point exactly."""
+    """Returns the way points of a person [P, 2], at least for a whole episode. They land on each way point exactly."""
     walker = WaypointHuman(episode.free, episode.seed, episode.spec.human, goals_of(episode))
     stride = episode.spec.human.speed_mps * STEP_S
     points = [Starts.of(episode.starts).human_xz]

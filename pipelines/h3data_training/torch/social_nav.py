@@ -40,7 +40,7 @@ from sim_kinematic.tasks.rules.rewards import PaperReward
 
 
 class Play(NamedTuple):
-    """Where W worlds are in their episodes."""
+    """State of W worlds in their episodes."""
 
     robot: RobotTensors
     human: HumanTensors
@@ -63,12 +63,12 @@ class Play(NamedTuple):
     collides: Tensor
     """They touch, bool [W]."""
     before_xz: Tensor
-    """Of the robot, before the last step, [W, 2]; ``before_heading`` [W]."""
+    """Place of the robot before the last step, [W, 2]; ``before_heading`` [W]."""
     before_heading: Tensor
     human_before_xz: Tensor
-    """Of the person, [W, 2]."""
+    """Place of the person before the last step, [W, 2]."""
     reward: Tensor
-    """Of the last step, [W]."""
+    """Reward of the last step, [W]."""
     terminated: Tensor
     """The rules ended the episode in the last step, bool [W]."""
     truncated: Tensor
@@ -297,7 +297,7 @@ class SocialNavTensors:
 
     # --- what the robot is shown --------------------------------------------------------------------------------------
     def observations(self, names: Sequence[str], play: Play) -> dict[str, Tensor]:
-        """Those of `sim_kinematic.sensing.table.FOLLOWER`, float32 [W, n] each.
+        """Returns the observations of `sim_kinematic.sensing.table.FOLLOWER`, float32 [W, n] each.
 
         Raises:
             InputError: there is no such observation on a device.

@@ -79,7 +79,7 @@ class RearrangeTensors:
         """Plan of each episode of the bank, [N, K]."""
 
     def choices(self, agent: str) -> Choices:
-        """What an agent chooses among."""
+        """Returns the choices of an agent."""
         return self.robot_choices if agent == "robot" else self.human_choices
 
     def before_the_first(self, episode: Tensor) -> Play:
@@ -102,7 +102,7 @@ class RearrangeTensors:
         return self._at_start(episode, starts)
 
     def start(self, play: Play) -> Play:
-        """Those worlds that have ended at the start of their next episode."""
+        """Puts worlds that have ended at the start of their next episode."""
         return self._begun(play, play, play.ended)
 
     def _kept(self, play: Play, robot: Tensor, human: Tensor) -> Play:
@@ -169,7 +169,7 @@ class RearrangeTensors:
     def _chosen(
         self, agent: str, choices: Choices, does: SubGoal, choice: Tensor, close: Tensor, hands: Hands, places: Places
     ) -> tuple[SubGoal, Tensor]:
-        """What an agent is at after having been interrupted, and what it chooses if it is free."""
+        """Returns an agent's turn after interruptions, with a new choice if it is free."""
         if agent in self.planners:
             number, does = planned(choices, does, hands, self.at_goal(hands, places))
             return does, number

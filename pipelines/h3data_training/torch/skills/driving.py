@@ -21,10 +21,10 @@ from sim_kinematic.motion.spec import STEP_S, BaseSpec
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drive:
-    """How robots drive in some homes, with an empty hand and with something in it."""
+    """Driving of robots in some homes, with an empty hand and with something in it."""
 
     grids: Grids
-    """Of all homes."""
+    """Grids of all homes."""
     base: BaseSpec
     carrying: BaseSpec
     """Its discs cover what the hand carries, too."""
