@@ -42,7 +42,7 @@ _F64 = np.dtype(np.float64)
 
 
 def _is_single(value: Any) -> bool:
-    """Whether a value is a single float64 vector, which is computed in Python floats.
+    """Returns whether a value is a single float64 vector, which is computed in Python floats.
 
     The same operations in the same order give the same bits, in a quarter of the time of NumPy's calls on four numbers;
     agents pose one such vector each per step.

@@ -52,7 +52,7 @@ def names_from_data() -> Iterator[None]:
 
 
 def come_from_data() -> bool:
-    """Whether names come from a file now (`names_from_data`), and not from the user."""
+    """Returns whether names come from a file now (`names_from_data`), and not from the user."""
     return _FROM_DATA.get()
 
 
@@ -75,13 +75,13 @@ def _trusted() -> list[str]:
 
 
 def is_trusted(reference: str) -> bool:
-    """Whether data may name this ``module:name``."""
+    """Returns whether data may name this ``module:name``."""
     module = reference.partition(":")[0]
     return any(module == name or module.startswith(f"{name}.") for name in _trusted())
 
 
 def _is_working_directory(folder: str) -> bool:
-    """Whether an entry of ``sys.path`` is the working directory; "" stands for it."""
+    """Returns whether an entry of ``sys.path`` is the working directory; "" stands for it."""
     try:
         return os.path.samefile(folder or ".", ".")
     except OSError:
@@ -89,7 +89,7 @@ def _is_working_directory(folder: str) -> bool:
 
 
 def _is_editable(distribution: importlib.metadata.Distribution | None) -> bool:
-    """Whether pip left a note with the installed package that its modules are used from where they are written."""
+    """Returns whether pip left a note with the installed package that its modules are used from where they are written."""
     note = distribution.read_text("direct_url.json") if distribution is not None else None
     try:
         return bool(json.loads(note or "{}")["dir_info"]["editable"])
@@ -122,7 +122,7 @@ class Plugin:
     distribution: str = ""
     """Name and version of the installed package; empty for built-in entries and references by ``module:name``."""
     editable: bool = False
-    """Whether the package is installed with ``pip install -e``, so that its modules may lie in the working directory."""
+    """True if the package is installed with ``pip install -e``, so that its modules may lie in the working directory."""
 
     def load(self) -> Any:
         """The object itself; raises whatever importing its module raises."""
@@ -152,7 +152,7 @@ def own_entries(group: str) -> dict[str, str]:
 
 
 def _is_there(reference: str) -> bool:
-    """Whether the package of ``module:name`` is installed; a folder without files, which Python calls a namespace, is not."""
+    """Returns whether the package of ``module:name`` is installed; a folder without files (a namespace) does not count."""
     spec = importlib.util.find_spec(reference.partition(":")[0].partition(".")[0])
     return spec is not None and spec.origin is not None
 
@@ -374,7 +374,7 @@ class Registry(Generic[T]):
 
 
 def _is_command() -> bool:
-    """Whether this process is ``h3data`` on a command line."""
+    """Returns whether this process is ``h3data`` on a command line."""
     return Path(sys.argv[0]).name in ("h3data", "h3data.exe") or "h3data_pipelines" in Path(sys.argv[0]).parts
 
 

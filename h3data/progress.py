@@ -26,7 +26,7 @@ _LINE_WITHOUT_TOTAL = "{desc}: {n_fmt} {unit}s, {elapsed} so far{postfix}"
 
 
 def is_quiet() -> bool:
-    """Whether progress and notices are off."""
+    """Returns whether progress and notices are off."""
     return os.environ.get(QUIET, "") not in ("", "0")
 
 
@@ -38,7 +38,7 @@ def say(line: str) -> None:
 
 
 def has_begun() -> bool:
-    """Whether this process has shown progress: notices, which would come between its lines, are too late then."""
+    """Returns whether this process has shown progress: notices, which would come between its lines, are too late then."""
     return _shown
 
 

@@ -27,7 +27,7 @@ _DTYPES = {"O8", "b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4
 
 
 def is_pickle(data: bytes) -> bool:
-    """Whether these bytes begin like a pickle of protocol 2 or later."""
+    """Returns whether these bytes begin like a pickle of protocol 2 or later."""
     return len(data) > 1 and data[0] == 0x80 and 2 <= data[1] <= 5
 
 

@@ -61,7 +61,7 @@ class WaypointCommand(NamedTuple):
 
 
 class PoseCommand(NamedTuple):
-    """Where people who walk along a path get in this step (`sim_kinematic.motion.stride`)."""
+    """Command that places people who walk along a path (`sim_kinematic.motion.stride`)."""
 
     points: Array
     """[W, 2] [m]."""
@@ -70,14 +70,14 @@ class PoseCommand(NamedTuple):
 
 
 class GaitCommand(NamedTuple):
-    """Where people get in this step and how far in their walking cycle, worked out by somebody else."""
+    """Command with the place and walking phase of people in this step, computed elsewhere."""
 
     gait: HumanState
     """W worlds."""
 
 
 class RecordedPoseCommand(NamedTuple):
-    """Where people are, whatever the world thinks of it: the next moment of a recorded track."""
+    """Command that puts people at the next moment of a recorded track, without checks by the world."""
 
     xz: Array
     """[W, 2] [m]."""

@@ -82,7 +82,7 @@ def test_a_plug_in_is_detected_imported_and_exported_to(
     file = tmp_path / "in" / "walk.track"
     file.write_text("TRACK\n1\n2\n3\n")
     assert detect(file).title == "an ACME track"
-    with pytest.raises(FormatError, match=r"looks like an ACME track\. Hint: `h3data import"):
+    with pytest.raises(FormatError, match=r"(?s)ACME track\. Hint: `h3data import.*H3-RECORDING-048"):
         h3data.open(file)
     data = run_json(capsys, "import", tmp_path / "in", "-o", tmp_path / "rec", "--fps", "10")
     assert [(row["kind"], row["steps"]) for row in data["files"]] == [("acme_track", 3)]
@@ -131,9 +131,7 @@ def test_a_broken_plug_in_is_named_and_the_others_go_on_working(
 
 def test_a_reader_that_cannot_be_imported_is_named_with_its_field(install: Callable[..., None], tmp_path: Path) -> None:
     install("acme", {"acme_track": "acme:TRACK"}, SOURCE.replace("read=read", "read='acme.nowhere:read'"))
-    named = (
-        r"field 'read' of the file format 'acme_track' \(entry point .* acme 1.2\) cannot be imported from acme.nowhere"
-    )
+    named = r"(?s)'read'.*'acme_track' \(entry point.*acme 1\.2\).*acme\.nowhere.*H3-FORMAT-007"
     with pytest.raises(PluginError, match=named):
         load(FORMATS.get("acme_track"), "read")
 
@@ -182,5 +180,5 @@ def test_a_file_is_read_from_disk_once(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_the_name_of_a_format_is_its_option() -> None:
     assert Format(name="my_log", title="a log").option == "my-log"
-    with pytest.raises(InputError, match="Unknown file format 'nothing'"):
+    with pytest.raises(InputError, match=r"(?s)file format 'nothing'.*H3-FILE-011"):
         FORMATS.get("nothing")

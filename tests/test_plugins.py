@@ -37,15 +37,15 @@ def test_entry_points_of_installed_packages_are_found(install) -> None:
 def test_module_and_name_need_no_entry_point(install) -> None:
     install("loose", {}, "class Box:\n    THING = 5")
     assert registry().get("loose:Box.THING") == 5
-    with pytest.raises(PluginError, match=r"'nowhere:THING' cannot be imported: ModuleNotFoundError.*PYTHONPATH"):
+    with pytest.raises(PluginError, match=r"(?s)'nowhere:THING'.*ModuleNotFoundError.*PYTHONPATH.*H3-FILE-015"):
         registry().get("nowhere:THING")
-    with pytest.raises(PluginError, match=r"'loose:OTHER' cannot be imported: AttributeError"):
+    with pytest.raises(PluginError, match=r"(?s)'loose:OTHER'.*AttributeError.*H3-FILE-015"):
         registry().get("loose:OTHER")
 
 
 def test_unknown_names_list_what_exists(install) -> None:
     install("acme", {"zeta": "acme:ZETA"}, "ZETA = 1")
-    with pytest.raises(InputError, match=r"(?m)Unknown gadget 'zetta'. Did you mean 'zeta'\?$"):
+    with pytest.raises(InputError, match=r"(?s)gadget 'zetta'\. Did you mean 'zeta'\?.*H3-FILE-011"):
         registry().get("zetta")
 
 
@@ -73,7 +73,7 @@ def test_a_plug_in_without_a_required_field_is_named(install) -> None:
             raise InputError("the field 'sample' is missing.")
 
     install("acme", {"zeta": "acme:ZETA"}, "ZETA = 1")
-    with pytest.raises(PluginError, match=r"installed by acme 1.2\) is not usable: the field 'sample' is missing."):
+    with pytest.raises(PluginError, match=r"(?s)installed by acme 1\.2\).*field 'sample'.*missing.*H3-FILE-016"):
         registry(check=check).get("zeta")
 
 
@@ -101,5 +101,5 @@ def test_a_package_of_ours_takes_the_place_that_the_table_keeps_for_its_entry() 
     assert kept.names()[:3] == ("first", "habitat", "last")
     assert kept.get("habitat").name == "habitat"
     assert kept.get("last") == 2
-    with pytest.raises(InputError, match="Unknown profile 'nobody'"):
+    with pytest.raises(InputError, match=r"(?s)profile 'nobody'.*H3-FILE-011"):
         kept.get("nobody")

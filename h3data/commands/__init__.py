@@ -1,4 +1,4 @@
-"""What commands are made of: options, results, care with output files."""
+"""Building blocks of commands: options, results, and safe output files."""
 
 from h3data.commands.command import Command, DryRunFlag, ForceFlag, Group, JsonFlag, Outcome, claim_file, claim_folder
 

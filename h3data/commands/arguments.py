@@ -1,4 +1,4 @@
-"""What jobs take from Python, such as `h3data.report`, and how such a call becomes a command.
+"""Arguments of jobs that are called from Python, such as `h3data.report`, and their conversion to a command.
 
 The function of each job stands beside its command, which has its names and defaults from there (`command_of`). Where there may
 be several things, one or a list is accepted.

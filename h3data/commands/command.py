@@ -113,7 +113,7 @@ class Command(Protocol):
 
     @property
     def json(self) -> bool:
-        """Whether the command prints its result as JSON instead of text."""
+        """Returns whether the command prints its result as JSON instead of text."""
         ...
 
     def run(self) -> Outcome:

@@ -110,7 +110,7 @@ class Option:
 
     @property
     def is_list(self) -> bool:
-        """Whether it takes any number of values, as ``--camera A --camera B`` or ``--cameras A,B``."""
+        """Returns whether it takes any number of values, as ``--camera A --camera B`` or ``--cameras A,B``."""
         return self.count is None and bool(self.flags)
 
     @property
@@ -120,7 +120,7 @@ class Option:
 
     @property
     def notes(self) -> Mapping[str, str]:
-        """What it means in single tasks."""
+        """Meanings of the option in single tasks."""
         return next((mark.notes for mark in self.metadata if isinstance(mark, TaskNotes)), {})
 
 

@@ -1,4 +1,4 @@
-"""What a recording shows, posed at every step, in the form that writers of foreign formats take."""
+"""Parts of a recording, posed at every step, in the form that writers of other formats take."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class PosedPart:
     body: Body | None = None
     """The body of the recording that it is; None = it is drawn by the model of its agent."""
     placeholder: bool = False
-    """Whether the file of the mesh was not found."""
+    """True if the file of the mesh was not found."""
     skeleton: Skeleton | None = None
 
 

@@ -35,7 +35,7 @@ _REPLAY_BEGINS = re.compile(
 
 
 def _is_replay(members: Mapping[str, Any], name: str) -> bool:
-    """Whether there are keyframes, and they hold something of a gfx-replay's or nothing at all."""
+    """Returns whether there are keyframes, and they hold something of a gfx-replay's or nothing at all."""
     keyframes = members.get("keyframes", [members["keyframe"]] if "keyframe" in members else None)
     if not isinstance(keyframes, list):
         return False
@@ -49,12 +49,12 @@ def _is_scene_dataset(members: Mapping[str, Any], name: str) -> bool:
 
 
 def _has(*keys: str) -> Callable[[Mapping[str, Any], str], bool]:
-    """Whether all of ``keys`` are there."""
+    """Returns whether all of ``keys`` are there."""
     return lambda members, name: members.keys() >= {*keys}
 
 
 def _config(infix: str, *keys: str) -> Callable[[Mapping[str, Any], str], bool]:
-    """Whether the file is named as a config of Habitat is, or has one of ``keys``."""
+    """Returns whether the file is named as a config of Habitat is, or has one of ``keys``."""
     return lambda members, name: f".{infix}." in name or not members.keys().isdisjoint(keys)
 
 

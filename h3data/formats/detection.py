@@ -128,7 +128,7 @@ def _format_by_members(file: SourceFile) -> Format:
 
 
 def _members(file: SourceFile) -> Any:
-    """What `Format.members` looks at; None if the file is not JSON. Other values are not decoded: files may be long."""
+    """Returns the values that `Format.members` reads; None if the file is not JSON. Other values are not decoded."""
     try:
         members = decode_json(file.data, dict[str, msgspec.Raw])
         return {key: _glimpse(key, bytes(text)) for key, text in members.items()}

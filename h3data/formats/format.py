@@ -25,7 +25,7 @@ class Format:
     begins: re.Pattern[bytes] | None = None
     """Matches the first bytes of such files, after gzip and a byte order mark."""
     members: Callable[[Mapping[str, Any], str], bool] | None = None
-    """Whether a JSON document with these top-level members, in a file of this name, has the format. Of the values only
+    """Function that returns whether a JSON document with these top-level members, in a file of this name, has the format. Only
     ``keyframes`` is decoded; other objects are shown as {}, anything else as None."""
     suffixes: tuple[str, ...] = ()
     """Endings of file names. `h3data import` collects them from folders; they decide only where neither ``begins`` nor
@@ -48,7 +48,7 @@ class Format:
     target: Literal["file", "folder", "dataset"] = "file"
     """Type of the output. A dataset is a folder as in h3data docs format, which ``--force`` replaces."""
     many: bool = False
-    """Whether one output holds many recordings."""
+    """True if one output holds many recordings."""
 
     @property
     def option(self) -> str:
@@ -63,7 +63,7 @@ class ExportRequest:
     out: Path
     """The file or folder to write; parents of a file, and the folder, exist."""
     force: bool = False
-    """Whether existing files may be replaced."""
+    """True if existing files may be replaced."""
     agent: str | None = None
     """The agent whose actions are exported (default: the first robot that acts)."""
     assets: Sequence[Path] = ()
@@ -73,7 +73,7 @@ class ExportRequest:
     people: Any = "skin"
     """Rendering style of people, a `h3data.bodies.people.rigid_parts.PeopleStyle`."""
     stand_ins: bool = False
-    """Whether plain things stand in for missing assets, as in `h3data.replay.posed_recording.PosedRecording`."""
+    """True if plain things stand in for missing assets, as in `h3data.replay.posed_recording.PosedRecording`."""
     cameras: Sequence[str] = ()
     """Cameras to render, by name or file."""
     stored_cameras: Sequence[str] = ()

@@ -158,7 +158,7 @@ def _compile_here(dispatcher: Any, signature: Any) -> None:
 
 
 def _index_of(file: Any) -> dict[Any, str]:
-    """What numba has kept of a kernel; nothing, and no longer the index, where it names modules that have been renamed since.
+    """Returns numba's index of a kernel; deletes it and returns an empty one if it names modules that have been renamed since.
 
     numba unpickles the types of arguments before it compares the time of the source, and would raise an ImportError.
     """

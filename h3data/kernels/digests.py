@@ -85,7 +85,7 @@ def types_digest(kinds: Iterable[types.Type]) -> str:
 
 
 def _function(function: Any) -> tuple[str, list[Any]]:
-    """What one compiled function consists of, as text, and the compiled functions that it names."""
+    """Returns the content of one compiled function as text, and the compiled functions that it names."""
     python = function.py_func
     values = {name: python.__globals__[name] for name in _names(python.__code__) if name in python.__globals__}
     cells = (cell.cell_contents for cell in python.__closure__ or ())

@@ -70,7 +70,7 @@ def load_mesh(
 
 
 def is_file(path: Path) -> bool:
-    """Whether a file exists; False also for recorded paths that are too long for the file system."""
+    """Returns whether a file exists; False also for recorded paths that are too long for the file system."""
     try:
         return path.is_file()
     except OSError:

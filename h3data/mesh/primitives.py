@@ -23,7 +23,7 @@ _NAME = re.compile(r"^(cube|capsule3D|cylinder|cone|uvSphere|icosphere)(Solid|Wi
 
 
 def is_primitive(name: str) -> bool:
-    """Whether a recorded asset name is one of Magnum's primitives, not a file."""
+    """Returns whether a recorded asset name is one of Magnum's primitives, not a file."""
     return _NAME.match(name) is not None
 
 

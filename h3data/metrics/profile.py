@@ -97,7 +97,7 @@ class Profile:
             )
 
     def measures(self, task: str) -> bool:
-        """Whether it measures recordings of a task."""
+        """Returns whether it measures recordings of a task."""
         return not self.tasks or task in self.tasks
 
     def measure(self, recording: Recording) -> EpisodeMetrics:

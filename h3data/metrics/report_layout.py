@@ -1,4 +1,4 @@
-"""What a report shows of a profile: declared beside its metrics, rendered by `h3data_viewers.html_report`.
+"""Layout of a profile's report: declared beside its metrics, rendered by `h3data_viewers.html_report`.
 
 Everything has a default, so a profile without a layout gets a table of all its metrics, their distributions, trajectories,
 and the best and worst episodes by its first metrics that have a better direction.

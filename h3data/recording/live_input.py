@@ -1,4 +1,4 @@
-"""What players of a live session sent, as recorded (``h3data play``): messages as raw input, and columns beside the state.
+"""Recorded input of the players of a live session (``h3data play``): raw messages, and columns beside the state.
 
 ``input.user_<u>.seq`` is the number of the last message of the player of agent ``u`` that had acted by a row (int32, -1: none),
 ``input.user_<u>.rtt_ms`` the round trip that the player's page had measured by then (float32, NaN: none yet). Neither is state.

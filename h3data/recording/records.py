@@ -169,7 +169,7 @@ class Episode:
 
     @property
     def is_lerobot_export(self) -> bool:
-        """Whether it was exported to LeRobot, which leaves out the last row and the simulator's own columns."""
+        """Returns whether it was exported to LeRobot, which leaves out the last row and the simulator's own columns."""
         return "lerobot" in self.info
 
 

@@ -108,15 +108,15 @@ class RemotePath:
         return self.parent / name
 
     def exists(self) -> bool:
-        """Whether there is a file or folder at this path."""
+        """Returns whether there is a file or folder at this path."""
         return self._info().type != pafs.FileType.NotFound
 
     def is_dir(self) -> bool:
-        """Whether there is a folder at this path."""
+        """Returns whether there is a folder at this path."""
         return self._info().type == pafs.FileType.Directory
 
     def is_file(self) -> bool:
-        """Whether there is a file at this path."""
+        """Returns whether there is a file at this path."""
         return self._info().type == pafs.FileType.File
 
     def iterdir(self) -> Iterator[RemotePath]:
@@ -289,7 +289,7 @@ def put_tree(folder: Path, target: RemotePath, *, last: str) -> None:
 
 @contextmanager
 def _allowed(to: str, path: RemotePath) -> Iterator[None]:
-    """What a user can mend of a store's errors, in words; all others pass.
+    """Explains those errors of a store that a user can correct; all others pass.
 
     Raises:
         InputError: the credentials do not allow that, there is no such bucket, or nobody answers.

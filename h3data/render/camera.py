@@ -163,7 +163,7 @@ class Camera:
 
     @property
     def is_planar(self) -> bool:
-        """Whether straight lines stay straight and depth is along z (perspective and orthographic cameras)."""
+        """Returns whether straight lines stay straight and depth is along z (perspective and orthographic cameras)."""
         return self.projection in ("perspective", "orthographic")
 
 

@@ -96,7 +96,7 @@ class Part:
         return hits
 
     def _solid(self, triangles: NDArray[np.int32], origins: NDArray, directions: NDArray) -> NDArray[np.bool_]:
-        """Whether rays meet their triangles outside any hole."""
+        """Returns whether rays meet their triangles outside any hole."""
         # Recomputed in double (Moeller & Trumbore 1997): Embree's float32 barycentrics are too coarse on slivers.
         a, b, c = self._vertices[self._faces[triangles]].astype(np.float64).swapaxes(0, 1)
         ray, start = directions.astype(np.float64), origins - a
@@ -111,7 +111,7 @@ class Part:
         return solid_points(self._tables.maps, self._tables.opacity, self._surface.face_textures[face], uv)
 
     def occluded(self, origins: NDArray, directions: NDArray, limits: NDArray) -> NDArray[np.bool_]:
-        """Whether rays [N, 3] meet any surface up to ``limits`` [N]."""
+        """Returns whether rays [N, 3] meet any surface up to ``limits`` [N]."""
         return self.cast(origins, directions, limits)["primID"] >= 0
 
 
@@ -156,7 +156,7 @@ class RayCaster:
         )
 
     def blocked(self, origins: ArrayLike, directions: ArrayLike, *, max_m: ArrayLike = np.inf) -> NDArray[np.bool_]:
-        """Whether rays [..., 3] meet any surface, shape [...]."""
+        """Returns whether rays [..., 3] meet any surface, shape [...]."""
         origins, directions, limits, shape = _rays(origins, directions, max_m)
         hit = np.zeros(len(limits), np.bool_)
         for part in self.parts:
@@ -164,7 +164,7 @@ class RayCaster:
         return hit.reshape(shape)
 
     def line_of_sight(self, start: ArrayLike, end: ArrayLike, *, margin_m: float = 0.01) -> NDArray[np.bool_]:
-        """Whether the segments between points [..., 3] [m] are clear; surfaces within ``margin_m`` of an end are ignored.
+        """Returns whether segments between points [..., 3] [m] are clear, ignoring surfaces within ``margin_m`` of an end.
 
         Exclude the bodies at both ends with ``shown`` when building the caster.
         """

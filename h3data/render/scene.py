@@ -83,7 +83,7 @@ class RenderScene:
 
         cut_out = [_cut_out(mesh) for mesh in self.meshes]
         self.cut_out_faces = np.concatenate([np.zeros(0, np.bool_), *cut_out])
-        """Whether each triangle may have holes (`cutouts`), for all meshes one after another, shape [F]."""
+        """True if each triangle may have holes (`cutouts`), for all meshes one after another, shape [F]."""
         parts = [build_clusters(mesh.vertices, mesh.faces, cut) for mesh, cut in zip(self.meshes, cut_out, strict=True)]
         self.geometry, self.packet_triangles = _join(parts, self.deformable)
         mesh_first = self.geometry.mesh_first
@@ -161,7 +161,7 @@ class RenderScene:
 
 
 def _cut_out(mesh: Mesh) -> NDArray[np.bool_]:
-    """Whether each triangle may have holes, shape [F]."""
+    """Returns whether each triangle may have holes, shape [F]."""
     out = np.zeros(len(mesh.faces), np.bool_)
     if mesh.uv is not None:
         numbers = face_texture_indices(mesh)

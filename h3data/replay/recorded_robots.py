@@ -1,4 +1,4 @@
-"""Whether the robots that a recording was made with are still the same files."""
+"""Checks that the robots of a recording are still the same files."""
 
 from __future__ import annotations
 

@@ -32,9 +32,9 @@ class Drawable:
     """Index of the agent that it belongs to; -1 = none."""
     moving: bool = False
     deformable: bool = False
-    """Whether its vertices change and are in the world frame (skinned bodies)."""
+    """True if its vertices change and are in the world frame (skinned bodies)."""
     placeholder: bool = False
-    """Whether it stands in for an asset that was not found."""
+    """True if it stands in for an asset that was not found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ class CameraTrack:
     nears: Array | None = None
     """`Camera.near` at every step, shape [T] [m]; None = that of ``camera`` throughout."""
     crops: bool = True
-    """Whether `resized` may cut off the top and bottom of the picture; False: a view of the whole home stays one."""
+    """True if `resized` may cut off the top and bottom of the picture; False: a view of the whole home stays one."""
 
     def at(self, step: int) -> Camera:
         """The camera at one step."""

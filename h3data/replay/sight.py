@@ -70,7 +70,7 @@ class Sight:
         return float(self._beam.free(depth.reshape(1, -1), max_m)[0])
 
     def sees(self, panorama: NDArray[np.float64], point: Array, others: Array) -> NDArray[np.bool_]:
-        """Whether points ``others`` [N, 3] are visible from ``point`` [3], whose panorama is given (`around`)."""
+        """Returns whether points ``others`` [N, 3] are visible from ``point`` [3], whose panorama is given (`around`)."""
         side, local = self._turned(others - point)
         u, v = np.clip(self._pixels(local), 0, SIDE_PX - 1).T
         return panorama[side, v, u] > local[:, 2] - SEEN_SLACK_M

@@ -111,7 +111,7 @@ class _Scene:
     watched: Array
     """Head of the other agent, or a point ahead of the only agent, shape [T, 3]."""
     two: bool
-    """Whether there is another agent to watch."""
+    """True if there is another agent to watch."""
     bodies: Array
     """Floor positions (x, z) of all other agents, shape [T, N, 2]."""
     dt: float

@@ -57,7 +57,7 @@ class SceneJoints:
         return self.names.index(name)
 
     def shares(self, positions: ArrayLike) -> NDArray[np.float64]:
-        """How far joints at ``positions`` [..., J] are open, 0..1."""
+        """Returns how far joints at ``positions`` [..., J] are open, 0..1."""
         return (np.asarray(positions, np.float64) - self.closed) / (self.opened - self.closed)
 
     def is_open(self, positions: ArrayLike) -> NDArray[np.bool_]:
@@ -230,7 +230,7 @@ def rests_on(
 
 
 def handle_points(scene: Scene) -> NDArray[np.float64]:
-    """Where hands take hold of each part, in the world with all joints at rest, shape [J, 3] [m].
+    """Returns the points at which hands hold each part, in the world with all joints at rest, shape [J, 3] [m].
 
     Where the scene does not say, the middle of the side of the part that moves most: the edge of a door far from its
     hinge, the front of a drawer.

@@ -1,4 +1,4 @@
-"""How high the floor is at a place, of homes whose storeys lie side by side in the plan and are joined by stairs.
+"""Floor heights of homes whose storeys lie side by side in the plan and are joined by stairs.
 
 The floor is one height field over the plan. For whatever moves, a flight of stairs is a ramp (`height_at`); feet stand on its
 treads (`tread_at`). A place belongs to the room whose rectangle is nearest, so places in doorways and walls have a height too.

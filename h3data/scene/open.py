@@ -82,7 +82,7 @@ def listed_scenes(text: str) -> tuple[NamedScene, ...]:
 
 
 def is_builtin_name(text: str) -> bool:
-    """Whether the words name generated homes (``small``, ``small:3``) or a set of scenes, one of which may follow ``#``."""
+    """Returns whether words name generated homes (``small``, ``small:3``) or a set of scenes, one of which may follow ``#``."""
     if _generated(text, 1):
         return not Path(text).exists()
     label = text.partition("#")[0]
@@ -95,7 +95,7 @@ def preset_names() -> list[str]:
 
 
 def is_collection(path: str) -> bool:
-    """Whether a path is by its ending that of a file that holds several scenes."""
+    """Returns whether a path is by its ending that of a file that holds several scenes."""
     return any(reader.collection and path.endswith(reader.collection) for reader in scene_readers())
 
 

@@ -63,7 +63,7 @@ def _shapes(scene: Scene, k: int) -> list[tuple[NDArray[np.float64], Shape]]:
 
 
 def _is_tall(scene: Scene, k: int, floor_y: float) -> bool:
-    """Whether a part reaches from near the floor to over most heads."""
+    """Returns whether a part reaches from near the floor to over most heads."""
     bounds = np.array([shape_bounds(shape, matrix) for matrix, shape in _shapes(scene, k)]).reshape(-1, 2, 3)
     if not len(bounds):
         return False

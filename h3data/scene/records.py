@@ -150,7 +150,7 @@ JointKind = Literal["revolute", "prismatic"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Joint:
-    """How a part of an articulated thing moves: about or along an axis. Its position 0 is closed, as in Habitat.
+    """Joint of an articulated object: its part moves about or along an axis. Its position 0 is closed, as in Habitat.
 
     Axis and origin are in the frame of the thing, with all joints at ``rest``.
     """

@@ -224,7 +224,7 @@ def _entry(record: dict[str, Any], folder: Path) -> SceneEntry:
 
 
 def _generator(record: Mapping[str, Any]) -> SceneGenerator:
-    """What makes the scene of a table without a file.
+    """Returns the generator of a scene whose table names no file.
 
     Raises:
         InputError: there is no such generator, or its package is not installed.

@@ -1,4 +1,4 @@
-"""What gives a scene: a generator or a file; other packages add theirs as entry points of the group ``h3data.scenes``.
+"""Sources of scenes: generators and files; other packages add theirs as entry points of the group ``h3data.scenes``.
 
 An entry point is a `SceneGenerator`, whose name is the kind that `Scene.source` and scene sets give (``home``), or a
 `SceneReader` for files of other makers.
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class SceneSpec(Protocol):
-    """What a generator makes a scene of. Specs are hashable, and equal ones give the same scene."""
+    """Specification from which a generator makes a scene. Specs are hashable, and equal ones give the same scene."""
 
     kind: ClassVar[str]
     """Name of the generator among the `SCENES`."""
@@ -41,9 +41,9 @@ class SceneFile:
     assets: tuple[str, ...] = ()
     """Additional folders to search for the scene's files; if empty, those of H3DATA_ASSETS."""
     strict: bool = False
-    """Whether warnings are errors."""
+    """True if warnings are errors."""
     allow_missing: bool = False
-    """Whether objects whose files are missing are left out with a warning."""
+    """True if objects whose files are missing are left out with a warning."""
 
     def open(self) -> Scene:
         """The scene in the file as it is now.
@@ -68,7 +68,7 @@ SceneSource = SceneSpec | SceneFile
 
 @dataclass(frozen=True, kw_only=True)
 class SceneSize:
-    """What ``h3data scenes list`` says of the scenes of one name of a generator; None where it varies or means nothing."""
+    """Figures that ``h3data scenes list`` shows for scenes of one generator; None if a figure varies or does not apply."""
 
     area_m2: float | None = None
     """Floor area [m2]."""
@@ -235,7 +235,7 @@ def missing_packages() -> str:
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether `h3data.scene.save_scene` wrote it: any other GLB is a mesh."""
+    """Returns whether `h3data.scene.save_scene` wrote it: any other GLB is a mesh."""
     from h3data.mesh.glb import unpack_glb
 
     if path.suffix.lower() != ".glb" or not path.is_file():

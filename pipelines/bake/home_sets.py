@@ -40,7 +40,7 @@ TRIED_REARRANGEMENTS = 1
 
 @dataclass(frozen=True, kw_only=True)
 class Split:
-    """What a split is to hold (paper, appendix on scenes: 37 x 1,000, 12 x 100, 10 x 15)."""
+    """Content of a split (paper, appendix on scenes: 37 x 1,000, 12 x 100, 10 x 15)."""
 
     name: Literal["train", "val", "test"]
     homes: int

@@ -17,7 +17,7 @@ from h3data.files import part_file
 from sim_kinematic.policies.network import PLANES, read_arrays, to_planes
 
 DROPPED_BITS = 13
-"""Of the 24 significant bits of a float32, by ``--rounded``."""
+"""Number of dropped bits of the 24 significant bits of a float32, by ``--rounded``."""
 
 
 def rounded(weights: NDArray[np.float32]) -> NDArray[np.float32]:

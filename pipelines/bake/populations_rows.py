@@ -84,7 +84,7 @@ def read_results(folder: Path) -> SeedResults:
 
 
 def learned_beside(run: str, seed: int) -> Callable[[str], bool]:
-    """Whether a partner, by the name under which it was evaluated, is of the population that a robot was trained with."""
+    """Returns whether a partner, by its name in the evaluation, is of the population that a robot was trained with."""
     population = run.partition("_no_")[0].removesuffix("_learned_skills")
     if population in POPULATIONS:
         return lambda partner: partner in POPULATIONS[population]

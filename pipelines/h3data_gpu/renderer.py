@@ -93,7 +93,7 @@ class GpuRenderer:
         self._programs: dict[Variant, Any] = {}
         self.variant = choose_variant(self.worlds, self.width, self.height)
         self._views: dict[tuple[Any, ...], Views] = {}
-        """Of the last `_VIEWS_KEPT` renderings that differ in worlds or lenses, on the device."""
+        """Buffers on the device for the last `_VIEWS_KEPT` combinations of worlds and lenses."""
         self._upload()
         self._reset()
 

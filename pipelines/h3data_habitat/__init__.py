@@ -1,1 +1,1 @@
-"""What Habitat's users hold: scenes, episodes, navigation meshes, replays, human-in-the-loop sessions."""
+"""Files of Habitat's users: scenes, episodes, navigation meshes, replays, human-in-the-loop sessions."""

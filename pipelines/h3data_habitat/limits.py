@@ -1,4 +1,4 @@
-"""How much a recording of others may ask for: what is beyond would not fit into a common memory, and nobody recorded it."""
+"""Limits on what a recording from elsewhere may request: more would not fit into usual memory, and is not a recording."""
 
 from __future__ import annotations
 

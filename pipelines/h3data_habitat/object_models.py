@@ -33,7 +33,7 @@ MESHES = ("textured.obj", "textured.dae", "textured.ply", "nontextured.ply", "no
 VARIANTS = ("google_16k", "google_64k", "google_512k", "poisson", "tsdf", "")
 """Folders of an object in which they lie, the best first; empty: its own."""
 DENSITY_KG_M3 = 400.0
-"""Of an object whose mass nothing tells: half-full packages, wood, fruit."""
+"""Density of an object whose mass is unknown: half-full packages, wood, fruit."""
 GROWTH_M = 0.08
 """A model takes the place of a thing that is at most so much smaller along each axis."""
 GAP_M = 0.01
@@ -57,9 +57,9 @@ class ObjectModel:
     mass_from: Literal["file", "kind", "volume"]
     """Its ``kinbody.xml`` or config; the typical mass of its kind (`h3data.scene.kinds.KINDS`); or its volume."""
     grasp: Grasp
-    """What a hand takes hold of: that of its kind, else the whole body."""
+    """Part that a hand grasps: that of its kind, else the whole body."""
     grasp_point: NDArray[np.float64]
-    """Where, in the asset's frame with its scale, shape [3] [m]."""
+    """Point of the grasp in the asset's frame with its scale, shape [3] [m]."""
 
     @property
     def bounds(self) -> NDArray[np.float64]:

@@ -34,16 +34,16 @@ SWING_RAD = np.pi / 2
 ALONG_M = 0.3
 """A leaf this near to a wall stands along it."""
 SWINGS_M = (np.inf, ALONG_M, -1.0)
-"""How far from a wall leaves may stand, tried in this order until a home has no faults."""
+"""Distances of leaves from a wall, tried in this order until a home has no faults."""
 PRIVATE = ("bathroom", "bedroom", "child", "office", "laundry", "den", "library", "pantry")
 """Kinds of rooms into which leaves swing by preference, most private first."""
 CLOSED: dict[str, float] = {"bathroom": 0.6, "bedroom": 0.5, "child": 0.4, "office": 0.4, "laundry": 0.6, "pantry": 0.7}
-"""How often the door of such a room is found closed; of others, `OTHERS_CLOSED`."""
+"""Share of closed doors by kind of room; of others, `OTHERS_CLOSED`."""
 OTHERS_CLOSED = 0.15
 LEAF = "leaf"
 """Name of the part that moves."""
 STRUCTURE = ("wall", "floor", "ceiling", "trim", "rug")
-"""What leaves pass."""
+"""Parts of the structure that leaves pass."""
 FLAT_M = 0.03
 """Leaves pass over what is no higher."""
 
@@ -179,7 +179,7 @@ def _square(place: _Place) -> NDArray[np.float64]:
 
 
 def _swings(place: _Place, layout: Layout, doorway: Doorway, taken: Sequence[NDArray[np.float64]]) -> bool:
-    """Whether a leaf swings into a room without meeting anything, and leaves other doorways free when it is open."""
+    """Returns whether a leaf swings into a room without meeting anything, and leaves other doorways free when it is open."""
     square, (a0, b0, a1, b1) = _square(place), place.room.interior
     if square[0] < a0 - 1e-6 or square[1] < b0 - 1e-6 or square[2] > a1 + 1e-6 or square[3] > b1 + 1e-6:
         return False
@@ -194,7 +194,7 @@ def _swings(place: _Place, layout: Layout, doorway: Doorway, taken: Sequence[NDA
 
 
 def _slides(place: _Place, layout: Layout, doorway: Doorway) -> bool:
-    """Whether the wall on the side of the hinge is long enough to slide into, and without another opening there."""
+    """Returns whether the wall on the side of the hinge is long enough to slide into, and without another opening there."""
     along = _axes(place)[0][doorway.axis]
     low, high = doorway.span
     pocket = (low - place.width, low) if along > 0 else (high, high + place.width)

@@ -73,7 +73,7 @@ class Layout:
     notches: tuple[Rect, ...] = ()
     """Corners of the bounding box that lie outdoors. Walls facing them are centred on their line, like inner walls."""
     open_plan: bool = False
-    """Whether openings may be as wide as a room, so that furniture may stand near them."""
+    """True if openings may be as wide as a room, so that furniture may stand near them."""
 
     def room(self, name: str) -> RoomPlan:
         """Room with a given name."""
@@ -397,7 +397,7 @@ def _rooms(plan: Zoning) -> tuple[RoomPlan, ...]:
 
 
 def _sound(plan: Zoning) -> bool:
-    """Whether a plan allows a door for every room and a window for every room that needs light."""
+    """Returns whether a plan allows a door for every room and a window for every room that needs light."""
     rooms = _rooms(plan)
     try:
         _plan_doors(np.random.Generator(np.random.Philox(key=0)), rooms)

@@ -112,7 +112,7 @@ class HomeSpec:
     """Parts into which every triangle edge is cut: density^2 times as many triangles with the same look, to load renderers.
     Collision shapes stay the same."""
     articulated: bool = False
-    """Whether fridge, cupboards, drawers and a dishwasher open. Rooms and furniture stay the same; small objects lie inside
+    """True if fridge, cupboards, drawers and a dishwasher open. Rooms and furniture stay the same; small objects lie inside
     too."""
     generation: int = 1
     """1 = the homes of `h3-homes`, 2 = those of `h3-homes-v2`: more kinds of things, rooms and styles."""
@@ -122,7 +122,7 @@ class HomeSpec:
     """2 adds an upper storey beside a stairwell (second generation, ``small`` and ``medium``). Area, bedrooms and bathrooms are
     those of each storey."""
     doors: bool = False
-    """Whether doorways have doors, some of them closed (second generation). The rest is as without."""
+    """True if doorways have doors, some of them closed (second generation). The rest is as without."""
 
     def __repr__(self) -> str:
         """Text of the specification, from which jobs and recordings derive their identity.

@@ -37,7 +37,8 @@ SESSIONS: dict[str, tuple[str, ...]] = {
     ),
     "live play": ("python -m pytest -q -p no:cacheprovider -m slow tests/play/test_live.py -k rehearsal",),
 }
-"""What users run, by what progress calls it. ``{scratch}`` is a folder of the session; everything runs in the checkout."""
+"""Commands that users run, by their names in progress messages. ``{scratch}`` is a folder of the session; everything runs in
+the checkout."""
 
 
 def build() -> str:

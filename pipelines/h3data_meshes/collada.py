@@ -53,7 +53,7 @@ class ColladaPart:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Primitive:
-    """What one primitive says, before a material paints it: one row per corner of its triangles."""
+    """One primitive before a material paints it: one row per corner of its triangles."""
 
     symbol: str
     positions: Array

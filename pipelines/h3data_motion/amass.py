@@ -40,7 +40,7 @@ Up = Literal["z", "y"]
 
 
 def is_amass(names: tuple[str, ...]) -> bool:
-    """Whether an npz with these arrays holds SMPL motion."""
+    """Returns whether an npz with these arrays holds SMPL motion."""
     return POSES_KEY in names or any(k in names for k in BODY_KEYS)
 
 

@@ -103,7 +103,7 @@ def read_bvh_file(path: str | Path) -> Bvh:
 
 
 def parse_bvh(text: str, where: str = "text") -> Bvh:
-    """As `read_bvh_file`, from its text; ``where`` is named in errors."""
+    """Parses the text of a BVH file as `read_bvh_file` does; ``where`` is named in errors."""
     reader = _Reader([_COMMENT.sub("", line) for line in text.splitlines()], where)
     joints = _hierarchy(reader)
     reader.expect("MOTION")

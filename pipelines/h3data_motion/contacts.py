@@ -40,7 +40,7 @@ SINK_S = 0.12
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Contacts:
-    """Where soles touch the floor."""
+    """Contacts of soles with the floor."""
 
     touching: NDArray[np.bool_]
     """Shape [T, 2]: left, right."""
@@ -64,7 +64,7 @@ def find_contacts(points: Array, fps: float) -> Contacts:
 
 
 def _slide(points: Array, touching: NDArray[np.bool_]) -> Array:
-    """How far the point moved that was lowest in both frames, along the floor."""
+    """Returns how far the point that was lowest in both frames moved along the floor."""
     out = np.zeros(points.shape[:2])
     heights = points[1:, ..., 1] + points[:-1, ..., 1]
     pivot = np.argmin(heights, axis=2)[..., None]
@@ -98,7 +98,7 @@ def planted(body: Humanoid, quats: Array, pelvis: Array, fps: float) -> tuple[Ar
 
 
 def _correction(points: Array, touching: NDArray[np.bool_]) -> Array:
-    """How far an ankle is moved, [T, 3] [m], for the sole points [T, 3, 3] of its foot."""
+    """Returns the displacement of an ankle, [T, 3] [m], for the sole points [T, 3, 3] of its foot."""
     frames = len(points)
     shift, known = np.zeros((frames, 3)), np.zeros(frames, bool)
     lowest = points[..., 1].min(axis=1)
@@ -125,7 +125,7 @@ def _correction(points: Array, touching: NDArray[np.bool_]) -> Array:
 
 
 def _sinking(body: Humanoid, frames: Array, ankles: Array, fps: float) -> Array:
-    """How far the pelvis must go down, [T] [m], smoothly, so that both ankles [T, 2, 3] are within reach."""
+    """Returns how far the pelvis must go down, [T] [m], smoothly, so that both ankles [T, 2, 3] are within reach."""
     need = np.zeros(len(frames))
     for k in range(2):
         hip = frames[:, k, HIP, :3, 3]
@@ -175,7 +175,7 @@ def legs_to(body: Humanoid, quats: Array, pelvis: Array, ankles: Array) -> Array
 
 
 def _at(far: Array, reached: Array) -> NDArray[np.bool_]:
-    """Whether a leg is as long as it shall be: then its knee is left alone, whatever its axis."""
+    """Returns whether a leg is as long as it shall be: then its knee is left alone, whatever its axis."""
     return np.abs(far - np.linalg.norm(reached, axis=1)) < 1e-12
 
 

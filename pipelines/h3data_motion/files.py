@@ -45,7 +45,7 @@ class MotionReader:
     """Reads motion files of one kind; other packages add theirs as entry points of the group ``h3data.motions``."""
 
     fits: Callable[[bytes, Sequence[str]], bool]
-    """Whether a file is of this kind: by its first 256 bytes and, of an npz, the names of its arrays."""
+    """Function that returns whether a file is of this kind, by its first 256 bytes and, of an npz, the names of its arrays."""
     read: Callable[[Path, ReadOptions], Motion]
     """The motion in a file."""
     suffixes: tuple[str, ...]

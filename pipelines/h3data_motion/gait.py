@@ -27,7 +27,7 @@ SPEEDS_MPS = (0.3, 4.0)
 LEAST_STRIDE_M = 0.35
 """Least distance covered in a cycle of two steps [m]; below it the person stands, or steps on the spot."""
 HALF = (0.3, 0.7)
-"""Where in the cycle the right foot may strike: beyond it the right step is no step."""
+"""Phases at which the right foot may strike: beyond it the right step is no step."""
 STANCES = {False: (0.58, 0.70), True: (0.25, 0.5)}
 """Shares of the cycle that a foot may be on the floor, walking and running."""
 FLAT = (0.25, 0.55)
@@ -65,8 +65,8 @@ class Cycle:
     pitch: Array
     """Pitch of a foot over its own phase, toes up, [F] [deg]."""
     flight: Array
-    """What the ankle of a swinging foot is forward of and above the line between its places, at even shares of the swing, 0 at
-    both ends, [S, 2] [m]."""
+    """Offset of the ankle of a swinging foot forward of and above the line between its places, at even shares of the swing, 0
+    at both ends, [S, 2] [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,7 +76,7 @@ class MotionGaits(Gaits):
     cycle: Cycle
 
     def plays(self, speed_mps: ArrayLike) -> bool:
-        """Whether the cycle is played at these speeds."""
+        """Returns whether the cycle is played at these speeds."""
         return bool(np.all((np.asarray(speed_mps) > JOG_ABOVE_MPS) == (self.cycle.speed_mps > JOG_ABOVE_MPS)))
 
     def stride_m(self, speed_mps: ArrayLike) -> Array:

@@ -21,7 +21,7 @@ FLOOR_PERCENTILE = 20.0
 
 @dataclass(frozen=True, kw_only=True)
 class FootReport:
-    """How well feet stand, over all frames in which they touch the floor."""
+    """Quality of the feet's contact, over all frames in which they touch the floor."""
 
     touching: float
     """Share of frames with a foot on the floor."""
@@ -53,7 +53,7 @@ def retarget(motion: Motion, body: Humanoid, *, plant: bool = True) -> Motion:
 
 
 def foot_report(motion: Motion, body: Humanoid) -> FootReport:
-    """How much the feet of a fitted motion slide and sink."""
+    """Measures how much the feet of a fitted motion slide and sink."""
     points = sole_points(body, leg_frames(body, motion.quats, motion.pelvis))
     contacts = find_contacts(points, motion.fps)
     slides = 1000 * contacts.slide_m[1:][contacts.touching[1:]] * motion.fps / 30

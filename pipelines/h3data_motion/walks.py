@@ -37,7 +37,7 @@ def walking(body: Humanoid, data: bytes, *, name: str) -> Humanoid:
 
 
 def facts(data: bytes) -> dict[str, str]:
-    """What recordings say about a walk, from the contents of its file."""
+    """Returns the facts of a walk that recordings hold, from the contents of its file."""
     motion = load_motion(io.BytesIO(data))
     return {"name": motion.name, "source": motion.source}
 

@@ -50,7 +50,7 @@ class Target:
 
     @property
     def colored(self) -> bool:
-        """Whether depth and ids are stored as colours."""
+        """Returns whether depth and ids are stored as colours."""
         return self.form in ("h264", "av1")
 
     @property

@@ -216,7 +216,7 @@ def _documented(command: type[Command], task: str) -> Any:
 
 
 def _hint(note: str, label: str) -> str:
-    """What follows the text of an option: what it means in the task, and its default if that says something."""
+    """Returns the end of an option's help: its meaning in the task, and its default if that is informative."""
     return " ".join(filter(None, (note, "" if label in _SILENT else f"(default: {label})")))
 
 
@@ -297,7 +297,7 @@ def _typed(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
 
 
 def _shown(metavar: str, *, count: int = 1) -> PrimitiveConstructorSpec[Any]:
-    """How help shows a value, where tyro reads none: `read_value` does."""
+    """Returns a value as help shows it, where `read_value` reads it instead of tyro."""
     return PrimitiveConstructorSpec(
         nargs=count,
         metavar=metavar,

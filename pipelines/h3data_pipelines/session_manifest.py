@@ -42,7 +42,7 @@ class ManifestRow:
     say: Mapping[str, str | int]
 
     def fits(self, recording: Recording, file: PurePosixPath) -> bool:
-        """Whether all its choosing cells fit a recording that was imported from ``file``."""
+        """Returns whether all its choosing cells fit a recording that was imported from ``file``."""
         info = recording.episode.info
         people = [str(name) for name in dict(info.get("participants") or {}).values()]
         tests = {

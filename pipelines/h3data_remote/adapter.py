@@ -1,4 +1,4 @@
-"""What a policy server is shown, under which keys, and what its answers mean: a file for each robot and model."""
+"""Adapter of a policy server: keys of its observations and meanings of its answers, in a file for each robot and model."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     size: tuple[Pixels, Pixels] | None = None
     """Width and height of a picture; None: the camera's own."""
     pad: bool = False
-    """Whether a picture keeps its proportions, between black bars, instead of being stretched."""
+    """True if a picture keeps its proportions, between black bars, instead of being stretched."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -39,18 +39,18 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Adapter(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """How a server's requests and answers are made."""
+    """Form of a server's requests and answers."""
 
     name: Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,40}$")] = "adapter"
     """Recorded as the policy's name where the server has none."""
     observation: dict[str, Entry] = {}
-    """What is shown, by key; in GR00T's protocol keys such as ``video.arm`` name a group and an entry."""
+    """Observations by key; in GR00T's protocol keys such as ``video.arm`` name a group and an entry."""
     light: LightMode = "flat"
     """Light in colours: ``baked``, from windows, sun and lamps, or ``flat``."""
     prompt: str = ""
     """Key of the instruction in words; empty: it is not sent."""
     session: bool = False
-    """Whether the episode's seed, the step, whether it is the first, and a name of the episode's run are sent too, as
+    """True if the episode's seed, the step, whether it is the first, and a name of the episode's run are sent too, as
     ``h3data/seed``, ``h3data/step``, ``h3data/reset`` and ``h3data/session``."""
     actions: str | Annotated[list[str], msgspec.Meta(min_length=1)] = "actions"
     """Key of the chunk of actions in an answer; of several, the columns follow each other."""
@@ -63,7 +63,7 @@ class Adapter(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     """Actions of a chunk that are carried out before the server is asked again, one for each step of 1/30 s."""
     timeout_s: Seconds = 30.0
     first_timeout_s: Seconds = 300.0
-    """Of the first answer of a server, which may have to compile its model."""
+    """Timeout of the first answer of a server, which may have to compile its model."""
     deadline_s: Annotated[float, msgspec.Meta(ge=0, le=60)] = 0.5
     """In live play: how long the last action goes on while an answer is late; then the robot stands."""
 

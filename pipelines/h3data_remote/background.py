@@ -89,7 +89,7 @@ class BackgroundPolicy:
         return self._policy.choice(self._last, view)
 
     def recorded_info(self) -> dict[str, Any]:
-        """As of the policy, with how often it was late."""
+        """Recorded info of the policy, with the number of late answers."""
         (found,) = self._policy.recorded_info()["remote"]
         return {"remote": [{**found, "late_steps": self.late, "faults": self.faults}]}
 

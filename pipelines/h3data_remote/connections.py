@@ -53,7 +53,7 @@ class Address:
 
     @property
     def is_loopback(self) -> bool:
-        """Whether the server is on this machine."""
+        """Returns whether the server is on this machine."""
         return self.host in LOOPBACK
 
     @classmethod
@@ -91,7 +91,7 @@ class Connection(Protocol):
     """A conversation with a server about one episode."""
 
     metadata: dict[str, Any]
-    """What the server says about itself."""
+    """Metadata that the server states about itself."""
 
     def ask(self, request: dict[str, Any], timeout_s: float) -> dict[str, Any]:
         """The server's answer.

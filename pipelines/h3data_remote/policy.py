@@ -34,7 +34,7 @@ _ANSWERED: set[str] = set()
 
 
 def policy_server(address: str, task: Any, kind: str, spec: Any = None) -> PolicyMaker:
-    """What makes the policy of a server for an episode: the entry points ``ws``, ``wss`` and ``zmq``.
+    """Returns the maker of a server's policy for an episode: the entry points ``ws``, ``wss`` and ``zmq``.
 
     Args:
         address: As `Address.of` reads it.
@@ -81,7 +81,7 @@ def adapter_for(connection: Connection, where: Address, chosen: Adapter | None) 
 
 
 def own_facts(metadata: Mapping[str, Any]) -> Mapping[str, Any]:
-    """What a server of ours says of itself in its metadata; nothing of other servers."""
+    """Returns the facts that a server of ours states in its metadata; none for other servers."""
     own = metadata.get(OWN)
     return own if isinstance(own, dict) else {}
 
@@ -93,7 +93,7 @@ class RemotePolicy:
     """
 
     is_remote = True
-    """What is recorded of it is repeated without asking it (`sim_kinematic.policies.recorded`)."""
+    """True: its recorded actions are repeated without asking it (`sim_kinematic.policies.recorded`)."""
 
     def __init__(self, where: Address, chosen: Adapter | None, task: Any, episode: Any, number: int) -> None:
         """Connects to the server.
@@ -133,7 +133,7 @@ class RemotePolicy:
             )
         self._observer = Observer(adapter, body, batched=self._batched)
         self.name = _name(self.connection.metadata, adapter, where)
-        """As recordings hold it: protocol, name and a digest of metadata and adapter, and no address."""
+        """Name in recordings: protocol, name and a digest of metadata and adapter, and no address."""
         self._rows: deque[NDArray[np.float32]] = deque()
         self._step, self._skill, self._skills = -1, "", task.control.skills.get("robot", ())
         self._waits: list[float] = []
@@ -173,7 +173,7 @@ class RemotePolicy:
         return self.choice(self._rows.popleft(), view)
 
     def request(self, view: Any) -> dict[str, Any]:
-        """What is sent about a moment."""
+        """Returns the request about a moment."""
         adapter = self.adapter
         entries = self._observer.observation(view)
         if adapter.prompt:
@@ -225,12 +225,12 @@ class RemotePolicy:
     # --- several worlds -----------------------------------------------------------------------------------------------
     @property
     def takes_batches(self) -> bool:
-        """Whether the server answers for several worlds at once."""
+        """Returns whether the server answers for several worlds at once."""
         return self._batched or own_facts(self.connection.metadata).get("batch") is True
 
     @staticmethod
     def act_together(policies: Sequence[RemotePolicy], views: Sequence[Any]) -> list[Velocity | Action]:
-        """What `act` of each of some policies of one server returns, with one request for all whose chunks are used up.
+        """Returns what `act` returns for some policies of one server, with one request for all whose chunks are used up.
 
         Servers that take no batches are asked one after the other.
 
@@ -281,7 +281,7 @@ class RemotePolicy:
         return BackgroundPolicy(self)
 
     def recorded_info(self) -> dict[str, Any]:
-        """What a recording says about the server: who it is, and how long it took."""
+        """Returns the recorded facts about the server: its identity and its response times."""
         metadata = {key: value for key, value in self.connection.metadata.items() if key != OWN}
         fits = len(_json(metadata)) <= MOST_METADATA
         return {
@@ -317,7 +317,7 @@ def _joined(requests: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _usual_skill(view: Any) -> str:
-    """What a robot of social navigation is doing, where its server does not say."""
+    """Returns the skill of a robot of social navigation whose server does not state it."""
     met = getattr(view, "met", None)
     return "" if met is None else "follow" if met else "find"
 

@@ -42,7 +42,7 @@ log = logging.getLogger("h3data.remote")
 
 
 class ShownView:
-    """What a policy that decides by named observations is shown of a request."""
+    """View of a request for a policy that decides by named observations."""
 
     met = False
 
@@ -134,7 +134,7 @@ class ServedPolicy:
         return {"policy": short, "task": self.task.name, OWN: own}
 
     def player(self) -> _Player:
-        """What answers the requests of one episode."""
+        """Returns the player that answers the requests of one episode."""
         return _Player(self)
 
     def fresh(self, episode: Episode | None, number: int) -> Any:
@@ -163,7 +163,7 @@ class ServedPolicy:
 
 
 def adapter_of_network(network: Network | VisualPolicy) -> Adapter:
-    """What clients send to a network: the observations and sizes that it has learned from."""
+    """Returns the adapter by which clients send data to a network: the observations and sizes that it has learned from."""
     if isinstance(network, VisualPolicy):
         card = network.card
         drawn = [name for name in card.observations if name not in TABLE or name in DETECTORS]
@@ -248,7 +248,7 @@ class Sessions:
         self._players: OrderedDict[str, _Player] = OrderedDict()
 
     def player(self) -> _Player:
-        """What answers the requests of one more episode."""
+        """Returns the player that answers the requests of one more episode."""
         return self._served.player()
 
     def answer(self, request: Any, nameless: _Player) -> dict[str, Any]:

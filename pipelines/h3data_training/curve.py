@@ -14,7 +14,7 @@ from h3data.files import part_file
 CURVE, EVENTS = "curve.parquet", "tensorboard"
 
 Row = dict[str, float]
-"""What an update came to, by name."""
+"""Results of an update, by name."""
 
 
 def save_curve(curve: list[Row], folder: Path) -> None:

@@ -18,7 +18,7 @@ class ActionRepeat:
     counts: tuple[str, ...]
     """Sums over worlds and steps that `totals` keeps."""
     play: Any
-    """Where all worlds are; overwritten by every step."""
+    """State of all worlds; overwritten by every step."""
     hold: int
     _advance: Callable[[], None]
     """`_eager`, or the CUDA graph that was captured of it."""

@@ -20,15 +20,15 @@ LOOK_S = 0.5
 
 
 class StopRequest(Protocol):
-    """Whether somebody asked to stop; `threading.Event` is one."""
+    """Request to stop a run; `threading.Event` is one."""
 
     def is_set(self) -> bool:
-        """Whether the run should stop."""
+        """Returns whether the run should stop."""
         ...
 
 
 Work = Callable[[Any, StopRequest, Callable[[str], None]], Any]
-"""Of a process: what it is given, whether to stop, and whom to tell lines."""
+"""Work of a process: a function of its input, a request to stop, and a receiver of lines."""
 
 
 def launch(work: Work, count: int, given: Any, *, stop: StopRequest, say: Callable[[str], None]) -> Any:
@@ -76,7 +76,7 @@ def launch(work: Work, count: int, given: Any, *, stop: StopRequest, say: Callab
 
 
 def _result(processes: list[Any], pipes: list[Any], asked: Event, stop: StopRequest, say: Callable[[str], None]) -> Any:
-    """What the first process returns; lines of all of them are said here."""
+    """Returns the result of the first process, and passes on the lines of all."""
     result, still = None, dict(enumerate(pipes))
     while still:
         if stop.is_set():

@@ -36,7 +36,7 @@ class Worlds(Protocol):
 
     @property
     def play(self) -> Any:
-        """Where all worlds are; it has ``tensors()`` and ``terminated`` [W]."""
+        """State of all worlds; it has ``tensors()`` and ``terminated`` [W]."""
         ...
 
     def reset(self, *, seed: Sequence[int]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
@@ -53,7 +53,7 @@ class Worlds(Protocol):
         ...
 
     def held_in_place(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
-        """As `held`, operation by operation, so that a CUDA graph can capture it; the next call overwrites the tensors."""
+        """Does `held` operation by operation, so that a CUDA graph can capture it; the next call overwrites the tensors."""
         ...
 
     def taught(self) -> Tensor:
@@ -89,7 +89,7 @@ class Schedule(NamedTuple):
     gamma: float
     """Discount of one decision."""
     acts: bool = True
-    """Whether the actor learns, or only the critic, which is new where the actor is not."""
+    """True if the actor learns, False if only the critic does, which is new where the actor is not."""
     teacher: float = 0.0
     """Weight of what a teacher would do."""
 
@@ -129,10 +129,10 @@ class Learner:
         )
         self._kept: dict[str, Tensor] = {}
         self._over = torch.zeros_like(self.memory.over)
-        """What the critic is told: whether the episode is over."""
+        """Input of the critic: whether the episode is over."""
         self._noise = torch.zeros_like(self.memory.last)
         self._row = torch.zeros(1, dtype=torch.int64, device=device)
-        """Of the buffers, which the next decision fills."""
+        """Row of the buffers that the next decision fills."""
         self._decide = {taught: self._decision(taught) for taught in {False, settings.teacher > 0}}
 
     def update(self, plan: Schedule) -> dict[str, float]:

@@ -26,7 +26,7 @@ class Ranks:
 
     @property
     def is_first(self) -> bool:
-        """Whether this process writes the files and speaks."""
+        """Returns whether this process writes the files and speaks."""
         return self.rank == 0
 
     def sum(self, tensor: Tensor) -> Tensor:
@@ -49,7 +49,7 @@ class Ranks:
         return self.sum((tensor - middle).square().sum()) / (number - 1)
 
     def first(self, tensor: Tensor) -> Tensor:
-        """What the first process holds."""
+        """Returns the value that the first process holds."""
         if self.count > 1:
             tensor = tensor.contiguous().clone()
             dist.broadcast(tensor, 0)

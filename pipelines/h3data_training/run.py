@@ -37,7 +37,7 @@ from sim_kinematic.policies.visual_policy import PICTURES, PolicyCard, VisualPol
 Bank = EpisodeBank | SkillBank
 CHECKPOINT, POLICY = "checkpoint.pt", RUN_POLICY
 STARTS = "starts.npz"
-"""Of a skill: where its episodes begin, so that a run that goes on need not search for them again."""
+"""File of a skill's episode starts, so that a run that goes on need not search for them again."""
 
 
 def train(
@@ -224,7 +224,7 @@ class _Run:
 
     @property
     def seconds(self) -> float:
-        """How long all calls have taken so far [s]."""
+        """Duration of all calls so far [s]."""
         return self.before_s + self.elapsed()
 
     @property

@@ -42,9 +42,9 @@ class RunResult:
     updates: int
     decisions: int
     seconds: float
-    """Of all calls, set-up included."""
+    """Duration of all calls, set-up included."""
     setup_s: float
-    """Of this call."""
+    """Duration of the set-up of this call."""
     last: dict[str, float]
     """Last row of the learning curve."""
 

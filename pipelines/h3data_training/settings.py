@@ -14,7 +14,7 @@ from sim_kinematic.sensing.table import HUMANOID_GPS, PAPER_OBSERVATIONS
 
 NETWORKS = ("cnn_gru", "resnet18_lstm")
 CRITIC = tuple(name for name in OF_SOCIAL_NAV if name != DETECTOR)
-"""What the critic of social navigation is told."""
+"""Inputs of the critic of social navigation."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,7 @@ class Settings:
     robot: str = "quad_arm"
     human: str = "female_0"
     walk: str = "natural"
-    """How people walk: ``natural`` or ``paper`` (2.5 m/s, turning on the spot)."""
+    """Walk of people: ``natural`` or ``paper`` (2.5 m/s, turning on the spot)."""
     follow_steps: int = 0
     """An episode is cut short after so many steps of following, as if its time were over: else most of what a rollout holds is
     following, and little is finding. 0: never."""
@@ -65,7 +65,7 @@ class Settings:
     """Updates in which only the critic learns: it is new where the actor comes from a file."""
     entropy: float = 0.002
     std: float = 0.6
-    """Of the exploration noise at the start,"""
+    """Standard deviation of the exploration noise at the start,"""
     least_std: float = 0.1
     """and at least."""
     horizon: tuple[float, float] = (150.0, 500.0)

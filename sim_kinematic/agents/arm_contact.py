@@ -1,4 +1,4 @@
-"""What a robot's arm and the things in its hand touch in the home, by FCL: only counted, nothing is stopped by it."""
+"""Contacts of a robot's arm and the things in its hand with the home, by FCL; they are counted but stop nothing."""
 
 from __future__ import annotations
 

@@ -145,7 +145,7 @@ def draw_arms(
 
 @kernel(error_model="numpy")
 def _held_close(sdf, origin, cell, x, z, heading, ahead, aside, per_rad, per_m, free, tight, fan, onward):
-    """How close to the body a hand has to be now, 0..1, so that it is close enough where the body may be soon.
+    """Returns how close to the body a hand has to be now, 0..1, so that it is close enough where the body may be soon.
 
     The hand is ``ahead`` of the body and ``aside`` to its right when held out. A turn of 1 rad takes as long as coming in by
     ``per_rad``, a metre ahead as long as ``per_m``.
@@ -191,7 +191,7 @@ def held_close(
 
 @lru_cache(maxsize=64)
 def width_m(body: Humanoid) -> float:
-    """How far the capsules of a standing person extend to one side of the middle with both arms drawn in [m]."""
+    """Returns how far the capsules of a standing person extend to one side with both arms drawn in [m]."""
     joints = body.joint_matrices(IDENTITY_POSE[None], *body.clip_pose([0], [0.0], arms=np.ones((1, 2))))
     start, end, radius = body.capsules_world(joints)
     return float((np.abs(np.stack([start, end])[:, 0, :, 2]).max(0) + radius).max())

@@ -1,4 +1,4 @@
-"""What the agents of one world see of each other, and which of them touch."""
+"""Mutual views of the agents of one world, and their contacts."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class AgentContactTracker:
         return min(others, key=lambda other: float(np.hypot(*(other.xz - me.xz)))).number
 
     def avoids(self, me: AnyActor, other: AnyActor) -> bool:
-        """Whether an agent avoids another: all do, but a person with one robot where the rules are Habitat's."""
+        """Returns whether an agent avoids another: all do, but a person with one robot where the rules are Habitat's."""
         alone = (
             len(self.actors) == 2
             and not self._people_see_robot
@@ -116,7 +116,7 @@ class AgentContactTracker:
         self._gated.discard(number)
 
     def meets(self, me: AnyActor) -> bool:
-        """Whether an agent in its present posture touches another that it avoids and did not touch before."""
+        """Returns whether an agent in its present posture touches another that it avoids and did not touch before."""
         near = [
             other
             for other in self._avoided[me.number]
@@ -147,12 +147,12 @@ class AgentContactTracker:
         ]
 
     def _is_near(self, a: AnyActor, b: AnyActor) -> bool:
-        """Whether two agents could touch with their arms stretched out."""
+        """Returns whether two agents could touch with their arms stretched out."""
         (ax, az), (bx, bz) = a.xz.tolist(), b.xz.tolist()
         return math.hypot(ax - bx, az - bz) <= self._reach_m[a.number] + self._reach_m[b.number]
 
     def _touch(self, a: int, b: int) -> bool:
-        """Whether two agents touch as they are now."""
+        """Returns whether two agents touch as they are now."""
         self._gate(self.actors[a])
         self._gate(self.actors[b])
         if not may_touch(self._capsules[a], self._capsules[b]):
@@ -189,7 +189,7 @@ class AgentContactTracker:
 
 
 def _stays(track: Array) -> bool:
-    """Whether an agent with these places [T, 2] has been standing for long."""
+    """Returns whether an agent with these places [T, 2] has been standing for long."""
     count = AVOIDANCE.still_steps
     if len(track) < count:
         return False

@@ -61,7 +61,7 @@ def move_arms(state: RobotState, robot: Robot, action: ArrayLike, spec: ArmSpec)
 
 
 def robot_hands(state: RobotState, robot: Robot, floor: Floor = 0.0) -> NDArray[np.float64]:
-    """Where a robot holds things: frames of its hand at ``hand_position``, shape [W, 4, 4], hand to world."""
+    """Returns the frames in which a robot holds things: its hand at ``hand_position``, shape [W, 4, 4], hand to world."""
     base = root_pose(robot, state.xz, state.heading, floor)
     hands = robot.link_matrices(base, _checked_joints(state, robot))[:, robot.hand_link]
     hands[:, :3, 3] += hands[:, :3, :3] @ robot.hand_position

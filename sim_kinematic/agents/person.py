@@ -92,7 +92,7 @@ PERSON_SPEC = WalkerSpec(speed_mps=1.2, turn_rad_s=1.6)
 
 @dataclass(frozen=True, kw_only=True)
 class MotionResult:
-    """How a skill ended."""
+    """Result of a person's motion."""
 
     success: bool
     reason: str = ""
@@ -130,7 +130,7 @@ class Held(NamedTuple):
 
 
 class Transition(NamedTuple):
-    """How far a person has got from one kind of motion to another, such as from walking to reaching."""
+    """Progress of a person from one kind of motion to another, such as from walking to reaching."""
 
     kind: str = ""
     """Kind of the last pose: ``walk``, ``reach``, or nothing where it was set from outside."""
@@ -561,7 +561,7 @@ class Person:
         return quats
 
     def _wanted_close(self, hand: Hand, moving: Hand | None = None) -> float:
-        """How close to the body a hand should carry what it holds, 0 where it holds nothing or moves."""
+        """Returns how close to the body a hand should carry an object, 0 if it holds nothing or moves."""
         rules = self.spec.arms
         if self.free is None or rules is None or hand == moving or hand not in self.held:
             return 0.0
@@ -605,7 +605,7 @@ def _unreached(answer: ReachResult) -> MotionResult:
 
 
 def joint_steps(quats: Array) -> Array:
-    """How far each joint turns from one pose to the next, [T-1, 55] [rad], of local rotations [T, 55, 4]."""
+    """Returns how far each joint turns from one pose to the next, [T-1, 55] [rad], of local rotations [T, 55, 4]."""
     return 2 * np.arccos(np.minimum(np.abs(np.sum(quats[1:] * quats[:-1], axis=-1)), 1.0))
 
 

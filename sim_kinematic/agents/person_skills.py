@@ -45,7 +45,7 @@ HANDS: tuple[Hand, ...] = ("right", "left")
 
 
 class _Posture(NamedTuple):
-    """How a person stands, and what they carry."""
+    """Posture of a person, and what they carry."""
 
     base: Array
     quats: Array
@@ -79,9 +79,9 @@ class PersonActor:
     others: tuple[ObservedAgent, ...] = ()
     """Other agents that the person gives way to, the nearest first."""
     agreed: bool = False
-    """Whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
+    """True if all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
     meets: Callable[[], bool] = field(default=lambda: False)
-    """Whether the person touches somebody now: then they stay where they were."""
+    """True if the person touches somebody now: then they stay where they were."""
     openables: ArticulatedParts | None = None
     """Doors and drawers; None: nothing opens."""
     path: NDArray[np.floating] = field(default_factory=lambda: NO_PATH)
@@ -625,7 +625,7 @@ class PersonActor:
         return bool(reacher(self.person.body, hand).reachable(seen[None])[0])
 
     def _has_room(self, stand: NDArray, point: NDArray, hand: Hand) -> bool:
-        """Whether the body stays clear of the home while a hand reaches for a point from a stand.
+        """Returns whether the body stays clear of the home while a hand reaches for a point from a stand.
 
         It is True where bodies are not checked, and where the hand does not reach the point anyway.
         """

@@ -126,7 +126,7 @@ def _kind_and_model(name: str, *, robot: str, human: str) -> tuple[Kind, str]:
 
 
 def is_person(name: str) -> bool:
-    """Whether a name that is no kind of agent means a person.
+    """Returns whether a name that is no kind of agent means a person.
 
     People are named by a body, ``random:SEED`` or a file, each possibly with an outfit or a motion.
     """

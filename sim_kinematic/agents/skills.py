@@ -1,4 +1,4 @@
-"""What a task's agents can be told to do: oracle skills of robot and person (paper section 4.2; spec/habitat.md 2.3, 2.4).
+"""Skills that a task's agents can be given: oracle skills of robot and person (paper section 4.2; spec/habitat.md 2.3, 2.4).
 
 A skill is a generator: each ``next`` is one step of 1/30 s, its return value says how it ended. Before it starts, its
 pre-conditions are checked; an infeasible one is a no-op that is reported.
@@ -105,7 +105,7 @@ class Action(NamedTuple):
 
 
 class SkillResult(NamedTuple):
-    """How a skill ended."""
+    """Result of a skill."""
 
     outcome: Literal["done", "failed", "aborted"]
     reason: str = ""

@@ -66,7 +66,7 @@ def robot_fits(robot: Robot, rules: BaseSpec, scene: Scene, free: FreeSpace) -> 
 
 
 def discs_fit(free: FreeSpace, base: BaseSpec, xz: Array, heading: float) -> bool:
-    """Whether the discs of a base at a floor point [2] are clear of obstacles."""
+    """Returns whether the discs of a base at a floor point [2] are clear of obstacles."""
     offsets = np.asarray(base.disc_offsets_m)
     room = least_clearance(free.sdf, free.origin, free.cell_m, xz[0], xz[1], heading, offsets)
     return room >= base.disc_radius_m

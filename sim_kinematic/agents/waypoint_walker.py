@@ -175,7 +175,7 @@ def sharp_corners(free: FreeSpace, path: NDArray[np.float64]) -> NDArray[np.floa
 
 
 def _tangents_meet(arriving: NDArray[np.float64], leaving: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Where the lines through two legs [2, 2] cross, ahead of the first; None when the turn between them is too wide."""
+    """Returns where the lines through two legs [2, 2] cross ahead of the first; None if the turn between them is too wide."""
     u, v = arriving[1] - arriving[0], leaving[1] - leaving[0]
     cross = u[0] * v[1] - u[1] * v[0]
     if abs(np.arctan2(cross, u @ v)) > ARC_TURN_MAX or cross == 0:
@@ -185,7 +185,7 @@ def _tangents_meet(arriving: NDArray[np.float64], leaving: NDArray[np.float64]) 
 
 
 def _sees(free: FreeSpace, a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
-    """Whether the straight way from a to b is free: then it is the shortest."""
+    """Returns whether the straight way from a to b is free: then it is the shortest."""
     return float(free.geodesic(a, b, max_snap_m=1e-3)) <= float(np.hypot(*(b - a))) + 1e-6
 
 
@@ -207,7 +207,7 @@ def human_plan(
     steps: int,
     given: Sequence[tuple[float, float]] = (),
 ) -> HumanPlan:
-    """Where the scripted person will be in each of ``steps`` steps, and their goals; the first are those ``given``."""
+    """Returns where the scripted person will be in each of ``steps`` steps, and their goals; the first are those ``given``."""
     state = HumanState.zeros(1)
     state.xz[0], state.heading[0] = start_xz, heading
     human = WaypointHuman(free, seed, spec, given)

@@ -1,1 +1,1 @@
-"""How agents keep out of each other's path: roll-outs, velocities, routes, yielding."""
+"""Mutual avoidance of agents: roll-outs, velocities, routes, yielding."""

@@ -34,7 +34,7 @@ class Walker(Body, Protocol):
 
     number: int
     yields: bool
-    """Whether it can step aside now."""
+    """True if it can step aside now."""
     aside: NDArray[np.float64] | None
     """The points [N, 2] by which it is to step aside; none left: it is to stand there; None: nobody has asked."""
 
@@ -139,7 +139,7 @@ class RightOfWay:
             walker.aside = self._requests[number].route if number in self._requests else None
 
     def _all_are_clear(self) -> bool:
-        """Whether nobody can be asked to step aside in this step. In homes for two that is so in nine steps of ten."""
+        """Returns whether nobody can be asked to step aside in this step. In homes for two that is so in nine steps of ten."""
         walkers = self._walkers.values()
         return not any(self._may_block(other, me) for me in walkers for other in walkers if other is not me)
 
@@ -178,7 +178,7 @@ class RightOfWay:
         return walker.path_start
 
     def _may_block(self, other: Walker, me: Walker) -> bool:
-        """Whether an agent could have to step aside for me, as far as costs little to say: `_blocks` says it exactly."""
+        """Returns whether an agent could have to step aside for this one: a cheap upper bound of `_blocks`."""
         held_up = self._stalled[me.number] >= AVOIDANCE.held_up_steps
         if not other.yields:
             return False
@@ -195,7 +195,7 @@ class RightOfWay:
         return math.hypot(other_x - x, other_z - z) <= reach
 
     def _blocks(self, other: Walker, me: Walker) -> bool:
-        """Whether an agent should step aside for me."""
+        """Returns whether an agent should step aside for me."""
         if not self._may_block(other, me):
             return False
         if other.number in me.hindered_by and self._stalled[me.number] >= AVOIDANCE.held_up_steps:
@@ -281,14 +281,14 @@ class RightOfWay:
             return
 
     def _goes_to_refuge(self, number: int, other: int) -> bool:
-        """Whether an agent is on its way to a refuge, which is still far from the other."""
+        """Returns whether an agent is on its way to a refuge, which is still far from the other."""
         request = self._requests.get(number)
         if request is None or not request.stays_steps or not len(request.route):
             return False
         return math.dist(request.route[-1], self._walkers[other].xz) > AVOIDANCE.stand_off_m
 
     def _is_held_off(self, number: int, other: int) -> bool:
-        """Whether an agent is kept from going on by another, who is driven from outside, and is not out of its way already."""
+        """Returns whether another agent, which is driven from outside, holds an agent up that has not left its path yet."""
         request = self._requests.get(number)
         if request is not None and request.stays_steps:
             return False
@@ -322,7 +322,7 @@ class RightOfWay:
         return None
 
     def _leaves_refuge(self, walker: Walker, request: _Request) -> bool:
-        """Whether an agent goes on from its refuge, or from the path to it."""
+        """Returns whether an agent goes on from its refuge, or from the path to it."""
         other = self._walkers[request.by]
         obeys = self._stand_offs is None or self._stand_offs.errand(other.number).obeys
         if not obeys and request.steps % AVOIDANCE.looks_steps == 0:
@@ -364,7 +364,7 @@ class RightOfWay:
             request.route, request.stayed = route, 0
 
     def _gets_around(self, walker: Walker, other: Walker, gap_m: float) -> bool:
-        """Whether an agent gets around another, as that one stands, to where it is going, or would not get there alone."""
+        """Returns whether an agent gets to its goal around another as that one stands, or would not get there alone either."""
         if not len(walker.path):
             return False
         discs = discs_of(other) + np.array([0.0, 0.0, walker.footprint.radius_m + gap_m])
@@ -373,7 +373,7 @@ class RightOfWay:
         return around or not alone
 
     def _is_past(self, walker: Walker, other: Walker) -> bool:
-        """Whether the path of one agent leads nowhere near another, nor near the other's path."""
+        """Returns whether the path of one agent leads nowhere near another, nor near the other's path."""
         if not len(walker.path):
             return False
         mine = first_of_path(self._free.path(walker.xz, walker.path[-1], max_snap_m=1.0), AVOIDANCE.keeps_free_m)
@@ -445,7 +445,7 @@ class RightOfWay:
         return None
 
     def _places_soon(self, walker: Walker) -> NDArray[np.float64]:
-        """Where an agent is, and will be on the next metres of its path, [N, 2]."""
+        """Returns where an agent is, and will be on the next metres of its path, [N, 2]."""
         return np.vstack([walker.xz[None], _dots(first_of_path(self.path(walker), AVOIDANCE.asks_moving_m))])
 
 

@@ -114,7 +114,7 @@ class DistanceMap:
         return self._path(best, goal) if np.isfinite(near.flat[best]) else None
 
     def reaches(self, places: NDArray) -> NDArray[np.bool_]:
-        """Whether a path leads to each of some floor points [N, 2], as `path_to` finds them, [N]."""
+        """Returns whether a path leads to each of some floor points [N, 2], as `path_to` finds them, [N]."""
         # imported here: few episodes ask for this, and it would make every start slower
         from scipy.spatial import KDTree
 

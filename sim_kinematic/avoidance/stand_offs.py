@@ -16,7 +16,7 @@ class TaskProgress(NamedTuple):
     """Facts about an agent's task that show whether it makes progress."""
 
     busy: bool
-    """Whether the agent has something to do."""
+    """True if the agent has something to do."""
     leg: Hashable
     """Current activity; another value means another path."""
     left_m: Callable[[], float]
@@ -36,7 +36,7 @@ class Encounter:
     rounds: int = 0
     """Number of times that one of them was sent away since the last progress."""
     waited: bool = False
-    """Whether one of them has waited for the other, who is driven from outside."""
+    """True if one of them has waited for the other, who is driven from outside."""
     completed: tuple[int, ...] = ()
     legs: dict[int, tuple[Hashable, float]] = field(default_factory=dict)
     """Activity of each agent, and its distance to go when that began or they met."""

@@ -262,7 +262,7 @@ def _discs(base: BaseSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def is_crowded(base: BaseSpec, stands: NDArray, other: ObstacleDisc, margin_m: float) -> NDArray[np.bool_]:
-    """Whether a robot at stands ``(x, z, heading)`` [N, 3] would be within a margin [m] of another agent now, [N]."""
+    """Returns whether a robot at stands ``(x, z, heading)`` [N, 3] would be within a margin [m] of another agent now, [N]."""
     reach, (_, hull) = base.disc_radius_m + other.radius_m, _discs(base)
     other_x, other_z = other.xz.tolist()
     gaps = [least_gap(x, z, heading, other_x, other_z, hull, reach) for x, z, heading in stands.tolist()]

@@ -38,7 +38,7 @@ class Body(Protocol):
 
     @property
     def is_robot(self) -> bool:
-        """Whether the agent is a robot; otherwise it is a person."""
+        """Returns whether the agent is a robot; otherwise it is a person."""
         ...
 
     @property
@@ -78,12 +78,12 @@ def avoided(others: Sequence[ObservedAgent], *, agreed: bool = False) -> list[Ob
 
 
 def stands(other: ObservedAgent) -> bool:
-    """Whether an agent stands."""
+    """Returns whether an agent stands."""
     return float(np.hypot(*other.velocity)) <= AVOIDANCE.stands_mps
 
 
 def waits(number: int, other: ObservedAgent) -> bool:
-    """Whether a person waits for an agent in their way: one with a smaller number that moves."""
+    """Returns whether a person waits for an agent in their way: one with a smaller number that moves."""
     # an order of all people: if two waited for each other, neither would ever walk on
     return other.number < number and not stands(other)
 
@@ -177,7 +177,7 @@ def retreat_place(
 
 
 def crowds(places: NDArray, others: Sequence[ObservedAgent]) -> NDArray[np.bool_]:
-    """Whether a person at places ``(x, z, heading)`` [N, 3] would be too close to an agent that stays, [N]."""
+    """Returns whether a person at places ``(x, z, heading)`` [N, 3] would be too close to an agent that stays, [N]."""
     apart = AVOIDANCE.apart_m
     gaps = [np.hypot(*(places[:, :2] - other.xz).T) < apart for other in others if not other.steps_aside]
     return np.any(gaps, axis=0) if gaps else np.zeros(len(places), np.bool_)

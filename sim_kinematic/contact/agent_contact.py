@@ -43,12 +43,12 @@ class AgentContacts:
         return [(a, b) for a, b in combinations(range(len(self._bodies)), 2) if self.collides(a, b)]
 
     def collides(self, a: int = 0, b: int = 1) -> bool:
-        """Whether two agents touch."""
+        """Returns whether two agents touch."""
         first, second = self._bodies[a], self._bodies[b]
         return first.is_near(second) and collide(first.posed(), second.posed())
 
     def contacts(self, a: int = 0, b: int = 1) -> list[Contact]:
-        """Where two agents touch, deepest first."""
+        """Returns the contacts of two agents, deepest first."""
         first, second = self._bodies[a], self._bodies[b]
         return contacts(first.posed(), second.posed()) if first.is_near(second) else []
 
@@ -72,7 +72,7 @@ class _Body:
         self._frames, self._stale = frames, True
 
     def is_near(self, other: _Body) -> bool:
-        """Whether a capsule of this body is within `NEAR_M` of one of the other's."""
+        """Returns whether a capsule of this body is within `NEAR_M` of one of the other's."""
         return any_near(
             _world(self._frames, self._ends), self._radii, _world(other._frames, other._ends), other._radii, NEAR_M
         )
@@ -99,7 +99,7 @@ def _world(frames, ends):
 
 @kernel(error_model="numpy")
 def any_near(ends_a, radii_a, ends_b, radii_b, margin):
-    """Whether a capsule with ends [n, 2, 3] and radii [n] is within ``margin`` [m] of another."""
+    """Returns whether a capsule with ends [n, 2, 3] and radii [n] is within ``margin`` [m] of another."""
     spheres = np.empty((len(radii_b), 4))  # around the other's capsules: most pairs need no more than these
     for b in range(len(radii_b)):
         half = 0.0

@@ -55,7 +55,7 @@ class PersonCapsules:
 
 
 def may_touch(a: RobotCapsules | PersonCapsules, b: RobotCapsules | PersonCapsules) -> bool:
-    """Whether `AgentContacts` must be asked: two capsules are within `MARGIN_M`."""
+    """Returns whether `AgentContacts` must be asked: two capsules are within `MARGIN_M`."""
     return bool(any_near(a.ends, a.radii, b.ends, b.radii, MARGIN_M))
 
 
@@ -70,7 +70,7 @@ def _robot_capsules(robot: Robot) -> tuple[NDArray[np.int64], Array, Array]:
 
 @lru_cache(maxsize=32)
 def _person_capsules(body: Humanoid) -> tuple[NDArray[np.int64], Array, Array]:
-    """As `_robot_capsules`, of joints."""
+    """Returns the same as `_robot_capsules`, for the joints of a person."""
     joints = np.array([capsule.joint for capsule in body.capsules], np.int64)
     ends = np.array([[capsule.start, capsule.end] for capsule in body.capsules], np.float64)
     return joints, ends, np.array([capsule.radius for capsule in body.capsules], np.float64)

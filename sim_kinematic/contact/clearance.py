@@ -58,7 +58,7 @@ class RobotHumanContact:
         blend: float,
         arms: tuple[float, float] = (0.0, 0.0),
     ) -> bool:
-        """Whether robot and person touch.
+        """Returns whether robot and person touch.
 
         Args:
             robot_base: pose of the robot's root [7].
@@ -80,7 +80,7 @@ class RobotHumanContact:
         blend: NDArray,
         arms: NDArray | None = None,
     ) -> NDArray[np.bool_]:
-        """Whether robot and person touch in each of N cases, [N].
+        """Returns whether robot and person touch in each of N cases, [N].
 
         Arguments are those of `touching` with a first axis N: base poses [N, 7], frames of clips [N], arms [N, 2]. The
         people are posed together.

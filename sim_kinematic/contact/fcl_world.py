@@ -29,7 +29,7 @@ CONTACTS_MAX = 1000
 
 
 class Contact(NamedTuple):
-    """Where a shape of ``a`` and a shape of ``b`` overlap."""
+    """Overlap of a shape of ``a`` and a shape of ``b``."""
 
     index_a: int
     """Index of the shape in ``a`` (for a scene: into ``names``)."""
@@ -79,7 +79,7 @@ class FclScene(_Objects):
         super().__init__(geometries, matrices)
 
     def is_near(self, start: ArrayLike, end: ArrayLike, radius_m: float) -> bool:
-        """Whether the bounding box of a capsule between ``start`` and ``end`` [n, 3] overlaps that of a part.
+        """Returns whether the bounding box of a capsule between ``start`` and ``end`` [n, 3] overlaps that of a part.
 
         It is a quick first test, 50 times as fast as FCL's exact answer.
         """
@@ -118,7 +118,7 @@ class MovingShapes(_Objects):
         self.manager.update()  # without it the broad phase still sees the old places and misses contacts
 
     def touches_along(self, scene: FclScene, transforms: ArrayLike, *, except_for: Collection[str] = ()) -> bool:
-        """Whether a shape overlaps a part of the scene in any of T poses, asked from the last one back.
+        """Returns whether a shape overlaps a part of the scene in any of T poses, asked from the last one back.
 
         The answer is that of `set_transforms` and `collide` (`contacts` with ``except_for``) for each pose in turn, which
         takes four times as long: only pairs whose bounding boxes overlap are moved and asked here.
@@ -212,7 +212,7 @@ def _near_moved(frames, start, end, radius, bounds):
 
 
 def collide(a: _Objects, b: _Objects) -> bool:
-    """Whether anything of a overlaps anything of b; touching within rounding counts either way."""
+    """Returns whether anything of a overlaps anything of b; touching within rounding counts either way."""
     import fcl
 
     if not len(a) or not len(b):

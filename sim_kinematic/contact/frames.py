@@ -64,7 +64,7 @@ def body_frames(body: Body, state: AgentState, floor: Floor = 0.0, *, speed_mps:
 
 
 def walking_phase(body: Humanoid, clip: int, state: HumanState) -> NDArray[np.float64]:
-    """Where in the cycle of a clip a person is, 0..1, [W]."""
+    """Returns the phase of a person in the cycle of a clip, 0..1, [W]."""
     walk = body.clips[clip]
     return cycle_phase(walk, state.distance, state.set_off)
 

@@ -1,4 +1,4 @@
-"""How an environment was made: enough to make it again, in another process or from Gymnasium's own specification."""
+"""Recipe of an environment: enough to make it again, in another process or from Gymnasium's own specification."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec
 
 MAKE = "h3data:make"
-"""What makes environments, by name: it lies above."""
+"""Name of the function that makes environments, which lies in a layer above."""
 
 
 @dataclass(frozen=True)

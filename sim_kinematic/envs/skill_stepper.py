@@ -140,7 +140,7 @@ class SkillStepper:
 
     @property
     def is_over(self) -> bool:
-        """Whether the episode has ended."""
+        """Returns whether the episode has ended."""
         return self._turns is not None and self._turns.over
 
     def step(self, actions: Mapping[str, Any]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:

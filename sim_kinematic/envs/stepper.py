@@ -1,4 +1,4 @@
-"""What environments need of a task: something that begins episodes, takes actions and shows observations, worlds first.
+"""Interface of a task to environments: it begins episodes, takes actions and returns observations, worlds first.
 
 `sim_kinematic.envs.world_stepper` steps W worlds at once; `sim_kinematic.envs.skill_stepper` steps one world in which an
 action may last many steps; `ManySteppers` puts several of the latter side by side.
@@ -44,7 +44,7 @@ class Options:
     noise: Mapping[str, NoiseModel] | None = None
     """Model by name of an observation, as `sim_kinematic.sensing.sensor.with_noise`; by default all are exact."""
     end_on_success: bool = False
-    """Whether success terminates an episode even where the task's rules let it go on."""
+    """True if success terminates an episode even where the task's rules let it go on."""
     threads: int = 1
     """Threads that render pictures."""
 

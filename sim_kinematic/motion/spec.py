@@ -33,14 +33,14 @@ class HabitatSlideSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class BaseSpec:
-    """How a robot's base moves: discs that must stay clear of obstacles, and speed limits."""
+    """Motion of a robot's base: discs that must stay clear of obstacles, and speed limits."""
 
     max_speed_mps: float = 2.5
     max_turn_rad_s: float = 2.5
     max_lateral_mps: float = 0.0
     """Above 0, an action has a third number: sideways, positive to the left."""
     allow_back: bool = True
-    """Whether it drives backwards."""
+    """True if it drives backwards."""
     slide: Slide = "strict"
     """Behaviour at a wall. ``strict``: no disc ever enters an obstacle. ``habitat``: as Habitat's base action, step for
     step; it moves by the disc that is worst off, so others may get into walls (research: navigation-and-stepping 3.2)."""
@@ -59,10 +59,10 @@ class BaseSpec:
     contact_tolerance_m: float = 1e-5
     """A disc displaced by more than this has touched something."""
     keeps_speed: bool = field(default=False, repr=False)
-    """Whether sliding counts towards the speed limit; else obstacles may push a base on faster (2.76 m/s were seen at a limit
+    """True if sliding counts towards the speed limit; else obstacles may push a base on faster (2.76 m/s were seen at a limit
     of 2.5 m/s). Left out of ``repr``, from which episodes have their identity: those of the paper's base keep theirs."""
     maneuvers: bool = field(default=False, repr=False)
-    """Whether scripts drive it as a robot of our own episodes: it sets off and brakes gradually, and looks for a maneuver where
+    """True if scripts drive it as a robot of our own episodes: it sets off and brakes gradually, and looks for a maneuver where
     it is stuck (`sim_kinematic.avoidance.maneuvers`)."""
 
     def farthest_m(self, dt: float) -> float:
@@ -101,7 +101,7 @@ class ArmRoomSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class StrideSpec:
-    """How people walk along a path without stopping to turn (`sim_kinematic.motion.stride`)."""
+    """Rules of walking along a path without stopping to turn (`sim_kinematic.motion.stride`)."""
 
     accel_mps2: float = 1.1
     """People reach their walking speed in two to three steps (Breniere and Do 1986: 1.3 m/s in 1.2 s)."""
@@ -139,7 +139,7 @@ class StrideSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class WalkerSpec:
-    """How a way-point humanoid moves: it turns on the spot towards the next way point, then walks (paper section 3.1)."""
+    """Motion of a way-point humanoid: it turns on the spot towards the next way point, then walks (paper section 3.1)."""
 
     speed_mps: float = 2.5
     turn_rad_s: float = 2.5
@@ -196,13 +196,13 @@ class SocialNavSpec:
     human: WalkerSpec = NATURAL_WALKER
     rule_sets: ClassVar[Mapping[str, Mapping[str, Any]]] = RULE_SETS
     solid_agents: bool = field(default=False, repr=False)
-    """Whether a person under commands slides along the discs of others as along walls: the rule where people play live. Left
+    """True if a person under commands slides along the discs of others as along walls: the rule where people play live. Left
     out of ``repr``, from which episodes have their identity."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ArmSpec:
-    """How a robot's arm moves and takes things (paper appendix, low-level skills; spec/habitat.md 2.8)."""
+    """Motion and grasping of a robot's arm (paper appendix, low-level skills; spec/habitat.md 2.8)."""
 
     joint_step: float = 0.05
     """Most that a joint moves per step [rad or m]."""

@@ -29,7 +29,7 @@ STAIRS_SHARE, STAIRS_NEAR_M = 0.4, 0.6
 SLIDES: Registry[Callable[..., None]] = Registry("h3data.slides", {}, what="way to slide along walls")
 """How bases slide other than strictly: ``habitat`` is `h3data_habitat.navmesh.slide.slide_bases`."""
 APART_ITERATIONS, APART_TOLERANCE_M = 4, 1e-6
-"""How often discs push each other apart, and a distance that counts as none."""
+"""Number of iterations in which discs push each other apart, and the distance that counts as none."""
 
 
 @kernel(error_model="numpy")
@@ -50,7 +50,7 @@ def least_clearance(sdf, origin, cell, x, z, heading, offsets):
 
 @kernel(error_model="numpy", inline="always")
 def is_clear(sdf, origin, cell, x, z, heading, offsets, radius):
-    """Whether all discs of the base keep ``radius`` [m] from every obstacle: `least_clearance` >= radius, known sooner."""
+    """Returns whether all discs of the base keep ``radius`` [m] from every obstacle: a quicker `least_clearance` >= radius."""
     c, s = math.cos(heading), math.sin(heading)
     for offset in offsets:  # noqa: SIM110  (numba compiles no generators)
         if sample_sdf(sdf, origin, cell, x + c * offset, z - s * offset) < radius:
@@ -85,7 +85,7 @@ def push_out(sdf, origin, cell, x, z, heading, offsets, radius, iterations):
 
 @kernel(error_model="numpy")
 def integrate(x, z, heading, speed, lateral, turn, dt):
-    """Where a base gets in the open: ``(x, z, heading)``. It moves along its old axes, then turns (spec/habitat.md 0).
+    """Returns the free motion of a base: ``(x, z, heading)``. It moves along its old axes, then turns (spec/habitat.md 0).
 
     ``speed`` [m/s] is along its x axis, ``lateral`` [m/s] to its left, ``turn`` [rad/s] to the left.
     """
@@ -349,7 +349,7 @@ def discs_at(xz: np.ndarray, heading: np.ndarray, offsets_m: tuple[float, ...], 
 
 @lru_cache(maxsize=64)
 def _offsets(disc_offsets_m: tuple[float, ...]) -> np.ndarray:
-    """As an array; to make one takes a tenth of the step of one world."""
+    """Returns the offsets as an array, cached: to make one takes a tenth of the step of one world."""
     return np.array(disc_offsets_m)
 
 

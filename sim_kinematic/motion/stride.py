@@ -78,7 +78,7 @@ def _bearing(x, z, heading, to_x, to_z):
 
 @kernel(error_model="numpy")
 def _progress(path, cumulative, along, x, z):
-    """How far along the path [m] the nearest point is that is not behind ``along``."""
+    """Returns the distance along the path [m] of the nearest point that is not behind ``along``."""
     total = cumulative[-1]
     px, pz = _at(path, cumulative, along)
     gap = math.hypot(px - x, pz - z)
@@ -295,7 +295,7 @@ class Strider:
         self.arrived = False
 
     def step(self, xz: Array, heading: float, *, goes: bool = True) -> tuple[Array, float]:
-        """Where the person is after a step from ``xz`` [2] and ``heading``; whoever does not go brakes."""
+        """Returns where the person is after a step from ``xz`` [2] and ``heading``; a person who does not go brakes."""
         state = self._state
         state[0], state[1], state[2] = xz[0], xz[1], heading
         self.arrived = stride_step(

@@ -1,1 +1,1 @@
-"""What decides for an agent: scripts, planners, recorded tracks, networks."""
+"""Policies, which decide for an agent: scripts, planners, recorded tracks, networks."""

@@ -62,12 +62,12 @@ class AssignedPolicy(NamedTuple):
 
     @property
     def is_external(self) -> bool:
-        """Whether the agent is controlled from outside."""
+        """Returns whether the agent is controlled from outside."""
         return isinstance(self.policy, External)
 
     @property
     def takes_commands(self) -> bool:
-        """Whether somebody outside decides, now or in the recording that is played again."""
+        """Returns whether somebody outside decides, now or in the recording that is played again."""
         return bool(getattr(self.policy, "takes_commands", False))
 
 
@@ -78,7 +78,7 @@ SERVED = re.compile(r"(?P<scheme>[a-z]+):(?P<name>[^:,]+)@(?P<digest>[0-9a-f]{12
 
 
 def is_address(name: str) -> bool:
-    """Whether the name of a policy is the address of a policy server."""
+    """Returns whether the name of a policy is the address of a policy server."""
     return ADDRESS.fullmatch(name) is not None
 
 
@@ -92,7 +92,7 @@ KINDS = {"robot": "robot", "human": "human", "person": "human"}
 
 @cache
 def policy_servers() -> Registry[Any]:
-    """What finds policies behind addresses, by scheme: ``(address, task, kind, spec)`` gives a `PolicyMaker`."""
+    """Returns finders of policies behind addresses by scheme: ``(address, task, kind, spec)`` gives a `PolicyMaker`."""
     return Registry("h3data.policy_servers", {}, what="scheme of a policy's address")
 
 
@@ -244,7 +244,7 @@ def policy_names(task: Task, kind: str) -> list[str]:
 
 
 def unknown_policy(task: Task, kind: str, name: str) -> InputError:
-    """What says that agents of a kind follow nothing of this name in a task, and what there is."""
+    """Returns the error for a policy name that agents of a kind do not have in a task; it lists the valid names."""
     there = [*policy_names(task, kind), *plugin_policies().names()]
     if name.startswith(PREFIX):  # tasks that take files of weights have read it by now
         whose = "robots" if kind == "robot" else "people"

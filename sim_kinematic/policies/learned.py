@@ -51,7 +51,7 @@ AnyNetwork = Network | VisualPolicy | SkillPolicyNetwork
 
 # --- names --------------------------------------------------------------------------------------------------------------
 def is_learned(policy: str) -> bool:
-    """Whether the name of a policy means a file of weights: ``weights:FILE``, or one of `SHIPPED`."""
+    """Returns whether the name of a policy means a file of weights: ``weights:FILE``, or one of `SHIPPED`."""
     return policy.startswith(PREFIX) or policy in SHIPPED
 
 
@@ -159,7 +159,7 @@ def _kind_of(network: str) -> type[VisualPolicy] | type[SkillPolicyNetwork]:
 
 # --- social navigation --------------------------------------------------------------------------------------------------
 class NavigationContext:
-    """What a robot of social navigation is told of a view, as a `sim_kinematic.sensing.table.Context` of one world."""
+    """Observations of a robot of social navigation in a view, as a `sim_kinematic.sensing.table.Context` of one world."""
 
     xp = np
 

@@ -40,7 +40,7 @@ _DAMAGE = (
     zlib.error,
     tokenize.TokenError,
 )
-"""What zipfile and numpy raise at files that are none, or damaged; numpy tokenizes headers."""
+"""Errors that zipfile and numpy raise for files of another kind or damaged ones; numpy tokenizes headers."""
 _FUNCTIONS = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
 
 
@@ -51,7 +51,7 @@ class Network:
     task: str
     """Task of the policy: ``social_nav`` or ``rearrange``."""
     observations: tuple[str, ...]
-    """What its input is made of, by name, one after the other."""
+    """Names of the observations that make up its input, one after the other."""
     weights: tuple[NDArray[np.float32], ...]
     """Weights of each layer, [out, in], as in `torch.nn.Linear`."""
     biases: tuple[NDArray[np.float32], ...]

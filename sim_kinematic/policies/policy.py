@@ -1,4 +1,4 @@
-"""What decides for an agent: the protocol, and the choices it may make.
+"""Protocol of what decides for an agent, and the choices that it may make.
 
 A script, a planner, a network, a recorded track and somebody outside are the same thing to a runner: a `Policy`.
 """
@@ -40,7 +40,7 @@ class WaypointAction(NamedTuple):
 
 
 class PoseAction(NamedTuple):
-    """Where a person who walks along a path is after this step."""
+    """Place of a person who walks along a path, after this step."""
 
     xz: Array
     """``(x, z)`` [m]."""
@@ -48,7 +48,7 @@ class PoseAction(NamedTuple):
 
 
 class GaitAction(NamedTuple):
-    """Where a person is after this step, and how far in their walking cycle."""
+    """Place of a person after this step, and their phase in the walking cycle."""
 
     gait: HumanState
     """One world."""

@@ -22,7 +22,7 @@ from sim_kinematic.policies.learned_chooser import learned_chooser
 from sim_kinematic.policies.views import RearrangeView
 
 PLANS: dict[str, tuple[int, ...]] = {"still": (), "object_1": (0,), "object_2": (1,), "both": (0, 1)}
-"""What a planner does: the objects it rearranges."""
+"""Planners by name, with the objects that each rearranges."""
 POPULATIONS: dict[str, tuple[str, ...]] = {
     "plan_pop_1": ("object_1",),
     "plan_pop_2": ("object_1", "object_2"),

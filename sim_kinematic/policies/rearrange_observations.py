@@ -43,7 +43,7 @@ class RearrangeContext:
 
     @property
     def is_alone(self) -> bool:
-        """Whether there is no other agent."""
+        """Returns whether there is no other agent."""
         return not np.isfinite(self._view.other_xz).all()
 
     @cached_property

@@ -25,7 +25,7 @@ RESUMED = "resumed"
 
 
 def is_remote(policy: Any) -> bool:
-    """Whether a policy lies behind a server, which is not asked for what is recorded."""
+    """Returns whether a policy lies behind a server, which is not asked for what is recorded."""
     return bool(getattr(policy, "is_remote", False))
 
 

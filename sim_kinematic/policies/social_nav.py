@@ -83,7 +83,7 @@ def next_waypoint(view: SocialNavView, spec: BaseSpec) -> NDArray[np.float64]:
 
 
 def _expected_walk(view: SocialNavView) -> NDArray[np.float64]:
-    """Where the person will be in the next `ESCAPE_STEPS` steps if they go on as in the last one."""
+    """Returns where the person will be in the next `ESCAPE_STEPS` steps if they go on as in the last one."""
     velocity = np.zeros(2) if view.human_before is None else (view.human_xz - view.human_before) / STEP_S
     return straight_walk(view.free, view.human_xz, velocity, ESCAPE_STEPS)
 
@@ -268,8 +268,8 @@ POLICIES: dict[str, Policy] = {
 
 
 EXPERTS = ("rollout_expert", "sampling_expert", "future_oracle")
-"""Those that, chosen by name, also back out of where they are stuck (`sim_kinematic.policies.maneuvering`); `heuristic_expert`
-has the paper's two rules and no more."""
+"""Experts that, chosen by name, also back out of where they are stuck (`sim_kinematic.policies.maneuvering`);
+`heuristic_expert` has the paper's two rules and no more."""
 
 
 def policy_by_name(name: str) -> Policy:

@@ -1,4 +1,4 @@
-"""What scripted policies are shown. They are privileged: they know the map, and where everybody is."""
+"""Views of the world for scripted policies. They are privileged: they know the map, and where everybody is."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class AgentView(NamedTuple):
     traffic: Callable[[], Traffic]
     """Returns how the agents of this world heed each other, which those that wander share."""
     observe: Observe | None = None
-    """What the agent is shown, by name; None: nobody measures it."""
+    """Function that returns the agent's observation of a name; None if observations are not computed."""
 
     @property
     def xz(self) -> Array:
@@ -87,7 +87,7 @@ class SocialNavView(NamedTuple):
     """Takes pictures of the robot as `sim_kinematic.sensing.eyes.see`: ``pictures(names, size, light="flat")`` with a size
     (width, height) or None. They are costly, so only a policy that sees asks for them. None: nobody takes pictures."""
     observe: Observe | None = None
-    """What the agent is shown, by name; None: nobody measures it."""
+    """Function that returns the agent's observation of a name; None if observations are not computed."""
 
 
 class RearrangeView(NamedTuple):
@@ -121,18 +121,18 @@ class RearrangeView(NamedTuple):
     arm: NDArray[np.float64]
     """Positions of the arm's joints of a robot [n]; of a person [0]."""
     start: NDArray[np.float64]
-    """Where it began, ``(x, z, heading)`` [3],"""
+    """Pose at which it began, ``(x, z, heading)`` [3]."""
     before: NDArray[np.float64]
-    """and where it was a step ago."""
+    """Pose one step ago, ``(x, z, heading)`` [3]."""
     contact: bool
-    """Whether the robot's base touched an obstacle in the last step."""
+    """True if the robot's base touched an obstacle in the last step."""
     collision: bool
     """Agents touch now."""
     barrier: Callable[[int, bool], int] = lambda k, at_goal: -1
     """Gives the number of the door or drawer that has to be opened first to take an object, or (True) to bring it from there to
     its goal; -1: none."""
     observe: Observe | None = None
-    """What the agent is shown, by name; None: nobody measures it."""
+    """Function that returns the agent's observation of a name; None if observations are not computed."""
 
     def left_to_do(self) -> list[int]:
         """Objects that are not at their goals and that the other does not hold."""

@@ -65,9 +65,9 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     objects: int = 0
     """Number of objects of rearrangement that the policy supports."""
     primitives: bool = True
-    """Whether a robot of rearrangement may choose the primitives of navigation."""
+    """True if a robot of rearrangement may choose the primitives of navigation."""
     training: dict[str, Any] = {}
-    """How it came about: recipe, seed, steps, hardware, versions."""
+    """Origin of the policy: recipe, seed, steps, hardware, versions."""
 
 
 def digest_of(about: tuple[Any, ...], arrays: Mapping[str, Floats]) -> str:
@@ -115,7 +115,7 @@ class VisualPolicy:
 
     @property
     def sees_colours(self) -> bool:
-        """Whether the light of the home reaches it."""
+        """Returns whether the light of the home reaches it."""
         return self.sees == "arm_rgb"
 
     def in_light(self, light: LightMode) -> Self:
@@ -256,7 +256,7 @@ def _sigmoid(x: Floats) -> Floats:
 
 
 def _windows(x: Floats, stride: int) -> tuple[Floats, tuple[int, int]]:
-    """What each place of a 3 x 3 convolution sees of [in, H, W] with a margin of zeros, [H' W', 9 in]; and H', W'."""
+    """Returns windows of a 3 x 3 convolution over [in, H, W] with a margin of zeros, [H' W', 9 in]; and H', W'."""
     padded = np.pad(x, ((0, 0), (1, 1), (1, 1)))
     windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(1, 2))[:, ::stride, ::stride]
     _, height, width, _, _ = windows.shape

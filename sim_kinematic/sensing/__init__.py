@@ -1,1 +1,1 @@
-"""What agents perceive: sensors, pictures, noise."""
+"""Perception of agents: sensors, pictures, noise."""

@@ -102,7 +102,7 @@ class AgentPictures:
 
     @property
     def in_colour(self) -> bool:
-        """Whether one of them shows the light of the home."""
+        """Returns whether one of them shows the light of the home."""
         return any(name.endswith("_rgb") for name in self.names)
 
     def limits(self, name: str) -> Limits:

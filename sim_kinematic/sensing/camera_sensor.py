@@ -1,4 +1,4 @@
-"""What cameras on robots and people see in a `WorldState`: the home, robots, people and objects drawn as the state has them.
+"""Pictures of a `WorldState` from cameras on robots and people: the home, robots, people and objects as the state has them.
 
 `StateRenderer` poses everything once per step; any number of `CameraSensor` then take pictures of all worlds:
 
@@ -49,7 +49,7 @@ class _Drawn:
     body: Body
     instances: list[int]
     meshes: list[int]
-    """Of a person: the full and the light mesh, of which each world shows one; as bones, one per capsule."""
+    """Full and light mesh of a person, of which each world shows one; in the style ``bones``, one mesh per capsule."""
 
 
 class StateRenderer:
@@ -119,7 +119,7 @@ class StateRenderer:
         self._rigid: list[tuple[list[int], Array]] = []
         """Instances [n] of objects and of each robot, and their matrices [W, n, 4, 4], as last posed."""
         self._is_shaded = False
-        """Whether shadows are those of what was last posed."""
+        """True if shadows are those of what was last posed."""
 
     @property
     def worlds(self) -> int:

@@ -27,9 +27,9 @@ class Encoding(NamedTuple):
     given: int
     length: int
     times: Times = "once"
-    """How often the sensor repeats the unit."""
+    """Number of times that the sensor repeats the unit."""
     dtype: type[np.floating] = np.float32
-    """What NumPy computes it in."""
+    """NumPy type in which it is computed."""
 
 
 def _plain(xp: Any, seen: Any) -> Any:
@@ -96,8 +96,8 @@ OF_COMMANDS: Mapping[str, Encoding] = {
     name: _of_commands(Sensor(abs, (0.0,), (1.0,)) if name == DETECTOR else TABLE[name])
     for name in dict.fromkeys((*OF_SOCIAL_NAV, *OF_SKILLS))
 }
-"""What networks of commands read beside a picture."""
+"""Observations that networks of commands read together with a picture."""
 OF_CHOICES: Mapping[str, Encoding] = {
     name: _of_choices(sensor) for name, sensor in SENSES.items() if sensor.times != "choices"
 }
-"""What networks of choices can read beside those sensors that are one of their choices."""
+"""Observations that networks of choices can read, besides the sensors that are one of their choices."""

@@ -1,4 +1,4 @@
-"""What the agents observe, as pure functions on arrays: any leading axes (worlds first), float64 in SI units.
+"""Observations of agents, as pure functions on arrays: any leading axes (worlds first), float64 in SI units.
 
 Functions with the argument ``xp``, an array namespace, are the same on the CPU (``numpy``) and on a device (``torch``), where
 all arguments are tensors. `sim_kinematic.sensing.table` is the table of sensors that are made of them. Places on the floor
@@ -44,7 +44,7 @@ RANGES = 12
 RANGE_M = 2.0
 """Farthest that it measures."""
 RANGE_STRIDES = 8
-"""Of sphere tracing: 95 % of rays in furnished homes are then within 3 cm."""
+"""Number of strides of sphere tracing: with these, 95% of rays in furnished homes are within 3 cm."""
 
 
 def scaled_depth(depth: Any, limits_m: tuple[float, float] = DEPTH_RANGE_M) -> Any:
@@ -126,7 +126,7 @@ def agents_within_threshold(
     aside_m: float = 1.5,
     xp: Any = np,
 ) -> Any:
-    """Whether the other agent is inside the ellipse with these half axes around the own base, bool [...]."""
+    """Returns whether the other agent is inside the ellipse with these half axes around the own base, bool [...]."""
     seen = in_base_frame(own_xz, heading, other_xz, xp=xp)
     return (seen[..., 0] / ahead_m) ** 2 + (seen[..., 1] / aside_m) ** 2 < 1.0
 

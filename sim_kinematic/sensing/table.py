@@ -50,7 +50,7 @@ Ending = Literal["done", "failed", "aborted"]
 
 
 class Pose(NamedTuple):
-    """Where bases are."""
+    """Poses of bases."""
 
     xz: Any
     """[..., 2] [m]."""
@@ -59,7 +59,7 @@ class Pose(NamedTuple):
 
 
 class Context(Protocol):
-    """What sensors are computed from: one agent in each of some worlds [...], now. It need not have all of this.
+    """Input of sensors: the state of one agent in each of some worlds [...]. Fields that no sensor reads may be missing.
 
     Arrays are those of the namespace ``xp``; ``now``, ``before`` (one step ago), ``start``, ``other`` and ``other_before`` have
     ``xz`` and ``heading`` as a `Pose`. Places of K objects, ``objects``, ``starts`` and ``goals``, are [..., K, 3].
@@ -92,9 +92,9 @@ class Context(Protocol):
     steps: Any
     """Steps since the episode began [...]."""
     target: Any
-    """What a skill is to reach [..., 3] [m]."""
+    """Target of a skill [..., 3] [m]."""
     resting: Any
-    """Where the hand would be at rest [..., 3] [m]."""
+    """Place of the hand at rest [..., 3] [m]."""
 
     def floor_y(self) -> Any:
         """Heights of the floor where the agent is, [...] [m]."""
@@ -206,7 +206,7 @@ class Sensor(NamedTuple):
     """Axes in which they are given: ``base`` (forward, left, or an angle to the right), ``world``, ``start`` (the agent root
     frame of the start: x forward, y up, z right), ``hand``."""
     times: Times = "once"
-    """How often the unit is repeated: once, for each object, joint of the arm or choice."""
+    """Number of times that the unit is repeated: once, for each object, joint of the arm or choice."""
     of_other: bool = False
     """It tells something of another agent, which a lone one does not have."""
 
@@ -274,7 +274,7 @@ def _path_ahead(*, other: bool) -> Sensor:
 
 
 def _approach(m: Context) -> Any:
-    """How much shorter the other's way to each object has become over their known track, a second [..., K] [m]."""
+    """Returns how much shorter per second the other's path to each object became over their known track [..., K] [m]."""
     return (m.ways("objects", other=True, then=True) - m.ways("objects", other=True)).clip(-NEARER_M, NEARER_M)
 
 
@@ -378,7 +378,7 @@ OF_SKILLS = (
     "is_holding",
     "arm_joints",
 )
-"""What a learned skill is shown beside a picture."""
+"""Observations of a learned skill besides a picture."""
 SENSORS = _rows(*list(TABLE)[: list(TABLE).index("arm_joints") + 1])
 """Sensors of agents of any task whose agents drive and walk."""
 SENSES = _rows(
@@ -391,11 +391,11 @@ SENSES = _rows(
 )
 """Sensors of agents of rearrangement."""
 FOLLOWER = (HUMANOID_GPS, "egomotion", "localization", "humanoid_velocity", "way", "range_scan")
-"""What a robot that follows a person may be told, wherever it learns or plays: on the CPU and on devices."""
+"""Observations that a robot that follows a person may have in training and in play, on the CPU and on devices."""
 STATE_OBSERVATIONS = (HUMANOID_GPS, "egomotion")
 """Default observations of agents that drive and walk: they cost no picture."""
 PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", HUMANOID_GPS)
-"""What the paper's policy of social navigation sees (appendix). Needs a picture in every step."""
+"""Observations of the paper's policy of social navigation (appendix). They need a picture in every step."""
 HABITAT_SENSES = (
     "arm_depth",
     "is_holding",
@@ -405,15 +405,15 @@ HABITAT_SENSES = (
     "obj_start_sensor",
     "obj_goal_sensor",
 )
-"""What Habitat's configuration shows the upper layer (spec/habitat.md 2.5). Needs a picture in every step."""
+"""Observations of the upper layer in Habitat's configuration (spec/habitat.md 2.5). They need a picture in every step."""
 PAPER_SENSES = (
     *(name for name in HABITAT_SENSES if name != "other_agent_gps"),
     HUMANOID_GPS,
     "arm_joints",
     "egomotion",
 )
-"""What the paper says that the robot has (section 4.2): depth, arm joints, egomotion, the person's distance and direction; and
-of the task what Habitat shows. Needs a picture in every step."""
+"""Observations of the robot in the paper (section 4.2): depth, arm joints, egomotion, the person's distance and direction;
+and those of the task in Habitat's configuration. They need a picture in every step."""
 STATE_SENSES = (
     "obj_gps_compass",
     "obj_goal_gps_compass",

@@ -20,7 +20,7 @@ SIDES = 12
 TRIAL = (64, 48)
 """Size of the pictures that tell from which side the agent is seen best."""
 OTHERS = 0.5
-"""What another agent in the picture counts beside the agent itself,"""
+"""Weight of another agent in the picture relative to the agent itself,"""
 OPEN = 1.0
 """and how much of the picture nothing stands in front of, so near to the camera:"""
 IN_FRONT_M = 3.2

@@ -1,1 +1,1 @@
-"""What is to be done: rules, episodes, rewards, recordings, and simulating them again."""
+"""Tasks: rules, episodes, rewards, recordings, and simulating them again."""

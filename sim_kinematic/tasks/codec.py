@@ -1,4 +1,4 @@
-"""What an episode is outside the simulator: its record in episode files, its entries in a recording, its identity, in words.
+"""Form of an episode outside the simulator: record in episode files, entries in a recording, identity and words.
 
 A task has one `EpisodeCodec` (`sim_kinematic.tasks.task.Task.codec`), the only place where its episodes are written and read.
 `TaskCodec` does that for all tasks whose episodes are an `Episode`.
@@ -45,7 +45,7 @@ R = TypeVar("R", bound=StoredEpisode)
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodePlace:
-    """Where a stored episode is played, and what the user wants other than the file."""
+    """Place in which a stored episode is played, and the user's changes to the file."""
 
     scene: Scene
     free: FreeSpace
@@ -65,9 +65,9 @@ class EpisodeCodec(Generic[R]):
     """Converts the episodes of a task to JSON and back: records in episode files, and the info of recordings. A base class."""
 
     samples_starts: ClassVar[bool] = False
-    """Whether it reads files without starts, which are sampled then."""
+    """True if it reads files without starts, which are sampled then."""
     records_judgement: ClassVar[bool] = True
-    """Whether each step's reward and success are recorded (``metrics.reward``, ``metrics.success``), for the metrics profile
+    """True if each step's reward and success are recorded (``metrics.reward``, ``metrics.success``), for the metrics profile
     ``task``. The built-in tasks, whose metrics follow from other columns, do without."""
 
     def __init__(self, task: Any) -> None:
@@ -96,7 +96,7 @@ class EpisodeCodec(Generic[R]):
         raise NotImplementedError
 
     def is_complete(self, record: R) -> bool:
-        """Whether the record leaves nothing to chance."""
+        """Returns whether the record leaves nothing to chance."""
         del record
         return True
 

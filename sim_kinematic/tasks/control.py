@@ -1,4 +1,4 @@
-"""What agents of a task are told to do: the form of a choice, what carries it out, and how it is recorded and repeated.
+"""Control of a task's agents: the form of a choice, what carries it out, and how it is recorded and repeated.
 
 A task names one `Control` (`sim_kinematic.tasks.task.Task.control`). With `VelocityControl`, agents drive and walk. With
 `sim_kinematic.tasks.rearrange.control.SkillControl` they have skills: they take things, put them down, open and close.
@@ -22,14 +22,14 @@ from sim_kinematic.tasks.play import Rollout, WorldRollout
 
 
 class Control:
-    """What agents are told to do. A base class; ``play`` is what `rollout` has made, ``number`` that of an agent."""
+    """Control of agents. A base class; ``play`` is the result of `rollout`, ``number`` is the index of an agent."""
 
     batched: ClassVar[bool] = True
-    """Whether it plays many worlds at once (`WorldRollout`), or one."""
+    """True if it plays many worlds at once (`WorldRollout`), False if it plays one."""
     clip_coded: ClassVar[bool] = True
-    """Whether people are recorded as motion clips, else joint by joint."""
+    """True if people are recorded as motion clips, False if joint by joint."""
     common_policies: ClassVar[bool] = True
-    """Whether `sim_kinematic.policies.assignment.COMMON` makes such choices."""
+    """True if `sim_kinematic.policies.assignment.COMMON` makes such choices."""
 
     def __init__(self, skills: Mapping[str, tuple[str, ...]] | None = None) -> None:
         """Creates the control.
@@ -65,12 +65,12 @@ class Control:
         raise NotImplementedError
 
     def is_busy(self, play: Any, number: int) -> bool:
-        """Whether an agent goes on with something by itself until it ends or a command interrupts it."""
+        """Returns whether an agent goes on with something by itself until it ends or a command interrupts it."""
         del play, number
         return False
 
     def interrupts(self, play: Any, number: int, choice: Any) -> bool:
-        """Whether a command from outside interrupts what the agent is doing; by default all do."""
+        """Returns whether a command from outside interrupts what the agent is doing; by default all do."""
         del play, number, choice
         return True
 

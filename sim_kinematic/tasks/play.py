@@ -70,7 +70,7 @@ class Rollout(Protocol):
 
     @property
     def over(self) -> bool:
-        """Whether the last step has been played."""
+        """Returns whether the last step has been played."""
         ...
 
     @property
@@ -278,7 +278,7 @@ class WorldRollout:
         )
 
     def sensor_context(self, agent: int) -> SensorContext:
-        """What the sensors of an agent measure now, in all worlds."""
+        """Returns the input of an agent's sensors now, in all worlds."""
         world = self.world
         kinds = [member.kind for member in world.roster]
         other = next((n for n, kind in enumerate(kinds) if kind != kinds[agent]), (agent + 1) % len(kinds))
@@ -372,7 +372,7 @@ class WorldRollout:
 
     @property
     def over(self) -> bool:
-        """Whether the rules or the time limit have ended the first world's episode."""
+        """Returns whether the rules or the time limit have ended the first world's episode."""
         return bool(self.outcome.terminated[0] or self.out_of_time[0])
 
     def view(self, agent: int) -> Any:
@@ -527,7 +527,7 @@ def checked_outcome(task: Rules, outcome: Any, worlds: int) -> StepOutcome:
 
 
 class AgentSensors(NamedTuple):
-    """What one agent can be shown."""
+    """Observations that one agent can have."""
 
     agent: str
     sensors: Mapping[str, tuple[Sensor, Array, Array]]

@@ -51,7 +51,7 @@ class Verification:
 
     @property
     def equal(self) -> bool:
-        """Whether every stored value came out again, bit for bit."""
+        """Returns whether every stored value came out again, bit for bit."""
         return self.difference is None
 
 
@@ -153,7 +153,7 @@ def scene_and_map(file: bytes, radius_m: float, height_m: float) -> tuple[Scene,
 
 
 def is_counterfactual(recording: Recording) -> bool:
-    """Whether its person does not react."""
+    """Returns whether its person does not react."""
     return recording.episode.info.get("human_reactive") is False
 
 

@@ -292,7 +292,7 @@ class _Played:
 
 
 def _is_kept(column: str, people: Sequence[int]) -> bool:
-    """Whether a column is taken from the recording where people keep their tracks: what they hold is simulated again."""
+    """Returns whether a column is taken from the recording if people keep their tracks; what they hold is simulated again."""
     if column.startswith("sim."):
         return True
     return column.startswith(tuple(f"agent_{k}." for k in people)) and not column.endswith("grasp_body")

@@ -141,7 +141,7 @@ def simulate(
 
 
 def _needs_note(policy: Any, choice: Any) -> bool:
-    """Whether a choice is recorded as raw input: commands of a server to an arm are in no column."""
+    """Returns whether a choice is recorded as raw input: commands of a server to an arm are in no column."""
     return isinstance(choice, Action) and is_remote(policy)
 
 
@@ -197,9 +197,9 @@ class _Inbox(External):
         self.latest: Any = None
         """The last command that the agent has followed."""
         self.has_news = False
-        """Whether `pending` has not been followed yet."""
+        """True if `pending` has not been followed yet."""
         self.is_urgent = False
-        """Whether it interrupts a running skill."""
+        """True if it interrupts a running skill."""
         self.reason = ""
         """Reason why a running skill has just been interrupted."""
 

@@ -1,4 +1,4 @@
-"""Where episodes come from: homes by name, made at first use and kept, and the episodes that seeds sample in them."""
+"""Sources of episodes: homes by name, made at first use and kept, and the episodes that seeds sample in them."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Home:
 
     @property
     def is_ready(self) -> bool:
-        """Whether scene and floor have been made."""
+        """Returns whether scene and floor have been made."""
         return "free" in vars(self) and "scene" in vars(self)
 
 

@@ -75,12 +75,12 @@ _MOVED = {
     "sample_starts": "sim_kinematic.tasks.episode.sample_starts, and Task.sample decides which starts there are,",
     "assign": "sim_kinematic.policies.assignment.assign",
 }
-"""Where members of tasks of earlier versions are now."""
+"""Members of tasks in earlier versions, with their present places."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TaskUsage:
-    """How datasets, evaluations and environments use a task."""
+    """Use of a task by datasets, evaluations and environments."""
 
     dataset_rules: Any = None
     """Rules of generated datasets; None: `Task.Spec` with its defaults."""
@@ -94,11 +94,11 @@ class TaskUsage:
     named_kinds: tuple[str, ...] = ("robot", "human")
     """Kinds of agents of which a job names the policy also where it is the default one."""
     bodies_in_agents: bool = False
-    """Whether the body that ``--human`` names is written into the roster, for each person of it."""
+    """True if the body that ``--human`` names is written into the roster, for each person of it."""
     crosses_partners: bool = False
-    """Whether an evaluation plays every policy with every partner by default."""
+    """True if an evaluation plays every policy with every partner by default."""
     can_be_solo: bool = False
-    """Whether an episode can be played without its robots (policy ``solo``)."""
+    """True if an episode can be played without its robots (policy ``solo``)."""
 
 
 class Task:
@@ -115,7 +115,7 @@ class Task:
     profile: ClassVar[str] = ""
     """Metrics profile of its recordings: a name or ``module:name``; empty: the profile of its name, else the generic one."""
     control: ClassVar[Control] = VelocityControl()
-    """What its agents are told to do: velocities and way points, or skills. It says what carries choices out, how they are
+    """Control of its agents: velocities and way points, or skills. It says what carries choices out, how they are
     recorded, and what agents report to be doing."""
     columns: ClassVar[Mapping[str, Any]] = {}
     """dtype of each column in `StepOutcome.columns`."""
@@ -124,7 +124,7 @@ class Task:
     defaults: ClassVar[Mapping[str, str]] = {"robot": "wander", "human": "waypoints"}
     """Name of the policy of each kind where none is chosen."""
     usage: ClassVar[TaskUsage] = TaskUsage()
-    """How datasets, evaluations and environments use it, where that is not as usual."""
+    """Use of the task by datasets, evaluations and environments, where it is not the usual one."""
 
     def __init_subclass__(cls) -> None:
         for old, new in _MOVED.items():
@@ -208,7 +208,7 @@ class Task:
 
     # --- policies -----------------------------------------------------------------------------------------------------
     def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
-        """What makes the policy that a name means in this task beyond its tables; None: look in the tables.
+        """Returns a maker of the policy that a name means in this task beyond its tables; None if only the tables have it.
 
         ``spec`` are the rules that it must fit, None where they are not known yet.
 

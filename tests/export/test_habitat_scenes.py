@@ -480,7 +480,7 @@ def test_a_failed_export_leaves_what_was_there(tmp_path: Path, monkeypatch: pyte
         return write(self, data)
 
     monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(InputError, match="No space left"):
+    with pytest.raises(InputError, match=r"(?s)No space left.*H3-EXPORT-026"):
         export_habitat(small_scene(), target, force=True)
     assert contents(target) == before
     assert sorted(p.name for p in tmp_path.iterdir()) == ["x"]
@@ -505,7 +505,7 @@ def test_meshes_with_nan_and_scenes_without_a_building_are_refused(tmp_path: Pat
     scene = small_scene()
     bad = brick((0, 0, 0), (1, 1, 1))
     bad.vertices[0, 0] = np.nan
-    with pytest.raises(SceneError, match="not finite"):
+    with pytest.raises(SceneError, match=r"(?s)not finite.*H3-MESH-008"):
         export_habitat(replace(scene, assets={**scene.assets, "rug": Asset(name="rug", mesh=bad)}), tmp_path / "x")
     with pytest.raises(SceneError, match="H3-EXPORT-019"):
         export_habitat(replace(scene, instances=scene.instances[2:]), tmp_path / "x")

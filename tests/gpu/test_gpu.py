@@ -299,7 +299,7 @@ def test_soft_shadows_and_tints_look_as_on_the_cpu(make, samples):
     assert_alike({name: t[1] for name, t in got.items()}, want)
     gpu.update_blockers([None, None])
     np.testing.assert_array_equal(gpu.render(cameras, outputs=["rgb"], samples=samples)["rgb"].cpu().numpy(), plain)
-    with pytest.raises(InputError, match="2 worlds"):
+    with pytest.raises(InputError, match=r"(?s)2.*H3-RENDER-030"):
         gpu.update_blockers([None])
 
 
@@ -514,20 +514,26 @@ def test_wrong_arguments_are_named(make):
     gpu = make(GpuScene(scene, moving=[0]), width=WIDTH, height=HEIGHT, worlds=2)
     camera = ROOM_VIEWS[0]
     for call, words in [
-        (lambda: gpu.render(camera, outputs=("dpeth",)), "Unknown outputs"),
-        (lambda: gpu.render(camera, samples=2), "samples must be 1 or 4"),
-        (lambda: gpu.render([camera] * 3), "one camera or one per view"),
-        (lambda: gpu.render(replace(camera, width=4)), "is 4x72, but this renderer is 96x72"),
-        (lambda: gpu.render(camera, worlds=[2]), "worlds 0 to 1"),
-        (lambda: gpu.render(camera, poses=np.eye(4)), "poses must have 3 axes"),
-        (lambda: gpu.update_poses(np.zeros((2, 2, 4, 4))), r"poses must be \[2, up to 1, 4, 4\]"),
-        (lambda: gpu.update_joints(np.zeros((2, 55, 4, 4))), "joints must be"),
-        (lambda: gpu.update_vertices(0, np.zeros((2, 5, 3))), "deformable mesh without skin"),
-        (lambda: make(scene, width=0, height=4, worlds=1), "positive whole numbers"),
-        (lambda: make([], width=4, height=4, worlds=1), "at least one scene"),
-        (lambda: make(scene, width=4, height=4, worlds=2, scene_of_world=[0, 1]), "numbers from 0 to 0"),
-        (lambda: make(GpuScene(scene, moving=[3]), width=4, height=4, worlds=1), "moving lists instance 3"),
-        (lambda: make(GpuScene(scene, skins={0: (None, None)}), width=4, height=4, worlds=1), "not deformable"),  # type: ignore[dict-item]
+        (lambda: gpu.render(camera, outputs=("dpeth",)), "H3-RENDER-047"),
+        (lambda: gpu.render(camera, samples=2), "H3-RENDER-032"),
+        (lambda: gpu.render([camera] * 3), "H3-RENDER-035"),
+        (lambda: gpu.render(replace(camera, width=4)), r"(?s)4x72.*96x72.*H3-RENDER-038"),
+        (lambda: gpu.render(camera, worlds=[2]), r"(?s)0.*1.*H3-RENDER-036"),
+        (lambda: gpu.render(camera, poses=np.eye(4)), r"(?s)poses.*3.*H3-RENDER-031"),
+        (lambda: gpu.update_poses(np.zeros((2, 2, 4, 4))), r"(?s)\[2.*1, 4, 4\].*H3-RENDER-027"),
+        (lambda: gpu.update_joints(np.zeros((2, 55, 4, 4))), "H3-RENDER-028"),
+        (lambda: gpu.update_vertices(0, np.zeros((2, 5, 3))), "H3-RENDER-029"),
+        (lambda: make(scene, width=0, height=4, worlds=1), "H3-RENDER-023"),
+        (lambda: make([], width=4, height=4, worlds=1), "H3-RENDER-024"),
+        (lambda: make(scene, width=4, height=4, worlds=2, scene_of_world=[0, 1]), r"(?s)0.*0.*H3-RENDER-025"),
+        (
+            lambda: make(GpuScene(scene, moving=[3]), width=4, height=4, worlds=1),
+            r"(?s)moving lists instance 3.*H3-RENDER-021",
+        ),
+        (
+            lambda: make(GpuScene(scene, skins={0: (None, None)}), width=4, height=4, worlds=1),
+            r"(?s)not deformable.*H3-RENDER-021",
+        ),  # type: ignore[dict-item]
     ]:
         with pytest.raises(InputError, match=words):
             call()
@@ -560,7 +566,7 @@ def test_without_a_gpu_the_message_says_what_to_do():
     if gpu_problem() is None:
         pytest.skip("there is a GPU")
     scene = RenderScene([ball(6)], [RenderInstance(0, np.eye(4))])
-    with pytest.raises(InputError, match=r"No CUDA device: .* Hint: use the CPU renderer"):
+    with pytest.raises(InputError, match=r"(?s)Hint.*H3-RENDER-014"):
         GpuRenderer(scene, width=4, height=4, worlds=1)
 
 

@@ -522,5 +522,5 @@ def test_an_npz_that_claims_more_than_it_holds_is_refused(tmp_path: Path) -> Non
     npy = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("a.npy", npy)
-    with pytest.raises(FormatError, match="a\\.npy"):
+    with pytest.raises(FormatError, match=r"(?s)a\.npy.*H3-FORMAT-023"):
         npz_arrays(path)

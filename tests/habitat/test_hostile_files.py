@@ -80,7 +80,7 @@ def test_an_unreadable_file_is_an_input_error(tmp_path: Path) -> None:
 def test_a_loop_of_links_is_an_input_error(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
     path.symlink_to(path)
-    with pytest.raises(InputError, match=r"x\.json"):
+    with pytest.raises(InputError, match=r"(?s)x\.json.*H3-FORMAT-015"):
         read_gfx_replay(path)
 
 
@@ -129,9 +129,9 @@ end_header
 def test_triangles_between_vertices_that_do_not_exist(tmp_path: Path) -> None:
     path = tmp_path / "x.ply"
     path.write_text(PLY.format("0 1 0", 999_999))
-    with pytest.raises(SceneError, match=r"x\.ply"):
+    with pytest.raises(SceneError, match=r"(?s)x\.ply.*H3-MESH-021"):
         load_mesh(path)
-    with pytest.raises(SceneError, match=r"x\.ply"):
+    with pytest.raises(SceneError, match=r"(?s)x\.ply.*H3-MESH-021"):
         node_box(path)
 
 

@@ -146,11 +146,11 @@ def test_nodes_inside_themselves_and_without_end_are_refused(tmp_path: Path) -> 
     path = tmp_path / "a.dae"
     loop = '<library_nodes><node id="n"><instance_node url="#n"/></node></library_nodes>'
     path.write_text(document('<node><instance_node url="#n"/></node>', libraries=loop))
-    with pytest.raises(SceneError, match="inside itself"):
+    with pytest.raises(SceneError, match=r"(?s)inside itself.*H3-MESH-021"):
         load_mesh(path)
     path = tmp_path / "b.dae"
     path.write_text(document(f"<node>{SHOWN}</node>").replace("?>", "?><!DOCTYPE a [<!ENTITY b 'c'>]>", 1))
-    with pytest.raises(SceneError, match="DOCTYPE"):
+    with pytest.raises(SceneError, match=r"(?s)DOCTYPE.*H3-MESH-021"):
         load_mesh(path)
 
 
@@ -158,7 +158,7 @@ def test_nodes_inside_themselves_and_without_end_are_refused(tmp_path: Path) -> 
 def test_wrong_indices_are_one_error(tmp_path: Path, fault: str) -> None:
     path = tmp_path / "a.dae"
     path.write_text(document(f"<node>{SHOWN}</node>").replace(FACES, f"0 1 {fault}"))
-    with pytest.raises(SceneError, match="geometry 'g', <triangles>"):
+    with pytest.raises(SceneError, match=r"(?s)geometry 'g', <triangles>.*H3-MESH-021"):
         load_mesh(path)
 
 

@@ -50,5 +50,5 @@ def test_commands_list_the_others_and_exit_with_1(mixed: Path, capsys: pytest.Ca
 
 
 def test_alone_they_are_an_error(mixed: Path) -> None:
-    with pytest.raises(FormatError, match=r"half\.mcap"):
+    with pytest.raises(FormatError, match=r"(?s)half\.mcap.*H3-RECORDING-018"):
         measure_files([mixed / "half.mcap"], "task")

@@ -121,11 +121,9 @@ def test_values_that_were_not_logged_are_neither_successes_nor_rewards():
 
 
 def test_profiles_of_other_tasks_are_refused_and_suitable_ones_listed():
-    with pytest.raises(
-        InputError, match=r"'paper' does not measure the task 'fetch'. Use one of: field, partnr, task\."
-    ):
+    with pytest.raises(InputError, match=r"(?s)'paper'.*'fetch'.*field, partnr.*H3-METRIC-023"):
         measure(fetching(), "paper")
-    with pytest.raises(InputError, match=r"Unknown metrics profile 'papr'. Did you mean 'paper'\?"):
+    with pytest.raises(InputError, match=r"(?s)metrics profile 'papr'\. Did you mean 'paper'\?.*H3-FILE-011"):
         measure(fetching(), "papr")
     assert measure(fetching(), "task").profile == "task"
 
@@ -162,7 +160,7 @@ def test_metrics_that_lack_a_column_are_undefined_and_the_others_are_not(third_p
     measured = measure(fetching(drop=("metrics.reward",), profile="fetch_metrics:PROFILE"))
     assert measured.values["grasped"] == 1
     assert np.isnan(measured.values["reward"])
-    with pytest.raises(InputError, match=r"nothing to measure: grasped needs agent_<robot>.grasp_body; reward needs"):
+    with pytest.raises(InputError, match=r"(?s)grasped needs agent_<robot>\.grasp_body; reward needs.*H3-METRIC-026"):
         measure(fetching(drop=("metrics.reward", "agent_0.grasp_body")), "fetch_metrics:PROFILE")
 
 
@@ -175,7 +173,7 @@ def test_a_declared_profile_that_cannot_be_used_says_what_to_do(third_party: Pat
 
 
 def test_objects_that_are_not_profiles_are_refused(third_party: Path):
-    with pytest.raises(PluginError, match=r"expected an h3data.metrics.Profile or a tuple of them"):
+    with pytest.raises(PluginError, match=r"(?s)expected an h3data\.metrics\.Profile or a tuple of them.*H3-FILE-016"):
         measure(fetching(), "fetch_metrics:grasped")
 
 
@@ -187,9 +185,9 @@ def metric(**changes: object) -> Metric:
 def test_profiles_are_checked_when_they_are_made():
     with pytest.raises(InputError, match="H3-METRIC-019"):
         Profile(name="p", title="", metrics=())
-    with pytest.raises(InputError, match=r"Expected ids that begin with q/ in profile 'q', got 'p/t/a@1'"):
+    with pytest.raises(InputError, match=r"(?s)q/.*'q'.*'p/t/a@1'.*H3-METRIC-020"):
         Profile(name="q", title="", metrics=(metric(),))
-    with pytest.raises(InputError, match="no function for a: give each metric a value="):
+    with pytest.raises(InputError, match=r"(?s)value=.*H3-METRIC-021"):
         Profile(name="p", title="", metrics=(metric(value=None),))
 
 

@@ -106,7 +106,7 @@ def test_what_cannot_be_played_is_refused() -> None:
     )
     with pytest.raises(InputError, match="H3-BODY-065"):
         walk_of(still)
-    with pytest.raises(InputError, match="20 frames per second, got 12"):
+    with pytest.raises(InputError, match=r"(?s)20.*12.*H3-BODY-062"):
         walk_of(walk(fps=12))
     with pytest.raises(InputError, match="H3-BODY-056"):
         walk_of(in_start_frame(replace(motion, quats=motion.quats[::-1].copy(), pelvis=motion.pelvis[::-1].copy())))
@@ -123,7 +123,7 @@ def test_what_cannot_be_played_is_refused() -> None:
     )
     with pytest.raises(InputError, match="H3-BODY-066"):
         walk_of(replace(motion, quats=twitch))
-    with pytest.raises(FormatError, match="NaN"):
+    with pytest.raises(FormatError, match=r"(?s)NaN.*H3-BODY-039"):
         replace(motion, pelvis=np.full_like(motion.pelvis, np.nan))
     slide = replace(motion, quats=np.repeat(motion.quats[:1], count, axis=0))  # carried along in one pose
     with pytest.raises(InputError, match="H3-BODY-058"):
@@ -219,7 +219,7 @@ def test_names() -> None:
         "robot:quad_arm",
         "random:4+w.npz",
     )
-    with pytest.raises(InputError, match="no_such"):
+    with pytest.raises(InputError, match=r"(?s)no_such.*H3-SIM-019"):
         make_roster("robot,no_such+walk.npz")
 
 

@@ -88,7 +88,7 @@ def test_all_may_stand_beside_other_names() -> None:
     assert chosen_names(["all"], there) == there
     assert chosen_names(["still", "all"], there) == ("still", "complement")
     assert chosen_names(["all", "my_package:MyPolicy"], there) == (*there, "my_package:MyPolicy")
-    with pytest.raises(InputError, match="at least one policy and partner by name, or all; got none"):
+    with pytest.raises(InputError, match="H3-JOB-050"):
         chosen_names([], there)
 
 

@@ -268,7 +268,7 @@ def test_the_names_of_a_certificate_are_read_from_it(tmp_path: Path):
     subprocess.run(command, check=True, capture_output=True)
     assert certificate_names(str(cert)) == ["study.example.org", "*.lab.example"]
     cert.write_text("none")
-    with pytest.raises(Refused, match=r"Expected a certificate in PEM format, got .*cert\.pem"):
+    with pytest.raises(Refused, match=r"(?s)cert\.pem.*H3-PLAY-024"):
         certificate_names(str(cert))
 
 
@@ -278,7 +278,7 @@ def test_commands_pass_further_names_to_the_server():
         "*.b.example",
     ]
     for wrong in ("https://a.example", "a.example:80", "*", "a..example", ""):
-        with pytest.raises(InputError, match="Expected --allow-host with a name such as"):
+        with pytest.raises(InputError, match="H3-PLAY-012"):
             Play("rearrange", allow_hosts=(wrong,))._serving()
 
 

@@ -116,9 +116,9 @@ def test_tele_operation_beside_a_person(tmp_path: Path):
 
 
 def test_what_is_no_app_says_so():
-    with pytest.raises(InputError, match="Did you mean 'tutorial'"):
+    with pytest.raises(InputError, match=r"(?s)Did you mean 'tutorial'.*H3-FILE-011"):
         find_app("tutoral")
-    with pytest.raises(PluginError, match="Expected a subclass"):
+    with pytest.raises(PluginError, match=r"(?s)Expected a subclass.*H3-FILE-016"):
         find_app("json:dumps")
 
 

@@ -236,10 +236,10 @@ def test_a_session_that_nobody_played_leaves_no_file(tmp_path: Path):
 
 def test_plans_that_cannot_be_played(tmp_path: Path):
     for changes, message in (
-        ({"app": "rearange"}, "Unknown app"),
+        ({"app": "rearange"}, r"(?s)app.*H3-FILE-011"),
         ({"scenes": "nowhere"}, "nowhere"),
-        ({"partner": "nobody"}, "Unknown policy 'nobody'"),
-        ({"app": "social_nav", "partner": None, "seats": ("person", "person")}, "one robot follows one person"),
+        ({"partner": "nobody"}, r"(?s)policy 'nobody'.*H3-POLICY-002"),
+        ({"app": "social_nav", "partner": None, "seats": ("person", "person")}, "H3-TASK-053"),
     ):
         with pytest.raises(InputError, match=message):
             table(tmp_path, **changes).begin(GameOrder(index=0, name="000000"))

@@ -126,7 +126,7 @@ def test_only_the_wanted_columns(tmp_path):
     needed = {"time_ns", "object_pose", "agent_0.base_pose", "agent_1.base_pose"}
     assert set(part.columns) == {"metrics.dist_agents", *needed}
     assert np.array_equal(part.columns["metrics.dist_agents"], rec.columns["metrics.dist_agents"])
-    with pytest.raises(InputError, match=r"No columns \['metrics.nope'\] in this log"):
+    with pytest.raises(InputError, match=r"(?s)\['metrics\.nope'\].*H3-RECORDING-028"):
         read_mcap(path, columns=["metrics.nope"])
 
 
@@ -224,7 +224,7 @@ def test_metadata_records_out_of_reach_are_not_made_up(tmp_path):
     )
     (tmp_path / "a.mcap").write_bytes(data)
     assert recordings_equal(rec, read_mcap(tmp_path / "a.mcap")) == []
-    with pytest.raises(FormatError, match=r"does not tell where its metadata records are.*h3data convert"):
+    with pytest.raises(FormatError, match="H3-RECORDING-040"):
         open_steps(tmp_path / "a.mcap")
 
 
@@ -253,7 +253,7 @@ def test_a_lost_message_is_noticed(tmp_path):
             lambda t, m, lost=topic: None if t == lost and m.step == 4 else m.SerializeToString(),
         )
         (tmp_path / "a.mcap").write_bytes(data)
-        with pytest.raises(FormatError, match=r"Expected steps 0\.\.8"):
+        with pytest.raises(FormatError, match=r"(?s)0\.\.8.*H3-RECORDING-027"):
             read_mcap(tmp_path / "a.mcap")
         assert recover_mcap(tmp_path / "a.mcap", tmp_path / "c.mcap", overwrite=True).steps == 4
 
@@ -336,7 +336,7 @@ def test_newer_and_foreign_files_are_named(tmp_path, sound):
     path = tmp_path / "t.mcap"
     path.write_bytes(edited_metadata(sound[1], "h3.schema", version="2.0"))
     for read in (read_mcap, lambda p: recover_mcap(p, tmp_path / "out.mcap")):
-        with pytest.raises(FormatError, match=r"schema version 2\.0.*newer h3data"):
+        with pytest.raises(FormatError, match=r"(?s)2\.0.*H3-RECORDING-110"):
             read(path)
     path.write_bytes(edited_metadata(sound[1], "h3.schema", version="soon"))
     with pytest.raises(FormatError, match="H3-RECORDING-112"):
@@ -348,7 +348,7 @@ def test_newer_and_foreign_files_are_named(tmp_path, sound):
         writer = Writer(stream)
         writer.start(profile="ros2")
         writer.finish()
-    with pytest.raises(FormatError, match="profile 'ros2'"):
+    with pytest.raises(FormatError, match=r"(?s)'ros2'.*H3-RECORDING-020"):
         read_mcap(path)
     with pytest.raises(FormatError, match="H3-RECORDING-025"):
         read_mcap(tmp_path)
@@ -359,7 +359,7 @@ def test_newer_and_foreign_files_are_named(tmp_path, sound):
 def test_a_length_that_lies_allocates_nothing(tmp_path):
     lie = struct.pack("<BQ", 6, 2**63)  # a chunk of 8 EiB, as an unfinished chunk of the Rust writer looks
     (tmp_path / "a.mcap").write_bytes(MAGIC + lie + b"x" * 50)
-    with pytest.raises(FormatError, match="truncated"):
+    with pytest.raises(FormatError, match=r"(?s)truncated.*H3-RECORDING-018"):
         read_mcap(tmp_path / "a.mcap")
 
 
@@ -371,7 +371,7 @@ def test_fields_of_another_type_are_refused(tmp_path, sound):
         schema=lambda text: text.replace(b"semantic_id\x18\x05 \x01", b"semantic_id\x18\x05 \x03"),
     )
     path.write_bytes(data)
-    with pytest.raises(FormatError, match=r"Expected int64 in Body\.semantic_id"):
+    with pytest.raises(FormatError, match=r"(?s)int64.*Body\.semantic_id.*H3-RECORDING-113"):
         read_mcap(path)
 
 

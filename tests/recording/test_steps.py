@@ -150,20 +150,20 @@ def test_a_step_can_be_drawn_without_the_others(tmp_path):
 def test_what_is_not_there_is_refused(tmp_path):
     for steps in stores(simple_recording(steps=9), tmp_path):
         for start, stop in ((-1, 3), (0, 10), (5, 4)):
-            with pytest.raises(InputError, match="the recording has 9, 0 to 8"):
+            with pytest.raises(InputError, match=r"(?s)9, 0.*8.*H3-RECORDING-117"):
                 steps.rows(start, stop)
         with pytest.raises(IndexError, match="there is no 9"):
             steps[9]
-        with pytest.raises(InputError, match=r"No columns \['nope'\].*time_ns"):
+        with pytest.raises(InputError, match=r"(?s)\['nope'\].*time_ns.*H3-RECORDING-116"):
             steps.rows(0, 1, columns=["nope"])
         steps.close()
     with pytest.raises(InputError, match="H3-RECORDING-055"):
         open_steps(tmp_path / "ds")
-    with pytest.raises(InputError, match="Episode 7"):
+    with pytest.raises(InputError, match=r"(?s)7.*H3-RECORDING-065"):
         open_steps(tmp_path / "ds", episode=7)
     with pytest.raises(InputError, match="H3-RECORDING-051"):
         open_steps(tmp_path / "a.mcap", episode=0)
-    with pytest.raises(InputError, match="No such file"):
+    with pytest.raises(InputError, match=r"(?s)No such.*H3-RECORDING-026"):
         open_steps(tmp_path / "none.mcap")
 
 
@@ -220,7 +220,7 @@ def test_unfinished_and_other_logs_are_named(tmp_path):
     writer = RecordingWriter(path, rec)
     writer.append(rec.columns)
     writer.abort()
-    with pytest.raises(FormatError, match="never finished"):
+    with pytest.raises(FormatError, match=r"(?s)never finished.*H3-RECORDING-041"):
         open_steps(path.with_name("a.mcap.part"))
     others: list[tuple[dict[str, Any], str]] = [
         (

@@ -142,16 +142,16 @@ def test_far_leaves_nothing_and_near_shows_what_is_behind():
 
 def test_invalid_arguments_are_refused(monkeypatch):
     drawn, camera = scene(), pinhole(8, 8, hfov_deg=60)
-    with pytest.raises(InputError, match="Available: auto, cpu, gpu, rays"):
+    with pytest.raises(InputError, match=r"(?s)auto, cpu, gpu, rays.*H3-RENDER-054"):
         Renderer(drawn, backend="vulkan")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="H3-RENDER-055"):
         Renderer(drawn, worlds=0)
     renderer = Renderer(drawn, worlds=2)
-    with pytest.raises(InputError, match="no world 2"):
+    with pytest.raises(InputError, match=r"(?s)2.*H3-RENDER-059"):
         renderer.set_transforms([0], np.eye(4), world=2)
     with pytest.raises(InputError, match="H3-RENDER-062"):
         renderer.render_batch([camera, pinhole(9, 8, hfov_deg=60)])
-    with pytest.raises(InputError, match="one world for each of 2"):
+    with pytest.raises(InputError, match=r"(?s)2.*H3-RENDER-063"):
         renderer.render_batch([camera, camera], worlds=[0])
     with pytest.raises(InputError, match="H3-RENDER-061"):
         renderer.render_batch([])
@@ -201,5 +201,5 @@ def test_without_a_gpu_auto_is_the_cpu_and_gpu_says_why():
     if torch.cuda.is_available():
         pytest.skip("there is a GPU")
     assert Renderer(scene(), backend="auto").backend == "cpu"
-    with pytest.raises(MissingExtraError, match="Hint: backend='cpu'"):
+    with pytest.raises(MissingExtraError, match=r"(?s)Hint: backend='cpu'.*H3-RENDER-064"):
         Renderer(scene(), backend="gpu")

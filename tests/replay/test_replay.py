@@ -78,12 +78,12 @@ def test_links_worked_out_in_blocks_are_those_worked_out_at_once(recording: Reco
 
 
 def test_steps_outside_are_refused(replay: Replay) -> None:
-    with pytest.raises(InputError, match="200 steps"):
+    with pytest.raises(InputError, match=r"(?s)200.*H3-REPLAY-019"):
         replay.at(200)
     assert replay.at(-1).step == 199
-    with pytest.raises(InputError, match="no step 200"):
+    with pytest.raises(InputError, match=r"(?s)200.*H3-REPLAY-019"):
         next(iter(replay.frames([camera_track(replay, "top_down")], [5, 200])))
-    with pytest.raises(InputError, match="no step -300"):
+    with pytest.raises(InputError, match=r"(?s)-300.*H3-REPLAY-019"):
         h3data.render_frame(replay, step=-300)
 
 
@@ -165,7 +165,7 @@ def test_the_trailing_camera_stays_out_of_walls(replay: Replay) -> None:
 def test_unknown_cameras_are_listed(replay: Replay) -> None:
     names = camera_names(replay)
     assert {"top_down", "third_person", "robot_arm"} <= set(names)
-    with pytest.raises(InputError, match="robot_arm"):
+    with pytest.raises(InputError, match=r"(?s)robot_arm.*H3-REPLAY-017"):
         camera_track(replay, "sky")
 
 

@@ -64,11 +64,11 @@ def test_positions_compose_and_rest_moves_nothing() -> None:
         np.testing.assert_allclose(matrices(there), matrices(posed(scene, b)), atol=1e-12)
         np.testing.assert_allclose(handle_points(there), handle_points(posed(scene, b)), atol=1e-12)
         np.testing.assert_array_equal(joints_of(there).rest, b)
-    with pytest.raises(InputError, match=r"no joint 'cabinet/lid'.*cabinet/door"):
+    with pytest.raises(InputError, match=r"(?s)'cabinet/lid'.*cabinet/door.*H3-SCENE-002"):
         posed(scene, {"cabinet/lid": 1.0})
     with pytest.raises(InputError, match="H3-SCENE-001"):
         posed(scene, {"cabinet/door": np.nan})
-    with pytest.raises(InputError, match="2 joints"):
+    with pytest.raises(InputError, match=r"(?s)2.*H3-SCENE-003"):
         posed(scene, [0.1])
 
 
@@ -168,17 +168,17 @@ def _changed(change: dict[str, Any], *, part: bool = False) -> bytes:
 @pytest.mark.parametrize(
     ("change", "part", "told"),
     [
-        ({"lower": 2.0}, False, "equal limits"),
-        ({"lower": 3.0}, False, "reversed"),
+        ({"lower": 2.0}, False, r"(?s)equal limits.*H3-SCENE-053"),
+        ({"lower": 3.0}, False, r"(?s)reversed.*H3-SCENE-053"),
         ({"axis": [0, float("nan"), 0]}, False, "axis"),
         ({"axis": [0, 0, 0]}, False, "axis"),
-        ({"rest": 9.0}, False, "outside its limits"),
-        ({"kind": "ball"}, False, "Unknown kind of joint 'ball'"),
-        ({"joint": None}, True, "'door' has no joint"),
-        ({"instances": ["nobody"]}, True, "do not exist: .*nobody"),
-        ({"instances": ["body"]}, True, "stands still"),
-        ({"instances": ["cup"]}, True, "another part moves"),
-        ({"parent": "box"}, True, "hangs on 'box'"),
+        ({"rest": 9.0}, False, r"(?s)outside its limits.*H3-SCENE-053"),
+        ({"kind": "ball"}, False, r"(?s)Unknown kind of joint 'ball'.*H3-SCENE-053"),
+        ({"joint": None}, True, r"(?s)'door' has no joint.*H3-SCENE-053"),
+        ({"instances": ["nobody"]}, True, r"(?s)do not exist.*nobody.*H3-SCENE-053"),
+        ({"instances": ["body"]}, True, r"(?s)stands still.*H3-SCENE-053"),
+        ({"instances": ["cup"]}, True, r"(?s)another part moves.*H3-SCENE-053"),
+        ({"parent": "box"}, True, r"(?s)hangs on 'box'.*H3-SCENE-053"),
         ({"handle": [0, 0, float("inf")]}, True, "handle"),
     ],
 )

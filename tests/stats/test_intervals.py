@@ -79,7 +79,7 @@ def test_undefined_values_are_left_out():
 
 
 def test_nonsense_is_refused():
-    with pytest.raises(InputError, match="3 of 2"):
+    with pytest.raises(InputError, match=r"(?s)3.*2.*H3-STATS-023"):
         wilson_interval(3, 2)
     with pytest.raises(InputError, match="H3-STATS-024"):
         t_interval([1.0, 2.0], confidence=95)
@@ -122,5 +122,5 @@ def test_seeds():
 def test_bad_p_values_are_refused():
     with pytest.raises(InputError, match="H3-STATS-027"):
         adjust_p_values([0.2, 1.2])
-    with pytest.raises(InputError, match="'fdr'"):
+    with pytest.raises(InputError, match=r"(?s)'fdr'.*H3-STATS-028"):
         adjust_p_values([0.2], method="fdr")  # type: ignore[arg-type]

@@ -150,9 +150,9 @@ def test_different_episodes_are_named():
     first, second = runs(8)
     del first["e2"], first["e4"]
     second.pop("e7")
-    with pytest.raises(InputError, match=r"Only in the first: e7. Only in the second: e4, e2"):
+    with pytest.raises(InputError, match=r"(?s)e7.*e4, e2.*H3-STATS-031"):
         compare_paired(first, second)
-    with pytest.raises(InputError, match=r"e0, e1, e2, e3, e4 and 3 more. Only in the second: none"):
+    with pytest.raises(InputError, match=r"(?s)e0, e1, e2, e3, e4 and 3 more.*none.*H3-STATS-031"):
         compare_paired({f"e{k}": 1.0 for k in range(9)}, {"e8": 1.0})
     with pytest.raises(InputError, match="H3-STATS-032"):
         compare_paired({}, {})
@@ -161,7 +161,7 @@ def test_different_episodes_are_named():
 def test_nonsense_is_refused():
     with pytest.raises(InputError, match="H3-STATS-029"):
         compare_paired({"a": 2.0}, {"a": 1.0}, method="mcnemar")
-    with pytest.raises(InputError, match="'anova'"):
+    with pytest.raises(InputError, match=r"(?s)'anova'.*H3-STATS-030"):
         compare_paired({"a": 2.0}, {"a": 1.0}, method="anova")  # type: ignore[arg-type]
 
 
@@ -185,7 +185,7 @@ def test_all_metrics_of_two_tables_together():
     assert got["S"].p_adjusted == pytest.approx(2 * got["S"].p)
     assert got["TD"].p_adjusted == pytest.approx(max(got["TD"].p, 2 * got["S"].p))
     assert compare_runs(first, second, metrics=["TD"])["TD"].p_adjusted == got["TD"].p
-    with pytest.raises(InputError, match=r"No metric 'XX'. There are: S, TD"):
+    with pytest.raises(InputError, match=r"(?s)'XX'.*S, TD.*H3-METRIC-007"):
         compare_runs(first, second, metrics=["XX"])
-    with pytest.raises(InputError, match="the second run repeats e0"):
+    with pytest.raises(InputError, match=r"(?s)second.*e0.*H3-METRIC-009"):
         compare_runs(first, table(["e0", *ids[:-1]], S=[1.0] * 20, TD=td))

@@ -147,14 +147,17 @@ def test_rules_leave_out_people_and_episodes_with_reasons_and_counts() -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"forms": [{**UNDERSTOOD, "items": [{**TASK, "right": 3}]}]}, "cannot be given"),
-        ({"forms": [{**UNDERSTOOD, "items": [{"id": "a", "text": "b", "kind": "text", "right": 1}]}]}, "needs numbers"),
-        ({"forms": [{**MOOD, "attempts": 2}]}, "needs a right answer"),
-        ({"exclude": [{"name": "a", "what": "minuts", "above": 1}]}, "Did you mean 'minutes'"),
-        ({"exclude": [{"name": "a", "what": "minutes"}]}, "needs above or below"),
-        ({"exclude": [{"name": "a", "what": "failed_checks", "of": "trial", "above": 0}]}, "one of: seconds"),
-        ({"forms": [UNDERSTOOD, {**UNDERSTOOD, "after": "consent"}]}, "different forms"),
-        ({"recruiting": {"unique_codes": True, "completion_code": "C"}}, "not both"),
+        ({"forms": [{**UNDERSTOOD, "items": [{**TASK, "right": 3}]}]}, "H3-STUDY-048"),
+        ({"forms": [{**UNDERSTOOD, "items": [{"id": "a", "text": "b", "kind": "text", "right": 1}]}]}, "H3-STUDY-040"),
+        ({"forms": [{**MOOD, "attempts": 2}]}, "H3-STUDY-024"),
+        ({"exclude": [{"name": "a", "what": "minuts", "above": 1}]}, r"(?s)Did you mean 'minutes'.*H3-STUDY-025"),
+        ({"exclude": [{"name": "a", "what": "minutes"}]}, "H3-STUDY-026"),
+        (
+            {"exclude": [{"name": "a", "what": "failed_checks", "of": "trial", "above": 0}]},
+            r"(?s)seconds.*H3-STUDY-025",
+        ),
+        ({"forms": [UNDERSTOOD, {**UNDERSTOOD, "after": "consent"}]}, r"(?s)forms.*H3-STUDY-028"),
+        ({"recruiting": {"unique_codes": True, "completion_code": "C"}}, "H3-STUDY-021"),
     ],
 )
 def test_what_a_check_or_a_rule_cannot_mean_is_refused(tmp_path: Any, changes: dict[str, Any], said: str) -> None:

@@ -117,14 +117,14 @@ def test_texts():
 
 def test_nonsense_is_refused():
     fit = stored_fit("collided")
-    with pytest.raises(InputError, match=r"no factor of this model. Its factors are: condition"):
+    with pytest.raises(InputError, match=r"(?s)condition.*H3-STATS-015"):
         marginal_means(fit, "scene")
     means = marginal_means(fit, "condition")
     with pytest.raises(InputError, match="H3-STATS-034"):
         relative_efficiency(means, "plan_pop3")
-    with pytest.raises(InputError, match="No level 'alone'"):
+    with pytest.raises(InputError, match=r"(?s)'alone'.*H3-STATS-035"):
         relative_efficiency(published(), "alone")
-    with pytest.raises(InputError, match="'dunnett'"):
+    with pytest.raises(InputError, match=r"(?s)'dunnett'.*H3-STATS-033"):
         contrasts(means, adjust="dunnett")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="H3-STATS-036"):
         _ = contrasts(means, scale="response")[0].ratio

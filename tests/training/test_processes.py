@@ -216,10 +216,10 @@ def test_a_process_sees_its_own_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
         assert own_place("cuda") == (Ranks(1, 2), "cuda")
         assert os.environ["CUDA_VISIBLE_DEVICES"] == chosen
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4")
-    with pytest.raises(InputError, match="a GPU for each of 2 processes, found none for number 1"):
+    with pytest.raises(InputError, match=r"(?s)2.*1.*H3-TRAIN-040"):
         own_place("cuda")
 
 
 def test_worlds_must_split(bank: EpisodeBank, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="2 minibatches for each of 3 processes, got 8"):
+    with pytest.raises(InputError, match=r"(?s)2.*3.*8.*H3-TRAIN-041"):
         train(tmp_path, BLIND, gpus=3, bank=bank)

@@ -63,7 +63,7 @@ def test_it_learns_and_its_file_gives_what_was_trained(folder: Path) -> None:
         np.testing.assert_allclose(out, mean[0].numpy(), atol=1e-5)
         np.testing.assert_allclose(kept, state[0].numpy(), atol=1e-5)
         last = mean.clamp(-1, 1)
-    with pytest.raises(InputError, match=r"Expected arm_depth \[22, 30, 1\]"):
+    with pytest.raises(InputError, match=r"(?s)arm_depth \[22, 30, 1\].*H3-POLICY-033"):
         policy({**shown, "arm_depth": np.zeros((12, 16, 1))}, np.zeros(2, np.float32), kept)
 
 
@@ -169,13 +169,21 @@ def test_it_has_the_published_size() -> None:
 @pytest.mark.parametrize(
     ("card", "arrays", "message"),
     [
-        ({"network": "transformer"}, {}, "unknown network 'transformer'"),
-        ({"network": "cnn_gru", "picture_size": (32, 24)}, {}, "conv_0.weight is missing"),
-        ({"picture_size": (4, 4)}, {}, "expected sides of 8 to 1024"),
-        ({"observations": ("humanoid_gps",)}, {}, "unknown array visual.first.weight"),
-        ({}, {"act.weight": np.full((2, 6), np.nan, np.float32)}, "act.weight holds numbers that are not finite"),
-        ({}, {"lstm.weight_hh_l0": np.zeros((0,), np.float32)}, "lstm.weight_hh_l0 has the shape"),
-        ({}, {"visual.first.weight": np.zeros((5, 1, 7, 7), np.float32)}, "visual.first.weight has the shape"),
+        ({"network": "transformer"}, {}, r"(?s)unknown network 'transformer'.*H3-POLICY-007"),
+        ({"network": "cnn_gru", "picture_size": (32, 24)}, {}, r"(?s)conv_0\.weight is missing.*H3-POLICY-007"),
+        ({"picture_size": (4, 4)}, {}, r"(?s)expected sides of 8 to 1024.*H3-POLICY-007"),
+        ({"observations": ("humanoid_gps",)}, {}, r"(?s)unknown array visual\.first\.weight.*H3-POLICY-007"),
+        (
+            {},
+            {"act.weight": np.full((2, 6), np.nan, np.float32)},
+            r"(?s)act\.weight holds numbers that are not finite.*H3-POLICY-007",
+        ),
+        ({}, {"lstm.weight_hh_l0": np.zeros((0,), np.float32)}, r"(?s)lstm\.weight_hh_l0 has the shape.*H3-POLICY-007"),
+        (
+            {},
+            {"visual.first.weight": np.zeros((5, 1, 7, 7), np.float32)},
+            r"(?s)visual\.first\.weight has the shape.*H3-POLICY-007",
+        ),
     ],
 )
 def test_damaged_policies_are_refused(

@@ -89,7 +89,7 @@ def test_the_timeline_is_one_on_which_both_keep_their_pace():
 
 def test_nothing_to_compare_is_refused(tmp_path):
     empty = example(agents=(), columns={"time_ns": np.zeros(0, np.int64)}, skills=(), events=())
-    with pytest.raises(InputError, match=r"b, 'nothing'.*has none.*view the other one alone"):
+    with pytest.raises(InputError, match=r"(?s)b, 'nothing'.*H3-VIEW-021"):
         write_comparison_rrd(
             ShownRecording(recording=example()), ShownRecording(recording=empty, name="nothing"), tmp_path / "e.rrd"
         )

@@ -1,4 +1,4 @@
-"""What people play: a task with its rules, words and markers. An app of your own is a subclass, found as ``module:Class``."""
+"""Applications to play: a task with its rules, words, markers. An app of your own is a subclass, found as ``module:Class``."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Hud:
     lines: tuple[str, ...] = ()
     """Lines about the state of the game."""
     how: Mapping[str, str] = field(default_factory=dict)
-    """How it is done by what the player acts with (``keys``, ``mouse``, ``touch``, ``pad``, ``headset``), said in place of the
+    """Instructions by the player's device (``keys``, ``mouse``, ``touch``, ``pad``, ``headset``), said in place of the
     page's own hints. Where it has nothing, the page says what could be done now."""
     marker: tuple[float, float, float] | None = None
     """A point of the floor that the page marks with a ring, a label and a sign on the map [m]."""
@@ -35,7 +35,7 @@ class Hud:
 
 @dataclass(frozen=True, kw_only=True)
 class Goal:
-    """Where an object has to go; goal number k is that of object number k."""
+    """Place to which an object has to go; goal number k is that of object number k."""
 
     position: tuple[float, float, float]
     """Goal position of the object's origin [m]."""
@@ -67,7 +67,7 @@ class App:
         self.session = session
 
     def driver(self, number: int) -> Driver:
-        """How a player moves agent ``number``."""
+        """Returns the driver with which a player moves agent ``number``."""
         return Driver(self.session, number)
 
     def refusal(self, number: int, message: Act) -> str:

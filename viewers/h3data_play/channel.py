@@ -1,4 +1,4 @@
-"""What the front and a worker send each other over a socket: ``(kind, key, body)`` as msgpack, after their length.
+"""Messages between the front and a worker over a socket: ``(kind, key, body)`` as msgpack, after their length.
 
 No pickle: a worker that is taken over must not be able to run anything in the front.
 """
@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 
 Letter = tuple[str, str, Any]
-"""What it is, of which game or seat, and its content of plain types."""
+"""Message: its kind, its game or seat, and its content of plain types."""
 _LENGTH = 4
 _encoder = msgspec.msgpack.Encoder()
 _decoder: msgspec.msgpack.Decoder[Letter] = msgspec.msgpack.Decoder(Letter)

@@ -104,7 +104,7 @@ class Stuck(Failed):
 
 
 def runner_of(app: web.Application) -> web.AppRunner:
-    """What serves an application, and closes connections on which nothing happens."""
+    """Returns the runner that serves an application, and closes idle connections."""
     return web.AppRunner(app, access_log=None, shutdown_timeout=0.5, keepalive_timeout=IDLE_S, lingering_time=LINGER_S)
 
 
@@ -121,7 +121,7 @@ def require_own_origin(request: web.Request) -> None:
 
 
 def is_known(name: str, names: Iterable[str]) -> bool:
-    """Whether a server goes by a name.
+    """Returns whether a server goes by a name.
 
     Args:
         name: Of a host, without port.

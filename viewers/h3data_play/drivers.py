@@ -128,7 +128,7 @@ class Driver:
 
     @property
     def busy(self) -> bool:
-        """Whether the agent is moved by something else than the player's keys."""
+        """Returns whether the agent is moved by something else than the player's keys."""
         return self.guide is not None
 
     def can_place(self, point: Any) -> str:
@@ -139,7 +139,7 @@ class Driver:
     # --- the body -----------------------------------------------------------------------------------------------------
     @property
     def place(self) -> tuple[Array, float]:
-        """Where the agent is: (x, z), heading."""
+        """Returns the place of the agent: (x, z), heading."""
         recorder = self.session.recorder
         if recorder.latest is None:
             start = self.session.episode.starts[self.number]
@@ -299,12 +299,12 @@ class SkillDriver(Driver):
 
     @property
     def runs(self) -> bool:
-        """Whether a skill is running."""
+        """Returns whether a skill is running."""
         return self.session.task.control.is_busy(self.session.play, self.number)
 
     @property
     def busy(self) -> bool:
-        """Whether a skill or walk is running or queued."""
+        """Returns whether a skill or walk is running or queued."""
         return self.runs or super().busy or bool(self.queue)
 
     @property

@@ -42,7 +42,7 @@ asks every 120 ms."""
 MOST_BUSY = 0.7
 """Share of a core that a worker's games may take: beyond it a further one would slow down all others."""
 AGAIN_S, SAY_S = 1.0, 60.0
-"""What cannot be written to the database is tried again so soon, and the operator is told so often."""
+"""Seconds after which a failed write to the database is tried again, and between messages to the operator."""
 NO_ROOM = "The server's disk is full. Nothing that you have done before is lost; try again in a minute."
 MOST_SPECTATORS = 20
 MOST_AHEAD = 4
@@ -54,7 +54,7 @@ SEATS_PER_ADDRESS = 12
 LOADING_S = 60.0
 """Who has taken a seat and does not connect, because the home is still loading, keeps it for so long."""
 AWAY_S = 20.0
-"""Where there is no key, a browser that was connected keeps its seat for so long; with the link's key another one may have it
+"""Seconds for which a browser that was connected keeps its seat without a key; with the link's key another one may have it
 at once."""
 BEGIN_S, POST_BYTES = 90.0, 64 * 1024
 ELSEWHERE, GONE, RESTARTING = 4001, 4003, 1012
@@ -142,7 +142,7 @@ class WebServer:
         self._left: set[str] = set()
         """Seats that other browsers have now, under other names."""
         self.finishes = True
-        """Whether recordings are finished when the server stops; else the next server goes on with them."""
+        """True if recordings are finished when the server stops; else the next server goes on with them."""
 
     # --- the application ----------------------------------------------------------------------------------------------
     def application(self) -> web.Application:
@@ -238,7 +238,7 @@ class WebServer:
         return answer
 
     async def _read(self, request: web.Request, kind: type[Any]) -> Any:
-        """What a browser has sent to its seat."""
+        """Returns the message that a browser has sent to its seat."""
         require_own_origin(request)
         self._seat_number(request)
         if request.content_type != "application/json":
@@ -290,7 +290,7 @@ class WebServer:
         return self.journal.sit(token, max(places, default=-1) + 1, number)
 
     def _is_attended(self, seat: Seat, away_s: float) -> bool:
-        """Whether a seat's browser is connected, has been within the last ``away_s`` [s], or may just be loading the home."""
+        """Returns whether a seat's browser is connected, was so within the last ``away_s`` [s], or may be loading the home."""
         now = self.clock()
         if (
             now - self._loading.get(seat.sid, -LOADING_S) < LOADING_S
@@ -321,7 +321,7 @@ class WebServer:
         return network(named.rpartition(",")[2].strip() or request.remote or "")
 
     def _is_taken(self, sid: str) -> bool:
-        """Whether somebody still plays in a seat."""
+        """Returns whether somebody still plays in a seat."""
         seat = self.journal.seats.get(sid)
         game = None if seat is None else self.journal.games.get(seat.game)
         return seat is not None and (game is None or not game.over)
@@ -378,7 +378,7 @@ class WebServer:
         worker.send("begin", live.game.key, msgspec.to_builtins(order))
 
     def _order(self, game: Game) -> GameOrder:
-        """What a worker plays as a game."""
+        """Returns the order by which a worker plays a game."""
         return GameOrder(index=game.episode, name=recording_name(game.episode))
 
     def _agent(self, seat: Seat, begun: dict[str, Any]) -> int:
@@ -401,7 +401,7 @@ class WebServer:
 
     @web.middleware
     async def _with_room(self, request: web.Request, handler: Any) -> web.StreamResponse:
-        """What cannot be written down has not happened (`SeatLog`), and whoever asked for it is told so."""
+        """Answers that something did not happen if it cannot be written down (`SeatLog`)."""
         try:
             return await handler(request)
         except sqlite3.OperationalError as fault:
@@ -477,7 +477,7 @@ class WebServer:
             self.done.set()
 
     def _is_last(self) -> bool:
-        """Whether no further game will begin."""
+        """Returns whether no further game will begin."""
         return len(self.journal.games) >= self.plan.episodes
 
     def lost(self, worker: WorkerProcess) -> None:

@@ -48,7 +48,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO)
 
 
 def disk_fault(fault: BaseException | None) -> str:
-    """What is wrong with the disk, where that is behind an error; else empty."""
+    """Returns the fault of the disk that caused an error; empty if there is none."""
     while fault is not None:
         if isinstance(fault, OSError) and fault.errno in FULL:
             return fault.strerror or str(fault)
@@ -57,7 +57,7 @@ def disk_fault(fault: BaseException | None) -> str:
 
 
 class PatientSink:
-    """Where a live game is recorded. What the disk does not take waits in the writer, and the game for it."""
+    """Sink that records a live game. Data that the disk does not take waits in the writer, and the game waits for it."""
 
     def __init__(self, writer: RecordingWriter) -> None:
         self.writer, self.fault = writer, ""
@@ -105,7 +105,7 @@ class PatientSink:
 
 
 class EpisodeFactory:
-    """Where episodes of a plan come from, in one process."""
+    """Source of the episodes of a plan, in one process."""
 
     def __init__(self, plan: PlayPlan) -> None:
         """Loads the app, task and scenes of a plan.
@@ -143,7 +143,7 @@ class EpisodeFactory:
         return tuple(numbers)
 
     def partner_of(self, episode: Episode, number: int) -> str | AssignedPolicy:
-        """What an agent that nobody plays follows, called as the plan calls it: recordings hold no paths of this machine."""
+        """Returns the policy of an agent that nobody plays, under the plan's name: recordings hold no paths of this machine."""
         plan = self.plan
         assert plan.partner is not None
         if plan.partner_here == plan.partner:
@@ -156,7 +156,7 @@ class EpisodeFactory:
         return self.source.sample(self.plan.seed, index)
 
     def finished(self, order: GameOrder) -> dict[str, Any] | None:
-        """How an episode ended of which the whole recording is there already; else None."""
+        """Returns how an episode ended whose whole recording is already there; else None."""
         path = Path(self.plan.out, order.name + ".mcap")
         if not path.exists() or path.with_name(path.name + ".part").exists():
             return None
@@ -242,7 +242,7 @@ class LiveGame:
         """Their recorded commands by agent and step, while a game is played again."""
         self.sink: PatientSink | None = None
         self.leftover: Path | None = None
-        """What the game began from, until that is in its own log."""
+        """Recording that the game resumes, until its content is in its own log."""
 
         def sink(header: RecordingHeader) -> PatientSink:
             # one home is stored once for all episodes that are played in it
@@ -273,9 +273,10 @@ class LiveGame:
         """The last step."""
         self.columns: Columns = {}
         self.ended = ""
-        """What ended the episode."""
+        """Cause of the end of the episode."""
         self._barriers: dict[int, tuple[FreeSpace, bytes, list[list[int]]]] = {}
-        """What players have to open by agent, with the floor and the state of doors and hands for which it was found."""
+        """Things that players have to open, by agent, with the floor and the state of doors and hands for which they were
+        found."""
 
     # --- the disk -----------------------------------------------------------------------------------------------------
     @property

@@ -92,7 +92,7 @@ class Close(Message, frozen=True, tag="close"):
 
 
 class Hand(Message, frozen=True, tag="hand"):
-    """Where the palm of a hand is, in the person's root frame; without a point the arm is free again."""
+    """Position of the palm of a hand, in the person's root frame; without a point the arm is free again."""
 
     side: Literal["left", "right"]
     p: Point | None = None
@@ -100,7 +100,7 @@ class Hand(Message, frozen=True, tag="hand"):
 
 
 class Head(Message, frozen=True, tag="head"):
-    """Where the head looks, from the direction of the chest: to the left and downwards [rad]."""
+    """Direction in which the head looks, from the direction of the chest: to the left and downwards [rad]."""
 
     yaw: Angle
     pitch: Angle

@@ -1,4 +1,4 @@
-"""What is to be played: made by the command line, read by the front and by workers. It never comes from a client."""
+"""Plan of games: made by the command line, read by the front and by workers. It never comes from a client."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 SEATS = ("person", "robot", "spectator")
-"""What somebody can sit down as."""
+"""Kinds of seats that a person can take."""
 VERSION = 1
 """Version of the protocol between page and server; the page refuses others."""
 
@@ -72,11 +72,11 @@ class GameOrder(msgspec.Struct, frozen=True, kw_only=True):
     plan: int = 0
     """Number of its plan among those that the worker was started with."""
     info: dict[str, Any] = {}
-    """What else its recording says (``info``)."""
+    """Further entries of its recording (``info``)."""
     hitl: dict[str, Any] = {}
-    """What else its recording says in ``info["hitl"]``."""
+    """Further entries of its recording in ``info["hitl"]``."""
     resumes: bool = False
-    """Whether another process may have played some of it, or all."""
+    """True if another process may have played some of it, or all."""
     facts: dict[str, Any] | None = None
     """Facts that the process that has prepared the episode found (`EpisodeCodec.precompute`); None: nobody has prepared it."""
 

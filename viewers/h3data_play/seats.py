@@ -46,7 +46,7 @@ class Game:
     place: int
     episode: int
     over: str = ""
-    """What ended it; empty while it goes on."""
+    """Cause of its end; empty while it goes on."""
 
 
 _BOOT = getattr(time, "CLOCK_BOOTTIME", None)
@@ -63,7 +63,7 @@ def new_token() -> str:
 
 
 def token_digest(token: str) -> str:
-    """What is kept of a token: whoever reads the journal cannot sit down with it."""
+    """Returns the digest of a token that is stored; a reader of the journal cannot take a seat with it."""
     return hashlib.sha256(token.encode()).hexdigest()
 
 

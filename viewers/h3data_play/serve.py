@@ -40,12 +40,12 @@ class ServeOptions(msgspec.Struct, frozen=True, kw_only=True):
     key: str = ""
     """Files of a TLS certificate and its key."""
     behind_proxy: bool = False
-    """Whether a proxy in front of it does TLS, and names addresses of browsers."""
+    """True if a proxy in front of it does TLS, and names addresses of browsers."""
     seats_per_address: int = SEATS_PER_ADDRESS
     allow_hosts: tuple[str, ...] = ()
     """Names of this server beside loopback, ``host`` and those of the certificate."""
     stays: bool = False
-    """Whether it goes on after the last episode."""
+    """True if it goes on after the last episode."""
 
     def front(self, **given: Any) -> WebServer:
         """The front of what is played; `given` are the options that all fronts have."""

@@ -99,7 +99,7 @@ class StatePacker:
     bodies: tuple[Robot | Humanoid, ...]
     """Bodies of the agents."""
     heights: Array = field(default_factory=LEVEL.copy)
-    """How high the floor is at a place (`h3data.scene.floor_heights`): feet stand on the treads of its stairs."""
+    """Height of the floor at a place (`h3data.scene.floor_heights`): feet stand on the treads of its stairs."""
     _walks: dict[int, PlantedWalk] = field(default_factory=dict)
     _objects: NDArray[Any] = field(default_factory=lambda: np.zeros(0, _OBJECT))
     _joints: NDArray[Any] = field(default_factory=lambda: np.zeros(0, _JOINT))

@@ -64,7 +64,7 @@ MOST_AHEAD = 12
 REPORT_S = 1.0
 MEASURED_STEPS = 60
 DISK_S = 1.0
-"""What a full disk did not take is tried again this often."""
+"""Seconds between attempts to write data that a full disk did not take."""
 DISK_FULL = "The disk of the server is full. The home stands still until there is space again; nothing is lost."
 HUD_S = 10.0
 """The time that is left is told this often."""
@@ -92,11 +92,11 @@ class Running:
     """CPU time of the latest steps, with packing and sending."""
     huds: dict[int, Any] = field(default_factory=dict)
     barriers: dict[int, Any] = field(default_factory=dict)
-    """What each player was last told to open first."""
+    """Thing that each player was last told to open first."""
     floors: dict[int, Any] = field(default_factory=dict)
     """The floor of which each player was last told, if it has ever changed; None: the page may have any."""
     is_stuck: bool = False
-    """Whether it waits for space on the disk, and the front knows."""
+    """True if it waits for space on the disk, and the front knows."""
     recording: Recording | None = None
     """Once it is over; the disk may still have to take its end."""
     planned: dict[int, int] = field(default_factory=dict)
@@ -109,7 +109,7 @@ class Running:
 
     @property
     def runs(self) -> bool:
-        """Whether all who play are there, and the disk takes what they do."""
+        """Returns whether all who play are there, and the disk takes what they do."""
         return not self.over and not self.is_stuck and all(number in self.here for number in self.game.drivers)
 
 

@@ -103,7 +103,7 @@ class WorkerProcess:
 
     @property
     def is_stuck(self) -> bool:
-        """Whether it has not read for a while."""
+        """Returns whether it has not read for a while."""
         return self._writer is not None and self._writer.transport.get_write_buffer_size() > MOST_UNSENT
 
     async def stop(self, seconds: float, *, finish: bool = True) -> None:
@@ -149,7 +149,7 @@ class Workers:
         return worker
 
     def least_busy(self) -> WorkerProcess:
-        """Where the next game should go."""
+        """Returns the worker that should play the next game."""
         return min(self.active, key=lambda worker: (round(worker.with_one_more, 1), len(worker.games)))
 
     def ready_spare(self) -> WorkerProcess | None:
@@ -220,7 +220,7 @@ class Preparer:
             asked[1].set_result(None)
 
     def made(self, order: GameOrder) -> dict[str, Any] | None:
-        """What has been prepared for an episode, if its files are still there."""
+        """Returns the prepared files of an episode, if they are still there."""
         found = self._made.get(prepared_key(order))
         return found if found is not None and all(name in self.files for name in found["names"]) else None
 
@@ -236,7 +236,7 @@ class Preparer:
         return asked[1]
 
     async def wait(self, order: GameOrder) -> dict[str, Any] | None:
-        """What has been prepared for an episode; None: the worker that plays it has to do it."""
+        """Waits for the prepared files of an episode; None if the worker that plays it has to prepare them."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(PREPARE_S):
                 await self._workers.warm_spare()

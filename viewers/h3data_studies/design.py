@@ -1,4 +1,4 @@
-"""What a study file says, as records that the command and the server share."""
+"""Content of a study file, as records that the command and the server share."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Condition(Record, frozen=True):
 
     @property
     def is_solo(self) -> bool:
-        """Whether nobody else takes part."""
+        """Returns whether nobody else takes part."""
         return self.partner == "solo"
 
 
@@ -59,7 +59,7 @@ class Device(Record, frozen=True):
     min_fps: Annotated[float, Meta(ge=0)] = 15.0
     """Pictures per second of a blank scene."""
     touch: bool = True
-    """Whether phones and tablets may take part."""
+    """True if phones and tablets may take part."""
 
 
 class Tutorial(Record, frozen=True):
@@ -85,7 +85,7 @@ class DropOut(Record, frozen=True):
 
 
 class Recruiting(Record, frozen=True):
-    """Where participants come from and what they take back."""
+    """Recruiting of participants, and the code that they return to the platform."""
 
     require_id: bool = False
     """Only people whose link has ``PROLIFIC_PID`` may take part."""
@@ -97,7 +97,7 @@ class Recruiting(Record, frozen=True):
     screen_out_code: str = ""
     screen_out_url: str = ""
     unique_codes: bool = False
-    """Whether everybody who finishes gets a completion code of their own (``h3data study pay`` lists them)."""
+    """True if everybody who finishes gets a completion code of their own (``h3data study pay`` lists them)."""
 
 
 class Exclude(Record, frozen=True):
@@ -148,7 +148,7 @@ class Item(Record, frozen=True):
         return [self.right] if isinstance(self.right, int | float) else self.right
 
     def is_right(self, answer: float | str | None) -> bool:
-        """Whether an answer passes; every answer does where the item is no check."""
+        """Returns whether an answer passes; every answer does where the item is no check."""
         return self.right_answers is None or answer in self.right_answers
 
 
@@ -161,9 +161,9 @@ class Form(Record, frozen=True):
     after: Literal["consent", "tutorial", "trial", "condition", "end"] = "condition"
     """``trial``: after each episode."""
     attempts: Count = 1
-    """How often checks (items with ``right``) may be answered."""
+    """Number of times that checks (items with ``right``) may be answered."""
     fail: Literal["screen_out", "note"] = "screen_out"
-    """What follows when no attempt is left: the end of the session, or only a note for the report and its exclusion rules."""
+    """Consequence when no attempt is left: the end of the session, or only a note for the report and its exclusion rules."""
     again: Text = ""
     """Said above the form when a check was not passed and there is another attempt."""
     conditions: list[str] = []
@@ -174,7 +174,7 @@ class Form(Record, frozen=True):
 
     @property
     def has_checks(self) -> bool:
-        """Whether some answers are right and others wrong."""
+        """Returns whether some answers are right and others wrong."""
         return any(item.right is not None for item in self.items)
 
 
@@ -198,7 +198,7 @@ class Design(Record, frozen=True):
     languages: list[Name] = msgspec.field(default_factory=lambda: ["en"])
     """The first is the default."""
     minutes: Count | None = None
-    """How long it takes, as participants are told."""
+    """Duration that participants are told [minutes]."""
     about: Text = ""
     """Said above the consent text."""
     device: Device = Device()

@@ -69,7 +69,7 @@ class Exclusions:
     trials: dict[tuple[str, str], str]
     """Why, by participant and row of the episode (`PlayedEpisode.row`)."""
     counts: dict[str, int]
-    """How many participants, or episodes of those who are left, each rule leaves out, by its name. Somebody may fall under
+    """Number of participants, or of episodes of those who are left, each rule leaves out, by its name. Somebody may fall under
     several."""
 
 

@@ -278,12 +278,12 @@ def _distinct(what: str, names: list[str]) -> None:
 
 
 def study_folder(path: Path, design: Design) -> Path:
-    """Where a study keeps what it records: beside its file, with its name and version."""
+    """Returns the folder of a study's recordings: beside its file, with its name and version."""
     return path.parent / f"{design.name}-{design.version}"
 
 
 def bots_folder(folder: Path) -> Path:
-    """Where scripted participants leave what would lie in a study's ``folder``."""
+    """Returns the folder in which scripted participants leave what people leave in a study's ``folder``."""
     return folder.with_name(folder.name + "-bots")
 
 

@@ -19,7 +19,7 @@ SMALL = "small_window"
 CHECK, FAILED = "check", "failed_check"
 """Rows of answers that did not pass a form's checks; why somebody was screened out who did not pass in the last attempt."""
 PASSED = "success"
-"""How an episode of the tutorial ends that has been passed."""
+"""Ending of a passed episode of the tutorial."""
 
 
 class NotNow(Exception):
@@ -34,10 +34,10 @@ class Stage:
     block: int = 0
     """From 1; 0: before the blocks; of forms at the end, one more than there are blocks."""
     trial: int = 0
-    """Of an episode and of a form after it, within its block, from 1."""
+    """Number of an episode, and of a form after it, within its block, from 1."""
     form: str = ""
     after: str = ""
-    """Of a form: `Form.after`."""
+    """`Form.after` of a form."""
     row: str = ""
     """`key`, where that does not follow from the above."""
 
@@ -70,12 +70,12 @@ def stages_of(design: Design, place: Place) -> tuple[Stage, ...]:
 
 @dataclass
 class Progress:
-    """How far a participant has come."""
+    """Progress of a participant."""
 
     design: Design
     place: Place
     rows: dict[str, dict[str, Any]] = field(default_factory=dict)
-    """What has been done, by the key of its stage. Attempts at the tutorial have rows of their own (``tutorial/1``)."""
+    """Completed stages, by key. Attempts at the tutorial have rows of their own (``tutorial/1``)."""
     status: str = ACTIVE
     reason: str = ""
 
@@ -84,7 +84,7 @@ class Progress:
 
     @property
     def stage(self) -> Stage:
-        """What comes next."""
+        """Next stage."""
         if self.status != ACTIVE:
             return Stage("end")
         return next((stage for stage in self.stages if stage.key not in self.rows), Stage("end"))
@@ -164,7 +164,7 @@ class Progress:
 
     @property
     def tries(self) -> int:
-        """How often the form that is next has been answered without passing its checks."""
+        """Returns how often the next form was answered without passing its checks."""
         return sum(key.startswith(f"{CHECK}/{self.stage.key}/") for key in self.rows)
 
     def require_here(self, block: int | None, trial: int | None) -> None:

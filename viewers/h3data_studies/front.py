@@ -75,7 +75,7 @@ class DeviceReport(msgspec.Struct, frozen=True):
     system: Short = ""
     gpu: Short = ""
     final: bool = False
-    """Whether a window that is too small cannot be enlarged."""
+    """True if a window that is too small cannot be enlarged."""
 
 
 class Filled(msgspec.Struct, frozen=True):
@@ -101,9 +101,9 @@ class Focus(msgspec.Struct, frozen=True):
 
     away: bool
     why: Literal["hidden", "blur"] = "blur"
-    """Whether the page was not to be seen, or only another window had the keys."""
+    """Reason: the page was hidden, or only another window had the keyboard."""
     ms: Annotated[float, Meta(ge=0, le=1e9)] = 0.0
-    """How long they were away, once they are back."""
+    """Time for which they were away, once they are back [ms]."""
 
 
 class Episode(msgspec.Struct, frozen=True):
@@ -169,7 +169,7 @@ class StudyServer(WebServer):
             if participant.is_active and not participant.progress.rows:
                 self._unchecked[participant.number] = ""
         self._joins: dict[str, tuple[float, float]] = {}
-        """How many may still join from an address, and when that was so."""
+        """Number of participants who may still join from an address, and the time of that count."""
 
     # --- the application ----------------------------------------------------------------------------------------------
     def application(self) -> web.Application:
@@ -218,7 +218,7 @@ class StudyServer(WebServer):
 
     # --- pages --------------------------------------------------------------------------------------------------------
     async def hello(self, request: web.Request) -> web.Response:
-        """Where the participant is; before consent, what they are asked to agree to."""
+        """Returns the stage of the participant; before consent, the text that they are asked to agree to."""
         body, token = await self._read(request, Hello), ""
         participant = self._participant(request, body.ids)
         if body.rejoin and (participant is None or not participant.is_active):
@@ -303,7 +303,7 @@ class StudyServer(WebServer):
         self._joins[address] = left - 1, now
 
     async def device(self, request: web.Request) -> web.Response:
-        """What the page has found out about the computer and its connection."""
+        """Stores the page's report about the computer and its connection."""
         body = await self._read(request, DeviceReport)
 
         def note(participant: Participant) -> dict[str, dict[str, Any]]:
@@ -411,7 +411,7 @@ class StudyServer(WebServer):
         return answer
 
     def _token(self, request: web.Request) -> str:
-        """What the browser's cookie holds, if it can be one that this server gave; else nothing."""
+        """Returns the token in the browser's cookie, if this server can have given it; else nothing."""
         token = request.cookies.get(self._cookie(0), "")
         return token if len(token) == TOKEN_LENGTH else ""
 
@@ -425,7 +425,7 @@ class StudyServer(WebServer):
         return participant
 
     def _is_other(self, participant: Participant, ids: dict[str, str]) -> bool:
-        """Whether a link's ids are those of somebody else than ``participant``."""
+        """Returns whether a link's ids are those of somebody else than ``participant``."""
         given = recruit_ids(ids, self._key).get("PROLIFIC_PID")
         return given is not None and given != participant.ids.get("PROLIFIC_PID", given)
 

@@ -37,7 +37,7 @@ def _name(pseudonym: str, row: str) -> str:
 
 
 def order_of(study: StudyPlan, participant: Participant, key: str) -> GameOrder:
-    """What a worker plays for a game, and what its recording says about it."""
+    """Returns the order of a game for a worker, and the entries of its recording."""
     place, design, row = study.places[participant.place], study.design, row_of(key)
     device = participant.progress.rows.get("device", {})
     hitl: dict[str, Any] = {

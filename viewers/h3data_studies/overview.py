@@ -1,4 +1,4 @@
-"""How a study is going: participants, conditions, late steps."""
+"""Overview of a running study: participants, conditions, late steps."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class PlayedEpisode:
 
 
 def is_bot(participant: Participant) -> bool:
-    """Whether a participant is a script, and says so."""
+    """Returns whether a participant is a script, and says so."""
     return participant.progress.rows.get("device", {}).get("browser") == BOT
 
 

@@ -63,7 +63,7 @@ class Participant:
 
     @property
     def is_active(self) -> bool:
-        """Whether the participant is taking part, and has neither finished nor left."""
+        """Returns whether the participant is taking part, and has neither finished nor left."""
         return self.progress.status == ACTIVE
 
 
@@ -217,7 +217,7 @@ class StudyStore(SeatLog):
         )
 
     def counted(self, name: str) -> int:
-        """How often something happened."""
+        """Counts how often something happened."""
         row = self._db.execute("select value from counts where name = ?", (name,)).fetchone()
         return 0 if row is None else int(row[0])
 
@@ -321,7 +321,7 @@ class StudyStore(SeatLog):
 
     # --- seats --------------------------------------------------------------------------------------------------------
     def seat_of(self, participant: Participant) -> Seat | None:
-        """Where a participant sits."""
+        """Returns the seat of a participant."""
         return self.taken(participant.number, 0)
 
     def move(self, participant: Participant, token: str) -> Seat:

@@ -1,4 +1,4 @@
-"""What the page shows: plain data for each stage."""
+"""Views of the study's page: plain data for each stage."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _page(design: Design, language: str, stage: dict[str, Any], **more: Any) -> 
 
 
 def consent_view(design: Design, language: str) -> dict[str, Any]:
-    """What people are asked to agree to."""
+    """Returns the consent text that people are asked to agree to."""
     text, said = design.say(design.consent.text, language), words(design, language)
     facts = [
         said["retention"].format(date=design.retention.isoformat()),

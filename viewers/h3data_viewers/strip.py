@@ -59,7 +59,7 @@ def moments_of(recording: Recording) -> list[KeyFrame]:
 
 
 def crossing_of(recording: Recording) -> KeyFrame | None:
-    """Where two agents are nearest to each other while both move; None if they are never within `PASSING_M` then."""
+    """Returns where two agents pass closest while both move; None if they are never within `PASSING_M` then."""
     positions = [_positions(recording, k)[:, [0, 2]] for k in range(len(recording.agents))]
     moves = [_moves(xz, recording.episode.dt_ns / 1e9) for xz in positions]
     nearest: list[tuple[float, int, int, int]] = []
@@ -190,7 +190,7 @@ def _positions(recording: Recording, agent: int) -> Array:
 
 
 def _moves(xz: Array, dt: float) -> NDArray[np.bool_]:
-    """Whether an agent moves, [T], by its displacement [T, 2] around each step; ``dt`` [s] is the time of a step."""
+    """Returns whether an agent moves, [T], by its displacement [T, 2] around each step; ``dt`` [s] is the time of a step."""
     steps, reach = np.arange(len(xz)), max(round(OVER_S / dt), 1)
     before, after = np.maximum(steps - reach, 0), np.minimum(steps + reach, len(xz) - 1)
     moved = np.linalg.norm(xz[after] - xz[before], axis=1)

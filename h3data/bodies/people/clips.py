@@ -81,7 +81,7 @@ class Clip:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Gaits:
-    """How one body walks: its legs, and what was fitted to it (see `h3data.bodies.people.gait.PARAMETERS`)."""
+    """Walking gait of one body: its legs, and what was fitted to it (see `h3data.bodies.people.gait.PARAMETERS`)."""
 
     legs: Legs
     height_m: float
@@ -108,7 +108,7 @@ class Gaits:
         return (JOG if speed_mps > JOG_ABOVE_MPS else WALK).stance
 
     def strike(self, speed_mps: float) -> float:
-        """How far ahead of the pelvis a foot strikes at a speed [m/s], in strides."""
+        """Returns the distance ahead of the pelvis at which a foot strikes at a speed [m/s], in strides."""
         jogs = speed_mps > JOG_ABOVE_MPS
         values = self.jog if jogs else self.walk_values(speed_mps)
         return float(strike_ahead(JOG if jogs else WALK, values[PARAMETERS.index("shift")]))
@@ -310,7 +310,7 @@ def nearest_clip(clips: Sequence[Clip], speed_mps: float) -> int:
 
 @lru_cache(maxsize=256)
 def _nearest_speed(clip_speeds: tuple[float, ...], speed: float) -> int:
-    """As `nearest_clip`: the same walker asks in every step."""
+    """Returns the same as `nearest_clip`, cached: a walker asks for it in every step."""
     speeds = np.array(clip_speeds)
     if speed < STAND_BELOW_MPS or not np.any(speeds > 0):
         return int(np.argmin(speeds))

@@ -167,7 +167,7 @@ def gait_posture(
 
 
 def strike_ahead(style: GaitStyle, shift: Array | float) -> Array | float:
-    """How far ahead of the pelvis a foot strikes, in strides."""
+    """Returns the distance ahead of the pelvis at which a foot strikes, in strides."""
     return style.stance / 2 - 0.045 + shift
 
 

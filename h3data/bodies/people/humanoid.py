@@ -174,7 +174,7 @@ class Humanoid:
     def walk_pose(
         self, speed_mps: ArrayLike, phase: ArrayLike, blend: ArrayLike = 1.0, *, ground: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """As `clip_pose`, at any speed [T] [m/s]: walking up to 2 m/s, a jog above; exact instead of from a table.
+        """Returns the same as `clip_pose`, exactly instead of from a table, at any speed [T] [m/s]: above 2 m/s, a jog.
 
         The phase [T] advances by distance / `stride_m`. While the speed changes within a step, the planted foot creeps by
         the change of the stride; change it between steps to avoid that.
@@ -274,7 +274,7 @@ class Humanoid:
         return full, light
 
     def light_enough(self, focal_px: float, distance_m: float) -> bool:
-        """Whether the light mesh will do for a camera of this focal length [pixels] at this distance [m]."""
+        """Returns whether the light mesh will do for a camera of this focal length [pixels] at this distance [m]."""
         return focal_px * self.height_m < LOD_BELOW_PX * max(distance_m, 1e-6)
 
     def __repr__(self) -> str:
@@ -285,5 +285,5 @@ class Humanoid:
 
 
 def _doubles(values: ArrayLike) -> Array:
-    """As the kernels take them."""
+    """Returns an array in the form that the kernels take."""
     return np.ascontiguousarray(values, np.float64)

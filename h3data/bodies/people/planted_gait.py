@@ -145,14 +145,14 @@ class PlantedWalk:
 
     @property
     def stands(self) -> bool:
-        """Whether the feet are at rest where a standing person's are."""
+        """Returns whether the feet are at rest where a standing person's are."""
         from h3data.bodies.people.kernels.planted import one_stands
 
         return bool(one_stands(self.tables, self.state))
 
     @property
     def head_turn(self) -> float:
-        """How far the head has turned to the left in the last step [rad]."""
+        """Angle by which the head has turned to the left in the last step [rad]."""
         from h3data.bodies.people.kernels.planted import LOOK_RATE
 
         return float(self.state[LOOK_RATE]) * STEP_S
@@ -165,7 +165,7 @@ class PlantedWalk:
         return abs(float(self.state[SPEED]))
 
     def is_at(self, base: ArrayLike) -> bool:
-        """Whether the root [7] is where the last step left it."""
+        """Returns whether the root [7] is where the last step left it."""
         from h3data.bodies.people.kernels.planted import HEADING, X, Z
 
         x, z, heading = _place(base)

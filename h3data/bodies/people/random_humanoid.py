@@ -68,12 +68,12 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 def is_random(name: str) -> bool:
-    """Whether a body's name means a random person: ``random:`` and a whole number."""
+    """Returns whether a body's name means a random person: ``random:`` and a whole number."""
     return name.startswith(PREFIX) and name.removeprefix(PREFIX).isdecimal()
 
 
 class _ShapeSpace(msgspec.Struct, frozen=True):
-    """What ``python -m bake.people.shape_space`` writes."""
+    """Space of body shapes, as written by ``python -m bake.people.shape_space``."""
 
     bodies: tuple[str, ...]
     directions: tuple[tuple[float, ...], ...]
@@ -117,7 +117,7 @@ def random_arrays(name: str, read: Callable[[str], Arrays], planes: Any) -> dict
 
 
 def _weights(rng: np.random.Generator, ages: Sequence[float], heights_m: Sequence[float]) -> list[float]:
-    """How much of each built-in body somebody has; they sum to 1, and some are negative."""
+    """Returns the weight of each built-in body in a person; they sum to 1, and some are negative."""
     directions = _shape_space().directions
     while True:
         steps = rng.standard_normal(len(directions)).tolist()

@@ -97,7 +97,7 @@ class ReachResult:
 
     @property
     def reached(self) -> bool:
-        """Whether the point can be reached."""
+        """Returns whether the point can be reached."""
         return self.status == "reached"
 
 
@@ -223,7 +223,7 @@ class ReachSolver:
         """Position of the palm of a standing person, shape [3] [m]."""
 
     def poses(self, targets: Array, trunk: ArrayLike = 1.0, arm: ArrayLike = 1.0) -> ReachPoses:
-        """As `reach_poses`."""
+        """Returns the same as `reach_poses`, with the body of this solver."""
         count = len(targets)
         quats, pelvis = np.empty((count, 55, 4)), np.empty((count, 3))
         measures, status = np.empty((count, kernel.MEASURE_COUNT)), np.empty(count, np.int8)
@@ -246,7 +246,7 @@ class ReachSolver:
         return ReachPoses(quats, pelvis, status, measures)
 
     def reachable(self, targets: Array) -> NDArray[np.bool_]:
-        """Whether points [T, 3] are reached."""
+        """Returns whether points [T, 3] are reached."""
         return self.poses(targets).status == kernel.REACHED
 
     @property
@@ -291,7 +291,7 @@ class ReachSolver:
         return BaseMotion(float(x * c + z * s), float(z * c - x * s), turn)
 
     def _towards(self, starts: Array, ends: Array) -> Array:
-        """How far one gets from valid ``starts`` [N, 3] on straight lines to ``ends`` [N, 3], by bisection."""
+        """Returns how far a posture gets from valid ``starts`` [N, 3] on straight lines to ``ends`` [N, 3], by bisection."""
         low, high = np.zeros((len(starts), 1)), np.ones((len(starts), 1))
         for _ in range(10):
             middle = (low + high) / 2

@@ -46,7 +46,7 @@ SNAP = 0.9
 
 
 class Hand(NamedTuple):
-    """Where and how a robot grasps, in the frame of a link."""
+    """Grasp point and directions of a robot's hand, in the frame of a link."""
 
     link: int
     position: Array
@@ -92,7 +92,7 @@ def guess_settings(robot: Robot, sure: Collection[str]) -> RobotSettings:
 
 # --- base -------------------------------------------------------------------------------------------------------------
 def _base_height(robot: Robot, joints: Array, sure: Sequence[int]) -> float:
-    """How far the base frame is above the lowest point of some links [m]; 0 without any, or if they all end above it."""
+    """Returns the height of the base frame above the lowest point of some links [m]; 0 if none is below it."""
     frames = robot.link_matrices(IDENTITY_POSE[None], joints[None])[0]
     lowest = [_points(robot, k, frames)[:, 1].min() for k in sure if robot.links[k].shapes]
     return max(-min(lowest, default=0.0), 0.0)
@@ -155,7 +155,7 @@ def guess_hand(robot: Robot) -> Hand | None:
 
 
 def _grasp(robot: Robot, link: int, chains: list[list[int]]) -> Hand:
-    """Where a hand holds things: between its fingers, else at the far end of its shapes; and which way it points."""
+    """Returns where a hand holds things (between its fingers, else at the far end of its shapes) and its direction."""
     frames = robot.link_matrices(IDENTITY_POSE[None], robot.rest[None])[0]
     to_hand = np.linalg.inv(frames[link])
     fingers = [

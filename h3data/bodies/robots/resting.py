@@ -54,7 +54,7 @@ def compact_posture(robot: Robot, hand: int, body: Sequence[int], joints: Array,
 
 
 class _Cost:
-    """How badly postures [N, J] are folded, [N] [m]."""
+    """Cost of postures [N, J] by how badly they are folded, [N] [m]."""
 
     def __init__(self, robot: Robot, hand: int, body: Sequence[int], joints: Array, reach_m: float) -> None:
         self._robot, self._reach_m = robot, reach_m
@@ -68,7 +68,7 @@ class _Cost:
         self._radius = {k: SPARE_M + 0.5 * float(np.ptp(self._points[k], axis=0).min()) for k in arm}
 
     def _apart(self, a: int, b: int) -> bool:
-        """Whether two links are neither neighbours nor held by a common one."""
+        """Returns whether two links are neither neighbours nor held by a common one."""
         parents = [link.parent for link in self._robot.links]
         return a not in (parents[b], parents[parents[b]]) and b != parents[a] and parents[a] != parents[b]
 

@@ -69,7 +69,7 @@ class JointTargets(NamedTuple):
     positions: NDArray[np.float64]
     """Inside the limits, shape [..., J] [rad or m]."""
     clamped: NDArray[np.bool_]
-    """Whether each requested position was beyond a limit, shape [..., J]."""
+    """True if each requested position was beyond a limit, shape [..., J]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,7 +116,7 @@ class Robot:
     """Bearing of what the robot reaches for [rad], to the left of its forward axis; None: not known."""
     legs: tuple[RobotLeg, ...] = ()
     climbs_stairs: bool = False
-    """Whether it walks up and down stairs; to others they are walls."""
+    """True if it walks up and down stairs; to others they are walls."""
     cameras: tuple[RobotCamera, ...]
     to_base: Array
     """URDF base frame to agent root frame, 4x4."""

@@ -53,12 +53,12 @@ def robot_names() -> tuple[str, ...]:
 
 
 def is_built_in(name: str | Path) -> bool:
-    """Whether a robot comes with this package, so that its name alone says which it is."""
+    """Returns whether a robot comes with this package, so that its name alone says which it is."""
     return str(name) in _built_in()
 
 
 def is_robot(name_or_path: str | Path) -> bool:
-    """Whether `find_robot` may know a robot by this: a name, ``module:name``, or the path of its files."""
+    """Returns whether `find_robot` may know a robot by this: a name, ``module:name``, or the path of its files."""
     text = str(name_or_path)
     return text in _built_in() or (
         bool(text) and (is_robot_file(text) or bool(REFERENCE.fullmatch(text)) or text in robot_names())
@@ -66,7 +66,7 @@ def is_robot(name_or_path: str | Path) -> bool:
 
 
 def is_robot_file(path: str | Path) -> bool:
-    """Whether a path is that of a robot by its name: a ``.urdf``, a ``robot.toml``, or a folder that holds either."""
+    """Returns whether a path is that of a robot by its name: a ``.urdf``, a ``robot.toml``, or a folder that holds either."""
     path = Path(path)
     if path.suffix.lower() == ".urdf" or path.name == SETTINGS_NAME:
         return True

@@ -91,7 +91,7 @@ def _meshes_of(urdf: Path, version: tuple[int, int]) -> tuple[Path, ...]:
 
 @lru_cache(maxsize=32)
 def _digest_of(*parts: tuple[Path | None, tuple[int, int]]) -> str:
-    """Of files with their versions, by which changed ones are read again: each episode of a dataset asks for it."""
+    """Returns a digest of files and their versions, so that only changed files are read again."""
     digest = hashlib.sha256()
     for file, _ in parts:
         data = file.read_bytes() if file is not None and file.is_file() else None

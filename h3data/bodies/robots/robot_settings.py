@@ -73,7 +73,7 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     ahead, right, left and behind in which the arm reaches."""
     legs: tuple[LegSettings, ...] = ()
     climbs_stairs: bool | None = None
-    """Whether the robot walks up and down stairs; by default if it has legs. To others stairs are walls."""
+    """True if the robot walks up and down stairs; by default if it has legs. To others stairs are walls."""
     cameras: tuple[CameraSettings, ...] = ()
 
 
@@ -165,7 +165,7 @@ def _toml(value: Any) -> str:
 
 
 def _finite(value: Any) -> bool:
-    """Whether no number in nested lists and tables is NaN or infinite."""
+    """Returns whether no number in nested lists and tables is NaN or infinite."""
     if isinstance(value, dict):
         return all(map(_finite, value.values()))
     if isinstance(value, (list, tuple)):

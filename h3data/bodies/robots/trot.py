@@ -97,7 +97,7 @@ def trot(
 
 
 def legs_are_posed(robot: Robot, joint_pos: ArrayLike) -> bool:
-    """Whether the robot has legs and they keep their resting posture throughout joint positions [T, J]."""
+    """Returns whether the robot has legs and they keep their resting posture throughout joint positions [T, J]."""
     columns = [c for leg in robot.legs for c in leg.columns]
     return bool(columns) and np.allclose(np.asarray(joint_pos)[:, columns], robot.rest[columns], atol=1e-4)
 
@@ -111,7 +111,7 @@ def _headings_and_way(bases: Array, feet: Array) -> tuple[Array, Array]:
 
 
 def _lean(robot: Robot, bases: Array) -> Array:
-    """How far ahead of the root feet stand under a pitched base [T] [m], nearer to being below their hips."""
+    """Returns how far ahead of the root feet stand under a pitched base [T] [m], nearer to being below their hips."""
     up = quat_rotate(bases[:, 3:], np.array([1.0, 0.0, 0.0]))[:, 1]
     return -LEAN_SHARE * robot.base_height_m * up
 

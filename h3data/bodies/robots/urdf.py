@@ -88,7 +88,7 @@ class UrdfJoint:
 
     @property
     def width(self) -> int:
-        """How many numbers its position is: 1, or 4 of a spherical joint (a quaternion xyzw)."""
+        """Number of values in the joint's position: 1, or 4 of a spherical joint (a quaternion xyzw)."""
         return 4 if self.kind == "spherical" else 1
 
 

@@ -121,7 +121,7 @@ def _joined_series(
 
 
 def _occurrences(flags: NDArray[np.bool_], offsets: NDArray[np.int64]) -> list[_Occurrences]:
-    """Where a flag holds in each episode."""
+    """Returns the steps at which a flag holds in each episode."""
     rows = np.flatnonzero(flags)
     bounds = np.searchsorted(rows, offsets)
     first = np.append(rows, -1)[bounds[:-1]] - offsets[:-1]
@@ -215,7 +215,7 @@ def _against_oracle(recording: Recording, steps: int, following: int, notes: Not
 
 
 def _is_count(value: object) -> bool:
-    """Whether ``value`` is a whole number of at least 1. JSON readers may return 120.0 for 120."""
+    """Returns whether ``value`` is a whole number of at least 1. JSON readers may return 120.0 for 120."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return value >= 1 and float(value).is_integer()

@@ -1,1 +1,1 @@
-"""What recordings show: names of assets, the meshes that they mean, and what stands in for those that are not there."""
+"""Assets of recordings: their names, the meshes that these mean, and placeholders for missing ones."""

@@ -118,7 +118,7 @@ def clean_path(uri: str) -> str:
 
 
 def _telling_enough(shared: Sequence[str]) -> bool:
-    """Whether a shared end of two paths is enough to say that they mean the same file."""
+    """Returns whether a shared end of two paths is enough to say that they mean the same file."""
     if len(shared) >= 3 or any(_TELLING.search(name) for name in shared):
         return len(shared) > 0
     return len(shared) == 2 and shared[0] not in _GENERIC_FOLDERS

@@ -54,7 +54,7 @@ _SPOT_LINKS: tuple[tuple[str, tuple[float, float, float], tuple[float, float, fl
 
 
 def placeholder_kind(uri: str) -> PlaceholderKind:
-    """What a missing file probably was, from its recorded path alone."""
+    """Returns the probable kind of a missing file, from its recorded path alone."""
     for pattern, kind in _KINDS:
         if pattern.search(uri):
             return kind

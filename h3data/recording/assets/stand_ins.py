@@ -63,7 +63,7 @@ _SPOT_LINKS = {
 }
 """Links of Spot and those of ``quad_arm`` with the same frames and joints."""
 LEAST_BONES = 18
-"""Of the 22 joints of a body without hands and face: with fewer, a rig is not a person's skeleton as we know it."""
+"""Number of the 22 body joints (without hands and face) that a rig must have to count as a person's skeleton."""
 _GENERIC = re.compile(r"textured(_mesh)?|mesh|model|visual|google_\d+k|nontextured|meshes|poisson|tsdf", re.IGNORECASE)
 _HASH = re.compile(r"[0-9a-f]{16,}\w*|[\d_]+|[0-9a-f]{8}-[0-9a-f-]+", re.IGNORECASE)
 TEXTURE_PX = 128
@@ -116,7 +116,7 @@ _Posed = tuple[Agent, dict[str, NDArray[Any]]]
 
 
 def _recognised(recording: Recording, index: int) -> Mapping[str, Any]:
-    """How the reader of a gfx-replay recognised an agent."""
+    """Returns how the reader of a gfx-replay recognised an agent."""
     records = recording.episode.info.get("agents", ())
     record = records[index] if isinstance(records, Sequence) and index < len(records) else {}
     return record if isinstance(record, Mapping) else {}

@@ -33,7 +33,7 @@ def slices(times_ns: NDArray[np.int64]) -> list[tuple[int, int]]:
 
 
 def repeats(columns: Mapping[str, NDArray[Any]]) -> bool:
-    """Whether poses repeat bit for bit over more than `CHUNK_S`, such as a looping clip in local rotations.
+    """Returns whether poses repeat bit for bit over more than `CHUNK_S`, such as a looping clip in local rotations.
 
     Chunks cannot refer to each other, so each would store the clip again: 258 instead of 157 B per step for a clip of 60
     frames. Such a recording gets chunks as large as they may be. If its file is cut inside of one, the complete compressed

@@ -68,7 +68,7 @@ class Backlog:
 
     @property
     def closed(self) -> bool:
-        """Whether the underlying file is closed."""
+        """Returns whether the underlying file is closed."""
         return self._file.closed
 
     def _hand_over(self) -> None:

@@ -102,7 +102,7 @@ def check_kind(log: McapRecords, path: AnyPath) -> None:
 
 # --- logs without metadata records ------------------------------------------------------------------------------------
 def lacks_records(log: McapRecords) -> bool:
-    """Whether another program has written the log anew without our metadata records; each log of ours begins with one."""
+    """Returns whether another program rewrote the log without our metadata records; each log of ours begins with one."""
     ours = any(name.startswith("h3.") for name in log.metadata)
     return not ours and log.channel_of("/h3/scene") is not None
 

@@ -57,7 +57,7 @@ class WireField:
 
     @property
     def repeated(self) -> bool:
-        """Whether the field holds several numbers, written as a packed repeated field."""
+        """Returns whether the field holds several numbers, written as a packed repeated field."""
         return bool(self.column.shape) and not self._as_bytes
 
     @property

@@ -72,7 +72,7 @@ class Dataset(DatasetFolder):
         )
 
     def filter(self, keep: Callable[[Mapping[str, Any]], bool] | None = None, **equal: Any) -> Episodes:
-        """As `Episodes.filter`: ``ds.filter(policy="rollout_expert")``, ``ds.filter(lambda f: f["length"] > 300)``."""
+        """Filters as `Episodes.filter`: ``ds.filter(policy="rollout_expert")``, ``ds.filter(lambda f: f["length"] > 300)``."""
         return self.all().filter(keep, **equal)
 
     def split(self, *shares: float, seed: int = 0, by: str = "uid") -> tuple[Episodes, ...]:

@@ -33,12 +33,12 @@ def shard_number(path: AnyPath) -> int:
 
 
 def is_dataset(root: AnyPath) -> bool:
-    """Whether a folder holds a dataset: LeRobot's info.json or our schema."""
+    """Returns whether a folder holds a dataset: LeRobot's info.json or our schema."""
     return (root / "meta" / "info.json").is_file() or (root / "h3" / "schema.json").is_file()
 
 
 def is_begun(root: AnyPath) -> bool:
-    """Whether a process was killed in this folder before its dataset had a schema.
+    """Returns whether a process was killed in this folder before its dataset had a schema.
 
     Such a folder has a subfolder ``h3`` without any complete file.
     """

@@ -97,7 +97,7 @@ class DatasetSchema:
     names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Names of the numbers in a column, by column, where an export to LeRobot knows them."""
     episode_stats: bool = True
-    """Whether the episode tables have LeRobot's statistics of every feature; those of older datasets have the videos' alone."""
+    """True if the episode tables have LeRobot's statistics of every feature; those of older datasets have the videos' alone."""
 
     def to_json(self) -> bytes:
         """Contents of ``h3/schema.json``."""

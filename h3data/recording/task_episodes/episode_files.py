@@ -29,7 +29,7 @@ class SceneOfEpisode(Protocol):
         assets: Sequence[str | Path] = (),
         allow_missing: bool = False,
     ) -> SceneSource:
-        """How to get the scene of an episode that was read from a file in ``folder``; ``stored`` is its record, if any."""
+        """Returns the scene source of an episode that was read from a file in ``folder``; ``stored`` is its record, if any."""
         ...
 
 
@@ -44,7 +44,7 @@ class EpisodeFiles:
     encode: Callable[[RearrangeEpisode], bytes]
     """An episode as it stands in a file."""
     scene_of: SceneOfEpisode
-    """Where the scene of an episode is."""
+    """Function that locates the scene of an episode."""
     add_objects: Callable[
         [Scene, Sequence[EpisodeObject], Sequence[str], Sequence[str]], tuple[Scene, Mapping[str, Array]]
     ]

@@ -51,7 +51,7 @@ def predicates_of(episode: RearrangeEpisode) -> list[str]:
 
 
 def placements_of(episode: RearrangeEpisode) -> tuple[Placement, ...] | None:
-    """What an episode of PARTNR asks to be put where, in the order of its propositions; None if it is not PARTNR's.
+    """Returns the placements that an episode of PARTNR asks for, in the order of its propositions; None for other episodes.
 
     Of several objects that would do, the first ones are taken that nothing else asks for. The order in which an episode wants
     things done is not kept.

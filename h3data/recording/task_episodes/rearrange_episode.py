@@ -132,7 +132,7 @@ def instance_handles(episode: RearrangeEpisode) -> list[str]:
 
 
 def handles_of(configs: Sequence[str]) -> list[str]:
-    """As `instance_handles`, of the template names alone."""
+    """Returns the same as `instance_handles`, from the template names alone."""
     handles = [""] * len(configs)
     counts: dict[str, int] = {}
     for k in sorted(range(len(configs)), key=configs.__getitem__):
@@ -162,7 +162,7 @@ def goal_poses(episode: RearrangeEpisode) -> dict[str, NDArray[np.float64]]:
 
 
 def is_rigid(matrices: Matrix) -> NDArray[np.bool_]:
-    """Whether each of ``matrices`` [..., 4, 4] is a rotation and a translation, within `RIGID_TOLERANCE`; shape [...]."""
+    """Returns whether ``matrices`` [..., 4, 4] are rotations and translations within `RIGID_TOLERANCE`; shape [...]."""
     rotation = matrices[..., :3, :3]
     with np.errstate(invalid="ignore", over="ignore"):
         error = np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max(axis=(-1, -2))

@@ -33,7 +33,7 @@ class SocialNavEpisode(msgspec.Struct, frozen=True, kw_only=True):
     goals_within_m: float = 0.0
     """Largest distance of a goal from the one that was truly walked to [m]; 0 = exact."""
     goals_complete: bool = True
-    """Whether the person needs no further goal in ``max_steps``; not so where an episode ended early."""
+    """True if the person needs no further goal in ``max_steps``; False where an episode ended early."""
     floor_y: float = 0.0
     """Height of the floor [m]."""
     max_steps: int = 1500

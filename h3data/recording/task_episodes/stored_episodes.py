@@ -23,7 +23,7 @@ Record = TypeVar("Record", bound=msgspec.Struct)
 
 
 class StoredEpisode(Protocol):
-    """What the records of all tasks have."""
+    """Fields that the episode records of all tasks have."""
 
     @property
     def seed(self) -> int:
@@ -37,7 +37,7 @@ class StoredEpisode(Protocol):
 
     @property
     def scene_source(self) -> Mapping[str, Any]:
-        """How to get the scene again: generator and seed, or file; empty: the file that the episode names."""
+        """Source of the scene: generator and seed, or a file; empty for the file that the episode names."""
         ...
 
 

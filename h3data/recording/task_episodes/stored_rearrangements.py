@@ -79,7 +79,7 @@ class StoredRearrangement(msgspec.Struct, frozen=True, kw_only=True):
     object_paths: tuple[str, ...] = ()
     """Folders with the templates of ``objects``."""
     com_frames: bool = False
-    """Whether ``goals`` are poses of the centers of mass, as Habitat's, instead of the assets' origins."""
+    """True if ``goals`` are poses of the centers of mass, as Habitat's, instead of the assets' origins."""
     floor_y: float = 0.0
     """Height of the floor [m]."""
     seed: int = 0

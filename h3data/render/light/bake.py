@@ -35,7 +35,7 @@ from h3data.srgb import bytes_to_linear, linear_to_bytes
 log = logging.getLogger(__name__)
 
 HEADROOM = 2.4
-"""How much brighter than under the flat light a white surface can be."""
+"""Greatest brightness of a white surface, relative to its brightness under the flat light."""
 _SUN = (9.0, 8.2, 6.8)
 """Irradiance of the sun, in the units of `direct.SKY`."""
 _GLASS, _GLOW = 1.5, 1.8
@@ -60,7 +60,7 @@ class LitScene:
 
     @property
     def baked(self) -> bool:
-        """Whether the meshes carry light; otherwise everything is as it was."""
+        """Returns whether the meshes carry light; otherwise everything is as it was."""
         return self.field is not None
 
 

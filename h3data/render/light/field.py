@@ -107,7 +107,7 @@ class LightField:
         *,
         members: NDArray[np.integer],
     ) -> Blockers:
-        """What capsules [N, 7] (both ends and radius) take from the light of this field, and the light on their groups.
+        """Returns how much light capsules [N, 7] (both ends and radius) block in this field, and the light on their groups.
 
         Args:
             capsules: Capsules of all that moves, in the world [m]; rows with NaN are left out.
@@ -179,7 +179,7 @@ def light_field(
 
 
 def mirrored(field: LightField, world: NDArray[np.floating], irradiance: NDArray[np.floating]) -> NDArray[np.float32]:
-    """What vertices of a glossy floor mirror from -x, +x, +y, -z and +z, as light shown, shape [V, 5]; 0 for its sides.
+    """Returns the light that vertices of a glossy floor mirror from -x, +x, +y, -z and +z, shape [V, 5]; 0 for its sides.
 
     Args:
         field: The light around.
@@ -220,7 +220,7 @@ def _places(distance: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[n
 def free_path(
     distance: NDArray[np.uint8], start: NDArray[np.float64], direction: NDArray[np.float64], longest: float
 ) -> NDArray[np.float64]:
-    """How far rays [N, 3] go through free voxels, up to ``longest``, shape [N] [voxels]."""
+    """Returns how far rays [N, 3] go through free voxels, up to ``longest``, shape [N] [voxels]."""
     t = np.zeros(len(start))
     going = np.ones(len(start), np.bool_)
     size = np.array(distance.shape)

@@ -33,7 +33,7 @@ class Probes(NamedTuple):
     place: NDArray[np.float32]
     """Position of each, within its block and away from surfaces, shape [X', Y', Z', 3]."""
     usable: NDArray[np.bool_]
-    """Whether there is air in the block, and a surface near, shape [X', Y', Z']."""
+    """True if there is air in the block, and a surface near, shape [X', Y', Z']."""
     light: NDArray[np.float32]
     """Irradiance on surfaces that face -x, +x, -y, +y, -z, +z, shape [X', Y', Z', 6, 3]."""
 

@@ -163,7 +163,7 @@ def _cut_edges(
 
 
 def _bright(light: NDArray[np.float32], mean: float) -> NDArray[np.float32]:
-    """How bright light [n, 3] looks, 1 = mean, shape [n]; NaN where it is unknown."""
+    """Returns how bright light [n, 3] looks, 1 = mean, shape [n]; NaN where it is unknown."""
     return np.minimum(np.sqrt(light.mean(1) / mean), _BRIGHTEST)
 
 

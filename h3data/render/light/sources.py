@@ -1,4 +1,4 @@
-"""Where a scene's light comes from: windows, lamps, and the lights that scene files name."""
+"""Light sources of a scene: windows, lamps, and the lights that scene files name."""
 
 from __future__ import annotations
 

@@ -151,7 +151,7 @@ def march(distance, x, y, z, dx, dy, dz, length, through_glass):
 
 @kernel_part()
 def sees(distance, x, y, z, tx, ty, tz):
-    """Whether nothing lies between two points."""
+    """Returns whether nothing lies between two points."""
     dx, dy, dz = tx - x, ty - y, tz - z
     length = max(abs(dx), abs(dy), abs(dz))
     if length < 1e-6:

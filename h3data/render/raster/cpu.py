@@ -233,7 +233,7 @@ class World:
         return self.visible & ~np.isin(self.scene.layers, hidden_layers)
 
     def state(self, shown: NDArray[np.bool_]) -> Shown:
-        """What a picture in which these instances [I] are visible depends on, as it is now."""
+        """Returns the current state on which a picture with these visible instances [I] depends."""
         tints = np.ones((len(shown), 4), np.float32) if self.blockers is None else self.blockers.tints.copy()
         return Shown(self.matrix.copy(), shown.copy(), dict(self.vertices), tints)
 

@@ -25,7 +25,7 @@ class Shown(NamedTuple):
     matrix: NDArray[np.float64]
     """Mesh to world of every instance, shape [I, 3, 4]."""
     visible: NDArray[np.bool_]
-    """Whether the camera sees it, shape [I]."""
+    """True if the camera sees it, shape [I]."""
     vertices: dict[int, NDArray[np.float32]]
     """Vertices of the deformed meshes."""
     tints: NDArray[np.float32]
@@ -38,7 +38,7 @@ class Drawing:
 
     target: Target
     stands: bool = False
-    """Whether it is that of a camera that stands still."""
+    """True if the drawing is that of a camera that stands still."""
     shown: Shown | None = None
     """None: nothing that the next image could begin with, as of all cameras that move."""
     picture: KeptPicture | None = None

@@ -1,4 +1,4 @@
-"""Whether something can be in a picture at all: convex hulls of spheres against the sides of a camera's view."""
+"""Visibility tests of objects in a picture: convex hulls of spheres against the sides of a camera's view."""
 
 from __future__ import annotations
 

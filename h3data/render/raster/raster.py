@@ -92,7 +92,7 @@ class View(NamedTuple):
     width: int
     height: int
     parallel: bool = False
-    """Whether the camera is orthographic."""
+    """True if the camera is orthographic."""
     near: float = 0.0
     """Surfaces with a smaller z are cut away [m]."""
     far: float = float("inf")
@@ -123,8 +123,8 @@ class Target(NamedTuple):
     camera_from_mesh: NDArray[np.float64]
     """Mesh to camera, per instance, shape [I, 3, 4]."""
     pixel_from_mesh: NDArray[np.float32]
-    """As `camera_from_mesh` with the first two rows times the focal lengths; for orthographic cameras the last row maps to
-    nearness. Shape [I, 3, 4]."""
+    """The matrices `camera_from_mesh` with the first two rows times the focal lengths; for orthographic cameras the last row
+    maps to nearness. Shape [I, 3, 4]."""
 
 
 def new_target(width: int, height: int, *, draws: int, instances: int) -> Target:
@@ -251,7 +251,7 @@ def _cut_far(view, target):
 # --- frustum --------------------------------------------------------------------------------------------------------
 @kernel_part(forceinline=True)
 def _outside(planes, center, half, box):
-    """Whether a box lies entirely behind one of the 5 planes [5, 4]; NaN counts as outside."""
+    """Returns whether a box lies entirely behind one of the 5 planes [5, 4]; NaN counts as outside."""
     for k in range(5):
         distance = planes[k, 3]
         for a in range(3):
@@ -385,7 +385,7 @@ def _front_to_back(near, listed):
 
 @kernel_part()
 def _same_order(order, target, changed):
-    """Whether the draws of all other instances than the changed ones come in the order in which they were drawn before."""
+    """Returns whether all instances other than the changed ones are drawn in the same order as before."""
     k, count = 0, len(target.order)
     for draw in order:
         if changed[target.draws[draw, INSTANCE]]:

@@ -51,7 +51,7 @@ def screen_words(view):
 
 @kernel_part()
 def hidden(tile_x0, tile_x1, tile_y0, tile_y1, inv_z, bounds, stale, inv_z_at, row_bytes):
-    """Whether all pixels in a range of tiles are nearer than ``inv_z``; updates stale bounds as needed."""
+    """Returns whether all pixels in a range of tiles are nearer than ``inv_z``; updates stale bounds as needed."""
     for ty in range(tile_y0, tile_y1 + 1):
         for tx in range(tile_x0, tile_x1 + 1):
             if bounds[ty, tx] >= inv_z:
@@ -137,7 +137,7 @@ def draw_clusters(geometry, cut_first, view, target, order):
 
 @kernel_part(forceinline=True)
 def has_near_plane(view):
-    """Whether triangles are clipped; perspective cameras without a near plane see everything up to the eye."""
+    """Returns whether triangles are clipped; perspective cameras without a near plane see everything up to the eye."""
     return view.near > 0 or view.parallel
 
 

@@ -150,7 +150,8 @@ class Tiled(NamedTuple):
     tints: NDArray[np.float32]
     """`Blockers.tints`, or [0, 4]: nothing is tinted."""
     first: NDArray[np.int32]
-    """Where the list of each tile begins in ``listed``, row by row, shape [tiles + 1]; [0] if there are no capsules."""
+    """Index in ``listed`` at which the list of each tile begins, row by row, shape [tiles + 1]; [0] if there are no
+    capsules."""
     listed: NDArray[np.int32]
     """Four times the index of a capsule plus bits that say what it takes."""
     inv_z: NDArray[np.float32]

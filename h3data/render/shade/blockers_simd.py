@@ -83,7 +83,7 @@ def _select(b: Any, mask: Any, yes: Vec, no: Vec) -> Vec:
 
 
 def _any_positive(b: Any, *values: Vec) -> Any:
-    """Whether all ``values`` are above 0 in one of the lanes at least, as a condition for ``if_then``."""
+    """Returns whether all ``values`` are above 0 in one of the lanes at least, as a condition for ``if_then``."""
     least = functools.reduce(Vec.minimum, values)
     return b.icmp_unsigned("!=", least.compare(">", 0.0).bits(0), ir.Constant(INT, 0))
 

@@ -37,7 +37,7 @@ class Cutouts(NamedTuple):
 
 
 def cut_out_faces(uv: NDArray[np.floating], pixels: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Whether triangles with texture coordinates [F, 3, 2] may overlap a hole of a texture [H, W, 4], shape [F].
+    """Returns whether triangles with texture coordinates [F, 3, 2] may overlap a hole of a texture [H, W, 4], shape [F].
 
     Conservative: counts clear texels in the triangles' bounding boxes by a summed-area table.
     """
@@ -106,7 +106,7 @@ def pack_opacity(textures: Sequence[Texture]) -> tuple[NDArray[np.int32], NDArra
 
 
 def has_holes(opacity: NDArray[np.uint8]) -> bool:
-    """Whether some but not all texels [H, W] are less than half opaque."""
+    """Returns whether some but not all texels [H, W] are less than half opaque."""
     clear = opacity < SOLID
     return bool(clear.any() and not clear.all())
 
@@ -127,7 +127,7 @@ def _texel_before(coordinate, size):
 
 @kernel_part()
 def is_solid(maps, opacity, texture, s, t):
-    """Whether a texture with holes is at least half opaque at (s, t) [repeats]."""
+    """Returns whether a texture with holes is at least half opaque at (s, t) [repeats]."""
     first, width, height = maps[texture, 0], maps[texture, 1], maps[texture, 2]
     column, right = _texel_before(s, width)
     row, lower = _texel_before(t, height)

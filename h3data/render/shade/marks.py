@@ -89,7 +89,7 @@ def _any(marks, low, high):
 
 @kernel_part(forceinline=True)
 def any_shaded(marks, x):
-    """Whether one of 8 pixels is shaded."""
+    """Returns whether one of 8 pixels is shaded."""
     found = False
     for k in range(x, x + 8):
         found |= (marks[k] & SHADED) != 0

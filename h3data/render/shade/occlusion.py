@@ -222,7 +222,7 @@ def _changed_sums(changed, again):
 
 @kernel_part()
 def _reaches_changed(sums, inv_z, table, x, y, count):
-    """Whether a changed pixel lies where occlusion of ``count`` pixels from (x, y) may look: the disc of taps and slopes."""
+    """Returns whether a changed pixel lies within the disc of taps and slopes of ``count`` pixels from (x, y)."""
     nearest = np.float32(0)
     for k in range(count):
         nearest = max(nearest, inv_z[y + EDGE_ROWS, x + k + EDGE])

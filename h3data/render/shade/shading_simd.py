@@ -258,7 +258,7 @@ def sky_block(typing_context, block_at, light_at, strip_at, row_bytes):
 
 @intrinsic
 def equal_words(typing_context, address, word):
-    """How many of the 8 int32 numbers at ``address`` equal ``word`` before the first one that does not."""
+    """Counts how many of the 8 int32 numbers at ``address`` equal ``word`` before the first one that does not."""
 
     def codegen(context, b, signature, arguments):
         address, word = arguments

@@ -1,1 +1,1 @@
-"""Where one can stand and walk: polygons, distances, shortest paths."""
+"""Free floor on which agents can stand and walk: polygons, distances, shortest paths."""

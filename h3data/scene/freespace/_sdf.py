@@ -70,7 +70,7 @@ def sdf_gradient(sdf: NDArray, origin: NDArray, cell: float, x: float, z: float)
 def line_of_sight(
     sdf: NDArray, origin: NDArray, cell: float, radius: float, ax: float, az: float, bx: float, bz: float
 ) -> bool:
-    """Whether a disc of ``radius`` [m] can go straight from a to b: sphere tracing, right to about 5 mm of clearance."""
+    """Returns whether a disc of ``radius`` [m] can go straight from a to b, by sphere tracing, to about 5 mm of clearance."""
     length = np.hypot(bx - ax, bz - az)
     if length == 0.0:
         return sample_sdf(sdf, origin, cell, ax, az) >= radius - SLACK_M
@@ -117,7 +117,7 @@ def point_segment_distance(x: float, z: float, ax: float, az: float, bx: float, 
 
 @kernel()
 def inside_mask(edges: NDArray, origin: NDArray, cell: float, nx: int, nz: int) -> NDArray:
-    """Whether the centre of each cell lies inside the rings ``edges`` [E, 4] (even-odd rule), bool [nx, nz].
+    """Returns whether the centre of each cell lies inside the rings ``edges`` [E, 4] (even-odd rule), bool [nx, nz].
 
     One scan line per row of cells flips everything behind each crossing.
     """

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from h3data.kernels import kernel
 
 GROW_M = 1e-4
-"""How far the blocking edges lie outside the free area [m]."""
+"""Distance of the blocking edges outside the free area [m]."""
 TANGENT_EPS = 1e-9
 """Cross products [m^2] below this count as collinear."""
 
@@ -61,7 +61,7 @@ class Graph(NamedTuple):
 
 @kernel()
 def crosses(ax: float, az: float, bx: float, bz: float, cx: float, cz: float, dx: float, dz: float) -> bool:
-    """Whether segments a-b and c-d cross.
+    """Returns whether segments a-b and c-d cross.
 
     Segments are half-open: a line through a shared end point of two edges that lie on its two sides crosses exactly one
     of them, so that nothing slips through a vertex.
@@ -116,7 +116,7 @@ def bucket_edges(edges: NDArray, origin: NDArray, size: float, nx: int, nz: int)
 
 @kernel()
 def sees(graph: Graph, ax: float, az: float, bx: float, bz: float) -> bool:
-    """Whether the straight way from a to b stays in the free area: walks the buckets along it."""
+    """Returns whether the straight way from a to b stays in the free area: walks the buckets along it."""
     edges, items, start = graph.edges, graph.bucket_edges, graph.bucket_start  # taken out in the loop they cost as much
     size = graph.bucket_size[0]
     nx, nz = graph.bucket_label.shape
@@ -207,7 +207,7 @@ def nearest_free(graph: Graph, x: float, z: float, max_distance: float) -> tuple
 
 @kernel()
 def tangent(graph: Graph, x: float, z: float, node: int, slack: float) -> bool:
-    """Whether a taut string from (x, z) can bend at a node: both its ring neighbours lie on one side of the string.
+    """Returns whether a taut string from (x, z) can bend at a node: both its ring neighbours lie on one side of the string.
 
     ``slack`` [m]: how far (x, z) may be off; a point just outside a wall must still find the corners along it.
     """

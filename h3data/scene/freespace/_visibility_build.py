@@ -85,7 +85,7 @@ def build_graph(area: MultiPolygon) -> Graph:
 def edges_inside(
     area: MultiPolygon, starts: NDArray, ends: NDArray, *, tolerance_m: float = 2 * GROW_M
 ) -> NDArray[np.bool_]:
-    """Whether each segment [K, 2]-[K, 2] stays in the area, bool [K]: an independent check by shapely.
+    """Returns whether each segment [K, 2]-[K, 2] stays in the area, bool [K]: an independent check by shapely.
 
     A strict crossing test lets segments slip through that touch walls only at vertices (32 of 4,025 edges in one home,
     false detours of 15 %; research/navigation-and-stepping.md 2.3), so every edge of the graph passes here as well.

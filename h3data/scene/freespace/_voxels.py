@@ -150,7 +150,7 @@ def flood_surfaces(columns: NDArray, total: int, climb: int, head: int) -> tuple
 
 @kernel()
 def _headroom(columns: NDArray, i: int, j: int, k: int, u: int, v: int, w: int, head: int) -> bool:
-    """Whether somebody standing on the higher of two surfaces also fits above the lower one."""
+    """Returns whether somebody standing on the higher of two surfaces also fits above the lower one."""
     ny = columns.shape[2]
     top = max(k, w)
     if k < w:

@@ -1,4 +1,4 @@
-"""How far it is to a goal from everywhere, and which way to go."""
+"""Distances to a goal from everywhere, and directions along the shortest path."""
 
 from __future__ import annotations
 

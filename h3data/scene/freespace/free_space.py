@@ -1,4 +1,4 @@
-"""Where the centre of a round agent may be on one floor: exact polygons, distances to obstacles, shortest paths.
+"""Places at which the centre of a round agent may be on one floor: exact polygons, distances to obstacles, shortest paths.
 
 Everything that moves on a floor reads this one object: navigation, the step kernels (through the plain arrays ``sdf``,
 ``origin``, ``cell_m`` and the kernels `sample_sdf`, `sdf_gradient`, `line_of_sight`), rewards and metrics.
@@ -120,7 +120,7 @@ class FreeSpace(FloorMap):
 
     @property
     def has_stairs(self) -> bool:
-        """Whether one may walk from one storey to another."""
+        """Returns whether one may walk from one storey to another."""
         return bool(self.heights[:, STEPS].any())
 
     @cached_property
@@ -151,7 +151,7 @@ class FreeSpace(FloorMap):
         return np.array([p.area for p in self.polygon.geoms])
 
     def is_navigable(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Whether the agent may stand at points [..., 2], bool [...]; exact to 0.1 mm."""
+        """Returns whether the agent may stand at points [..., 2], bool [...]; exact to 0.1 mm."""
         return self.island(points) >= 0
 
     def island(self, points: ArrayLike) -> NDArray[np.int32]:

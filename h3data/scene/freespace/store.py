@@ -98,7 +98,7 @@ def cached(key: str, build: Callable[[], FloorMap]) -> tuple[FloorMap, Lattice |
 
 
 def cache_folder() -> Path | None:
-    """Where free spaces are kept, None when ``H3DATA_CACHE`` is ``off``."""
+    """Returns the folder of cached free spaces, None when ``H3DATA_CACHE`` is ``off``."""
     return files.cache_folder("freespace")
 
 

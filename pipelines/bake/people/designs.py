@@ -27,7 +27,7 @@ class BodySpec:
     features: dict[str, float] = field(default_factory=dict)
     """Local changes of the face by MakeHuman's names (`ShapeSpec.features`)."""
     stoop_m: float = 0.0
-    """How far head and neck are ahead of where they would be upright [m]."""
+    """Distance of head and neck ahead of where they would be upright [m]."""
 
     @property
     def shape(self) -> ShapeSpec:

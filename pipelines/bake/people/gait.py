@@ -61,12 +61,12 @@ JOG_ANGLES = np.array(
 """The same for easy jogging at about 2.5 m/s."""
 FIT_FRAMES = 40
 CLEARANCE_M = 0.018
-"""How high a foot should clear the floor in the middle of its swing."""
+"""Height by which a foot should clear the floor in the middle of its swing."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Aim:
-    """What a gait is fitted to."""
+    """Targets of the fit of a gait."""
 
     style: GaitStyle
     angles: Array
@@ -74,7 +74,7 @@ class Aim:
     start: Mapping[str, float]
     """First guess of some fitted values."""
     bounce_weight: float
-    """How firmly the fit keeps the first guess of the pelvis' rise and fall."""
+    """Weight with which the fit keeps the first guess of the pelvis' rise and fall."""
 
 
 WALKING = Aim(style=WALK, angles=WALK_ANGLES, start={"height": -0.03, "cos2": -0.018, "lift": 0.05}, bounce_weight=150)

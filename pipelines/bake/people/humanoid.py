@@ -58,8 +58,8 @@ KEPT = (
     "walk",
     "jog",
 )
-"""What moves a body and touches. Of one that has shipped it is kept to the bit, since recordings depend on it, and anny gives
-other last digits on other machines."""
+"""Parts of a body that move it and touch. For one that has shipped it is kept to the bit, since recordings depend on it, and
+anny gives other last digits on other machines."""
 Arrays = dict[str, NDArray[Any]]
 
 

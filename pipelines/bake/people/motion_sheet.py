@@ -82,7 +82,7 @@ WALK_ROWS = (start(1.3, 1.1), steady(1.3), stop(1.3, 1.1), curve(1.2, 1.0), turn
 
 
 def own_walk(speed: float = 1.2, fps: float = 60.0, seconds: float = 4.0) -> Motion:
-    """Of male_1, whose left arm is held out to the side."""
+    """Returns the walk of male_1, whose left arm is held out to the side."""
     body, count = load_humanoid("male_1"), round(seconds * fps)
     way = np.arange(count) * speed / fps
     quats, pelvis = body.walk_pose(np.full(count, speed), way / body.stride_m(speed))

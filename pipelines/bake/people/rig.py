@@ -155,7 +155,7 @@ def smallest_rotation(start: Array, end: Array) -> Array:
 
 
 STOOP = {"spine1": 0.08, "spine2": 0.30, "spine3": 0.66, "neck": 1.0, "head": 1.25}
-"""How far each joint of the trunk comes forward in a stoop; arms go with the shoulders, at 0.8."""
+"""Distance by which each joint of the trunk comes forward in a stoop; arms go with the shoulders, at 0.8."""
 
 
 def stooped(rig: Rig, amount_m: float) -> Rig:

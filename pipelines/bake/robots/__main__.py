@@ -77,7 +77,7 @@ def _list(values: Sequence[float]) -> str:
 
 
 def standing_height(robot: Robot) -> float:
-    """How high the base frame stands when the lowest vertex of the resting robot touches the floor [m]."""
+    """Returns the height of the base frame when the lowest vertex of the resting robot touches the floor [m]."""
     frames = robot.link_matrices(np.array([[0, 0, 0, 0, 0, 0, 1.0]]), robot.rest[None])[0]
     lowest = [
         (link.mesh.vertices @ frame[1, :3] + frame[1, 3]).min()

@@ -1,4 +1,4 @@
-"""What the designs of built-in robots are made of: links with joints, cameras, collision shapes, colours."""
+"""Parts of the designs of built-in robots: links with joints, cameras, collision shapes, colours."""
 
 from __future__ import annotations
 

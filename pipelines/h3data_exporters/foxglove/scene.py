@@ -1,4 +1,4 @@
-"""What a recording shows, as scene entities that hang in frames, and where those frames are."""
+"""Scene entities of a recording, which hang in frames, and the poses of those frames."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class Group:
 
     topic: str
     there: NDArray[np.bool_] | None
-    """Whether they are in the world, [T]; None = always."""
+    """True if they are in the world, [T]; None = always."""
     entities: list[messages.SceneEntity] = field(default_factory=list)
 
     def changes(self, step: int) -> bool:
-        """Whether there is something to say at a step."""
+        """Returns whether there is something to say at a step."""
         return step == 0 or (self.there is not None and self.there[step] != self.there[step - 1])
 
     def update(self, step: int, time_ns: int) -> messages.SceneUpdate:

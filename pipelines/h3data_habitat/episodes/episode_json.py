@@ -54,7 +54,7 @@ KEYS: dict[str, Any] = {
 _DECODERS = {key: msgspec.json.Decoder(kind) for key, kind in KEYS.items()}
 _FIELDS = {"rigid_objs": "rigid_objects"}
 _OLDER = {"info": b"null", "markers": b"{"}
-"""How values start that other versions of Habitat wrote and nothing reads any more; they are kept in ``extra``."""
+"""Beginnings of values that other versions of Habitat wrote and nothing reads any more; they are kept in ``extra``."""
 _OBJECT = msgspec.json.Decoder(dict[str, msgspec.Raw])
 _BLOCK = 1000
 """Episodes that are decoded at once: their matrices become one array, before the next block's numbers exist as objects."""

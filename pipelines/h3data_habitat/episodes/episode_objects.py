@@ -31,7 +31,7 @@ from h3data_habitat.scenes.templates import TemplateReader
 
 
 class ObjectSearch(NamedTuple):
-    """Where templates are looked for."""
+    """Search for templates of objects."""
 
     dataset: str = ""
     """Path of a ``*.scene_dataset_config.json`` whose object templates are asked first."""

@@ -1,4 +1,4 @@
-"""Where the scene of a stored episode is: a scene that can be generated again, or a file beside the episodes."""
+"""Scenes of stored episodes: a scene that can be generated again, or a file beside the episodes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def scene_of_episode(
     assets: Sequence[str | Path] = (),
     allow_missing: bool = False,
 ) -> SceneSource:
-    """How to get the scene of an episode that was read from a file in ``folder``; ``stored`` is its record, if it has one.
+    """Returns the scene of an episode that was read from a file in ``folder``; ``stored`` is its record, if it has one.
 
     A home is built again and must have the same content; if it has not, since the generator has changed, or if it is no
     home, the file is taken that the episode names: below ``folder``, the folder above it, the working directory or the

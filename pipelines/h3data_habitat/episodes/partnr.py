@@ -1,4 +1,4 @@
-"""What PARTNR's analysis adds to its human trajectories, which are files of a HITL session (spec/habitat.md 5.6)."""
+"""Results of PARTNR's analysis about its human trajectories, which are files of a HITL session (spec/habitat.md 5.6)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LEVELS = 3
 
 
 def partnr_result(path: Path) -> dict[str, Any]:
-    """What ``processed_metrics.json``, in the folder of an episode or above, says about it; {} if there is none.
+    """Returns the entry of an episode in ``processed_metrics.json``, in its folder or above; {} if there is none.
 
     Keys: ``episode_id``, ``rounds_needed``, ``percent_complete``, ``success``, ``explanation``, as far as they are there,
     and every other table that has the episode, under its own name.
@@ -53,6 +53,6 @@ def _result(file: Path, path: Path) -> dict[str, Any]:
 
 
 def _ends_alike(name: str, path: Path) -> bool:
-    """Whether a recorded file name means this file: the session's folder and the file's name are the same, or it has none."""
+    """Returns whether a recorded file name means this file: session folder and file name are the same, or it is empty."""
     recorded, ours = Path(name).parts[-2:], path.absolute().parts[-2:]
     return bool(recorded) and recorded == ours[-len(recorded) :]

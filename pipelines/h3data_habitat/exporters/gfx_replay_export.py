@@ -167,7 +167,7 @@ def export_gfx_replay(recordings: Iterable[Recording], request: ExportRequest) -
 
 
 def assets_folder(path: Path) -> Path:
-    """Where the GLB files of the replay ``path`` lie."""
+    """Returns the folder of the GLB files of the replay ``path``."""
     name = path.name
     for suffix in (".gz", ".json", ".gfx_replay"):
         name = name.removesuffix(suffix)
@@ -347,7 +347,7 @@ class _Assets:
 
 
 def _place(part: PosedPart, recording: Recording) -> str:
-    """Where a GLB file lies below the assets: the names by which readers know robots and people."""
+    """Returns the path of a GLB file below the assets: the names by which readers know robots and people."""
     if part.body is not None:
         return "objects/" + _plain(part.body.asset)
     model = _plain(recording.agents[part.agent].model.partition("/")[2])

@@ -150,13 +150,13 @@ class DatasetExport:
 
 @dataclass
 class _Files:
-    """What the folder will hold, and which asset has which template already."""
+    """Files that the folder will hold, and the templates that assets already have."""
 
     split_building: bool = False
     content: dict[str, bytes] = field(default_factory=dict)
     classes: dict[int, str] = field(default_factory=lambda: {0: "unknown"})
     articulated: bool = False
-    """Whether anything opens."""
+    """True if anything opens."""
     navmeshes: dict[str, str] = field(default_factory=dict)
     """Paths of the navmeshes by handle."""
     _templates: dict[tuple[int, int], str] = field(default_factory=dict)

@@ -101,7 +101,7 @@ def robot_model(uri: str) -> str | None:
 
 
 def is_humanoid(uri: str) -> bool:
-    """Whether a recorded path is a humanoid's mesh."""
+    """Returns whether a recorded path is a humanoid's mesh."""
     return _HUMAN.search(uri) is not None
 
 

@@ -32,7 +32,7 @@ class Updates:
     """Keyframes, not decreasing."""
     _values: array[float] = field(default_factory=lambda: array("f"))
     _tidy: bool = False
-    """Whether the values are pose7 already; before, they are x y z and w x y z."""
+    """True if the values are pose7 already; before, they are x y z and w x y z."""
 
     def add(self, step: int, transform: Transform) -> None:
         """Adds the pose of a node."""
@@ -90,7 +90,7 @@ class Life:
 
     @property
     def placed(self) -> bool:
-        """Whether the instance was created with a pose; without one, the player leaves it at the origin."""
+        """Returns whether the instance was created with a pose; without one, the player leaves it at the origin."""
         return bool(self.updates.steps) and self.updates.steps[0] == self.start
 
     def first_pose(self) -> NDArray[np.float32]:
@@ -98,7 +98,7 @@ class Life:
         return self.updates.poses()[0, 0].copy() if self.placed else IDENTITY_POSE.astype(np.float32)
 
     def moves(self, steps: int) -> bool:
-        """Whether the instance has more than one pose in ``steps`` keyframes; being absent counts as one."""
+        """Returns whether the instance has more than one pose in ``steps`` keyframes; being absent counts as one."""
         lasts = self.start == 0 and self.end in (-1, steps)
         return not lasts or bool(np.any(self.updates.poses() != self.first_pose()))
 
@@ -109,7 +109,7 @@ class Loaded:
 
     last: Load
     always_painted: bool = True
-    """Whether every one of them overrides the material."""
+    """True if every one of them overrides the material."""
 
     def add(self, load: Load) -> None:
         """Adds a load entry."""

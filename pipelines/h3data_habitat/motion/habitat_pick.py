@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from h3data_habitat.motion.habitat_humanoid import HabitatHumanoid
 
 HAND_START_M = np.array([0.2, 0.2, 0.0])
-"""Where the hand's way begins, in the base frame [m]."""
+"""Point at which the hand's path begins, in the base frame [m]."""
 HAND_STEP_M = 0.04
 SNAP_M = 0.02
 
@@ -25,11 +25,11 @@ class HabitatPick:
     def __init__(self, person: HabitatHumanoid, *, step_m: float = HAND_STEP_M, snap_m: float = SNAP_M) -> None:
         self.person, self.step_m, self.snap_m = person, step_m, snap_m
         self.retracting = False
-        """Whether the hand is on its way back."""
+        """True if the hand is on its way back."""
         self.steps = 0
-        """How many steps of the way out the hand is ahead of its start."""
+        """Number of steps by which the hand is ahead of its start."""
         self.done = False
-        """Whether the last `step` ended a pick or place."""
+        """True if the last `step` ended a pick or place."""
 
     def reset(self) -> None:
         """A new episode: the hand is where it starts."""

@@ -60,7 +60,7 @@ class Surface(NamedTuple):
     corner_node: NDArray[np.int32]
     """Node of the path graph at each corner, -1: none, shape [S]."""
     node: NDArray[np.float64]
-    """Where a path may bend, (x, y, z), shape [n, 3]."""
+    """Points at which a path may bend, (x, y, z), shape [n, 3]."""
     node_polygon: NDArray[np.int32]
     """A polygon with that corner, shape [n]."""
     node_side: NDArray[np.float64]
@@ -79,7 +79,7 @@ def _cross(ax: float, az: float, bx: float, bz: float) -> float:
 
 @kernel(error_model="numpy")
 def contains(surface: Surface, polygon: int, x: float, z: float) -> bool:
-    """Whether (x, z) is in a polygon, its border included."""
+    """Returns whether (x, z) is in a polygon, its border included."""
     first, last = surface.start[polygon], surface.start[polygon + 1]
     ax, az = surface.corner[last - 1, 0], surface.corner[last - 1, 2]
     for s in range(first, last):
@@ -114,7 +114,7 @@ def height(surface: Surface, polygon: int, x: float, z: float) -> float:
 
 @kernel(error_model="numpy")
 def _on_segment(x: float, z: float, ax: float, az: float, bx: float, bz: float) -> float:
-    """Where on the segment a-b, 0 to 1, the point nearest to (x, z) is."""
+    """Returns the position, 0 to 1, of the point on the segment a-b that is nearest to (x, z)."""
     dx, dz = bx - ax, bz - az
     square = dx * dx + dz * dz
     if square <= 0.0:
@@ -140,7 +140,7 @@ def _nearest_edge(corner: NDArray, first: int, last: int, x: float, z: float) ->
 
 @kernel(error_model="numpy")
 def _outside(value: float, low: float, high: float) -> float:
-    """How far a number is from an interval, 0 inside."""
+    """Returns the distance of a number from an interval, 0 inside."""
     return max(low - value, value - high, 0.0)
 
 
@@ -293,7 +293,7 @@ def straight(surface: Surface, polygon: int, x: float, z: float, tx: float, tz: 
 def try_step(
     surface: Surface, x: float, y: float, z: float, tx: float, ty: float, tz: float, sliding: bool
 ) -> tuple[float, float, float]:
-    """Where a step from (x, y, z) to (tx, ty, tz) ends: PathFinder::tryStep of habitat-sim (spec/habitat.md 1.3)."""
+    """Returns where a step from (x, y, z) to (tx, ty, tz) ends: PathFinder::tryStep of habitat-sim (spec/habitat.md 1.3)."""
     p, nx, ny, nz = nearest(surface, x, y, z, -1)
     q = nearest(surface, tx, ty, tz, -1)[0]
     if p < 0 or q < 0 or surface.island[p] != surface.island[q]:

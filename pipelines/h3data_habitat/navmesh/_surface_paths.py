@@ -16,7 +16,7 @@ STARTS_MAX = 64
 
 @kernel()
 def _in_cone(ux: float, uz: float, rx: float, rz: float, lx: float, lz: float) -> bool:
-    """Whether direction u lies between the right and the left border of a cone (less than half a turn)."""
+    """Returns whether direction u lies between the right and the left border of a cone (less than half a turn)."""
     eps = ANGLE_EPS * (abs(ux) + abs(uz))
     right = _cross(rx, rz, ux, uz) >= -eps * (abs(rx) + abs(rz))
     return right and _cross(ux, uz, lx, lz) >= -eps * (abs(lx) + abs(lz))
@@ -24,7 +24,7 @@ def _in_cone(ux: float, uz: float, rx: float, rz: float, lx: float, lz: float) -
 
 @kernel()
 def _meeting(surface: Surface, polygon: int, x: float, z: float, found: NDArray) -> int:
-    """How many polygons meet in (x, z), from one of them through edges that touch the point; fills their indices."""
+    """Counts the polygons that meet in (x, z), from one of them through edges that touch the point; fills their indices."""
     found[0] = polygon
     count, head = 1, 0
     while head < count:
@@ -110,7 +110,7 @@ def view(surface: Surface, polygon: int, x: float, z: float, target: int, tx: fl
 
 @kernel()
 def _taut(surface: Surface, node: int, x: float, z: float) -> bool:
-    """Whether a taut string from (x, z) can bend at a node: both walls beside it lie on one side of the string."""
+    """Returns whether a taut string from (x, z) can bend at a node: both walls beside it lie on one side of the string."""
     vx, vz = surface.node[node, 0], surface.node[node, 2]
     side = surface.node_side[node]
     ux, uz = vx - x, vz - z

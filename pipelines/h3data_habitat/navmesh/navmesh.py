@@ -32,7 +32,7 @@ CELLS_MAX = 50_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class NavMeshSettings:
-    """What a navmesh was baked with; the defaults are habitat-sim's (spec/habitat.md 6.7)."""
+    """Settings that a navmesh was baked with; the defaults are habitat-sim's (spec/habitat.md 6.7)."""
 
     cell_size: float = 0.05
     """Side of a voxel [m]."""
@@ -58,7 +58,7 @@ class NavMeshSettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NavMesh:
-    """Where the centre of an agent may be: convex polygons, already shrunk by its radius, in world metres, y up.
+    """Places at which the centre of an agent may be: convex polygons, already shrunk by its radius, in world metres, y up.
 
     Polygon p has the corners ``polygon_start[p]:polygon_start[p + 1]``. Islands are numbered as Habitat does: by the first
     polygon of each.

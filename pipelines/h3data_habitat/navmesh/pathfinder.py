@@ -65,7 +65,7 @@ class HitRecord:
 
 
 class PathFinder:
-    """Where an agent may go and how: queries on one navmesh, all floors. Immutable; safe to share between threads."""
+    """Path queries on one navmesh, all floors. Immutable; safe to share between threads."""
 
     def __init__(self, source: FreeSpace | NavMesh) -> None:
         self.free_space = source if isinstance(source, FreeSpace) and not len(source.heights) else None
@@ -142,7 +142,7 @@ class PathFinder:
         return np.array(self._nearest(point, self._island(island_index))[1:])
 
     def is_navigable(self, point: ArrayLike, max_y_delta: float = 0.5) -> bool:
-        """Whether the navmesh is within 1 cm beside and ``max_y_delta`` [m] above or below a point [3]."""
+        """Returns whether the navmesh is within 1 cm beside and ``max_y_delta`` [m] above or below a point [3]."""
         x, y, z = _point(point)
         return navigable(self._surface, x, y, z, float(max_y_delta)) >= 0
 
@@ -175,11 +175,11 @@ class PathFinder:
 
     # --- steps ----------------------------------------------------------------------------------------------------------
     def try_step(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
-        """Where a step from start [3] to end [3] ends [3]; it slides along walls. Start itself if either is off the navmesh."""
+        """Returns where a step from start [3] to end [3] ends [3], sliding along walls; start if either is off the navmesh."""
         return np.array(try_step(self._surface, *_point(start), *_point(end), True))
 
     def try_step_no_sliding(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
-        """Where a step ends [3] that stops at the first wall."""
+        """Returns where a step ends [3] that stops at the first wall."""
         return np.array(try_step(self._surface, *_point(start), *_point(end), False))
 
     # --- walls ----------------------------------------------------------------------------------------------------------
@@ -202,7 +202,7 @@ class PathFinder:
     # --- islands, areas, maps -------------------------------------------------------------------------------------------
     @property
     def nav_mesh_settings(self) -> NavMeshSettings:
-        """What the navmesh was baked with."""
+        """Settings that the navmesh was baked with."""
         return self.navmesh.settings
 
     @property
@@ -212,7 +212,7 @@ class PathFinder:
 
     @property
     def num_islands(self) -> int:
-        """How many parts there are without a way between them."""
+        """Number of parts that no path joins."""
         return len(self.navmesh.island_areas)
 
     def island_area(self, island_index: int = _ANY) -> float:

@@ -28,7 +28,7 @@ _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Link:
-    """What a link looks like and collides as, in a frame whose +Y is near the world's at joint positions 0."""
+    """Appearance and collision shapes of a link, in a frame whose +Y is near the world's at joint positions 0."""
 
     name: str
     index: int

@@ -52,7 +52,7 @@ def text(attributes: Mapping[str, Any], key: str, *, where: Path) -> str | None:
 
 
 def flag(attributes: Mapping[str, Any], key: str, default: bool, *, where: Path) -> bool:
-    """Whether ``key`` is true."""
+    """Returns whether ``key`` is true."""
     value = attributes.get(key, default)
     if not isinstance(value, bool):
         raise _unexpected("true or false", key, value, where)
@@ -97,7 +97,7 @@ def points(attributes: Mapping[str, Any], key: str, *, where: Path) -> list[tupl
 
 
 def _list(attributes: Mapping[str, Any], key: str) -> Any:
-    """What stands under ``key``; an empty list if there is nothing."""
+    """Returns the list under ``key``; an empty list if there is none."""
     value = attributes.get(key)
     return [] if value is None else value
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 _TURNS, _SLIDES = 1, 2
 _BESIDE_M, _OVER_M = 0.02, 0.1
-"""What is up to so far beside a door counts as behind it; half of so far over a surface things are that lie on it."""
+"""Distance beside a door within which things count as behind it; twice the height up to which things lie on a surface."""
 
 
 def articulation_of(

@@ -1,4 +1,4 @@
-"""Where the files that Habitat's configs name are looked for, and which folders a config may reach."""
+"""Search for the files that Habitat's configs name, and the folders that a config may reach."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from h3data.recording.assets.folders import AssetFolders
 from h3data_habitat.scenes.scene_dataset import DATASET_ENDING
 
 _LEVELS = 4
-"""How far above a config its dataset's config is looked for."""
+"""Number of levels above a config at which its dataset's config is looked for."""
 
 
 class ReferencedFiles:
@@ -28,7 +28,7 @@ class ReferencedFiles:
         self._folders = AssetFolders(assets)
         self._inside = (*trusted_folders(config), Path.cwd(), *(Path(os.path.abspath(r)) for r in self._folders.roots))
         self.missing: dict[str, tuple[Path, ...]] = {}
-        """Where each file was looked for that was not found."""
+        """Places at which each missing file was looked for."""
 
     def find(self, name: str, folder: Path) -> Path | None:
         """The file that a config in ``folder`` means; None if it is nowhere.

@@ -20,7 +20,7 @@ from h3data_habitat.scenes.scene_dataset import SceneDataset, Section, Template
 from h3data_habitat.scenes.templates import TemplateReader
 
 REACH_MAX_M = 1e5
-"""How far from the origin [m] things may reach: 100 km, where float32 still tells centimetres."""
+"""Greatest distance of things from the origin [m]: 100 km, where float32 still tells centimetres."""
 
 
 @dataclass
@@ -39,7 +39,7 @@ class SceneBuilder:
     lights: tuple[LightSource, ...] | None = None
     articulations: list[Articulation] = field(default_factory=list)
     more: dict[str, Any] = field(default_factory=dict)
-    """What else ``Scene.source`` says."""
+    """Further entries of ``Scene.source``."""
     _counts: dict[str, int] = field(default_factory=dict)
 
     def warn(self, warning: str) -> None:

@@ -48,7 +48,7 @@ class Template:
 
     @property
     def is_config(self) -> bool:
-        """Whether the template is a JSON file of its own."""
+        """Returns whether the template is a JSON file of its own."""
         return self.path.name.endswith(".json") and not self.inline
 
     def attributes(self) -> dict[str, Any]:
@@ -70,7 +70,7 @@ class Template:
 
 @dataclass(frozen=True, eq=False)
 class SceneDataset:
-    """What a dataset config lists, by section."""
+    """Content of a dataset config, by section."""
 
     path: Path
     sections: Mapping[Section, tuple[Template, ...]]
@@ -183,7 +183,7 @@ def dataset_above(path: Path) -> SceneDataset:
 
 
 def _templates(config: Path, entry: Mapping[str, Any], ending: str, empty: list[str]) -> list[Template]:
-    """What a section lists; adds to ``empty`` the search paths below which nothing is."""
+    """Returns the templates that a section lists; adds to ``empty`` the search paths below which nothing is."""
     root = config.parent
     defaults = mapping(entry, "default_attributes", where=config)
     found: dict[Path, Template] = {}

@@ -37,11 +37,11 @@ class Rigid:
     asset: str
     attributes: Mapping[str, Any]
     scale: NDArray[np.float64]
-    """Of the template, shape [3]."""
+    """Scale of the template, shape [3]."""
     middle: NDArray[np.float64]
     """Habitat's origin of the object in the asset's frame, shape [3] [m]."""
     middle_scales: bool
-    """Whether it moves with the size of the object: not if the config gives it."""
+    """True if it moves with the size of the object: not if the config gives it."""
 
     def origin(self, scale: NDArray[np.float64]) -> NDArray[np.float64]:
         """Habitat's origin of an object of this size, in the asset's axes, shape [3] [m]."""
@@ -55,7 +55,7 @@ class Articulated:
     robot: Robot
     links: tuple[Link, ...]
     assets: tuple[str, ...]
-    """Of each of these links."""
+    """Assets of each of these links."""
     attributes: Mapping[str, Any]
 
 
@@ -251,7 +251,7 @@ class TemplateReader:
 
 
 def _frame(template: Template, attributes: Mapping[str, Any], *, stage: bool) -> _Frame:
-    """As in habitat-sim a bare stage mesh is Z-up; everything else is Y-up unless its config says more."""
+    """Returns a mesh's frame: as in habitat-sim, a bare stage mesh is Z-up; else Y-up unless its config says more."""
     where = template.path
     bare = stage and not template.is_config and not template.inline and not template.defaults
     up, front = _Z_UP if bare else _Y_UP

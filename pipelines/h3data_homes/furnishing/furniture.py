@@ -47,7 +47,7 @@ class Furniture:
 
     @property
     def solid(self) -> bool:
-        """Whether the piece has collision shapes."""
+        """Returns whether the piece has collision shapes."""
         return bool(self.shapes)
 
     @cached_property

@@ -179,7 +179,7 @@ def front_strip(p: Placed, depth: float) -> Rect:
 
 
 def overlap(a: Rect, b: Rect, slack: float = 1e-6) -> bool:
-    """Whether two rectangles overlap by more than ``slack`` [m]."""
+    """Returns whether two rectangles overlap by more than ``slack`` [m]."""
     return a[0] < b[2] - slack and b[0] < a[2] - slack and a[1] < b[3] - slack and b[1] < a[3] - slack
 
 
@@ -244,7 +244,7 @@ def fits(state: RoomState, group: Sequence[Placed]) -> bool:
 
 
 def _filled(rect: Rect, interior: Rect, end: int, group: Sequence[Placed]) -> bool:
-    """Whether another piece of the group stands between a rectangle and one wall, as a desk does for its chair."""
+    """Returns whether another piece of the group stands between a rectangle and one wall, as a desk does for its chair."""
     between = list(rect)
     between[(end + 2) % 4], between[end] = rect[end], interior[end]
     strip = (between[0], between[1], between[2], between[3])
@@ -261,7 +261,7 @@ def reach_m(category: str) -> float:
 
 
 def used_from_front(category: str) -> bool:
-    """Whether furniture is used from its front only."""
+    """Returns whether furniture is used from its front only."""
     return category not in _FROM_ANYWHERE
 
 
@@ -317,7 +317,7 @@ def pockets(free: BaseGeometry, wide: BaseGeometry) -> list[BaseGeometry]:
 
 
 def walkable(state: RoomState, extra: Sequence[Placed] = ()) -> bool:
-    """Whether agents can still walk through the room with ``extra`` furniture added.
+    """Returns whether agents can still walk through the room with ``extra`` furniture added.
 
     For a disc of `PLAN_RADIUS`, one island of free floor must connect all doors and come close enough to all goals, and
     no gap of ambiguous width may be left.

@@ -45,7 +45,7 @@ def _floor_rects(members: Sequence[Member]) -> list[list[Rect]]:
 
 
 def _blocked(state: RoomState, origin: tuple[float, float], rects: Sequence[Rect], taken: Sequence[Rect]) -> bool:
-    """Whether a group leaves the room or overlaps taken floor: the first tests of `fits`, before the group is built."""
+    """Returns whether a group leaves the room or overlaps taken floor: the first tests of `fits`, before the group is built."""
     (x, z), (a0, b0, a1, b1) = origin, state.interior
     for low_x, low_z, high_x, high_z in rects:
         x0, z0, x1, z1 = x + low_x + _SLACK, z + low_z + _SLACK, x + high_x - _SLACK, z + high_z - _SLACK
@@ -87,7 +87,7 @@ def _positions(
 
 
 def mirrored(side: int) -> bool:
-    """Whether a group's +x points towards lower u on this side."""
+    """Returns whether a group's +x points towards lower u on this side."""
     return side in (1, 2)
 
 

@@ -36,7 +36,7 @@ def grasp_point(kind: Kind) -> NDArray[np.float64]:
 
 
 def is_aligned(kind: Kind) -> bool:
-    """Whether it stands parallel to the edges of what it stands on."""
+    """Returns whether it stands parallel to the edges of what it stands on."""
     return bool(kind.model) and model_of(kind).aligned
 
 

@@ -207,7 +207,7 @@ class Surface(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class Model(msgspec.Struct, frozen=True, kw_only=True, eq=False, dict=True, forbid_unknown_fields=True):
-    """How a kind of thing is made."""
+    """Model of a kind of thing."""
 
     shapes: tuple[Box | Rod | Lathe | Ball | Soft | Pillow | Line | Arc | Leaves | Legs | Fronts, ...] = msgspec.field(
         name="parts"
@@ -222,7 +222,7 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, eq=False, dict=True, forb
     scale: tuple[tuple[float, float], ...] = ((0.94, 1.06),)
     """Range of sizes: one for all axes, or one each for x, y and z."""
     aligned: bool = False
-    """Whether it stands parallel to the edges of what it stands on."""
+    """True if it stands parallel to the edges of what it stands on."""
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:
@@ -232,7 +232,7 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, eq=False, dict=True, forb
 
 @cache
 def model_of(kind: Kind) -> Model:
-    """How a kind is made; only for kinds whose `Kind.model` is given.
+    """Returns the model of a kind whose `Kind.model` is given.
 
     Raises:
         ValueError: the kind has no model in the catalogue.

@@ -1,4 +1,4 @@
-"""What people leave where: tables of habits, for surfaces by the furniture that they belong to, and for floors by room."""
+"""Things left in rooms: tables of habits, for surfaces by the furniture that they belong to, and for floors by room."""
 
 from __future__ import annotations
 
@@ -205,4 +205,4 @@ ON_FLOOR: Mapping[str, tuple[Habit, ...]] = {
     ),
     "balcony": (_habit("scatter", "watering_can garden_trowel toy_bucket lantern", 1, 2),),
 }
-"""What lies on the floor close to walls and furniture, where nobody walks."""
+"""Things that lie on the floor close to walls and furniture, where nobody walks."""

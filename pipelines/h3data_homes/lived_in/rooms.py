@@ -169,7 +169,7 @@ def _on_walls(rng: np.random.Generator, style: Style, state: RoomState) -> None:
 
 
 def _above_deep(state: RoomState, side: int, u: float, half: float) -> bool:
-    """Whether furniture too deep to reach over stands at a stretch of wall."""
+    """Returns whether furniture too deep to reach over stands at a stretch of wall."""
     rect = strip(state.interior, side, u - half, u + half, 0.9)
     return any(overlap(rect, s) and min(s[2] - s[0], s[3] - s[1]) > _REACH_OVER_M for s in state.solids)
 

@@ -73,7 +73,7 @@ def _boxes(placed: Placed) -> Iterator[_UprightBox]:
 
 
 def _deepest(placed: Placed, others: list[_UprightBox]) -> tuple[float, NDArray[np.float64]]:
-    """How deep a piece is in others, and the direction (x, z) that leads it out on the shortest way."""
+    """Returns the depth of a piece in others, and the direction (x, z) of the shortest path out."""
     found = [_depth(own, other) for own in _boxes(placed) for other in others]
     return max(found, key=lambda one: one[0], default=(0.0, np.zeros(2)))
 

@@ -39,7 +39,7 @@ class BodiesShow:
     """Direction of view; or face: heads only; or walk: one gait cycle from the right; or reach: reaching poses, and the
     first body picking up and placing a mug."""
     outfit: str | None = None
-    """What everybody wears instead of their own clothes: casual, smart, knit, sport, pyjamas, dress or summer."""
+    """Clothes that everybody wears instead of their own clothes: casual, smart, knit, sport, pyjamas, dress or summer."""
     outfits: bool = False
     """Show everybody in every outfit, a row each."""
     speed: float = 1.3

@@ -39,7 +39,7 @@ class RobotsShow:
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """PNG or JPEG file to write."""
     views: int = 6
-    """How many, all around."""
+    """Number of views, all around."""
     width: int = 1600
     """Width of the picture [pixels]."""
     up: UpChoice = "z"
@@ -94,7 +94,7 @@ class RobotsReach:
     name: tyro.conf.Positional[str]
     """Built-in robot or .urdf file."""
     point: tyro.conf.Positional[tuple[float, float, float]]
-    """Where to."""
+    """Point to reach."""
     link: str = ""
     """Link whose origin goes there; empty: the robot's hand, at the place where it holds things."""
     up: UpChoice = "z"

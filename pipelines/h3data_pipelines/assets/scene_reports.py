@@ -135,7 +135,7 @@ def validate_scene(
 
 
 def _same_object(first: str, second: str) -> bool:
-    """Whether two instances are links of one articulated object, which may touch: a door and its cabinet, say."""
+    """Returns whether two instances are links of one articulated object, which may touch: a door and its cabinet, say."""
     return "/" in first and first.split("/")[0] == second.split("/")[0]
 
 

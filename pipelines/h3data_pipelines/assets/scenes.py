@@ -52,7 +52,7 @@ from h3data_pipelines.assets.scene_reports import (
 )
 
 _PARKED_M = 5.0
-"""How far below the floor the target object of a social-navigation episode lies."""
+"""Depth below the floor at which the target object of a social-navigation episode lies."""
 
 _SCENE_HELP = (
     "a built-in home such as small:3, a scene set such as h3-homes/test, or the path of a scene (.scene_instance.json, "

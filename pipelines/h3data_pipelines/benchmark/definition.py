@@ -1,4 +1,4 @@
-"""What a benchmark is: a folder with ``benchmark.toml``, the list of its episodes, and the results of its baselines.
+"""Definition of a benchmark: a folder with ``benchmark.toml``, the list of its episodes, and the results of its baselines.
 
 The benchmarks that ship with the package are in ``datasets/benchmarks``; any other folder of this form can be run by its path.
 A benchmark never changes: new episodes, rules or metrics are a new version.

@@ -33,7 +33,7 @@ class Entry:
     source: str
     """Name of the folder of the result, or ``baseline`` of those that ship with the benchmark."""
     checked: str
-    """What `h3data benchmark verify` found."""
+    """Result of `h3data benchmark verify`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,12 +131,12 @@ def leaderboard(benchmark: Benchmark, folders: Sequence[Path]) -> Leaderboard:
 
 
 def write_verdict(verdict: ResultVerification) -> dict[str, Any]:
-    """What ``verification.json`` says of a check, with the digest of the result that was checked."""
+    """Writes ``verification.json`` with the result of a check, with the digest of the result that was checked."""
     return {**verdict.to_dict(), "result_sha256": file_sha256(verdict.folder / MANIFEST)}
 
 
 def _checked(folder: Path, result: BenchmarkResult) -> str:
-    """What the leaderboard says of the check of a result: of how many episodes, if it is of this very result."""
+    """Returns the leaderboard's entry on the check of a result: of how many episodes, if it is of this very result."""
     try:
         found = json.loads((folder / VERDICT).read_text(encoding="utf-8"))
         if found["result_sha256"] != file_sha256(folder / MANIFEST) or found["benchmark"] != result.benchmark:

@@ -59,13 +59,13 @@ class BenchmarkResult(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def is_complete(self) -> bool:
-        """Whether every episode was played with every policy."""
+        """Returns whether every episode was played with every policy."""
         return all(row.played == row.expected for row in self.rows)
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchmarkRun:
-    """What `run_benchmark` returns."""
+    """Result of `run_benchmark`."""
 
     folder: Path
     benchmark: Benchmark

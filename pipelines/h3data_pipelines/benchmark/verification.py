@@ -44,7 +44,7 @@ MOST_SHOWN = 20
 
 @dataclass(frozen=True, kw_only=True)
 class ResultVerification:
-    """What was found in a result."""
+    """Verification of a result."""
 
     folder: Path
     benchmark: str
@@ -55,11 +55,11 @@ class ResultVerification:
     of_episodes: int
     """Episodes of the benchmark."""
     faults: tuple[str, ...]
-    """What is wrong, a sentence each; empty if the table is true."""
+    """Faults, a sentence each; empty if the table is true."""
 
     @property
     def is_true(self) -> bool:
-        """Whether nothing is wrong with what was checked."""
+        """Returns whether nothing is wrong with what was checked."""
         return not self.faults
 
     def to_text(self) -> str:
@@ -95,7 +95,7 @@ class _Part:
     index: int
     job: Job
     uid: str
-    """Of the benchmark's episode."""
+    """Identity of the benchmark's episode."""
     rows: tuple[dict[str, Any], ...]
     """Results that the episode's file gives."""
 
@@ -159,7 +159,7 @@ def verify_result(
 
 
 def _of_manifest(folder: Path, result: BenchmarkResult, benchmark: Benchmark) -> list[str]:
-    """What is wrong with the name of the benchmark and with the digests of files."""
+    """Returns faults of the benchmark's name and of the digests of files."""
     faults = []
     if result.benchmark != benchmark.label:
         faults.append(f"{MANIFEST}: expected a result of {benchmark.label}, got one of {result.benchmark}.")
@@ -209,7 +209,7 @@ def _checked_row(row: Any) -> dict[str, Any]:
 def _of_table(
     result: BenchmarkResult, benchmark: Benchmark, stored: Mapping[int, Sequence[Mapping[str, Any]]]
 ) -> list[str]:
-    """What is wrong with the table: rows that do not follow from the results of the episodes."""
+    """Returns faults of the table: rows that do not follow from the results of the episodes."""
     expected = benchmark.file.episodes * max(len(benchmark.file.partners), 1)
     rows = summarized(benchmark.metrics(), [row for index in sorted(stored) for row in stored[index]], expected)
     ours = {row.policy: msgspec.to_builtins(row) for row in rows}
@@ -262,7 +262,7 @@ def _check_episode(part: _Part) -> tuple[int, list[str]]:
 
 
 def _wrong_with(recording: Recording, base: Job, episode: Episode, rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What is wrong with one recording: another episode, another course, or other metrics than ``rows`` say."""
+    """Returns the faults of one recording: another episode, another course, or other metrics than ``rows`` say."""
     from h3data.metrics import measure
     from h3data_pipelines.jobs.evaluations import plan_of
     from sim_kinematic.tasks.resume import verify_episode
@@ -286,7 +286,7 @@ def _wrong_with(recording: Recording, base: Job, episode: Episode, rows: Sequenc
 
 
 def _other_facts(recording: Recording, task: Task, episode: Episode) -> list[str]:
-    """What a recording says of its episode, whoever plays, that is not so."""
+    """Returns the facts of an episode that a recording states wrongly, whoever plays."""
     from sim_kinematic.policies.assignment import AssignedPolicy
     from sim_kinematic.tasks.codec import POLICY_ENTRIES
     from sim_kinematic.tasks.recorder import describe

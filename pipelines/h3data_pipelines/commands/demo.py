@@ -40,7 +40,7 @@ from h3data_pipelines.pictures.rendering import render_files
 from h3data_pipelines.pictures.rerender import parse_size
 
 VIEWERS: Registry[Callable[..., object]] = Registry("h3data.viewers", {}, what="viewer")
-"""What writes a recording as the file of a viewer, as `h3data_viewers.write_rrd` does."""
+"""Functions that write a recording as the file of a viewer, such as `h3data_viewers.write_rrd`."""
 
 if TYPE_CHECKING:
     from h3data.render import Output

@@ -1,4 +1,4 @@
-"""What an episode file holds: counts, scenes, tasks, objects, receptacles, distances."""
+"""Summary of an episode file: counts, scenes, tasks, objects, receptacles and distances."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class EpisodeSummary:
 
 
 def summary_of(episodes: EpisodeSet) -> EpisodeSummary:
-    """What the episodes of a file are."""
+    """Summarises the episodes of a file."""
     tasks, scenes, templates, sources, destinations, predicates, unplayable = (Counter[str]() for _ in range(7))
     objects, goals, carried, apart = [], [], [], []
     instructions: dict[str, None] = {}

@@ -174,7 +174,7 @@ def _players(recording: Recording) -> list[str]:
 
 
 def _by_bot(recording: Recording) -> str:
-    """Whether the player was a script, and the clock another than real time."""
+    """Returns whether the player was a script, and the clock another than real time."""
     hitl = recording.episode.info.get("hitl")
     hitl = hitl if isinstance(hitl, dict) else {}
     client, speed = hitl.get("client"), hitl.get("speed", 1)

@@ -58,7 +58,7 @@ class Processes:
         lost: Callable[[S, LostShardError], R] | None = None,
         writes: bool = False,
     ) -> Generator[R]:
-        """As `Executor.run`. When a process dies, each shard that was under way is tried again with the machine to itself."""
+        """See `Executor.run`. When a process dies, each shard that was under way is tried again with the machine to itself."""
         if self.workers <= 1 or len(shards) <= 1:
             yield from map(work, shards)
             return

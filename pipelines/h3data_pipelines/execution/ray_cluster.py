@@ -145,7 +145,7 @@ class RayWorkers:
         lost: Callable[[S, LostShardError], R] | None = None,
         writes: bool = False,
     ) -> Generator[R]:
-        """As `Executor.run`. Work that raises ends the job; a process that dies costs its shards only."""
+        """Runs shards as `Executor.run`. Work that raises ends the job; a process that dies costs its shards only."""
         under_way = _UnderWay(work, shards, self.workers, writes)
         try:
             for index in range(len(shards)):
@@ -176,10 +176,10 @@ class _UnderWay:
     workers: int
     writes: bool
     attempts: dict[Any, _Attempt] = field(default_factory=dict)
-    """What runs, by Ray's reference."""
+    """Running attempts, by Ray's reference."""
     done: dict[int, Any] = field(default_factory=dict)
     tries: Counter[tuple[int, int]] = field(default_factory=Counter)
-    """How often a shard was lost, by its index and the most that is allowed of that."""
+    """Number of times that a shard was lost, by its index, and the greatest number allowed."""
     took_s: list[float] = field(default_factory=list)
     begun: int = 0
     again: list[int] = field(default_factory=list)

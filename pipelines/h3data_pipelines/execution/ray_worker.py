@@ -1,4 +1,4 @@
-"""What runs in a worker of Ray."""
+"""Functions that run in a worker of Ray."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ SHOWN = 4
 CANDIDATES, CANDIDATE_WIDTH = 16, 96
 """Moments of an episode of which the one that shows most is chosen, and the width of the pictures that tell [pixels]."""
 SEEN_SHARE, AGENT_COUNTS = 0.01, 20
-"""What covers so much of a picture is seen in it; an agent is worth as many other things."""
+"""Share of a picture that a visible thing covers, and the number of other things that an agent counts for."""
 _HEIGHT, _WIDTH = 180, 320
 _LISTED = 12
 
@@ -314,7 +314,7 @@ def _step_that_shows_most(recording: Recording, cameras: Sequence[str]) -> int:
 
 
 def _things_in(instances: NDArray[np.integer], agents: NDArray[np.int64]) -> int:
-    """How many things a picture of ids [H, W] shows; ``agents`` has the agent of each id, -1 for things."""
+    """Counts the things that a picture of ids [H, W] shows; ``agents`` has the agent of each id, -1 for things."""
     ids, pixels = np.unique(instances[instances >= 0], return_counts=True)
     of = agents[ids]
     things = (pixels[of < 0] >= SEEN_SHARE * instances.size).sum()

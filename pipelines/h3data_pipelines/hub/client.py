@@ -70,7 +70,7 @@ def hub_errors(repo: str, *, to: str) -> Iterator[None]:
 
 
 def _explained(error: BaseException | None, to: str) -> str | None:
-    """What an error of huggingface_hub means, and what to do; None: it is none of the Hub's."""
+    """Explains an error of huggingface_hub and what to do; None for other errors."""
     from huggingface_hub import errors
 
     if isinstance(error, errors.LocalTokenNotFoundError):

@@ -184,7 +184,7 @@ def _read(path: AnyPath) -> bytes | None:
 
 
 def _belongs(name: str) -> bool:
-    """Whether a file is part of a dataset: not what a writer has not finished, and not the writer's mark."""
+    """Returns whether a file is part of a dataset: not what a writer has not finished, and not the writer's mark."""
     parts = PurePosixPath(name).parts
     return name != _WRITER and not name.endswith(".part") and not any(part.startswith(".") for part in parts)
 

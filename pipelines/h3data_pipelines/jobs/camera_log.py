@@ -53,7 +53,7 @@ class CameraLog:
         return hashlib.blake2b("\n".join(things).encode() + poses + nears, digest_size=16).hexdigest()
 
     def has(self, track: CameraTrack, target: Target) -> bool:
-        """Whether the output is there, complete and made of the same things."""
+        """Returns whether the output is there, complete and made of the same things."""
         outputs = self._cameras.get(track.camera.name, {}).get("outputs", {})
         entry = outputs.get(target.output, {}) if isinstance(outputs, Mapping) else {}
         return entry.get("made_of") == self.made_of(track, target) and target.path.exists()

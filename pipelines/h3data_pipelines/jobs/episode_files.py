@@ -33,7 +33,7 @@ class FileJobs(NamedTuple):
     left_out: tuple[str, ...] = ()
     """Which episodes cannot be played, and why."""
     warnings: tuple[str, ...] = ()
-    """What stands in for something missing."""
+    """Warnings about stand-ins for missing assets."""
 
 
 class MissingEpisodes(Protocol):
@@ -46,7 +46,7 @@ class MissingEpisodes(Protocol):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What stands in for something missing."""
+        """Warnings about stand-ins for missing assets."""
         ...
 
 
@@ -85,7 +85,7 @@ class EpisodeRequest(Protocol):
 
     @property
     def allow_missing(self) -> bool:
-        """Whether scenes may lack assets."""
+        """Returns whether scenes may lack assets."""
         ...
 
     @property

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from sim_kinematic.tasks.task import Task
 
 SAMPLED_BODIES = ("any", "random")
-"""As the name of a body: each episode samples one of the built-in ones, or makes one of its seed."""
+"""Name of a body that stands for sampling: each episode samples one of the built-in ones, or makes one of its seed."""
 SOLO = "solo"
 """Name of the policy with which robots take no part."""
 
@@ -481,7 +481,7 @@ def sampled_body(choice: str, seed: int, person: int = 0) -> str:
 
 
 def chosen_count(wanted: int | None, there: int, label: str) -> int:
-    """How many of the episodes that exist: all of them, or as many as are wanted."""
+    """Returns the number of existing episodes to play: all of them, or as many as are wanted."""
     if there < 1:
         raise InputError(f"There are no episodes in {label}.", code="H3-JOB-022")
     if wanted is not None and wanted > there:

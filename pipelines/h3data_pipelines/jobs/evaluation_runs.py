@@ -51,7 +51,7 @@ class EvaluationRequest:
     assets: tuple[Path, ...] = ()
     """Asset folders for scenes and objects of an episode file."""
     allow_missing: bool = False
-    """Whether scenes of an episode file may lack objects."""
+    """True if scenes of an episode file may lack objects."""
     episodes: int | None = None
     homes: int = 4
     seed: int = 0
@@ -155,9 +155,9 @@ class EvaluationResult:
     left_out: tuple[str, ...] = ()
     """Episodes of the file that cannot be played, and why."""
     warnings: tuple[str, ...] = ()
-    """What stands in for something missing."""
+    """Warnings about stand-ins for missing assets."""
     job: dict[str, Any]
-    """What was asked for."""
+    """The requested job."""
     created_by: tuple[str, ...]
 
     def to_text(self) -> str:

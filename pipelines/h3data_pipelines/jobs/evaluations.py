@@ -28,7 +28,7 @@ class Evaluation:
     partners: tuple[str, ...] = ()
     """Empty: people follow the task's default."""
     keep: bool = False
-    """Whether the recordings of all pairs are results too."""
+    """True if the recordings of all pairs are results too."""
 
     def to_json(self) -> dict[str, Any]:
         """Everything that decides the results, as plain values."""

@@ -43,7 +43,7 @@ def failed_recording(job: Job, fault: Exception) -> Recording:
 
 
 def is_failed(recording: Recording) -> bool:
-    """Whether it is the place of an episode that raised."""
+    """Returns whether it is the place of an episode that raised."""
     return "failed" in recording.episode.info
 
 

@@ -114,7 +114,7 @@ def require_same_options(folder: AnyPath, jobs: Sequence[Job], *, cameras: Seque
 
 
 def _differences(was: Mapping[str, Any], wanted: Mapping[str, Any], group: str = "") -> list[str]:
-    """What of the options has changed, each as ``spec.max_steps was 30, is 60``."""
+    """Returns the options that have changed, each as ``spec.max_steps was 30, is 60``."""
     found = []
     for name in dict.fromkeys((*wanted, *was)):
         before, value = was.get(name), wanted.get(name)

@@ -113,7 +113,7 @@ def _kept(files: Sequence[ImportedFile], out: Path) -> str:
 
 
 def _is_imported(recording: Recording, target: Path) -> bool:
-    """Whether a file holds this very recording, of an import that was interrupted."""
+    """Returns whether a file holds this very recording, of an import that was interrupted."""
     from h3data.recording import read_mcap, recordings_equal
 
     try:
@@ -154,7 +154,7 @@ class _Importer:
         self._strangers: list[str] = []
 
     def attempt(self, job: ImportJob) -> ImportedFile:
-        """As `run`, but what cannot be imported is told in the result."""
+        """Imports as `run` does, but reports files that cannot be imported in the result."""
         kind, status = "unknown", "failed"
         try:
             file = SourceFile(job.source)
@@ -180,7 +180,7 @@ class _Importer:
         return self._import(file, detect(file), job)
 
     def manifest_notes(self) -> list[str]:
-        """What of the manifest and the recordings did not come together."""
+        """Returns notes on manifest rows and recordings that have no counterpart."""
         if self._manifest is None:
             return []
         notes, name = [], self._manifest.path.name

@@ -134,7 +134,7 @@ class NoProgress:
 
 
 def _is_done(file: Path, job: EpisodeJob) -> bool:
-    """Whether the results of this very job are there, none of them failed; others' are refused."""
+    """Returns whether the results of this very job are there, none of them failed; others' are refused."""
     if not file.is_file():
         return False
     try:

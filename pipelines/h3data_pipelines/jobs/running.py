@@ -62,7 +62,7 @@ class RenderedVideo:
 
     recording: Recording
     videos: tuple[tuple[EpisodeVideo, bytes], ...] = ()
-    """What each video shows, and its file; the paths are those of the machine that made them."""
+    """Content and file of each video; the paths are those of the machine that made them."""
 
     @contextmanager
     def video_files(self) -> Iterator[list[EpisodeVideo]]:

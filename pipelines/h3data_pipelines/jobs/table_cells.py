@@ -17,7 +17,7 @@ from h3data.metrics.table import summarize
 
 NOTHING = "No episode could be played: there is no table."
 SEEDS_HEAD = "; of seeds mean ± standard deviation"
-"""What the head of a table adds where it has rows of several policies."""
+"""Addition to the head of a table that has rows of several policies."""
 
 
 def cell_of(metric: Metric, values: Sequence[float | None]) -> Summary:
@@ -66,7 +66,7 @@ class SeedsSummary:
         return f"{factor * self.mean:.{digits}f}{spread}"
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON types; NaN becomes None."""
+        """Returns the summary as JSON types; NaN becomes None."""
         return {
             "mean": or_none(self.mean),
             "deviation": or_none(self.deviation),
@@ -75,7 +75,7 @@ class SeedsSummary:
 
 
 def row_name(pattern: str, policies: Sequence[str]) -> str:
-    """What the row of several policies is called."""
+    """Returns the name of the row of several policies."""
     return f"{pattern} ({len(policies)} seeds)"
 
 

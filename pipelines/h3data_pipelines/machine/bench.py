@@ -31,7 +31,7 @@ WORLDS = ("1", "16")
 ACTIONS = ("nav", "pick")
 BODIES = ("skinned", "bones")
 STARTED_WITHIN_S = 600.0
-"""How long processes wait for each other to build their worlds."""
+"""Time for which processes wait for each other to build their worlds."""
 PAPER = {
     ("small", "robot", 1): "245±19",
     ("large", "robot", 1): "154±14",

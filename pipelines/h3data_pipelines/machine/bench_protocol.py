@@ -95,7 +95,7 @@ class BenchmarkWorlds:
         )
         self.renderer = self.drawn.renderer
         self.touched = np.zeros(self.worlds, np.bool_)
-        """Whether the two agents touch, [W], after the last step."""
+        """True if the two agents touch, [W], after the last step."""
         self.arm_touches = 0
         """Contacts of arms with the home in the last step, all worlds."""
 

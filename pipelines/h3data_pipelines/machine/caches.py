@@ -21,7 +21,7 @@ KINDS: dict[str, tuple[str, tuple[str, ...]]] = {
     "arrow": ("columns of datasets for training", (".arrow", ".part")),
     "gpu": ("functions compiled for a GPU", (".cubin", ".part")),
 }
-"""What each cache holds, and the endings of its files; no other file in its folder is counted or deleted."""
+"""Content of each cache, and the endings of its files; no other file in its folder is counted or deleted."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Cache:
     name: str
     holds: str
     folder: Path | None
-    """Where they are or would be, below it for kernels; None where none are kept."""
+    """Folder of the files, above them for kernels; None if no files are kept."""
     files: tuple[Path, ...]
 
     @property

@@ -1,4 +1,4 @@
-"""What a job costs on this machine, in CPU time: the figures from which `h3data plan` reckons."""
+"""Cost of a job on this machine, in CPU time: the figures from which `h3data plan` reckons."""
 
 from __future__ import annotations
 

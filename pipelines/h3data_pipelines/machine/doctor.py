@@ -154,7 +154,7 @@ def _video() -> str:
 
 
 def _kernels() -> str:
-    """Whether kernels that came compiled fit this machine."""
+    """Returns whether kernels that came compiled fit this machine."""
     from h3data.kernels import shipped
 
     folder = shipped.folder()

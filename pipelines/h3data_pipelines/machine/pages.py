@@ -68,9 +68,9 @@ class ErrorKind(NamedTuple):
     error: str
     """Name of the class."""
     text: str
-    """What the message says, with the names of its variables in braces."""
+    """Text of the message, with the names of its variables in braces."""
     to_do: str
-    """What it says to do about that; empty: the text says it, or its class."""
+    """Advice of the message; empty if the text or its class gives it."""
 
 
 def error_kinds(page: str) -> list[ErrorKind]:
@@ -93,7 +93,7 @@ def _plain(cell: str) -> str:
 
 
 def _entry(code: str, page: str) -> Outcome:
-    """What the page of errors says about a code."""
+    """Returns the entry of a code on the page of errors."""
     kinds = {kind.code: kind for kind in error_kinds(page)}
     if code not in kinds:
         raise InputError(
@@ -133,7 +133,7 @@ def _title(path: Path) -> str:
 
 
 def _address() -> list[str]:
-    """Where the documentation is on the internet, if the package says so."""
+    """Returns the address of the documentation on the internet, if the package names one."""
     try:
         urls = metadata("h3data").get_all("Project-URL") or []
     except PackageNotFoundError:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 AHEAD = 4
 """Results per worker that may wait for the one who writes, as in `h3data_pipelines.execution.ray_cluster`."""
 MOST_SHARDS = 200_000
-"""Of longer jobs this many shards are played out; the rest goes on at the pace of their second half."""
+"""Number of shards of longer jobs that are simulated; the rest goes on at the pace of their second half."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +30,7 @@ class Workload:
 
 @dataclass(frozen=True)
 class Schedule:
-    """How it went."""
+    """Simulated schedule of a job."""
 
     seconds: float
     cpu_s: float

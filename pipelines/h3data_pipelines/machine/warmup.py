@@ -211,4 +211,4 @@ WORK: dict[str, Callable[[], None]] = {
     "social_nav": _task("social_nav", 60),
     "wander": _task("wander", 60),
 }
-"""What needs every kernel, by the name under which progress is reported; each part runs in a process of its own."""
+"""Work that needs every kernel, by the name under which progress is reported; each part runs in a process of its own."""

@@ -122,7 +122,7 @@ class Rerender:
     cameras: tuple[str, ...]
     """Camera names or .toml files (default: top_down). An unknown name prints the list of cameras."""
     outputs: tuple[OutputName, ...]
-    """What the pictures show."""
+    """Outputs of the pictures."""
     assets: tuple[Path, ...]
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
     stand_ins: StandInsFlag

@@ -1,4 +1,4 @@
-"""How deep the bodies of a recording are in the home: FCL on every part of every agent, and on what it holds.
+"""Depths at which bodies of a recording are in the home: FCL on every part of every agent, and on what it holds.
 
 The base of a robot and the path of a person keep out of walls and furniture; arms and feet are not looked at while an episode
 runs. This looks at them afterwards.
@@ -39,7 +39,7 @@ HELD = "held object"
 
 
 class Penetration(NamedTuple):
-    """How deep one agent is in the static things of its home."""
+    """Depth of one agent in the static things of its home."""
 
     agent: int
     parts: tuple[str, ...]
@@ -51,9 +51,9 @@ class Penetration(NamedTuple):
     steps: NDArray[np.intp]
     """The steps that were looked at, [T]."""
     depth_m: NDArray[np.float64]
-    """Of each part, 0 where it touches nothing, [T, P] [m]. Of a capsule whose axis is outside: its radius less the distance
-    of the axis. Else the shorter of FCL's depth, which is too great for what is deep, and the way out along an axis of
-    the world."""
+    """Depth of each part, 0 where it touches nothing, [T, P] [m]. Of a capsule whose axis is outside: its radius less the
+    distance of the axis. Else the shorter of FCL's depth, which is too great for what is deep, and the way out along an axis
+    of the world."""
     thing: NDArray[np.object_]
     """Name of the instance in which it is deepest, empty where none, [T, P]."""
     intended: NDArray[np.bool_]

@@ -31,7 +31,8 @@ Kind = Literal[
 ]
 
 GAP_BELOW_M, GAP_ABOVE_M = 0.05, 0.10
-"""Whether a passage 2 r - 5 cm to 2 r + 10 cm wide is open depends on rounding (research/navigation-and-stepping.md 6)."""
+"""Bounds of passage widths, 2 r - 5 cm to 2 r + 10 cm, between which rounding decides whether a passage is open
+(research/navigation-and-stepping.md 6)."""
 REACH_M = 1.1
 """Greatest distance in the floor plane from standing room to the centre of a receptacle; the home generator's limit."""
 ISLAND_MIN_M2 = 0.05
@@ -190,7 +191,7 @@ def _receptacles(scene: Scene, main: BaseGeometry) -> Iterable[Problem]:
 
 
 def hull_fills_hollows(asset: Asset) -> bool:
-    """Whether an asset collides as one hull that fills hollows of its mesh, so that overlaps with it may not be real.
+    """Returns whether an asset collides as one hull that fills hollows of its mesh, so that overlaps with it may not be real.
 
     True if less than `_HULL_SHARE` of the mesh's surface lies within 1 cm of the hull.
     """

@@ -18,7 +18,7 @@ LEFT = (
     "episodes.npz",
     "starts.npz",
 )
-"""What runs leave in their folders (h3data docs training, h3data docs populations, h3data docs skills)."""
+"""Files that runs leave in their folders (h3data docs training, h3data docs populations, h3data docs skills)."""
 
 
 def run_folder(

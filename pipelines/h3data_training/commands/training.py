@@ -116,13 +116,13 @@ class Train:
     """Episodes to play, drawn and written where there is no such file, so that several runs share them (default:
     episodes.json.gz in the folder, with --worlds episodes.npz)."""
     device: str = "cpu"
-    """Where worlds are: cpu, cuda or cuda:N. Of rearrange with --worlds."""
+    """Device of the worlds: cpu, cuda or cuda:N. For rearrange with --worlds."""
     scenes: tuple[str, ...] = ()
     """Homes to learn in: names as of h3data generate, several sets among them (default: h3-homes/train)."""
     episodes_per_home: int | None = None
     """Episodes to learn from in each home (default: 28, tiny 8, rearrange 32, skills 3, with fast 8)."""
     observations: Annotated[tuple[str, ...], BY_PPO, OBSERVATIONS] = ()
-    """What the robot observes."""
+    """Observations of the robot."""
     light: Annotated[LightMode | None, SOCIAL_NAV] = None
     """Light in colours (arm_rgb): flat, the same everywhere, or baked, from windows, sun and lamps, which needs --device cpu.
     The policy's card says it, and it is shown the same wherever it plays (default: flat)."""

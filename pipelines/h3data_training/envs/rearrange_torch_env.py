@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 KINDS = ("robot", "human")
 EPISODES = 256
-"""Of the bank, unless said otherwise: a minute or two to draw."""
+"""Default number of episodes in the bank: a minute or two to draw."""
 
 
 class RearrangeTorchEnv(TorchEnv[Play]):
@@ -198,7 +198,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
     # --- spaces, where Gymnasium is installed -------------------------------------------------------------------------
     @cached_property
     def single_action_space(self) -> Space[Any]:
-        """Of one world; with two agents by agent."""
+        """Action space of one world; with two agents, by agent."""
         from sim_kinematic.envs.stepper import gymnasium
 
         spaces: dict[str, Space[Any]] = {
@@ -208,7 +208,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
 
     @cached_property
     def single_observation_space(self) -> Dict:
-        """Of one world; with two agents by agent."""
+        """Observation space of one world; with two agents, by agent."""
         from sim_kinematic.envs.stepper import gymnasium
         from sim_kinematic.sensing.observation_set import box
 

@@ -26,7 +26,7 @@ Tensors = dict[str, Tensor]
 
 
 class Playing(Protocol):
-    """Where W worlds are in their episodes."""
+    """State of W worlds in their episodes."""
 
     @property
     def episode(self) -> Tensor:
@@ -35,7 +35,7 @@ class Playing(Protocol):
 
     @property
     def ended(self) -> Tensor:
-        """Whether each world's episode is over, bool [W]."""
+        """Returns whether each world's episode is over, bool [W]."""
         ...
 
     @property
@@ -45,12 +45,12 @@ class Playing(Protocol):
 
     @property
     def terminated(self) -> Tensor:
-        """Whether the rules have ended the episode, bool [W]."""
+        """Returns whether the rules have ended the episode, bool [W]."""
         ...
 
     @property
     def truncated(self) -> Tensor:
-        """Whether the time limit has ended the episode, bool [W]."""
+        """Returns whether the time limit has ended the episode, bool [W]."""
         ...
 
     def tensors(self) -> Any:
@@ -69,7 +69,7 @@ class TorchEnv(Generic[P]):
     bank: Any
     """The episodes."""
     play: P
-    """Where all worlds are; these tensors are overwritten by every step."""
+    """State of all worlds; these tensors are overwritten by every step."""
 
     def __init__(
         self, num_envs: int, device: torch.device | str, *, graph: bool | None = None, compile: bool | None = None
@@ -221,7 +221,7 @@ def checked_device(device: torch.device | str) -> torch.device:
 
 
 def places_in_bank(seed: int | Sequence[int], worlds: int, episodes: int) -> Tensor:
-    """Where in a bank of episodes each world begins whose runs are seed, seed + 1, ..., or those listed, [W].
+    """Returns the episode of the bank at which each world begins, for runs seed, seed + 1, ..., or those listed, [W].
 
     Raises:
         InputError: there is neither one seed nor one for each world.

@@ -32,7 +32,7 @@ class Plan(NamedTuple):
     rate: float
     entropy: float
     acts: bool = True
-    """Whether the actor learns, or only the critic."""
+    """True if the actor learns, False if only the critic does."""
 
 
 def plan_at(settings: PopulationSettings, share: float, update: int) -> Plan:

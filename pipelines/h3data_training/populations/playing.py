@@ -48,9 +48,9 @@ class Job(NamedTuple):
     partner: str
     """A plan, or a learner by name."""
     networks: Mapping[str, SkillPolicyNetwork]
-    """Of the learners that play, by name."""
+    """Networks of the learners that play, by name."""
     seed: int
-    """Of the run."""
+    """Seed of the run."""
     gamma: float
     """Discount of one simulated step."""
 
@@ -73,7 +73,8 @@ class Decisions:
     gain: Any
     """Reward until the next decision, discounted to this one, [D]."""
     discount: Any
-    """Of what comes from the next decision on, [D]; 0 after the last: an episode ends for good, since its time is known."""
+    """Discount of returns from the next decision on, [D]; 0 after the last: an episode ends for good, since its time is
+    known."""
     counts: NDArray[np.int64]
     """Decisions of each episode, [E]: D in all."""
     partners: tuple[str, ...]
@@ -85,7 +86,7 @@ class Decisions:
 
 @dataclass(frozen=True, kw_only=True)
 class Played:
-    """How one training episode went."""
+    """Result of one training episode."""
 
     partner: str
     steps: int
@@ -203,7 +204,7 @@ def play_episode(job: Job, episode: RearrangeEpisode) -> Batch:
 
 # --- processes ----------------------------------------------------------------------------------------------------------
 _EPISODES: Sequence[RearrangeEpisode] = ()
-"""Those of this process, as they were when it was forked."""
+"""Episodes of this process, as they were when it was forked."""
 
 
 class Players:

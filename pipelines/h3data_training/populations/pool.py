@@ -37,7 +37,7 @@ HomeTask = tuple[PopulationSettings, str, int]
 """Settings, the name of a home and its number."""
 FORMAT = "h3data.pool/1"
 SEED = 1_000_003
-"""Of all pools: runs differ in what they make of the same episodes."""
+"""Seed of all pools: runs differ in what they make of the same episodes."""
 TRIES = 3
 """Seeds of an episode that are tried in a home."""
 
@@ -47,7 +47,7 @@ class PoolEntry(msgspec.Struct, frozen=True, kw_only=True):
 
     home: str
     walk: str
-    """How the person walks."""
+    """Walk of the person."""
     seed: int
     starts: list[list[float]]
     """``(x, z, heading)`` of robot and person."""

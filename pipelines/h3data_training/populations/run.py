@@ -150,7 +150,7 @@ class _Run:
 
     @property
     def seconds(self) -> float:
-        """How long all calls have taken so far [s]."""
+        """Duration of all calls so far [s]."""
         return self.before_s + self.elapsed()
 
     @property
@@ -290,7 +290,7 @@ class _Run:
             self.say(f"could not save ({fault}); training goes on, the last checkpoint is as it was")
 
     def _training(self) -> dict[str, Any]:
-        """How the policies came about, for their cards."""
+        """Returns the origin of the policies, for their cards."""
         last = self.curve[-1] if self.curve else {}
         shown = ("reward", "success", "collided", "steps_per_episode", "robot_share")
         return {

@@ -23,7 +23,7 @@ NAMES = ("learn_single", *POPULATIONS, "learn_pop")
 LONGEST = {"paper": 750, "natural": 1500}
 """Length of an episode by how people walk: that of the paper, and ours, whose people walk at 1.3 m/s."""
 ABLATIONS = (HUMANOID_GPS, "primitives")
-"""What a robot can be trained without (paper, additional ablations): knowing where the person is; the primitives of
+"""Parts that a robot can be trained without (paper, additional ablations): knowing where the person is; the primitives of
 navigation."""
 LEAST_CHUNKS = 12
 """Chunks of a minibatch of a partner: with fewer its gradient is noise."""
@@ -48,10 +48,10 @@ class PopulationSettings:
     robot: str = "quad_arm"
     human: str = "female_0"
     walk: str = BOTH
-    """How people walk: ``natural``, in episodes of 1,500 steps, ``paper`` (2.5 m/s, 750 steps), or ``both``: each in one half
+    """Walk of people: ``natural``, in episodes of 1,500 steps, ``paper`` (2.5 m/s, 750 steps), or ``both``: each in one half
     of the episodes, for a robot that plays beside either."""
     oracle: bool = False
-    """Whether episodes have oracle skills, and are played in worlds on a device, all of an update at once
+    """True if episodes have oracle skills, and are played in worlds on a device, all of an update at once
     (`h3data_training.populations.worlds`). They have the paper's people, whoever they were drawn for."""
     moves_starts: bool = True
     """In worlds, whether each agent begins where it does in any episode of the same home: there are then so many meetings that
@@ -66,7 +66,7 @@ class PopulationSettings:
     hidden: int = 64
     """Size of the recurrent state."""
     width: int = 64
-    """Of the other layers."""
+    """Width of the other layers."""
     chunk: int = 16
     """Decisions through which a gradient goes back."""
     critic_updates: int = 2
@@ -133,12 +133,12 @@ class PopulationSettings:
 
     @property
     def walks(self) -> tuple[str, ...]:
-        """Those that take turns in a home."""
+        """Walks that take turns in a home."""
         return tuple(LONGEST) if self.walk == BOTH else (self.walk,)
 
     @property
     def partners(self) -> tuple[str, ...]:
-        """Those who may be beside the robot: plans, or learners by name."""
+        """Partners that the robot may have: plans, or learners by name."""
         if self.population in POPULATIONS:
             return POPULATIONS[self.population]
         return tuple(f"partner_{k}" for k in range(LEARNED[self.population]))

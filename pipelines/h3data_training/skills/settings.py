@@ -1,4 +1,4 @@
-"""What a training run of a skill does; recipes are settings with names."""
+"""Settings of a training run of a skill; recipes are settings with names."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class SkillSettings(Settings):
     episodes_per_home: int = 3
     """Episodes of rearrangement, each with as many objects and goals to get to."""
     starts: int = 32
-    """Of the robot in each of them."""
+    """Starts of the robot in each of them."""
     path_m: tuple[float, float] = (0.0, 1000.0)
     """Least and greatest length of the path to the target at the start [m]. Shorter ones than those with which the skill is
     judged let it learn the end first."""
@@ -86,7 +86,7 @@ class SkillSettings(Settings):
         )
 
     def second_stage(self) -> SkillSettings:
-        """As in social navigation, and without the teacher: the actor has left it behind."""
+        """Returns the second stage of social navigation without the teacher: the actor has left it behind."""
         return replace(super().second_stage(), teacher=0.0)  # type: ignore[return-value]
 
     def as_dict(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What W robots and people see, without leaving the GPU: state -> frames of links and joints -> skin -> pictures."""
+"""Pictures of W robots and people, without leaving the GPU: state -> frames of links and joints -> skin -> pictures."""
 
 from __future__ import annotations
 

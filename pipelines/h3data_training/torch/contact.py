@@ -1,4 +1,4 @@
-"""Whether the resting robot touches the walking person, by tensors alone: capsules as balls in the robot's distance field.
+"""Contacts of the resting robot with the walking person, by tensors alone: capsules as balls in the robot's distance field.
 
 `sim_kinematic.contact.clearance.RobotHumanContact` (FCL on the exact shapes) is the truth; this differs from it only
 where the two are
@@ -34,7 +34,7 @@ class TouchTest:
     """The robot's field and the person's balls on a device."""
 
     field: Tensor
-    """Of each cube between eight cell centres the coefficients of the trilinear distance, [cubes, 8] [m]."""
+    """Coefficients of the trilinear distance in each cube between eight cell centres, [cubes, 8] [m]."""
     low: Tensor
     """First cell centre in the frame of the robot's base, [3] [m]."""
     last: Tensor
@@ -83,11 +83,11 @@ class TouchTest:
         )
 
     def touching(self, robot: RobotTensors, human: HumanTensors) -> Tensor:
-        """Whether they touch, bool [W]."""
+        """Returns whether they touch, bool [W]."""
         return self.gap(robot, human) <= 0.0
 
     def gap(self, robot: RobotTensors, human: HumanTensors) -> Tensor:
-        """How far they are apart [W] [m], right where it is less than 4 cm; negative: they overlap."""
+        """Returns the gap between them [W] [m], exact where it is less than 4 cm; negative: they overlap."""
         gap = human.xz - robot.xz
         ahead = heading_direction(robot.heading)
         turn = human.heading - robot.heading

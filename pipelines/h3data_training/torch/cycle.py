@@ -42,7 +42,7 @@ class WalkingCycle:
         return self.human.joint_matrices(np.tile(IDENTITY_POSE, (phase.size, 1)), *posture)
 
     def look_up(self, table: Tensor, person: HumanTensors) -> Tensor:
-        """What a table [PHASES * 2 * blends, ...] says of people: [W, ...], bilinear in phase and blend."""
+        """Looks up a table [PHASES * 2 * blends, ...] for people: [W, ...], bilinear in phase and blend."""
         clip = self.human.clips[self.clip]
         phase = (person.distance - person.set_off) / clip.stride_m + clip.start_phase
         part = (phase - phase.floor()) * PHASES

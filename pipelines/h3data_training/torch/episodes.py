@@ -33,7 +33,7 @@ class EpisodeBank:
     """N episodes: starts, and all way points that the person can get to in the time there is."""
 
     floors: tuple[FreeSpace, ...]
-    """Of the scenes that are played in."""
+    """Floors of the scenes that are played in."""
     scenes: tuple[Scene, ...]
     place: NDArray[np.int64]
     """Number of the scene, [N]."""

@@ -59,7 +59,7 @@ class Lattices:
     step: Tensor
     """Spacing [m], [R]."""
     clearance: Tensor
-    """What a straight way must keep of obstacles [m], [R]."""
+    """Clearance that a straight path must keep from obstacles [m], [R]."""
 
     @classmethod
     def of(cls, floors: Sequence[FreeSpace], device: torch.device | str, dtype: torch.dtype) -> Lattices:

@@ -1,4 +1,4 @@
-"""What worlds on a device show, by the rows of `sim_kinematic.sensing.table`."""
+"""Observations of worlds on a device, by the rows of `sim_kinematic.sensing.table`."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ class SocialNavTensors(TaskTensors):
         return Way(play.memory["geodesic"], play.memory["towards"])
 
     def observations(self, names: Sequence[str], play: Play) -> dict[str, Tensor]:
-        """Those of `sim_kinematic.sensing.table.FOLLOWER`, float32 [W, n] each.
+        """Returns the observations of `sim_kinematic.sensing.table.FOLLOWER`, float32 [W, n] each.
 
         Raises:
             InputError: there is no such observation on a device.

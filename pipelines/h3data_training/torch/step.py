@@ -71,7 +71,7 @@ class Grids:
     """Signed distance grids of R floors (or of one for each of R worlds) as one table."""
 
     table: Tensor
-    """Of each square between four cell centres the coefficients k of ``k0 + k1 a + k2 b + k3 a b``, [squares, 4] [m]."""
+    """Coefficients k, for each square between four cell centres, of ``k0 + k1 a + k2 b + k3 a b``, [squares, 4] [m]."""
     shift: Tensor
     """[R, 2] and ``scale`` [R, 1]: the place in cells of a point p is ``shift + scale p``."""
     scale: Tensor
@@ -175,7 +175,7 @@ def push_out(
 
 
 def integrate(xz: Tensor, direction: Tensor, speed: Tensor, lateral: Tensor | None, dt: float) -> Tensor:
-    """Where bases get in the open, [W, 2]: along their old axes (spec/habitat.md 0)."""
+    """Returns the free motion of bases, [W, 2]: along their old axes (spec/habitat.md 0)."""
     moved = torch.addcmul(xz, direction, speed[:, None], value=dt)
     if lateral is None:
         return moved
@@ -234,7 +234,7 @@ class Velocities(NamedTuple):
 
 
 def velocities(action: Tensor, spec: BaseSpec) -> Velocities:
-    """Of actions [W, 2 or 3], each clipped to -1..1 of the limits."""
+    """Returns the velocities of actions [W, 2 or 3], each clipped to -1..1 of the limits."""
     speed = action[:, 0].clamp(-float(spec.allow_back), 1.0) * spec.max_speed_mps
     lateral = action[:, 2].clamp(-1.0, 1.0) * spec.max_lateral_mps if action.shape[1] > 2 else None
     return Velocities(speed, lateral, action[:, 1].clamp(-1.0, 1.0) * spec.max_turn_rad_s)

@@ -22,7 +22,7 @@ Vector = tuple[float, ...]
 
 @dataclass(frozen=True)
 class HandTarget:
-    """Where a palm should be."""
+    """Target position of a palm."""
 
     position: Vector
     """In the agent root frame (x forward, y up, z right), [3] [m]: it moves with the person. Out of reach, the arm stretches
@@ -97,7 +97,7 @@ class PersonCommand:
 
     @property
     def stands(self) -> bool:
-        """Whether the command only keeps the person standing: a running skill goes on under it."""
+        """Returns whether the command only keeps the person standing: a running skill goes on under it."""
         return self == STAND
 
 
@@ -168,7 +168,7 @@ def command_from_json(data: Any) -> Action:
 
 
 def interrupts_skill(action: Action) -> bool:
-    """Whether a command from outside interrupts a running skill; one to stand still lets it go on."""
+    """Returns whether a command from outside interrupts a running skill; one to stand still lets it go on."""
     return not (isinstance(action.command, PersonCommand) and action.command.stands)
 
 

@@ -81,14 +81,14 @@ class ObjectRoom:
         return result
 
     def _is_inside(self, k: int, pose: Array) -> bool:
-        """Whether the object is in something static deeper than it may be."""
+        """Returns whether the object is in something static deeper than it may be."""
         return self._collides(k, pose, SUNK_M) and any(
             contact.depth_m > INSIDE_M or abs(contact.normal[1]) > UPRIGHT
             for contact in contacts(self._scenery, self._shapes[k])
         )
 
     def _collides(self, k: int, pose: Array, lift_m: float) -> bool:
-        """Whether the object touches something static at a pose7 that is ``lift_m`` higher."""
+        """Returns whether the object touches something static at a pose7 that is ``lift_m`` higher."""
         shapes = self._shapes[k]
         frame = pose_to_matrix(pose)
         frame[1, 3] += lift_m

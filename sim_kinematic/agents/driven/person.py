@@ -174,7 +174,7 @@ class DrivenPerson(PersonActor):
 
     @property
     def _stirs(self) -> bool:
-        """Whether something of the last commands is still to be seen: a step, a turn, a hand, the head."""
+        """Returns whether something of the last commands is still to be seen: a step, a turn, a hand, the head."""
         person = self.person
         moves = self._gait.blend[0] > 0 or not person.walk.stands or person.transition.left > 0
         return self._drives and bool(moves or self._shares.any() or self._head.any())
@@ -224,7 +224,7 @@ class DrivenPerson(PersonActor):
             yield
 
     def _meeting_point(self, robot: RobotActor) -> Array:
-        """Where the hand gives, beside the robot's on the person's side, in the world [3]."""
+        """Returns the point at which the hand gives, beside the robot's on the person's side, in the world [3]."""
         hand = robot.hand_pose[:3]
         towards = np.array([self.xz[0] - hand[0], 0.0, self.xz[1] - hand[2]])
         return hand + towards * (MEETING_M / max(float(np.linalg.norm(towards)), MEETING_M))

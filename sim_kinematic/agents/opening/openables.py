@@ -75,7 +75,7 @@ class ArticulatedParts:
         return self.objects.state.joint_pos[0]
 
     def is_open(self, k: int) -> bool:
-        """Whether hands get in."""
+        """Returns whether hands get in."""
         return bool(self.joints.is_open(self.positions)[k])
 
     def handles(self, positions: Array) -> Array:

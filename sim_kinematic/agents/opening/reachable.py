@@ -32,7 +32,7 @@ class ReachQuery(NamedTuple):
 
 
 def is_drawer(scene: Scene, instance: Instance) -> bool:
-    """Whether an instance slides: what lies in it is reached from above, however low the room is that it slides into."""
+    """Returns whether an instance slides; its contents are reached from above, however low the room that it slides into."""
     joints = joints_of(scene)
     k = joints.owner.get(instance.name, -1)
     return k >= 0 and joints.parts[k][1].joint.kind == "prismatic"

@@ -82,7 +82,7 @@ class Leading:
 
     @property
     def gave_up(self) -> bool:
-        """Whether somebody stayed in the way for too long."""
+        """Returns whether somebody stayed in the way for too long."""
         return self._waited > PATIENCE_STEPS
 
     def advance(self, step: int) -> bool:

@@ -32,7 +32,7 @@ from sim_kinematic.motion.step import discs_at
 
 
 class SubGoal(NamedTuple):
-    """Where a skill with an object leads."""
+    """Place to which a skill with an object leads."""
 
     ways: Ways
     """Shortest paths to the places from which the agent reaches the object."""
@@ -64,7 +64,7 @@ class SubGoals:
 
 
 def carry_point(body: Robot | Humanoid) -> Array:
-    """Where what an agent holds is in its root frame [3] [m]: in the hand of the folded arm, or before the chest."""
+    """Returns where a held object is in its agent's root frame [3] [m]: in the hand of the folded arm, or before the chest."""
     if isinstance(body, Robot):
         frame = body.link_matrices(IDENTITY_POSE[None], body.rest[None])[0, body.hand_link]
         return frame[:3, 3] + frame[:3, :3] @ body.hand_position

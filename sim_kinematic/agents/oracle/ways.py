@@ -50,7 +50,7 @@ class FloorCells:
     away: Array
     """Distance from the middle to each of them [m]."""
     whole: NDArray[np.bool_]
-    """Whether it is seen from all of the cell."""
+    """True if it is seen from all of the cell."""
 
     @classmethod
     def of(cls, free: FreeSpace) -> FloorCells:
@@ -164,7 +164,7 @@ def _spread(first: NDArray[np.int64]) -> NDArray[np.int64]:
 
 @kernel()
 def _sees_all(graph: Graph, samples: NDArray, x: float, z: float) -> bool:
-    """Whether (x, z) is seen from all free samples [9, 2] of a cell."""
+    """Returns whether (x, z) is seen from all free samples [9, 2] of a cell."""
     for s in range(len(samples)):
         if np.isfinite(samples[s, 0]) and not sees(graph, samples[s, 0], samples[s, 1], x, z):
             return False

@@ -72,7 +72,7 @@ class ArmClearance:
         self._clear: dict[tuple[bytes, bytes], bool] = {}
 
     def is_open(self, stand: Array, point: Array) -> bool:
-        """Whether no obstacle lies between a robot's shoulder and a world point [3].
+        """Returns whether no obstacle lies between a robot's shoulder and a world point [3].
 
         The robot stands at ``(x, z, heading)`` [3]. The line checked goes up or down to `APPROACH_M` above the point,
         then level to it.
@@ -102,7 +102,7 @@ class ArmClearance:
         return supports(self._scenery, point) & self._drawers if self._drawers else set()
 
     def is_clear(self, stand: Array, point: Array) -> bool:
-        """Whether the line to the point is open, and the arm touches nothing while the robot reaches for it.
+        """Returns whether the line to the point is open, and the arm touches nothing while the robot reaches for it.
 
         The arm moves from its resting posture to the point; the hand, with what it may hold, to the point above it.
         """

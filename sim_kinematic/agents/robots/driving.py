@@ -1,4 +1,4 @@
-"""How a robot with an arm drives to a place: around agents, out of narrow places, with what it holds."""
+"""Driving of a robot with an arm: around agents, out of narrow places, with what it holds."""
 
 from __future__ import annotations
 
@@ -59,13 +59,13 @@ class RobotDriver:
     arm_clearance: ArmClearance | None = None
     """Tests where its arm has room; None: it has room everywhere."""
     avoids: bool = True
-    """Whether its base keeps clear of other agents (`keep_clear`), in every skill."""
+    """True if its base keeps clear of other agents (`keep_clear`), in every skill."""
     others: tuple[ObservedAgent, ...] = ()
     """Other agents, the nearest first."""
     agreed: bool = False
-    """Whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
+    """True if all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
     meets: Callable[[], bool] = field(default=lambda: False)
-    """Whether it touches another agent in its present posture: then it stops where it was."""
+    """True if it touches another agent in its present posture: then it stops where it was."""
     yields: bool = True
     aside: NDArray[np.float64] | None = None
     turned_away: bool = False
@@ -115,7 +115,7 @@ class RobotDriver:
 
     @property
     def path(self) -> NDArray[np.floating]:
-        """As `sim_kinematic.avoidance.right_of_way.Walker`; worked out when somebody asks, which is seldom."""
+        """Returns the path of a `sim_kinematic.avoidance.right_of_way.Walker`, computed when it is read."""
         if callable(self._path):
             self._path = self._path()
         return self._path
@@ -270,7 +270,7 @@ class RobotDriver:
 
     @property
     def _looks_around(self) -> bool:
-        """Whether somebody may be in its path: a base that maneuvers thinks of those alone who are near."""
+        """Returns whether somebody may be in its path: a base that maneuvers thinks of those alone who are near."""
         return bool(self._seen() if self.base.maneuvers else self.others)
 
     def _maneuver(self, goal: NDArray, bearing: float | None = None) -> Generator[None, None, bool]:
@@ -403,7 +403,7 @@ class RobotDriver:
 
 
 def _has_come_near(other: ObservedAgent, stood: dict[int, NDArray], xz: NDArray) -> bool:
-    """Whether another agent is no longer where it stood when a maneuver was planned, and near the robot at ``xz`` [2]."""
+    """Returns whether another agent has moved since a maneuver was planned, and is near the robot at ``xz`` [2]."""
     if float(np.hypot(*(other.xz - xz))) > AVOIDANCE.retreat_m:
         return False
     return other.number not in stood or float(np.hypot(*(other.xz - stood[other.number]))) > AVOIDANCE.moving_m

@@ -46,7 +46,7 @@ class ReachPostures(NamedTuple):
     joint_pos: NDArray[np.float64]
     """All joints of the robot, [*batch, J]."""
     reached: NDArray[np.bool_]
-    """Whether the hand gets there, [*batch]."""
+    """True if the hand gets there, [*batch]."""
 
 
 def reach_posture(robot: Robot, target: ArrayLike, q0: Array | None = None, *, restarts: int = 32) -> ReachPostures:
@@ -61,7 +61,7 @@ def reach_posture(robot: Robot, target: ArrayLike, q0: Array | None = None, *, r
 
 
 def is_beyond_reach(robot: Robot, hand: Array) -> bool:
-    """Whether a pose7 [7] of the hand in the agent root frame is out of reach by its distance alone.
+    """Returns whether a pose7 [7] of the hand in the agent root frame is out of reach by its distance alone.
 
     It is if it is farther from the shoulder than all links of the arm stretched out. `reach_posture` takes 2 ms to find
     this out, because it tries every starting posture; learning policies ask all the time.
@@ -72,7 +72,7 @@ def is_beyond_reach(robot: Robot, hand: Array) -> bool:
 
 
 class _StretchedArm(NamedTuple):
-    """How far an arm gets."""
+    """Reach of a stretched arm."""
 
     shoulder: Array
     """Position of its first joint in the agent root frame [3] [m]."""
@@ -107,7 +107,7 @@ def _stretched_arm(robot: Robot) -> _StretchedArm:
 
 
 def _travel(robot: Robot, link: int) -> float:
-    """How far a joint slides from where the link's origin is drawn, at most [m]."""
+    """Returns the farthest that a joint slides from the modelled origin of its link [m]."""
     if robot.kinds[link] != SLIDES:
         return 0.0
     column = robot.columns[link]

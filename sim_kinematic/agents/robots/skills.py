@@ -177,7 +177,7 @@ class RobotActor(RobotDriver):
 
     @property
     def resting_point(self) -> Array:
-        """Where the hand would be at rest, in the world [3]."""
+        """Returns the place of the hand at rest, in the world [3]."""
         at = self._hand_in_root(self.robot.rest)
         return pose_multiply(self.pose, np.append(at, [0, 0, 0, 1.0]))[:3]
 
@@ -293,7 +293,7 @@ class RobotActor(RobotDriver):
         return nearest
 
     def _crowded(self, stands: Array) -> NDArray[np.integer]:
-        """How close the robot would be to another agent at each stand, [N].
+        """Rates how close the robot would be to another agent at each stand, [N].
 
         1 is within the margin; 2 is contact, or no path to the stand for a robot that was turned away from it before.
         """
@@ -364,7 +364,7 @@ class RobotActor(RobotDriver):
         return np.concatenate([local[:3], hand_turn(robot or self.robot)])
 
     def _hold(self, handle: NDArray) -> tuple[Robot, Array] | None:
-        """How it takes a handle at a world point [3]: itself, as it reaches, and a posture; None: it cannot from here."""
+        """Returns the reach and posture with which it takes a handle at a world point [3]; None if it cannot from here."""
         for aside in ASIDE_RAD:
             robot = aimed(self.robot, aside)
             posture = self._posture(self._hand_at(handle, robot))
@@ -386,7 +386,7 @@ class RobotActor(RobotDriver):
 
     @property
     def _is_instant(self) -> bool:
-        """Whether its arm takes no time, as in Habitat: then a pick or a place is one step, not one per posture."""
+        """Returns whether its arm takes no time, as in Habitat: then a pick or a place is one step, not one per posture."""
         return bool(np.isinf(self.arm_rad_s))
 
     def _bring_hand(self, over: Array, at: Array) -> Generator[None, None, None]:

@@ -48,7 +48,7 @@ OBSERVATIONS = (
     "last_failed",
     "interrupted",
 )
-"""What a chooser is shown, in this order (`sim_kinematic.sensing.table.SENSES`)."""
+"""Observations of a chooser, in this order (`sim_kinematic.sensing.table.SENSES`)."""
 OF_OTHER = tuple(name for name in OBSERVATIONS if SENSES[name].of_other)
 """Observations that tell where the other agent is."""
 WITHOUT_OTHER = tuple(name for name in OBSERVATIONS if name not in OF_OTHER)
@@ -61,7 +61,7 @@ gets zeros there."""
 
 
 def rest_count(agent: str) -> int:
-    """How many choices have no object: ``wait`` and a robot's primitives."""
+    """Returns the number of choices without an object: ``wait`` and a robot's primitives."""
     return 1 + (len(PRIMITIVES) if agent == "robot" else 0)
 
 
@@ -111,7 +111,7 @@ def encoded(
 
 
 def hides(name: str, observations: tuple[str, ...]) -> bool:
-    """Whether inputs of an observation are 0 for what the other agent holds."""
+    """Returns whether inputs of an observation are 0 for what the other agent holds."""
     return name in PLACES and "other_gps_compass" not in observations
 
 

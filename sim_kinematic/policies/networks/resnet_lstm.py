@@ -21,12 +21,12 @@ from sim_kinematic.policies.visual_policy import PICTURES, Floats, PolicyCard, V
 
 KIND = "resnet18_lstm"
 GROUPS = 16
-"""Of a norm; planes come in multiples of it."""
+"""Number of groups of a normalisation layer; planes come in multiples of it."""
 LAYERS = 2
 SQUEEZED = 2048
 """About so many numbers are left of a picture before the last layer."""
 LEAST_SIDE = 8
-"""Of a picture [pixels]."""
+"""Least side of a picture [pixels]."""
 
 
 class _Norm(nn.GroupNorm):

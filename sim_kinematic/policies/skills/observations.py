@@ -1,4 +1,4 @@
-"""What a learned skill is shown, on the CPU: `h3data_training.torch.skills.worlds` shows the same on a device."""
+"""Observations of a learned skill on the CPU; `h3data_training.torch.skills.worlds` computes the same on a device."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ class SkillView(NamedTuple):
     """[2] [m]."""
     heading: float
     before: tuple[Array, float]
-    """Where it was a step ago."""
+    """Pose of the base one step ago."""
     point: Array
-    """Where the object lies, or is to go, [3] [m]."""
+    """Point at which the object lies or is to go, [3] [m]."""
     stand_xz: Array
     """A place from which the hand reaches that, [2] [m]."""
     hand: Array
     """pose7 of the hand in the world."""
     resting: Array
-    """Where the hand would be at rest, [3] [m]."""
+    """Place of the hand at rest, [3] [m]."""
     arm: Array
     """Positions of the arm's joints [n]."""
     holds: bool

@@ -141,7 +141,7 @@ class NetworkSkill:
     def _ending(
         self, actor: RobotActor, action: Action, point: Array, stand_xz: Array, before: tuple[Array, float], held: bool
     ) -> SkillResult | None:
-        """How it has ended in the last step, as in training; None: it goes on."""
+        """Returns how it ended in the last step, as in training; None if it goes on."""
         rules, objects, k = self.rules, actor.objects, action.target
         if action.skill in ("nav_to_object", "nav_to_goal"):
             gap = point[[0, 2]] - actor.xz

@@ -120,7 +120,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         return record if record is None or self.is_complete(record) else msgspec.structs.replace(record, seed=seed)
 
     def is_complete(self, record: StoredRearrangement) -> bool:
-        """Whether both starts and all places of objects are in the record, so that nothing needs sampling."""
+        """Returns whether both starts and all places of objects are in the record, so that nothing needs sampling."""
         return record.robot_start is not None and record.human_start is not None and not record.placements
 
     def rules(self, record: StoredRearrangement) -> RearrangeSpec:

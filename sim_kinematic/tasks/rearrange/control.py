@@ -94,13 +94,13 @@ class SkillControl(Control):
         return Action(CONTROL, command=STAND) if isinstance(runner.actor, DrivenPerson) else SHORT_WAIT
 
     def is_busy(self, play: Any, number: int) -> bool:
-        """Whether a skill other than ``wait`` is running."""
+        """Returns whether a skill other than ``wait`` is running."""
         assert isinstance(play, SkillRollout)
         runner = play.runner(number)
         return not runner.is_free and runner.action.skill != "wait"
 
     def interrupts(self, play: Any, number: int, choice: Any) -> bool:
-        """Whether the choice is a skill that interrupts, and not the one that is running already."""
+        """Returns whether the choice is a skill that interrupts, and not the one that is running already."""
         assert isinstance(play, SkillRollout)
         return interrupts_skill(choice) and choice != play.runner(number).action
 

@@ -110,16 +110,16 @@ class RearrangeSpec:
         "paper": {**RULE_SETS["paper"], "max_steps": 750, "people_give_way": False},
     }
     people_give_way: bool | None = field(default=None, repr=False)
-    """Whether a person heeds the one robot that they are with, as all agents heed each other where there are more. By default
+    """True if a person heeds the one robot that they are with, as all agents heed each other where there are more. By default
     with every base but Habitat's, whose planners heed nobody. Left out of ``repr``, from which episodes have their identity."""
 
     solid_agents: bool = field(default=False, repr=False)
-    """As in `sim_kinematic.motion.spec.SocialNavSpec`; a person under commands then heeds one robot too."""
+    """The same as in `sim_kinematic.motion.spec.SocialNavSpec`; a person under commands then heeds one robot too."""
     floor_moves: bool = field(default=False, repr=False)
-    """Whether what opens and closes takes floor and gives it back. So it is in all episodes that are sampled in homes where
+    """True if what opens and closes takes floor and gives it back. So it is in all episodes that are sampled in homes where
     something opens; those from before 0.3 know nothing of it."""
     oracle: OracleSpec | None = field(default=None, repr=False)
-    """How skills are simplified to those of Habitat's oracles; None: they are not. `ORACLE_RULES` are the rules for them."""
+    """Simplification of skills to those of Habitat's oracles; None for full skills. `ORACLE_RULES` are the rules for them."""
     skills: str = field(default="", repr=False)
     """Learned skills of robots, with digests (`sim_kinematic.policies.skills.names.recorded_skills`). Those that it does not
     name know all."""
@@ -192,7 +192,7 @@ class RearrangeEpisode(Episode):
     wording: str = ""
     """The instruction in the file of the episode; empty: it follows from the targets."""
     is_sampled: bool = True
-    """Whether the episode follows from its seed and the rules; else its identity includes starts and targets."""
+    """True if the episode follows from its seed and the rules; else its identity includes starts and targets."""
 
     @property
     def moving(self) -> dict[str, Array]:
@@ -338,7 +338,7 @@ def _movable(scene: Scene, spec: RearrangeSpec) -> list[Instance]:
 
 
 def _overlap(point: Array, radius: float, other: NDArray, other_radius: float) -> bool:
-    """Whether two things at points [3] would be in each other's space."""
+    """Returns whether two things at points [3] would be in each other's space."""
     dx, dy, dz = (point - other).tolist()
     return math.sqrt(dx * dx + dz * dz) < radius + other_radius + 0.01 and abs(dy) < 0.4
 
@@ -356,7 +356,7 @@ class _EpisodeSampler:
     _stands: dict[tuple[float, ...], Array] = field(default_factory=dict)
     """A person's, by point."""
     _openable: dict[int, bool] = field(default_factory=dict)
-    """Whether both agents open a part, by joint."""
+    """True if both agents open a part, by joint."""
 
     def targets(
         self,
@@ -445,13 +445,13 @@ class _EpisodeSampler:
         return None
 
     def _both_open(self, openables: ArticulatedParts, joint: int) -> bool:
-        """Whether both agents find a stand from which they open a part."""
+        """Returns whether both agents find a stand from which they open a part."""
         if joint not in self._openable:
             self._openable[joint] = all(len(stands) for stands in self._stands_before(openables, joint))
         return self._openable[joint]
 
     def _both_open_door(self, joint: int) -> bool:
-        """Whether both agents open a door from either side."""
+        """Returns whether both agents open a door from either side."""
         if joint not in self._openable:
             joints = joints_of(self.doorways.scene)
             positions = joints.rest.copy()

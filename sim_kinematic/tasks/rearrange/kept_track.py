@@ -22,7 +22,7 @@ THERE_M = 0.01
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class KeptTrack:
-    """What one person did."""
+    """Recorded track of one person."""
 
     base: Array
     """pose7 [T, 7] of the agent root."""

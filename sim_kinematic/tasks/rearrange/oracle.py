@@ -1,4 +1,4 @@
-"""Where agents with oracle skills stand to take and to put down the objects of an episode, and their paths to there."""
+"""Places at which agents with oracle skills take and put down the objects of an episode, and their paths to there."""
 
 from __future__ import annotations
 

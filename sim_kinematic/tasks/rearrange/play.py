@@ -122,7 +122,7 @@ class SkillExecutor:
 
     @property
     def is_free(self) -> bool:
-        """Whether it will have to choose in its next step."""
+        """Returns whether it will have to choose in its next step."""
         return self.skill is None or self.action.skill == CONTROL
 
     def act(self, step: int, view: Callable[[int], RearrangeView]) -> Generator[int, Action, None]:
@@ -251,7 +251,7 @@ class SkillRollout:
         self.state = state = self.world.state
         state.object_pose[0] = [t.start for t in world.targets]
         self.outcome = StepOutcome(reward=np.zeros(1), terminated=np.zeros(1, np.bool_), success=np.zeros(1, np.bool_))
-        """What the task has said about the last step."""
+        """The task's evaluation of the last step."""
         self._checked, self._records_judgement = False, bool(self.task.codec.records_judgement)
         self.objects = Objects(names, np.array([t.goal for t in world.targets], np.float64), state, joints)
         self.doorways = RoomDoors.of(world.scene, world.free)
@@ -460,7 +460,7 @@ class SkillRollout:
 
     @property
     def over(self) -> bool:
-        """Whether the episode has ended, by success, by a rule, or by its number of steps."""
+        """Returns whether the episode has ended, by success, by a rule, or by its number of steps."""
         return self.ended != "max_steps" or self.steps == self.episode.spec.max_steps
 
     @property
@@ -481,7 +481,7 @@ class SkillRollout:
 
     @property
     def collision(self) -> bool:
-        """Whether agents touch now."""
+        """Returns whether agents touch now."""
         return bool(self.encounters.touching)
 
     def _write_people(self) -> None:
@@ -505,7 +505,7 @@ class SkillRollout:
         return discs_at(actor.xz[None], np.array([actor.heading]), offsets, radius)[0]
 
     def _meets_solid(self, person: DrivenPerson) -> bool:
-        """As `AgentContactTracker.meets`, or whether the person has come nearer to others than they may in this step."""
+        """Returns `AgentContactTracker.meets`, or whether the person has come nearer to others than they may in this step."""
         if self.encounters.meets(person):
             return True
         was, radius = self.encounters.track(person.number)[-1], self.episode.spec.agent_radius_m
@@ -574,7 +574,7 @@ class SkillRollout:
         return float(self.floor.geodesic(runner.actor.xz, point[[0, 2]], max_snap_m=2.0))
 
     def barrier(self, actor: AnyActor, k: int, at_goal: bool, *, detour_m: float = DETOUR_M) -> int:
-        """As `RearrangeView.barrier`, of an agent that rather walks ``detour_m`` farther than open a door."""
+        """Returns `RearrangeView.barrier` for an agent that walks up to ``detour_m`` farther to avoid opening a door."""
         if self.openables is None:
             return -1
         shut, positions = self.openables.barrier_of(k, at_goal=at_goal), self.openables.positions
@@ -713,7 +713,7 @@ class SkillRollout:
         return block
 
     def _tell(self, held: NDArray) -> None:
-        """What has happened to things and between agents in this step, as events."""
+        """Returns the events of this step, of things and between agents."""
         for k, (was, now) in enumerate(zip(held.tolist(), self.objects.held_by.tolist(), strict=True)):
             name = self.objects.names[k]
             if was != now and was != NOBODY and now == NOBODY:
@@ -727,7 +727,7 @@ class SkillRollout:
 
 @kernel(error_model="numpy")
 def _reached(poses, goals, held_by, within, at_goal):
-    """Whether objects with poses [K, 7] that nobody holds are ``within`` [m] of goals [K, 3], into ``at_goal`` [K]."""
+    """Returns whether objects with poses [K, 7] that nobody holds are ``within`` [m] of goals [K, 3], into ``at_goal`` [K]."""
     for k in range(len(goals)):
         dx, dy, dz = poses[k, 0] - goals[k, 0], poses[k, 1] - goals[k, 1], poses[k, 2] - goals[k, 2]
         at_goal[k] = held_by[k] == NOBODY and math.sqrt(dx * dx + dy * dy + dz * dz) < within

@@ -38,7 +38,7 @@ class SkillStart:
     target: int
     """Number of the object."""
     holds: bool
-    """Whether that is in its hand."""
+    """True if that is in its hand."""
     point: Array
     """Position of the object, or of its goal, [3] [m]."""
     stand_xz: Array

@@ -1,4 +1,4 @@
-"""How long one person alone takes, by which what several agents achieve together is measured."""
+"""Steps that one person alone takes, the reference for the efficiency of several agents."""
 
 from __future__ import annotations
 

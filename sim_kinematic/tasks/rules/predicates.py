@@ -67,5 +67,5 @@ def is_free(held_by: ArrayLike) -> Flags:
 
 
 def is_found(geodesic_m: Any, facing_dot: Any, spec: SocialNavSpec) -> Any:
-    """Whether the robot has the person at the right distance and faces them (paper section 4.1), arrays or tensors [...]."""
+    """Returns whether the robot faces the person at the right distance (paper section 4.1), arrays or tensors [...]."""
     return (geodesic_m >= spec.near_m) & (geodesic_m <= spec.far_m) & (facing_dot > spec.facing_dot)

@@ -83,7 +83,7 @@ class PaperReward:
     def of(
         self, distance: Any, before: Any, faces: Any, followed: Any, rules: SocialNavSpec, *, xp: Any = np
     ) -> tuple[Any, Any, Any]:
-        """What a step is worth, by arrays or tensors [W].
+        """Computes the reward of a step, from arrays or tensors [W].
 
         Args:
             distance: distance between robot and person after the step [m].
@@ -154,7 +154,7 @@ class SocialNavReward:
         return result
 
     def step(self, seen: Encounter) -> RewardStep:
-        """What has just been done is worth, by the state after it."""
+        """Computes the reward of the last step from the state after it."""
         xz, human = np.asarray(seen.robot_xz, np.float64), np.asarray(seen.human_xz, np.float64)
         if xz.shape != (len(self.followed), 2) or human.shape != xz.shape:
             raise InputError(

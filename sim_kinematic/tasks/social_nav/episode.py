@@ -34,7 +34,7 @@ from sim_kinematic.tasks.episode import Episode, rules_dict
 
 @dataclass(frozen=True, kw_only=True)
 class Starts:
-    """Where robot and person begin."""
+    """Start poses of robot and person."""
 
     robot_xz: NDArray[np.float64]
     robot_heading: float

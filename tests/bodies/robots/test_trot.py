@@ -135,9 +135,7 @@ def test_only_posed_legs_are_for_the_trot() -> None:
 
 
 def test_wrong_shapes_are_refused() -> None:
-    with pytest.raises(
-        InputError, match=r"track \[T, 7\] and joint positions \[T, 20\] of quad_arm, got \[2, 7\] and \[3, 20\]"
-    ):
+    with pytest.raises(InputError, match=r"(?s)\[T, 7\].*\[T, 20\].*quad_arm.*\[2, 7\].*\[3, 20\].*H3-BODY-112"):
         trot(load_robot("quad_arm"), np.zeros((2, 7)), np.zeros((3, 20)))
 
 

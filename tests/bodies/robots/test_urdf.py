@@ -258,7 +258,7 @@ def test_hostile_urdf_is_refused_in_words(tmp_path: Path, case: str) -> None:
 
 def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
     body = LINKS + _joint("1", "a", "z") + _joint("2", "a", "b", "screw")
-    with pytest.raises(FormatError, match=r"screw.*no link 'z'"):
+    with pytest.raises(FormatError, match=r"(?s)screw.*no link 'z'.*H3-BODY-114"):
         read_urdf(_write(tmp_path, body))
 
 
@@ -278,9 +278,9 @@ def test_entities_are_refused(tmp_path: Path) -> None:
         ("../../../../../../../../etc/passwd", "two folders above"),
         ("../../../secret.stl", "two folders above"),
         ("package://x/../../../../a.stl", "two folders above"),
-        ("../passwd", "expected one of .glb"),
-        ("http://example.org/a.stl", "path of a file"),
-        ("a" * 5000 + ".stl", "at most 1024 characters"),
+        ("../passwd", r"(?s)expected one of \.glb.*H3-BODY-114"),
+        ("http://example.org/a.stl", r"(?s)path of.*H3-BODY-114"),
+        ("a" * 5000 + ".stl", r"(?s)at most 1024 characters.*H3-BODY-114"),
     ],
 )
 def test_meshes_outside_are_refused(tmp_path: Path, filename: str, message: str) -> None:
@@ -502,7 +502,7 @@ def test_a_floating_joint_is_held(tmp_path: Path, caplog: pytest.LogCaptureFixtu
 
 def test_too_many_links_are_refused_and_many_are_read(tmp_path: Path) -> None:
     body = "".join(f'<link name="{k}"/>' for k in range(10_001))
-    with pytest.raises(FormatError, match="at most 10000 links, got 10001"):
+    with pytest.raises(FormatError, match=r"(?s)10000.*10001.*H3-BODY-113"):
         read_urdf(_write(tmp_path, body))
     chain = "".join(f'<link name="{k}"/>' for k in range(3000))
     chain += "".join(_joint(f"j{k}", str(k), str(k + 1), "revolute", LIMIT) for k in range(2999))
@@ -512,7 +512,7 @@ def test_too_many_links_are_refused_and_many_are_read(tmp_path: Path) -> None:
 def test_missing_meshes_are_listed(tmp_path: Path) -> None:
     body = '<link name="a"><visual><geometry><mesh filename="gone/one.glb"/></geometry></visual></link>'
     for load in (read_urdf, load_plain):
-        with pytest.raises(MissingAssetError, match=r"names 1 mesh file.*one\.glb"):
+        with pytest.raises(MissingAssetError, match=r"(?s)1.*one\.glb.*H3-BODY-115"):
             load(_write(tmp_path, body))
 
 

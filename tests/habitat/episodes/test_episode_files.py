@@ -333,7 +333,7 @@ def test_forbidden_pickles_run_nothing(tmp_path: Path) -> None:
     ):
         for body in (evil, pickled([episode()]) | {"all_eps": [episode(info={"x": evil})]}):
             file.write_bytes(pickle.dumps(body))
-            with pytest.raises(FormatError, match=r"asks for .*only NumPy arrays"):
+            with pytest.raises(FormatError, match=r"(?s)asks for.*only NumPy arrays.*H3-FORMAT-026"):
                 read_episodes(file)
     assert not list(tmp_path.glob("trap*"))
 
@@ -354,21 +354,21 @@ def _loop() -> list[Any]:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"all_transforms": np.array([[1, 2]])}, r"all_transforms: Expected a float array \[N, 4, 4\]"),
-        ({"all_transforms": np.full((1, 4, 4), np.nan)}, r"all_transforms\[0\]: Expected finite"),
-        ({"all_transforms": np.zeros((0, 4, 4))}, r"all_eps\[0\] .*there is no transform 0"),
-        ({"all_transforms": np.array([object()])}, "only NumPy arrays are admitted"),
-        ({"all_transforms": np.array(["text", None])}, r"got object \[2\]"),
-        ({"all_transforms": np.array(["text"])}, "arrays of 'U4' are not admitted"),
-        ({"all_transforms": 3}, "all_transforms: Expected a float array"),
-        ({"idx_to_name": {}}, r"all_eps\[0\]: index 0 is not in idx_to_name"),
-        ({"idx_to_name": [1]}, "idx_to_name: Expected names by index"),
-        ({"all_eps": {}}, "all_eps: Expected a list"),
-        ({"all_eps": [episode(rigid_objs=np.array([[0, -1]]))]}, "there is no transform -1"),
-        ({"all_eps": [episode(rigid_objs=np.array([[0.5, 0]]))]}, r"index 0\.5 is not in idx_to_name"),
-        (pickled([episode(info={"x": np.array([np.inf])})]), r"all_eps\[0\] .*NaN or infinity"),
-        ({"all_eps": [episode(info={"x": 1j})]}, "builtins.complex"),
-        ({"all_eps": [episode(info={"x": b"bytes"})]}, "a bytes is not a plain value"),
+        ({"all_transforms": np.array([[1, 2]])}, "H3-HABITAT-028"),
+        ({"all_transforms": np.full((1, 4, 4), np.nan)}, r"(?s)all_transforms\[0\].*H3-HABITAT-029"),
+        ({"all_transforms": np.zeros((0, 4, 4))}, r"(?s)all_eps\[0\].*there is no transform 0.*H3-HABITAT-031"),
+        ({"all_transforms": np.array([object()])}, r"(?s)only NumPy arrays are admitted.*H3-FORMAT-026"),
+        ({"all_transforms": np.array(["text", None])}, r"(?s)object \[2\].*H3-HABITAT-028"),
+        ({"all_transforms": np.array(["text"])}, r"(?s)arrays of 'U4' are not admitted.*H3-FORMAT-026"),
+        ({"all_transforms": 3}, "H3-HABITAT-028"),
+        ({"idx_to_name": {}}, r"(?s)all_eps\[0\].*0.*idx_to_name.*H3-HABITAT-030"),
+        ({"idx_to_name": [1]}, "H3-HABITAT-026"),
+        ({"all_eps": {}}, "H3-HABITAT-027"),
+        ({"all_eps": [episode(rigid_objs=np.array([[0, -1]]))]}, r"(?s)there is no transform -1.*H3-HABITAT-031"),
+        ({"all_eps": [episode(rigid_objs=np.array([[0.5, 0]]))]}, r"(?s)0\.5.*idx_to_name.*H3-HABITAT-030"),
+        (pickled([episode(info={"x": np.array([np.inf])})]), r"(?s)all_eps\[0\].*NaN or infinity.*H3-HABITAT-031"),
+        ({"all_eps": [episode(info={"x": 1j})]}, r"(?s)builtins\.complex.*H3-FORMAT-026"),
+        ({"all_eps": [episode(info={"x": b"bytes"})]}, r"(?s)a bytes.*not a plain value.*H3-FORMAT-026"),
         ({"all_eps": [episode(info={"x": _laughs(60)})]}, "unfolds to far more"),
         ({"all_eps": [episode(info={"x": _loop()})]}, "unfolds to far more"),
     ],
@@ -401,19 +401,19 @@ def test_every_cut_and_many_flips_of_a_pickle_are_format_errors(tmp_path: Path) 
 def test_files_of_other_kinds_are_named(tmp_path: Path) -> None:
     file = tmp_path / "x.json.gz"
     cases = {
-        b"": "file is empty",
+        b"": "H3-FORMAT-010",
         b"not gzip": "this is not",
-        b"[1, 2]": "this is a list",
-        b"null": "this is null",
-        b'{"stage_instance": {}}': "this is a scene instance",
-        b'{"stages": {}, "objects": {}}': "this is a scene dataset configuration",
-        b'{"keyframes": []}': "this is a gfx-replay recording",
-        b'{"hello": 1}': r"JSON of an unknown kind \(it has hello\)",
-        b'{"episodes": {"0": 1}}': "Expected a list under 'episodes', got an object",
-        b'{"episodes": [{"episode_id": "0", "scene': "truncated",
+        b"[1, 2]": r"(?s)a list.*H3-HABITAT-005",
+        b"null": r"(?s)null.*H3-HABITAT-005",
+        b'{"stage_instance": {}}': r"(?s)a scene instance.*H3-HABITAT-002",
+        b'{"stages": {}, "objects": {}}': r"(?s)a scene.*configuration.*H3-HABITAT-002",
+        b'{"keyframes": []}': r"(?s)a gfx-replay recording.*H3-HABITAT-002",
+        b'{"hello": 1}': r"(?s)JSON of.*unknown kind.*hello\).*H3-HABITAT-002",
+        b'{"episodes": {"0": 1}}': r"(?s)an object.*H3-HABITAT-004",
+        b'{"episodes": [{"episode_id": "0", "scene': "H3-FORMAT-009",
         b'{"episodes": []} x': "this is not",
         b"\xff\xfe{}": "this is not",
-        b"glTF\x02": r"this is a glTF model \(.glb\)",
+        b"glTF\x02": r"(?s)a glTF model \(\.glb\).*H3-FORMAT-011",
         gzip.compress(b'{"episodes": []}' * 50)[:-9]: "damaged or cut off",
         b"\x1f\x8b" + b"\0" * 30: "damaged or cut off",
     }
@@ -434,27 +434,51 @@ BAD_ROW = [[1, 0, 0, 0], [0, 1, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"rigid_objs": [["cup", BAD_ROW]]}, r"episodes\[1\]\.rigid_objs\[0\]\[1\]\[1\]: Expected array of length 4"),
-        ({"rigid_objs": [["cup", IDENTITY[:3]]]}, r"episodes\[1\]\.rigid_objs\[0\]\[1\]: Expected array of length 4"),
-        ({"rigid_objs": [["cup", 17]]}, r"episodes\[1\]\.rigid_objs\[0\]\[1\]: .*separate file of transformations"),
-        ({"rigid_objs": [[3, IDENTITY]]}, r"episodes\[1\]\.rigid_objs\[0\]\[0\]: Expected str, got int"),
-        ({"rigid_objs": None}, r"episodes\[1\]\.rigid_objs: Expected array, got null"),
+        (
+            {"rigid_objs": [["cup", BAD_ROW]]},
+            r"(?s)episodes\[1\]\.rigid_objs\[0\]\[1\]\[1\]: Expected array of length 4.*H3-HABITAT-023",
+        ),
+        (
+            {"rigid_objs": [["cup", IDENTITY[:3]]]},
+            r"(?s)episodes\[1\]\.rigid_objs\[0\]\[1\]: Expected array of length 4.*H3-HABITAT-023",
+        ),
+        (
+            {"rigid_objs": [["cup", 17]]},
+            r"(?s)episodes\[1\]\.rigid_objs\[0\]\[1\].*separate file of transformations.*H3-HABITAT-023",
+        ),
+        (
+            {"rigid_objs": [[3, IDENTITY]]},
+            r"(?s)episodes\[1\]\.rigid_objs\[0\]\[0\]: Expected str, got int.*H3-HABITAT-023",
+        ),
+        ({"rigid_objs": None}, r"(?s)episodes\[1\]\.rigid_objs: Expected array, got null.*H3-HABITAT-023"),
         (
             {"targets": {"cup_:0000": [["1"] * 4] * 4}},
-            r"episodes\[1\]\.targets\['cup_:0000'\]\[0\]\[0\]: Expected float, got str",
+            r"(?s)episodes\[1\]\.targets\['cup_:0000'\]\[0\]\[0\]: Expected float, got str.*H3-HABITAT-023",
         ),
-        ({"scene_id": 3}, r"episodes\[1\]\.scene_id: Expected str, got int"),
-        ({"start_position": [0, 0]}, r"episodes\[1\]\.start_position: Expected array of length 3"),
-        ({"start_rotation": [0, 0, 0, True]}, r"episodes\[1\]\.start_rotation\[3\]: Expected float, got bool"),
-        ({"ao_states": {"f": {"door": 1}}}, r"episodes\[1\]\.ao_states\['f'\]: Expected int, got str"),
-        ({"markers": [{"name": "m", "type": "t"}]}, r"episodes\[1\]\.markers\[0\]\.params: Expected an object"),
-        ({"markers": [MARKER | {"name": 3}]}, r"episodes\[1\]\.markers\[0\]\.name: Expected str"),
+        ({"scene_id": 3}, r"(?s)episodes\[1\]\.scene_id: Expected str, got int.*H3-HABITAT-023"),
+        ({"start_position": [0, 0]}, r"(?s)episodes\[1\]\.start_position: Expected array of length 3.*H3-HABITAT-023"),
+        (
+            {"start_rotation": [0, 0, 0, True]},
+            r"(?s)episodes\[1\]\.start_rotation\[3\]: Expected float, got bool.*H3-HABITAT-023",
+        ),
+        (
+            {"ao_states": {"f": {"door": 1}}},
+            r"(?s)episodes\[1\]\.ao_states\['f'\]: Expected int, got str.*H3-HABITAT-023",
+        ),
+        ({"markers": [{"name": "m", "type": "t"}]}, r"(?s)episodes\[1\]\.markers\[0\]\.params.*H3-HABITAT-016"),
+        ({"markers": [MARKER | {"name": 3}]}, r"(?s)episodes\[1\]\.markers\[0\]\.name: Expected str.*H3-HABITAT-020"),
         ({"info": {"object_labels": ["a"]}}, r"episodes\[1\]\.info\.object_labels: Expected an object of names"),
         ({"info": {"object_labels": {"a": 3}}}, r"episodes\[1\]\.info\.object_labels: Expected an object of names"),
-        ({"name_to_receptacle": [["a", "b"]]}, r"episodes\[1\]\.name_to_receptacle: Expected object, got array"),
-        ({"rigid_objs": [["cup", [[float("nan")] * 4] * 4]]}, r"episodes\[1\]\.rigid_objs\[0\]\[1\]\[0\]\[0\] is nan"),
-        ({"info": {"reward": float("-inf")}}, r"episodes\[1\]\.info\.reward is -inf"),
-        ({"start_position": [0, 10**400, 0]}, r"episodes\[1\]\.start_position"),
+        (
+            {"name_to_receptacle": [["a", "b"]]},
+            r"(?s)episodes\[1\]\.name_to_receptacle: Expected object, got array.*H3-HABITAT-023",
+        ),
+        (
+            {"rigid_objs": [["cup", [[float("nan")] * 4] * 4]]},
+            r"(?s)episodes\[1\]\.rigid_objs\[0\]\[1\]\[0\]\[0\].*nan.*H3-HABITAT-010",
+        ),
+        ({"info": {"reward": float("-inf")}}, r"(?s)episodes\[1\]\.info\.reward.*-inf.*H3-HABITAT-010"),
+        ({"start_position": [0, 10**400, 0]}, r"(?s)episodes\[1\]\.start_position.*H3-HABITAT-023"),
     ],
 )
 def test_wrong_values_are_named_by_episode_and_key(tmp_path: Path, change: dict[str, Any], words: str) -> None:
@@ -465,9 +489,9 @@ def test_wrong_values_are_named_by_episode_and_key(tmp_path: Path, change: dict[
 
 
 def test_episodes_without_a_name_or_no_objects(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match=r"episodes\[0\] lacks episode_id and scene_id"):
+    with pytest.raises(FormatError, match=r"(?s)episodes\[0\].*episode_id and scene_id.*H3-HABITAT-013"):
         read_episodes(put(tmp_path / "a.json", {}))
-    with pytest.raises(FormatError, match=r"episodes\[1\]: Expected object, got int"):
+    with pytest.raises(FormatError, match=r"(?s)episodes\[1\]: Expected object, got int.*H3-HABITAT-019"):
         read_episodes(put(tmp_path / "a.json", episode(), 3))
 
 
@@ -485,14 +509,16 @@ def test_matrices_that_are_not_rigid_are_kept_but_give_no_pose(tmp_path: Path, m
     assert found.warnings == (
         "a matrix is not a rotation and a translation: 2 times, first at episodes[1].targets['cup_:0000'] in odd.json.gz",
     )
-    with pytest.raises(InputError, match="the goal of cup_:0000"):
+    with pytest.raises(InputError, match=r"(?s)goal.*cup_:0000.*H3-HABITAT-038"):
         goal_poses(found.episodes[1])
     with pytest.raises(InputError, match="H3-HABITAT-038"):
         object_poses(found.episodes[2])
     assert len(object_poses(found.episodes[1])) == 1
     write_episodes(found, tmp_path / "again.json.gz")
     assert content(tmp_path / "again.json.gz")["episodes"] == some
-    with pytest.raises(FormatError, match=r"episodes\[1\]\.targets\['cup_:0000'\]: a matrix is not"):
+    with pytest.raises(
+        FormatError, match=r"(?s)episodes\[1\]\.targets\['cup_:0000'\]: a matrix is not.*H3-HABITAT-018"
+    ):
         read_episodes(file, strict=True)
 
 
@@ -515,7 +541,10 @@ def test_odd_starts_and_targets_are_warnings(tmp_path: Path) -> None:
         "start_rotation is not a unit quaternion",
         "a target is no object of the episode",
     ]
-    for index, words in ((0, "unit quaternion"), (1, r"targets\['mug_:0000'\]: a target is no object")):
+    for index, words in (
+        (0, r"(?s)unit quaternion.*H3-HABITAT-018"),
+        (1, r"(?s)targets\['mug_:0000'\]: a target is no object.*H3-HABITAT-018"),
+    ):
         one = put(tmp_path / "b.json", content_of(file)["episodes"][index])
         with pytest.raises(FormatError, match=words):
             read_episodes(one, strict=True)
@@ -529,7 +558,7 @@ def test_a_handle_twice_is_refused(tmp_path: Path) -> None:
     text = json.dumps({"episodes": [episode()]})
     one = f'"cup_:0000": {json.dumps(IDENTITY)}'
     (tmp_path / "a.json").write_text(text.replace(one, f"{one}, {one}"))
-    with pytest.raises(FormatError, match=r"episodes\[0\]\.targets has the handle 'cup_:0000' twice"):
+    with pytest.raises(FormatError, match=r"(?s)episodes\[0\]\.targets.*'cup_:0000'.*H3-HABITAT-014"):
         read_episodes(tmp_path / "a.json")
     odd = put(tmp_path / "b.json", episode(rigid_objs=[["c[u]p[", IDENTITY]], targets={"c[u]p[_:0000": IDENTITY}))
     assert len(read_episodes(odd, strict=True)) == 1
@@ -582,7 +611,7 @@ def test_a_content_file_cannot_be_written_elsewhere(tmp_path: Path) -> None:
     wrong = EpisodeSet(episodes=(one,), contents=(ContentFile(name="../../x", episodes=1),))
     with pytest.raises(InputError, match="H3-HABITAT-011"):
         write_episodes(wrong, tmp_path / "val.json.gz")
-    with pytest.raises(InputError, match="accounts for 2 episodes, the set has 1"):
+    with pytest.raises(InputError, match=r"(?s)2.*1.*H3-HABITAT-009"):
         write_episodes(
             msgspec.structs.replace(wrong, contents=(ContentFile(name="x", episodes=2),)), tmp_path / "v.json"
         )
@@ -591,12 +620,12 @@ def test_a_content_file_cannot_be_written_elsewhere(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"rigid_objects": (RigidObject("cup", np.full((4, 4), np.nan)),)}, r"episodes\[1\]: Expected finite matrices"),
-        ({"targets": {"cup": np.eye(3)}}, r"episodes\[1\]: Expected finite matrices of shape \[4, 4\]"),
+        ({"rigid_objects": (RigidObject("cup", np.full((4, 4), np.nan)),)}, r"(?s)episodes\[1\].*H3-HABITAT-021"),
+        ({"targets": {"cup": np.eye(3)}}, r"(?s)episodes\[1\].*\[4, 4\].*H3-HABITAT-021"),
         ({"start_position": (float("inf"), 0.0, 0.0)}, r"episodes\[1\] cannot be written"),
         ({"info": {"x": {"y": float("nan")}}}, r"episodes\[1\] cannot be written"),
         ({"info": {"x": object()}}, r"episodes\[1\] cannot be written"),
-        ({"extra": {"targets": {}}}, r"episodes\[1\]: extra must not hold \['targets'\]"),
+        ({"extra": {"targets": {}}}, r"(?s)episodes\[1\].*\['targets'\].*H3-HABITAT-017"),
     ],
 )
 def test_what_cannot_be_written_leaves_no_file(tmp_path: Path, changes: dict[str, Any], words: str) -> None:

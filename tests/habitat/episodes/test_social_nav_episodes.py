@@ -149,18 +149,18 @@ def test_exact_goals_are_preferred(recording: Recording) -> None:
 
 
 def test_recordings_that_do_not_say_enough(recording: Recording) -> None:
-    with pytest.raises(InputError, match=r"lacks something: Expected array, got null - at \$\.robot_start"):
+    with pytest.raises(InputError, match=r"(?s)Expected array, got null - at \$\.robot_start.*H3-HABITAT-043"):
         social_nav_of(changed(recording, robot_start=None))
-    with pytest.raises(InputError, match=r"length 3, got 2 - at \$\.human_start"):
+    with pytest.raises(InputError, match=r"(?s)length 3, got 2 - at \$\.human_start.*H3-HABITAT-043"):
         social_nav_of(changed(recording, human_start=[1.0, 2.0]))
     with pytest.raises(InputError, match="H3-HABITAT-042"):
         social_nav_of(changed(recording, human_start=[1.0, 2.0, float("nan")]))
     with pytest.raises(InputError, match="H3-HABITAT-043"):
         social_nav_of(changed(recording, max_steps="many"))
-    with pytest.raises(InputError, match="one of 'gfx_replay'"):
+    with pytest.raises(InputError, match=r"(?s)'gfx_replay'.*H3-HABITAT-039"):
         social_nav_of(replace(recording, episode=replace(recording.episode, task="gfx_replay")))
     old = changed(recording, human_goals=None)  # recordings that name goals in events only
-    with pytest.raises(InputError, match="has 0 events new_goal, its steps speak of"):
+    with pytest.raises(InputError, match=r"(?s)0.*new_goal.*H3-HABITAT-041"):
         social_nav_of(replace(old, events=()))
     odd = Event(step=0, agent=1, kind="new_goal", detail="the kitchen")
     with pytest.raises(InputError, match="H3-HABITAT-044"):
@@ -178,10 +178,10 @@ def test_episodes_of_others_and_damaged_ones() -> None:
         SocialNavEpisode(robot_start=(0, 0, 0), human_start=(0, 0, 0), human_goals=()), episode_id="3", scene_id="s"
     ).info["h3data"]
     for change, words in (
-        ({"version": 2}, "episode '3': info.h3data: Expected version 1, got 2"),
-        ({"version": "x"}, "Expected version 1"),
-        ({"robot_start": [0, 0]}, r"info\.h3data: Expected array of length 3"),
-        ({"human_goals": [[0, "a"]]}, r"Expected float, got str - at \$\.human_goals\[0\]\[1\]"),
+        ({"version": 2}, r"(?s)episode '3': info\.h3data.*1.*2.*H3-HABITAT-045"),
+        ({"version": "x"}, r"(?s)1.*H3-HABITAT-045"),
+        ({"robot_start": [0, 0]}, r"(?s)info\.h3data: Expected array of length 3.*H3-HABITAT-046"),
+        ({"human_goals": [[0, "a"]]}, r"(?s)Expected float, got str - at \$\.human_goals\[0\]\[1\].*H3-HABITAT-046"),
     ):
         with pytest.raises(FormatError, match=words):
             read_social_nav(msgspec.structs.replace(plain, info={"h3data": {**good, **change}}))

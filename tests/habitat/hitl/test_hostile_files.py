@@ -274,7 +274,9 @@ class Evil:
 def test_a_pickle_with_code_is_refused_and_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "session.0.pkl.gz"
     path.write_bytes(gzip.compress(pickle.dumps({**log(), "dataset": Evil()}, protocol=4)))
-    with pytest.raises(FormatError, match=r"asks for builtins\.print; only NumPy arrays and known records"):
+    with pytest.raises(
+        FormatError, match=r"(?s)asks for builtins\.print; only NumPy arrays and known records.*H3-FORMAT-026"
+    ):
         read_hitl_log(path)
     assert main(["import", str(tmp_path), "-o", str(tmp_path / "out")]) == 1
     shown = capsys.readouterr().out
@@ -348,7 +350,7 @@ def test_deep_configurations_are_stored_or_refused(tmp_path: Path, depth: int) -
 def test_pickles_cannot_claim_memory_that_they_do_not_fill(tmp_path: Path, opcode: bytes) -> None:
     path = tmp_path / "x.pkl"
     path.write_bytes(b"\x80\x04N" + opcode + b".")
-    with pytest.raises(FormatError, match="under the number 2147483647"):
+    with pytest.raises(FormatError, match=r"(?s)under.*number 2147483647.*H3-FORMAT-026"):
         read_hitl_log(path)
 
 

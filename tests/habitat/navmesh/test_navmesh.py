@@ -145,7 +145,7 @@ def test_disabled_and_empty_polygons_are_no_floor():
     none = dataclasses.replace(navmesh, flags=np.full(3, 4, np.uint16))
     with pytest.raises(SceneError, match="H3-HABITAT-083"):
         free_space_from_navmesh(none)
-    with pytest.raises(InputError, match="no island 3"):
+    with pytest.raises(InputError, match=r"(?s)3.*H3-HABITAT-086"):
         navmesh.triangles(island=3)
 
 
@@ -345,7 +345,7 @@ def test_random_damage_gives_a_navmesh_or_a_format_error(changes):
 def test_polygons_that_cross_themselves_are_damage():
     """What reading cannot tell at once, but no union of polygons survives."""
     navmesh = mesh_of([[(0, 0), (4, 0), (0, 4), (4, 4)], [(1, 1), (3, 1), (3, 3), (1, 3)]])
-    with pytest.raises(SceneError, match=r"1 of 2 do: the navmesh is damaged"):
+    with pytest.raises(SceneError, match=r"(?s)1.*2.*H3-HABITAT-087"):
         free_space_from_navmesh(navmesh)
 
 

@@ -424,7 +424,7 @@ def test_islands_their_radius_and_area():
     assert finder.get_island([90.0, 0.0, 0.0]) == -1
     assert finder.snap_point([5.9, 0, 0.5], 0) == pytest.approx([4, 0, 0.5])
     assert finder.snap_point([5.9, 0, 0.5]) == pytest.approx([6, 0, 0.5])
-    with pytest.raises(InputError, match="no island 2"):
+    with pytest.raises(InputError, match=r"(?s)2.*H3-HABITAT-098"):
         finder.island_area(2)
 
 
@@ -442,7 +442,7 @@ def test_far_and_broken_points():
     assert np.isinf(finder.geodesic_distance([1, 0, 1], nan))
     assert np.isinf(finder.geodesic_distance([1, 0, 1], np.zeros((0, 3))))
     assert not finder.find_path(MultiGoalShortestPath(requested_start=[1, 0, 1], requested_ends=[]))
-    with pytest.raises(InputError, match=r"shape \[3\], got \[2\]"):
+    with pytest.raises(InputError, match=r"(?s)\[3\].*\[2\].*H3-HABITAT-093"):
         finder.snap_point([1, 2])
     with pytest.raises(InputError, match="H3-HABITAT-096"):
         finder.get_topdown_view(0.0, 0.0)

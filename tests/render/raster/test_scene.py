@@ -233,25 +233,28 @@ def test_bad_input_is_refused_with_a_reason():
     broken = Mesh(
         vertices=np.full((3, 3), np.nan, np.float32), faces=np.int32([[0, 1, 2]]), colors=np.zeros((3, 3), np.uint8)
     )
-    with pytest.raises(InputError, match=r"mesh 1 has vertices that are not finite; instance 0 \(a\) refers to mesh 7"):
+    with pytest.raises(
+        InputError,
+        match=r"(?s)mesh 1 has vertices that are not finite; instance 0 \(a\) refers to mesh 7.*H3-RENDER-067",
+    ):
         RenderScene([mesh, broken], [RenderInstance(7, np.eye(4), name="a")])
-    with pytest.raises(InputError, match="4x4"):
+    with pytest.raises(InputError, match=r"(?s)4x4.*H3-RENDER-067"):
         RenderScene([mesh], [RenderInstance(0, np.eye(3))])
     with pytest.raises(InputError, match="H3-RENDER-057"):
         renderer.set_vertices(0, mesh.vertices)
     soft = Renderer(RenderScene([mesh], [RenderInstance(0, np.eye(4))], deformable=[0]))
-    with pytest.raises(InputError, match="not finite"):
+    with pytest.raises(InputError, match=r"(?s)not.*H3-RENDER-058"):
         soft.set_vertices(0, mesh.vertices * np.float32(np.nan))
-    with pytest.raises(InputError, match="shape"):
+    with pytest.raises(InputError, match=r"(?s)shape.*H3-RENDER-058"):
         soft.set_vertices(0, mesh.vertices[:-1])
     for index in (1, -1, [0.5]):
-        with pytest.raises(InputError, match="from 0 to 0"):
+        with pytest.raises(InputError, match=r"(?s)0.*0.*H3-RENDER-060"):
             renderer.set_transforms(index, np.eye(4))
-    with pytest.raises(InputError, match="Expected 1 matrices"):
+    with pytest.raises(InputError, match=r"(?s)1.*H3-RENDER-056"):
         renderer.set_transforms([0], np.eye(3))
     with pytest.raises(InputError, match="H3-RENDER-032"):
         renderer.render(CAMERA, samples=3)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=r"out\['depth'\] must be contiguous float32 \[72, 96\]"):
+    with pytest.raises(InputError, match=r"(?s)out\['depth'\].*float32 \[72, 96\].*H3-RENDER-048"):
         renderer.render(CAMERA, out={"depth": np.zeros((72, 96))})
     for change in ({"width": 0}, {"fx": -1.0}, {"pose": np.full((4, 4), np.nan)}, {"pose": np.diag([2.0, 2, 2, 1])}):
         with pytest.raises(InputError, match="H3-RENDER-009"):

@@ -260,7 +260,7 @@ def test_bad_capsules_are_left_out_and_bad_arrays_named() -> None:
     assert np.isfinite(rows).all()
     scene = floor_scene()
     renderer = Renderer(scene)
-    with pytest.raises(InputError, match=r"tints \[2, 4\]"):
+    with pytest.raises(InputError, match=r"(?s)\[2, 4\].*H3-RENDER-065"):
         renderer.set_blockers(Blockers(rows, no_tints(scene)[:1]))
     rows[0, 0] = np.nan
     with pytest.raises(InputError, match="H3-RENDER-066"):

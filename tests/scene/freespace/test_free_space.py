@@ -159,7 +159,7 @@ def test_samples_are_uniform_and_reproducible(free):
         share = free.polygon.intersection(part).area / free.polygon.area
         found = shapely.contains_xy(part, *points.T).mean()
         assert abs(found - share) < 5 * np.sqrt(share / len(points))
-    with pytest.raises(InputError, match="has 1, from 0"):
+    with pytest.raises(InputError, match=r"(?s)1.*0.*H3-SCENE-016"):
         free.sample(np.random.default_rng(0), 1, island=1)
 
 
@@ -372,14 +372,14 @@ def test_bad_scenes_and_sizes_are_refused(two_rooms):
         FreeSpace.from_scene(empty, cache=False)
     with pytest.raises(SceneError, match="H3-SCENE-009"):
         FreeSpace.from_scene(empty, method="shapes", cache=False)
-    with pytest.raises(SceneError, match=r"Its floors: \[0.0\]"):
+    with pytest.raises(SceneError, match=r"(?s)\[0\.0\].*H3-SCENE-005"):
         FreeSpace.from_scene(two_rooms, floor_y=3.0, method="shapes", cache=False)
     with pytest.raises(SceneError, match="H3-SCENE-012"):
         FreeSpace.from_scene(two_rooms, radius_m=3.0, cache=False)
     for sizes in ({"radius_m": -1.0}, {"cell_m": np.nan}, {"max_climb_m": 2.0}):
         with pytest.raises(InputError, match="H3-SCENE-010"):
             FreeSpace.from_scene(two_rooms, cache=False, **sizes)
-    with pytest.raises(InputError, match=r"\[3\]"):
+    with pytest.raises(InputError, match=r"(?s)\[3\].*H3-SCENE-006"):
         FreeSpace.from_scene(two_rooms, cache=False).geodesic([1, 2, 3], [1, 2, 3])
 
 

@@ -81,18 +81,18 @@ def test_broken_files_are_refused(space, tmp_path):
     with np.load(_rewritten(path, whole)) as file:
         arrays = dict(file)
     for change, message in (
-        ({"format": np.array(99)}, "format 99"),
+        ({"format": np.array(99)}, r"(?s)99.*H3-SCENE-018"),
         ({"sdf": arrays["sdf"][0]}, "finite float32 grid"),
         ({"sdf": arrays["sdf"] * np.nan}, "finite float32 grid"),
-        ({"graph.distance": arrays["graph.distance"][:2]}, "corners"),
+        ({"graph.distance": arrays["graph.distance"][:2]}, r"(?s)corners.*H3-SCENE-020"),
         ({"polygon": arrays["polygon"][:9]}, "polygon"),
-        ({"key": np.array([{}], object)}, "whole"),
+        ({"key": np.array([{}], object)}, "H3-SCENE-020"),
     ):
         np.savez(path, **(arrays | change))
         with pytest.raises(FormatError, match=message):
             FreeSpace.load(path)
     np.savez(path, **{k: v for k, v in arrays.items() if k != "origin"})
-    with pytest.raises(FormatError, match="origin"):
+    with pytest.raises(FormatError, match=r"(?s)origin.*H3-SCENE-020"):
         FreeSpace.load(path)
 
 

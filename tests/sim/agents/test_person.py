@@ -231,14 +231,14 @@ def test_the_lower_levels() -> None:
 
 def test_bad_commands_are_refused() -> None:
     person = _someone("female_0", "right", (0.38, 0.6, 0.1))
-    with pytest.raises(InputError, match=r"no object 'cup'\. There are: far, mug"):
+    with pytest.raises(InputError, match=r"(?s)'cup'.*far, mug.*H3-SIM-015"):
         next(person.pick("cup"))
-    with pytest.raises(InputError, match="right hand holds nothing"):
+    with pytest.raises(InputError, match=r"(?s)right.*H3-SIM-017"):
         next(person.place([0, 0, 0]))
     with pytest.raises(InputError, match="H3-SIM-014"):
         next(person.walk_to([[1, 2, 3]]))
     run(person, person.pick("mug"))
-    with pytest.raises(InputError, match="already holds 'mug'"):
+    with pytest.raises(InputError, match=r"(?s)'mug'.*H3-SIM-016"):
         next(person.pick("far"))
     assert skills.SNAP_M < 0.02
 

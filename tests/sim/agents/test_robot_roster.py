@@ -65,9 +65,9 @@ def test_a_hand_that_follows_a_joint_elsewhere_has_an_arm(tmp_path: Path) -> Non
 def test_robots_without_an_arm_say_so(tmp_path: Path) -> None:
     robot = load_robot(write_cart(tmp_path, 'hand_link = "base"'))
     assert robot.arm_columns == ()
-    with pytest.raises(InputError, match=r"cart has no joint that moves its hand base.*hand_link"):
+    with pytest.raises(InputError, match=r"(?s)cart.*joint that moves.*hand base.*H3-BODY-095"):
         checked_command(np.zeros(3), robot)
-    with pytest.raises(InputError, match="cart has no hand"):
+    with pytest.raises(InputError, match=r"(?s)cart.*hand.*H3-BODY-095"):
         load_robot(write_cart(tmp_path / "other", "base_radius_m = 0.3")).require_arm()
 
 
@@ -94,13 +94,13 @@ def test_kinds_may_be_named_with_their_bodies() -> None:
 @pytest.mark.parametrize(
     ("agents", "message"),
     [
-        ("robot:", "Unknown robot ''"),
-        ("robot:female_0", "Unknown robot 'female_0'"),
-        ("human:quad_arm", "No built-in humanoid 'quad_arm'"),
-        ("robot:no/such.urdf", "found none there: no/such.urdf"),
-        ("no/such/robot.toml", "found none there: no/such/robot.toml"),
-        ("cat:no-such", "Unknown agent 'cat:no-such'"),
-        ("quadarm", "Did you mean 'quad_arm'"),
+        ("robot:", r"(?s)''.*H3-BODY-102"),
+        ("robot:female_0", r"(?s)'female_0'.*H3-BODY-102"),
+        ("human:quad_arm", r"(?s)'quad_arm'.*H3-BODY-072"),
+        ("robot:no/such.urdf", r"(?s)no/such\.urdf.*H3-BODY-116"),
+        ("no/such/robot.toml", r"(?s)no/such/robot\.toml.*H3-BODY-106"),
+        ("cat:no-such", r"(?s)'cat:no-such'.*H3-SIM-019"),
+        ("quadarm", r"(?s)Did you mean 'quad_arm'.*H3-SIM-019"),
     ],
 )
 def test_unknown_bodies_are_named(agents: str, message: str) -> None:
@@ -113,7 +113,7 @@ def test_a_robot_toml_names_its_urdf(tmp_path: Path, cart: Path) -> None:
     folder.mkdir()
     for name in ("a", "b"):
         write_cart(folder).rename(folder / f"{name}.urdf")
-    with pytest.raises(InputError, match=r'urdf = "FILE" in it, got a\.urdf, b\.urdf'):
+    with pytest.raises(InputError, match=r'(?s)= "FILE".*a\.urdf, b\.urdf.*H3-BODY-105'):
         load_robot(folder)
     (folder / "robot.toml").write_text('urdf = "b.urdf"\nbase_radius_m = 0.31')
     assert load_robot(folder).base_radius_m == load_robot(folder / "b.urdf").base_radius_m == 0.31
@@ -121,5 +121,5 @@ def test_a_robot_toml_names_its_urdf(tmp_path: Path, cart: Path) -> None:
     (folder / "robot.toml").write_text(f'urdf = "{cart}"')
     assert load_robot(folder).name == "cart"
     (folder / "robot.toml").write_text("base_radius_m = nan")
-    with pytest.raises(FormatError, match=r"nan or inf in base_radius_m. File: .*robot\.toml"):
+    with pytest.raises(FormatError, match=r"(?s)base_radius_m.*robot\.toml.*H3-BODY-109"):
         load_robot(folder / "a.urdf")

@@ -314,7 +314,7 @@ def test_flat_hulls_and_odd_input_are_refused():
     with pytest.raises(InputError, match="H3-SIM-030"):
         FclScene(scene_of((UNIT_BOX, IDENTITY, (1, 0, 1))))
     moving = MovingShapes([sphere(0.1)])
-    with pytest.raises(InputError, match="one 4x4 transform for each of 1 shapes"):
+    with pytest.raises(InputError, match=r"(?s)4x4.*1.*H3-SIM-026"):
         moving.set_transforms(np.zeros((2, 4, 4)))
     with pytest.raises(InputError, match="H3-SIM-027"):
         moving.set_transforms(np.full((1, 4, 4), np.nan))

@@ -417,21 +417,21 @@ def test_actions_are_clipped() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"task": "chess"}, "Expected one of: .*social_nav"),
-        ({"scenes": "castle"}, "h3data scenes list"),
-        ({"scenes": []}, "at least one scene"),
-        ({"scenes": 3}, "names or Scene"),
-        ({"num_envs": 0}, "at least 1 world"),
-        ({"observations": ["smell"]}, "humanoid_gps"),
-        ({"observations": "arm_depth"}, "Expected a list"),
-        ({"observations": ["arm_depth"], "depth_size": (0, 3)}, "1 x 1"),
-        ({"robot": "tank"}, "quad_arm"),
-        ({"human": "ghost"}, "female_0"),
-        ({"reward": "gold"}, "paper, habitat"),
-        ({"partner": "both"}, "waypoints"),
-        ({"render_mode": "human"}, "rgb_array"),
+        ({"task": "chess"}, r"(?s)Expected one of.*social_nav.*H3-FILE-011"),
+        ({"scenes": "castle"}, "H3-HABITAT-108"),
+        ({"scenes": []}, "H3-TASK-058"),
+        ({"scenes": 3}, "H3-TASK-059"),
+        ({"num_envs": 0}, "H3-SIM-050"),
+        ({"observations": ["smell"]}, r"(?s)humanoid_gps.*H3-SIM-046"),
+        ({"observations": "arm_depth"}, "H3-SIM-046"),
+        ({"observations": ["arm_depth"], "depth_size": (0, 3)}, "H3-SIM-039"),
+        ({"robot": "tank"}, r"(?s)quad_arm.*H3-BODY-102"),
+        ({"human": "ghost"}, r"(?s)female_0.*H3-BODY-072"),
+        ({"reward": "gold"}, r"(?s)paper, habitat.*H3-TASK-041"),
+        ({"partner": "both"}, r"(?s)waypoints.*H3-POLICY-002"),
+        ({"render_mode": "human"}, "H3-ENV-024"),
         ({"agents": ("robot", "robot")}, "agents"),
-        ({"agents": ("robot", "human"), "num_envs": 2}, "leave out num_envs"),
+        ({"agents": ("robot", "human"), "num_envs": 2}, "H3-ENV-018"),
     ],
 )
 def test_what_does_not_exist_is_told_with_what_does(options: dict[str, Any], message: str) -> None:
@@ -445,12 +445,12 @@ def test_reset_and_agents_come_first() -> None:
     with pytest.raises(InputError, match="H3-ENV-016"):
         make(scenes=HOME, render_mode="rgb_array").render()
     pair = make(agents=PAIR, scenes=HOME)
-    with pytest.raises(InputError, match="reset"):
+    with pytest.raises(InputError, match=r"(?s)reset.*H3-ENV-022"):
         pair.step({"robot": np.zeros(2), "human": np.zeros(2)})
     pair.reset(seed=1)
-    with pytest.raises(InputError, match="robot, human"):
+    with pytest.raises(InputError, match=r"(?s)robot, human.*H3-ENV-022"):
         pair.step({"robot": np.zeros(2)})
-    with pytest.raises(InputError, match="each of 3 worlds"):
+    with pytest.raises(InputError, match=r"(?s)3.*H3-ENV-032"):
         make(num_envs=3, scenes=HOME).reset(seed=[1, 2])
     with pytest.raises(SceneError, match="H3-TASK-048"):
         make(scenes=HOME, spec=SocialNavSpec(spawn_distance_m=500.0)).reset(seed=1)

@@ -79,5 +79,5 @@ def test_every_form_of_a_choice_makes_a_policy() -> None:
         assert hasattr(made.policy, "act") or isinstance(made.policy, External)
     maker = resolve_policy(find_task("wander"), "robot", Still)
     assert maker(episode, 0).policy is not maker(episode, 0).policy, "each episode has its own"
-    with pytest.raises(InputError, match="Expected a policy by name, with a method act, or a function, got 3"):
+    with pytest.raises(InputError, match=r"(?s)3.*H3-POLICY-001"):
         make_policy(find_task("wander"), episode, 0, 3)  # type: ignore[arg-type]

@@ -42,8 +42,7 @@ HOW: Mapping[int, Mapping[str, str]] = {
         "headset": "Turn until you face it.",
     },
 }
-"""What is to be pressed for the steps that nothing but the tutorial asks for; of taking and putting down the page's own hints
-tell."""
+"""Keys for the steps that only the tutorial has; the page's own hints explain taking and putting down."""
 
 
 class TutorialApp(RearrangeApp):

@@ -77,7 +77,7 @@ class Play:
     seed: int = 0
     """Homes and episodes follow from it."""
     episodes: int = 1
-    """How many, one after the other."""
+    """Number of episodes, one after the other."""
     seconds: float | None = None
     """Length limit of an episode (default: the app's; rearrange and teleop 180, social_nav 90, tutorial 600)."""
     motion: Path | None = None

@@ -336,7 +336,7 @@ def without_hint(note: str) -> str:
 
 
 def _alone(condition: str) -> bool:
-    """Whether people work without a robot under a condition."""
+    """Returns whether people work without a robot under a condition."""
     return condition.lower().startswith("solo")
 
 

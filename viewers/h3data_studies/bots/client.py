@@ -45,7 +45,7 @@ class Client:
     glb: str = ""
     manifest: dict[str, Any] = field(default_factory=dict)
     head: tuple[Any, ...] = (STATE, 0, 0, 0, 0, -1, 0.0)
-    """Of the last state: kind, flags, agents, objects in it, step, ack, clock [ms]."""
+    """Head of the last state: kind, flags, agents, objects in it, step, ack, clock [ms]."""
     bases: list[tuple[float, float, float]] = field(default_factory=list)
     """Bases of the agents in the last state: x, z, heading."""
     things: list[Thing] = field(default_factory=list)
@@ -170,7 +170,7 @@ class Client:
         return found
 
     def heard(self, name: str) -> list[Any]:
-        """What text frames said under a name."""
+        """Returns the contents of text frames of a name."""
         return [message[name] for message in self.told if name in message]
 
     @property

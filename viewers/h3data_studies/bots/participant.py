@@ -68,7 +68,7 @@ class ScriptedParticipant(Client):
         self.name, self.report, self.rejoin, self.right = name, report, rejoin, right or {}
         self.pid = pid or hashlib.sha256(name.encode()).hexdigest()[:24]
         self.chance = random.Random(name)
-        """Of the episode."""
+        """Random generator of the episode."""
 
     # --- the study ----------------------------------------------------------------------------------------------------
     async def take_part(self) -> str:
@@ -97,7 +97,7 @@ class ScriptedParticipant(Client):
 
     @property
     def stage(self) -> dict[str, Any]:
-        """What is to be done next."""
+        """Returns the next stage."""
         return self.view["stage"]
 
     def answers(self) -> dict[str, Any]:
@@ -235,7 +235,7 @@ class ScriptedParticipant(Client):
 
     @property
     def over(self) -> bool:
-        """Whether the episode has ended."""
+        """Returns whether the episode has ended."""
         return bool(self.flags & ENDED or self.heard("over"))
 
     @property

@@ -46,13 +46,13 @@ class StudyBots:
     study: tyro.conf.Positional[Path]
     """The study file (.toml)."""
     participants: int | None = None
-    """How many take part (default: as many as the study has places)."""
+    """Number of participants (default: as many as the study has places)."""
     workers: int = 1
     """Processes that simulate."""
     at_once: int | None = None
     """Participants at the same time (default: 5 for each process)."""
     speed: float = 0.0
-    """How much faster than real time the clock runs; 0: as fast as the machine can."""
+    """Speed of the clock relative to real time; 0: as fast as the machine can."""
     link: Annotated[str | None, tyro.conf.arg(metavar="URL")] = None
     """A study that is being served already, with its own clock; nothing is started."""
     json: JsonFlag = False
@@ -151,7 +151,7 @@ class Crowd:
     right: dict[tuple[str, str], float] = field(default_factory=dict)
     """Right answers to checks, by form and item."""
     known: dict[str, tuple[str, str]] | None = None
-    """Of those who have begun before, by name: their status, and the code by which they go on. None: a served study, which
+    """Participants who began before, by name: their status, and the code by which they go on. None: a served study, which
     asks for ids of its own form."""
 
     async def take_part(self, link: str, episodes: int) -> None:

@@ -185,7 +185,7 @@ class StudyPay:
 
 
 def bonus_of(bonus: Bonus | None, successes: int) -> float:
-    """What somebody who has finished is paid beyond the reward, to the hundredth."""
+    """Returns the payment beyond the reward of a participant who has finished, to the hundredth."""
     if bonus is None:
         return 0.0
     amount = bonus.base + bonus.per_success * successes

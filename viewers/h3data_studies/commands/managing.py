@@ -193,6 +193,6 @@ def _files(folder: Path, pseudonym: str) -> Iterator[Path]:
 
 
 def payments_folder(folder: Path) -> Path:
-    """Where ``study pay`` writes: beside the study's folder, because it has ids of the recruiting platform."""
+    """Returns the folder of ``study pay``: beside the study's folder, because it has ids of the recruiting platform."""
     folder = folder.resolve()
     return folder.with_name(folder.name + "-payments")

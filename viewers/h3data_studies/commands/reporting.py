@@ -238,7 +238,7 @@ def usable_recordings(
 
 
 def _recorded(folder: Path, design: Design, episode: PlayedEpisode, rules: Exclusions) -> tuple[Path, str]:
-    """Where an episode is recorded, and why it cannot be used; empty: it can."""
+    """Returns where an episode is recorded, and why it cannot be used; empty if it can."""
     from h3data_studies.orders import recording_path
     from h3data_studies.overview import usable
 

@@ -69,7 +69,7 @@ class GlmmFit:
 
     @property
     def sound(self) -> bool:
-        """Whether standard errors and p values can be relied on."""
+        """Returns whether standard errors and p values can be relied on."""
         return self.converged and not self.overdispersed and not self.penalised
 
     @property

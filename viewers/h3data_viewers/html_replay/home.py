@@ -27,7 +27,8 @@ from h3data_viewers.rerun.mesh_budget import baked_colors, thin_mesh
 _LOG = logging.getLogger(__name__)
 
 MAX_VERTICES = 130_000
-"""Of all meshes; above it, all are thinned alike. A vertex takes about 6 bytes of the file: a medium home has 62,000."""
+"""Greatest number of vertices of all meshes; above it, all are thinned alike. A vertex takes about 6 bytes of the file: a
+medium home has 62,000."""
 LEAST_VERTICES = 100
 """Least number of vertices of a mesh that is thinned."""
 MAX_TEXELS = 1 << 20

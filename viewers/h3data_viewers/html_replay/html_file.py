@@ -108,7 +108,7 @@ def _lowest(bases: list[Any]) -> float:
 
 
 def _facts(recording: Recording, replay: Replay) -> dict[str, Any]:
-    """What the page says of the recording, by title; all of it text."""
+    """Returns the page's facts about the recording, by title, as text."""
     episode, info = recording.episode, recording.episode.info
     shapes = "plain bodies and named boxes" if replay.stand_ins else "striped shapes"
     facts = {

@@ -1,4 +1,4 @@
-"""What happens in a recording, for the charts, the marks and the list of events of its replay."""
+"""Events of a recording, for the charts, the marks and the list of events of its replay."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def _touches(recording: Recording) -> list[int]:
 
 # --- marks ------------------------------------------------------------------------------------------------------------
 def _contacts(recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, Any]]:
-    """Where contacts begin: half-way between robot and person."""
+    """Returns the places where contacts begin: half-way between robot and person."""
     pair = agent_pair(recording)
     marks = []
     for row in _touches(recording) if pair is not None else ():

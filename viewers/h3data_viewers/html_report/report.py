@@ -72,7 +72,7 @@ class Report:
     tables_of_partners: tuple[Table, ...]
     """Heat maps of policies by partners."""
     missing: tuple[str, ...]
-    """What is not in the report, and why."""
+    """Parts that are not in the report, and why."""
     html: str
     replays: tuple[Path, ...] = ()
     """HTML replays that the page links."""

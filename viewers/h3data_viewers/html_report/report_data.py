@@ -54,9 +54,9 @@ class Run:
     name: str
     policy: str
     task: str
-    """As the profile calls it: ``social_nav``, ``rearrange``, or a task of another package."""
+    """Name of the task in the profile: ``social_nav``, ``rearrange``, or a task of another package."""
     profile: Profile
-    """What measures the task, and says how it is shown."""
+    """Profile that measures the task and defines its layout."""
     episodes: tuple[ReportEpisode, ...]
     table: MetricsTable
     seeds: tuple[str, ...] = ()
@@ -103,7 +103,7 @@ class Mean:
 
     mean: float
     low: float
-    """Of seeds, one standard deviation below the mean."""
+    """Lower end: one standard deviation of the seeds below the mean."""
     high: float
     count: int
     """Episodes that define the metric."""
@@ -126,7 +126,7 @@ class ReportData:
 
     @property
     def episodes(self) -> Iterator[ReportEpisode]:
-        """Of all runs."""
+        """Episodes of all runs."""
         return (episode for run in self.runs for episode in run.episodes)
 
     @property
@@ -286,7 +286,7 @@ def _with_each_partner(episode: ReportEpisode, info: Mapping[str, Any]) -> list[
 
 
 def same_episodes(first: Run, second: Run) -> bool:
-    """Whether two runs hold the same episodes by the same participant, if any: equal ids, scenes and seeds, each once."""
+    """Returns whether two runs hold the same episodes by the same participant, if any: equal ids, scenes and seeds."""
     a, b = (
         {e.metrics.episode_id: (e.metrics.scene, e.seed, e.participant) for e in run.episodes}
         for run in (first, second)
@@ -417,7 +417,7 @@ def _pooled(runs: Sequence[Run], roots: Sequence[Path], patterns: Sequence[str])
 
 
 def _one_row(parts: Sequence[Sequence[ReportEpisode]]) -> bool:
-    """Whether datasets of a policy belong together: no episode twice with the same partner or participant, the same rules."""
+    """Returns whether datasets of a policy have the same rules, and no episode twice with one partner or participant."""
     keys = [{(e.metrics.episode_id, e.metrics.scene, e.seed, e.partner, e.participant) for e in part} for part in parts]
     rules = {frozenset(e.metrics.protocol_deviations for e in part) for part in parts}
     return sum(map(len, keys)) == len(set().union(*keys)) and len(rules) == 1

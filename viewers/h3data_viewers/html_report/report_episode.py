@@ -18,7 +18,7 @@ TRACK_S = 0.1
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Track:
-    """Where one agent went."""
+    """Track of one agent."""
 
     kind: str
     """``robot`` or ``human``."""
@@ -50,12 +50,12 @@ class ReportEpisode:
 
     @property
     def name(self) -> str:
-        """How the command line names it."""
+        """Name of the episode on the command line."""
         return f"{self.source}#{self.index}" if self.source.is_dir() else str(self.source)
 
     @property
     def studied(self) -> bool:
-        """Whether it says which participant did it under which condition."""
+        """Returns whether it says which participant did it under which condition."""
         return bool(self.participant and self.condition)
 
     def seconds(self, row: int) -> float:

@@ -19,7 +19,7 @@ from h3data_viewers.html_report.report_episode import ReportEpisode
 
 
 def holds_results(root: Path) -> bool:
-    """Whether a folder is that of an evaluation whose recordings were not kept."""
+    """Returns whether a folder is that of an evaluation whose recordings were not kept."""
     return (root / "table.json").is_file() and (root / "episodes").is_dir() and not (root / "recordings").is_dir()
 
 

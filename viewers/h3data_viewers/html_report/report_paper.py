@@ -83,7 +83,7 @@ def social_nav_table(runs: Sequence[Run]) -> Table:
 
 
 def _deviations(runs: Sequence[Run]) -> list[str]:
-    """Of each run whose rules differ from the paper's, in what."""
+    """Returns the deviations from the paper's rules of each run that has some."""
     found = {
         run.name: Counter(e.metrics.protocol_deviations for e in run.episodes if e.metrics.protocol_deviations)
         for run in runs
@@ -285,7 +285,7 @@ _BY_POPULATION = ("train", "", "zsc")
 
 
 def _partner_group(kinds: Mapping[str, str], partner: str) -> str:
-    """What stands above partners of one population; with one population, all are partners."""
+    """Returns the heading above partners of one population; with one population, all are partners."""
     if len(set(kinds.values())) == 1 and not kinds[partner]:
         return "Partner"
     return {"train": "Training partners", "zsc": "Zero-shot partners", "": "Other partners"}[kinds[partner]]
@@ -293,7 +293,7 @@ def _partner_group(kinds: Mapping[str, str], partner: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class _Shade:
-    """How a heat map colours means: from ``low`` (pale) to ``high`` (dark), shown times ``factor``."""
+    """Colour scale of a heat map of means: from ``low`` (pale) to ``high`` (dark), shown times ``factor``."""
 
     low: float
     high: float
@@ -312,7 +312,7 @@ class _Shade:
         )
 
     def ends(self, metric: Metric) -> tuple[str, str]:
-        """What is said at the pale and the dark end of the bar of colours."""
+        """Returns the labels at the pale and the dark end of the colour bar."""
         better = {"higher": ("", ", better"), "lower": (", better", ""), "neither": ("", "")}[metric.direction]
         low, high = (
             number(self.factor * value, self.digits) + word

@@ -35,7 +35,7 @@ Posing = Callable[..., "Replay"]
 """Makes the `Replay` of a recording, with further arguments by name."""
 _PLAN_WIDTH, _PLAN_HEIGHT = 360.0, 400.0
 _PIXELS = 2.0
-"""Of the plan's picture per unit of the drawing."""
+"""Pixels of the plan's picture per unit of the drawing."""
 _SCENES = 3
 _TRACKS = 40
 """At most so many trajectories per run are drawn over a plan."""

@@ -19,7 +19,7 @@ class Svg:
     width: float
     height: float
     alt: str
-    """What it shows, for those who cannot see it."""
+    """Description of the picture, for readers who cannot see it."""
     css: str = ""
     """Its class."""
     parts: list[str] = field(default_factory=list)
@@ -64,7 +64,7 @@ class Svg:
         )
 
     def use(self, reference: str) -> None:
-        """What the page defines under this id."""
+        """Refers to a shape that the page defines under this id."""
         self.parts.append(f'<use href="#{escape(reference)}"/>')
 
     def to_html(self) -> str:

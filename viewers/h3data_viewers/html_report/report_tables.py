@@ -47,7 +47,7 @@ class Cell:
     text: str
     """``0.97 [0.95, 0.99]``; empty: nothing to say."""
     value: float = NAN
-    """What a sorted column goes by."""
+    """Value by which the column is sorted."""
     small: str = ""
     """Said below, in small type."""
     strong: bool = False
@@ -98,7 +98,7 @@ class Table:
     sections: tuple[Section, ...]
     notes: tuple[str, ...] = ()
     scale: tuple[str, str] | None = None
-    """What the palest and the darkest colour of its cells mean; None: cells are not coloured."""
+    """Meanings of the palest and the darkest colour of its cells; None if cells are not coloured."""
 
     @property
     def groups(self) -> list[tuple[str, int]]:
@@ -116,7 +116,7 @@ class Table:
 
 @dataclass(frozen=True, kw_only=True)
 class StudyTables:
-    """What a report shows of the episodes of one task that participants did under conditions."""
+    """Tables of a report about the episodes of one task that participants did under conditions."""
 
     tables: tuple[Table, ...] = ()
     charts: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -168,7 +168,7 @@ def spread_cell(values: tuple[float, ...], *, digits: int = 2) -> Cell:
 
 
 def p_text(p: float) -> str:
-    """As papers print it."""
+    """Returns a p value as papers print it."""
     return "–" if math.isnan(p) else "< .0001" if p < 1e-4 else f"{p:.4f}"
 
 

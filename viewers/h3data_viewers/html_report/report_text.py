@@ -1,4 +1,4 @@
-"""What a report says in words: its beginning, the list of episodes, what the numbers mean."""
+"""Texts of a report: its beginning, the list of episodes, what the numbers mean."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LISTED, _MOST_PATHS = 5_000, 8
 
 
 def task_name(task: str) -> str:
-    """What reports call a task."""
+    """Returns the name of a task in reports."""
     return TASKS.get(task, task.replace("_", " "))
 
 

@@ -45,7 +45,7 @@ class CameraFeed:
 
     @property
     def has_images(self) -> bool:
-        """Whether the camera has a video or stills."""
+        """Returns whether the camera has a video or stills."""
         return self.video is not None or self.stills is not None
 
 

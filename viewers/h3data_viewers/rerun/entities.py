@@ -66,12 +66,12 @@ class Drawable(Protocol):
 
     @property
     def moving(self) -> bool:
-        """Whether its pose changes over time."""
+        """Returns whether its pose changes over time."""
         ...
 
     @property
     def deformable(self) -> bool:
-        """Whether its vertices change over time, as those of skinned bodies."""
+        """Returns whether its vertices change over time, as those of skinned bodies."""
         ...
 
 
@@ -213,7 +213,7 @@ def log_rigid(sink: Sink, recording: Recording, replay: PosedScene, *, share: fl
 
 
 def _has_root(recording: Recording, agent: int) -> bool:
-    """Whether the agent's entities can be children of its root frame: the agent must be in the world at every step."""
+    """Returns whether the agent's entities can be children of its root frame: the agent must be in the world at every step."""
     if not 0 <= agent < len(recording.agents):
         return False
     return bool(np.isfinite(recording.agent_column(agent, "base_pose")).all())

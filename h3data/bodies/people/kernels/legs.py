@@ -35,7 +35,7 @@ LEG_JOINTS = np.array(
     [[JOINT_INDEX[f"{side}_{part}"] for side in ("left", "right")] for part in ("hip", "knee", "ankle", "foot")]
 )
 KNEES_OUT = 0.10
-"""How far knees point out to their side, where feet point forward by 1."""
+"""Distance by which knees point out to their side, relative to 1 for the direction in which feet point forward."""
 SETTLE_LIFT = 0.3
 """Height of a foot's path to its standing place, as a share of the distance."""
 
@@ -82,7 +82,7 @@ def solve_leg(thigh, shank, knee_out, pelvis_turn, hip, ankle, pitch, yaw):
 
 @kernel_part()
 def sinking(hips, longest, pelvis_turn, pelvis, ankles):
-    """How far the pelvis must sink [m] for both ankles [2, 3] to be within ``longest`` of their hips."""
+    """Returns how far the pelvis must sink [m] for both ankles [2, 3] to be within ``longest`` of their hips."""
     sink = 0.0
     for k in range(2):
         hip = plus(pelvis, turned(pelvis_turn, row3(hips, k)), 1.0)

@@ -42,12 +42,13 @@ the gait, negative backwards, and ``STYLE``, that of trunk and arms [m/s]; ``TUR
 [m]; ``IDLE``: how far the person breathes and sways as one who stands, 0..1; ``TIME`` [s]; the root; ``AHEAD``: its speed,
 nearly [m/s]; ``LOOK``: turn of the head to the left [rad], and ``LOOK_RATE`` of it [rad/s]."""
 FOOT = 14
-"""Where the columns of the left foot begin."""
+"""First column of the left foot."""
 AIR, SHARE, SINCE = 0, 1, 2
-"""Whether the foot swings, how far it has got 0..1, and what that was when it began (above 0 in the first step of a walk)."""
+"""Columns of a foot's swing: whether it swings, its progress 0..1, and its progress at the start (above 0 in the first step
+of a walk)."""
 PLANT, LEFT_AT, LANDS_AT = 3, 6, 9
-"""Where it is planted in the world [3]; by how much it was off the gait when it left the floor [3], and will be when it lands
-[3]."""
+"""Columns of a foot: its planted place in the world [3], its distance from the gait when it left the floor [3], and that
+distance when it lands [3]."""
 SHAPE_OFF = 12
 """By how much its pitch, bend [deg], ankle forward and up [m] differ from the gait's since it left the floor or landed [4]."""
 FOOT_COLUMNS = 16
@@ -74,7 +75,7 @@ OFF_M = 0.45
 LANDING_M, LANDING_RAD = 0.06, 0.20
 """The place where a swinging foot will land moves by no more than this in a step."""
 FIRST_SHARE = 0.25
-"""Where in its stance the foot is that stays while the other one makes the first step."""
+"""Share of its stance at which a foot is that stays while the other one makes the first step."""
 JUMP_M = 0.5
 """A root that moves further in one step has been put there: the person stands."""
 MOST_STEPS, LEAST_S = 30, 1e-3
@@ -143,11 +144,11 @@ class GaitTables(NamedTuple):
     stance: Array
     """Share of the cycle that a foot is on the floor, [R]."""
     strike: Array
-    """Where a foot strikes ahead of the pelvis, in cycles, [R]."""
+    """Distance ahead of the pelvis at which a foot strikes, in cycles, [R]."""
     swing: Array
     """Fastest that a swinging foot moves along the floor against the body, [R] [m/s]."""
     middle: Array
-    """Where the feet are when nothing travels, [R] [m]."""
+    """Position of the feet while the body does not travel, [R] [m]."""
     quats: Array
     """[R, P, 55, 4] in the body frame; those of legs are not used."""
     pelvis: Array
@@ -167,7 +168,7 @@ class GaitTables(NamedTuple):
     cell_m: float
     """Side of its cells."""
     heights: Array
-    """How high the floor is at a place (`h3data.scene.floor_heights`), [K, 10]; [0, 10]: it is level."""
+    """Table of floor heights (`h3data.scene.floor_heights`), [K, 10]; [0, 10] if the floor is level."""
 
 
 @kernel_part(borrows=True)
@@ -213,7 +214,7 @@ def _to_body(x, z, heading, px, pz, ph):
 
 @kernel_part(borrows=True)
 def _gait_ahead(table, k, f, speed, phase):
-    """How far ahead of the pelvis the steady gait has a foot on the floor at its own phase, 0 at its strike."""
+    """Returns how far ahead of the pelvis the steady gait has a foot on the floor at its own phase, 0 at its strike."""
     way = math.copysign(1.0, speed) * _at(table.travel, k, f)
     return _at(table.middle, k, f) + way * (_at(table.strike, k, f) - phase)
 
@@ -233,7 +234,7 @@ def _own_phase(phase, foot):
 
 @kernel_part(borrows=True)
 def _slides_to(table, x, z, to_x, to_z):
-    """Where a point gets that moves from free floor towards a place and slides along what is in between."""
+    """Returns where a point ends that moves from free floor towards a place and slides along obstacles in between."""
     for _ in range(SLIDES):
         way_x, way_z = to_x - x, to_z - z
         length, done = math.hypot(way_x, way_z), 0.0
@@ -312,7 +313,7 @@ def _came_from(table, state, foot):
 
 @kernel_part(borrows=True)
 def _stand_place(table, state, foot):
-    """Where a foot of a standing person belongs, in the body frame: (left, ahead)."""
+    """Returns the place of a standing person's foot in the body frame: (left, ahead)."""
     side = table.half_width if foot == 0 else -table.half_width
     if table.heights.shape[0] == 0:
         return side, table.middle[0]
@@ -348,7 +349,7 @@ def _above_root(table, k, f, state, foot, along):
 
 @kernel_part(borrows=True)
 def _steps_off(table, state, foot):
-    """Whether a swinging foot has left a place in a stairwell: then it goes straight from there to where it will land."""
+    """Returns whether a swinging foot has left a place in a stairwell, from where it goes straight to where it will land."""
     at = FOOT + foot * FOOT_COLUMNS
     return table.heights.shape[0] > 0 and step_at(table.heights, state[at + PLANT], state[at + PLANT + 1])[0] >= 0
 
@@ -370,7 +371,7 @@ def _stair_line(table, k, f, state, foot, done, gone):
 
 @kernel_part(borrows=True)
 def _swing_line(table, k, f, state, foot, share):
-    """As `_swing_place`, at a share of the swing, where nothing stands in the way."""
+    """Returns the same as `_swing_place`, at a share of the swing and without obstacles."""
     at = FOOT + foot * FOOT_COLUMNS
     since = state[at + SINCE]
     if _steps_off(table, state, foot):
@@ -387,7 +388,7 @@ def _swing_line(table, k, f, state, foot, share):
 
 @kernel_part(borrows=True)
 def _swing_place(table, k, f, state, foot):
-    """Where a swinging foot is over the floor, in the body frame, and how far it has got since it left."""
+    """Returns where a swinging foot is over the floor, in the body frame, and how far it has moved since it left."""
     left, ahead, yaw, done = _swing_line(table, k, f, state, foot, state[FOOT + foot * FOOT_COLUMNS + SHARE])
     left, ahead = _beside_things(table, state, foot, left, ahead, yaw)
     return left, ahead, yaw, done
@@ -395,7 +396,7 @@ def _swing_place(table, k, f, state, foot):
 
 @kernel_part(borrows=True)
 def _foot_place(table, k, f, state, foot):
-    """Where a foot is over the floor, in the body frame: left, ahead, yaw."""
+    """Returns where a foot is over the floor, in the body frame: left, ahead, yaw."""
     at = FOOT + foot * FOOT_COLUMNS
     if state[at + AIR] > 0.0:
         left, ahead, yaw, _ = _swing_place(table, k, f, state, foot)
@@ -434,7 +435,7 @@ def _gait_shape(table, k, f, state, foot):
 
 @kernel_part(borrows=True)
 def _shape(table, k, f, state, foot):
-    """As `_gait_shape`, as it is: a foot on the floor pivots about heel or ball, one in the air does not enter the floor."""
+    """Returns `_gait_shape` with contact: a foot on the floor pivots about heel or ball, one in the air stays above it."""
     at, feet = FOOT + foot * FOOT_COLUMNS, table.legs.feet[foot]
     pitch, bend, along, up = _gait_shape(table, k, f, state, foot)
     pitch, bend = pitch + state[at + SHAPE_OFF], max(bend + state[at + SHAPE_OFF + 1], 0.0)
@@ -511,7 +512,7 @@ def stand_at(table, state, x, z, heading):
 
 @kernel_part(borrows=True)
 def is_settled(table, state):
-    """Whether both feet stand where a standing person's do."""
+    """Returns whether both feet stand where a standing person's do."""
     k, f = _row(table, 0.0)
     for foot in range(2):
         at = FOOT + foot * FOOT_COLUMNS
@@ -790,7 +791,7 @@ def _pelvis_turn(table, state):
 
 @kernel_part(borrows=True)
 def _lacks(table, k, f, state, foot):
-    """How far the pelvis of the gait must sink for a foot to be within reach [m]."""
+    """Returns how far the pelvis of the gait must sink for a foot to be within reach [m]."""
     place, turn = _pelvis(table, state), _pelvis_turn(table, state)
     ankle, _, _, _ = _ankle(table, k, f, state, foot)
     hip = turned(turn, row3(table.legs.hips, foot))
@@ -802,7 +803,7 @@ def _lacks(table, k, f, state, foot):
 
 @kernel_part(borrows=True)
 def _will_lack(table, k, f, state, foot):
-    """As `_lacks`, of a swinging foot that has come down where it will, flat, while the pelvis stays where it is."""
+    """Returns the same as `_lacks` for a swinging foot once it has landed flat, while the pelvis stays where it is."""
     place, turn = _pelvis(table, state), _pelvis_turn(table, state)
     at, feet = FOOT + foot * FOOT_COLUMNS, table.legs.feet[foot]
     x, z = _lands_at(table, k, f, state, foot, state[at + LANDS_AT], state[at + LANDS_AT + 1], 0.0)
@@ -821,7 +822,7 @@ def _will_lack(table, k, f, state, foot):
 
 @kernel_part(borrows=True)
 def _settle_pelvis(table, k, f, state, dt):
-    """How far the pelvis must be below that of the gait for the planted feet: down at once, up at leisure."""
+    """Returns how far the pelvis must be below that of the gait for the planted feet; it sinks at once and rises slowly."""
     sink, climbs = 0.0, table.heights.shape[0] > 0
     for foot in range(2):
         at = FOOT + foot * FOOT_COLUMNS
@@ -912,7 +913,7 @@ def step_one(table, state, x, z, heading, dt):
 
 @kernel(error_model="numpy")
 def one_stands(table, state):
-    """Whether one state [K] rests with both feet where a standing person's are, so that at rest it takes no further step."""
+    """Returns whether a state [K] rests with both feet where a standing person's are, so that it takes no further step."""
     return state[SPEED] == 0.0 and abs(state[TURN]) < 0.1 and is_settled(table, state)
 
 

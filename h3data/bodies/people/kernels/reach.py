@@ -41,10 +41,10 @@ in which the elbow sticks out, in the chest frame (3)."""
 
 # --- the measures of a posture -----------------------------------------------------------------------------------------
 MISS, ELBOW, KNEE, SHANK, BALANCE, CLEARANCE, STRETCH, SPREAD, SHOULDER, MEASURE_COUNT = 0, 1, 2, 3, 4, 5, 6, 7, 8, 11
-"""How far the arm is too short or too long [m], flexion of elbow and knees [rad], forward lean of the shanks [rad], how far
-the centre of mass is outside the feet [m] (negative: inside), clearance of forearm and hand [m], how far the pelvis had to
-sink for the legs to be long enough [m], sine between elbow direction and arm, rotation vector of the shoulder from hanging
-down (3) [rad]."""
+"""Columns of a posture's measures: the length by which the arm is too short or too long [m], flexion of elbow and knees [rad],
+forward lean of the shanks [rad], how far the centre of mass is outside the feet [m] (negative: inside), clearance of forearm
+and hand [m], how far the pelvis had to sink for the legs to be long enough [m], sine between elbow direction and arm, rotation
+vector of the shoulder from hanging down (3) [rad]."""
 
 ELBOW_MIN, ELBOW_MAX = math.radians(12.0), math.radians(145.0)
 KNEE_MAX, SHANK_MAX = math.radians(132.0), math.radians(37.0)
@@ -78,7 +78,7 @@ class ReachBody(NamedTuple):
     offsets: Array
     """Joints in their parents' frames, shape [55, 3] [m]."""
     ankles: Array
-    """Where the ankles stay: left, right, shape [2, 3] [m]."""
+    """Positions at which the ankles stay: left, right, shape [2, 3] [m]."""
     support: Array
     """Heels and balls of the feet [m], along z."""
     bones: Array
@@ -92,7 +92,7 @@ class ReachBody(NamedTuple):
     obstacle_joints: NDArray[np.int64]
     """0 pelvis, 1-3 spine, 4 head, 5-6 thighs, shape [C]."""
     arm_radius: float
-    """Of the forearm [m]; the hand's is as large."""
+    """Radius of the forearm [m]; the hand's is as large."""
 
 
 @kernel_part()

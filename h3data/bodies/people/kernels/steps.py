@@ -41,7 +41,7 @@ def tread_length(heights):
 
 @kernel_part()
 def beside_steps(heights, x, z):
-    """Whether a place is on a flight of stairs or right before it."""
+    """Returns whether a place is on a flight of stairs or right before it."""
     k, _, place = step_at(heights, x, z)
     if k < 0:
         return False

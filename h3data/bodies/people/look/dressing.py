@@ -18,7 +18,7 @@ from h3data.mesh.mesh import Mesh
 
 @dataclass(frozen=True, kw_only=True)
 class Look:
-    """How somebody looks, apart from their shape."""
+    """Appearance of a person, apart from their shape."""
 
     complexion: Complexion
     hair: str
@@ -32,7 +32,7 @@ class Look:
     """Colors by slot in place of those of the set, whatever is worn."""
 
     def to_json(self) -> str:
-        """As body files hold it."""
+        """Returns the appearance in the form that body files hold."""
         return json.dumps(asdict(self))
 
 

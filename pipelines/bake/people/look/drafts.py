@@ -189,7 +189,7 @@ class Ground:
         return over_surface(points, self.body.vertices, self.base.part(part), self.normals)
 
     def shown(self, draft: Draft, part: str) -> Array:
-        """Where a draft has its vertices on the pattern body."""
+        """Returns the vertices of a draft on the pattern body."""
         corners, shares, height = self.attached(draft.mesh.vertices, part)
         up = normalized(np.einsum("nc,ncj->nj", shares, self.normals[corners]))
         point = np.einsum("nc,ncj->nj", shares, self.body.vertices[corners]) + (height + draft.lift)[:, None] * up

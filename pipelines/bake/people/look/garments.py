@@ -44,7 +44,7 @@ class Top:
     """A garment of the upper body."""
 
     sleeve: tuple[Literal["upper", "lower"], float] = ("lower", 0.96)
-    """Where sleeves end: fraction of the upper arm, or of the forearm."""
+    """End of sleeves: fraction of the upper arm, or of the forearm."""
     hem: float = -0.03
     """Height of the hem over the pelvis, in statures."""
     neck: tuple[float, float, float] = (-0.030, 0.50, 4.0)
@@ -52,9 +52,9 @@ class Top:
     ease_m: float = 0.010
     sleeve_ease_m: float = 0.010
     flare_m: float = 0.004
-    """How much wider sleeves get towards their ends."""
+    """Width that sleeves gain towards their ends."""
     hang: float | None = 0.22
-    """How far it falls inwards below the chest, per metre; None clings."""
+    """Distance by which it falls inwards below the chest, per metre; None clings."""
     folds_m: float = 0.004
     cuffs_m: float = 0.0
     """Height of ribbed cuffs and waistband, which gather the cloth."""
@@ -68,12 +68,12 @@ class Bottom:
     """Trousers or shorts."""
 
     end: float = 1.97
-    """Where the legs end: 0 hip, 1 knee, 2 ankle."""
+    """End of the legs: 0 hip, 1 knee, 2 ankle."""
     top: float = 0.008
     """Height of the waist over the pelvis, in statures."""
     ease_m: float = 0.006
     seat: float = 0.45
-    """How far it falls inwards below the seat, per metre."""
+    """Distance by which it falls inwards below the seat, per metre."""
     width_m: tuple[float, float, float] = (0.088, 0.069, 0.063)
     """Least radius of the cloth at the thigh, at the knee and at its end [m]."""
     folds_m: float = 0.005
@@ -90,7 +90,7 @@ class Dress(Top):
     """A bodice with a skirt."""
 
     flare: float = 0.10
-    """How much further the skirt stands off, per metre of its length."""
+    """Distance by which the skirt stands off further, per metre of its length."""
     pleats: int = 18
     pleat_m: float = 0.010
 
@@ -214,7 +214,7 @@ def _hollows(points: Array, faces: NDArray[np.int32], source: NDArray[np.int64],
 
 
 def limits(mesh: Cloth, m: Measures, spec: Top) -> tuple[Array, Array, Array]:
-    """How far inside hem, sleeves and neckline [m]."""
+    """Returns the distance inside hem, sleeves and neckline [m]."""
     arms = m.arms(mesh) > 0.5
     hem = np.where(arms, 1.0, mesh.vertices[:, 1] - m.pelvis[1] - spec.hem * m.stature)
     bone, share = spec.sleeve
@@ -224,7 +224,7 @@ def limits(mesh: Cloth, m: Measures, spec: Top) -> tuple[Array, Array, Array]:
 
 
 def top_lift(ground: Ground, m: Measures, mesh: Cloth, spec: Top) -> Array:
-    """How far a top stands off the skin [m]."""
+    """Returns how far a top stands off the skin [m]."""
     hem, sleeve, neck = limits(mesh, m, spec)
     arms, (u, _) = m.arms(mesh), m.along_arm(mesh)
     hem_y = float(m.pelvis[1]) + spec.hem * m.stature

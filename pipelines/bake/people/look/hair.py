@@ -37,15 +37,15 @@ class Hair:
     curl_m: float = 0.0
     """Size of curls; 0 = straight."""
     hang_m: float = 0.0
-    """How far it hangs below the hairline at the back."""
+    """Length by which it hangs below the hairline at the back."""
     side_hang: float = 0.6
-    """That at the temples, as a share."""
+    """Hang at the temples, as a share of that at the back."""
     part_x: float | None = None
-    """Where it is parted, in head widths from the middle."""
+    """Place of the parting, in head widths from the middle."""
     bald: Literal["no", "receding", "crown"] = "no"
     knot: Literal["", "bun", "tail"] = ""
     fringe_m: float = 0.0
-    """How far it hangs over the forehead."""
+    """Length by which it hangs over the forehead."""
     scarf: bool = False
 
 
@@ -110,7 +110,7 @@ class Skull:
 
 
 class Round:
-    """How far head and neck reach from a vertical axis, by height and azimuth."""
+    """Reach of head and neck from a vertical axis, by height and azimuth."""
 
     def __init__(self, ground: Ground, of: NDArray[np.bool_]) -> None:
         from scipy.ndimage import gaussian_filter, maximum_filter
@@ -221,7 +221,7 @@ def hair(ground: Ground, spec: Hair, *, fine: bool) -> Draft:
 
 
 def under_hair(ground: Ground, spec: Hair, points: Array) -> Array:
-    """How far inside the hairline points of the skin [N, 3] are [m]; -1 where little or nothing grows."""
+    """Returns how far inside the hairline points of the skin [N, 3] are [m]; -1 where little or nothing grows."""
     from scipy.ndimage import minimum_filter
     from scipy.spatial import KDTree
 
@@ -239,7 +239,7 @@ def under_hair(ground: Ground, spec: Hair, points: Array) -> Array:
 
 
 def _thickness(spec: Hair, polar: Array, degrees: Array, t: Array, hangs: NDArray[np.bool_], *, fine: bool) -> Array:
-    """How far the shell is off the skull [m]: full on top, thin towards the neck, sunk where nothing grows."""
+    """Returns how far the shell is off the skull [m]: full on top, thin towards the neck, sunk where nothing grows."""
     top = smoothstep(98, 20, polar)
     full = spec.side_m + (spec.top_m - spec.side_m) * top
     nape = 1 - 0.45 * smoothstep(95, 125, polar) * smoothstep(110, 150, degrees)

@@ -66,7 +66,7 @@ class Measures:
         return joint_weight(mesh, ("left_eye_smplhf", "right_eye_smplhf")) > 0.9
 
     def arms(self, mesh: Cloth) -> Array:
-        """How much of a vertex belongs to the arms, 0..1."""
+        """Returns how much of a vertex belongs to the arms, 0..1."""
         return joint_weight(mesh, arm_joints("left")) + joint_weight(mesh, arm_joints("right"))
 
     def beyond(self, mesh: Cloth, start: str, end: str, share: float) -> Array:

@@ -20,11 +20,11 @@ class Shoe:
     sole_m: float = 0.020
     """Height of the sole's edge."""
     welt_m: float = 0.003
-    """How far it stands out."""
+    """Distance by which the welt stands out."""
     laces: bool = False
     cap: bool = False
     low: float = 0.0
-    """How much lower the edge is than the last's [m]."""
+    """Height by which the edge is lower than the last's [m]."""
 
 
 SHOES: dict[str, Shoe] = {

@@ -13,7 +13,7 @@ from h3data.bodies.people.skeleton import FINGERS
 from h3data.geometry import Array
 
 HEAD_DETAIL, NECK_DETAIL, HAND_DETAIL = 2.6, 1.5, 1.7
-"""How much larger the reduction sees faces, necklines and hands, and so how much finer it keeps them."""
+"""Factors by which the reduction enlarges faces, necklines and hands, and so how much finer it keeps them."""
 LIGHT_FACES = 2300
 IRIS_M, PUPIL_M = 0.0060, 0.0024
 HAIRLINES = {
@@ -167,7 +167,7 @@ def beard(m: Measures, mesh: Cloth) -> Array:
 
 
 def painted(m: Measures, s: Sheet, masks: dict[str, Array]) -> dict[str, Array]:
-    """How much of each paint a vertex has, 0..1."""
+    """Returns how much of each paint a vertex has, 0..1."""
     x, y, z = s.vertices.T
     side, up, forward = np.abs(x), y - m.eye[1], z - m.eye[2]
     front = smoothstep(-0.045, -0.015, forward) * (y > m.neck_joint[1])

@@ -70,7 +70,7 @@ def _merged(parts: list[Arrays]) -> Arrays:
 
 
 def _covered(base: Base, name: str, mesh: Cloth) -> Array:
-    """How far inside a garment each vertex of the skin is [m]."""
+    """Returns how far inside a garment each vertex of the skin is [m]."""
     m = base.measures
     y, arms = mesh.vertices[:, 1], m.arms(mesh)
     if name in SHOES:

@@ -22,7 +22,7 @@ class MovingPart:
     shapes: tuple[Shape, ...]
     joint: Joint
     handle: NDArray[np.float64]
-    """Where a hand takes hold, shape [3] [m]."""
+    """Point at which a hand takes hold, shape [3] [m]."""
     receptacles: tuple[Receptacle, ...] = ()
     behind: tuple[str, ...] = ()
     """Receptacles of the piece (those of a part as ``part/receptacle``) that it shuts off; its own it shuts off in any case."""
@@ -36,7 +36,7 @@ class Opening:
     """After which the instance is named."""
     category: str
     builder: MeshBuilder
-    """Of the body, which stands still."""
+    """Builder of the body, which stands still."""
     shapes: tuple[Shape, ...]
     receptacles: tuple[Receptacle, ...]
     parts: tuple[MovingPart, ...]

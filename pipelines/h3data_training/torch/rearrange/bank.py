@@ -52,23 +52,23 @@ class RearrangeBank:
     robot: Robot
     human: Humanoid
     floors: tuple[BankFloor, ...]
-    """Of the homes that are played in, [R]."""
+    """Floors of the homes that are played in, [R]."""
     scenes: tuple[Scene, ...]
     """The homes, for pictures; none where the bank comes from a file."""
     place: NDArray[np.int64]
     """Number of the home, [N]."""
     seeds: NDArray[np.int64]
-    """Of the episodes, as in recordings, [N]."""
+    """Seeds of the episodes, as in recordings, [N]."""
     starts: Array
     """``(x, z, heading)`` of robot and person, [N, 2, 3]."""
     spots: Array
-    """Where each object lies at the beginning, then where it is to go, [N, 2 K, 3] [m]."""
+    """Places of each object at the beginning, then its goals, [N, 2 K, 3] [m]."""
     ends: Array
     """Places at the ends of the paths, [N, F, S, 2] [m]; NaN where there are fewer."""
     first: NDArray[np.int16]
     """Point to go to first from each cell, F tables of as many as the home has cells for each episode, one after the other."""
     first_of: NDArray[np.int64]
-    """Where those of an episode begin, [N]."""
+    """First entries of each episode, [N]."""
     after: NDArray[np.int16]
     """Point to go to from each corner, F tables for each episode,"""
     after_of: NDArray[np.int64]
@@ -76,7 +76,7 @@ class RearrangeBank:
     """and how far it is from there [m], 2 K tables: of the paths to the floor below objects and goals."""
     left_of: NDArray[np.int64]
     corners: Array
-    """Of all homes, one after the other [m], and"""
+    """Corners of all homes, one after the other [m], and"""
     corners_of: NDArray[np.int64]
     """where those of a home begin, [R + 1]."""
     origins: Array

@@ -32,7 +32,7 @@ class Paths(NamedTuple):
     lengths: Tensor
     """Lengths of the paths from these positions to the floor below starts and goals, [W, 2, 2, 2 K] [m]."""
     ahead: Tensor
-    """Where each would be `AHEAD_M` further on, on the way to each object or, with what they hold, to its goal,
+    """Places of each agent `AHEAD_M` further on, on the path to each object or, with what they hold, to its goal,
     [W, 2, K, n, 2]: to what is in the other's hand the way is straight."""
 
     @classmethod
@@ -123,7 +123,7 @@ class View(NamedTuple):
 
     @property
     def touching(self) -> Tensor:
-        """Whether the agents touch, bool [W]."""
+        """Returns whether the agents touch, bool [W]."""
         return self.play.collides
 
     @property
@@ -133,17 +133,17 @@ class View(NamedTuple):
 
     @property
     def objects(self) -> Tensor:
-        """Where objects are, [W, K, 3] [m]."""
+        """Places of objects, [W, K, 3] [m]."""
         return self.play.objects
 
     @property
     def starts(self) -> Tensor:
-        """Where objects were at first, [W, K, 3] [m]."""
+        """Initial places of objects, [W, K, 3] [m]."""
         return self.sim.tables.spots[self.play.episode, : self.sim.bank.objects]
 
     @property
     def goals(self) -> Tensor:
-        """Where objects are to go, [W, K, 3] [m]."""
+        """Goals of objects, [W, K, 3] [m]."""
         return self.sim.tables.spots[self.play.episode, self.sim.bank.objects :]
 
     @property
@@ -153,7 +153,7 @@ class View(NamedTuple):
 
     @property
     def close(self) -> Tensor:
-        """Whether the other agent is close, bool [W]."""
+        """Returns whether the other agent is close, bool [W]."""
         return self.sim.close(self.now.xz, self.now.heading, self.other.xz)
 
     @property
@@ -181,7 +181,7 @@ class View(NamedTuple):
         return torch.where(play.held_by != NOBODY, torch.hypot(gap[..., 0], gap[..., 1]), lies)
 
     def ahead(self, *, other: bool) -> Tensor:
-        """Where the agent or the other would be `AHEAD_M` further on (`Paths.ahead`), [W, K, n, 2]."""
+        """Returns where the agent or the other would be `AHEAD_M` further on (`Paths.ahead`), [W, K, n, 2]."""
         return self.known_paths.ahead[:, 1 - self.agent if other else self.agent]
 
     def ended(self, outcome: Ending) -> Tensor:
@@ -207,7 +207,7 @@ OF_PATHS = (
     "path_ahead",
     "other_path_ahead",
 )
-"""Those that `Paths` are needed for."""
+"""Observations that `Paths` are needed for."""
 
 
 def checked_observations(names: tuple[str, ...]) -> tuple[str, ...]:

@@ -28,7 +28,7 @@ NAV_OBJECT, NAV_GOAL, PICK, PLACE, WAIT = range(5)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Choices:
-    """What one kind of agent chooses among (`sim_kinematic.agents.skills.choices`), as tables by number, [C] each."""
+    """Choices of one kind of agent (`sim_kinematic.agents.skills.choices`), as tables by number, [C] each."""
 
     who: int
     """0 the robot, 1 the person."""
@@ -36,11 +36,11 @@ class Choices:
     target: Tensor
     """Number of the object; 0 of those that have none."""
     steps: Tensor
-    """How long it lasts; 0 of those that go somewhere."""
+    """Number of steps that each lasts; 0 for those that go somewhere."""
     command: Tensor
-    """Of the base, [C, 2]."""
+    """Command of the base, [C, 2]."""
     carry: Tensor
-    """Where what it holds is in the frame of its root, [3] [m]."""
+    """Place of a held object in the frame of its root, [3] [m]."""
     changes: int
     """Step of a pick or a place in which the object changes hands."""
 
@@ -48,7 +48,7 @@ class Choices:
     def of(
         cls, body: Robot | Humanoid, objects: int, oracle: OracleSpec, device: torch.device, dtype: torch.dtype
     ) -> Choices:
-        """Of a robot or a person."""
+        """Returns the choices of a robot or a person."""
         primitives = list(PRIMITIVES.values()) if isinstance(body, Robot) else []
         changes, ends = oracle.robot_steps if isinstance(body, Robot) else oracle.person_steps
         kinds = [kind for kind in range(4) for _ in range(objects)] + list(range(WAIT, WAIT + 1 + len(primitives)))
@@ -86,11 +86,11 @@ class Turn(NamedTuple):
 
     does: SubGoal
     kind: Tensor
-    """Of the choice that it is at; -1: it does nothing."""
+    """Kind of its present choice; -1 if it does nothing."""
     goes: Tensor
     """It is on its way to a place, bool [W]."""
     spot: Tensor
-    """What it came for, [W, 3]."""
+    """Place of the object or goal that it came for, [W, 3]."""
 
 
 def of_object(values: Tensor, k: Tensor) -> Tensor:
@@ -99,12 +99,12 @@ def of_object(values: Tensor, k: Tensor) -> Tensor:
 
 
 def one_of(number: Tensor, count: int) -> Tensor:
-    """Whether each of ``count`` things is the one with a number [W], bool [W, count]."""
+    """Returns whether each of ``count`` things is the one with a number [W], bool [W, count]."""
     return number[:, None] == torch.arange(count, device=number.device)
 
 
 def precondition(choices: Choices, number: Tensor, hands: Hands) -> Tensor:
-    """Whether `sim_kinematic.agents.skills.Objects.why_not` finds no fault with choices [W] or, for all of them, [W, C]."""
+    """Returns whether `sim_kinematic.agents.skills.Objects.why_not` accepts choices [W] or, for all of them, [W, C]."""
     kind, k = choices.kind[number], choices.target[number]
     flat = k if k.ndim == 2 else k[:, None]
     holder = hands.held_by.gather(1, flat).reshape(k.shape)
@@ -241,7 +241,7 @@ def move_people(turn: Turn, person: HumanTensors, places: Places, walker: Walker
 def handle(
     choices: Choices, kind: Tensor, does: SubGoal, hands: Hands, spot: Tensor, root: Tensor, heading: Tensor
 ) -> tuple[SubGoal, Hands]:
-    """What is held goes along with the agent at ``root`` [W, 3]; picks and places change hands; what lasts some steps ends."""
+    """Moves held objects along with the agent at ``root`` [W, 3]; picks and places change hands; what lasts some steps ends."""
     who, k = choices.who, choices.target[does.skill.clamp_min(0)]
     timed = (kind >= PICK) & (does.skill != FREE)
     timer = torch.where(timed, does.timer + 1, does.timer)

@@ -1,4 +1,4 @@
-"""Where W worlds of rearrangement are in their episodes, as tensors that are replaced, not changed in place."""
+"""State of W worlds of rearrangement, as tensors that are replaced, not changed in place."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from h3data_training.torch.state import HumanTensors, RobotTensors
 from sim_kinematic.tasks.rearrange.play import TRACK
 
 RUNNING, DONE, FAILED, ABORTED = 0, 1, 2, 3
-"""How the last choice of an agent ended."""
+"""Endings of the last choice of an agent."""
 NOBODY = -1
 FREE = -1
 """Number of the choice of an agent that has to choose; also an action: go on, or wait."""
 
 
 class SubGoal(NamedTuple):
-    """What one agent of each world is doing."""
+    """Sub-goal of one agent in each world."""
 
     skill: Tensor
     """Number of the choice that it is at, int64 [W]; `FREE`: it chooses in its next turn."""
@@ -38,7 +38,7 @@ class SubGoal(NamedTuple):
     outcome: Tensor
     """and how it ended, int64 [W]."""
     order: Tensor
-    """Of a planner: objects to bring to their goals, one after the other, int64 [W, K]; -1 after the last,"""
+    """Order of a planner: objects to bring to their goals, one after the other, int64 [W, K]; -1 after the last,"""
     passed: Tensor
     """so many of which are behind it, int64 [W], """
     tries: Tensor
@@ -74,17 +74,17 @@ class Play(NamedTuple):
     robot_does: SubGoal
     human_does: SubGoal
     objects: Tensor
-    """Where the objects are, [W, K, 3] [m]."""
+    """Places of the objects, [W, K, 3] [m]."""
     held_by: Tensor
     """Who holds each: 0 the robot, 1 the person, -1 nobody, int64 [W, K]."""
     moved: Tensor
-    """Whether each has been put down at its goal, bool [W, K]."""
+    """True if each has been put down at its goal, bool [W, K]."""
     placed_by: Tensor
     """Who was the last to put it down, -1 nobody, int64 [W, K]."""
     paid: Tensor
     """Sub-goals that have been paid: each object picked, each at its goal, bool [W, 2 K]."""
     track: Tensor
-    """Where robot and person were at the end of the last steps, in a ring by number of the step, [W, 31, 2, 2] [m]."""
+    """Places of robot and person at the end of the last steps, in a ring by number of the step, [W, 31, 2, 2] [m]."""
     before: Tensor
     """``(x, z, heading)`` of both a step ago, [W, 2, 3]."""
     episode: Tensor
@@ -97,7 +97,7 @@ class Play(NamedTuple):
     collides: Tensor
     """They touch, bool [W]."""
     reward: Tensor
-    """Of the last step, [W]."""
+    """Reward of the last step, [W]."""
     terminated: Tensor
     """The rules ended the episode in the last step, bool [W]."""
     truncated: Tensor

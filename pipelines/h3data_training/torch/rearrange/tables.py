@@ -78,7 +78,7 @@ class Tables:
         )
 
     def at(self, episode: Tensor) -> Places:
-        """Those of the episodes of W worlds."""
+        """Returns the tables of the episodes of W worlds."""
         place = self.place[episode]
         return Places(
             self, episode, place, self.counts[place], self.corners_of[place], self.origins[place], self.shapes[place]

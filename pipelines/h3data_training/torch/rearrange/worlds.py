@@ -80,7 +80,7 @@ class RearrangeTensors:
         """Plan of each episode of the bank, [N, K]."""
 
     def choices(self, agent: str) -> Choices:
-        """What an agent chooses among."""
+        """Returns the choices of an agent."""
         return self.robot_choices if agent == "robot" else self.human_choices
 
     def before_the_first(self, episode: Tensor) -> Play:
@@ -103,7 +103,7 @@ class RearrangeTensors:
         return self._at_start(episode, starts)
 
     def start(self, play: Play) -> Play:
-        """Those worlds that have ended at the start of their next episode."""
+        """Puts worlds that have ended at the start of their next episode."""
         return self._begun(play, play, play.ended)
 
     def _kept(self, play: Play, robot: Tensor, human: Tensor) -> Play:
@@ -170,7 +170,7 @@ class RearrangeTensors:
     def _chosen(
         self, agent: str, choices: Choices, does: SubGoal, choice: Tensor, close: Tensor, hands: Hands, places: Places
     ) -> tuple[SubGoal, Tensor]:
-        """What an agent is at after having been interrupted, and what it chooses if it is free."""
+        """Returns an agent's turn after interruptions, with a new choice if it is free."""
         if agent in self.planners:
             return self._planned(choices, does, hands, self.at_goal(hands, places))
         choice = choice.clamp(FREE, len(choices) - 1)
@@ -238,12 +238,12 @@ class RearrangeTensors:
         return (hands.held_by == NOBODY) & is_object_at(hands.objects, goals, distance_m=self.spec.at_goal_m, xp=torch)
 
     def close(self, xz: Tensor, heading: Tensor, other: Tensor) -> Tensor:
-        """Whether others [W, 2] are in the ellipse around agents in which skills may be interrupted, bool [W]."""
+        """Returns whether others [W, 2] are in the ellipse around agents in which skills may be interrupted, bool [W]."""
         ahead_m, aside_m = self.spec.near_m
         return agents_within_threshold(xz, heading, other, ahead_m=ahead_m, aside_m=aside_m, xp=torch)  # type: ignore[arg-type]
 
     def touching(self, robot: RobotTensors, human: HumanTensors) -> Tensor:
-        """Whether the discs of robot and person overlap, bool [W]."""
+        """Returns whether the discs of robot and person overlap, bool [W]."""
         ahead = heading_direction(robot.heading)
         discs = torch.stack([torch.add(robot.xz, ahead, alpha=offset) for offset in self._base.disc_offsets_m])
         gap = discs - human.xz

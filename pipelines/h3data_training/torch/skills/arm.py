@@ -21,7 +21,7 @@ class Hand(NamedTuple):
     """Hands, or other links, of W worlds in some frame."""
 
     point: Tensor
-    """Where hands hold things, or links have their origins, [W, 3] [m]."""
+    """Points at which hands hold things, or origins of links, [W, 3] [m]."""
     axes: Tensor
     """The axes of the link as columns, [W, 3, 3]."""
 
@@ -31,7 +31,7 @@ class _Joint:
     """The joint of one link, as products with a constant matrix [3, 10]: where it is, and the three parts of its rotation."""
 
     column: int
-    """Of the arm's joint that moves it; -1: none."""
+    """Column of the arm's joint that moves it; -1 if none does."""
     gain: float
     offset: float
     parts: Tensor

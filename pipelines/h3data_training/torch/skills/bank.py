@@ -26,12 +26,12 @@ class SkillBank:
     """N starts of one skill, all with as many objects."""
 
     floors: tuple[FreeSpace, ...]
-    """Of the homes that are played in, for the robot's base."""
+    """Floors of the homes that are played in, for the robot's base."""
     scenes: tuple[Scene, ...]
     place: NDArray[np.int64]
     """Number of the home, [N]."""
     xz: NDArray[np.float64]
-    """Of the robot, [N, 2] [m]."""
+    """Place of the robot, [N, 2] [m]."""
     heading: NDArray[np.float64]
     """[N] [rad]."""
     objects: NDArray[np.float64]
@@ -43,9 +43,9 @@ class SkillBank:
     target: NDArray[np.int64]
     """Number of the object, [N]."""
     holds: NDArray[np.bool_]
-    """Whether the robot holds it, [N]."""
+    """True if the robot holds it, [N]."""
     point: NDArray[np.float64]
-    """Where it lies or is to go, [N, 3] [m]."""
+    """Point at which it lies or is to go, [N, 3] [m]."""
     stand: NDArray[np.float64]
     """The nearest place from which the hand reaches the point, [N, 2] [m]."""
 

@@ -1,4 +1,4 @@
-"""What the robots of W worlds of a skill see, without leaving the GPU: state -> frames of links and objects -> pictures."""
+"""Pictures of the robots in W worlds of a skill, without leaving the GPU: state -> frames of links and objects -> pictures."""
 
 from __future__ import annotations
 

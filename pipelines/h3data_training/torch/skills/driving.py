@@ -21,10 +21,10 @@ from sim_kinematic.motion.spec import STEP_S, BaseSpec
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drive:
-    """How robots drive in some homes, with an empty hand and with something in it."""
+    """Driving of robots in some homes, with an empty hand and with something in it."""
 
     grids: Grids
-    """Of all homes."""
+    """Grids of all homes."""
     base: BaseSpec
     carrying: BaseSpec
     """Its discs cover what the hand carries, too."""
@@ -44,7 +44,7 @@ class Drive:
         return holds & (wide | self._has_room(place, robot.xz, robot.heading))
 
     def _has_room(self, place: Tensor, xz: Tensor, heading: Tensor) -> Tensor:
-        """Whether the discs of bases that carry something are clear of obstacles, bool [W]."""
+        """Returns whether the discs of bases that carry something are clear of obstacles, bool [W]."""
         forward = heading_direction(heading)
         room = least_clearance(self.grids.at(place), xz, forward, self.carrying.disc_offsets_m)
         return room >= self.carrying.disc_radius_m
@@ -87,5 +87,5 @@ class Drive:
 
 
 def _on_cpu(robot: RobotTensors) -> bool:
-    """Whether tensors may be looked at for free, and worlds chosen by what is in them."""
+    """Returns whether tensors may be looked at for free, and worlds chosen by what is in them."""
     return robot.xz.device.type == "cpu" and not torch.compiler.is_compiling()

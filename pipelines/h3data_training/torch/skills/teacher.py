@@ -34,7 +34,7 @@ SURE = 1.5
 
 
 def taught(sim: SkillTensors, play: SkillPlay, hold: int, *, by_sight: bool = False) -> Tensor:
-    """What the script would do now for ``hold`` steps, [W, A], each number in -1..1 but that of the hand.
+    """Returns the script's actions now for ``hold`` steps, [W, A], each number in -1..1 but that of the hand.
 
     ``by_sight``: for robots that are not told the path to the stand. They cannot know whether they have arrived there, and
     what they cannot tell apart they imitate on average, which is never to reach out: none learned to pick in 0.5 M decisions,

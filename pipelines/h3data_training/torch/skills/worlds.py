@@ -41,17 +41,17 @@ NOTHING = -1
 
 
 class SkillPlay(NamedTuple):
-    """Where W worlds are in their episodes."""
+    """State of W worlds in their episodes."""
 
     robot: RobotTensors
     joints: Tensor
-    """Of the arm, [W, n]."""
+    """Joints of the arm, [W, n]."""
     objects: Tensor
     """[W, K, 3] [m]."""
     turned: Tensor
     """Axes of the objects as columns, [W, K, 3, 3]."""
     grip: Tensor
-    """Those of the object in the hand, in the frame of the hand, [W, 3, 3]."""
+    """Axes of the object in the hand, in the frame of the hand, [W, 3, 3]."""
     held: Tensor
     """Number of the object in the hand, int64 [W]."""
     wide: Tensor
@@ -76,9 +76,9 @@ class SkillPlay(NamedTuple):
     reward: Tensor
     """Reward of the last step [W]."""
     success: Tensor
-    """Whether the skill succeeded in the last step, bool [W]."""
+    """True if the skill succeeded in the last step, bool [W]."""
     terminated: Tensor
-    """Whether the skill has succeeded or can no longer succeed, bool [W]."""
+    """True if the skill has succeeded or can no longer succeed, bool [W]."""
     truncated: Tensor
     """It had all its steps, bool [W]."""
 
@@ -196,7 +196,7 @@ class SkillTensors:
         self.drive = Drive(grids=grids, base=own, carrying=carrying_base_of(body, own))
         self.lattices = Lattices.of(bank.floors, self.device, dtype)
         self.rest = self.arm.hand(self.arm.rest[None]).point[0]
-        """Where the hand is at rest in the agent root frame, [3]."""
+        """Place of the hand at rest in the agent root frame, [3]."""
         self._reaching = torch.as_tensor(_reaching(body, bank), dtype=dtype, device=self.device)
 
         def on_device(rows: Any) -> Tensor:
@@ -309,7 +309,7 @@ class SkillTensors:
         return self._judged(play, moved)
 
     def _gripped(self, hand: Hand, objects: Tensor, held: Tensor, action: Tensor) -> Tensor:
-        """What hands hold after a step, [W]: `sim_kinematic.agents.manipulation.grip_objects`."""
+        """Returns what hands hold after a step, [W]: `sim_kinematic.agents.manipulation.grip_objects`."""
         distance, nearest = (objects - hand.point[:, None]).norm(dim=-1).min(1)
         takes = (held == NOTHING) & (action > 0) & (distance < self.arm_rules.grasp_m)
         return torch.where(takes, nearest, torch.where(action < 0, NOTHING, held))
@@ -333,7 +333,7 @@ class SkillTensors:
         return (hand.point - self._resting(robot, floor_y)).norm(dim=-1)
 
     def _resting(self, robot: RobotTensors, floor_y: Tensor) -> Tensor:
-        """Where hands would be at rest, in the world [W, 3]."""
+        """Returns where hands would be at rest, in the world [W, 3]."""
         rest = Hand(self.rest.expand(len(floor_y), 3), self.rest.new_zeros(len(floor_y), 3, 3))
         return placed(rest, robot.xz, robot.heading, floor_y).point
 
@@ -396,7 +396,7 @@ class SkillTensors:
 
     # --- for those who look on ----------------------------------------------------------------------------------------
     def points(self, play: SkillPlay) -> Tensor:
-        """Where targets lie or are to go, [W, 3] [m]."""
+        """Returns where targets lie or are to go, [W, 3] [m]."""
         return self._point[play.episode]
 
     def targets(self, play: SkillPlay) -> Tensor:
@@ -412,17 +412,17 @@ class SkillTensors:
         return self._reaching[play.episode]
 
     def reach(self, play: SkillPlay) -> Tensor:
-        """How far the targets are from their stands, on the floor plane [W] [m]."""
+        """Returns how far the targets are from their stands, on the floor plane [W] [m]."""
         return (self._point[play.episode][:, 0:3:2] - self._stand[play.episode]).norm(dim=-1)
 
     def off(self, play: SkillPlay, posture: Tensor) -> Tensor:
-        """How far joints are from a posture [n] or [W, n], in parts of the way between rest and reaching, [W]."""
+        """Returns how far joints are from a posture [n] or [W, n], in parts of the way between rest and reaching, [W]."""
         whole = (self.reaching(play) - self.arm.rest).abs().sum(-1).clamp_min(0.1)
         return (play.joints - posture).abs().sum(-1) / whole
 
     # --- what the robot is shown --------------------------------------------------------------------------------------
     def observations(self, names: Sequence[str], play: SkillPlay) -> dict[str, Tensor]:
-        """Those that need no picture, as `sim_kinematic.policies.skills.observations` shows them, float32 [W, ...].
+        """Returns observations without pictures, as `sim_kinematic.policies.skills.observations` shows them, float32 [W, ...].
 
         Raises:
             InputError: there is no such observation.
