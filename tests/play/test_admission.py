@@ -268,8 +268,9 @@ def test_the_names_of_a_certificate_are_read_from_it(tmp_path: Path):
     subprocess.run(command, check=True, capture_output=True)
     assert certificate_names(str(cert)) == ["study.example.org", "*.lab.example"]
     cert.write_text("none")
-    with pytest.raises(Refused, match=r"(?s)cert\.pem.*H3-PLAY-024"):
+    with pytest.raises(Refused, match=r"cert\.pem") as refused:
         certificate_names(str(cert))
+    assert refused.value.code == "H3-PLAY-024"
 
 
 def test_commands_pass_further_names_to_the_server():

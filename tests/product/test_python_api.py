@@ -115,7 +115,7 @@ def test_names_and_defaults_of_a_command_are_those_of_its_function() -> None:
         ({"agents": ["human", load_robot("lift_arm")]}, ("human", "lift_arm")),
         ({"robot": load_robot("quad_arm")}, "quad_arm"),
         ({"policies": Still}, ("sim_kinematic.policies.policy:Still",)),
-        ({"rules": {"objects": 3, "near_m": [2.0, 1.5]}}, ("objects=3", "near_m=[2.0, 1.5]")),
+        ({"overrides": {"objects": 3, "near_m": [2.0, 1.5]}}, ("objects=3", "near_m=[2.0, 1.5]")),
     ],
     ids=lambda x: str(x)[:20],
 )

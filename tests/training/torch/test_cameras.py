@@ -85,7 +85,7 @@ def test_robots_and_people_see_what_they_see_on_the_cpu(device: Any) -> None:
 
 def test_the_environment_shows_the_arms_picture(device: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     name, renderer = device
-    monkeypatch.setattr(torch_cameras, "GpuRenderer", renderer)
+    monkeypatch.setattr("h3data_gpu.GpuRenderer", renderer)
     bank = EpisodeBank.draw("small:1", 2, seed=5, spec=RULES)
     shown: Any = ("arm_depth", "humanoid_detector", "humanoid_gps")
     env = SocialNavTorchEnv(2, device=name, observations=shown, spec=RULES, episodes=bank, depth_size=SIZE)
@@ -106,7 +106,7 @@ def test_the_environment_shows_the_arms_picture(device: Any, monkeypatch: pytest
 def test_each_world_sees_the_home_of_its_episode(device: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """On the device as in the training worlds of a machine without one, where the CPU renders."""
     name, renderer = device
-    monkeypatch.setattr(torch_cameras, "GpuRenderer", renderer)
+    monkeypatch.setattr("h3data_gpu.GpuRenderer", renderer)
     shown: Any = ("arm_rgb", "humanoid_detector", "humanoid_gps")
     settings = small(picture_size=SIZE, episodes_per_home=1, worlds=4, observations=shown)
     homes = ("small:1", "h3-homes-v2/train#0")
@@ -138,7 +138,7 @@ def test_each_world_sees_the_home_of_its_episode(device: Any, monkeypatch: pytes
 def test_two_cameras_in_turn_upload_nothing(device: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """The detector's picture, then that of the colours: nothing but what a CUDA graph holds."""
     name, renderer = device
-    monkeypatch.setattr(torch_cameras, "GpuRenderer", renderer)
+    monkeypatch.setattr("h3data_gpu.GpuRenderer", renderer)
     bank = EpisodeBank.draw("small:1", 2, seed=5, spec=RULES)
     shown: Any = ("arm_rgb", "humanoid_detector")
     env = SocialNavTorchEnv(2, device=name, observations=shown, spec=RULES, episodes=bank, depth_size=SIZE)
