@@ -78,7 +78,7 @@ def built_in_adapters() -> tuple[str, ...]:
 
 
 def read_adapter(name: str) -> Adapter:
-    """The adapter of a name or TOML file.
+    """Reads the adapter with a name or from a TOML file.
 
     Raises:
         InputError: there is none, or it is malformed; the message names the field.

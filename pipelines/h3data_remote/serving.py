@@ -37,7 +37,7 @@ except ImportError as error:
     raise MissingExtraError(MISSING, code="H3-REMOTE-042") from error
 
 MOST_SESSIONS = 256
-"""Episodes that clients play at once; the one that has waited longest is forgotten."""
+"""Greatest number of episodes that clients play at once. Beyond it, the one idle for longest is dropped."""
 log = logging.getLogger("h3data.remote")
 
 
