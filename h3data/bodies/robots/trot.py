@@ -61,7 +61,7 @@ def trot(
         robot: A robot; one without legs gets its joint positions back.
         base_pose: Agent roots at consecutive steps, shape [T, 7] [m]; NaN where the robot is not there.
         joint_pos: Its joint positions, shape [T, J].
-        heights: How high the floor is at a place (`h3data.scene.floor_heights`): feet stand on the treads of its stairs.
+        heights: Height of the floor at a place [m] (`h3data.scene.floor_heights`): feet stand on the treads of its stairs.
     """
     bases, out = np.asarray(base_pose, np.float64), np.array(joint_pos, np.float64)
     if bases.ndim != 2 or bases.shape[1] != 7 or out.shape != (len(bases), len(robot.joint_names)):
