@@ -155,7 +155,7 @@ def _feet(
         cycle = np.floor(place)
 
         def planted(number: NDArray[np.float64], foot: Array = foot, begin: float = begin) -> Array:
-            """Where the foot stands in a cycle; before the first step it stands as at rest."""
+            """Place of the foot on the floor during a cycle [m]; before the first step it is that at rest."""
             middle = np.where(number <= begin, 0.0, number + DUTY / 2 - begin)
             x, y, z, turn = (np.interp(middle, cycles, v) for v in (*bases[:, :3].T, heading))
             at = transform_points(pose_to_matrix(ground_pose(np.stack([x, z], -1), turn, y)), foot[None])[:, 0]
