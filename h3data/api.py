@@ -46,7 +46,7 @@ def open(path: str | os.PathLike[str], kind: type[Any] | None = None) -> Any:
 
     Args:
         path: Path, URI or name.
-        kind: What is expected, such as ``Recording``: anything else is refused, and type checkers know the result.
+        kind: Type of object expected, such as ``Recording``: anything else is refused, and type checkers know the result.
 
     Raises:
         InputError: there is nothing of that name, or it is not of that ``kind``.

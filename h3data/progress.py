@@ -61,13 +61,13 @@ def progress(
     """A `tqdm` bar over ``items``, or one to be updated by hand, silent under `is_quiet`.
 
     Args:
-        items: Iterated over, each counting as one; None to call ``update``.
-        desc: What is done, in a word.
-        unit: What is counted, in the singular.
+        items: Items to iterate over, each counting as one unit; None if ``update`` is called instead.
+        desc: Name of the work, in a word.
+        unit: Name of a unit, in the singular.
         total: Number of units, by default the length of ``items``.
         initial: Number of units that were done before.
         delay: Seconds before a bar appears.
-        leave: Whether a finished bar stays on the terminal.
+        leave: True if a finished bar stays on the terminal.
         at_least: Fewer units than this show no progress.
     """
     from tqdm import tqdm

@@ -283,6 +283,31 @@ def test_folders_stay_small(package: str) -> None:
     assert not crowded, f"More than {FILES_PER_FOLDER} modules in one folder; group them: {crowded}"
 
 
+def headless(text: str) -> list[str]:
+    """Docstrings and entries of arguments that begin with a question word or with "of", in the text of a module."""
+    return [
+        found
+        for docstring in re.findall(r'^ *r?"""(.*?)"""', text, re.MULTILINE | re.DOTALL)
+        for found in re.findall(
+            r"\A(?:How|Of|What|Where|Whether)\b.*|^ +\*{0,2}\w+: (?:How|Of|What|Where|Whether) .*",
+            docstring,
+            re.MULTILINE,
+        )
+    ]
+
+
+def test_docstrings_begin_with_what_they_describe() -> None:
+    """They are read alone, in an editor and in tables of the reference: "Number of steps", not "How many"."""
+    found = {name: headless(path.read_text(encoding="utf-8")) for name, path in modules().items()}
+    assert {name: lines for name, lines in found.items() if lines} == {}
+
+
+def test_docstrings_that_cannot_stand_alone_are_found() -> None:
+    source = 'class A:\n    """A thing."""\n\n    b: int\n    """How many."""\n    c: int\n    """Of whom."""\n'
+    entries = 'def f(a):\n    """Does it.\n\n    Args:\n        b: What it is.\n        c: The one.\n    """\n'
+    assert headless(source + entries) == ["How many.", "Of whom.", "        b: What it is."]
+
+
 def test_the_map_names_every_folder_and_every_registry() -> None:
     text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
     named = {part for span in re.findall(r"(?<!`)`([^`\n]+)`", text) for part in re.findall(r"[\w.]+", span)}

@@ -34,9 +34,7 @@ AssetsOption = Annotated[
     tyro.conf.arg(help="More folders to search for a Habitat scene's files (default: H3DATA_ASSETS)."),
 ]
 DryRunFlag = Annotated[bool, tyro.conf.arg(help="Print what would be done, and do nothing.")]
-PeopleOption = Annotated[
-    PeopleStyle, tyro.conf.arg(help="How people are shown: as skin, as collision capsules, or as bones.")
-]
+PeopleOption = Annotated[PeopleStyle, tyro.conf.arg(help="Appearance of people: skin, collision capsules, or bones.")]
 StandInsFlag = Annotated[
     bool,
     tyro.conf.arg(

@@ -45,8 +45,8 @@ class Executor(Protocol):
 
         Args:
             work: A function of a module, or a `functools.partial` of one.
-            shards: What can be pickled.
+            shards: Values that can be pickled, one for each call.
             lost: The result of a shard that no process survives; None ends the job with its `LostShardError`.
-            writes: Whether it writes files, so that nothing may be under way twice.
+            writes: True if ``work`` writes files, so that no shard may run twice at once.
         """
         ...

@@ -54,8 +54,8 @@ def render_videos(
         steps: Number of steps.
         threads: Threads that render.
         assets: Folders below which recorded asset files are searched.
-        people: How people are shown.
-        stand_ins: Whether plain things stand in for missing assets, as in `Replay`.
+        people: Appearance of people: ``skin``, ``capsules`` or ``bones``.
+        stand_ins: True replaces missing assets by plain ones, as in `Replay`.
         light: ``flat`` or ``baked`` (`h3data.render.light`).
         backend: Who draws (`h3data.replay.stage.chosen_backend`).
         progress: Wraps the iterable of frames.

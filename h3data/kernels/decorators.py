@@ -115,7 +115,9 @@ def compiled_files() -> dict[str, int]:
 
 
 def kept_files() -> list[Path]:
-    """All files that numba keeps of our kernels, wherever it can, those of earlier versions and settings included."""
+    """Returns all files of numba's cache of our kernels, from every folder where numba may keep it.
+
+    Those of earlier versions and other settings are included."""
     places: set[str] = set()
     for name in OURS:
         spec = importlib.util.find_spec(name)

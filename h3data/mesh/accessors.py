@@ -69,7 +69,7 @@ class GltfArrays:
         return self._bytes(record, where)
 
     def _unpack(self, packed: Any, where: str) -> memoryview:
-        """The bytes of a buffer view that is compressed as ``packed`` says."""
+        """Decompresses a buffer view; ``packed`` is its entry for the extension ``EXT_meshopt_compression``."""
         if not isinstance(packed, dict):
             raise ValueError(f"{where} is not an object")
         count, stride = natural(packed, "count", where), natural(packed, "byteStride", where)

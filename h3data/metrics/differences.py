@@ -60,7 +60,7 @@ class Differences:
 
     @property
     def notes(self) -> list[str]:
-        """Reservations of the tests, those of several metrics once."""
+        """Caveats about the tests; one that applies to several metrics is listed once."""
         by_note: dict[str, list[str]] = {}
         for name, test in self.tests.items():
             for note in test.notes:

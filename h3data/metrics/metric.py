@@ -55,8 +55,8 @@ class Metric:
     habitat: str = ""
     """Difference from what Habitat's code computes (spec/habitat.md 1.6)."""
     value: Callable[[Recording], float] | None = None
-    """Computes it from a recording that has its ``columns`` and at least one row. None where the profile computes all its
-    metrics together."""
+    """Function that computes the metric from a recording with its ``columns`` and at least one row. None where the profile
+    computes all its metrics together."""
 
     @property
     def profile(self) -> str:

@@ -21,8 +21,8 @@ def recordings(sources: Sequence[AnyPath], profile: str | None = None) -> Iterat
     """Yields the recordings of datasets and logs, from datasets with no more than the profile reads.
 
     Args:
-        sources: From `find_sources`.
-        profile: As in `measure_files`.
+        sources: Sources found by `find_sources`.
+        profile: Profile of metrics, as in `measure_files`.
     """
     for source in sources:
         opened = open_recording(source)

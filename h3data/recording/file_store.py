@@ -46,7 +46,7 @@ class FileStore:
         Args:
             stored: Its name, as `put` returned it.
             what: Role of the file, which begins an error message.
-            hint: How to get the file back, for the error message.
+            hint: Advice on how to restore the file, for the error message.
 
         Raises:
             FormatError: it is missing, or its contents do not have the hash that names it.

@@ -221,7 +221,7 @@ def _put_zeros(bits, count, at, out, literals, runs, number):
 
 @intrinsic
 def equal_pixels(typing_context, one_at, other_at):
-    """How many of the 16 numbers of 16 bits at two addresses are equal before the first that are not."""
+    """Number of leading 16-bit numbers, of the 16 at two addresses, that are equal."""
 
     def codegen(context: Any, b: Any, signature: Any, arguments: Any) -> Any:
         kind = ir.VectorType(ir.IntType(16), _AT_ONCE)

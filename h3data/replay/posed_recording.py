@@ -47,16 +47,16 @@ class PosedRecording:
 
     Args:
         recording: The recording.
-        assets: Where to find the files that a foreign recording refers to. Missing ones are replaced by marked
+        assets: Library or folders of the files that a foreign recording refers to. Missing ones are replaced by marked
             placeholders and listed in `missing`.
-        detail: Whether to use the full (True) or the reduced (False) meshes of people. By default, images use whichever is
+        detail: True uses the full meshes of people, False the reduced ones. By default, images use whichever is
             sufficient for the camera (`Humanoid.light_enough`), everything else the full ones.
-        people: How people are shown: ``skin``, ``capsules`` (those that decide contact) or ``bones``.
-        stepping: Whether legs that were recorded in their resting posture trot (`h3data.bodies.robots.trot`), and people
+        people: Appearance of people: ``skin``, ``capsules`` (those that decide contact) or ``bones``.
+        stepping: If true, legs that were recorded in their resting posture trot (`h3data.bodies.robots.trot`), and people
             who were recorded by clips walk with planted feet. Affects appearance only.
         light: Light in images: ``flat``, the same everywhere, or ``baked``, from windows, sun and lamps
             (`h3data.render.light`).
-        stand_ins: Whether plain things stand in for missing assets instead of marked ones: built-in robots and people in the
+        stand_ins: True replaces missing assets by plain ones instead of marked ones: built-in robots and people in the
             recorded postures, and boxes with names (`h3data.recording.assets.stand_ins`). `recording` then names these bodies.
     """
 

@@ -142,7 +142,7 @@ def posed(scene: Scene, positions: ArrayLike | Mapping[str, float]) -> Scene:
 
     Args:
         scene: The scene.
-        positions: Of all joints [J] [rad or m], or of some by name; the others stay at rest.
+        positions: Positions of all joints [J] [rad or m], or of some by name; the others stay at rest.
 
     Raises:
         InputError: another number of positions, an unknown name, or a number that is not finite.
@@ -217,7 +217,7 @@ def rests_on(
         instance: The instance.
         asset: Its asset.
         feet: World points, shape [N, 3] [m].
-        motion: Where the instance has moved to, as `SceneJoints.motions` says; None: it is where the scene has it.
+        motion: Transform of the instance from its place in the scene, as of `SceneJoints.motions`; None: it has not moved.
     """
     matrix = instance_matrix(instance) if motion is None else motion @ instance_matrix(instance)
     local = transform_points(np.linalg.inv(matrix), np.asarray(feet, np.float64))

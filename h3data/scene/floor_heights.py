@@ -172,7 +172,7 @@ def floor_heights(
         heights: A table of heights [K, 10] (`room_heights`).
         floor_y: Height of the floor where the table is empty [m].
         points: Places; NaN gives the height of some room.
-        treads: Whether the height of the tread is meant, on which a foot stands there.
+        treads: True measures the tread on which a foot stands there; False the ramp through the stairs.
     """
     return _measured(heights, floor_y, points, _TREADS if treads else _RAMPS)
 

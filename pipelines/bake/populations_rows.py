@@ -96,8 +96,8 @@ def values_of(results: Sequence[SeedResults], metric: Metric, partners: str) -> 
     """Means over partners of a metric by seed and episode, [S, E]; NaN where it is undefined.
 
     Args:
-        results: Of one run, by seed.
-        metric: Name of it.
+        results: Results of one run, by seed.
+        metric: Name of the metric.
         partners: ``train`` or ``zsc``.
     """
     episodes = sorted({play["index"] for one in results for play in one.plays})

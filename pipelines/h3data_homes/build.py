@@ -137,7 +137,7 @@ def build_home(spec: HomeSpec) -> Scene:
 
 
 def _attempt(spec: HomeSpec, attempt: int) -> tuple[Scene, list[str]]:
-    """A home and its faults."""
+    """Builds a home once and returns it with its faults."""
     layout = plan_layout(spec, attempt)
     return _sound_storey(spec, attempt, layout, _style(spec, layout, attempt))
 

@@ -101,7 +101,7 @@ class HomeSpec:
     seed: int = 0
     preset: Preset = "small"
     area_m2: float | None = None
-    """Floor area [m2]; None = the preset's."""
+    """Floor area [m2]; None means the preset's."""
     bedrooms: int | None = None
     """None = the preset's."""
     bathrooms: int | None = None

@@ -69,7 +69,7 @@ class SessionManifest:
         """The recording with what the rows say about it in `Episode.info`, and whether any row fitted.
 
         Args:
-            recording: What was imported.
+            recording: The imported recording.
             file: Its path below the imported folder.
         """
         facts: dict[str, Any] = {}

@@ -78,7 +78,7 @@ def built_in_adapters() -> tuple[str, ...]:
 
 
 def read_adapter(name: str) -> Adapter:
-    """The adapter of a name or TOML file.
+    """Reads the adapter with a name or from a TOML file.
 
     Raises:
         InputError: there is none, or it is malformed; the message names the field.
@@ -115,9 +115,9 @@ class Observer:
         """Looks up cameras and sizes.
 
         Args:
-            adapter: What is shown.
+            adapter: Adapter that lists the observations to send.
             body: The robot.
-            batched: Whether arrays begin with axes for worlds and time, as GR00T's do.
+            batched: True if arrays begin with axes for worlds and time, as GR00T's do.
 
         Raises:
             InputError: a picture is asked for in two sizes, or joined with others.
@@ -201,11 +201,11 @@ def chunk_of(
     """The actions of an answer that will be carried out, [hold, width] in -1..1.
 
     Args:
-        answer: Of the server.
-        adapter: Says where they are.
+        answer: Answer of the server.
+        adapter: Adapter that says where the actions are in the answer.
         width: Numbers of one action.
         server: Address, for messages.
-        batched: Whether the first axis of an answer is for worlds.
+        batched: True if the first axis of an answer is for worlds.
 
     Raises:
         PolicyServerError: there are none, or of another shape, or not finite.

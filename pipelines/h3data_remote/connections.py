@@ -128,8 +128,8 @@ class WebSocketConnection:
         """Connects, and reads what the server says about itself.
 
         Args:
-            address: Of the server.
-            key: What the header ``Authorization: Api-Key`` holds; empty: none is sent.
+            address: Address of the server.
+            key: Value of the header ``Authorization: Api-Key``; empty: none is sent.
 
         Raises:
             PolicyServerError: nobody answers, or not as a policy server.
@@ -300,7 +300,7 @@ class ZmqConnection:
         """Connects, and asks for the configuration that describes the server.
 
         Args:
-            address: Of the server.
+            address: Address of the server.
             key: ``api_token`` of each request; empty: none is sent.
 
         Raises:

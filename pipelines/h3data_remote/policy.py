@@ -37,9 +37,9 @@ def policy_server(address: str, task: Any, kind: str, spec: Any = None) -> Polic
     """Returns the maker of a server's policy for an episode: the entry points ``ws``, ``wss`` and ``zmq``.
 
     Args:
-        address: As `Address.of` reads it.
-        task: What is played.
-        kind: Of the agent.
+        address: Address of the server, as read by `Address.of`.
+        task: Task that is played.
+        kind: Kind of the agent.
         spec: Its rules, where a job is checked before it begins: then the server must be there.
 
     Raises:
@@ -99,11 +99,11 @@ class RemotePolicy:
         """Connects to the server.
 
         Args:
-            where: Its address.
+            where: Address of the server.
             chosen: Adapter; None is the server's own, or the default.
-            task: What is played.
-            episode: In which.
-            number: Of the robot among the agents.
+            task: Task that is played.
+            episode: Episode that is played.
+            number: Number of the robot among the agents.
 
         Raises:
             PolicyServerError: nobody answers, or not as a policy server.

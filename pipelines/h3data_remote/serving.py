@@ -37,7 +37,7 @@ except ImportError as error:
     raise MissingExtraError(MISSING, code="H3-REMOTE-042") from error
 
 MOST_SESSIONS = 256
-"""Episodes that clients play at once; the one that has waited longest is forgotten."""
+"""Greatest number of episodes that clients play at once. Beyond it, the one idle for longest is dropped."""
 log = logging.getLogger("h3data.remote")
 
 
@@ -100,9 +100,9 @@ class ServedPolicy:
         """Finds the policy.
 
         Args:
-            name: As for ``--policy``: a planner, a trained policy, ``weights:FILE``, or ``module:name``.
-            task: In which.
-            adapter: What clients send; None: what a network has learned from, else the whole view, which only h3data sends.
+            name: Name as for ``--policy``: a planner, a trained policy, ``weights:FILE``, or ``module:name``.
+            task: Task that is played.
+            adapter: Adapter of clients; None: a network's training inputs, else the whole view, which only h3data sends.
 
         Raises:
             InputError: there is no such policy, or it does not move a base.

@@ -34,8 +34,8 @@ class Codec:
         """Creates a codec.
 
         Args:
-            pack_array: What stands for an array or NumPy scalar in a message; raises a `TypeError` for anything else.
-            unpack_array: What a map of a message stands for; the map itself if it stands for nothing else.
+            pack_array: Returns the form of an array or NumPy scalar in a message; raises a `TypeError` for anything else.
+            unpack_array: Returns the value that a map in a message stands for, or the map itself.
         """
         self._encoder = msgspec.msgpack.Encoder(enc_hook=pack_array)
         self._unpack_array = unpack_array

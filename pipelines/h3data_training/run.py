@@ -62,9 +62,9 @@ def train(
     updates; progress in minutes depends on the clock. A process that torchrun started joins the others.
 
     Args:
-        folder: Of the run; it exists. `POLICY`, `CHECKPOINT` and the learning curve (`h3data_training.curve`) appear there, and
+        folder: Existing folder. `POLICY`, `CHECKPOINT` and the learning curve (`h3data_training.curve`) appear there, and
             `STARTS` of a skill.
-        settings: What is trained: social navigation, or a skill (`h3data_training.skills.settings.SkillSettings`).
+        settings: Settings of training: of social navigation, or of a skill (`h3data_training.skills.settings.SkillSettings`).
         seed: Everything random follows from it.
         device: ``cpu`` or ``cuda``.
         gpus: Processes that train together, one for each GPU, or as many on the CPU; each has its share of the worlds.
@@ -72,8 +72,8 @@ def train(
         resume: Go on from the checkpoint in the folder, if there is one.
         stop_after: Minutes of this call, set-up included; None: until the run is over.
         checkpoint_s: Seconds between two checkpoints.
-        compile: As of `SocialNavTorchEnv`.
-        name: Of the recipe, for the card.
+        compile: Compiles the worlds, as in `SocialNavTorchEnv`.
+        name: Name of the recipe, for the card.
         bank: Episodes to train on; None makes them.
         say: Told what goes on, in lines.
 

@@ -58,8 +58,8 @@ class ArmContact:
             base_pose: The robot's root, pose7 [7].
             joints: All its joint positions [J].
             held: Name of the object in its hand.
-            shapes: That object's collision shapes; none: nothing is held.
-            held_pose: Its pose7 [7].
+            shapes: Collision shapes of that object; empty if nothing is held.
+            held_pose: Pose7 of that object [7].
         """
         frames = self._robot.link_matrices(np.asarray(base_pose)[None], np.asarray(joints)[None])[0]
         self._arm.set_transforms(frames[self._link_of])

@@ -162,7 +162,7 @@ class AgentContactTracker:
         return self._contacts.collides(a, b)
 
     def _gate(self, actor: AnyActor) -> None:
-        """Brings the capsules around an agent to where it is."""
+        """Moves the capsules around an agent to its present pose."""
         if actor.number in self._gated:
             return
         capsules = self._capsules[actor.number]

@@ -116,5 +116,5 @@ def _hand_ways(body: Humanoid) -> dict[tuple[Hand, tuple[float, ...]], Array]:
 
 @lru_cache(maxsize=8)
 def reach_room(scene: Scene, body: Humanoid, floor_y: float) -> BodyClearance:
-    """Made once for each scene and body."""
+    """Clearance of a body in a scene, cached for each scene and body."""
     return BodyClearance(scene, body, floor_y)

@@ -166,8 +166,8 @@ def plan_maneuver(
     Args:
         free: The floor.
         base: Discs and limits of the base.
-        xz: Where it is [2].
-        heading: Its heading [rad].
+        xz: Floor point of the base [2] [m].
+        heading: Heading of the base [rad].
         goal: Floor point [2].
         discs: Discs ``(x, z, radius)`` [M, 3] of other agents, which the robot's hull keeps clear of.
         within_m: Distance at which it is at the goal.

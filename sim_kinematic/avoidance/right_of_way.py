@@ -36,11 +36,12 @@ class Walker(Body, Protocol):
     yields: bool
     """True if it can step aside now."""
     aside: NDArray[np.float64] | None
-    """The points [N, 2] by which it is to step aside; none left: it is to stand there; None: nobody has asked."""
+    """Floor points [N, 2] [m] left of its path aside; empty if it has arrived there, None if nobody has asked it to step
+    aside."""
 
     @property
     def path(self) -> NDArray[np.floating]:
-        """Floor points [N, 2] by which it is going somewhere, its own place first; empty: it is not."""
+        """Floor points [N, 2] [m] of the path that it follows, its own position first; empty if it follows none."""
         ...
 
     @property

@@ -65,7 +65,7 @@ class FloorRoutes:
     centres: NDArray[np.float64]
     """Centre of each cell, [nx, nz, 2] [m]."""
     room: NDArray[np.float64]
-    """Distance from there to the nearest obstacle, [nx, nz] [m]."""
+    """Distance from each cell's centre to the nearest obstacle, [nx, nz] [m]."""
 
     @staticmethod
     @lru_cache(maxsize=16)

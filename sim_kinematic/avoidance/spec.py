@@ -154,7 +154,7 @@ class AvoidanceSpec:
     room_m: tuple[float, float] = (0.3, 0.5)
     """Distance to the nearest obstacle wanted where a person, or a robot, steps aside."""
     step_aside_m: tuple[float, float] = (0.3, 10.0)
-    """Least and greatest length of a path aside."""
+    """Least and greatest length of a path aside [m]."""
     reached_m: tuple[float, float] = (0.02, 0.2)
     """A point of a path counts as reached by a person, or by a robot, within this distance. A person steps onto it exactly."""
     squeeze_share: float = 0.75

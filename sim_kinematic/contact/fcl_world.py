@@ -125,7 +125,7 @@ class MovingShapes(_Objects):
 
         Args:
             scene: The static scene.
-            transforms: As in `set_transforms`, for each pose, [T, n, 4, 4].
+            transforms: Transforms as in `set_transforms`, for each pose, [T, n, 4, 4].
             except_for: Names of instances that may be touched.
         """
         import fcl

@@ -140,7 +140,7 @@ def make(
         device: Torch device of the worlds, such as ``cuda`` or ``cpu``; None simulates with NumPy.
         agents: Names of the agents that act (default: the robot).
         render_mode: ``rgb_array`` for ``render()``.
-        flatten: Whether observations are one vector instead of a dictionary of arrays; not on a device.
+        flatten: True if observations are one vector instead of a dictionary of arrays; not on a device.
         observations: Names of sensors and images; each agent gets those that it has.
         reward: Reward of social navigation: ``paper`` or ``habitat``.
         partner: Policy of the agents that do not act.
@@ -153,14 +153,14 @@ def make(
         rgb_size: Width and height of colour images [pixels].
         light: Light in colour images: ``baked`` or ``flat``.
         noise: Noise model by name of an observation (default: all are exact).
-        end_on_success: Whether success terminates an episode even where the task goes on.
-        interrupts_when_close: Whether agents of rearrangement may choose anew at every step while the other is close.
+        end_on_success: True if success terminates an episode even where the task goes on.
+        interrupts_when_close: True if agents of rearrangement may choose anew at every step while the other is close.
         threads: Threads that render images.
         dtype: Floating type of the state on a device (default: float64 on the CPU, float32 on others).
         episodes: Number of episodes that worlds on a device draw from, or a bank of them.
         episodes_seed: Seed of those episodes.
-        graph: Whether a CUDA device replays each step as one graph.
-        compile: Whether worlds on a device are compiled by torch.
+        graph: True if a CUDA device replays each step as one graph.
+        compile: True if worlds on a device are compiled by torch.
         **task_options: Options of a task of your own. Type checkers accept them as ``**{"name": value}``.
 
     Raises:
@@ -214,14 +214,14 @@ def make_env(
     """A training environment of a task with options by name, those of the task's stepper or its device among them.
 
     Args:
-        task: By name, ``module:Class``, or a `Task`.
-        scenes: Where to play (`sim_kinematic.tasks.sources.EpisodeSource`).
+        task: Name of a task, ``module:Class``, or a `Task`.
+        scenes: Source of episodes (`sim_kinematic.tasks.sources.EpisodeSource`).
         num_envs: W worlds as a Gymnasium vector environment; None is one world as a Gymnasium environment.
         device: A torch device: worlds as tensors.
         agents: Agents that act; several make a PettingZoo environment, which has one world.
         render_mode: ``rgb_array`` for ``render()``.
         flatten: Observations are one vector instead of a dictionary of arrays.
-        **options: Those of the task's stepper (`sim_kinematic.envs.world_stepper.WorldStepper`,
+        **options: Options of the task's stepper (`sim_kinematic.envs.world_stepper.WorldStepper`,
             `sim_kinematic.envs.skill_stepper.SkillStepper`) and `sim_kinematic.envs.stepper.Options`.
 
     Raises:

@@ -119,13 +119,13 @@ def drive_people(
         state: The person.
         free: The map.
         action: Forward and left turn, -1..1 of the walker's speed and turn rate.
-        spec: How they walk.
+        spec: Settings of the person's walk.
         radius_m: Radius of the disc.
-        backwards: Whether a negative speed walks backwards; else it stands.
+        backwards: True if a negative speed walks backwards; False if it stands still.
         others: Discs ``(x, z, radius)`` of others, along which it slides too, [W, N, 3]; None: it walks through them.
 
     Returns:
-        Where they touched an obstacle or others, [W].
+        True for people who touched an obstacle or others, [W].
 
     Raises:
         InputError: the actions have another shape, or one is not finite; then nothing has moved.

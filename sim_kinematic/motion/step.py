@@ -27,7 +27,7 @@ from sim_kinematic.motion.state import AgentState, RobotState
 STAIRS_SHARE, STAIRS_NEAR_M = 0.4, 0.6
 """Share of their speed that robots keep on stairs, in the plan, and the distance before these on which they slow down [m]."""
 SLIDES: Registry[Callable[..., None]] = Registry("h3data.slides", {}, what="way to slide along walls")
-"""How bases slide other than strictly: ``habitat`` is `h3data_habitat.navmesh.slide.slide_bases`."""
+"""Alternatives to strict sliding along walls, by name: ``habitat`` is `h3data_habitat.navmesh.slide.slide_bases`."""
 APART_ITERATIONS, APART_TOLERANCE_M = 4, 1e-6
 """Number of iterations in which discs push each other apart, and the distance that counts as none."""
 
@@ -239,7 +239,7 @@ def _drive_worlds(
 
 @kernel(error_model="numpy")
 def _aim_worlds(xz, heading, action, limits, dt, goals, drives):
-    """Where bases get in the open, ``goals`` [W, 3], and which of them drive at all, [W]."""
+    """Writes the poses that bases would reach without obstacles to ``goals`` [W, 3], and whether they move to ``drives``."""
     broken = first_not_finite(action)
     if broken >= 0:
         return broken

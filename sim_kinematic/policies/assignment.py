@@ -180,7 +180,7 @@ def resolve_policy(task: Task, kind: str, choice: PolicyChoice, spec: Any = None
     Commands, environments, sessions, live play and plug-ins all look policies up here.
 
     Args:
-        task: What is played; its `Task.named_policy` is asked first, then its tables, those of every task and plug-ins.
+        task: Task that is played; its `Task.named_policy` is asked first, then its tables, those of every task and plug-ins.
         kind: ``robot`` or ``human``.
         choice: A name, ``weights:FILE``, ``module:name`` or the address of a policy server; a policy, its class, a function
             ``(view, base)``, or `External`.

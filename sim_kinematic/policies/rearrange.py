@@ -33,7 +33,7 @@ POPULATIONS: dict[str, tuple[str, ...]] = {
 ZSC = ("both", "object_1", "object_2", "still")
 """The planners of the paper's zero-shot population (appendix)."""
 ZSC_TEN = (*ZSC, *SHIPPED_PARTNERS)
-"""That population with its six learned partners, which are trained here: the paper's were not published."""
+"""The paper's zero-shot population with six learned partners. These are trained here, as the paper's were not published."""
 TRIES = 3
 """A planner fails so often at an object before it goes on to the next."""
 REPLAN_STEPS = 15
@@ -72,14 +72,14 @@ def errand(view: RearrangeView, k: int) -> Action:
 
 
 class Plan(NamedTuple):
-    """Where planners of W worlds are in their plans, as arrays or tensors."""
+    """Progress of the planners of W worlds in their plans, as arrays or tensors."""
 
     order: Any
     """Objects to bring to their goals, one after the other, int [W, K]; -1 after the last."""
     passed: Any
     """So many of them are done or skipped, int [W]."""
     tries: Any
-    """How often the planner has failed at the present one, int [W]."""
+    """Number of failures of the planner at its current object, int [W]."""
 
     def next(
         self, asked: Any, failed: Any, held_by: Any, at_goal: Any, agent: int, *, xp: Any = np

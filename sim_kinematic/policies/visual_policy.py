@@ -371,8 +371,8 @@ def policy_from(
 
     Args:
         data: Arrays by name.
-        path: Of the file, for messages.
-        kind_of: What a network of that name on a card is.
+        path: Path of the file, for messages.
+        kind_of: Returns the kind of network that a name on a card stands for.
 
     Raises:
         FormatError: it is damaged, or its parts do not fit together.

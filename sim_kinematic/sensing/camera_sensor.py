@@ -216,7 +216,7 @@ class StateRenderer:
         return (places.min(1) + places.max(1)) / 2
 
     def _posed(self, agent: int) -> Array:
-        """An agent's frames as last posed."""
+        """Frames of an agent as of the last `pose`."""
         if not self._frames:
             raise InputError("Nothing has been posed yet. Hint: call pose(state) first.", code="H3-SIM-042")
         if not 0 <= agent < len(self._agents):

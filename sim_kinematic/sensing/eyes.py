@@ -42,16 +42,16 @@ def see(
     Args:
         state: One world.
         scene: The home.
-        bodies: Of all agents in the order of the state.
+        bodies: Bodies of all agents in the order of the state.
         names: Some of `sim_kinematic.sensing.agent_pictures.picture_names`.
-        agent: Whose eyes.
+        agent: Number of the agent whose cameras are used.
         size: Width and height [pixels], one for all or by name of a picture; None is each camera's own.
-        floor: Its map, or the height of its floor [m].
-        speed_mps: At which people walk, which chooses their clips.
+        floor: Map of the home's floor, or the height of that floor [m].
+        speed_mps: Speed at which people walk, which selects their clips.
         objects: Names of the instances that the state moves.
-        frames: Of all agents, as of `StateRenderer.pose`.
+        frames: Frames of all agents, as in `StateRenderer.pose`.
         light: Light in ``*_rgb``; nothing else depends on it.
-        lit_as: As of `StateRenderer`.
+        lit_as: Scene whose baked light the surfaces carry, as in `StateRenderer`.
 
     Returns:
         ``*_depth`` [H, W, 1] in 0..1 of `DEPTH_RANGE_M`, ``*_rgb`` uint8 [H, W, 3], the detector [1].

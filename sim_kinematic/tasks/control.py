@@ -192,7 +192,7 @@ class VelocityControl(Control):
         return decided if wanderers <= decided else decided - wanderers
 
     def still(self, episode: Episode, number: int) -> Any:
-        """A policy of standing still."""
+        """Returns a policy that stands still."""
         del episode, number
         return Still()
 

@@ -25,12 +25,12 @@ def in_words(
     """``social_nav, 37 scenes of h3-homes/train, robot quad_arm beside human female_0, 64 worlds``.
 
     Args:
-        task: Its name.
-        scenes: As the environment was given them.
-        count: How many these are.
-        agents: Those who act: models by kind.
-        beside: Those whom a policy moves.
-        worlds: W.
+        task: Name of the task.
+        scenes: Scenes as given to the environment.
+        count: Number of scenes.
+        agents: Models, by kind, of the agents that act.
+        beside: Models, by kind, of the agents that a policy moves.
+        worlds: Number of worlds.
     """
     who = " and ".join(f"{kind} {model}" for kind, model in agents.items())
     others = " and ".join(f"{kind} {model}" for kind, model in (beside or {}).items())

@@ -114,7 +114,7 @@ def simulate(
     """Plays one episode to its end and returns its recording.
 
     Args:
-        task: What is to be done.
+        task: Task to play.
         episode: From `Task.sample`.
         policies: By agent or kind (`sim_kinematic.policies.assignment.assign`).
         episode_id: Name of the episode within its dataset.

@@ -57,13 +57,13 @@ def session(
         index: Number of the episode in the run.
         spec: Rules of the task (default: the task's).
         record: MCAP file that grows while the episode runs; None keeps the recording in memory.
-        overwrite: Whether an existing file is replaced.
+        overwrite: True if an existing file may be replaced.
         share_in: Folder around ``record`` whose recordings share their scenes (`RecordingWriter`); None stores the scene in
             the recording.
         robot: Body of robots.
         human: Body of people.
         rules: Set of rules, ``natural`` or ``paper`` (default: as ``spec`` says, natural).
-        human_speed: How fast people walk [m/s].
+        human_speed: Walking speed of people [m/s].
         max_steps: Steps after which the episode ends.
         **overrides: Single rules of the task, by the name of their field in its spec, such as ``objects=3``.
 

@@ -87,7 +87,7 @@ class TaskUsage:
     env_rules: Any = None
     """Rules of environments; None: `Task.Spec` with its defaults."""
     set_rules: Callable[[SceneSet], Any] | None = None
-    """Gives the rules by which a scene set samples starts, whatever the user changes of them; None: those of the dataset."""
+    """Returns the rules by which a scene set samples starts; users' changes do not affect them. None: the dataset's rules."""
     env_options: Mapping[str, Callable[[Any], object]] = field(default_factory=dict)
     """Names of further options of environments, which the task finds in ``WorldRollout.options``, each with a function that
     raises an `InputError` if a value is not allowed."""

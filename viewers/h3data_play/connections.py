@@ -124,8 +124,8 @@ def is_known(name: str, names: Iterable[str]) -> bool:
     """Returns whether a server goes by a name.
 
     Args:
-        name: Of a host, without port.
-        names: Those of the server beside loopback. ``*.example.org`` stands for one label in place of ``*``.
+        name: Name of a host, without port.
+        names: Names of the server beside loopback. ``*.example.org`` stands for one label in place of ``*``.
     """
     name = name.lower().rstrip(".")
     try:

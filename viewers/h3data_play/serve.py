@@ -24,7 +24,7 @@ from h3data_play.workers import Refused
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 CLOSE_S = 4.5
-"""Recordings are finished within this time after SIGTERM."""
+"""Time after SIGTERM within which recordings are finished [s]."""
 LAST_WORDS_S = 1.0
 """Players hear that it is over before the server closes."""
 

@@ -194,7 +194,7 @@ class Progress:
         """An episode is over.
 
         Args:
-            key: Of the stage, or of the attempt at the tutorial.
+            key: Key of the stage, or of the attempt at the tutorial.
             result: ``ended``, ``steps``, ``slipped`` and more.
 
         Returns:

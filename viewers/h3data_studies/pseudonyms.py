@@ -45,7 +45,7 @@ def refused_id(given: dict[str, str], patterns: str | dict[str, str] | None) -> 
     """Return the name of the first id that is not one, and why, as a name in `texts.ENGLISH`; empty texts if all are.
 
     Args:
-        given: What the link has brought.
+        given: Parameters of the participant's link, by name.
         patterns: Regular expressions of whole ids by name, or that of ``PROLIFIC_PID``, as in the study file.
     """
     own = {"PROLIFIC_PID": patterns} if isinstance(patterns, str) else patterns or {}
@@ -70,7 +70,7 @@ def rejoin_code(pseudonym: str, seat: str, key: bytes) -> str:
     """Return the code by which a participant goes on in another browser, once: another seat has another code.
 
     Args:
-        pseudonym: Of the participant.
+        pseudonym: Pseudonym of the participant.
         seat: Digest of the token of their present seat.
         key: Secret of the study.
     """

@@ -63,7 +63,7 @@ def draw_in(quats: Array, arms: ArrayLike, *, shoulders_forward: bool = False) -
 
     Args:
         quats: Local rotations [T, 55, 4] of arms that hang or swing. Shoulders and collars change; elbows keep what they do.
-        arms: How far the left and the right arm are drawn in, 0 (as they are) to 1 (close to the body), [T, 2] or [2].
+        arms: Degree to which the left and the right arm are drawn in, 0 (as they are) to 1 (close to the body), [T, 2] or [2].
         shoulders_forward: Closer, as people with planted feet do; else as poses by clips, which contact takes.
 
     Raises:

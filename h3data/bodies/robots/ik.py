@@ -61,14 +61,14 @@ def solve_ik(
         robot: The robot.
         link: Name of the link; its frame is URDF's.
         target: Positions [*batch, 3] [m], or poses [*batch, 7], in the agent root frame; in the world with ``base_pose``.
-        q0: Where to start, shape [*batch, J] or [J]; None is the resting posture. What is beyond a limit starts at it.
+        q0: Initial angles, shape [*batch, J] or [J], clipped to the joint limits; None is the resting posture.
         offset: The point of the link that goes to the target, in its frame, shape [3] [m]: ``robot.hand_position``.
         base_pose: Agent roots in the world, shape [*batch, 7] or [7].
-        joints: Those that may move; None is all between the base and the link. The others stay as they are in ``q0``.
-        tolerance_m: A position this near is reached.
-        tolerance_rad: An orientation this near is reached.
-        iterations: Most steps from one start.
-        restarts: How often the search may begin again elsewhere. 0 keeps the answer in the neighbourhood of ``q0``.
+        joints: Joints that may move; None is all between the base and the link. The others stay as they are in ``q0``.
+        tolerance_m: Position error [m] below which the target is reached.
+        tolerance_rad: Orientation error [rad] below which the target is reached.
+        iterations: Greatest number of steps from one start.
+        restarts: Number of times that the search may begin again elsewhere. 0 keeps the answer in the neighbourhood of ``q0``.
 
     Returns:
         The answer with what is left of the errors. An unreachable target gives the nearest that was found.

@@ -36,8 +36,8 @@ def load_robot(name_or_path: str | Path, *, up: Literal["z", "y"] = "z", fill_in
     Args:
         name_or_path: A name (`robot_names`), or the path of a URDF, of a ``robot.toml``, or of the folder of either.
         up: The axis of the URDF base frame that points up: ``z`` by URDF's rule; Habitat's own robots have ``y``.
-        fill_in: Whether to guess settings where there is no ``robot.toml`` (`h3data.bodies.robots.guess`) and to let boxes
-            stand in for missing meshes, with a warning. Else settings are the defaults, and missing meshes an error.
+        fill_in: True guesses settings where there is no ``robot.toml`` (`h3data.bodies.robots.guess`) and lets boxes
+            stand in for missing meshes, with a warning. False uses the defaults; missing meshes are an error.
 
     Raises:
         InputError: There is no such robot.

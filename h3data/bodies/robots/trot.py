@@ -61,7 +61,7 @@ def trot(
         robot: A robot; one without legs gets its joint positions back.
         base_pose: Agent roots at consecutive steps, shape [T, 7] [m]; NaN where the robot is not there.
         joint_pos: Its joint positions, shape [T, J].
-        heights: How high the floor is at a place (`h3data.scene.floor_heights`): feet stand on the treads of its stairs.
+        heights: Height of the floor at a place [m] (`h3data.scene.floor_heights`): feet stand on the treads of its stairs.
     """
     bases, out = np.asarray(base_pose, np.float64), np.array(joint_pos, np.float64)
     if bases.ndim != 2 or bases.shape[1] != 7 or out.shape != (len(bases), len(robot.joint_names)):
@@ -155,7 +155,7 @@ def _feet(
         cycle = np.floor(place)
 
         def planted(number: NDArray[np.float64], foot: Array = foot, begin: float = begin) -> Array:
-            """Where the foot stands in a cycle; before the first step it stands as at rest."""
+            """Place of the foot on the floor during a cycle [m]; before the first step it is that at rest."""
             middle = np.where(number <= begin, 0.0, number + DUTY / 2 - begin)
             x, y, z, turn = (np.interp(middle, cycles, v) for v in (*bases[:, :3].T, heading))
             at = transform_points(pose_to_matrix(ground_pose(np.stack([x, z], -1), turn, y)), foot[None])[:, 0]

@@ -113,8 +113,8 @@ def read_urdf(path: str | Path, *, allow_missing: bool = False, warn: bool = Tru
 
     Args:
         path: The file.
-        allow_missing: Whether mesh files may be missing (`missing_meshes`).
-        warn: Whether to log one line that names what the file says oddly and how it was read.
+        allow_missing: True if mesh files may be missing (`missing_meshes`).
+        warn: True logs one line that names irregularities of the file and the interpretation of each.
 
     Raises:
         InputError: There is no such file.

@@ -81,7 +81,7 @@ def lit_scene(
         meshes: The meshes.
         instances: Their instances.
         static: Indices of the instances that never move and whose meshes are not deformable.
-        sources: Where light comes from (`sources_of`).
+        sources: Light sources (`sources_of`).
         light: The flat light, which moving things get; default `Light()`.
         name: Name of the scene in messages.
     """

@@ -95,7 +95,7 @@ def blocker_rows(
         groups: Group of each capsule [N].
         light: Unit direction towards the light [N, 3], equal within a group.
         share: Share of the light that comes from it [N], likewise.
-        reach_m: How far from each capsule the first wall is, away from the light [N] [m].
+        reach_m: Distance from each capsule to the first wall behind it, away from the light [N] [m].
     """
     c = np.asarray(capsules, np.float64).reshape(-1, 7)
     known = np.isfinite(c).all(1) & (c[:, 6] > 0)

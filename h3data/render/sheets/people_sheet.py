@@ -36,7 +36,7 @@ def lined_up(
     Args:
         poses: Body, joint rotations [1, 55, 4] and pelvis position [1, 3] of each person.
         heading: Heading of all of them [rad].
-        lod: Whether to show the light meshes.
+        lod: True shows the reduced meshes.
         places: Number of places in the row, at least the number of people.
         width: Width of the image [px].
         spacing: Distance between neighbours [m].

@@ -25,7 +25,7 @@ _MARGIN_M = 0.5
 _DISTANCE = 80.0
 """Distance of the camera in multiples of the scene's size, at which walls lean by less than a pixel."""
 _CUT_M = 2.2
-"""Triangles entirely above this height are left out in scenes without a ceiling layer [m]."""
+"""Height [m] above which triangles are left out in scenes without a ceiling layer."""
 _EYE_M = 1.55
 _EYE_CANDIDATES = 12
 _DOORWAY_M = 0.32

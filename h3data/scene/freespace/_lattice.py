@@ -19,7 +19,7 @@ FINE_M = 0.15
 NODES = 1200
 """Nodes to aim at between the two (a table of 6 MB)."""
 NEAR_M = 3.0
-"""Shorter ways around corners are asked exactly: there the lattice is up to 10 % wrong, beyond hardly ever."""
+"""Length [m] below which paths around corners are computed exactly: the lattice's error reaches 10 % there, rarely beyond."""
 NODES_MAX = 4000
 """Larger floors get a coarser lattice, so that the table stays below 64 MB."""
 

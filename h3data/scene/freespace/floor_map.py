@@ -32,8 +32,8 @@ class FloorMap:
     """Distance from cell centres to the nearest obstacle or border of the floor, not inflated: an agent fits where it is
     at least ``radius_m``; negative in obstacles and off the floor. Shape [nx, nz] [m]."""
     polygon: MultiPolygon
-    """Area in which the centre may be: floor minus obstacles, shrunk by the radius. Its polygons are the islands, largest
-    first."""
+    """Area in which an agent's centre may be: floor minus obstacles, shrunk by the radius. Its polygons are the islands,
+    largest first."""
     graph: Graph
     """Visibility graph over the corners of ``polygon``, with all shortest paths."""
     heights: NDArray[np.float64] = field(default_factory=LEVEL.copy)

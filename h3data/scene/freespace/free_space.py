@@ -68,7 +68,7 @@ class FreeSpace(FloorMap):
             floor_y: Which floor; None takes the one with the largest area, or all storeys where stairs join them.
             method: ``shapes`` is exact and needs collision shapes and rooms, ``mesh`` finds the floor among triangles
                 by voxels of 2.5 cm, ``auto`` takes the first where it can.
-            cache: Whether a result on disk may be used, and kept (see `h3data.scene.freespace.store`).
+            cache: True if a result on disk may be used and stored (see `h3data.scene.freespace.store`).
         """
         sizes = {"radius_m": radius_m, "height_m": height_m, "max_climb_m": max_climb_m, "cell_m": cell_m}
 

@@ -159,7 +159,7 @@ STOOP = {"spine1": 0.08, "spine2": 0.30, "spine3": 0.66, "neck": 1.0, "head": 1.
 
 
 def stooped(rig: Rig, amount_m: float) -> Rig:
-    """The rig with its trunk bent: joints and skin come forward, the neck by this much, and the head sinks by a fifth of it."""
+    """Returns the rig with a bent trunk: the neck moves forward by ``amount_m``, and the head sinks by a fifth of it."""
     if not amount_m:
         return rig
     share = np.zeros(JOINT_COUNT)

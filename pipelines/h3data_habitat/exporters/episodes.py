@@ -69,7 +69,7 @@ def write_habitat_episodes(
     Paths in the file lead through ``folder`` as it is given: Habitat finds the scenes from the working directory of the export.
 
     Args:
-        recordings: Of rearrangement; those without steps are left out.
+        recordings: Recordings of rearrangement; those without steps are left out.
         folder: Must not exist, or be empty.
         force: Replace a folder that an earlier export made.
 

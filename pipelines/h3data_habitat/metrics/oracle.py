@@ -88,7 +88,7 @@ def oracle_min_steps(
         human_pos: Positions [T, 3]; row 0 is the reset, Habitat's step 1.
         rule: ``habitat`` requires r <= i, ``paper`` r < i.
         hz: Rate at which the robot's motion is integrated.
-        speed: As in `steps_to_find`.
+        speed: Speed as in `steps_to_find`.
         every: Tests every n-th step only (the paper's waypoints are equally spaced).
     """
     if every < 1:

@@ -40,9 +40,9 @@ class HabitatPick:
         """Moves the hand once; the person's pose is then that of this step.
 
         Args:
-            position: Where the object is, or is to be put, shape [3] [m] in the world.
-            pick: Whether to pick; else to place.
-            holding: Whether the person holds something.
+            position: Position of the object, or of its destination, shape [3] [m] in the world.
+            pick: True picks the object; False places it.
+            holding: True if the person holds something.
 
         Returns:
             ``take``: the object is now held. ``put``: what is held is now at ``position``. None: nothing changes hands.

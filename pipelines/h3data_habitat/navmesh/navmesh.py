@@ -228,9 +228,9 @@ def navmesh_from_free_space(
 
     Args:
         free_space: The floor.
-        merge: Whether to write few polygons of up to six corners, whose outlines are within 3 cm of the floor's, as
+        merge: True writes few polygons of up to six corners, whose outlines are within 3 cm of the floor's, as
             habitat-sim needs for large homes (`h3data_habitat.navmesh.merging`). Else exact triangles (constrained Delaunay).
-        settings: What to record as settings; by default those of the floor's agent.
+        settings: Settings to record; by default those of the floor's agent.
     """
     area = plain_outline(free_space.polygon) if merge else free_space.polygon
     pieces = [(k, piece) for k, p in enumerate(area.geoms) for piece in _slopes_apart(p, free_space.heights)]

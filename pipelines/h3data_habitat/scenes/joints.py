@@ -33,7 +33,7 @@ def articulation_of(
     reach, and so is what lies behind a closed door.
 
     Args:
-        name: Of the object.
+        name: Name of the object.
         robot: Its tree.
         frames: World matrices of its links, [L, 4, 4].
         positions: Joint positions at which the links have these matrices, [J].

@@ -71,7 +71,7 @@ class SceneBuilder:
         self._add(Instance(name="stage", asset=read.asset, pose=pose, scale=read.scale, motion="static"), where)
 
     def add_object(self, template: Template, entry: Mapping[str, Any], *, origin: Any, where: Path) -> None:
-        """A rigid object; ``origin`` is the scene's ``translation_origin``, which the entry may override."""
+        """Adds a rigid object; ``origin`` is the scene's ``translation_origin``, which the entry may override."""
         self.templates.keys.note("object_instance", entry)
         name = self._next_name(template)
         read = self.templates.rigid(template)

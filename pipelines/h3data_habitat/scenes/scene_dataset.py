@@ -75,7 +75,7 @@ class SceneDataset:
     path: Path
     sections: Mapping[Section, tuple[Template, ...]]
     navmeshes: Mapping[str, str] = field(default_factory=dict)
-    """Files (relative to the config) by the name that scenes use."""
+    """Navmesh files (relative to the config) by the name that scenes use."""
     descriptors: Mapping[str, str] = field(default_factory=dict)
     """The same for semantic descriptors."""
     keys: KeyNotes = field(default_factory=KeyNotes)

@@ -137,7 +137,7 @@ def verify_benchmark(
     ``h3data benchmark verify --help`` explains the options, which are called the same there.
 
     Returns:
-        What was checked, and what is wrong.
+        The files checked and the faults found.
 
     Raises:
         InputError: the folder holds no result, or there is no such benchmark.

@@ -31,7 +31,7 @@ def import_(
     """Turns recordings of other programs into MCAP recordings in the folder ``out``; options as of ``h3data import``.
 
     Returns:
-        What became of every file.
+        The outcome for every file.
 
     Raises:
         InputError: there is nothing to import.

@@ -47,7 +47,7 @@ class ReplayCommand:
     partners: tuple[str, ...] = ()
     """rearrange: policy of the person, or of each person in turn, as for h3data generate (default: the recording's own)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """The new recording (.mcap)."""
+    """File of the new recording (.mcap)."""
     force: ForceFlag = False
     json: JsonFlag = False
 

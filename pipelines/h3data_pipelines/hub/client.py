@@ -49,7 +49,7 @@ def hub_errors(repo: str, *, to: str) -> Iterator[None]:
 
     Args:
         repo: Name of the dataset.
-        to: What is done: ``"push"`` or ``"pull"``.
+        to: Direction of the transfer: ``"push"`` or ``"pull"``.
     """
     from huggingface_hub.utils import are_progress_bars_disabled, disable_progress_bars, enable_progress_bars
 

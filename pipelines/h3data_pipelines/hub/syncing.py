@@ -36,7 +36,7 @@ def sync(source: FilePath, target: FilePath, *, quick: bool = False, force: bool
     """Copies a dataset to another folder or object store, or what is new in it; options as of ``h3data sync``.
 
     Returns:
-        Where the copy is.
+        The location of the copy.
 
     Raises:
         InputError: the source is no dataset, or the target holds anything but a copy of it.

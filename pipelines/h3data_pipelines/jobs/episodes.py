@@ -49,9 +49,9 @@ class Job:
     agents: tuple[str, ...] | None = None
     """Agents of the episode (`sim_kinematic.agents.roster.make_roster`); None: the task's roster."""
     human: str | None = None
-    """Body of people named by their kind; None: the episode's, else the default."""
+    """Model of person that stands for the kind ``human``; None: the episode's, else the default."""
     robot: str | None = None
-    """Body of robots named by their kind."""
+    """Model of robot that stands for the kind ``robot``."""
     drawn_with: Any = None
     """Rules with which a set's starts and goals are sampled, whatever ``spec`` changes of them."""
     stored: StoredEpisode | None = None

@@ -194,11 +194,11 @@ def evaluate_task(
     Episodes whose results are in ``out`` already are not played again.
 
     Args:
-        request: What to evaluate.
+        request: Policies and episodes to evaluate.
         out: Folder, new or that of an interrupted evaluation with the same options.
-        save_recordings: Whether recordings are saved, as datasets in ``out/recordings``.
-        resume: Whether ``out`` must hold an evaluation to go on with.
-        force: Whether results in ``out`` are deleted first.
+        save_recordings: True saves recordings, as datasets in ``out/recordings``.
+        resume: True requires ``out`` to hold an evaluation, which is continued.
+        force: True deletes results in ``out`` first.
         workers: Number of processes.
         executor: Who starts them: ``local``, ``ray`` or ``ray://host:port``.
         progress: Makes a progress bar: called with ``total``, ``initial``, ``desc`` and ``unit``.

@@ -134,7 +134,7 @@ def plan_of(task: Any, episode: Any, partner: str | None) -> str:
 
 
 def files_of(policy: str) -> tuple[str, ...]:
-    """The policies that ``weights:PATTERN`` names, in the order of their paths; any other name is itself.
+    """Names of the policies that match ``weights:PATTERN``, in the order of their paths; any other name alone.
 
     A pattern has ``*``, ``?`` or ``[...]`` as in a shell, ``**`` for any folders; a file of that very name comes first.
 

@@ -86,8 +86,8 @@ def import_files(
         assets: Folders below which recorded asset files are searched (default: H3DATA_ASSETS).
         manifest: CSV table of participants and conditions (`h3data_pipelines.session_manifest`).
         fps: Steps per second of files without times.
-        strict: Whether recordings with warnings or missing assets are refused.
-        force: Whether existing recordings are replaced.
+        strict: True refuses recordings with warnings or missing assets.
+        force: True if existing recordings may be replaced.
 
     Raises:
         InputError: there is nothing to import.

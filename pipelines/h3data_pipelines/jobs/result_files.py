@@ -66,13 +66,13 @@ def results_of(
     """The results of all jobs, in their order, and how many were new. Those that are in the folder are not played again.
 
     Args:
-        jobs: One for each episode.
+        jobs: Jobs, one for each episode.
         out: Folder, new or that of an interrupted evaluation with the same options.
-        work: Plays one, in another process.
-        lost: What comes of one whose process died.
+        work: Plays one job, in another process.
+        lost: Returns the result of a job whose process died.
         store: Keeps what belongs to a result beside its file, and gives what the file holds.
         prepare: Called once the folder is there.
-        is_whole: Whether what `store` keeps of a job is there.
+        is_whole: Returns whether the data that `store` keeps for a job exists.
         resume, force, workers, executor, progress: As of `h3data_pipelines.jobs.evaluation_runs.evaluate_task`.
 
     Raises:

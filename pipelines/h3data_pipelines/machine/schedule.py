@@ -34,9 +34,9 @@ class Schedule:
 
     seconds: float
     cpu_s: float
-    """Time that workers were busy."""
+    """Time for which workers were busy, summed over workers [s]."""
     speedup: float
-    """Over one worker."""
+    """Speed-up over one worker."""
     held_up_by: str
     """``work``, ``writer``, ``scenes`` or ``start``: where most of the lost time went."""
 

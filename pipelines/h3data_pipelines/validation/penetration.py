@@ -270,5 +270,5 @@ def _core(shape: Shape) -> Shape:
 
 
 def _way_out(thing: Array, part: Array) -> float:
-    """The shortest way [m] along an axis of the world by which two boxes [2, 3] get out of each other."""
+    """The shortest displacement [m] along a world axis that separates two overlapping boxes [2, 3]."""
     return float(np.minimum(part[1] - thing[0], thing[1] - part[0]).min())

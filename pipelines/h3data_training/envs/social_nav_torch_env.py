@@ -15,7 +15,7 @@ from sim_kinematic.tasks.sources import Scenes
 from sim_kinematic.tasks.task import Task
 
 OBSERVATIONS = (*PICTURED, *FOLLOWER)
-"""What a device shows; as in `sim_kinematic.sensing.table`."""
+"""Names of the observations that a device can compute, as in `sim_kinematic.sensing.table`."""
 
 
 class SocialNavTorchEnv(TaskTorchEnv):

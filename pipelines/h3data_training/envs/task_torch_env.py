@@ -39,7 +39,7 @@ ARM, ARM_RGB = "robot_arm", "robot_arm_rgb"
 ASKED = "Hint: light='flat' asks for it."
 NO_BAKED_LIGHT = "On a device colours are in flat light. Hint: light='flat', or leave out device for baked light."
 EPISODES = 512
-"""Of the bank, unless said otherwise: some seconds to draw."""
+"""Default number of episodes in the bank, which take some seconds to sample."""
 
 
 def arm_cameras(observations: Sequence[str]) -> tuple[str, ...]:
@@ -126,7 +126,7 @@ class TaskTorchEnv(TorchEnv[Play]):
 
     @staticmethod
     def _sensors(task: Task) -> Mapping[str, Sensor]:
-        """What a device shows beside pictures, by name."""
+        """Sensors of the robot that are not pictures, by name."""
         return task.sensors("robot")
 
     def _make_worlds(self, **options: Any) -> TaskTensors:

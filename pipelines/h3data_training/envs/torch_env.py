@@ -65,7 +65,7 @@ class TorchEnv(Generic[P]):
     """The part that all tasks share. A task sets ``play`` and ``bank`` and has `_moved`, `_result` and `info`."""
 
     name: str
-    """Of the task."""
+    """Name of the task."""
     bank: Any
     """The episodes."""
     play: P

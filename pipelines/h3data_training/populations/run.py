@@ -56,18 +56,18 @@ def train(
     A run whose length is given in updates comes to the very same weights on any number of workers, interrupted or not.
 
     Args:
-        folder: Of the run; it exists. `POLICY` (the robot), ``partner_0.npz``, ... (partners that learn), `CHECKPOINT` and the
+        folder: Existing folder. `POLICY` (the robot), ``partner_0.npz``, ... (partners that learn), `CHECKPOINT` and the
             learning curve (`h3data_training.curve`) appear there.
-        settings: What is trained.
+        settings: Settings of the training.
         seed: Everything random follows from it.
         workers: Processes that play; None is one for each core. 1 plays here.
-        device: Where worlds with oracle skills are (`PopulationSettings.oracle`).
+        device: Torch device of worlds with oracle skills (`PopulationSettings.oracle`).
         resume: Go on from the checkpoint in the folder, if there is one.
         stop_after: Minutes of this call, set-up included; None: until the run is over.
         checkpoint_s: Seconds between two checkpoints.
-        episodes_file: Of the episodes to play, which several runs may share; it is written where there is none. By default
+        episodes_file: File of the episodes to play, which runs may share; it is written if absent. By default
             `EPISODES` in the folder, in worlds `BANK`.
-        episodes: Those to play instead.
+        episodes: Episodes to play instead.
         say: Told what goes on, in lines.
 
     Raises:

@@ -48,7 +48,7 @@ class EpisodeBank:
     after each step, and ``headings`` [N, P] [rad]."""
     headings: NDArray[np.float64] | None
     seeds: NDArray[np.int64]
-    """Of the episodes, as in recordings, [N]."""
+    """Seeds of the episodes, as in recordings, [N]."""
     extra: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     """Entries of `Episode.extra` that are arrays of one shape in all episodes, [N, ...] each."""
 
@@ -149,7 +149,7 @@ def _columns(of_episodes: Sequence[Mapping[str, Any]]) -> dict[str, NDArray[Any]
 
 
 def _strides(episode: Episode, walker: WaypointHuman) -> NDArray[np.float64]:
-    """Where the person is after each step, (x, z, heading) [P, 3]."""
+    """Position and heading of the person after each step, (x, z, heading) [P, 3] [m, m, rad]."""
     starts = Starts.of(episode.starts)
     track = np.empty((episode.spec.max_steps + 1, 3))
     before = np.array([*starts.human_xz, starts.human_heading])
@@ -159,7 +159,7 @@ def _strides(episode: Episode, walker: WaypointHuman) -> NDArray[np.float64]:
 
 
 def _way_points(episode: Episode, walker: WaypointHuman) -> NDArray[np.float64]:
-    """Where the person walks [P, 2], at least as far as they can get in an episode. They land on each way point exactly."""
+    """Way points of the person [P, 2] [m], at least as many as can be reached in an episode. Each is reached exactly."""
     stride = episode.spec.human.speed_mps * STEP_S
     points = [Starts.of(episode.starts).human_xz]
     steps = 0

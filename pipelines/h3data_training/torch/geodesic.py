@@ -22,7 +22,7 @@ from h3data.scene.freespace._sdf import SLACK_M
 from h3data_training.torch.step import Grids, sample_sdf
 
 AROUND = 4
-"""The nodes of so many rows and columns around an end are tried."""
+"""Number of rows and of columns of nodes that are tried around an end of a path."""
 LOOKS = 32
 """Places on the straight way at which the distance to obstacles is looked up."""
 LOOK_APART_M = 0.4

@@ -108,7 +108,7 @@ _WORLD = ("solid_agents", "floor_moves")
 
 
 def _held(rules: Any) -> Held:
-    """Of a task of one's own, whose functions read its rules themselves: what moves agents is as in social navigation."""
+    """Rules held for a user's task. Its own functions read its rules; those that move agents are as in social navigation."""
     task, like = type(rules), HELD["social_nav"]
     ported = tuple(f.name for f in fields(rules) if f.name not in (*_SAMPLED, *_WORLD))
     usual = replace(

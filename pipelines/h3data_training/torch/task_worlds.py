@@ -38,7 +38,7 @@ from sim_kinematic.tasks.task import Task
 
 
 class Play(NamedTuple):
-    """Where W worlds are in their episodes."""
+    """State of W worlds within their episodes."""
 
     robot: RobotTensors
     human: HumanTensors
@@ -51,16 +51,16 @@ class Play(NamedTuple):
     ended: Tensor
     """The episode is over: the next step begins another, bool [W]."""
     memory: Mapping[str, Tensor]
-    """What the task stores between steps, [W, ...] each; ``success`` of the last step is kept with it."""
+    """Values that the task stores between steps, [W, ...] each, and ``success`` of the last step."""
     collides: Tensor
     """They touch, bool [W]."""
     before_xz: Tensor
-    """Of the robot, before the last step, [W, 2]; ``before_heading`` [W]."""
+    """Position of the robot before the last step, [W, 2] [m]; ``before_heading`` [W] [rad]."""
     before_heading: Tensor
     human_before_xz: Tensor
-    """Of the person, [W, 2]."""
+    """Position of the person before the last step, [W, 2] [m]."""
     reward: Tensor
-    """Of the last step, [W]."""
+    """Reward of the last step, [W]."""
     terminated: Tensor
     """The rules ended the episode in the last step, bool [W]."""
     truncated: Tensor
@@ -110,7 +110,7 @@ class Agents(NamedTuple):
 
 
 class TensorWorld(NamedTuple):
-    """What tasks and sensors read of a `sim_kinematic.world.World`, on a device."""
+    """The part of a `sim_kinematic.world.World` that tasks and sensors read, on a device."""
 
     worlds: int
     state: Agents
@@ -122,7 +122,7 @@ class TensorWorld(NamedTuple):
     floor_y: Tensor
     """Height of the floor in each world [m], [W]."""
     grids: Grids
-    """Of the worlds' floors."""
+    """Grids of the worlds' floors."""
 
     def heights(self, xz: Tensor) -> Tensor:
         """Heights of the floor at places, [W] [m]: floors are level."""
@@ -140,7 +140,7 @@ class TensorWorld(NamedTuple):
 
 
 class TensorRollout:
-    """What a task reads of its `sim_kinematic.tasks.play.WorldRollout`, on a device."""
+    """The part of a `sim_kinematic.tasks.play.WorldRollout` that a task reads, on a device."""
 
     xp = torch
 
@@ -313,7 +313,7 @@ class TaskTensors:
         )
 
     def _begun(self, play: Play) -> dict[str, Tensor]:
-        """What the task's memory would be if all worlds began where they are."""
+        """Memory that the task would have if all worlds began in their present state."""
         begun = self.task.begin(TensorRollout(self, play, None), torch.arange(len(play.steps), device=self.device))  # type: ignore[arg-type]
         return {"success": play.steps < 0, **{name: self._typed(values) for name, values in (begun or {}).items()}}
 
@@ -322,7 +322,7 @@ class TaskTensors:
         return play.memory["success"]
 
     def _judged(self, now: Play, fresh: Tensor) -> tuple[Any, dict[str, Tensor]]:
-        """What the step was worth, and what the task remembers of it; ``fresh`` worlds [W] have just begun."""
+        """Outcome of the step and the task's memory after it; ``fresh`` [W] are worlds that have just begun."""
         begun = self._begun(now)
         memory = {name: _choose(fresh, values, now.memory[name]) for name, values in begun.items()}
         rollout = TensorRollout(self, now._replace(memory=memory), dict(memory))
@@ -337,7 +337,7 @@ class TaskTensors:
 
     # --- what the robot is shown --------------------------------------------------------------------------------------
     def context(self, play: Play) -> SensorContext:
-        """What sensors of the robot read."""
+        """Context from which the robot's sensors compute observations."""
         world: Any = self.world(play)
 
         def path() -> tuple[Tensor, Tensor]:

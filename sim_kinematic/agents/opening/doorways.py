@@ -87,7 +87,7 @@ class RoomDoors:
             start: The floor point.
             stands: Gives the places ``(x, z, heading)`` [N, 3] on a floor.
             floor: The floor with the joints of the home at ``positions`` [J].
-            positions: Of all joints.
+            positions: Positions of all joints [J] [rad or m].
             detour_m: A path without opening doors that is longer by at most this is preferred.
         """
         around = nearest_stand(floor, stands(floor), start)[1]

@@ -53,13 +53,13 @@ class SubGoals:
     goals: Array
 
     def of(self, action: Action, poses: Array) -> SubGoal:
-        """Sub-goal of a skill with an object, given the poses [K, 7] of all objects."""
+        """Returns the sub-goal of a skill with an object, given the poses [K, 7] of all objects."""
         k = action.target
         moved = action.skill in ("nav_to_goal", "place") or bool((poses[k, :3] == self.goals[k]).all())
         return SubGoal((self.to_goal if moved else self.to_start)[k], (self.goals if moved else self.starts)[k])
 
     def reaches(self, errand: SubGoal, xz: Array, error_rad: float) -> bool:
-        """Whether an agent at a floor point [2] is at one of the places, and faces the point but for an angle."""
+        """Returns whether an agent at floor point ``xz`` [2] has arrived; ``error_rad`` is the angle to its target."""
         return bool(reaches(self.oracle, errand.ways.ends - xz, error_rad))
 
 

@@ -46,8 +46,8 @@ def judge(
     """Plays one skill to its end.
 
     Args:
-        episode: Of whose agents only the first robot is there.
-        start: Where it begins.
+        episode: Episode, of whose agents only the first robot is present.
+        start: State in which the skill begins.
         learned: Learned skills by name; one that is not among them knows all.
         watch: Called after every step.
     """

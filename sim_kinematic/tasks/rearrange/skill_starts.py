@@ -86,8 +86,8 @@ def draw_starts(
         rng: Decides.
         robot: Number of the agent.
         path_m: Least and greatest length of the path to the nearest stand; None: those with which the skill is judged.
-        any_spot: Whether objects may be picked up at their goals, and put down where they lay, so that there is more to learn.
-        rules: Of the skills.
+        any_spot: True if objects may also be picked up at their goals and put down where they lay, for more variety.
+        rules: Rules of the skills.
     """
     body = episode.roster[robot].body
     assert isinstance(body, Robot)

@@ -255,7 +255,7 @@ class RearrangeReward:
     slack: float = -0.005
 
     def step(self, held: Any, at_goal: Any, paid: Any, collides: Any, *, xp: Any = np) -> tuple[Any, Any, Any]:
-        """What a step is worth in W worlds of K objects, by arrays or tensors.
+        """Reward of a step in W worlds of K objects, as arrays or tensors.
 
         Args:
             held: which objects somebody holds, bool [W, K].

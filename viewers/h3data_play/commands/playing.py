@@ -81,7 +81,7 @@ class Play:
     seconds: float | None = None
     """Length limit of an episode (default: the app's; rearrange and teleop 180, social_nav 90, tutorial 600)."""
     motion: Path | None = None
-    """How people walk: as in a motion file, as of h3data generate."""
+    """Motion file that sets how people walk, as for h3data generate."""
     overrides: OverridesOption = ()
     rules: RuleSetOption = None
     port: PortOption = 0

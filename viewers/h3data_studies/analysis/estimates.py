@@ -165,7 +165,7 @@ def analyse_study(
 
     Args:
         episodes: Metrics with participant and condition; others are left out.
-        profile: What measured them.
+        profile: Profile of metrics with which they were measured.
         model: Choices (default: `StudyModel`).
 
     Raises:

@@ -170,7 +170,7 @@ class Client:
         return found
 
     def heard(self, name: str) -> list[Any]:
-        """Returns the contents of text frames of a name."""
+        """Returns the contents of the text frames that have a name."""
         return [message[name] for message in self.told if name in message]
 
     @property

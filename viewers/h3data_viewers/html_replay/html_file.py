@@ -58,7 +58,7 @@ def write_html(
         path: Path of the ``.html`` file; missing folders are created.
         replay: Its meshes and poses (default: without assets of foreign recordings, people by their reduced meshes).
         title: Title of the page (default: task and episode id).
-        overwrite: Whether to replace an existing file.
+        overwrite: True if an existing file may be replaced.
 
     Raises:
         InputError: ``path`` exists and ``overwrite`` is false, or the recording has no steps.

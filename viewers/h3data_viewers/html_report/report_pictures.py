@@ -238,7 +238,7 @@ def highlights(runs: Sequence[Run], most: int) -> list[Highlight]:
 
 
 def _recorded(run: Run) -> list[ReportEpisode]:
-    """Episodes with a recording, each recording once."""
+    """Returns the episodes that have a recording, each recording once."""
     return list({(e.source, e.index): e for e in run.episodes if e.recorded}.values())
 
 

@@ -215,12 +215,12 @@ def opening_counter(
     """A base cabinet: ``drawers``, ``doors``, ``sink`` or ``dishwasher``.
 
     Args:
-        size: Of the worktop: width, height of its upper side, depth [m].
-        front: Where the front of the carcass is along z [m].
-        colors: Of the fronts.
-        metal: Of handles.
+        size: Width, height of the upper side and depth of the worktop [m].
+        front: Position of the front of the carcass along z [m].
+        colors: Colours of the fronts.
+        metal: Colour of the handles.
         worktop: Colour of the worktop.
-        kind: Which.
+        kind: Kind of cabinet.
         top: The surface of the worktop.
         looks: The worktop of a sink, with basin and tap; else it is a board.
     """

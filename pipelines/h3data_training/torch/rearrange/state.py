@@ -76,7 +76,7 @@ class Play(NamedTuple):
     objects: Tensor
     """Places of the objects, [W, K, 3] [m]."""
     held_by: Tensor
-    """Who holds each: 0 the robot, 1 the person, -1 nobody, int64 [W, K]."""
+    """Holder of each object: 0 is the robot, 1 the person, -1 nobody, int64 [W, K]."""
     moved: Tensor
     """True if each has been put down at its goal, bool [W, K]."""
     placed_by: Tensor

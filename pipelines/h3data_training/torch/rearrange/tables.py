@@ -30,7 +30,7 @@ class Tables:
     starts: Tensor
     spots: Tensor
     ends: Tensor
-    """[N * F, S, 2]; infinity where there are fewer."""
+    """Up to S end points of each distance field, [N * F, S, 2] [m]; unused rows are infinity."""
     first: Tensor
     """Points are int16: a GPU reads half as much."""
     first_of: Tensor

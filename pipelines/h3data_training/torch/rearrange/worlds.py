@@ -179,7 +179,7 @@ class RearrangeTensors:
         return does, torch.where(choice == FREE, 4 * self.bank.objects, choice)
 
     def _planned(self, choices: Choices, does: SubGoal, hands: Hands, at_goal: Tensor) -> tuple[SubGoal, Tensor]:
-        """What planners that are free choose, and what they remember of it."""
+        """Lets free planners choose; returns their memory, and the number of the sub-goal chosen in each world, int64 [W]."""
         plan, failed = Plan(does.order, does.passed, does.tries), does.outcome == FAILED
         k, plan = plan.next(does.skill == FREE, failed, hands.held_by, at_goal, choices.who, xp=torch)
         came = torch.where(of_object(hands.held_by, k.clamp_min(0)) == choices.who, self.bank.objects + k, k)
