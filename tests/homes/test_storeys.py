@@ -27,7 +27,7 @@ def test_a_home_with_storeys_has_a_name_and_is_the_same_each_time() -> None:
 
 @pytest.mark.parametrize("wrong", [{"storeys": 2}, {"storeys": 3, "generation": 2}, {"storeys": 0}, {"storeys": 1.5}])
 def test_other_numbers_of_storeys_are_refused(wrong) -> None:
-    with pytest.raises(InputError, match="storeys"):
+    with pytest.raises(InputError, match=r"(?s)storeys.*H3-SCENE-0(28|30)"):
         HomeSpec(**wrong)
     with pytest.raises(InputError, match="H3-SCENE-030"):
         HomeSpec(preset="large", generation=2, storeys=2)

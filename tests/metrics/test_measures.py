@@ -234,7 +234,7 @@ def test_registry_and_results_agree():
         assert low <= result.values[metric.name] <= high
     with pytest.raises(InputError, match="H3-METRIC-024"):
         find_metric("nope")
-    with pytest.raises(InputError, match=r"Did you mean .habitat."):
+    with pytest.raises(InputError, match=r"(?s)'habitat'.*H3-FILE-011"):
         measure(recording(np.zeros(2), np.ones(2)), profile="habitat7")
 
 

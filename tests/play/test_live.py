@@ -293,7 +293,7 @@ def test_steering_the_robot(tmp_path: Path):
     player.send(k="move", f=0.5, t=0.3)
     player.play(20)
     player.send(k="move", f=0.0, t=0.0)
-    with pytest.raises(InputError, match="does not drop"):
+    with pytest.raises(InputError, match="H3-PLAY-014"):
         player.send(k="drop")
     bring(player, 0)
     assert game.session.play.at_goal[0], player.said  # type: ignore[attr-defined]

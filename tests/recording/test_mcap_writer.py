@@ -449,7 +449,7 @@ def test_headers_decide_or_the_first_rows_do(tmp_path):
     assert len(empty) == 0
     assert empty.columns["object_pose"].shape == (0, 2, 7)
     with (
-        pytest.raises(FormatError, match="object_pose holds 1"),
+        pytest.raises(FormatError, match=r"(?s)'e0'.*object_pose.*H3-RECORDING-107"),
         RecordingWriter(tmp_path / "c.mcap", header) as writer,
     ):
         writer.append({**rec.columns, "object_pose": rec.columns["object_pose"][:, :1]})

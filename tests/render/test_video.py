@@ -135,7 +135,7 @@ def test_an_interrupted_video_leaves_nothing(tmp_path: Path, error):
 
 def test_wrong_frames_and_no_frames_are_refused(tmp_path: Path):
     with (
-        pytest.raises(InputError, match=r"Frame 0 must be uint8 \[48, 64, 3\]"),
+        pytest.raises(InputError, match=r"(?s) 0 .*\[48, 64, 3\].*H3-RENDER-075"),
         VideoWriter(tmp_path / "a.mp4", 64, 48) as v,
     ):
         v.write(frame(0, 48, 64))
@@ -205,7 +205,7 @@ def test_ids_are_stored_one_up(tmp_path: Path):
     np.testing.assert_array_equal(stored_ids(np.array([[-1, 0, 65533]])), [[0, 1, 65534]])
     assert stored_ids(np.zeros((2, 3), np.int32)).dtype == np.uint16
     for bad in (np.array([[65535]]), np.zeros((2, 2)), np.zeros(3, np.int32)):
-        with pytest.raises(InputError, match=r"65534|integers"):
+        with pytest.raises(InputError, match=r"(?s)65534.*H3-RENDER-045|H3-RENDER-044"):
             stored_ids(bad)
     with pytest.raises(InputError, match="H3-RENDER-074"):
         VideoWriter(tmp_path / "a.mp4", 64, 48, codec="vp9")  # type: ignore[arg-type]

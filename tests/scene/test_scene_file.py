@@ -406,7 +406,7 @@ def test_other_files_are_named_as_such(data: bytes):
 def test_truncation_anywhere_is_noticed(home: Scene):
     data = scene_bytes(home)
     for cut in (4, 11, 19, 20, 1000, len(data) // 2, len(data) - 1):
-        with pytest.raises(FormatError, match="Truncated"):
+        with pytest.raises(FormatError, match=r"H3-MESH-00(2|4)"):
             load_scene(data[:cut])
 
 
@@ -529,5 +529,5 @@ def test_what_cannot_be_stored_is_refused(home: Scene, bad: str):
         )
     else:
         wrong = replace(home, source={"when": object()})
-    with pytest.raises(SceneError, match=r"finite|JSON"):
+    with pytest.raises(SceneError, match=r"H3-SCENE-0(49|50)"):
         scene_bytes(wrong)

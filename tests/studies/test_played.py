@@ -286,7 +286,7 @@ def test_ranks_by_people_stand_beside_ranks_by_automatic_evaluation(tmp_path: Pa
     assert "same_object" in table["rows"]["RC"]["Order, with people"]
     assert "Kendall" in outcome.text
     other = play_study(tmp_path / "other", 2, conditions=conditions[:1], scenes=["small:1"])
-    with pytest.raises(InputError, match="Expected two or more policies that are both in the study"):
+    with pytest.raises(InputError, match="H3-STUDY-011"):
         StudyCompare(other, zsc).run()
 
 

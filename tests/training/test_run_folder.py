@@ -35,7 +35,7 @@ def test_force_leaves_nothing_of_an_earlier_run(folder: Path) -> None:
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
 def test_nothing_is_deleted_for_a_device_that_is_not_there(folder: Path) -> None:
     for device in ("cuda", "tpu"):
-        with pytest.raises(InputError, match=r"GPU|device"):
+        with pytest.raises(InputError, match=r"H3-ENV-01(3|7)"):
             claim(folder, device=device)
     with pytest.raises(InputError, match=r"(?s)a training run.*H3-OPTION-009"):
         claim(folder, force=False)

@@ -385,7 +385,7 @@ def test_paths_of_other_machines_are_read_as_meant(tmp_path: Path, filename: str
     "filename", ["%2e%2e/%2e%2e/%2e%2e/a.obj", "package://arm/%2e%2e/a.obj", "package://arm/../a.obj"]
 )
 def test_decoded_paths_do_not_climb(tmp_path: Path, filename: str) -> None:
-    with pytest.raises(FormatError, match=r"two folders above|stays in its package"):
+    with pytest.raises(FormatError, match=r"(?s)a\.obj.*H3-BODY-114"):
         _named_mesh(_package(tmp_path / "x/y/arm") / "urdf", filename)
 
 

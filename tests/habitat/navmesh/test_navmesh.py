@@ -359,10 +359,10 @@ def test_version_1_takes_the_agent_from_the_tile(good, tmp_path):
 @pytest.mark.slow
 def test_too_large_a_mesh_or_grid_is_refused(tmp_path):
     wide = mesh_of([rect(0, 0, 5000, 5000)])
-    with pytest.raises(InputError, match="larger cell_m"):
+    with pytest.raises(InputError, match=r"(?s)cell_m.*H3-HABITAT-084"):
         free_space_from_navmesh(wide)
     many = mesh_of([rect(k, 0, k + 1, 1) for k in range(33000)])
-    with pytest.raises(InputError, match="32766 polygons"):
+    with pytest.raises(InputError, match=r"(?s)32766.*H3-HABITAT-089"):
         write_navmesh(many, tmp_path / "a.navmesh")
 
 

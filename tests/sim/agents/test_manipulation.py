@@ -145,7 +145,7 @@ def test_one_world_is_as_many(robot: Robot) -> None:
 def test_arm_actions_that_are_none_are_refused(robot: Robot, action: np.ndarray) -> None:
     state = standing(robot, 2)
     before = state.robots[0].joints.copy()
-    with pytest.raises(InputError, match=r"finite|shape"):
+    with pytest.raises(InputError, match=r"H3-SIM-0(07|10)"):
         move_arms(state.robots[0], robot, action, SPEC)
     np.testing.assert_array_equal(state.robots[0].joints, before)
 
@@ -153,7 +153,7 @@ def test_arm_actions_that_are_none_are_refused(robot: Robot, action: np.ndarray)
 @pytest.mark.parametrize("action", [[1.0, np.nan], [1.0], [[1.0], [1.0]], [1.0, np.inf]])
 def test_grip_actions_that_are_none_are_refused(robot: Robot, action: object) -> None:
     state = standing(robot, 2)
-    with pytest.raises(InputError, match=r"finite|shape"):
+    with pytest.raises(InputError, match=r"H3-SIM-0(07|10)"):
         grip_objects(state, robot_hands(state.robots[0], robot), np.array(action), SPEC)
     assert (state.held_by == NOBODY).all()
 

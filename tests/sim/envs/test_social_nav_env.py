@@ -397,13 +397,13 @@ def test_bad_actions_move_nothing(action: Any) -> None:
     env = make(scenes=HOME, spec=SHORT)
     env.reset(seed=1)
     before = env.stepper.play.world.state.copy()
-    with pytest.raises(InputError, match=r"[Aa]ctions"):
+    with pytest.raises(InputError, match=r"H3-ENV-0(10|29|31)"):
         env.step(action)
     for was, now in zip(before.arrays(), env.stepper.play.world.state.arrays(), strict=True):
         np.testing.assert_array_equal(was, now)
     vector = make(num_envs=2, scenes=HOME, spec=SHORT)
     vector.reset(seed=1)
-    with pytest.raises(InputError, match=r"[Aa]ctions"):
+    with pytest.raises(InputError, match=r"H3-ENV-0(10|29|31)"):
         vector.step([action, action])
 
 
