@@ -74,7 +74,7 @@ def dataset(tmp_path_factory) -> Path:
     return write(tmp_path_factory.mktemp("metrics") / "ds", [episode(k) for k in range(70)], episodes_per_file=20)
 
 
-@pytest.mark.parametrize("profile", ["paper", "habitat", "habitat@0.3.0", "field"])
+@pytest.mark.parametrize("profile", ["paper", "habitat", "habitat@0.3.0", "field", "social"])
 def test_a_dataset_measures_as_its_recordings_one_by_one(dataset, profile):
     plain = measure_many((episode(k) for k in range(70)), profile)
     for workers in (1, 3):

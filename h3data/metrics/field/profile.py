@@ -26,11 +26,11 @@ from h3data.metrics.field.definitions import (
     STALLED_M_S,
     STALLED_RAD_S,
 )
+from h3data.metrics.field.goal import Goal, find_goal
 from h3data.metrics.metric import INF, NAN, Series
 from h3data.metrics.profile import Computed, Profile
 from h3data.metrics.report_layout import Milestone, ReportLayout
 from h3data.metrics.requirements import find_others, note_missing
-from h3data.metrics.social.goal import Goal, find_goal
 from h3data.recording.records import Recording
 
 if TYPE_CHECKING:
@@ -72,8 +72,8 @@ def compute_field(recording: Recording, notes: Notes) -> Computed:
     if not len(recording):
         notes.add(names, "the recording has no rows")
         return Computed(values={}, robot=robot, human=others[0])
-    _, distances = _offsets(recording)
-    series = field_series(recording)
+    towards, distances = _offsets(recording)
+    series = _series(recording, goal, towards, distances)
     values = _proxemics(series, distances) | _motion(series, recording)
     if not goal.missing:
         values |= _goal(goal, series, recording, notes)
@@ -105,13 +105,15 @@ def field_series(recording: Recording) -> Series:
     Distances and times to collision are to the nearest person, zones are that person's, and ``goal`` holds nowhere where no
     goal is known.
     """
+    return _series(recording, find_goal(recording), *_offsets(recording))
+
+
+def _series(recording: Recording, goal: Goal, towards: NDArray[np.float64], distances: NDArray[np.float64]) -> Series:
     robot, _ = find_others(recording)
     pose = recording.agent_column(robot, "base_pose").astype(np.float64)
     at = pose[:, [0, 2]]
-    towards, distances = _offsets(recording)
     distance = np.fmin.reduce(distances, axis=1)
     seconds = recording.columns["time_ns"] * 1e-9
-    goal = find_goal(recording)
     velocity = _rate(at, seconds)
     acceleration = _rate(velocity, seconds)
     speed = np.linalg.norm(velocity, axis=1)

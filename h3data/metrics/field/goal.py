@@ -27,10 +27,10 @@ class Goal:
 
     distance: NDArray[np.float64]
     """Length of the shortest path to it, if recorded, else the straight distance on the floor [T] [m]; NaN where unknown."""
+    straight: NDArray[np.float64]
+    """Straight distance to it on the floor [T] [m]; NaN where unknown."""
     reached: NDArray[np.bool_]
     """Rows in which it is reached [T]."""
-    first: int = -1
-    """First row in which the robot, and an agent that is the goal, have a pose; -1 = none."""
     agent: int = -1
     """Index of the agent that is the goal; -1 for a point."""
     within_m: float = 0.0
@@ -39,6 +39,12 @@ class Goal:
     """Why there is none; then nothing is reached, and all distances are NaN."""
     notes: tuple[str, ...] = ()
     """What replaced missing data."""
+
+    @property
+    def first(self) -> int:
+        """First row in which the robot, and an agent that is the goal, have a pose; -1 = none."""
+        known = ~np.isnan(self.straight)
+        return int(np.argmax(known)) if known.any() else -1
 
     @property
     def row(self) -> int:
@@ -77,7 +83,8 @@ def find_goal(recording: Recording) -> Goal:
         return _agent_goal(recording, robot, others[0], others)
     else:
         missing = f"undefined with several people ({len(others)}): info goal does not say which of them is the goal"
-    return Goal(distance=np.full(rows, np.nan), reached=np.zeros(rows, np.bool_), missing=missing)
+    unknown = np.full(rows, np.nan)
+    return Goal(distance=unknown, straight=unknown, reached=np.zeros(rows, np.bool_), missing=missing)
 
 
 def _stored(info: Mapping[str, Any]) -> Any:
@@ -103,7 +110,7 @@ def _point_goal(recording: Recording, robot: int, point: NDArray[np.float64]) ->
     else:
         reached = distance <= REACHED_M
         notes.append(f"no column {SUCCESS}: the goal is reached from {REACHED_M} m")
-    return Goal(distance=distance, reached=reached, first=_first(straight), notes=tuple(notes))
+    return Goal(distance=distance, straight=straight, reached=reached, notes=tuple(notes))
 
 
 def _agent_goal(recording: Recording, robot: int, agent: int, others: tuple[int, ...]) -> Goal:
@@ -115,17 +122,12 @@ def _agent_goal(recording: Recording, robot: int, agent: int, others: tuple[int,
     reached = found_series(ours, theirs, distance)["found"]
     return Goal(
         distance=distance,
+        straight=straight,
         reached=reached,
-        first=_first(straight),
         agent=agent,
         within_m=PAPER.far_m,
         notes=tuple(notes),
     )
-
-
-def _first(straight: NDArray[np.float64]) -> int:
-    known = ~np.isnan(straight)
-    return int(np.argmax(known)) if known.any() else -1
 
 
 def _straight(column: str) -> str:
