@@ -74,7 +74,7 @@ def dataset(tmp_path_factory) -> Path:
     return write(tmp_path_factory.mktemp("metrics") / "ds", [episode(k) for k in range(70)], episodes_per_file=20)
 
 
-@pytest.mark.parametrize("profile", ["paper", "habitat", "habitat@0.3.0", "field"])
+@pytest.mark.parametrize("profile", ["paper", "habitat", "habitat@0.3.0", "field", "social"])
 def test_a_dataset_measures_as_its_recordings_one_by_one(dataset, profile):
     plain = measure_many((episode(k) for k in range(70)), profile)
     for workers in (1, 3):
@@ -370,13 +370,13 @@ def test_the_command_compares(dataset, tmp_path, capsys):
 def test_the_command_lists_and_explains(dataset, capsys):
     listed = run(capsys, "list")
     assert "paper/social_nav/SPS@1" in listed
-    assert "field/proxemics/TTC_min@1" in listed
+    assert "field/proxemics/TTC_min@2" in listed
     assert "S * l / max(l, p)" in run(capsys, "explain", "SPS")
     text = run(capsys, "explain", "SPS", f"{dataset}#3")
     assert "in episode 'e003'" in text
     assert "info:oracle_min_steps = 5" in text
     data = json.loads(run(capsys, "explain", "D_min", f"{dataset}#3", "--json"))
     assert data["value"] == pytest.approx(measure(episode(3), "field").values["D_min"])
-    assert data["metric"]["id"] == "field/proxemics/D_min@1"
+    assert data["metric"]["id"] == "field/proxemics/D_min@2"
     assert "No metric 'XYZ'" in run(capsys, "explain", "XYZ", code=2)
     assert "Name one as" in run(capsys, "explain", "S", dataset, code=2)

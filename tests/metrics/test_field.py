@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from h3data.geometry import ground_pose
 from h3data.metrics import measure, metrics_of, series_of
 from h3data.metrics.field import with_clearance
-from h3data.metrics.field.profile import GOAL, NEAR, field_series, time_to_collision
+from h3data.metrics.field.profile import GOAL, field_series, time_to_collision
 from h3data.recording.records import Agent, Episode, Recording
 
 SECOND = 1_000_000_000
@@ -203,24 +203,85 @@ def test_series_have_a_row_each():
     assert named <= set(series_of(recording, "field"))
 
 
-def test_several_people_and_other_goals_have_no_numbers_of_a_wrong_pair():
-    robot, near, far = np.zeros((4, 2)), np.full((4, 2), 0.4), np.full((4, 2), 5.0)
-    alone = floor(robot, far)
-    crowd = replace(
+def among(robot, *people, info=None, task="social_nav", **columns) -> Recording:
+    """A robot among people, positions (x, z), one row a second."""
+    alone = floor(robot, people[0], **columns)
+    poses = {f"agent_{n}.base_pose": floor(robot, at).columns["agent_1.base_pose"] for n, at in enumerate(people, 1)}
+    return replace(
         alone,
-        agents=(*alone.agents, Agent(name="human_2", kind="human")),
-        columns={**alone.columns, "agent_2.base_pose": floor(robot, near).columns["agent_1.base_pose"]},
+        episode=replace(alone.episode, task=task, info=info or {}),
+        agents=(alone.agents[0], *(Agent(name=f"human_{n}", kind="human") for n in range(len(people)))),
+        columns={**alone.columns, **poses},
     )
-    measured = measure(crowd, "field")
-    for name in (*NEAR, *GOAL):
-        assert np.isnan(measured.values[name]), name
-        assert "several people (2)" in measured.notes[name], name
-    assert measured.values["PL"] == 0.0
-    assert np.isnan(field_series(crowd)["dist_m"]).all()
-    point_goal = replace(alone, episode=replace(alone.episode, task="point_goal"))
-    measured = measure(point_goal, "field")
-    for name in GOAL:
-        assert np.isnan(measured.values[name]), name
-        assert "'point_goal'" in measured.notes[name], name
-    assert measured.values["D_min"] == measure(alone, "field").values["D_min"]
-    assert not field_series(point_goal)["goal"].any()
+
+
+def test_everybody_counts_by_hand():
+    # Fifteen rows: the first person is never nearer than 2.44 m, the last stands 0.73 m away in two rows.
+    robot, apart = np.zeros((15, 2)), lambda d: np.stack([np.full(15, d), np.zeros(15)], 1)
+    passing = apart(5.0)
+    passing[[4, 9], 0] = 0.73
+    people = (apart(2.44), apart(-3.0), apart(4.0), passing)
+    measured = measure(among(robot, *people), "field")
+    assert measured.values["PSC"] == pytest.approx(13 / 15, abs=1e-6)
+    assert measured.values["D_min"] == pytest.approx(0.73, abs=1e-6)
+    assert measured.values["Z_personal"] == pytest.approx(2 / 15, abs=1e-6)
+    assert measured.values["Z_social"] == pytest.approx(13 / 15, abs=1e-6)
+    assert measured.values["intrusions"] == 2
+    assert measured.values["TTC_min"] == pytest.approx((0.73 - 0.5) / (5 - 0.73), abs=1e-6)
+    assert measured.human == 4, "the one whom it comes nearest"
+    assert [m.id for m in metrics_of("field") if m.name == "PSC"] == ["field/proxemics/PSC@2"]
+
+
+crowds = st.lists(
+    st.lists(st.tuples(st.floats(-4, 4), st.floats(-4, 4)), min_size=6, max_size=6), min_size=1, max_size=4
+)
+
+
+@given(crowds, st.randoms(use_true_random=False))
+def test_the_order_of_people_and_those_far_away_change_nothing(people, random):
+    robot = [(0.1 * k, 0) for k in range(6)]
+    shuffled = random.sample(people, len(people))
+    away = [(1e4 + k, 0) for k in range(6)]
+    info = {"goal": [0.5, 0.0]}
+    here = measure(among(robot, *people, info=info), "field").values
+    for other in (shuffled, [*people, away], [away, *people]):
+        there = measure(among(robot, *other, info=info), "field").values
+        np.testing.assert_equal({**there, "TTC_min": 0}, {**here, "TTC_min": 0})
+        # somebody far away may be on a collision course, hours ahead
+        assert there["TTC_min"] == here["TTC_min"] or there["TTC_min"] > 1e3 or math.isnan(here["TTC_min"])
+
+
+def test_the_goal_is_the_episodes():
+    robot, person = [(k, 0) for k in range(5)], [(9, 9)] * 5
+    reached = np.arange(5) == 3
+    point = among(robot, person, person, info={"goal": [3.0, 0.0]}, task="go", **{"metrics.success": reached})
+    measured = measure(point, "field")
+    assert (measured.values["SPL"], measured.values["T_goal"]) == (1, 3)
+    assert measured.values["STL"] == pytest.approx(3 / 2.5 / 3)
+    assert dict(measured.moments) == {"goal": 3}
+    assert "no column metrics.goal_distance" in measured.notes["SPL"]
+    length = np.array([6, 5, 4, 0, 1], np.float32)
+    longer = replace(point, columns={**point.columns, "metrics.goal_distance": length})
+    assert measure(longer, "field").values["SPL"] == 1, "shorter than the shortest path is as good"
+    assert measure(longer, "field").values["STL"] == pytest.approx(6 / 2.5 / 3)
+    near = among(robot, person, info={"extra": {"goal": [2.3, 0, 0.4]}}, task="go")
+    measured = measure(near, "field")
+    assert (measured.values["T_goal"], measured.values["SPL"]) == (2, 1)
+    assert "reached from 0.5 m" in measured.notes["T_goal"]
+    two = ([(9, 9)] * 5, [(4, 0)] * 5)
+    for goal in (2, "human_1"):
+        assert measure(among(robot, *two, info={"goal": goal}), "field").values["T_goal"] == 2
+    for info, task, says in (
+        ({}, "social_nav", "several people (2)"),
+        ({}, "go", "undefined in the task 'go'"),
+        ({"goal": "sofa"}, "go", "it is 'sofa'"),
+        ({"goal": 0}, "go", "another agent; it is 0"),
+        ({"goal": [1.0, math.nan]}, "go", "must be [x, z]"),
+        ({"goal": True}, "go", "it is True"),
+    ):
+        measured = measure(among(robot, *two, info=info, task=task), "field")
+        for name in GOAL:
+            assert np.isnan(measured.values[name]), name
+            assert says in measured.notes[name], name
+        assert measured.values["PL"] == 4
+        assert not field_series(among(robot, *two, info=info, task=task))["goal"].any()

@@ -121,7 +121,7 @@ def test_values_that_were_not_logged_are_neither_successes_nor_rewards():
 
 
 def test_profiles_of_other_tasks_are_refused_and_suitable_ones_listed():
-    with pytest.raises(InputError, match=r"(?s)'paper'.*'fetch'.*field, partnr.*H3-METRIC-023"):
+    with pytest.raises(InputError, match=r"(?s)'paper'.*'fetch'.*field, social, partnr.*H3-METRIC-023"):
         measure(fetching(), "paper")
     with pytest.raises(InputError, match=r"(?s)metrics profile 'papr'\. Did you mean 'paper'\?.*H3-FILE-011"):
         measure(fetching(), "papr")

@@ -16,20 +16,21 @@ STALLED_M_S, STALLED_RAD_S = 0.01, 0.02
 """A robot is stalled below both (HuNavSim)."""
 FULL_SPEED_M_S = 2.5
 """Speed of STL's ideal robot: the paper's robot."""
-GOAL_M = 2.0
-"""The goal is reached when the robot faces the person from this distance or less."""
 
 _ROBOT, _HUMAN = "agent_<robot>.base_pose", "agent_<human>.base_pose"
 _PAIR, _TIMED = (_ROBOT, _HUMAN), ("time_ns", _ROBOT)
-_NO_PAIR = "No row has a pose of both agents, or there are several people."
-_UNREACHABLE = _NO_PAIR + " Or the human cannot be reached in row 0, or is not the goal (tasks other than social_nav)."
+_NO_PAIR = "No row has a pose of the robot and of a person."
+_UNREACHABLE = "No goal is recorded, or it cannot be reached in row 0, or no row has a pose of the robot and its goal."
 _TWO, _THREE, _FOUR = (f"Fewer than {n} rows with a pose." for n in ("two", "three consecutive", "four consecutive"))
 _FRANCIS = "Francis et al. 2025, Principles and Guidelines for Evaluating Social Robot Navigation"
 _HALL = "E. T. Hall 1966; as share of time in HuNavSim"
 _GOAL = (
-    "The goal is the person: reached in the first row with 1-2 m (geodesic, if recorded) and facing, as S. l is the length "
-    "of the path to within 2 m of the person's place in row 0, p the path driven until the goal."
+    "The goal is info goal: a point [x, z], reached with metrics.success (without it from 0.5 m), or the number or name of an "
+    "agent. In social_nav with one person it is that person. An agent is reached in the first row with 1-2 m (geodesic, if "
+    "recorded) and facing, as in S of paper. l is the length of the path from row 0 to the point, or to within 2 m of the "
+    "agent's place in row 0; p is the path driven until the goal. Version 1 knew one person and no other goal."
 )
+_ALL = "Over all people; version 1 was of one person, and with one person both are equal."
 
 
 def _metric(
@@ -47,9 +48,10 @@ def _metric(
     series: tuple[str, ...] = (),
     optional: tuple[str, ...] = (),
     reading: str = "",
+    version: int = 1,
 ) -> Metric:
     return Metric(
-        id=f"field/{group}/{name}@1",
+        id=f"field/{group}/{name}@{version}",
         name=name,
         title=title,
         formula=formula,
@@ -65,17 +67,18 @@ def _metric(
     )
 
 
-_near = partial(_metric, "proxemics", columns=_PAIR, undefined=_NO_PAIR)
+_near = partial(_metric, "proxemics", columns=_PAIR, undefined=_NO_PAIR, version=2, reading=_ALL)
 _share = partial(_near, high=1.0, direction="neither", source=_HALL)
 _motion = partial(_metric, "navigation", columns=_TIMED, undefined=_TWO)
 _goal = partial(
     _metric,
     "navigation",
     columns=("time_ns", *_PAIR),
-    optional=("metrics.geodesic_agents",),
+    optional=("metrics.geodesic_agents", "metrics.goal_distance", "metrics.success"),
     undefined=_UNREACHABLE,
-    series=("goal",),
+    series=("goal", "reach_m"),
     reading=_GOAL,
+    version=2,
 )
 _clearance = partial(
     _metric,
@@ -95,8 +98,8 @@ FIELD_METRICS: tuple[Metric, ...] = (
         direction="higher",
         source="Falcon (ICRA 2025), PSC",
         series=("dist_m", "personal_space"),
-        reading="d is the L2 distance centre to centre; Falcon can also take the geodesic one. Between outlines of 0.25 m "
-        "radius it is the 0.5 m of Francis et al.'s space compliance.",
+        reading="d is the L2 distance centre to centre to the nearest person; Falcon can also take the geodesic one. Between "
+        "outlines of 0.25 m radius it is the 0.5 m of Francis et al.'s space compliance. " + _ALL,
     ),
     _share(
         "Z_intimate",
@@ -104,7 +107,8 @@ FIELD_METRICS: tuple[Metric, ...] = (
         "rows with d < 0.45 m / rows",
         direction="lower",
         series=("intimate",),
-        reading="d centre to centre (HuNavSim measures between outlines). The four shares add up to 1.",
+        reading="d centre to centre to the nearest person (HuNavSim's code measures from the robot's outline). The four shares "
+        "add up to 1. " + _ALL,
     ),
     _share("Z_personal", "In the personal zone", "rows with 0.45 <= d < 1.2 m / rows", series=("personal",)),
     _share("Z_social", "In the social zone", "rows with 1.2 <= d < 3.6 m / rows", series=("social",)),
@@ -112,24 +116,24 @@ FIELD_METRICS: tuple[Metric, ...] = (
     _near(
         "intrusions",
         "Intrusions",
-        "times that d falls below 1.2 m",
+        "sum over people of the times that d to them falls below 1.2 m",
         unit="times",
         source="Hall's personal zone, counted as events",
         series=("intruding",),
-        reading="A recording that begins inside counts as one. Rows without a pose end an intrusion.",
+        reading="A recording that begins inside counts as one. Rows without a pose end an intrusion. " + _ALL,
     ),
     _near("D_min", "Minimum distance", "min d", unit="m", direction="higher", series=("dist_m",)),
     _near(
         "TTC_min",
         "Minimum time to collision",
-        "min over rows of the smallest t >= 0 with |x + v t| = r_robot + r_human",
+        "min over rows and people of the smallest t >= 0 with |x + v t| = r_robot + r_human",
         unit="s",
         direction="higher",
         columns=("time_ns", *_PAIR),
         undefined="Never on a collision course.",
         series=("ttc_s",),
         reading="x and v of the human relative to the robot, on the floor; v since the previous row. 0 while they overlap. "
-        "Radii: 0.25 m each.",
+        "Radii: 0.25 m each. " + _ALL,
     ),
     _motion(
         "PL",
@@ -173,7 +177,7 @@ FIELD_METRICS: tuple[Metric, ...] = (
         "Time to goal",
         "time of the first goal row - time of row 0",
         unit="s",
-        undefined="The goal is never reached, is not the person (tasks other than social_nav), or there are several people.",
+        undefined="The goal is never reached, or no goal is recorded.",
     ),
     _motion(
         "T_stalled",

@@ -1,7 +1,7 @@
-"""The profile ``field``: proxemics, efficiency and smoothness of a robot near a person.
+"""The profile ``field``: proxemics, efficiency and smoothness of a robot near people.
 
 Definitions and sources: `h3data.metrics.field.definitions`. Distances are centre to centre on the floor unless stated
-otherwise; rows without a pose are left out.
+otherwise, to the nearest of all people; rows without a pose are left out.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from h3data.metrics.field.definitions import (
     COMPLIANT_M,
     FIELD_METRICS,
     FULL_SPEED_M_S,
-    GOAL_M,
     HUMAN_RADIUS_M,
     INTIMATE_M,
     PERSONAL_M,
@@ -27,23 +26,19 @@ from h3data.metrics.field.definitions import (
     STALLED_M_S,
     STALLED_RAD_S,
 )
+from h3data.metrics.field.goal import Goal, find_goal
 from h3data.metrics.metric import INF, NAN, Series
-from h3data.metrics.paper.encounter import found_series
 from h3data.metrics.profile import Computed, Profile
 from h3data.metrics.report_layout import Milestone, ReportLayout
-from h3data.metrics.requirements import find_pair, note_missing
+from h3data.metrics.requirements import find_others, note_missing
 from h3data.recording.records import Recording
 
 if TYPE_CHECKING:
     from h3data.scene import FreeSpace
 
-CLEARANCE, GEODESIC = "metrics.robot_clearance", "metrics.geodesic_agents"
-NEAR = tuple(metric.name for metric in FIELD_METRICS if "/proxemics/" in metric.id)
-"""Metrics of the distance to the one person."""
+CLEARANCE = "metrics.robot_clearance"
 GOAL = ("SPL", "STL", "T_goal")
-"""Metrics of reaching the person."""
-PERSON_IS_GOAL = "social_nav"
-"""The task whose goal is the person."""
+"""Metrics of reaching the goal."""
 
 
 def with_clearance(recording: Recording, free: FreeSpace) -> Recording:
@@ -51,7 +46,7 @@ def with_clearance(recording: Recording, free: FreeSpace) -> Recording:
 
     It is the distance from the robot's centre to the nearest obstacle [m], 0 inside one, NaN where the robot has no pose.
     """
-    robot, _ = find_pair(recording)
+    robot, _ = find_others(recording)
     at = recording.agent_column(robot, "base_pose")[:, [0, 2]].astype(np.float64)
     present = ~np.isnan(at).any(axis=1)
     clearance = np.full(len(at), np.nan)
@@ -60,67 +55,65 @@ def with_clearance(recording: Recording, free: FreeSpace) -> Recording:
 
 
 def compute_field(recording: Recording, notes: Notes) -> Computed:
-    """Computes all metrics of the first robot near the first human.
+    """Computes all metrics of the first robot near all people; `Computed.human` is the one whom it comes nearest.
 
-    Without a robot and a human, the first agent is measured near the second, and a note names them.
+    Without a robot and a person, the first agent is measured near all others, and a note names them.
     """
-    robot, human = find_pair(recording)
+    robot, others = find_others(recording)
     names = [metric.name for metric in FIELD_METRICS]
     note_missing(FIELD_METRICS, recording, notes)
-    first, second = recording.agents[robot], recording.agents[human]
-    if first.kind == second.kind:
-        notes.add(names, f"'robot' is {first.name} ({first.kind}), 'human' is {second.name} ({second.kind})")
-    several, no_goal = _several(recording), _no_person_as_goal(recording)
-    if several:
-        notes.add(NEAR, several)
-    if several or no_goal:
-        notes.add(GOAL, no_goal or several)
+    first, beside = recording.agents[robot], [recording.agents[number] for number in others]
+    if first.kind == beside[0].kind:
+        near = ", ".join(f"{agent.name} ({agent.kind})" for agent in beside)
+        notes.add(names, f"'robot' is {first.name} ({first.kind}), 'human' is {near}")
+    goal = find_goal(recording)
+    if goal.missing:
+        notes.add(GOAL, goal.missing)
     if not len(recording):
         notes.add(names, "the recording has no rows")
-        return Computed(values={}, robot=robot, human=human)
-    series = field_series(recording)
-    values = _proxemics(series) | _motion(series, recording)
-    if not (several or no_goal):
-        values |= _goal(series, recording, notes)
+        return Computed(values={}, robot=robot, human=others[0])
+    towards, distances = _offsets(recording)
+    series = _series(recording, goal, towards, distances)
+    values = _proxemics(series, distances) | _motion(series, recording)
+    if not goal.missing:
+        values |= _goal(goal, series, recording, notes)
     for metric in FIELD_METRICS:
         if np.isnan(values.get(metric.name, NAN)) and metric.name not in notes.lines:
             notes.add([metric.name], metric.undefined[:1].lower() + metric.undefined[1:].rstrip("."))
-    reached = int(np.argmax(series["goal"])) if series["goal"].any() else None
-    moments = {} if reached is None else {"goal": reached, "found": reached}
-    return Computed(values=values, robot=robot, human=human, moments=moments)
+    moments = {name: goal.row for name in (("goal", "found") if goal.agent >= 0 else ("goal",)) if goal.row >= 0}
+    return Computed(values=values, robot=robot, human=others[nearest_of(distances)], moments=moments)
 
 
-def _several(recording: Recording) -> str:
-    """Why no other agent is the one that the robot is near; empty if there is one."""
-    robot, human = find_pair(recording)
-    kind = recording.agents[human].kind
-    count = sum(agent.kind == kind for number, agent in enumerate(recording.agents) if number != robot)
-    what = "people" if kind == "human" else "others"
-    return f"undefined with several {what} ({count}): it is defined for one" if count > 1 else ""
+def nearest_of(distances: NDArray[np.float64]) -> int:
+    """Returns the column of the smallest of distances [T, P]; 0 if all are NaN."""
+    closest = np.fmin.reduce(distances, axis=0)
+    return 0 if np.isnan(closest).all() else int(np.nanargmin(closest))
 
 
-def _no_person_as_goal(recording: Recording) -> str:
-    """Why the person is not the robot's goal; empty if they are."""
-    task = recording.episode.task
-    return "" if task == PERSON_IS_GOAL else f"undefined in the task {task!r}: its goal is not the person"
+def _offsets(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Offsets from the robot to each person on the floor [T, P, 2], and their lengths [T, P] [m]."""
+    robot, others = find_others(recording)
+    at = recording.agent_column(robot, "base_pose")[:, [0, 2]].astype(np.float64)
+    people = [recording.agent_column(number, "base_pose")[:, [0, 2]].astype(np.float64) for number in others]
+    towards = np.stack(people, axis=1) - at[:, None]
+    return towards, np.linalg.norm(towards, axis=2)
 
 
 def field_series(recording: Recording) -> Series:
     """Computes the per-row quantities and flags [T]. The motion of row k is that since row k - 1, NaN in row 0.
 
-    Beside several people distances to one of them are NaN, and no row has a flag of a zone. ``goal`` holds nowhere where
-    the person is not the goal.
+    Distances and times to collision are to the nearest person, zones are that person's, and ``goal`` holds nowhere where no
+    goal is known.
     """
-    robot, human = find_pair(recording)
+    return _series(recording, find_goal(recording), *_offsets(recording))
+
+
+def _series(recording: Recording, goal: Goal, towards: NDArray[np.float64], distances: NDArray[np.float64]) -> Series:
+    robot, _ = find_others(recording)
     pose = recording.agent_column(robot, "base_pose").astype(np.float64)
     at = pose[:, [0, 2]]
-    other = recording.agent_column(human, "base_pose")
-    several = bool(_several(recording))
-    if several:
-        other = np.full_like(other, np.nan)
-    towards = other[:, [0, 2]].astype(np.float64) - at
+    distance = np.fmin.reduce(distances, axis=1)
     seconds = recording.columns["time_ns"] * 1e-9
-    distance = np.linalg.norm(towards, axis=1)
     velocity = _rate(at, seconds)
     acceleration = _rate(velocity, seconds)
     speed = np.linalg.norm(velocity, axis=1)
@@ -129,15 +122,15 @@ def field_series(recording: Recording) -> Series:
     turn[1:] = wrap_angle(np.diff(heading))
     with np.errstate(invalid="ignore", divide="ignore"):
         turning = np.abs(turn) / np.diff(seconds, prepend=np.nan)
-    reach = distance if several else recording.columns.get(GEODESIC, distance).astype(np.float64)
+    times = time_to_collision(towards, _rate(towards, seconds), ROBOT_RADIUS_M + HUMAN_RADIUS_M)
     series = {
         "dist_m": distance,
-        "reach_m": reach,
+        "reach_m": goal.distance,
         "speed_m_s": speed,
         "acceleration_m_s2": np.linalg.norm(acceleration, axis=1),
         "jerk_m_s3": np.linalg.norm(_rate(acceleration, seconds), axis=1),
         "turn_rad": np.abs(turn),
-        "ttc_s": time_to_collision(towards, _rate(towards, seconds), ROBOT_RADIUS_M + HUMAN_RADIUS_M),
+        "ttc_s": np.fmin.reduce(times, axis=1),
         "personal_space": distance >= COMPLIANT_M,
         "intimate": distance < INTIMATE_M,
         "personal": (distance >= INTIMATE_M) & (distance < PERSONAL_M),
@@ -145,10 +138,8 @@ def field_series(recording: Recording) -> Series:
         "public": distance >= SOCIAL_M,
         "intruding": distance < PERSONAL_M,
         "stalled": (speed < STALLED_M_S) & (turning < STALLED_RAD_S),
-        "goal": found_series(recording.agent_column(robot, "base_pose"), other, reach)["found"],
+        "goal": goal.reached,
     }
-    if _no_person_as_goal(recording):
-        series["goal"] = np.zeros(len(at), np.bool_)
     if CLEARANCE in recording.columns:
         series["clearance_m"] = recording.columns[CLEARANCE].astype(np.float64)
     return series
@@ -157,13 +148,13 @@ def field_series(recording: Recording) -> Series:
 def time_to_collision(
     offset: NDArray[np.float64], velocity: NDArray[np.float64], radius_m: float
 ) -> NDArray[np.float64]:
-    """Returns the smallest t >= 0 [s] with ``|offset + velocity * t| = radius_m``, inf if there is none; [T, 2] x2 -> [T].
+    """Returns the smallest t >= 0 [s] with ``|offset + velocity * t| = radius_m``, inf if there is none; [..., 2] x2 -> [...].
 
     0 where the two already overlap; NaN where offset or velocity is NaN.
     """
-    a = np.sum(velocity * velocity, axis=1)
-    b = np.sum(offset * velocity, axis=1)
-    c = np.sum(offset * offset, axis=1) - radius_m * radius_m
+    a = np.sum(velocity * velocity, axis=-1)
+    b = np.sum(offset * velocity, axis=-1)
+    c = np.sum(offset * offset, axis=-1) - radius_m * radius_m
     root = b * b - a * c
     with np.errstate(invalid="ignore", divide="ignore"):
         # c / (root - b) is the smaller root without the cancellation in (-b - root) / a.
@@ -172,14 +163,14 @@ def time_to_collision(
     return np.where(np.isnan(a) | np.isnan(c), np.nan, time)
 
 
-def _proxemics(series: Series) -> dict[str, float]:
+def _proxemics(series: Series, distances: NDArray[np.float64]) -> dict[str, float]:
     distance = series["dist_m"]
     seen = ~np.isnan(distance)
     rows = int(seen.sum())
     if not rows:
         return {}
-    inside = series["intruding"]
-    starts = inside & ~np.concatenate([[False], inside[:-1]])
+    inside = distances < PERSONAL_M
+    starts = inside & ~np.concatenate([np.zeros_like(inside[:1]), inside[:-1]])
     ttc = series["ttc_s"][np.isfinite(series["ttc_s"])]
     return {
         "PSC": series["personal_space"].sum() / rows,
@@ -191,7 +182,7 @@ def _proxemics(series: Series) -> dict[str, float]:
 
 
 def _motion(series: Series, recording: Recording) -> dict[str, float]:
-    robot, _ = find_pair(recording)
+    robot, _ = find_others(recording)
     at = recording.agent_column(robot, "base_pose")[:, [0, 2]].astype(np.float64)
     present = np.flatnonzero(~np.isnan(at).any(axis=1))
     if not len(present):
@@ -211,31 +202,28 @@ def _motion(series: Series, recording: Recording) -> dict[str, float]:
     return values
 
 
-def _goal(series: Series, recording: Recording, notes: Notes) -> dict[str, float]:
-    seen = np.flatnonzero(~np.isnan(series["dist_m"]))
-    if not len(seen):
+def _goal(goal: Goal, series: Series, recording: Recording, notes: Notes) -> dict[str, float]:
+    if goal.first < 0:
         return {}
-    if GEODESIC not in recording.columns:
-        notes.add(("SPL", "STL", "T_goal"), f"no column {GEODESIC}: paths are taken as straight lines")
-    goal = series["goal"]
-    if not goal.any():
+    for text in goal.notes:
+        notes.add(GOAL, text)
+    row, shortest = goal.row, goal.shortest
+    if row < 0:
         return {"SPL": 0.0, "STL": 0.0}
-    row = int(np.argmax(goal))
-    shortest = max(float(series["reach_m"][seen[0]]) - GOAL_M, 0.0)
+    elapsed = _seconds(recording, row)
     if not np.isfinite(shortest):
-        notes.add(("SPL", "STL"), f"the distance to the human is unknown in row {seen[0]}")
-        return {"T_goal": _seconds(recording, row)}
+        notes.add(("SPL", "STL"), f"the distance to the goal is unknown in row {goal.first}")
+        return {"T_goal": elapsed}
     steps = np.diff(recording.columns["time_ns"], prepend=recording.columns["time_ns"][:1]) * 1e-9
     driven = float(np.nansum((series["speed_m_s"] * steps)[: row + 1]))
-    elapsed = _seconds(recording, row)
     return {
-        "SPL": _weighted(shortest, driven),
-        "STL": _weighted(shortest / FULL_SPEED_M_S, elapsed),
+        "SPL": weighted(shortest, driven),
+        "STL": weighted(shortest / FULL_SPEED_M_S, elapsed),
         "T_goal": elapsed,
     }
 
 
-def _weighted(best: float, taken: float) -> float:
+def weighted(best: float, taken: float) -> float:
     """best / max(best, taken); 1 if both are 0."""
     return best / max(best, taken) if max(best, taken) > 0 else 1.0
 
@@ -246,9 +234,9 @@ def _seconds(recording: Recording, row: int) -> float:
 
 
 def _rate(values: NDArray[np.float64], seconds: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Change per second since the previous row [T, 2]; NaN in row 0."""
+    """Change per second since the previous row [T, ..., 2]; NaN in row 0."""
     rate = np.full(values.shape, np.nan)
-    rate[1:] = np.diff(values, axis=0) / np.diff(seconds)[:, None]
+    rate[1:] = np.diff(values, axis=0) / np.diff(seconds).reshape(-1, *[1] * (values.ndim - 1))
     return rate
 
 

@@ -1,0 +1,1 @@
+"""The profile ``social``: what papers and simulators of social navigation report, over every person of an episode."""

@@ -1,0 +1,112 @@
+"""Rows of several episodes, one after another: numbers per episode, events, and samples at a fixed rate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rows:
+    """Where each of E episodes begins, none of which is empty."""
+
+    starts: NDArray[np.int64]
+    """First row of each episode [E]."""
+    total: int
+    """Number of rows of all episodes, R."""
+
+    @classmethod
+    def of(cls, counts: Sequence[int] | NDArray[np.int64]) -> Rows:
+        """Rows of episodes with so many rows each, at least one."""
+        ends = np.cumsum(counts, dtype=np.int64)
+        return cls(starts=ends - np.asarray(counts, np.int64), total=int(ends[-1]))
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """Number of rows of each episode [E]."""
+        return np.diff(self.starts, append=self.total)
+
+    @property
+    def ends(self) -> NDArray[np.int64]:
+        """Row behind each episode's last one [E]."""
+        return self.starts + self.counts
+
+    def sum(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Sums over each episode's rows and, if there are any, people: [R] or [R, P] -> [E]. NaN counts as 0."""
+        known = values.astype(np.int64) if values.dtype == np.bool_ else np.where(np.isnan(values), 0.0, values)
+        summed = np.add.reduceat(known, self.starts)
+        return summed if summed.ndim == 1 else summed.sum(axis=1)
+
+    def mean(self, values: Array) -> Array:
+        """Means of all that is known of each episode: [R] or [R, P] -> [E]; NaN where nothing is."""
+        with np.errstate(invalid="ignore"):
+            return self.sum(values) / self.sum(~np.isnan(values))
+
+    def least(self, values: Array) -> Array:
+        """Smallest known value of each episode: [R] -> [E]; NaN where nothing is known."""
+        return np.fmin.reduceat(values, self.starts)
+
+    def greatest(self, values: Array) -> Array:
+        """Greatest known value of each episode: [R] -> [E]; NaN where nothing is known."""
+        return np.fmax.reduceat(values, self.starts)
+
+    def changes(self, values: NDArray[Any]) -> Array:
+        """Changes since the previous row of the episode [R, ...]; NaN in its first."""
+        changes = np.full(values.shape, np.nan)
+        changes[1:] = np.diff(values, axis=0)
+        changes[self.starts] = np.nan
+        return changes
+
+    def begins(self, flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Rows in which a flag [R, ...] holds that did not hold in the previous row of the episode."""
+        before = np.zeros_like(flags)
+        before[1:] = flags[:-1]
+        before[self.starts] = False
+        return flags & ~before
+
+    def earlier(self, time_ns: NDArray[np.int64], ago_ns: int) -> NDArray[np.int64]:
+        """Last row of the episode that is at least ``ago_ns`` before each row [R]; -1 where there is none."""
+        since, shift = self._since(time_ns)
+        episode = np.repeat(np.arange(len(self.starts)), self.counts)
+        found = np.searchsorted(since + shift[episode], since + shift[episode] - ago_ns, side="right") - 1
+        return np.where(since >= ago_ns, found, -1)
+
+    def sampled(
+        self, time_ns: NDArray[np.int64], period_ns: NDArray[np.int64], *values: Array
+    ) -> tuple[Rows, list[Array]]:
+        """Values [R, ...] at a fixed rate from each episode's first row on, between rows by linear interpolation.
+
+        Args:
+            time_ns: Time of each row [R].
+            period_ns: Time from one sample to the next in each episode [E].
+            values: Arrays [R, ...].
+
+        Returns:
+            The rows that the samples are, and the samples of each array.
+        """
+        since, shift = self._since(time_ns)
+        counts = since[self.ends - 1] // period_ns + 1
+        samples = Rows.of(counts)
+        episode = np.repeat(np.arange(len(self.starts)), counts)
+        wanted = (np.arange(samples.total) - samples.starts[episode]) * period_ns[episode]
+        everywhere = since + shift[np.repeat(np.arange(len(self.starts)), self.counts)]
+        row = np.searchsorted(everywhere, wanted + shift[episode], side="right") - 1
+        after = np.minimum(row + 1, self.ends[episode] - 1)
+        share = (wanted - since[row]) / np.maximum(since[after] - since[row], 1)
+        taken = []
+        for array in values:
+            part = share.reshape(-1, *[1] * (array.ndim - 1))
+            taken.append(np.where(part == 0, array[row], array[row] + part * (array[after] - array[row])))
+        return samples, taken
+
+    def _since(self, time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Time of each row since its episode's first [R], and what puts the episodes one after another [E]."""
+        since = time_ns - np.repeat(time_ns[self.starts], self.counts)
+        lasting = since[self.ends - 1] + 1
+        return since, np.cumsum(lasting) - lasting
