@@ -38,7 +38,7 @@ class Goal:
     missing: str = ""
     """Why there is none; then nothing is reached, and all distances are NaN."""
     notes: tuple[str, ...] = ()
-    """What replaced missing data."""
+    """Notes that say what replaced missing data."""
 
     @property
     def first(self) -> int:

@@ -154,7 +154,7 @@ class _Contacts:
         return cls(people=touched, robots=robots, walls=walls, note=note)
 
     def until(self, row: int, *, everything: bool) -> bool | None:
-        """Whether the robot touches a person, or with ``everything`` anything, up to a row; None if unknown."""
+        """Returns whether the robot touches a person, or with ``everything`` anything, up to a row; None if unknown."""
         kinds = [self.people, self.robots, self.walls] if everything else [self.people]
         if any(flags is not None and flags[: row + 1].any() for flags in kinds):
             return True
@@ -190,7 +190,7 @@ class _Crowd:
     nearest: Array
     """The smallest of them [R] [m]."""
     speed: Array
-    """Of robots, since the previous row [R] [m/s]."""
+    """Speed of the robot since the previous row, shape [R] [m/s]."""
     goals: Sequence[Goal]
     contacts: Sequence[_Contacts]
 
@@ -247,7 +247,7 @@ class _Crowd:
         return time_to_collision(towards, velocity, ROBOT_RADIUS_M + HUMAN_RADIUS_M)
 
     def closing(self) -> tuple[Flags, Flags]:
-        """Whether in each row the robot, or else the person, closes the gap between them, each [R, P]."""
+        """Returns whether in each row the robot, or else the person, closes the gap between them, each [R, P]."""
         before, length = np.full(self.people.shape, np.nan), np.full(self.gaps.shape, np.nan)
         before[1:], length[1:] = (self.people - self.at[:, None])[:-1], self.gaps[:-1]
         robot = np.sum(self.rows.changes(self.at)[:, None] * before, axis=2)
@@ -266,7 +266,7 @@ class _Crowd:
         return stuck
 
     def touching(self) -> tuple[Flags, Flags]:
-        """Whether the robot touches each person [R, P], and whether an episode's contacts are known [E]."""
+        """Returns whether the robot touches each person [R, P], and whether an episode's contacts are known [E]."""
         flags, known = np.zeros(self.gaps.shape, np.bool_), np.zeros(len(self.contacts), np.bool_)
         for e, (start, contact) in enumerate(zip(self.rows.starts.tolist(), self.contacts, strict=True)):
             if contact.people is not None:

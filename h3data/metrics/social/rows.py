@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Rows:
-    """Where each of E episodes begins, none of which is empty."""
+    """First row of each of E episodes, none of which is empty."""
 
     starts: NDArray[np.int64]
     """First row of each episode [E]."""
