@@ -320,7 +320,7 @@ def test_any_two_agents_are_measured_near_each_other(home: Scene, free: FreeSpac
     same_kind = chosen == (0, 1)
     assert all(name in measured.notes.get("D_min", "") for name in told) is same_kind
     if same_kind:
-        with pytest.raises(InputError, match=r"(?s)'wander'.*field, partnr.*H3-METRIC-023"):
+        with pytest.raises(InputError, match=r"(?s)'wander'.*field, social, partnr.*H3-METRIC-023"):
             measure(recording, "paper")
 
 
