@@ -375,9 +375,9 @@ def command(*words: str | Path, codes: Sequence[int] = (0,)) -> Any:
 
 
 PROFILES = {
-    "social_nav": ("paper", "habitat", "habitat@0.3.0", "field"),
+    "social_nav": ("paper", "habitat", "habitat@0.3.0", "field", "social"),
     "rearrange": ("paper", "field"),
-    "wander": ("field",),
+    "wander": ("field", "social"),
 }
 
 

@@ -25,6 +25,7 @@ column                 dtype, shape     meaning (frames and units as in `h3data.
 ``scene.joint_pos``       float32 [T,J] positions of the home's doors and drawers [rad or m], in the order of
                                         `h3data.scene.joint_names`; only where there are any
 ``metrics.<name>``        float32 or bool [T]  per-step scalars, e.g. ``dist_agents``, ``collision``
+``metrics.collision_people`` bool [T,P] whether the first robot touches each person; with more than two agents
 ``input.user_<u>.<name>`` any           what a program made of a person's input at a step; not state
 ``sim.<name>``            any           further state that the simulator needs to continue from a step
 ``state_hash``            uint64 [T]    running hash of the state stream

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Generator, Mapping, Sequence
 from functools import partial
+from itertools import combinations
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
@@ -473,7 +474,7 @@ class WorldRollout:
         if self.world.pairs:
             gaps = [np.hypot(*(places[b] - places[a]).T) for a, b in self.world.pairs]
             result["metrics.dist_agents"] = np.min(gaps, axis=0).astype(np.float32)
-            result["metrics.collision"] = np.array([row[-1].any() for row in snapshots])
+            result |= contact_columns([m.kind for m in self.world.roster], np.array([row[-1] for row in snapshots]))
         if contact:
             result["metrics.robot_contact"] = np.any(contact, axis=0)
         judgement = {"metrics.reward": np.float32, "metrics.success": np.bool_} if self._records_judgement else {}
@@ -491,6 +492,27 @@ class WorldRollout:
         if self.spec.human.arms is not None:
             columns["motion_arms"] = np.stack([own[5], own[6]], -1).astype(np.float32)
         return columns
+
+
+def contact_columns(kinds: Sequence[str], touching: NDArray[np.bool_]) -> Columns:
+    """Columns of who touches whom.
+
+    ``metrics.collision`` [T] says whether any two agents touch. Where this leaves open whom the first robot touches, because
+    there are more than two agents, ``metrics.collision_people`` [T, P] says it of each person, and
+    ``metrics.collision_robots`` [T, R - 1] of each further robot.
+
+    Args:
+        kinds: Kind of each agent.
+        touching: Whether pairs of agents touch, in the order of `itertools.combinations` of their numbers [T, pairs].
+    """
+    columns: Columns = {"metrics.collision": np.asarray(touching.any(axis=1))}
+    first = kinds.index("robot") if "robot" in kinds and len(kinds) > 2 else -1
+    if first >= 0:
+        mine = [(sum(pair) - first, n) for n, pair in enumerate(combinations(range(len(kinds)), 2)) if first in pair]
+        for name, kind in (("people", "human"), ("robots", "robot")):
+            if chosen := [n for other, n in mine if kinds[other] == kind]:
+                columns[f"metrics.collision_{name}"] = touching[:, chosen]
+    return columns
 
 
 def checked_outcome(task: Rules, outcome: Any, worlds: int) -> StepOutcome:

@@ -25,6 +25,9 @@ MAX_STEPS = 1_000_000
 _OF_THE_RUN = ("job", "recovered", "resumed_from", "counterfactual", "human_reactive", "deciding_since")
 """Entries of ``info`` on the origin of a recording, which do not hold for one made from it."""
 
+ADDED = ("metrics.collision_people", "metrics.collision_robots")
+"""Measurements that recordings of earlier versions lack."""
+
 Columns = Mapping[str, NDArray[Any]]
 
 
@@ -115,13 +118,15 @@ def require(recording: Recording, *, info: Iterable[str] = (), columns: Iterable
 def first_difference(recorded: Columns, simulated: Columns, names: Iterable[str] | None = None) -> Difference | None:
     """The first step at which columns differ in any bit, in the rows that both have; None if there is none.
 
-    ``names`` are by default all simulated columns; one that the recording lacks differs from step 0 on. Columns that the
-    simulator does not make are checked by the hash alone.
+    ``names`` are by default all simulated columns; one that the recording lacks differs from step 0 on, except `ADDED`.
+    Columns that the simulator does not make are checked by the hash alone.
     """
     rows = min(len(recorded["time_ns"]), len(simulated["time_ns"]))
     first: Difference | None = None
     for name in simulated if names is None else names:
         ours = simulated[name][:rows]
+        if name not in recorded and name in ADDED:
+            continue
         if name not in recorded:
             return Difference(step=0, column=name, recorded="no such column", simulated=_text(ours[:1]))
         theirs = np.asarray(recorded[name])[:rows]

@@ -661,6 +661,37 @@ def test_charts_show_only_what_is_known(runs: dict[str, Path], tmp_path: Path) -
     assert report.tables[0].sections[0].rows[0].cells[3].text == "–"
 
 
+def test_the_nearest_person_is_shown(tmp_path: Path) -> None:
+    def still(x: float) -> np.ndarray:
+        return ground_pose(np.tile([x, 0.0], (60, 1)), np.zeros(60)).astype(np.float32)
+
+    passing = still(3.0)
+    passing[30, 0] = 0.75
+    columns = {
+        "time_ns": np.arange(1, 61) * STEP_NS,
+        **{f"agent_{k}.base_pose": pose for k, pose in enumerate((still(0.0), still(2.0), passing))},
+    }
+    episode = Episode(
+        uid=str(uuid.uuid4()), episode_id="e", task="point_goal", scene="none", info={"profile": "social"}
+    )
+    agents = (ROBOT, HUMAN, replace(HUMAN, name="kim"))
+    path = write(tmp_path / "ds", [Recording(episode=episode, agents=agents, columns=columns)])
+    (run,) = gather([path]).runs
+    (shown,) = run.episodes
+    assert shown.metrics.human == 2
+    assert shown.distance_m.tolist() == [2.0, 2.0, 0.75, 2.0]
+    assert np.diff(shown.nearest_at[:, 0]) == pytest.approx([0.75])
+    page = make_report([path], pictures=1).html
+    for part in (
+        "Distance to the nearest person [m]",
+        "nearest person: 0.75 m",
+        'class="nearest"',
+        "paths of robot and people",
+    ):
+        assert part in page
+    assert page.count("track person-track") == 2 + 1  # both in the overview, and the farther one beside the nearest
+
+
 def test_recordings_without_a_scene_still_have_plans(tmp_path: Path) -> None:
     report = make_report([write(tmp_path / "ds", [tidy(30, policy="x")])], pictures=2)
     assert 'class="floor"' in report.html

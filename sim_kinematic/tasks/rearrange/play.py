@@ -61,7 +61,7 @@ from sim_kinematic.policies.skills.names import skills_of
 from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.sensing.agent_pictures import picture_names
 from sim_kinematic.tasks.episode import StepOutcome, agent_base
-from sim_kinematic.tasks.play import Columns, check_observations, checked_outcome
+from sim_kinematic.tasks.play import Columns, check_observations, checked_outcome, contact_columns
 from sim_kinematic.tasks.rearrange.episode import PAIR, RearrangeEpisode, body_indices
 from sim_kinematic.tasks.rearrange.oracle import errands_of
 from sim_kinematic.world import World
@@ -85,6 +85,8 @@ DTYPES: dict[str, type] = {
     JOINTS: np.float32,
     "metrics.dist_agents": np.float32,
     "metrics.collision": np.bool_,
+    "metrics.collision_people": np.bool_,
+    "metrics.collision_robots": np.bool_,
     "metrics.robot_contact": np.bool_,
     "metrics.reward": np.float32,
     "metrics.success": np.bool_,
@@ -695,7 +697,9 @@ class SkillRollout:
         row |= {name: np.array(values[0]) for name, values in self.outcome.columns.items()}
         if len(self.actors) > 1:
             row["metrics.dist_agents"] = min(np.hypot(*(a.xz - b.xz)) for a, b in combinations(self.actors, 2))
-            row["metrics.collision"] = self.collision
+            kinds = [member.kind for member in self.episode.roster]
+            touching = [pair in self.encounters.touching for pair in combinations(range(len(kinds)), 2)]
+            row |= {name: flags[0] for name, flags in contact_columns(kinds, np.array([touching])).items()}
         if self.robots:
             row["metrics.robot_contact"] = any(own.contact[0] for own in self.state.robots)
         row["metrics.reward"] = self.reward

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,8 +26,10 @@ from sim_kinematic.motion.spec import HOME_BASE, SocialNavSpec
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.policies.assignment import assign
 from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
+from sim_kinematic.tasks.play import contact_columns
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.rearrange.play import SkillRollout
+from sim_kinematic.tasks.resume import verify
 from tests.sim.steppers import AgentWorlds
 from tests.simulated import REARRANGE, rearrange_episode, simulate_rearrange, simulate_wander
 
@@ -320,10 +323,50 @@ def test_any_two_agents_are_measured_near_each_other(home: Scene, free: FreeSpac
     same_kind = chosen == (0, 1)
     assert all(name in measured.notes.get("D_min", "") for name in told) is same_kind
     if same_kind:
-        with pytest.raises(InputError, match=r"(?s)'wander'.*field, partnr.*H3-METRIC-023"):
+        with pytest.raises(InputError, match=r"(?s)'wander'.*field, social, partnr.*H3-METRIC-023"):
             measure(recording, "paper")
 
 
 def test_one_agent_is_near_nobody(home: Scene, free: FreeSpace) -> None:
     with pytest.raises(InputError, match="H3-METRIC-029"):
         measure(simulate_wander(home, "robot", steps=3, free=free), "field")
+
+
+def test_contacts_are_told_apart() -> None:
+    # Pairs of two robots (0, 1) and two people (2, 3): 01, 02, 03, 12, 13, 23.
+    touching = np.array([[0, 0, 0, 0, 0, 1], [0, 0, 1, 0, 0, 0], [1, 0, 0, 1, 0, 0], [0] * 6], np.bool_)
+    columns = contact_columns(["robot", "robot", "human", "human"], touching)
+    assert columns["metrics.collision"].tolist() == [True, True, True, False]
+    assert columns["metrics.collision_people"].tolist() == [
+        [False, False],
+        [False, True],
+        [False, False],
+        [False, False],
+    ]
+    assert columns["metrics.collision_robots"].tolist() == [[False], [False], [True], [False]]
+    assert set(contact_columns(["human", "robot", "human"], touching[:, :3])) == {
+        "metrics.collision",
+        "metrics.collision_people",
+    }
+    assert contact_columns(["human", "robot", "human"], touching[1:3, [0, 2, 5]])[
+        "metrics.collision_people"
+    ].tolist() == [
+        [False, False],
+        [True, False],
+    ]
+    for kinds in (["robot", "human"], ["human", "human", "human"]):
+        assert set(contact_columns(kinds, touching[:, :3])) == {"metrics.collision"}
+
+
+def test_recordings_say_whom_the_robot_touches_and_older_ones_still_verify(
+    home: Scene, free: FreeSpace, tmp_path: Any
+) -> None:
+    recording = simulate_wander(home, "robot,human,male_1", seed=4, steps=20, free=free)
+    told = recording.columns["metrics.collision_people"]
+    assert (told.dtype, told.shape) == (np.bool_, (20, 2))
+    require_sound(recording, tmp_path)
+    assert measure(recording, "social").values["HC"] == 0
+    older = {name: column for name, column in recording.columns.items() if name != "metrics.collision_people"}
+    assert verify(replace(recording, columns=older)).equal
+    wrong = replace(recording, columns={**recording.columns, "metrics.collision_people": ~told})
+    assert verify(wrong).difference.column == "metrics.collision_people"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from h3data.recording import Recording
 from h3data_viewers.html_replay.packing import Payload
 from h3data_viewers.rerun.floor_marks import object_goals, walking_goals
-from h3data_viewers.rerun.timeseries import agent_pair, curves_of, is_following, lanes_of
+from h3data_viewers.rerun.timeseries import agent_pair, curves_of, is_following, lanes_of, touched_rows
 
 CONTACT_LANES = {"collision": "robot and person", "robot_contact": "robot slides along furniture"}
 """Flags of contact and the names of their lanes. A robot that slides along furniture and walls is no event and no
@@ -90,7 +90,7 @@ def _speed(recording: Recording, agent: int) -> NDArray[np.float64]:
 def _lanes(recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, Any]]:
     lanes = dict(lanes_of(recording))
     for flag, name in CONTACT_LANES.items():
-        values = recording.columns.get(f"metrics.{flag}")
+        values = touched_rows(recording) if flag == "collision" else recording.columns.get(f"metrics.{flag}")
         if (
             values is not None
             and values.ndim == 1
@@ -143,19 +143,19 @@ def _events(recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, A
 
 def _touches(recording: Recording) -> list[int]:
     """Rows at which robot and person begin to touch."""
-    values = recording.columns.get("metrics.collision")
-    if values is None or values.ndim != 1:
-        return []
-    return np.flatnonzero(np.diff(values.astype(np.int8), prepend=0) > 0).tolist()
+    return np.flatnonzero(np.diff(touched_rows(recording).astype(np.int8), prepend=0) > 0).tolist()
 
 
 # --- marks ------------------------------------------------------------------------------------------------------------
 def _contacts(recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, Any]]:
-    """Returns the places where contacts begin: half-way between robot and person."""
+    """Returns the places where contacts begin: half-way between robot and the person whom it touches."""
     pair = agent_pair(recording)
+    people = [number for number, agent in enumerate(recording.agents) if agent.kind == "human"]
+    whom = recording.columns.get("metrics.collision_people")
     marks = []
     for row in _touches(recording) if pair is not None else ():
-        points = [recording.agent_column(k, "base_pose")[row, :3].astype(np.float64) for k in pair or ()]
+        both = pair if whom is None or pair is None else (pair[0], people[int(np.argmax(whom[row]))])
+        points = [recording.agent_column(k, "base_pose")[row, :3].astype(np.float64) for k in both or ()]
         if np.isfinite(points).all():
             step = int(np.clip(np.searchsorted(rows, row), 0, len(rows) - 1))
             marks.append({"step": step, "text": "contact", "point": np.mean(points, 0).round(3).tolist()})

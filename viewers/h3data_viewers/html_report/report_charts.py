@@ -188,7 +188,9 @@ def _longest(kept: Sequence[tuple[int, Run]]) -> float:
 def _distance(kept: Sequence[tuple[int, Run]], longest: float, *, zone: tuple[float, float] | None) -> str:
     quartiles = [(k, run, _quartiles([e.distance_m for e in run.episodes])) for k, run in kept]
     high = max([2.5, *(float(np.nanmax(q)) for _, _, q in quartiles if q.size and not np.isnan(q).all())])
-    svg, x, y = _panel(longest, high, "Distance of robot and person over time: median and quartiles", "seconds")
+    several = any(e.people > 1 for _, run in kept for e in run.episodes)
+    who = "nearest person" if several else "person"
+    svg, x, y = _panel(longest, high, f"Distance of robot and {who} over time: median and quartiles", "seconds")
     if zone:
         near, far = zone
         svg.rect(x(0), y(far), x(longest) - x(0), y(near) - y(far), "zone")
@@ -201,7 +203,8 @@ def _distance(kept: Sequence[tuple[int, Run]], longest: float, *, zone: tuple[fl
     for k, _, q in quartiles:
         t = np.arange(q.shape[1]) * GRID_S
         svg.path([(x(a), y(b)) for a, b in zip(t, q[1], strict=True)], f"line {series_class(k)}")
-    caption = "Distance [m]: median and quartiles of the episodes that last"
+    what = "Distance to the nearest person [m]" if several else "Distance [m]"
+    caption = f"{what}: median and quartiles of the episodes that last"
     return _figure(svg, caption + (f"; shaded: {zone[0]:g}–{zone[1]:g} m, following" if zone else ""))
 
 

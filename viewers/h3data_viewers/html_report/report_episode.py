@@ -43,7 +43,7 @@ class ReportEpisode:
     participant: str
     condition: str
     distance_m: NDArray[np.float32]
-    """Robot to human every `GRID_S`, shape [G]; empty without both."""
+    """Robot to the nearest person every `GRID_S`, shape [G]; empty without both."""
     tracks: tuple[Track, ...]
     recorded: bool = True
     """False: only its metrics were kept."""
@@ -52,6 +52,24 @@ class ReportEpisode:
     def name(self) -> str:
         """Name of the episode on the command line."""
         return f"{self.source}#{self.index}" if self.source.is_dir() else str(self.source)
+
+    @property
+    def people(self) -> int:
+        """Number of people in it."""
+        return sum(track.kind == "human" for track in self.tracks)
+
+    @property
+    def nearest_at(self) -> NDArray[np.float32]:
+        """Places of the robot and the measured person where they are nearest to each other, shape [2, 2] [m].
+
+        Shape [0, 2] without either of them, or if they are never there together.
+        """
+        measured = self.metrics.robot, self.metrics.human
+        if min(measured) < 0 or max(measured) >= len(self.tracks):
+            return np.zeros((0, 2), np.float32)
+        robot, human = (self.tracks[number].xz for number in measured)
+        gaps = np.linalg.norm(robot - human, axis=1)
+        return np.zeros((0, 2), np.float32) if np.isnan(gaps).all() else np.stack([robot, human])[:, np.nanargmin(gaps)]
 
     @property
     def studied(self) -> bool:

@@ -304,15 +304,24 @@ def highlight_card(
     except H3DataError as fault:
         missing = f"<p class=missing>No key frames: {escape(str(fault))}</p>"
     plan = plans.of(episode, scene)
-    svg = plan.picture(f"Floor plan of {episode.metrics.scene}: paths of robot and person")
-    for track in sorted(episode.tracks, key=lambda t: t.kind):  # the robot's above the person's
+    svg = plan.picture(
+        f"Floor plan of {episode.metrics.scene}: paths of robot and {'people' if episode.people > 1 else 'person'}"
+    )
+    ways = sorted(enumerate(episode.tracks), key=lambda way: way[1].kind)  # the robot's above the person's
+    for agent, track in ways:
         own = series_class(highlight.place) if track.kind == "robot" else "person-way"
-        _draw_track(svg, plan, track, f"way {own}")
+        other = track.kind == "human" and episode.people > 1 and agent != episode.metrics.human
+        _draw_track(svg, plan, track, "track person-track" if other else f"way {own}")
         known = track.xz[np.isfinite(track.xz).all(1)]
         if len(known):
             (ax, ay), (bx, by) = plan.points(known[[0, -1]])
             svg.circle(ax, ay, 4, f"start {own}", title=f"{track.kind}: start")
             svg.circle(bx, by, 5, f"end {own}", title=f"{track.kind}: end")
+    if episode.people > 1 and len(episode.nearest_at):
+        (ax, ay), (bx, by) = plan.points(episode.nearest_at)
+        gap = float(np.linalg.norm(np.diff(episode.nearest_at, axis=0)))
+        svg.line(ax, ay, bx, by, "nearest")
+        svg.circle(bx, by, 4, "start person-way", title=f"nearest person: {gap:.2f} m")
     _scale_bar(svg, plan)
     pictures = "".join(
         f'<figure><img src="{image}" width="{_FRAME[0]}" height="{_FRAME[1]}" loading="lazy" alt="{escape(label)} at '
@@ -377,7 +386,8 @@ def _sparkline(episode: ReportEpisode, css: str) -> str:
     if len(distances) < 2:
         return ""
     width, height, high = 360.0, 70.0, max(float(np.nanmax(distances, initial=0.0)), 2.5)
-    svg = Svg(width, height + 16, f"Distance over time, from {distances[0]:.1f} m to {distances[-1]:.1f} m")
+    who = " to the nearest person" if episode.people > 1 else ""
+    svg = Svg(width, height + 16, f"Distance{who} over time, from {distances[0]:.1f} m to {distances[-1]:.1f} m")
     x, y = linear(0, (len(distances) - 1) * GRID_S, 28, width - 4), linear(0, high, height - 2, 4)
     svg.rect(28, y(2), width - 32, y(1) - y(2), "zone")
     for value in (0.0, 2.0, *([np.floor(high)] if high > 4 else [])):

@@ -109,12 +109,14 @@ def _sampled(rows: NDArray[np.float32], dt_ns: int) -> NDArray[np.float32]:
 
 
 def _distances(recording: Recording) -> NDArray[np.float32]:
-    places = [next((i for i, a in enumerate(recording.agents) if a.kind == kind), None) for kind in ("robot", "human")]
-    if None in places or not len(recording):
+    kinds = [agent.kind for agent in recording.agents]
+    if not {"robot", "human"} <= set(kinds) or not len(recording):
         return np.zeros(0, np.float32)
     stride = max(1, round(GRID_S * 1e9 / recording.episode.dt_ns))
-    a, b = (recording.columns[f"agent_{i}.base_pose"][::stride, :3] for i in places)
-    return np.linalg.norm(a - b, axis=1).astype(np.float32)
+    places = [recording.columns[f"agent_{i}.base_pose"][::stride, :3] for i in range(len(kinds))]
+    robot = places[kinds.index("robot")]
+    gaps = [np.linalg.norm(robot - at, axis=1) for at, kind in zip(places, kinds, strict=True) if kind == "human"]
+    return np.fmin.reduce(gaps, axis=0).astype(np.float32)
 
 
 def _reason(fault: InputError) -> str:

@@ -46,6 +46,15 @@ def agent_pair(recording: Recording) -> tuple[int, int] | None:
         return None
 
 
+def touched_rows(recording: Recording) -> NDArray[np.bool_]:
+    """Rows in which the robot touches a person [T], as far as the recording tells it from contact between others."""
+    people = recording.columns.get("metrics.collision_people")
+    if people is not None and people.ndim == 2:
+        return np.asarray(people.any(axis=1))
+    anybody = recording.columns.get("metrics.collision")
+    return np.zeros(len(recording), np.bool_) if anybody is None or anybody.ndim != 1 else anybody.astype(np.bool_)
+
+
 def is_following(recording: Recording) -> bool:
     """Returns whether the robot's task is to follow a person: only then are 1 and 2 m bounds, and nearness a merit."""
     return recording.episode.task == "social_nav"
@@ -163,7 +172,7 @@ def _encounter_states(recording: Recording, robot: int, human: int) -> list[str]
     If following is the task, rows can also be following (1-2 m, facing the person) and too close.
     """
     distance = l2_distance(recording, robot, human)
-    contact = recording.columns.get("metrics.collision", np.zeros(len(recording), np.bool_))
+    contact = touched_rows(recording)
     if not is_following(recording):
         return np.select([contact, distance <= 2.0], ["contact", "near"], "apart").tolist()
     following = following_rows(recording, robot, human)
