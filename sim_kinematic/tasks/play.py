@@ -503,7 +503,7 @@ def contact_columns(kinds: Sequence[str], touching: NDArray[np.bool_]) -> Column
 
     Args:
         kinds: Kind of each agent.
-        touching: Whether pairs of agents touch, in the order of `itertools.combinations` of their numbers [T, pairs].
+        touching: True where a pair of agents touches, in the order of `itertools.combinations` of their numbers [T, pairs].
     """
     columns: Columns = {"metrics.collision": np.asarray(touching.any(axis=1))}
     first = kinds.index("robot") if "robot" in kinds and len(kinds) > 2 else -1
