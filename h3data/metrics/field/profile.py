@@ -132,10 +132,7 @@ def _series(recording: Recording, goal: Goal, towards: NDArray[np.float64], dist
         "turn_rad": np.abs(turn),
         "ttc_s": np.fmin.reduce(times, axis=1),
         "personal_space": distance >= COMPLIANT_M,
-        "intimate": distance < INTIMATE_M,
-        "personal": (distance >= INTIMATE_M) & (distance < PERSONAL_M),
-        "social": (distance >= PERSONAL_M) & (distance < SOCIAL_M),
-        "public": distance >= SOCIAL_M,
+        **zones(distance),
         "intruding": distance < PERSONAL_M,
         "stalled": (speed < STALLED_M_S) & (turning < STALLED_RAD_S),
         "goal": goal.reached,
@@ -143,6 +140,16 @@ def _series(recording: Recording, goal: Goal, towards: NDArray[np.float64], dist
     if CLEARANCE in recording.columns:
         series["clearance_m"] = recording.columns[CLEARANCE].astype(np.float64)
     return series
+
+
+def zones(distance: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
+    """Returns by the name of each of Hall's zones where distances [...] [m] are in it; NaN is in none."""
+    return {
+        "intimate": distance < INTIMATE_M,
+        "personal": (distance >= INTIMATE_M) & (distance < PERSONAL_M),
+        "social": (distance >= PERSONAL_M) & (distance < SOCIAL_M),
+        "public": distance >= SOCIAL_M,
+    }
 
 
 def time_to_collision(

@@ -4,30 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from h3data.metrics.field.definitions import (
-    COMPLIANT_M,
-    FULL_SPEED_M_S,
-    HUMAN_RADIUS_M,
-    INTIMATE_M,
-    PERSONAL_M,
-    ROBOT_RADIUS_M,
-    SOCIAL_M,
-    STALLED_M_S,
-    STALLED_RAD_S,
-)
 from h3data.metrics.metric import INF, Direction, Metric
-
-__all__ = [
-    "COMPLIANT_M",
-    "FULL_SPEED_M_S",
-    "HUMAN_RADIUS_M",
-    "INTIMATE_M",
-    "PERSONAL_M",
-    "ROBOT_RADIUS_M",
-    "SOCIAL_M",
-    "STALLED_M_S",
-    "STALLED_RAD_S",
-]
 
 RATE_HZ = 10
 """Rate of speeds, accelerations, jerks and forces: those of differences depend on it."""

@@ -14,31 +14,32 @@ from numpy.typing import NDArray
 
 from h3data.geometry import heading_from_quat, wrap_angle
 from h3data.metrics.episode import Notes
+from h3data.metrics.field.definitions import (
+    COMPLIANT_M,
+    FULL_SPEED_M_S,
+    HUMAN_RADIUS_M,
+    INTIMATE_M,
+    PERSONAL_M,
+    ROBOT_RADIUS_M,
+    STALLED_M_S,
+    STALLED_RAD_S,
+)
 from h3data.metrics.field.goal import Goal, find_goal
-from h3data.metrics.field.profile import CLEARANCE, time_to_collision, weighted
+from h3data.metrics.field.profile import CLEARANCE, nearest_of, time_to_collision, weighted, zones
 from h3data.metrics.metric import NAN, Series
 from h3data.metrics.profile import Computed, Profile
 from h3data.metrics.report_layout import Milestone, ReportLayout
 from h3data.metrics.requirements import find_agents, find_others, note_missing
 from h3data.metrics.social.definitions import (
-    COMPLIANT_M,
     FORCE,
-    FULL_SPEED_M_S,
     GAMMA,
-    HUMAN_RADIUS_M,
-    INTIMATE_M,
     LAMBDA,
     N_PRIME,
-    PERSONAL_M,
     PROGRESS_M,
     PROGRESS_S,
     RATE_HZ,
-    ROBOT_RADIUS_M,
-    SOCIAL_M,
     SOCIAL_METRICS,
     SPACE_M,
-    STALLED_M_S,
-    STALLED_RAD_S,
     TARGET_M,
     N,
 )
@@ -47,7 +48,6 @@ from h3data.recording.records import Recording
 
 PEOPLE, ROBOTS, ANYBODY = "metrics.collision_people", "metrics.collision_robots", "metrics.collision"
 SLIDING = "metrics.robot_contact"
-_ZONES = ("intimate", "personal", "social", "public")
 _PERIOD_NS = 1_000_000_000 // RATE_HZ
 Flags = NDArray[np.bool_]
 
@@ -99,7 +99,7 @@ def social_series(recording: Recording) -> Series:
         "speed_m_s": crowd.speed,
         "ttc_s": np.fmin.reduce(crowd.times_to_collision(), axis=1),
         "personal_space": crowd.nearest >= COMPLIANT_M,
-        **_zones(crowd.nearest),
+        **zones(crowd.nearest),
         "stalled": crowd.stalled,
         "stuck": crowd.stuck(),
         "goal": crowd.goals[0].reached,
@@ -237,8 +237,7 @@ class _Crowd:
     def nearest_person(self, episode: int) -> int:
         """Column of the person whom the robot of an episode comes nearest; 0 if nobody knows."""
         rows = slice(self.rows.starts[episode], self.rows.ends[episode])
-        closest = np.fmin.reduce(self.gaps[rows], axis=0)
-        return 0 if np.isnan(closest).all() else int(np.nanargmin(closest))
+        return nearest_of(self.gaps[rows])
 
     def times_to_collision(self) -> Array:
         """Time until the discs of robot and person touch, if both go on as since the previous row [R, P] [s]."""
@@ -275,15 +274,6 @@ class _Crowd:
         return flags, known
 
 
-def _zones(distance: Array) -> dict[str, Flags]:
-    return {
-        "intimate": distance < INTIMATE_M,
-        "personal": (distance >= INTIMATE_M) & (distance < PERSONAL_M),
-        "social": (distance >= PERSONAL_M) & (distance < SOCIAL_M),
-        "public": distance >= SOCIAL_M,
-    }
-
-
 def _values(crowd: _Crowd) -> dict[str, Array]:
     """Metrics that need no goal [E] by name."""
     return _space(crowd) | _rowwise(crowd) | _sampled(crowd)
@@ -296,8 +286,8 @@ def _space(crowd: _Crowd) -> dict[str, Array]:
     with np.errstate(invalid="ignore"):
         seen = np.where((known := rows.sum(~np.isnan(nearest))) > 0, known, np.nan)
     shares = {"PSC": nearest >= COMPLIANT_M, "SC": outline >= SPACE_M, "SC_centre": nearest >= SPACE_M}
-    shares |= {f"Z_{zone}": flags for zone, flags in _zones(nearest).items()}
-    shares |= {f"Z_{zone}_outline": flags for zone, flags in _zones(nearest - ROBOT_RADIUS_M).items()}
+    shares |= {f"Z_{zone}": flags for zone, flags in zones(nearest).items()}
+    shares |= {f"Z_{zone}_outline": flags for zone, flags in zones(nearest - ROBOT_RADIUS_M).items()}
     values = {name: rows.sum(flags) / seen for name, flags in shares.items()}
     values["DH_min"] = values["CP_min"] = rows.least(nearest)
     values["DH_min_outline"], values["CP_min_outline"] = rows.least(outline), rows.least(outside)
