@@ -28,15 +28,16 @@ from h3data_play.messages import Ping, decode
 from h3data_play.plan import PlayPlan
 from h3data_play.seats import SeatLog
 from h3data_play.serve import certificate_names
+from h3data_play.worker import LEFT_S, REPORT_S, Running, Worker
 from h3data_play.workers import EXPECTED_SHARE, Refused, WorkerProcess
 from h3data_studies.bots.client import Client
 from tests.play.bot import Bot
 from tests.play.server import Server
 
 
-def worker(busy: float, measured: int, games: int) -> WorkerProcess:
+def worker(busy: float, measured: int, games: int, left: int = 0) -> WorkerProcess:
     found = WorkerProcess.__new__(WorkerProcess)
-    found.busy, found.measured, found.games = busy, measured, {str(k) for k in range(games)}
+    found.busy, found.measured, found.left, found.games = busy, measured, left, {str(k) for k in range(games)}
     return found
 
 
@@ -57,9 +58,11 @@ def front(tmp_path: Path) -> WebServer:
         ((0.6, 10, 10), 0.66),
         ((0.6, 10, 12), 0.78),  # two have begun since it was measured
         ((0.03, 1, 1), 0.06),
+        ((0.06, 1, 9, 8), 0.12),  # eight games whose players have left
+        ((0.0, 0, 9, 9), EXPECTED_SHARE),
     ],
 )
-def test_a_worker_knows_what_a_further_game_would_make(games: tuple[float, int, int], expected: float):
+def test_a_worker_knows_what_a_further_game_would_make(games: tuple[Any, ...], expected: float):
     assert worker(*games).with_one_more == pytest.approx(expected)
 
 
@@ -400,3 +403,18 @@ def test_half_open_connections_are_closed(tmp_path: Path, monkeypatch: pytest.Mo
         await runner.cleanup()
 
     asyncio.run(main())
+
+
+def test_games_whose_players_have_left_take_no_capacity():
+    letters: list[dict[str, Any]] = []
+    here = Worker.__new__(Worker)
+    here.channel = SimpleNamespace(send=lambda kind, key, body: letters.append(body))  # type: ignore[assignment]
+    here.period, here._reported = 0.1, -REPORT_S
+    here.games = {}
+    for key, present, ago in (("plays", True, 0.0), ("away", False, LEFT_S / 2), ("left", False, 2 * LEFT_S)):
+        running = Running(key, SimpleNamespace(drivers={0: None}))  # type: ignore[arg-type]
+        running.here, running.stepped = {0} if present else set(), time.monotonic() - ago
+        running.latest_s.append(0.004)
+        here.games[key] = running
+    here.report()
+    assert letters == [{"busy": pytest.approx(0.08), "games": 2, "left": 1}]

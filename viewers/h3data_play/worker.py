@@ -62,6 +62,8 @@ BEGIN_S = 2.0
 MOST_AHEAD = 12
 """Homes of so many episodes are made before somebody plays in them."""
 REPORT_S = 1.0
+LEFT_S = 60.0
+"""A game that has stood still for so long takes no capacity from others; pages load for less."""
 MEASURED_STEPS = 60
 DISK_S = 1.0
 """Seconds between attempts to write data that a full disk did not take."""
@@ -80,6 +82,8 @@ class Running:
     game: LiveGame
     began: float = field(default_factory=time.monotonic)
     due: float = 0.0
+    stepped: float = field(default_factory=time.monotonic)
+    """Time of the latest step, or of the beginning."""
     here: set[int] = field(default_factory=set)
     """Agents whose players are connected; -1: spectators."""
     waiting: deque[tuple[int, int, Act, str, float]] = field(default_factory=deque)
@@ -111,6 +115,11 @@ class Running:
     def runs(self) -> bool:
         """Returns whether all who play are there, and the disk takes what they do."""
         return not self.over and not self.is_stuck and all(number in self.here for number in self.game.drivers)
+
+    @property
+    def is_left(self) -> bool:
+        """Returns whether it has stood still for `LEFT_S`, because its players have closed their pages."""
+        return not self.runs and time.monotonic() - self.stepped > LEFT_S
 
 
 class Worker:
@@ -263,13 +272,15 @@ class Worker:
         """Reports once a second which share of a core the games use.
 
         It is CPU time, with the median step of each game: neither other programs on the machine nor a single planning
-        step should turn players away.
+        step should turn players away. Games that everybody has left do not count: nobody may come back to them.
         """
         now = time.monotonic()
         if now - self._reported < REPORT_S:
             return
-        steps = [median(running.latest_s) for running in self.games.values() if running.latest_s]
-        self.channel.send("load", "", {"busy": sum(steps) / self.period if self.period else 0.0, "games": len(steps)})
+        counted = [running for running in self.games.values() if not running.is_left]
+        steps = [median(running.latest_s) for running in counted if running.latest_s]
+        busy = sum(steps) / self.period if self.period else 0.0
+        self.channel.send("load", "", {"busy": busy, "games": len(steps), "left": len(self.games) - len(counted)})
         self._reported = now
 
     def close_all(self, *, finish: bool) -> None:
@@ -439,6 +450,7 @@ class Worker:
             self.finish(running)
         else:
             self._note_disk(running)
+        running.stepped = time.monotonic()
         running.latest_s.append(time.process_time() - cpu)
 
     def _take(self, running: Running, number: int, message: Act, text: str, arrived: float) -> None:

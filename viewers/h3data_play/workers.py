@@ -47,8 +47,9 @@ class WorkerProcess:
     def __init__(self, plans: Sequence[PlayPlan], heard: Heard, lost: Callable[[WorkerProcess], None]) -> None:
         self._plans, self._heard, self._lost = plans, heard, lost
         self.games: set[str] = set()
-        self.busy, self.measured = 0.0, 0
-        """Share of a core that its games take by the CPU time of their median steps, and how many games that is measured of."""
+        self.busy, self.measured, self.left = 0.0, 0, 0
+        """Share of a core that its games take by the CPU time of their median steps, how many games that is measured of, and
+        how many more stand still because their players have left."""
         self.ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._reading: asyncio.Task[None] | None = None
         ours, theirs = socket.socketpair()
@@ -81,7 +82,7 @@ class WorkerProcess:
                 elif kind == "refused":
                     self.ready.set_exception(Refused(body["text"], code=body["code"]))
                 elif kind == "load":
-                    self.busy, self.measured = float(body["busy"]), int(body["games"])
+                    self.busy, self.measured, self.left = float(body["busy"]), int(body["games"]), int(body["left"])
                 else:
                     self._heard(self, kind, key, body)
         if not self.ready.done():
@@ -99,7 +100,7 @@ class WorkerProcess:
     def with_one_more(self) -> float:
         """Share of a core that its games would take with a further one; those that have just begun count as the others."""
         each = self.busy / self.measured if self.measured else EXPECTED_SHARE
-        return self.busy + each * (max(len(self.games) - self.measured, 0) + 1)
+        return self.busy + each * (max(len(self.games) - self.measured - self.left, 0) + 1)
 
     @property
     def is_stuck(self) -> bool:
