@@ -379,15 +379,15 @@ class World:
 
 
 @kernel(error_model="numpy")
-def _worlds_near(xz, other, rows, gate):
-    """Indices into ``rows`` [n] of the worlds in which two points [W, 2] are at most ``gate`` apart."""
-    near, count = np.empty(len(rows), np.intp), 0
+def _near_pairs(xz, rows, pairs, gates):
+    """Marks the pairs [P, 2] of agents at ``xz`` [W, A, 2] that are at most ``gates`` [P] apart in the worlds ``rows`` [n]."""
+    near = np.zeros((len(rows), len(pairs)), np.bool_)
     for n in range(len(rows)):
         w = rows[n]
-        if math.hypot(xz[w, 0] - other[w, 0], xz[w, 1] - other[w, 1]) <= gate:
-            near[count] = n
-            count += 1
-    return near[:count]
+        for p in range(len(pairs)):
+            a, b = pairs[p, 0], pairs[p, 1]
+            near[n, p] = math.hypot(xz[w, a, 0] - xz[w, b, 0], xz[w, a, 1] - xz[w, b, 1]) <= gates[p]
+    return near
 
 
 class _PairContacts:
@@ -402,23 +402,25 @@ class _PairContacts:
             else None
             for a, b in pairs
         ]
-        self._reach = [
-            robot_reach(m.body, m.body.rest) if isinstance(m.body, Robot) else clip_reach(m.body) for m in roster
+        reach = [robot_reach(m.body, m.body.rest) if isinstance(m.body, Robot) else clip_reach(m.body) for m in roster]
+        gates = [
+            reach[a] + reach[b] if own is None else own.gate_m + 1e-3
+            for (a, b), own in zip(pairs, self._of, strict=True)
         ]
-        self._others = [p for p, own in enumerate(self._of) if own is None]
-        self._contacts = AgentContacts(*(body_shapes(m.body) for m in roster)) if self._others else None
+        self._gates, self._numbers = np.array(gates), np.array(pairs, np.intp).reshape(-1, 2)
+        self._others = np.array([p for p, own in enumerate(self._of) if own is None], np.intp)
+        self._contacts = AgentContacts(*(body_shapes(m.body) for m in roster)) if len(self._others) else None
 
     def touching(self, world: World, rows: Rows) -> NDArray[np.bool_]:
-        agents = world.state.agents
-        result = np.zeros((len(rows), len(self._pairs)), np.bool_)
-        for p, ((a, b), contact) in enumerate(zip(self._pairs, self._of, strict=True)):
-            gate = self._reach[a] + self._reach[b] if contact is None else contact.gate_m + 1e-3
-            near = _worlds_near(agents[a].xz, agents[b].xz, rows, gate)
-            if not len(near):
-                continue
+        if not self._pairs:
+            return np.zeros((len(rows), 0), np.bool_)
+        xz = np.stack([own.xz for own in world.state.agents], axis=1)
+        result = _near_pairs(xz, rows, self._numbers, self._gates)
+        for p in np.flatnonzero(result.any(0)).tolist():
+            contact = self._of[p]
             if contact is None:
-                result[near, p] = True
                 continue
+            (a, b), near = self._pairs[p], np.flatnonzero(result[:, p])
             at = rows[near]
             result[near, p] = contact.touching_many(
                 world.roots(a, at).astype(np.float32),
@@ -430,15 +432,16 @@ class _PairContacts:
         return result
 
     def _decide(self, world: World, rows: Rows, near: NDArray[np.bool_]) -> None:
-        """Ask FCL about the near pairs that are not a robot and a person, in place."""
+        """Asks FCL about the near pairs that are not a robot and a person, in place; only who is in one of them is posed."""
         assert self._contacts is not None
-        for k in np.flatnonzero(near[:, self._others].any(1)):
-            w = rows[k]
-            for number, (member, own) in enumerate(zip(self._roster, world.state.agents, strict=True)):
-                frames = body_frames(member.body, own.take([w]), world.floors[w], speed_mps=world.walker.speed_mps)
-                self._contacts.update(number, shape_frames(member.body, frames)[0])
-            for p in self._others:
-                near[k, p] = near[k, p] and self._contacts.collides(*self._pairs[p])
+        for k in np.flatnonzero(near[:, self._others].any(1)).tolist():
+            w, asked = rows[k], self._others[near[k, self._others]]
+            for number in np.unique(self._numbers[asked]).tolist():
+                body, own = self._roster[number].body, world.state.agents[number]
+                frames = body_frames(body, own.take([w]), world.floors[w], speed_mps=world.walker.speed_mps)
+                self._contacts.update(number, shape_frames(body, frames)[0])
+            for p in asked.tolist():
+                near[k, p] = self._contacts.collides(*self._pairs[p])
 
 
 def _recorded(values: Array) -> Array:
