@@ -1,7 +1,7 @@
 """W worlds with the same agents, each in a home of its own: places everybody, moves everybody, says who touches whom.
 
 ```python
-world = World(agents_of("robot,robot,human"), worlds=16)
+world = World(make_roster("robot,robot,human"), worlds=16)
 world.place(starts, [free] * 16)                     # [16, 3, 3]: x, z, heading
 world.step([DriveCommand(a), DriveCommand(b), WaypointCommand(points)])  # [16, 2] each
 world.touching                                       # [16, 3]: of world.pairs
@@ -436,10 +436,15 @@ class _PairContacts:
         assert self._contacts is not None
         for k in np.flatnonzero(near[:, self._others].any(1)).tolist():
             w, asked = rows[k], self._others[near[k, self._others]]
+            alike: dict[int, list[int]] = {}
             for number in np.unique(self._numbers[asked]).tolist():
-                body, own = self._roster[number].body, world.state.agents[number]
-                frames = body_frames(body, own.take([w]), world.floors[w], speed_mps=world.walker.speed_mps)
-                self._contacts.update(number, shape_frames(body, frames)[0])
+                alike.setdefault(id(self._roster[number].body), []).append(number)
+            for numbers in alike.values():  # agents with the same body are posed together
+                body, agents = self._roster[numbers[0]].body, [world.state.agents[n] for n in numbers]
+                together = agents[0].stack(agents, w)
+                frames = body_frames(body, together, world.floors[w], speed_mps=world.walker.speed_mps)
+                for number, own in zip(numbers, shape_frames(body, frames), strict=True):
+                    self._contacts.update(number, own)
             for p in asked.tolist():
                 near[k, p] = self._contacts.collides(*self._pairs[p])
 

@@ -9,14 +9,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 from h3data.errors import InputError, UntrustedNameError, suggest
 from h3data.plugins import Registry, come_from_data
 from sim_kinematic.avoidance.robot_base import base_of
+from sim_kinematic.crowd.crowd import CrowdModel
+from sim_kinematic.crowd.traits import sample_traits
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import BaseSpec
+from sim_kinematic.policies.crowd import CrowdPolicy
 from sim_kinematic.policies.learned import PREFIX, weights_hint
 from sim_kinematic.policies.policy import External, FunctionPolicy, Policy, Still
 from sim_kinematic.policies.waypoints import WanderPolicy, WaypointPolicy
@@ -37,10 +40,21 @@ def _wander(task: Task, episode: Episode, number: int) -> Policy:
     return WanderPolicy(episode.free, episode_seed(episode.seed, number), episode.spec.human)
 
 
+def _crowd(model: CrowdModel, task: Task, episode: Episode, number: int) -> Policy:
+    walker, seed = episode.spec.human, episode_seed(episode.seed, number)
+    return CrowdPolicy(model, episode.free, seed, sample_traits(episode.seed, number, walker.speed_mps), walker)
+
+
 Factory = Callable[[Task, Episode, int], Policy]
 COMMON: Mapping[str, Mapping[str, Factory]] = {
     "robot": {"wander": _wander, "still": lambda *_: Still()},
-    "human": {"waypoints": _waypoints, "wander": _wander, "still": lambda *_: Still()},
+    "human": {
+        "waypoints": _waypoints,
+        "wander": _wander,
+        "orca": partial(_crowd, "orca"),
+        "social_force": partial(_crowd, "social_force"),
+        "still": lambda *_: Still(),
+    },
 }
 """Policies of tasks whose agents drive and walk, by kind and name."""
 

@@ -20,6 +20,7 @@ from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.state import HumanState, RobotState
 from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.policies.crowd import CrowdPolicy, Crowds
 from sim_kinematic.policies.policy import GaitAction, PoseAction, RecordedPose, WaypointAction
 from sim_kinematic.policies.traffic import Traffic
 from sim_kinematic.policies.views import AgentView
@@ -196,6 +197,8 @@ class WorldRollout:
         """Sensors of the agents for which observations were requested."""
         self._traffic: dict[int, Traffic] = {}
         """Traffic of the worlds for which it was requested."""
+        self._crowds: dict[int, Crowds] = {}
+        """Crowds of the worlds for which they were requested."""
 
     # --- W worlds -----------------------------------------------------------------------------------------------------
     def begin(self, episodes: Sequence[Episode], rows: NDArray[np.intp] | None = None) -> None:
@@ -206,6 +209,7 @@ class WorldRollout:
         for w, episode in zip(rows.tolist(), episodes, strict=True):
             self.episodes[w] = episode
             self._traffic.pop(w, None)
+            self._crowds.pop(w, None)
         self.world.place(np.stack([e.starts for e in episodes]), [e.free for e in episodes], rows)
         self.steps[rows] = 0
         begun = self.task.begin(self, rows)
@@ -275,6 +279,7 @@ class WorldRollout:
             self.spec.human,
             episode.extra,
             partial(self._traffic_of, world),
+            partial(self._crowds_of, world),
             partial(self.observe, agent, world),
         )
 
@@ -355,6 +360,11 @@ class WorldRollout:
             self._traffic[world] = Traffic(self.world, world, floors)
         return self._traffic[world]
 
+    def _crowds_of(self, world: int) -> Crowds:
+        if world not in self._crowds:
+            self._crowds[world] = Crowds(self.world, world)
+        return self._crowds[world]
+
     # --- one world: Rollout -------------------------------------------------------------------------------------------
     @property
     def episode(self) -> Episode:
@@ -387,10 +397,14 @@ class WorldRollout:
             choices = []
             for number in agents:
                 policy = self.policies[number].policy
-                # the script needs no view: it is asked a hundred times more often than anything else
-                scripted = type(policy) is WaypointPolicy
-                own = self.world.state.agents[number]
-                choices.append(policy.move(own.xz[0], own.heading.item(0)) if scripted else (yield number))
+                # scripts need no view: they are asked a hundred times more often than anything else
+                if type(policy) is WaypointPolicy:
+                    own = self.world.state.agents[number]
+                    choices.append(policy.move(own.xz[0], own.heading.item(0)))
+                elif type(policy) is CrowdPolicy:
+                    choices.append(self._crowds_of(0).move(policy, number, self.step))
+                else:
+                    choices.append((yield number))
             self._words = [getattr(choice, "skill", "") for choice in choices]
             outcome = self.advance([self._command(k, choice) for k, choice in enumerate(choices)])
             self.events += [event for _, event in outcome.events]
