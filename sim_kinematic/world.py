@@ -36,7 +36,7 @@ from sim_kinematic.contact.clearance import RobotHumanContact, clip_reach, robot
 from sim_kinematic.contact.frames import body_frames, body_shapes, root_pose, shape_frames
 from sim_kinematic.motion.gait import cycle_phase, drive_people, move_people, walk_humans
 from sim_kinematic.motion.spec import HOME_BASE, BaseSpec, WalkerSpec
-from sim_kinematic.motion.state import AgentState, HumanState, RobotState, WorldState
+from sim_kinematic.motion.state import AgentState, HumanState, RobotState, WorldState, stack_agents
 from sim_kinematic.motion.step import discs_at, drive_robots, first_not_finite
 
 if not TYPE_CHECKING:
@@ -441,7 +441,7 @@ class _PairContacts:
                 alike.setdefault(id(self._roster[number].body), []).append(number)
             for numbers in alike.values():  # agents with the same body are posed together
                 body, agents = self._roster[numbers[0]].body, [world.state.agents[n] for n in numbers]
-                together = agents[0].stack(agents, w)
+                together = stack_agents(agents, w)
                 frames = body_frames(body, together, world.floors[w], speed_mps=world.walker.speed_mps)
                 for number, own in zip(numbers, shape_frames(body, frames), strict=True):
                     self._contacts.update(number, own)

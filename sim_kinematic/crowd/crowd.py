@@ -16,14 +16,14 @@ from sim_kinematic.motion.spec import STEP_S, StrideSpec
 from sim_kinematic.motion.step import discs_at
 
 CrowdModel = Literal["social_force", "orca"]
-FindPath = Callable[[Array], Array]
+FindPath = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """Returns the path [K, 2] to a person's next goal from a place [2]; K < 2: there is none."""
 ARRIVED_M = 0.4
 """A goal counts as reached within this distance."""
 ATTEMPTS = 8
 """Goals that are tried in one step, some of which may be reached already."""
-OFF_PATH_M = 1.0
-"""Who has been pushed off their path by more than this looks for another one to the same goal."""
+STUCK_PATHS, AWAY_M = 4, 1.0
+"""People who are stuck compare so many goals by how near others are to the path at this distance."""
 
 
 class Discs(NamedTuple):
@@ -49,6 +49,13 @@ def robot_discs(
         for place, angle in ((xz, heading), (before, heading_before))
     )
     return Discs(now[:, :2], was[:, :2], now[:, 2])
+
+
+def _room_on(path: Array, others: Array) -> float:
+    """Distance [m] of the nearest of ``others`` [N, 2] to a path [K, 2] at `AWAY_M` from its beginning."""
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
+    at = np.array([np.interp(AWAY_M, along, path[:, k]) for k in range(2)])
+    return float(np.hypot(*(others - at).T).min()) if len(others) else np.inf
 
 
 class Crowd:
@@ -90,7 +97,7 @@ class Crowd:
 
     @property
     def goals(self) -> Array:
-        """Where each person is going [M, 2] [m]."""
+        """Goal of each person [M, 2] [m]."""
         return self._paths[np.arange(len(self._counts)), np.maximum(self._counts - 1, 0)]
 
     def step(self, xz: Array, heading: Array, before: Array, others: Discs, step: int) -> tuple[Array, Array]:
@@ -139,12 +146,22 @@ class Crowd:
         arrived = np.hypot(*(self.goals - xz).T) < ARRIVED_M
         stuck = (step - self._best[:, 1]) * STEP_S > self._traits[:, 5]
         for m in np.flatnonzero(arrived | stuck | (self._counts < 2)).tolist():
-            for _ in range(ATTEMPTS):
-                path = np.asarray(self._find_paths[m](xz[m]), np.float64)
-                if len(path) > 1 and np.hypot(*(path[-1] - xz[m])) >= ARRIVED_M:
-                    self._set_path(m, path)
-                    break
+            paths = self._paths_from(m, xz[m], STUCK_PATHS if stuck[m] else 1)
+            if paths:  # who is stuck turns to where the others are not
+                others = np.delete(xz, m, axis=0)
+                self._set_path(m, max(paths, key=lambda path: _room_on(path, others)) if len(paths) > 1 else paths[0])
             self._best[m] = 0.0, step
+
+    def _paths_from(self, m: int, xz: Array, most: int) -> list[NDArray[np.float64]]:
+        """Up to ``most`` paths of a person to goals that they have not reached already."""
+        paths: list[NDArray[np.float64]] = []
+        for _ in range(ATTEMPTS):
+            path = np.asarray(self._find_paths[m](np.asarray(xz, np.float64)), np.float64)
+            if len(path) > 1 and np.hypot(*(path[-1] - xz)) >= ARRIVED_M:
+                paths.append(path)
+            if len(paths) == most:
+                break
+        return paths
 
     def _set_path(self, m: int, path: NDArray[np.float64]) -> None:
         if len(path) > self._paths.shape[1]:

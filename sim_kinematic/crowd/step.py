@@ -29,7 +29,7 @@ PROGRESS_M = 0.25
 """Who has got on along the path by this much is not stuck."""
 SLIDES = 3
 """Attempts to go past others whom a step would touch."""
-STRIDE_M, STRIDE_MPS = 0.18, 0.1
+STRIDE_M, STRIDE_MPS = 0.2, 0.1
 """Feet and hands of people who walk faster than this reach so much farther ahead and behind than sideways."""
 BACK_M = 1.5
 """Distance that people in a narrow place go back along their path to let others through."""

@@ -80,7 +80,7 @@ class CrowdSpec:
 
 
 class Traits(NamedTuple):
-    """What sets one person of a crowd apart."""
+    """Traits that set one person of a crowd apart."""
 
     speed_mps: float
     """Free walking speed."""

@@ -41,12 +41,6 @@ class _Arrays:
         """Some of the worlds."""
         return type(self)(**{name: array[worlds] for name, array in vars(self).items()})
 
-    @classmethod
-    def stack(cls, agents: Sequence[Self], world: int) -> Self:
-        """States of several agents in one world, as if each were in a world of its own."""
-        rows = [vars(own) for own in agents]
-        return cls(**{name: np.stack([row[name][world] for row in rows]) for name in rows[0]})
-
     def put(self, worlds: Worlds, other: Self) -> None:
         """Overwrite some of the worlds by all those of ``other``, or by its only one."""
         for mine, theirs in zip(self.arrays(), other.arrays(), strict=True):
@@ -110,6 +104,12 @@ class HumanState(_Arrays):
 
 
 AgentState = RobotState | HumanState
+
+
+def stack_agents(agents: Sequence[AgentState], world: int) -> AgentState:
+    """States of several agents of one kind in one world, as if each were in a world of its own."""
+    rows = [vars(own) for own in agents]
+    return type(agents[0])(**{name: np.stack([row[name][world] for row in rows]) for name in rows[0]})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -19,7 +19,7 @@ from sim_kinematic.crowd.crowd import CrowdModel
 from sim_kinematic.crowd.traits import sample_traits
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import BaseSpec
-from sim_kinematic.policies.crowd import CrowdPolicy
+from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.learned import PREFIX, weights_hint
 from sim_kinematic.policies.policy import External, FunctionPolicy, Policy, Still
 from sim_kinematic.policies.waypoints import WanderPolicy, WaypointPolicy

@@ -15,7 +15,7 @@ from sim_kinematic.motion.spec import BaseSpec, WalkerSpec
 from sim_kinematic.motion.state import NOBODY
 
 if TYPE_CHECKING:
-    from sim_kinematic.policies.crowd import Crowds
+    from sim_kinematic.policies.crowd.crowds import Crowds
     from sim_kinematic.policies.traffic import Traffic
 
 Observe = Callable[..., dict[str, NDArray[Any]]]

@@ -20,7 +20,8 @@ from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.state import HumanState, RobotState
 from sim_kinematic.policies.assignment import AssignedPolicy
-from sim_kinematic.policies.crowd import CrowdPolicy, Crowds
+from sim_kinematic.policies.crowd.crowds import Crowds
+from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.policy import GaitAction, PoseAction, RecordedPose, WaypointAction
 from sim_kinematic.policies.traffic import Traffic
 from sim_kinematic.policies.views import AgentView
@@ -402,7 +403,7 @@ class WorldRollout:
                     own = self.world.state.agents[number]
                     choices.append(policy.move(own.xz[0], own.heading.item(0)))
                 elif type(policy) is CrowdPolicy:
-                    choices.append(self._crowds_of(0).move(policy, number, self.step))
+                    choices.append(policy.move(self._crowds_of(0), number, self.step))
                 else:
                     choices.append((yield number))
             self._words = [getattr(choice, "skill", "") for choice in choices]

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from h3data.metrics.social.profile import social_force
 from sim_kinematic.crowd.orca import half_plane, nearest_velocity
 from sim_kinematic.crowd.social_force import interaction
 from sim_kinematic.crowd.traits import CrowdSpec, sample_traits
@@ -83,6 +84,14 @@ def test_a_force_turns_with_the_scene_and_is_mirrored_with_it(px, pz, vx, vz, an
     theta = math.atan2(pz, px) - math.atan2(2.0 * vz + pz / math.hypot(px, pz), 2.0 * vx + px / math.hypot(px, pz))
     if abs(math.sin(theta)) > 1e-6:  # in line, the side of evasion is a convention
         assert interaction(px, -pz, vx, -vz, *FORCE) == pytest.approx((fx, -fz), abs=1e-6)
+
+
+@given(metres, metres, speeds, speeds)
+def test_a_force_has_the_size_that_metrics_report(px, pz, vx, vz):
+    assume(math.hypot(px, pz) > 0.1)
+    size = CrowdSpec().social_gain * math.hypot(*interaction(px, pz, vx, vz, *FORCE))
+    measured = float(social_force(np.array([[px, pz]]), np.array([[vx, vz]]))[0])
+    assert size == pytest.approx(measured, rel=1e-6, abs=1e-9) or abs(px * vz - pz * vx) < 1e-6
 
 
 def test_a_force_slows_down_and_turns_away_from_the_side_of_the_neighbour():

@@ -1,38 +1,32 @@
-"""Policies of people who walk from goal to goal by a model of crowds (`sim_kinematic.crowd`)."""
+"""The crowds of one world, which the policies of their people share."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from h3data.bodies import Robot
-from h3data.geometry import Array
 from h3data.scene import FreeSpace
-from sim_kinematic.agents.waypoint_walker import WaypointHuman, walking_path
-from sim_kinematic.crowd.crowd import NO_DISCS, Crowd, CrowdModel, Discs, robot_discs
+from sim_kinematic.crowd.crowd import NO_DISCS, Crowd, CrowdModel, Discs, FindPath, robot_discs
 from sim_kinematic.crowd.traits import Traits
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.policies.policy import PoseAction
-from sim_kinematic.policies.views import AgentView
 from sim_kinematic.world import World
 
 OTHERS_M = 0.3
 """Radius of people who follow another policy."""
 
 
-class CrowdPolicy:
-    """A person who walks to one random goal after another and avoids others by a model of crowds."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CrowdMember:
+    """A person of a crowd: the model that they follow, where they walk, and how they find their goals."""
 
-    def __init__(self, model: CrowdModel, free: FreeSpace, seed: int, traits: Traits, walker: WalkerSpec) -> None:
-        self.model, self.free, self.traits, self.walker = model, free, traits, walker
-        self._goals = WaypointHuman(free, seed, walker)
-
-    def act(self, view: AgentView) -> PoseAction:
-        """Place after the next step."""
-        return view.crowds().move(self, view.agent, view.step)
-
-    def find_path(self, xz: Array) -> Array:
-        """Path [K, 2] to the person's next goal."""
-        return walking_path(self.free, xz, self._goals.next_goal(xz), self.walker)
+    model: CrowdModel
+    free: FreeSpace
+    traits: Traits
+    walker: WalkerSpec
+    find_path: FindPath
 
 
 class Crowds:
@@ -44,22 +38,22 @@ class Crowds:
     def __init__(self, world: World, row: int) -> None:
         """Creates crowds without people for world number ``row``."""
         self._world, self._row, self._step = world, row, -1
-        self._members: dict[CrowdModel, dict[int, CrowdPolicy]] = {}
+        self._members: dict[CrowdModel, dict[int, CrowdMember]] = {}
         self._crowds: dict[CrowdModel, Crowd] = {}
         self._moved: dict[int, PoseAction] = {}
 
-    def move(self, policy: CrowdPolicy, number: int, step: int) -> PoseAction:
+    def move(self, member: CrowdMember, number: int, step: int) -> PoseAction:
         """Place of an agent after step number ``step``."""
-        members = self._members.setdefault(policy.model, {})
-        if members.get(number) is not policy:
-            members[number] = policy
-            self._crowds.pop(policy.model, None)
+        members = self._members.setdefault(member.model, {})
+        if members.get(number) is not member:
+            members[number] = member
+            self._crowds.pop(member.model, None)
             own = self._world.state.agents[number]
             return PoseAction(own.xz[self._row].copy(), own.heading.item(self._row))
         if step != self._step:
             self._step, self._moved = step, {}
         if number not in self._moved:
-            self._move_all(policy.model)
+            self._move_all(member.model)
         return self._moved[number]
 
     def _move_all(self, model: CrowdModel) -> None:
