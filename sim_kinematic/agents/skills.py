@@ -18,7 +18,10 @@ from h3data.errors import InputError
 from h3data.moved import refuse_renamed
 from sim_kinematic.motion.state import NOBODY, WorldState
 
-if not TYPE_CHECKING:
+if TYPE_CHECKING:
+    from h3data.scene import Scene
+    from sim_kinematic.agents.opening.openables import ArticulatedParts
+else:
     __getattr__ = refuse_renamed(__name__)
 
 SKILLS = (
@@ -165,6 +168,10 @@ class Objects:
     """``object_pose`` [1, K, 7], ``held_by`` [1, K], ``grip_pose`` [1, K, 7], ``joint_pos`` [1, J]."""
     joints: tuple[str, ...] = ()
     """Names of the home's doors and drawers."""
+    scene: Scene | None = None
+    """The home, with doors and drawers where they last stood still."""
+    openables: ArticulatedParts | None = None
+    """Its doors and drawers; None: nothing opens."""
 
     @property
     def poses(self) -> NDArray[np.float64]:

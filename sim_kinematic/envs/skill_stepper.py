@@ -322,5 +322,5 @@ class Stage:
         if light not in self._renderers:
             bodies, names = [member.body for member in episode.roster], [target.name for target in episode.targets]
             self._renderers[light] = StateRenderer(episode.scene, bodies, objects=names, light=light)
-        self._renderers[light].pose(play.state, frames=play.frames())
+        self._renderers[light].pose(play.state, frames=play.company.frames())
         return self._renderers[light]

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,9 @@ from sim_kinematic.agents.skills import Objects
 from sim_kinematic.contact import FclScene, MovingShapes
 from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.motion.state import NOBODY
+
+if TYPE_CHECKING:
+    from sim_kinematic.agents.giving_way import GivingWay
 
 SWING_RAD_S, SLIDE_MPS = 1.2, 0.45
 """Mean speed at which doors turn and drawers slide while somebody opens or closes them."""
@@ -44,10 +48,8 @@ class ArticulatedParts:
     scene: Scene
     objects: Objects
     floor_y: float
-    discs: Callable[[int], NDArray[np.float64]] = field(default=lambda _: np.zeros((0, 3)))
-    """Gives the discs ``(x, z, radius)`` [N, 3] of an agent."""
-    agents: int = 0
-    """Number of agents."""
+    company: GivingWay | None = None
+    """The agents in whose way it may stand; None: there is nobody."""
     doors: frozenset[int] = frozenset()
     """Joints of the doors between rooms: they are opened from both sides, and the walls are not in their way."""
     _scenes: dict[bytes, Scene] = field(default_factory=dict)
@@ -208,8 +210,8 @@ class ArticulatedParts:
     def hits_agent(self, k: int, way: NDArray[np.float64]) -> int:
         """The first agent into whose discs a joint would move something at positions [T]; -1: none."""
         points = self.points(k, way)[:, [0, 2]]
-        for number in range(self.agents):
-            if bool(_covered(points, self.discs(number)).any()):
+        for number in range(0 if self.company is None else len(self.company.actors)):
+            if bool(_covered(points, self.company.discs_of(number)).any()):  # type: ignore[union-attr]
                 return number
         return -1
 

@@ -89,9 +89,9 @@ def _led(recording: Recording, number: int) -> dict[int, list[tuple[int, float]]
 def follow_track(play: SkillRollout, actor: PersonActor, track: KeptTrack, step: int) -> None:
     """From ``step`` on, a person does nothing but follow a track to its end; no policy is asked."""
     if len(play.actors) == 2:  # the person reacts to nobody any more, so there is nothing to agree on
-        play.right_of_way = None
+        play.company.right_of_way, play.company.agreed = None, False
         for other in play.actors:
-            other.agreed, other.aside = False, None
+            other.aside = None
     runner = play.runner(actor.number)
     actor.person.held.clear()
     actor.yields = False

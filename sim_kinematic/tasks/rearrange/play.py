@@ -25,9 +25,9 @@ from h3data.recording.records import JOINTS
 from h3data.render.light.sources import LightMode
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.articulation import AJAR, joint_names
-from sim_kinematic.agents.contact_tracker import AgentContactTracker, AnyActor
 from sim_kinematic.agents.driven.object_room import ObjectRoom, grip_radii
 from sim_kinematic.agents.driven.person import DrivenPerson
+from sim_kinematic.agents.giving_way import AnyActor, GivingWay
 from sim_kinematic.agents.opening.doorways import DETOUR_M, RoomDoors
 from sim_kinematic.agents.opening.openables import ArticulatedParts
 from sim_kinematic.agents.oracle.actors import DiscContacts, OraclePerson, OracleRobot
@@ -52,15 +52,14 @@ from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.avoidance.stand_offs import TaskProgress
 from sim_kinematic.avoidance.yielding import NO_PATH
-from sim_kinematic.motion.state import NOBODY
-from sim_kinematic.motion.step import APART_TOLERANCE_M, discs_at
+from sim_kinematic.motion.state import NOBODY, HumanState
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.rearrange import HighLevelPolicy
 from sim_kinematic.policies.rearrange_observations import SENSES, observe
 from sim_kinematic.policies.skills.names import skills_of
 from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.sensing.agent_pictures import picture_names
-from sim_kinematic.tasks.episode import StepOutcome, agent_base
+from sim_kinematic.tasks.episode import StepOutcome
 from sim_kinematic.tasks.play import Columns, check_observations, checked_outcome, contact_columns
 from sim_kinematic.tasks.rearrange.episode import PAIR, RearrangeEpisode, body_indices
 from sim_kinematic.tasks.rearrange.oracle import errands_of
@@ -259,7 +258,7 @@ class SkillRollout:
         self.doorways = RoomDoors.of(world.scene, world.free)
         self.floor = world.free
         """Present free floor, with doors and drawers as they stand."""
-        self.openables, self._scene = self._openables(), world.scene
+        self.objects.scene = world.scene
         self.starts = state.object_pose[0, :, :3].copy()
         self.actors = [self._actor(number) for number in range(len(world.roster))]
         self.people = [actor for actor in self.actors if isinstance(actor, PersonActor)]
@@ -283,23 +282,17 @@ class SkillRollout:
         oracle = world.spec.oracle
         alone = len(self.actors) == 1 or (is_pair and (driven or not world.spec.people_give_way)) or oracle is not None
         solid = world.spec.solid_agents and driven
-        self.encounters = (
-            AgentContactTracker(world.roster, self.actors, people_see_robot=solid or not (alone and is_pair))
-            if oracle is None
-            else DiscContacts(world.roster, self.actors, oracle.person_radius_m)
-        )
         heeds = len(self.actors) > 1 and oracle is None and (not is_pair or bool(world.spec.people_give_way))
-        self.right_of_way = RightOfWay(world.free, self.actors, self.errand, asks=not alone) if heeds else None
-        for actor in self.actors:
-            actor.agreed, actor.openables = not alone, self.openables
-            actor.meets = partial(self.encounters.meets, actor)
-            if isinstance(actor, RobotActor):
-                actor.pictures = partial(self.pictures, actor.number)
-            if isinstance(actor, DrivenPerson):
-                actor.actors = self.actors
-                if solid:
-                    actor.others_discs = partial(self._discs_beside, actor.number)
-                    actor.meets = partial(self._meets_solid, actor)
+        self.company = (GivingWay if oracle is None else DiscContacts)(
+            world.roster,
+            self.actors,
+            RightOfWay(world.free, self.actors, self.errand, asks=not alone) if heeds else None,
+            agreed=not alone,
+            people_see_robot=solid or not (alone and is_pair),
+            person_radius_m=world.spec.agent_radius_m if oracle is None else oracle.person_radius_m,
+            solid=solid,
+        )
+        self.objects.openables = self._openables()
         self.bodies = np.append(body_indices(world), -1)
         self.at_goal = self._at_goal()
         self.places = self.before = world.starts.copy()
@@ -340,12 +333,14 @@ class SkillRollout:
             return RobotActor(
                 body, floor, base, self.objects, spec.grip_m, spec.arm_rad_s, number, clearance, learned=learned
             )
+        own = self.state.agents[number]
+        assert isinstance(own, HumanState)
         x, z, heading = world.starts[number]
         base = world.free.root_pose(np.array([x, z]), float(heading))
         objects = dict(zip(self.objects.names, self.objects.poses, strict=True))
         room = reach_room(world.scene, body, world.free.floor_y)
         sizes = grip_radii(world.scene, self.objects.names)
-        person = Person(body, base, objects, spec=spec.human, free=world.free, sizes=sizes)
+        person = Person(body, base, objects, spec=spec.human, free=world.free, sizes=sizes, state=own)
         if spec.oracle is not None:
             errands = errands_of(world, number)
             return OraclePerson(person, world.free, spec.human, self.objects, number, errands=errands)
@@ -371,8 +366,7 @@ class SkillRollout:
             world.scene,
             self.objects,
             world.free.floor_y,
-            discs=self._discs_of,
-            agents=len(world.roster),
+            self.company,
             doors=frozenset(self.doorways.joints),
         )
         self.state.joint_pos[0] = found.joints.rest.astype(np.float32)  # as they are recorded
@@ -383,7 +377,7 @@ class SkillRollout:
 
         When all of them have come to rest, the collision shapes that bodies and arms avoid are updated.
         """
-        openables = self.openables
+        openables = self.objects.openables
         if openables is None:
             return
         after = openables.positions
@@ -403,11 +397,11 @@ class SkillRollout:
             self._show_scene(openables.scene_now())
 
     def _show_scene(self, scene: Scene) -> None:
-        world, floor_y, self._scene = self.episode, self.episode.free.floor_y, scene
+        world, floor_y, self.objects.scene = self.episode, self.episode.free.floor_y, scene
         if world.spec.floor_moves:
             self.floor = common_floor(world.roster, world.free.as_in(scene))
-            if self.right_of_way is not None:
-                self.right_of_way.walk_on(self.floor)
+            if self.company.right_of_way is not None:
+                self.company.right_of_way.walk_on(self.floor)
         for actor in self.actors:
             if isinstance(actor, RobotActor):
                 actor.arm_clearance = arm_clearance(scene, actor.robot, floor_y)
@@ -425,22 +419,19 @@ class SkillRollout:
         spec = self.episode.spec
         for self.step in range(spec.max_steps):
             held, joints = self.objects.held_by.copy(), self.state.joint_pos[0].copy()
-            if self.right_of_way is not None:
-                self.right_of_way.update([number for number in held.tolist() if number != NOBODY])
+            self.company.begin_step([number for number in held.tolist() if number != NOBODY])
             for runner in self.runners:
-                self.encounters.show(runner.actor)
-                runner.actor.hindered_by = frozenset()
+                self.company.begin_turn(runner.actor)
                 yield from runner.act(self.step, self.view)
-                self.encounters.moved(runner.number)
-            self.encounters.end_step()
-            self._write_people()
+                self.company.end_turn(runner.number)
+            self.company.end_step()
             self.world.touching[:] = False
             self.before, self.places = (
                 self.places,
                 np.array([[*own.xz[0].tolist(), own.heading.item(0)] for own in self.state.agents]),
             )
             self.at_goal = self._at_goal()
-            for a, b in self.encounters.touching:
+            for a, b in self.company.touching:
                 self.world.touching[0, self.world.pairs.index((a, b))] = True
             self._move_joints(joints)
             self._tell(held)
@@ -468,9 +459,14 @@ class SkillRollout:
     @property
     def open_joints(self) -> NDArray[np.bool_]:
         """Which doors and drawers stand open, at least ajar, [J]."""
-        if self.openables is None:
+        if self.objects.openables is None:
             return np.zeros(0, np.bool_)
-        return self.openables.joints.shares(self.openables.positions) >= AJAR
+        return self.objects.openables.joints.shares(self.objects.openables.positions) >= AJAR
+
+    @property
+    def openables(self) -> ArticulatedParts | None:
+        """Doors and drawers; None: nothing opens."""
+        return self.objects.openables
 
     def finish(self) -> None:
         """Reports the skills that are still running."""
@@ -484,36 +480,7 @@ class SkillRollout:
     @property
     def collision(self) -> bool:
         """Returns whether agents touch now."""
-        return bool(self.encounters.touching)
-
-    def _write_people(self) -> None:
-        """People move by their skills; the state says where they are."""
-        for own, person in zip(self.state.people, self.people, strict=True):
-            own.xz[0], own.heading[0] = person.xz, person.heading
-
-    def _discs_beside(self, number: int) -> NDArray[np.float64]:
-        """Discs ``(x, z, radius)`` [N, 3] of everybody but one agent, as they are now; of a robot those of its empty hand."""
-        discs = [np.zeros((0, 3))]
-        discs += [self._discs_of(other.number) for other in self.actors if other.number != number]
-        return np.concatenate(discs)
-
-    def _discs_of(self, number: int) -> NDArray[np.float64]:
-        """Discs ``(x, z, radius)`` [N, 3] of an agent, as it is now; of a robot those of its empty hand."""
-        actor, radius = self.actors[number], self.episode.spec.agent_radius_m
-        offsets: Sequence[float] = (0.0,)
-        if isinstance(actor, RobotActor):
-            base = agent_base(self.episode, number)
-            offsets, radius = base.disc_offsets_m, base.disc_radius_m
-        return discs_at(actor.xz[None], np.array([actor.heading]), offsets, radius)[0]
-
-    def _meets_solid(self, person: DrivenPerson) -> bool:
-        """Returns `AgentContactTracker.meets`, or whether the person has come nearer to others than they may in this step."""
-        if self.encounters.meets(person):
-            return True
-        was, radius = self.encounters.track(person.number)[-1], self.episode.spec.agent_radius_m
-        discs = self._discs_beside(person.number)
-        least = np.minimum(radius + discs[:, 2], np.hypot(*(discs[:, :2] - was).T))
-        return bool((np.hypot(*(discs[:, :2] - person.xz).T) < least - APART_TOLERANCE_M).any())
+        return bool(self.company.touching)
 
     def view(self, agent: int) -> Any:
         """Observation of an agent's policy, as the task defines it."""
@@ -523,8 +490,8 @@ class SkillRollout:
         """The knowledge of an agent at this moment, for policies that choose skills."""
         del world
         runner = self.runner(agent)
-        me, other = self.actors[runner.number], self.encounters.nearest(runner.number)
-        track = self.encounters.track(other) if other >= 0 else np.full((1, 2), np.nan)
+        me, other = self.actors[runner.number], self.company.nearest(runner.number)
+        track = self.company.track(other) if other >= 0 else np.full((1, 2), np.nan)
         other_xz = self.actors[other].xz.copy() if other >= 0 else track[-1]
         xz, heading = me.xz.copy(), me.heading  # of a person they are computed
         ahead, aside = _seen(xz, heading, other_xz)
@@ -569,20 +536,20 @@ class SkillRollout:
         if runner.skill is None or not skill.startswith("nav"):
             return math.inf
         if skill == "nav_to_handle":
-            assert self.openables is not None
-            point = self.openables.handles(self.openables.positions)[k]
+            assert self.objects.openables is not None
+            point = self.objects.openables.handles(self.objects.openables.positions)[k]
         else:
             point = self.objects.goals[k] if skill == "nav_to_goal" else self.objects.poses[k, :3]
         return float(self.floor.geodesic(runner.actor.xz, point[[0, 2]], max_snap_m=2.0))
 
     def barrier(self, actor: AnyActor, k: int, at_goal: bool, *, detour_m: float = DETOUR_M) -> int:
         """Returns `RearrangeView.barrier` for an agent that walks up to ``detour_m`` farther to avoid opening a door."""
-        if self.openables is None:
+        if self.objects.openables is None:
             return -1
-        shut, positions = self.openables.barrier_of(k, at_goal=at_goal), self.openables.positions
+        shut, positions = self.objects.openables.barrier_of(k, at_goal=at_goal), self.objects.openables.positions
         if not self.episode.spec.floor_moves or not self.doorways.any_closed(positions):
             return shut
-        handles, start = self.openables.handles(positions), actor.xz
+        handles, start = self.objects.openables.handles(positions), actor.xz
         point = self.objects.goals[k] if at_goal else self.objects.poses[k, :3]
         if shut >= 0:
             point = handles[shut]
@@ -607,9 +574,9 @@ class SkillRollout:
         Returns:
             The door's number; -1 if the agent can get to one of the poses, or if no door blocks them.
         """
-        if self.openables is None or not self.episode.spec.floor_moves:
+        if self.objects.openables is None or not self.episode.spec.floor_moves:
             return -1
-        positions = self.openables.positions
+        positions = self.objects.openables.positions
         if not self.doorways.any_closed(positions):
             return -1
         return self.doorways.first(actor.xz, stands, self.floor, positions, detour_m=np.inf)
@@ -619,15 +586,6 @@ class SkillRollout:
         at_goal = np.empty(len(self.objects.goals), np.bool_)
         _reached(self.objects.poses, self.objects.goals, self.objects.held_by, self.episode.spec.at_goal_m, at_goal)
         return at_goal
-
-    def frames(self) -> list[Array]:
-        """Frames of the agents as they are now: of robots' links [1, L, 4, 4], of people's joints [1, 55, 4, 4]."""
-        return [
-            actor.robot.link_matrices(actor.pose[None], actor.joints[None])
-            if isinstance(actor, RobotActor)
-            else actor.person.joint_matrices[None]
-            for actor in self.actors
-        ]
 
     def observe(
         self, agent: int, names: Sequence[str], size: PictureSize = None, light: LightMode = "flat"
@@ -659,13 +617,13 @@ class SkillRollout:
         bodies = [member.body for member in self.episode.roster]
         return see(
             self.state,
-            self._scene,
+            self.objects.scene,
             bodies,
             names,
             agent=agent,
             size=size,
             objects=self.objects.names,
-            frames=self.frames(),
+            frames=self.company.frames(),
             light=light,
             lit_as=self.episode.scene,
         )
@@ -674,8 +632,8 @@ class SkillRollout:
         """The columns of the step that has just been played."""
         frames = {person.number: person.person.frame() for person in self.people}
         row: Row = {"object_pose": self.objects.poses.copy()}
-        if self.openables is not None:
-            row[JOINTS] = self.openables.positions.copy()
+        if self.objects.openables is not None:
+            row[JOINTS] = self.objects.openables.positions.copy()
         for runner in self.runners:
             at, actor = f"agent_{runner.number}.", runner.actor
             if isinstance(actor, RobotActor):
@@ -698,7 +656,7 @@ class SkillRollout:
         if len(self.actors) > 1:
             row["metrics.dist_agents"] = min(np.hypot(*(a.xz - b.xz)) for a, b in combinations(self.actors, 2))
             kinds = [member.kind for member in self.episode.roster]
-            touching = [pair in self.encounters.touching for pair in combinations(range(len(kinds)), 2)]
+            touching = [pair in self.company.touching for pair in combinations(range(len(kinds)), 2)]
             row |= {name: flags[0] for name, flags in contact_columns(kinds, np.array([touching])).items()}
         if self.robots:
             row["metrics.robot_contact"] = any(own.contact[0] for own in self.state.robots)
@@ -725,7 +683,7 @@ class SkillRollout:
                 self.events.append(Event(step=self.step, agent=was, kind="place", target=name, detail=where))
             elif was != now:
                 self.events.append(Event(step=self.step, agent=now, kind="pick", target=name))
-        for a, b in self.encounters.touching:
+        for a, b in self.company.touching:
             self.events.append(Event(step=self.step, agent=a, kind="collision", target=self.episode.roster[b].name))
 
 

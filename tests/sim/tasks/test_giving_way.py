@@ -48,7 +48,7 @@ def test_only_a_driven_person_and_habitats_heed_nobody(home: Scene, free: FreeSp
         play = rollout(REARRANGE, episode, {"robot": "complement", "human": "both"})
         assert (play.right_of_way is not None) == heeds  # type: ignore[attr-defined]
         person = play.people[0]  # type: ignore[attr-defined]
-        assert play.encounters.avoids(person, play.robots[0]) == heeds  # type: ignore[attr-defined]
+        assert play.company.avoids(person, play.robots[0]) == heeds  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
