@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Generator
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from h3data.bodies.people.reach import Hand, reacher
 from h3data.geometry import Array
 from h3data.scene import FreeSpace
-from sim_kinematic.agents.opening.openables import stands_clear
+from sim_kinematic.agents.company import Company
+from sim_kinematic.agents.opening.openables import ArticulatedParts, stands_clear
 from sim_kinematic.agents.opening.skills import Leading, full_way, handle_way, stands_before, why_not
 from sim_kinematic.agents.person import MotionResult, Person, Transition
 from sim_kinematic.agents.person import Skill as Motion
@@ -29,10 +30,6 @@ from sim_kinematic.motion.gait import move_people, walk_humans
 from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 from sim_kinematic.motion.state import HUMAN, NOBODY, HumanState
 from sim_kinematic.motion.stride import CREEP_MPS, Strider
-
-if TYPE_CHECKING:
-    from sim_kinematic.agents.giving_way import GivingWay
-    from sim_kinematic.agents.opening.openables import ArticulatedParts
 
 TURN_PATIENCE_STEPS = 10
 """Steps for which a person waits for room to turn on the spot; after them they turn while walking."""
@@ -82,7 +79,7 @@ class PersonActor:
     """Checks where the body would be; None: nobody does."""
     others: tuple[ObservedAgent, ...] = ()
     """Other agents that the person gives way to, the nearest first."""
-    company: GivingWay | None = None
+    company: Company | None = None
     """The agents that it heeds, itself among them; None: it is alone."""
     path: NDArray[np.floating] = field(default_factory=lambda: NO_PATH)
     yields: bool = True

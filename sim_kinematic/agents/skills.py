@@ -16,12 +16,10 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.moved import refuse_renamed
+from h3data.scene import Scene
 from sim_kinematic.motion.state import NOBODY, WorldState
 
-if TYPE_CHECKING:
-    from h3data.scene import Scene
-    from sim_kinematic.agents.opening.openables import ArticulatedParts
-else:
+if not TYPE_CHECKING:
     __getattr__ = refuse_renamed(__name__)
 
 SKILLS = (
@@ -170,8 +168,8 @@ class Objects:
     """Names of the home's doors and drawers."""
     scene: Scene | None = None
     """The home, with doors and drawers where they last stood still."""
-    openables: ArticulatedParts | None = None
-    """Its doors and drawers; None: nothing opens."""
+    openables: Any = None
+    """Its doors and drawers, `sim_kinematic.agents.opening.openables.ArticulatedParts`; None: nothing opens."""
 
     @property
     def poses(self) -> NDArray[np.float64]:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +16,12 @@ from h3data.scene.articulation import SceneJoints, handle_points, joints_of, pos
 from h3data.scene.floor_heights import floor_heights, room_heights
 from h3data.scene.records import Asset, Shape
 from h3data.scene.shape_bounds import shape_bounds
+from sim_kinematic.agents.company import Company
 from sim_kinematic.agents.driven.object_room import object_extent
 from sim_kinematic.agents.skills import Objects
 from sim_kinematic.contact import FclScene, MovingShapes
 from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.motion.state import NOBODY
-
-if TYPE_CHECKING:
-    from sim_kinematic.agents.giving_way import GivingWay
 
 SWING_RAD_S, SLIDE_MPS = 1.2, 0.45
 """Mean speed at which doors turn and drawers slide while somebody opens or closes them."""
@@ -48,7 +45,7 @@ class ArticulatedParts:
     scene: Scene
     objects: Objects
     floor_y: float
-    company: GivingWay | None = None
+    company: Company | None = None
     """The agents in whose way it may stand; None: there is nobody."""
     doors: frozenset[int] = frozenset()
     """Joints of the doors between rooms: they are opened from both sides, and the walls are not in their way."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,8 @@ from numpy.typing import NDArray
 from h3data.bodies import Robot
 from h3data.geometry import IDENTITY_POSE, Array, pose_from_matrix, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
+from sim_kinematic.agents.company import Company
+from sim_kinematic.agents.opening.openables import ArticulatedParts
 from sim_kinematic.agents.robots.arm_clearance import ArmClearance
 from sim_kinematic.agents.robots.hand_reach import (
     reach_bearing,
@@ -30,10 +31,6 @@ from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.state import ROBOT, RobotState
 from sim_kinematic.motion.step import drive_robots
-
-if TYPE_CHECKING:
-    from sim_kinematic.agents.giving_way import GivingWay
-    from sim_kinematic.agents.opening.openables import ArticulatedParts
 
 STUCK_STEPS = 60
 """Steps without getting nearer to its destination after which a base gives up."""
@@ -66,7 +63,7 @@ class RobotDriver:
     """True if its base keeps clear of other agents (`keep_clear`), in every skill."""
     others: tuple[ObservedAgent, ...] = ()
     """Other agents, the nearest first."""
-    company: GivingWay | None = None
+    company: Company | None = None
     """The agents that it heeds, itself among them; None: it is alone."""
     yields: bool = True
     aside: NDArray[np.float64] | None = None
@@ -110,7 +107,7 @@ class RobotDriver:
 
     def meets(self) -> bool:
         """Returns whether it touches another agent in its present posture: then it stops where it was."""
-        return self.company is not None and self.company.meets(self)  # type: ignore[arg-type]
+        return self.company is not None and self.company.meets(self)
 
     @property
     def openables(self) -> ArticulatedParts | None:
