@@ -17,6 +17,7 @@ from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.policy import Still, Velocity
 from sim_kinematic.policies.recorded import RecordedTrack, RecordedVelocities, deciding_since, recorded_commands
+from sim_kinematic.sensing.table import STATE_OBSERVATIONS
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.team import MotionTeam, Team
 
@@ -27,6 +28,9 @@ class Control:
     has_skills: ClassVar[bool] = False
     """True if choices are skills that take many steps: then each rollout has one world, people are recorded joint by joint
     instead of as motion clips, and `sim_kinematic.policies.assignment.COMMON` makes no such choices."""
+
+    observations: ClassVar[tuple[str, ...]] = STATE_OBSERVATIONS
+    """Names of the sensors that an environment shows by default."""
 
     def __init__(self, skills: Mapping[str, tuple[str, ...]] | None = None) -> None:
         """Creates the control.

@@ -88,6 +88,8 @@ class TaskUsage:
     env_options: Mapping[str, Callable[[Any], object]] = field(default_factory=dict)
     """Names of further options of environments, which the task finds in ``WorldRollout.options``, each with a function that
     raises an `InputError` if a value is not allowed."""
+    env_partners: Mapping[str, str] = field(default_factory=dict)
+    """Policies of the agents that do not act in an environment, by kind, where they are not those of `Task.defaults`."""
     named_kinds: tuple[str, ...] = ("robot", "human")
     """Kinds of agents of which a job names the policy also where it is the default one."""
     bodies_in_agents: bool = False

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import load_humanoid, load_robot
+from h3data.errors import InputError
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec, common_floor, kinds_of
 from sim_kinematic.motion.randomness import episode_seed
@@ -46,12 +47,23 @@ from sim_kinematic.tasks.skills.control import SkillControl
 from sim_kinematic.tasks.task import Task, TaskUsage
 
 
+def check_level(level: Any) -> None:
+    """Raises an `InputError` if actions of environments have no such level."""
+    if level not in ("high", "low"):
+        raise InputError(f"Unknown level {level!r}. Expected one of: high, low.", code="H3-ENV-025")
+
+
 class Rearrange(Task):
     """Bring objects to their goals (paper section 4.2)."""
 
     name: ClassVar[str] = "rearrange"
     Spec: ClassVar[type[Any]] = RearrangeSpec
-    usage: ClassVar[TaskUsage] = TaskUsage(crosses_partners=True, can_be_solo=True)
+    usage: ClassVar[TaskUsage] = TaskUsage(
+        crosses_partners=True,
+        can_be_solo=True,
+        env_options={"level": check_level, "interrupts_when_close": bool},
+        env_partners={"human": "plan_pop_4"},
+    )
     control: ClassVar[Control] = SkillControl()
     columns: ClassVar[Mapping[str, Any]] = {"metrics.at_goal": np.bool_}
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {

@@ -29,6 +29,7 @@ from sim_kinematic.policies.recorded import (
     recorded_choices,
     recorded_commands,
 )
+from sim_kinematic.sensing.table import STATE_SENSES
 from sim_kinematic.tasks.control import Control
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.rearrange.episode import (
@@ -45,6 +46,7 @@ class SkillControl(Control):
     """Agents have skills; one world at a time."""
 
     has_skills: ClassVar[bool] = True
+    observations: ClassVar[tuple[str, ...]] = STATE_SENSES
 
     def __init__(self) -> None:
         """Creates the control."""

@@ -37,6 +37,7 @@ from sim_kinematic.agents.skills import (
     ALL_SKILLS,
     CONTROL,
     PRIMITIVES,
+    Action,
     Objects,
 )
 from sim_kinematic.agents.stands import nearest_stand
@@ -400,6 +401,18 @@ class Household(Team):
     def exact(self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor]) -> dict[str, Array]:
         """The named observations of an agent in the only world."""
         return {name: values[None] for name, values in exact(self.view(agent), names, sensors).items()}
+
+    def info(self, number: int, known: Sequence[Action]) -> dict[str, Any]:
+        """Facts about an agent's last skill, the objects, and which of the choices that it knows are possible now."""
+        ending = self.controllers[number].ending
+        return {
+            "outcome": ending.outcome if ending else "running",
+            "reason": ending.reason if ending else "",
+            "collision": bool(self.company.touching),
+            "at_goal": self.at_goal.copy(),
+            "held_by": self.objects.held_by.copy(),
+            "action_mask": np.array([not self.objects.why_not(number, action) for action in known], np.int8),
+        }
 
     def scenery(self, world: int) -> dict[str, Any]:
         """Arms and hands where they are now, objects where they lie or are held, doors and drawers where they last stood."""

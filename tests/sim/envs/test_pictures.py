@@ -118,7 +118,7 @@ def test_held_things_are_in_the_picture(holding: TaskEnv) -> None:
         camera = pinhole(80, 60, hfov_deg=30, pose=look_at(point + away, point), hidden_layers=("ceiling",))
         return drawn.picture([camera], ("instance",))["instance"][0]
 
-    there = looked_at(play.objects.poses[0, :3])
+    there = looked_at(play.team.objects.poses[0, :3])
     assert (there[20:40, 25:55] == number).sum() > 50
     assert set(drawn.instances(0)) & set(np.unique(there))  # the hand that holds it
     assert not (looked_at(target.start[:3])[20:40, 30:50] == number).any()
@@ -235,7 +235,7 @@ def test_collisions_are_felt(task: str) -> None:
     felt = []
     for _ in range(90):
         seen, _, terminated, _, info = env.step(action)
-        contact = info["robot_contact"] if task == "social_nav" else env.stepper.play.state.robots[0].contact[0]
+        contact = info["robot_contact"] if task == "social_nav" else env.stepper.play.world.state.robots[0].contact[0]
         assert seen["collision"].tolist() == [contact, terminated]
         felt.append(contact)
         if terminated:

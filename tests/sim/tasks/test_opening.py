@@ -166,7 +166,7 @@ def session(episode: RearrangeEpisode) -> Session:
 
 
 def driven(session: Session) -> DrivenPerson:
-    person = session.play.people[0]  # type: ignore[attr-defined]
+    person = session.play.team.people[0]  # type: ignore[attr-defined]
     assert isinstance(person, DrivenPerson)
     return person
 
