@@ -127,22 +127,6 @@ def choices(objects: int, *, robot: bool = True) -> tuple[Action, ...]:
     return (*with_target, Action("wait", steps=CHOICE_WAIT_STEPS), *primitives)
 
 
-class Actor(Protocol):
-    """Somebody with skills."""
-
-    def infeasible(self, action: Action) -> str:
-        """Why a skill cannot start now; empty: it can."""
-        ...
-
-    def start(self, action: Action) -> Skill:
-        """Begins an action; the skill that is returned advances by one step at each iteration."""
-        ...
-
-    def idle(self) -> None:
-        """One step of doing nothing."""
-        ...
-
-
 class LearnedSkill(Protocol):
     """A skill that a network carries out instead of the one that knows all."""
 

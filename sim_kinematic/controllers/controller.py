@@ -34,4 +34,3 @@ class Controller(Protocol):
 
     def step(self, world: World, agent: int, rows: NDArray[np.intp]) -> Command | None:
         """Returns the command of this step; None: the agent has been moved, or has to choose once more (`status`)."""
-        ...

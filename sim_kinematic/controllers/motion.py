@@ -31,7 +31,7 @@ class MotionController:
         self._name = name
         self.status: Status = "choosing"
         self.word = ""
-        """What the agent of the first world reports to be doing."""
+        """Word by which the agent of the first world reports what it is doing."""
         self._choices: Sequence[Any] = ()
 
     def begin(self, step: int) -> None:

@@ -128,7 +128,7 @@ class WorldRollout:
         """Controllers of the agents (`sim_kinematic.tasks.team.Team`)."""
         self._checked = False
         self._judgement: dict[str, type] = {}
-        """What is recorded of the judgement."""
+        """Columns of the judgement that are recorded, with their dtypes."""
         if task.codec.records_judgement or task.control.has_skills:
             self._judgement["metrics.reward"] = np.float32
         if task.codec.records_judgement:

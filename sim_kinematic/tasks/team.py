@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -12,7 +13,6 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.geometry import Array
 from sim_kinematic.contact.frames import root_pose
-from sim_kinematic.controllers.controller import Controller
 from sim_kinematic.controllers.motion import MotionController
 from sim_kinematic.motion.state import HumanState, RobotState
 from sim_kinematic.policies.traffic import Traffic
@@ -25,57 +25,57 @@ from sim_kinematic.world import Command, DriveCommand
 Columns = dict[str, NDArray[Any]]
 
 
-class Team:
+class Team(ABC):
     """Agents of a rollout. A base class: ``play`` is the `sim_kinematic.tasks.play.WorldRollout`."""
 
     def __init__(self, play: Any) -> None:
         self.play = play
-        self.controllers: Sequence[Controller] = ()
-        """One for each agent."""
+        self.controllers: Sequence[Any] = ()
+        """A `sim_kinematic.controllers.controller.Controller` for each agent."""
         self.order: Sequence[int] = range(len(play.world.roster))
         """Numbers of the agents in the order in which they act."""
 
+    @abstractmethod
     def begin(self, rows: NDArray[np.intp]) -> None:
         """Begins episodes in the worlds ``rows`` [n]."""
-        raise NotImplementedError
 
     def begin_step(self) -> None:
         """Begins a step of the only world."""
         for controller in self.controllers:
             controller.begin(self.play.step)
 
-    def begin_turn(self, number: int) -> None:
+    def begin_turn(self, number: int) -> None:  # noqa: B027
         """Called before an agent is asked or moved."""
 
-    def end_turn(self, number: int) -> None:
+    def end_turn(self, number: int) -> None:  # noqa: B027
         """Called after an agent has made its step."""
 
+    @abstractmethod
     def move(self, commands: Sequence[Command | None]) -> None:
         """Completes a step by one command for each agent, None for those whose controllers have moved them."""
-        raise NotImplementedError
 
-    def finish(self) -> None:
+    def finish(self) -> None:  # noqa: B027
         """Closes what is still going on, such as running skills."""
 
+    @abstractmethod
     def view(self, agent: int, world: int) -> Any:
         """Observation of an agent's policy, for any task."""
-        raise NotImplementedError
 
+    @abstractmethod
     def exact(self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor]) -> dict[str, Array]:
         """The named observations as they are, [W, n] each."""
-        raise NotImplementedError
 
+    @abstractmethod
     def scenery(self, world: int) -> dict[str, Any]:
         """Arguments of `sim_kinematic.sensing.eyes.see` that say where everything is in a world."""
-        raise NotImplementedError
 
+    @abstractmethod
     def snapshot(self) -> Any:
         """The step just played in the first world, as `columns` takes it."""
-        raise NotImplementedError
 
+    @abstractmethod
     def columns(self, snapshots: Sequence[Any]) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:
         """Columns of consecutive steps, the places of each agent [T, 2], and whether a robot touched an obstacle [T]."""
-        raise NotImplementedError
 
 
 class MotionTeam(Team):
@@ -83,7 +83,7 @@ class MotionTeam(Team):
 
     def __init__(self, play: Any) -> None:
         super().__init__(play)
-        self.controllers: Sequence[MotionController] = [MotionController(member.name) for member in play.world.roster]
+        self.controllers = [MotionController(member.name) for member in play.world.roster]
         self._commands: Sequence[Command | None] = ()
         arms = [resting_arm(member.body) for member in play.world.roster]
         self._arms = [np.tile(arm, (play.world.worlds, 1)) for arm in arms]

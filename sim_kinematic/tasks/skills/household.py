@@ -103,9 +103,7 @@ class Household(Team):
         self.people = [actor for actor in self.actors if isinstance(actor, PersonActor)]
         self.robots = [actor for actor in self.actors if isinstance(actor, RobotActor)]
         self.order = [actor.number for actor in (*self.people, *self.robots)]  # people first: robots see where to
-        self.controllers: list[SkillController] = [
-            SkillController(actor.number, actor, play.spans, names, joints) for actor in self.actors
-        ]
+        self.controllers = [SkillController(actor.number, actor, play.spans, names, joints) for actor in self.actors]
         self.company = self._introduced()
         self.objects.openables = self._openables()
         self.bodies = np.append(body_indices(episode), -1)

@@ -200,7 +200,7 @@ def test_agents_that_meet_touch_and_pass_through_each_other(episode: RearrangeEp
             if turns.asked is not None:
                 turns.answer(play.policies[turns.asked].policy.act(play.view(turns.asked)))
                 continue
-            if play.collision:
+            if play.world.touching.any():
                 touched += 1
                 gap = np.hypot(*(play.team.actors[0].xz - play.team.actors[1].xz))
                 assert gap < 0.225 + 0.25 + 0.2

@@ -19,7 +19,7 @@ from h3data.render.light.bake import LitScene
 from h3data.replay import Replay, camera_track
 from h3data.scene.articulation import opened
 from h3data_homes import HomeSpec, build_home
-from sim_kinematic.envs import stepper
+from sim_kinematic.envs import world_stepper
 from sim_kinematic.envs.single import TaskEnv
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.policies.policy import Velocity
@@ -110,7 +110,7 @@ def holding() -> TaskEnv:
 def test_held_things_are_in_the_picture(holding: TaskEnv) -> None:
     play = holding.stepper.play
     assert play is not None
-    drawn, target = holding.stepper._stage.posed(holding.stepper.play), play.episode.targets[0]
+    drawn, target = holding.stepper._posed(np.array([0])), play.episode.targets[0]
     (number,) = [k for k, i in enumerate(drawn.scene.instances) if i.name == target.name]
     away = np.array([-0.5, 1.0, 0.5])
 
@@ -377,7 +377,7 @@ def test_a_bar_tells_how_far_a_first_reset_is(task: str, monkeypatch: pytest.Mon
         return stderr.getvalue()
 
     def set_delay(seconds: float) -> None:
-        for module in (sources, stepper):
+        for module in (sources, world_stepper):
             monkeypatch.setattr(module, "progress", lambda **options: progress(**{**options, "delay": seconds}))
 
     assert told(terminal=False) == ""

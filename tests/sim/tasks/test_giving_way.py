@@ -64,7 +64,7 @@ def test_nobody_stands_aside_for_good(home: Scene, free: FreeSpace, seed: int) -
     for steps in np.array(asked).T:
         spans = np.diff(np.flatnonzero(np.diff(np.concatenate([[False], steps, [False]]))))[::2]
         assert spans.max(initial=0) <= 2 * AVOIDANCE.lasts_steps, "asked at most twice in a row"
-    assert not play.collision  # type: ignore[attr-defined]
+    assert not play.world.touching.any()
 
 
 @pytest.mark.slow

@@ -148,7 +148,7 @@ class Pair:
         np.testing.assert_allclose(state.objects[n], play.team.objects.poses[:, :3], rtol=0, atol=1e-9)
         np.testing.assert_array_equal(state.held_by[n], play.team.objects.held_by)
         np.testing.assert_array_equal(at_goal, play.team.at_goal)
-        assert bool(state.collides[n]) == play.collision
+        assert bool(state.collides[n]) == bool(play.world.touching.any())
         assert float(state.reward[n]) == pytest.approx(play.reward, abs=1e-12)
         for agent, kind in enumerate(KINDS):
             action, last = play.team.controllers[agent].action, int(self.does(kind).last[n])
