@@ -15,6 +15,8 @@ MOVED = {
     "sim_kinematic.tasks.rearrange.control": "sim_kinematic.tasks.skills.control",
     "sim_kinematic.tasks.rearrange.kept_track": "sim_kinematic.tasks.skills.kept_track",
     "sim_kinematic.tasks.rearrange.oracle": "sim_kinematic.tasks.skills.errands",
+    "sim_kinematic.tasks.rearrange.skill_judging": "sim_kinematic.tasks.skills.skill_judging",
+    "sim_kinematic.tasks.rearrange.skill_starts": "sim_kinematic.tasks.skills.skill_starts",
     "sim_kinematic.tasks.rearrange.play": "sim_kinematic.tasks.skills.household",
     "h3data_pipelines.benchmark.agents": "h3data_pipelines.machine.bench_agents",
     "h3data_pipelines.benchmark.protocol": "h3data_pipelines.machine.bench_protocol",

@@ -171,7 +171,7 @@ class WorldStepper:
             raise InputError("Only a robot has a lower layer. Hint: level='high' for the person.", code="H3-ENV-026")
         if not self._others and self._partner is not None:
             raise InputError(
-                "All agents are told from outside, so there is no partner. Hint: leave out partner.", code="H3-ENV-003"
+                "All agents are told from outside, so there is no partner. Hint: leave out partner.", code="H3-ENV-041"
             )
 
     def _check_partner(self, k: int) -> None:
@@ -395,8 +395,9 @@ class WorldStepper:
 
         Of an agent with skills: its last skill, the objects, and the choices that are possible now.
         """
+        play = self.play
         if not self.task.control.has_skills:
-            return self.task.info_of(self.play)
+            return self.task.info_of(play)
         number, told = self.numbers[agent], []
         for w, (turns, play) in enumerate(zip(self.turns, self.plays, strict=True)):
             facts = {"steps": turns.steps, "step": play.step, **play.team.info(number, self._choices[number])}

@@ -126,7 +126,7 @@ class WorldRollout:
         self.spans: list[SkillSpan] = []
         self.team: Any = task.control.team(self)
         """Controllers of the agents (`sim_kinematic.tasks.team.Team`)."""
-        self._checked = False
+        self._checked, self._checks = False, measure and not task.control.has_skills
         self._judgement: dict[str, type] = {}
         """Columns of the judgement that are recorded, with their dtypes."""
         if task.codec.records_judgement or task.control.has_skills:
@@ -196,7 +196,7 @@ class WorldRollout:
         self.team.move(commands)
         self.steps += 1
         outcome = self.task.judge(self)
-        if not self._checked or self.measure:
+        if not self._checked or self._checks:
             outcome, self._checked = checked_outcome(self.task, outcome, self.world.worlds), True
         self.outcome = outcome
         return outcome

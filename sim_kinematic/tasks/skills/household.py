@@ -80,7 +80,7 @@ class Household(Team):
         super().__init__(play)
         if play.world.worlds != 1:
             raise InputError(
-                f"Agents with skills have one world each, got {play.world.worlds} in one rollout.", code="H3-TASK-072"
+                f"Agents with skills have one world each, got {play.world.worlds} in one rollout.", code="H3-TASK-073"
             )
         self._joints_moved = False
         self._finishers: frozenset[int] = frozenset()

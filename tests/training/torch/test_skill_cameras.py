@@ -23,10 +23,10 @@ from h3data_training.torch.skills.worlds import SkillPlay, SkillTensors  # noqa:
 from sim_kinematic.agents.skills import CONTROL, Action  # noqa: E402
 from sim_kinematic.sensing.camera_sensor import ROBOT_ID, CameraSensor, StateRenderer  # noqa: E402
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode  # noqa: E402
-from sim_kinematic.tasks.rearrange.skill_judging import play_of  # noqa: E402
-from sim_kinematic.tasks.rearrange.skill_starts import SKILL_NAMES, Skill, draw_starts  # noqa: E402
 from sim_kinematic.tasks.rearrange.task import Rearrange  # noqa: E402
 from sim_kinematic.tasks.runner import DecisionLoop  # noqa: E402
+from sim_kinematic.tasks.skills.skill_judging import play_of  # noqa: E402
+from sim_kinematic.tasks.skills.skill_starts import SKILL_NAMES, Skill, draw_starts  # noqa: E402
 from sim_kinematic.tasks.sources import EpisodeSource  # noqa: E402
 from tests.training.torch.test_cameras import device  # noqa: E402, F401
 
@@ -62,7 +62,7 @@ def test_it_sees_what_it_sees_on_the_cpu(device: Any) -> None:  # noqa: F811
         draw_starts(episode, "pick", 1, np.random.default_rng(5), path_m=(0.0, 1.0))[0],
         draw_starts(episode, "place", 1, np.random.default_rng(5))[0],
     )
-    hand = play_of(episode, pick, {}).robots[0].hand_pose[:3]
+    hand = play_of(episode, pick, {}).team.robots[0].hand_pose[:3]
     objects = pick.objects.copy()
     objects[pick.target] = hand + np.array([0.05, 0.0, 0.05])
     starts = [pick, replace(pick, objects=objects), place]

@@ -20,10 +20,10 @@ from sim_kinematic.motion.spec import SkillSpec
 from sim_kinematic.policies.skills.observations import SkillView
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.skill_judging import play_of
-from sim_kinematic.tasks.rearrange.skill_starts import Skill, SkillStart, draw_starts
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.runner import DecisionLoop
+from sim_kinematic.tasks.skills.skill_judging import play_of
+from sim_kinematic.tasks.skills.skill_starts import Skill, SkillStart, draw_starts
 from sim_kinematic.tasks.sources import EpisodeSource
 
 STEPS = 240
@@ -89,7 +89,7 @@ def test_a_step_is_that_of_the_lower_layer(episode: RearrangeEpisode, skill: Ski
     there."""
     starts = starts_of(episode, skill)
     if skill == "pick":  # something to take without getting there first
-        hand = play_of(episode, starts[0], {}).robots[0].hand_pose[:3]
+        hand = play_of(episode, starts[0], {}).team.robots[0].hand_pose[:3]
         starts[0].objects[0] = hand + np.array([0.05, 0.0, 0.05])
     sim, now = worlds(episode, skill, starts)
     plays = [play_of(episode, start, {}) for start in starts]

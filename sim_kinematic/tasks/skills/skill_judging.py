@@ -11,9 +11,9 @@ from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.skill_starts import SkillStart
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.runner import DecisionLoop
+from sim_kinematic.tasks.skills.skill_starts import SkillStart
 
 
 class SkillScore(NamedTuple):
