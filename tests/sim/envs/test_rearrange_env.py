@@ -366,3 +366,19 @@ def test_make_finds_the_task() -> None:
     for w in range(2):
         assert_same(one.reset(seed=3 + w)[0], {name: array[w] for name, array in seen.items()})
     many.step(many.action_space.sample())
+
+
+def test_any_agents_can_rearrange() -> None:
+    """One robot acts beside another and two people, in two worlds that do not know of each other."""
+    given: Any = {"roster": "robot,robot,human,human", "agents": ("robot_2",), "partner": "still"}
+    both, one = make_env(HOME, num_envs=2, **given), make_env(HOME, **given)
+    both.reset(seed=[3, 4])
+    assert [len(play.episode.roster) for play in both.stepper.plays] == [4, 4]
+    one.reset(seed=3)
+    for action in (NAV_0, FORWARD):
+        seen, reward, _, _, info = both.step(np.array([action, FORWARD]))
+        alone, worth, _, _, told = one.step(action)
+        assert (reward[0], info["steps"][0], info["outcome"][0]) == (worth, told["steps"], told["outcome"])
+        for name, values in alone.items():
+            np.testing.assert_array_equal(seen[name][0], values)
+    assert "beside robot_1 quad_arm (still) and human_1 female_0 (still) and human_2 female_0 (still)" in repr(both)
