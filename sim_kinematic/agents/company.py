@@ -20,15 +20,20 @@ class Company(Protocol):
 
     def meets(self, me: Any) -> bool:
         """Returns whether an agent touches another that it avoids and did not touch before."""
+        ...
 
     def comes_too_near(self, me: Any) -> bool:
         """Returns whether a person has come nearer to the discs of others than they may in this step."""
+        ...
 
     def discs_of(self, number: int) -> Array:
         """Discs ``(x, z, radius)`` [N, 3] of an agent."""
+        ...
 
     def discs_beside(self, number: int) -> Array:
         """Discs ``(x, z, radius)`` [N, 3] of everybody but one agent."""
+        ...
 
     def frames(self) -> list[Array]:
         """Frames of the agents: of robots' links [1, L, 4, 4], of people's joints [1, 55, 4, 4]."""
+        ...
