@@ -139,7 +139,7 @@ def exact(
     return found
 
 
-def limits(sensors: Mapping[str, Sensor], *, objects: int, arm: int) -> dict[str, Limits]:
+def limits(sensors: Mapping[str, Sensor] = SENSES, *, objects: int, arm: int) -> dict[str, Limits]:
     """The spaces of all that an agent with ``arm`` joints (0: a person) can be shown beside pictures."""
     counts = {"once": 1, "objects": objects, "joints": arm, "choices": len(choices(objects, robot=arm > 0))}
     return {name: sensor.limits(counts[sensor.times]) for name, sensor in sensors.items() if counts[sensor.times]}
