@@ -10,6 +10,14 @@ from types import ModuleType
 from typing import Any
 
 MOVED = {
+    "sim_kinematic.agents.contact_tracker": "sim_kinematic.agents.giving_way",
+    "sim_kinematic.envs.skill_stepper": "sim_kinematic.envs.world_stepper",
+    "sim_kinematic.tasks.rearrange.control": "sim_kinematic.tasks.skills.control",
+    "sim_kinematic.tasks.rearrange.kept_track": "sim_kinematic.tasks.skills.kept_track",
+    "sim_kinematic.tasks.rearrange.oracle": "sim_kinematic.tasks.skills.errands",
+    "sim_kinematic.tasks.rearrange.skill_judging": "sim_kinematic.tasks.skills.skill_judging",
+    "sim_kinematic.tasks.rearrange.skill_starts": "sim_kinematic.tasks.skills.skill_starts",
+    "sim_kinematic.tasks.rearrange.play": "sim_kinematic.tasks.skills.household",
     "h3data_pipelines.benchmark.agents": "h3data_pipelines.machine.bench_agents",
     "h3data_pipelines.benchmark.protocol": "h3data_pipelines.machine.bench_protocol",
     "h3data.bodies.motion.habitat_humanoid": "h3data_habitat.motion.habitat_humanoid",
@@ -152,11 +160,9 @@ RENAMED = {
     "sim_kinematic.sensing.sensor.humanoid_gps": "gps_compass",
     "sim_kinematic.sensing.sensor.nav_goal": "gps_compass",
     "sim_kinematic.tasks.episode.Outcome": "StepOutcome",
-    "sim_kinematic.tasks.play.Play": "Rollout",
+    "sim_kinematic.tasks.play.Play": "WorldRollout",
     "sim_kinematic.tasks.play.WorldPlay": "WorldRollout",
-    "sim_kinematic.tasks.rearrange.play.AgentRun": "SkillExecutor",
-    "sim_kinematic.tasks.rearrange.play.RearrangePlay": "SkillRollout",
-    "sim_kinematic.tasks.rearrange.play.RearrangeRollout": "SkillRollout",
+    "sim_kinematic.tasks.play.Rollout": "WorldRollout",
     "sim_kinematic.tasks.runner.Turns": "DecisionLoop",
     "sim_kinematic.world.Drive": "DriveCommand",
     "sim_kinematic.world.Keep": "RecordedPoseCommand",

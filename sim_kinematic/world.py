@@ -114,6 +114,7 @@ class World:
         walker: WalkerSpec | None = None,
         person_radius_m: float = 0.25,
         solid: bool = False,
+        contact: bool = True,
         objects: int = 0,
         scene_joints: int = 0,
     ) -> None:
@@ -126,6 +127,7 @@ class World:
             walker: gait and speed of people.
             person_radius_m: radius of a person who is driven from outside.
             solid: whether people who are driven slide along the discs of the other agents, at their positions before the step.
+            contact: whether it finds out who touches whom; otherwise whoever moves the agents sets `touching`.
             objects: number of things that agents can take, in `state`.
             scene_joints: number of doors and drawers, in `state`.
 
@@ -138,7 +140,7 @@ class World:
         rules, self.walker = base or HOME_BASE, walker or WalkerSpec()
         self.bases = tuple(base_of(m.body, rules) if isinstance(m.body, Robot) else rules for m in self.roster)
         """Discs and limits of each robot; the rules for people."""
-        self._person_radius_m, self._solid = person_radius_m, solid
+        self._person_radius_m, self._solid, self._finds_contact = person_radius_m, solid, contact
         robots = [member.body for member in self.roster if isinstance(member.body, Robot)]
         people = len(self.roster) - len(robots)
         self.state = WorldState.zeros(
@@ -219,7 +221,7 @@ class World:
         for state in (self.state, self.before, self.start):
             state.put(rows, fresh)
 
-    def step(self, commands: Sequence[Command]) -> None:
+    def step(self, commands: Sequence[Command | None]) -> None:
         """Move all agents by one step of 1/30 s: people first, then robots, as in Habitat.
 
         Raises:
@@ -319,7 +321,7 @@ class World:
         )
 
     # --- parts of a step ----------------------------------------------------------------------------------------------
-    def _checked(self, commands: Sequence[Command]) -> list[Command]:
+    def _checked(self, commands: Sequence[Command | None]) -> list[Command]:
         if len(commands) != len(self.roster):
             raise InputError(
                 f"Expected one command for each of {len(self.roster)} agents, got {len(commands)}.", code="H3-SIM-051"
@@ -375,7 +377,11 @@ class World:
 
     def _touching(self, rows: Rows) -> NDArray[np.bool_]:
         """Pairs that touch in the worlds ``rows`` [n], [n, P]."""
-        return self._contact.touching(self, rows)
+        return (
+            self._contact.touching(self, rows)
+            if self._finds_contact
+            else np.zeros((len(rows), len(self.pairs)), np.bool_)
+        )
 
 
 @kernel(error_model="numpy")

@@ -221,8 +221,7 @@ def make_env(
         agents: Agents that act; several make a PettingZoo environment, which has one world.
         render_mode: ``rgb_array`` for ``render()``.
         flatten: Observations are one vector instead of a dictionary of arrays.
-        **options: Options of the task's stepper (`sim_kinematic.envs.world_stepper.WorldStepper`,
-            `sim_kinematic.envs.skill_stepper.SkillStepper`) and `sim_kinematic.envs.stepper.Options`.
+        **options: Options of `sim_kinematic.envs.world_stepper.WorldStepper` and `sim_kinematic.envs.stepper.Options`.
 
     Raises:
         InputError: no such task, scenes, agents or option, or both ``num_envs`` and several agents are wanted.
@@ -257,31 +256,27 @@ def _make(
                 code="H3-ENV-019",
             )
         return _on_device(found, scenes, num_envs, device, agents, options)
-    from sim_kinematic.envs.stepper import FlatStepper, ManySteppers, Options
+    from sim_kinematic.envs.stepper import FlatStepper, Options
+    from sim_kinematic.envs.world_stepper import WorldStepper
 
     if isinstance(agents, str):
         agents = (agents,)
     if len(agents) > 1 and num_envs is not None:
         raise InputError("An environment of two agents has one world. Hint: leave out num_envs.", code="H3-ENV-018")
-    stepper_class = _stepper_class(found)
     if "agent" in options:
         agents = (options.pop("agent"),)
     shared = {f.name: options.pop(f.name) for f in fields(Options) if f.name in options}
-    _require_known(found, stepper_class, options, [f.name for f in fields(Options)])
+    _require_known(found, WorldStepper, options, [f.name for f in fields(Options)])
     given = {**options, "agents": tuple(agents), "options": Options(**shared)}
     if found.usage.env_rules is not None:
         given = {"spec": found.usage.env_rules, **given}
     if num_envs is not None:
         from sim_kinematic.envs.vector import TaskVectorEnv
 
-        many: Any
-        if found.control.batched:
-            many = stepper_class(found, scenes, worlds=num_envs, **given)
-        else:
-            many = ManySteppers(lambda: stepper_class(found, scenes, **given), num_envs)
+        many: Any = WorldStepper(found, scenes, worlds=num_envs, **given)
         many = FlatStepper(many) if flatten else many
         return TaskVectorEnv(many, render_mode=render_mode)
-    stepper: Any = stepper_class(found, scenes, **given)
+    stepper: Any = WorldStepper(found, scenes, **given)
     stepper = FlatStepper(stepper) if flatten else stepper
     if len(agents) > 1:
         from sim_kinematic.envs.parallel import TaskParallelEnv
@@ -290,16 +285,6 @@ def _make(
     from sim_kinematic.envs.single import TaskEnv
 
     return TaskEnv(stepper, render_mode=render_mode)
-
-
-def _stepper_class(task: Task) -> Any:
-    if task.control.batched:
-        from sim_kinematic.envs.world_stepper import WorldStepper
-
-        return WorldStepper
-    from sim_kinematic.envs.skill_stepper import SkillStepper
-
-    return SkillStepper
 
 
 def _require_known(task: Task, stepper: Any, options: dict[str, Any], shared: Sequence[str]) -> None:

@@ -76,8 +76,11 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
             InputError: the actions are malformed; then nothing has moved.
         """
         again = self._ended
-        reward, terminated, truncated = self.stepper.step({self.agent: actions})
-        going = ~again
+        going, none = ~again, np.zeros(self.num_envs)
+        # where all begin their next episode, nobody acts
+        reward, terminated, truncated = (
+            self.stepper.step({self.agent: actions}) if going.any() else (none, none > 0, none > 0)
+        )
         if again.any():
             self._indices[again] += 1
             self.stepper.begin(self._seeds, self._indices, again)  # type: ignore[arg-type]

@@ -239,7 +239,7 @@ def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
     if made is not None:
         return made
     own = (
-        {**COMMON[kind], **task.policies.get(kind, {})} if task.control.common_policies else task.policies.get(kind, {})
+        {**COMMON[kind], **task.policies.get(kind, {})} if not task.control.has_skills else task.policies.get(kind, {})
     )
     plugins = plugin_policies()
     if name in own:
@@ -253,7 +253,7 @@ def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
 
 def policy_names(task: Task, kind: str) -> list[str]:
     """Names of the policies that agents of a kind can have in a task, without those of plug-ins."""
-    common = COMMON[kind] if task.control.common_policies else {}
+    common = COMMON[kind] if not task.control.has_skills else {}
     return list(dict.fromkeys((*task.policies.get(kind, {}), *common)))
 
 

@@ -35,7 +35,7 @@ from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.tasks.codec import scene_attachment
 from sim_kinematic.tasks.episode import Episode
-from sim_kinematic.tasks.play import Columns, Rollout
+from sim_kinematic.tasks.play import Columns, WorldRollout
 from sim_kinematic.tasks.task import Task
 
 BLOCK = 30
@@ -72,7 +72,7 @@ class Recorder:
     """The episode as it grows."""
 
     header: RecordingHeader
-    play: Rollout
+    play: WorldRollout
     sink: Sink | None = None
     blocks: list[Columns] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
@@ -278,7 +278,7 @@ def _agent(task: Task, member: AgentSpec) -> Agent:
         kind="human",
         model=f"humanoid/{member.model}",
         semantic_id=100,
-        motion_names=tuple(clip.name for clip in body.clips) if task.control.clip_coded else (),
+        motion_names=tuple(clip.name for clip in body.clips) if not task.control.has_skills else (),
         skill_names=skills,
     )
 

@@ -333,7 +333,6 @@ def test_make_names_every_option_of_every_environment() -> None:
     from h3data_training.envs.task_torch_env import TaskTorchEnv
     from sim_kinematic.envs import make as maker
     from sim_kinematic.envs.make import MakeOptions
-    from sim_kinematic.envs.skill_stepper import SkillStepper
     from sim_kinematic.envs.stepper import Options
     from sim_kinematic.envs.world_stepper import WorldStepper
     from sim_kinematic.tasks.registry import find_task
@@ -342,7 +341,7 @@ def test_make_names_every_option_of_every_environment() -> None:
         return {p.name for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY}
 
     real = keywords(maker.make_env) | {field.name for field in fields(Options)}
-    for environment in (WorldStepper, SkillStepper, TaskTorchEnv, SocialNavTorchEnv, RearrangeTorchEnv):
+    for environment in (WorldStepper, TaskTorchEnv, SocialNavTorchEnv, RearrangeTorchEnv):
         real |= keywords(environment)
     for task in ("social_nav", "rearrange"):
         real |= set(find_task(task).usage.env_options)

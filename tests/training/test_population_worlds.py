@@ -36,8 +36,8 @@ from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPoli
 from sim_kinematic.policies.learned import network_of  # noqa: E402
 from sim_kinematic.policies.rearrange import partner_plan, planner  # noqa: E402
 from sim_kinematic.policies.rearrange_observations import limits  # noqa: E402
+from sim_kinematic.tasks.play import WorldRollout  # noqa: E402
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode, RearrangeSpec  # noqa: E402
-from sim_kinematic.tasks.rearrange.play import SkillRollout  # noqa: E402
 from sim_kinematic.tasks.rearrange.task import Rearrange  # noqa: E402
 from sim_kinematic.tasks.runner import rollout, run  # noqa: E402
 from sim_kinematic.tasks.sources import EpisodeSource  # noqa: E402
@@ -149,7 +149,7 @@ def test_decisions_are_those_of_the_cpu(
         chooser = _Best(policy, 2)
         seed = populations.episode_seed(job.seed, job.number)
         plan = AssignedPolicy(planner(job.partner, seed, 2), job.partner, "human", job.partner)
-        play = SkillRollout(Rearrange(), episode, [AssignedPolicy(chooser, ROBOT, ROBOT), plan])
+        play = WorldRollout.of(Rearrange(), episode, [AssignedPolicy(chooser, ROBOT, ROBOT), plan])
         rewards: list[float] = []
         run(play, progress=lambda _, rewards=rewards, play=play: rewards.append(play.reward))
         first, chosen = chooser.rows[:4], mine["chosen"]

@@ -22,8 +22,8 @@ from sim_kinematic.agents.roster import AgentSpec, make_roster
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
-from sim_kinematic.tasks.rearrange.skill_starts import draw_starts
 from sim_kinematic.tasks.rearrange.task import Rearrange
+from sim_kinematic.tasks.skills.skill_starts import draw_starts
 from sim_kinematic.tasks.sources import Home
 
 FILE_FORMAT = "h3data.skill_starts/1"

@@ -10,7 +10,7 @@ from h3data.errors import InputError
 from h3data_training.settings import Settings
 from sim_kinematic.policies.visual_policy import BASE_ACTIONS
 from sim_kinematic.sensing.table import OF_SKILLS
-from sim_kinematic.tasks.rearrange.skill_starts import SKILL_NAMES, Skill, check_skill
+from sim_kinematic.tasks.skills.skill_starts import SKILL_NAMES, Skill, check_skill
 
 OF_THE_BASE = ("target_gps_compass", "way", "range_scan", "egomotion")
 OF_THE_ARM = (*OF_THE_BASE, "target_sensor", "resting_sensor", "arm_joints", "is_holding")

@@ -15,7 +15,7 @@ from h3data.metrics import measure
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.policies.crowd.robots import ROBOTS
-from sim_kinematic.tasks.crowd_nav import CrowdNav, CrowdNavSpec
+from sim_kinematic.tasks.crowd_nav.task import CrowdNav, CrowdNavSpec
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.resume import verify
 from sim_kinematic.tasks.runner import simulate
@@ -76,7 +76,7 @@ def test_a_goal_is_far_and_roomy_and_the_same_again():
 
 
 def test_a_home_without_room_is_refused():
-    with pytest.raises(SceneError, match="H3-TASK-073"):
+    with pytest.raises(SceneError, match="H3-TASK-074"):
         h3data.simulate("crowd_nav", "small:0", seed=3, goal_path_m=80.0)
 
 

@@ -164,7 +164,7 @@ def _rearrange() -> Pairs:
         for agent, kind in enumerate(test_rearrange.KINDS):
             mine, mask = shown[kind]
             known = pair.known[kind]
-            np.testing.assert_array_equal(mask[n], [not play.objects.why_not(agent, action) for action in known])
+            np.testing.assert_array_equal(mask[n], [not play.team.objects.why_not(agent, action) for action in known])
             for name, values in exact(play.view(agent), names).items():
                 found[name].append((values[None], mine[name][n : n + 1].numpy()))
 
@@ -185,7 +185,7 @@ def _skill() -> Pairs:
     for _ in range(12):
         command = rng.uniform(-1, 1, (len(starts), 10))
         command[:, -1] = 1.0
-        before = [(play.robots[0].xz.copy(), play.robots[0].heading) for play in plays]
+        before = [(play.team.robots[0].xz.copy(), play.team.robots[0].heading) for play in plays]
         now = sim.step(now._replace(ended=torch.zeros_like(now.ended)), torch.as_tensor(command))
         shown = sim.observations(OF_SKILLS, now)
         for w, (play, turn) in enumerate(zip(plays, turns, strict=True)):

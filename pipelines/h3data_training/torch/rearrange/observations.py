@@ -18,7 +18,7 @@ from h3data_training.torch.seen import shown
 from h3data_training.torch.state import HumanTensors, RobotTensors
 from sim_kinematic.sensing.sensor import FAR_M
 from sim_kinematic.sensing.table import AHEAD_M, SENSES, Ending, Pose
-from sim_kinematic.tasks.rearrange.play import TRACK
+from sim_kinematic.tasks.skills.household import TRACK
 
 THEN = 1
 """A second ago, of the two moments of `Paths`; 0 is now."""

@@ -34,9 +34,9 @@ from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.motion.spec import OracleSpec
 from sim_kinematic.policies.rearrange import Plan
 from sim_kinematic.sensing.sensor import agents_within_threshold
-from sim_kinematic.tasks.rearrange.play import TRACK
 from sim_kinematic.tasks.rules.predicates import is_object_at
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
+from sim_kinematic.tasks.skills.household import TRACK
 
 
 class RearrangeTensors:

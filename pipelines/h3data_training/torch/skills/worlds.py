@@ -34,7 +34,7 @@ from sim_kinematic.motion.spec import HOME_BASE, ArmSpec, BaseSpec, SkillSpec
 from sim_kinematic.motion.state import ROBOT
 from sim_kinematic.sensing.sensor import FAR_M
 from sim_kinematic.sensing.table import OF_SKILLS, Pose
-from sim_kinematic.tasks.rearrange.skill_starts import Skill
+from sim_kinematic.tasks.skills.skill_starts import Skill
 
 NOTHING = -1
 """Held by an empty hand."""

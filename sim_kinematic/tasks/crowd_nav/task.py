@@ -83,7 +83,7 @@ class CrowdNav(Task):
             raise SceneError(
                 f"No free place in {scene.name} is {spec.goal_path_m} m from the robot's start by the shortest path, with "
                 f"{spec.goal_room_m} m of room. Hint: a larger home, or --set goal_path_m=3.",
-                code="H3-TASK-073",
+                code="H3-TASK-074",
             )
         extra = {"goal": goals[fits[0]].tolist()}
         return Episode(scene=scene, free=free, seed=seed, spec=spec, roster=roster, starts=starts, extra=extra)

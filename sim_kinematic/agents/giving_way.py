@@ -1,4 +1,7 @@
-"""Mutual views of the agents of one world, and their contacts."""
+"""Agents of one world who heed each other: what they see of each other, who makes way for whom, who touches.
+
+They move one after the other. Agents with skills and those who wander (`sim_kinematic.policies.traffic`) use it alike.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,7 @@ from h3data.geometry import Array
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.roster import AgentSpec
+from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.yielding import ObservedAgent
 from sim_kinematic.contact import AgentContacts
@@ -22,20 +26,42 @@ from sim_kinematic.contact.body_capsules import PersonCapsules, RobotCapsules, m
 from sim_kinematic.contact.clearance import robot_span
 from sim_kinematic.contact.frames import body_shapes, shape_frames
 from sim_kinematic.motion.spec import STEP_S
+from sim_kinematic.motion.step import APART_TOLERANCE_M, discs_at
 
 AnyActor = RobotActor | PersonActor
 TRACK_ROWS = 1024
 """Rows that a track begins with; episodes of 750 steps never need more."""
 
 
-class AgentContactTracker:
-    """All actors of an episode, where they have been, and which of them touch."""
+class GivingWay:
+    """All actors of one world, where they have been, which of them touch, and who steps aside for whom."""
 
     def __init__(
-        self, roster: Sequence[AgentSpec], actors: Sequence[AnyActor], *, people_see_robot: bool = False
+        self,
+        roster: Sequence[AgentSpec],
+        actors: Sequence[AnyActor],
+        right_of_way: RightOfWay | None = None,
+        *,
+        agreed: bool = False,
+        people_see_robot: bool = False,
+        person_radius_m: float = 0.0,
+        solid: bool = False,
     ) -> None:
-        """``people_see_robot``: whether a person with one robot avoids it."""
-        self.actors, self._people_see_robot = actors, people_see_robot
+        """Introduces actors to each other: from now on each of them has this as its ``company``.
+
+        Args:
+            roster: agents of the world.
+            actors: the same agents, by number.
+            right_of_way: sends agents aside; None: nobody is asked to.
+            agreed: whether all agents step aside for each other when they are asked.
+            people_see_robot: whether a person with one robot avoids it.
+            person_radius_m: radius of a person's disc.
+            solid: whether people who are driven from outside slide along the discs of the others.
+        """
+        self.actors, self.right_of_way, self.agreed, self.solid = actors, right_of_way, agreed, solid
+        self._people_see_robot, self._person_radius_m = people_see_robot, person_radius_m
+        for actor in actors:
+            actor.company = self
         self.touching: list[tuple[int, int]] = []
         """Pairs of agents that touched at the end of the last step."""
         self._moments = 1
@@ -44,13 +70,11 @@ class AgentContactTracker:
         for track, actor in zip(self._places, actors, strict=True):
             track[0] = actor.xz
         self._avoided = [[other for other in actors if self.avoids(me, other)] for me in actors]
-        self._bodies = [agent.body for agent in roster]
+        self.bodies = [agent.body for agent in roster]
         self._capsules = [
-            RobotCapsules(body) if isinstance(body, Robot) else PersonCapsules(body) for body in self._bodies
+            RobotCapsules(body) if isinstance(body, Robot) else PersonCapsules(body) for body in self.bodies
         ]
-        longer = [
-            robot_span(body) - AVOIDANCE.contact_span_m if isinstance(body, Robot) else 0 for body in self._bodies
-        ]
+        longer = [robot_span(body) - AVOIDANCE.contact_span_m if isinstance(body, Robot) else 0 for body in self.bodies]
         self._reach_m = [AVOIDANCE.contact_gate_m / 2 + max(extra, 0.0) for extra in longer]
         self._posed: set[int] = set()
         self._gated: set[int] = set()
@@ -61,7 +85,7 @@ class AgentContactTracker:
     @cached_property
     def _contacts(self) -> AgentContacts:
         """FCL's shapes; in most episodes nobody comes so near that they are needed."""
-        return AgentContacts(*(body_shapes(body) for body in self._bodies))
+        return AgentContacts(*(body_shapes(body) for body in self.bodies))
 
     def track(self, number: int) -> NDArray[np.float64]:
         """Returns where an agent was at the start and at the end of every step, [T + 1, 2]; a view."""
@@ -85,9 +109,14 @@ class AgentContactTracker:
         )
         return other is not me and not alone
 
-    def show(self, me: AnyActor) -> None:
-        """Shows an agent the others: where they are and how they move."""
-        seen = []
+    def begin_step(self, carrying: Sequence[int] = ()) -> None:
+        """Decides who steps aside in the step that begins; ``carrying`` are the numbers of those that hold something."""
+        if self.right_of_way is not None:
+            self.right_of_way.update(carrying)
+
+    def begin_turn(self, me: AnyActor) -> None:
+        """Shows an agent the others before it moves: where they are and how they move."""
+        seen, me.hindered_by = [], frozenset()
         for other in self._avoided[me.number]:
             track = self.track(other.number)
             moved = other.number in self._acted
@@ -95,7 +124,7 @@ class AgentContactTracker:
             first = max(len(track) - AVOIDANCE.velocity_steps - (not moved), 0)
             steps = len(track) - first - (not moved)
             velocity = (now - track[first]) / (STEP_S * max(steps, 1))
-            steps_aside = me.agreed and other.yields and other.path_start is None
+            steps_aside = self.agreed and other.yields and other.path_start is None
             settled = other.number in self._settled
             seen.append(
                 ObservedAgent(
@@ -106,7 +135,7 @@ class AgentContactTracker:
             seen.sort(key=lambda other: float(np.hypot(*(other.xz - me.xz))))
         me.others = tuple(seen)
 
-    def moved(self, number: int) -> None:
+    def end_turn(self, number: int) -> None:
         """Notes that an agent has acted and is somewhere else."""
         self._acted.add(number)
         self._forget_posture(number)
@@ -130,6 +159,33 @@ class AgentContactTracker:
         self._forget_posture(me.number)
         me.hindered_by |= frozenset(met)
         return bool(met)
+
+    def discs_of(self, number: int) -> NDArray[np.float64]:
+        """Discs ``(x, z, radius)`` [N, 3] of an agent, as it is now; of a robot those of its empty hand."""
+        actor, offsets, radius = self.actors[number], (0.0,), self._person_radius_m
+        if isinstance(actor, RobotActor):
+            offsets, radius = actor.empty_base.disc_offsets_m, actor.empty_base.disc_radius_m
+        return discs_at(actor.xz[None], np.array([actor.heading]), offsets, radius)[0]
+
+    def discs_beside(self, number: int) -> NDArray[np.float64]:
+        """Discs ``(x, z, radius)`` [N, 3] of everybody but one agent, as they are now."""
+        discs = [self.discs_of(other.number) for other in self.actors if other.number != number]
+        return np.concatenate([np.zeros((0, 3)), *discs])
+
+    def comes_too_near(self, me: AnyActor) -> bool:
+        """Returns whether a person has come nearer to the discs of others than they may in this step."""
+        discs, was = self.discs_beside(me.number), self.track(me.number)[-1]
+        least = np.minimum(self._person_radius_m + discs[:, 2], np.hypot(*(discs[:, :2] - was).T))
+        return bool((np.hypot(*(discs[:, :2] - me.xz).T) < least - APART_TOLERANCE_M).any())
+
+    def frames(self) -> list[Array]:
+        """Frames of the agents as they are now: of robots' links [1, L, 4, 4], of people's joints [1, 55, 4, 4]."""
+        return [
+            actor.robot.link_matrices(actor.pose[None], actor.joints[None])
+            if isinstance(actor, RobotActor)
+            else actor.person.joint_matrices[None]
+            for actor in self.actors
+        ]
 
     def end_step(self) -> None:
         """Notes where all agents are after a step, and which of them touch."""
@@ -178,7 +234,7 @@ class AgentContactTracker:
         """Brings an agent's shapes to where recordings, which are float32, put them."""
         if actor.number in self._posed:
             return
-        body = self._bodies[actor.number]
+        body = self.bodies[actor.number]
         if isinstance(actor, RobotActor):
             posed = actor.robot.link_matrices(_stored(actor.pose)[None], _stored(actor.joints)[None])
         else:

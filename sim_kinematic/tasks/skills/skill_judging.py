@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-import numpy as np
-
 from h3data.geometry import IDENTITY_POSE
 from sim_kinematic.agents.skills import Action, LearnedSkill
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.policy import External
+from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.play import SkillRollout
-from sim_kinematic.tasks.rearrange.skill_starts import SkillStart
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.runner import DecisionLoop
+from sim_kinematic.tasks.skills.skill_starts import SkillStart
 
 
 class SkillScore(NamedTuple):
@@ -41,7 +39,7 @@ def judge(
     episode: RearrangeEpisode,
     start: SkillStart,
     learned: Mapping[str, LearnedSkill],
-    watch: Callable[[SkillRollout], object] | None = None,
+    watch: Callable[[WorldRollout], object] | None = None,
 ) -> SkillScore:
     """Plays one skill to its end.
 
@@ -52,7 +50,7 @@ def judge(
         watch: Called after every step.
     """
     play = play_of(episode, start, learned)
-    robot = play.robots[0]
+    robot = play.team.robots[0]
     turns = DecisionLoop(play)
     turns.answer(action_of(start))
     steps = contact = 0
@@ -61,7 +59,7 @@ def judge(
         if watch is not None:
             watch(play)
         turns.go_on()
-    ending = play.runner(robot.number).ending
+    ending = play.team.controllers[robot.number].ending
     outcome, reason = (ending.outcome, ending.reason) if ending is not None else ("failed", "timed_out")
     if play.ended == "success":  # all objects were at their goals before the hand was back
         outcome, reason = "done", ""
@@ -69,16 +67,18 @@ def judge(
     return SkillScore(outcome, reason, steps, path, contact)
 
 
-def play_of(episode: RearrangeEpisode, start: SkillStart, learned: Mapping[str, LearnedSkill]) -> SkillRollout:
+def play_of(episode: RearrangeEpisode, start: SkillStart, learned: Mapping[str, LearnedSkill]) -> WorldRollout:
     """The episode with its first robot alone, where a skill begins."""
-    play = SkillRollout(Rearrange(), episode.only(0), [AssignedPolicy(External(), "skill", "robot")])
-    robot = play.robots[0]
+    play = WorldRollout.of(Rearrange(), episode.only(0), [AssignedPolicy(External(), "skill", "robot")])
+    home = play.team
+    robot = home.robots[0]
     robot.learned = learned
     robot.state.xz[0], robot.state.heading[0] = start.xz, start.heading
-    play.before = play.places = np.array([[*start.xz, start.heading]])
-    play.objects.poses[:, :3] = start.objects
+    home.note_places()
+    home.note_places()  # as it is now, and as it was a step ago
+    home.objects.poses[:, :3] = start.objects
     if start.holds:
-        play.objects.held_by[start.target] = robot.number
-        play.objects.poses[start.target] = robot.hand_pose
-        play.objects.state.grip_pose[0, start.target] = IDENTITY_POSE
+        home.objects.held_by[start.target] = robot.number
+        home.objects.poses[start.target] = robot.hand_pose
+        home.objects.state.grip_pose[0, start.target] = IDENTITY_POSE
     return play

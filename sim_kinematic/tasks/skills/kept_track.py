@@ -1,4 +1,4 @@
-"""A person of rearrangement who keeps a recorded track, whatever the robots do."""
+"""A person with skills who keeps a recorded track, whatever the robots do."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from h3data.recording.records import JOINTS
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.skills import Action, Objects, Skill, SkillResult
 from sim_kinematic.motion.state import NOBODY
-from sim_kinematic.tasks.rearrange.play import SkillRollout
+from sim_kinematic.tasks.play import WorldRollout
 
 THERE_M = 0.01
 """The person takes an object that lies this near to where it lay in the recording [m]."""
@@ -86,17 +86,16 @@ def _led(recording: Recording, number: int) -> dict[int, list[tuple[int, float]]
     return led
 
 
-def follow_track(play: SkillRollout, actor: PersonActor, track: KeptTrack, step: int) -> None:
+def follow_track(play: WorldRollout, actor: PersonActor, track: KeptTrack, step: int) -> None:
     """From ``step`` on, a person does nothing but follow a track to its end; no policy is asked."""
-    if len(play.actors) == 2:  # the person reacts to nobody any more, so there is nothing to agree on
-        play.right_of_way = None
-        for other in play.actors:
-            other.agreed, other.aside = False, None
-    runner = play.runner(actor.number)
+    if len(play.team.actors) == 2:  # the person reacts to nobody any more, so there is nothing to agree on
+        play.team.company.right_of_way, play.team.company.agreed = None, False
+        for other in play.team.actors:
+            other.aside = None
     actor.person.held.clear()
     actor.yields = False
-    runner.action, runner.policy = Action("wait"), _Silent()
-    runner.skill, runner.ending, runner.begun = _following(actor, track, step), None, step
+    play.policies[actor.number] = play.policies[actor.number]._replace(policy=_Silent())
+    play.team.controllers[actor.number].follow(_following(actor, track, step), step)
 
 
 class _Silent:

@@ -29,14 +29,15 @@ from sim_kinematic.policies.recorded import (
     recorded_choices,
     recorded_commands,
 )
+from sim_kinematic.sensing.table import STATE_SENSES
 from sim_kinematic.tasks.control import Control
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.rearrange.episode import (
     RearrangeEpisode,
 )
-from sim_kinematic.tasks.rearrange.kept_track import KeptTrack, follow_track
-from sim_kinematic.tasks.rearrange.play import SkillRollout
 from sim_kinematic.tasks.resimulation import is_counterfactual
+from sim_kinematic.tasks.skills.household import Household
+from sim_kinematic.tasks.skills.kept_track import KeptTrack, follow_track
 
 SHORT_WAIT = Action("wait", steps=1)
 
@@ -44,9 +45,8 @@ SHORT_WAIT = Action("wait", steps=1)
 class SkillControl(Control):
     """Agents have skills; one world at a time."""
 
-    batched: ClassVar[bool] = False
-    clip_coded: ClassVar[bool] = False
-    common_policies: ClassVar[bool] = False
+    has_skills: ClassVar[bool] = True
+    observations: ClassVar[tuple[str, ...]] = STATE_SENSES
 
     def __init__(self) -> None:
         """Creates the control."""
@@ -58,13 +58,9 @@ class SkillControl(Control):
             if isinstance(agent.body, Robot):
                 agent.body.require_arm()
 
-    def rollout(
-        self, task: Any, episode: Episode, policies: Sequence[AssignedPolicy] = (), *, measure: bool = True
-    ) -> SkillRollout:
-        """Run of an episode with the given policies."""
-        del measure
-        assert isinstance(episode, RearrangeEpisode)
-        return SkillRollout(task, episode, list(policies))
+    def team(self, play: Any) -> Household:
+        """Agents and things of one world."""
+        return Household(play)
 
     # --- choices from outside -----------------------------------------------------------------------------------------
     def checked(self, play: Any, number: int, choice: Any) -> Action:
@@ -73,20 +69,20 @@ class SkillControl(Control):
         Raises:
             InputError: the choice is malformed or names an object or skill that does not exist.
         """
-        assert isinstance(play, SkillRollout)
         body = play.episode.roster[number].body
         if not isinstance(choice, Action):
-            choice = _robot_action(choice, body) if isinstance(body, Robot) else action_of(choice, play.objects, number)
+            choice = (
+                _robot_action(choice, body) if isinstance(body, Robot) else action_of(choice, play.team.objects, number)
+            )
         elif choice.skill in (*SKILLS, *OPENING_SKILLS) or isinstance(body, Robot):
-            play.objects.why_not(number, choice)
+            play.team.objects.why_not(number, choice)
         if choice.skill == CONTROL and isinstance(body, Robot):
             checked_command(choice.command, body)  # type: ignore[arg-type]
         return choice
 
     def idle(self, play: Any, number: int, last: Any) -> Action:
         """Choice to continue the running skill or the last velocity, otherwise to stand for a step."""
-        assert isinstance(play, SkillRollout)
-        runner = play.runner(number)
+        runner = play.team.controllers[number]
         if runner.skill is not None:
             return runner.action
         if last is not None and last.skill == CONTROL:
@@ -95,19 +91,16 @@ class SkillControl(Control):
 
     def is_busy(self, play: Any, number: int) -> bool:
         """Returns whether a skill other than ``wait`` is running."""
-        assert isinstance(play, SkillRollout)
-        runner = play.runner(number)
+        runner = play.team.controllers[number]
         return not runner.is_free and runner.action.skill != "wait"
 
     def interrupts(self, play: Any, number: int, choice: Any) -> bool:
         """Returns whether the choice is a skill that interrupts, and not the one that is running already."""
-        assert isinstance(play, SkillRollout)
-        return interrupts_skill(choice) and choice != play.runner(number).action
+        return interrupts_skill(choice) and choice != play.team.controllers[number].action
 
     def refusal(self, play: Any, number: int, choice: Any) -> str | None:
         """Reason why a choice is infeasible now, as a sentence; None if it is feasible."""
-        assert isinstance(play, SkillRollout)
-        actor = play.actors[number]
+        actor = play.team.actors[number]
         why = actor.refusal(choice) if isinstance(actor, DrivenPerson) else actor.infeasible(choice)
         return sentence(why) if why else None
 
@@ -178,14 +171,13 @@ class SkillControl(Control):
         self, play: Any, recording: Recording, since: int
     ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
         """People take things and put them down as recorded, except what is not there."""
-        assert isinstance(play, SkillRollout)
         first = min(since, _track_from(recording))
-        tracks = [KeptTrack.of(recording, person.number, play.bodies) for person in play.people]
+        tracks = [KeptTrack.of(recording, person.number, play.team.bodies) for person in play.team.people]
 
         def keep(_: int) -> None:
-            if play.steps == first:
-                for actor, track in zip(play.people, tracks, strict=True):
-                    follow_track(play, actor, track, play.steps)
+            if play.step == first:
+                for actor, track in zip(play.team.people, tracks, strict=True):
+                    follow_track(play, actor, track, play.step)
 
         keep(0)
         return {"track_from": first}, keep
