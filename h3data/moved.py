@@ -15,6 +15,8 @@ MOVED = {
     "h3data.bodies.motion.habitat_humanoid": "h3data_habitat.motion.habitat_humanoid",
     "h3data.bodies.motion.habitat_motion": "h3data_habitat.motion.habitat_motion",
     "h3data.bodies.motion.habitat_pick": "h3data_habitat.motion.habitat_pick",
+    "h3data.exporters": "h3data_exporters",
+    "h3data.exporters.camera_videos": "h3data.replay.camera_videos",
     "h3data.exporters.gfx_replay_export": "h3data_habitat.exporters.gfx_replay_export",
     "h3data.exporters.habitat": "h3data_habitat.exporters",
     "h3data.habitat": "h3data_habitat",

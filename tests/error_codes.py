@@ -38,7 +38,7 @@ AREAS = {
     "RECORDING": ("recordings and datasets", "format", "h3data/recording"),
     "REPLAY": ("replay", "replay", "h3data/replay"),
     "RENDER": ("pictures", "rendering", "h3data/render pipelines/h3data_gpu pipelines/h3data_pipelines/pictures"),
-    "EXPORT": ("exports", "export", "h3data/exporters pipelines/h3data_exporters"),
+    "EXPORT": ("exports", "export", "pipelines/h3data_exporters"),
     "METRIC": ("metrics", "metrics", "h3data/metrics"),
     "STATS": ("statistics", "statistics", "h3data/stats"),
     "FORMAT": ("file formats", "format", "h3data/formats h3data/npz_arrays.py h3data/safe_pickle.py"),

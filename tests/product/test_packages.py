@@ -189,6 +189,18 @@ def test_files_of_habitat_name_their_package(tmp_path: Path) -> None:
     assert not out.exists()
 
 
+def test_exports_name_their_package(tmp_path: Path) -> None:
+    tree, out = tmp_path / "tree", tmp_path / "out"
+    tree.mkdir()
+    refused = [["export", str(out), "--to", name, "-o", str(out)] for name in ("gltf", "csv", "lerobot")]
+    said = run_without("h3data_exporters", tree, [["metrics", "list"], ["export", "--help"], *refused])
+    assert said["metrics list"][0] == said["export --help"][0] == 0
+    for words in refused:
+        code, text = said[" ".join(words)]
+        assert code == 2
+        assert "h3data_exporters" in text, f"{words}: {text}"
+
+
 PLAYED = "--episodes 1 --max-steps 20 --workers 1"
 
 
