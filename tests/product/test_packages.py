@@ -228,6 +228,7 @@ NEEDING = {
         "generate social_nav --episodes-file {files}/episodes.json.gz --workers 1 -o {out}/of_file",
         "scenes export {files}/home_small_3.glb -o {out}/dataset",
         "motion import {files}/walk.pkl -o {out}/motions",
+        "view {files}/ds#0 --stand-ins -o {out}/plain.rrd",
     ),
     "h3data_gpu": ("rerender {files}/ds#0 --camera robot_arm --backend gpu -o {out}/device",),
     "h3data_homes": ("scenes show small:1 -o {out}/plan.png",),
