@@ -41,7 +41,7 @@ AREAS = {
     "EXPORT": ("exports", "export", "pipelines/h3data_exporters"),
     "METRIC": ("metrics", "metrics", "h3data/metrics"),
     "STATS": ("statistics", "statistics", "h3data/stats"),
-    "FORMAT": ("file formats", "format", "h3data/formats h3data/npz_arrays.py h3data/safe_pickle.py"),
+    "FORMAT": ("file formats", "format", "h3data/formats"),
     "FILE": ("files, folders and plug-ins", "extending", "h3data"),
     "SIM": ("agents and their world", "simulation", "sim_kinematic"),
     "TASK": ("tasks and episodes", "simulation", "sim_kinematic/tasks"),

@@ -23,7 +23,6 @@ from h3data.formats import detect
 from h3data.mesh.glb_write import glb_bytes
 from h3data.mesh.loading import load_mesh
 from h3data.mesh.primitives import primitive_mesh
-from h3data.npz_arrays import npz_arrays
 from h3data.recording import AssetRef, read_mcap, write_mcap
 from h3data.recording.assets.library import AssetLibrary
 from h3data.replay import Replay
@@ -34,6 +33,7 @@ from h3data_habitat.hitl.hitl_paper_logs import read_hitl_log
 from h3data_habitat.hitl.hitl_sessions import read_hitl_episode
 from h3data_habitat.limits import MAX_AGENTS
 from h3data_motion.bvh import read_bvh_file
+from h3data_motion.npz_arrays import npz_arrays
 from h3data_pipelines.cli import main
 from tests.examples import examples
 

@@ -18,7 +18,6 @@ from h3data.formats import SourceFile
 from h3data.geometry import Array, ground_pose
 from h3data.recording.assets.library import AssetLibrary
 from h3data.recording.records import STEP_NS, Event, Recording
-from h3data.safe_pickle import is_pickle
 from h3data_habitat.hitl.hitl_agents import AgentTrack, JointOrder, robot_named_in, tilt_rad
 from h3data_habitat.hitl.hitl_episode import (
     MAX_FLOAT,
@@ -37,6 +36,7 @@ from h3data_habitat.hitl.hitl_pickled_logs import json_of_pickled_log
 from h3data_habitat.hitl.hitl_scenes import find_place
 from h3data_habitat.limits import MAX_TRACK_VALUES, check_size
 from h3data_habitat.motion.habitat_humanoid import HABITAT_JOINTS
+from h3data_habitat.safe_pickle import is_pickle
 
 JOINT_VALUES = 4 * len(HABITAT_JOINTS)
 PERSON_VALUES = JOINT_VALUES + 32
