@@ -22,7 +22,7 @@ class Settings:
     """Settings of one run. Rates and shares are linear in progress, 0 at the start and 1 at the end of the run."""
 
     scenes: str = "h3-homes/train"
-    """One name or several, separated by commas (`h3data.scene.open.listed_scenes`)."""
+    """One name or several, separated by commas (`h3data_training.episodes.listed_scenes`)."""
     episodes_per_home: int = 28
     observations: tuple[str, ...] = PAPER_OBSERVATIONS
     picture_size: tuple[int, int] = (64, 48)

@@ -15,8 +15,8 @@ from h3data.bodies import Robot
 from h3data.errors import SceneError
 from h3data.files import part_file
 from h3data.scene import FreeSpace, Scene
-from h3data.scene.open import listed_scenes, named_scenes
-from h3data_training.episodes import by_home
+from h3data.scene.open import named_scenes
+from h3data_training.episodes import by_home, listed_scenes
 from h3data_training.skills.settings import SkillSettings
 from h3data_training.torch.skills.bank import COLUMNS, SkillBank
 from sim_kinematic.agents.roster import AgentSpec, make_roster
