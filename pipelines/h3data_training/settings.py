@@ -95,7 +95,7 @@ class Settings:
                 "Light makes no difference to depth. Hint: leave out the light, or observe arm_rgb.",
                 code="H3-TRAIN-045",
             )
-        known = (*self.pictures, *self.told)
+        known = (*self.pictures, *self.vector_observations)
         strangers = [name for name in self.observations if name not in known]
         if strangers or not self.observations:
             raise InputError(
@@ -162,7 +162,7 @@ class Settings:
         return tuple(PICTURES)
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def vector_observations(self) -> tuple[str, ...]:
         """Observations that the actor may be told beside a picture, or without one."""
         return OF_SOCIAL_NAV
 
