@@ -42,7 +42,7 @@ from h3data_exporters.posing import posed_cameras, posed_parts
 from h3data_exporters.robomimic import write_robomimic
 from h3data_exporters.transitions import transitions_of
 from h3data_habitat.exporters.gfx_replay_export import write_gfx_replay
-from h3data_habitat.gfx.gfx_replay import read_gfx_replay
+from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec

@@ -32,7 +32,7 @@ from h3data.replay import Replay, camera_track
 from h3data_exporters.foxglove import foxglove_file
 from h3data_exporters.foxglove.foxglove_file import FoxgloveCamera, write_foxglove
 from h3data_exporters.posing import posed_parts
-from h3data_habitat.gfx.gfx_replay import read_gfx_replay
+from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_homes import HomeSpec, build_home
 from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
 from tests.export.foxglove_file import TURN, File, matrix, nanoseconds

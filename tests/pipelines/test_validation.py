@@ -19,7 +19,7 @@ from h3data.geometry import pose_multiply
 from h3data.recording import DatasetWriter, Event, InputEvent, Recording, SkillSpan, state_hash, write_mcap
 from h3data.recording.episodes import StoredEpisode
 from h3data.scene import load_scene
-from h3data_habitat.gfx.gfx_replay import read_gfx_replay
+from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from h3data_pipelines.commands.validating import read_ahead

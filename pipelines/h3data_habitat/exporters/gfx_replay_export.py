@@ -33,7 +33,7 @@ from h3data_exporters.gltf_skin import skinned_glb_bytes
 from h3data_exporters.posed_parts import PosedCamera, PosedPart, spans
 from h3data_exporters.posing import missing_note, posed_cameras, posed_parts
 from h3data_habitat.exporters.lights import replay_lights
-from h3data_habitat.gfx.gfx_agents import PERSON_ROOT_PREFIX
+from h3data_habitat.gfx.agents import PERSON_ROOT_PREFIX
 
 DECIMALS = 7
 """Number of decimals, as habitat-sim writes them; single precision has no more."""

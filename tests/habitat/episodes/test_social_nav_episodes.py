@@ -20,7 +20,7 @@ from h3data.recording import Event, Recording
 from h3data.recording.task_episodes.rearrange_episode import EpisodeSet, RearrangeEpisode, RigidObject
 from h3data.recording.task_episodes.social_nav_episodes import SocialNavEpisode, read_social_nav, social_nav_episode
 from h3data.scene import FreeSpace
-from h3data_habitat.episodes.episode_files import read_episodes, write_episodes
+from h3data_habitat.episodes.files import read_episodes, write_episodes
 from h3data_habitat.episodes.recorded_episodes import social_nav_of
 from h3data_homes import HomeSpec, build_home
 from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec

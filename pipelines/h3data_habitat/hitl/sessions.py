@@ -19,8 +19,8 @@ from h3data.geometry import normalized, pose_from_matrix, quat_rotate, quat_sign
 from h3data.recording.assets.library import AssetLibrary
 from h3data.recording.records import STEP_NS, Event, Recording
 from h3data_habitat.episodes.partnr import partnr_result
-from h3data_habitat.hitl.hitl_agents import AgentTrack, agent_kinds, robot_named_in
-from h3data_habitat.hitl.hitl_episode import (
+from h3data_habitat.hitl.agents import AgentTrack, agent_kinds, robot_named_in
+from h3data_habitat.hitl.episode import (
     HitlEpisode,
     Id,
     Number,
@@ -31,9 +31,9 @@ from h3data_habitat.hitl.hitl_episode import (
     held,
     unit_rotations,
 )
-from h3data_habitat.hitl.hitl_outcomes import logged_outcomes, max_steps
-from h3data_habitat.hitl.hitl_scenes import find_place
-from h3data_habitat.hitl.hitl_users import participation, without_user_ids
+from h3data_habitat.hitl.outcomes import logged_outcomes, max_steps
+from h3data_habitat.hitl.scenes import find_place
+from h3data_habitat.hitl.users import participation, without_user_ids
 from h3data_habitat.limits import MAX_TRACK_VALUES, check_size
 
 Order = Literal["xyzw", "wxyz"]
