@@ -63,7 +63,6 @@ AGAINST_THE_LAYERS = {
         "sim_kinematic.envs.stepper",
         "sim_kinematic.envs.vector",
     ],
-    "h3data.formats.builtin_formats": ["h3data.exporters.gltf_animation"],
     "h3data.kernels.digests": [
         "h3data_gpu",
         "h3data_habitat",

@@ -164,12 +164,6 @@ BUILT_IN = (
     Format(name="zip", title="a zip archive", begins=_magic(b"PK\x03\x04")),
     Format(name="numpy", title="a NumPy array", begins=_magic(b"\x93NUMPY")),
     Format(
-        name="gltf",
-        title="an animated glTF model",
-        write="h3data.exporters.gltf_animation:export_gltf",
-        write_options=("assets", "person_detail", "people", "stand_ins"),
-    ),
-    Format(
         name="habitat_episodes",
         title="rearrangement episodes of Habitat, with their scenes",
     ),

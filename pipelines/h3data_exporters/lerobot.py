@@ -83,7 +83,7 @@ def export_lerobot(recordings: Iterable[Recording], request: ExportRequest) -> E
 def _rendered(
     recording: Recording, cameras: Sequence[str], folder: Path, frames: int, request: ExportRequest
 ) -> list[EpisodeVideo]:
-    from h3data.exporters.camera_videos import render_videos
+    from h3data.replay.camera_videos import render_videos
 
     return render_videos(
         recording,

@@ -17,8 +17,6 @@ from h3data.bodies.people.skeleton import JOINT_NAMES
 from h3data.bodies.robots.robot_files import robot_names
 from h3data.bodies.robots.robot_loading import load_robot
 from h3data.errors import InputError
-from h3data.exporters.gltf_animation import write_gltf_animation
-from h3data.exporters.posing import posed_cameras, posed_parts
 from h3data.geometry import pose_to_matrix, quat_from_heading, quat_to_matrix
 from h3data.mesh.accessors import GltfArrays
 from h3data.mesh.glb import unpack_glb
@@ -38,11 +36,13 @@ from h3data.recording import (
 )
 from h3data.replay import Replay
 from h3data_exporters.csv_tables import write_csv_tables
+from h3data_exporters.gltf_animation import write_gltf_animation
 from h3data_exporters.lerobot import write_lerobot
+from h3data_exporters.posing import posed_cameras, posed_parts
 from h3data_exporters.robomimic import write_robomimic
 from h3data_exporters.transitions import transitions_of
 from h3data_habitat.exporters.gfx_replay_export import write_gfx_replay
-from h3data_habitat.gfx.gfx_replay import read_gfx_replay
+from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec

@@ -134,7 +134,7 @@ def test_device_and_simulator_show_the_same(seen: str, light: Any) -> None:
         np.testing.assert_array_equal(shown["humanoid_detector"][0].numpy(), exact["humanoid_detector"])
         scale = 1 if seen == "arm_depth" else 255
         pixels += (np.abs(shown[seen][0].numpy() / scale - exact[seen] / scale) > 0.01).mean()
-        shown = worlds.held(torch.tensor([action]))[0]
+        shown = worlds.repeat_action(torch.tensor([action]))[0]
     actions = {action for _, action in watched.rows}
     assert len(watched.rows) == 36
     assert 3 < len(actions) <= 12  # held for three steps each

@@ -440,7 +440,7 @@ def test_at_first_only_the_critic_learns() -> None:
     learner = updated(SMALL)
     fresh = ChooserLearner(SMALL, ROBOT, seed=0)
     moved = {name for name, w in fresh.net.state_dict().items() if not torch.equal(w, learner.net.state_dict()[name])}
-    assert moved == {name for name in moved if name.startswith("worth.")} != set()
+    assert moved == {name for name in moved if name.startswith("value_head.")} != set()
 
 
 @pytest.mark.usefixtures("one_torch_thread")
@@ -805,5 +805,5 @@ def test_a_critic_is_told_who_the_partner_is() -> None:
     settings = replace(SMALL, population="plan_pop_3")
     net = Chooser(settings, agent=ROBOT, objects=2)
     of_object, rest = input_lengths(ROBOT)
-    assert net.worth[0].in_features == 2 * of_object + rest + 3
-    assert not any(name.startswith("worth") for name in net.arrays())
+    assert net.value_head[0].in_features == 2 * of_object + rest + 3
+    assert not any(name.startswith("value_head") for name in net.arrays())

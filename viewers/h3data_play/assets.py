@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 from h3data.bodies import Robot
-from h3data.exporters.gltf_animation import write_gltf_animation
-from h3data.exporters.posing import posed_parts
 from h3data.recording import RecordingHeader
 from h3data.replay import Replay
 from h3data.replay.rigs import joint_rigs, robot_rig
 from h3data.scene import FreeSpace
+from h3data_exporters.gltf_animation import write_gltf_animation
+from h3data_exporters.posing import posed_parts
 from h3data_play.app import App
 from h3data_play.drivers import driving_base
 from h3data_play.messages import PERIOD_S

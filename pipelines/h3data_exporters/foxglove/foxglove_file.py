@@ -14,8 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, MissingExtraError
-from h3data.exporters.posed_parts import PosedPart
-from h3data.exporters.posing import drawn_note, posed_parts
 from h3data.files import part_file, size_text
 from h3data.formats import Exported, ExportRequest
 from h3data.geometry import Array, pose_from_matrix
@@ -26,6 +24,8 @@ from h3data.recording.records import Recording
 from h3data.recording.schema import Column
 from h3data.render.camera import Camera
 from h3data.replay import Replay, camera_track
+from h3data_exporters.posed_parts import PosedPart
+from h3data_exporters.posing import drawn_note, posed_parts
 
 if TYPE_CHECKING:
     from mcap_protobuf.writer import Writer

@@ -16,16 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import tyro
 
-from h3data.commands.command import (
-    ForceFlag,
-    JsonFlag,
-    LightOption,
-    Outcome,
-    claim_folder,
-    open_episode,
-    remove_dataset,
-    write_text,
-)
+from h3data.commands.command import ForceFlag, JsonFlag, LightOption, Outcome, claim_folder, open_episode, write_text
 from h3data.errors import InputError
 from h3data.files import size_text
 from h3data.plugins import Registry
@@ -33,6 +24,7 @@ from h3data.progress import is_quiet, progress
 from h3data.recording import Recording
 from h3data.replay import CameraTrack, Replay, camera_track
 from h3data.terminal import counted
+from h3data_pipelines.dataset_folders import remove_dataset
 from h3data_pipelines.execution.processes import core_count
 from h3data_pipelines.machine.warmup import compiled_aside
 from h3data_pipelines.outputs import Target

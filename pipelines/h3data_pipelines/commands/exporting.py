@@ -23,7 +23,6 @@ from h3data.commands.command import (
     claim_file,
     claim_folder,
     open_episode,
-    remove_dataset,
 )
 from h3data.commands.options import command_line, command_of
 from h3data.errors import InputError
@@ -33,6 +32,7 @@ from h3data.recording import Recording
 from h3data.recording.episodes import StoredEpisode, common_cameras
 from h3data.recording.finding import find_episodes
 from h3data.recording.storage import place
+from h3data_pipelines.dataset_folders import remove_dataset
 from h3data_pipelines.execution.processes import core_count
 from h3data_pipelines.hub.provenance import read_commands, write_commands
 

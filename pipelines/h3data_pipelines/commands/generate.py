@@ -29,9 +29,6 @@ from h3data.commands.command import (
     claim_folder,
     keeping,
     read_overrides,
-    remove_dataset,
-    unfinished_dataset,
-    uninterrupted,
 )
 from h3data.commands.executors import ExecutorOption, check_workers, opened
 from h3data.commands.options import OfTasks, TaskNotes, command_line, command_of
@@ -41,6 +38,7 @@ from h3data.progress import progress
 from h3data.recording.storage import AnyPath, place
 from h3data.scene.scene_sets import find_scene_set
 from h3data.terminal import counted
+from h3data_pipelines.dataset_folders import remove_dataset, unfinished_dataset, uninterrupted
 from h3data_pipelines.hub.provenance import write_commands
 from h3data_pipelines.jobs.episode_files import (
     FileJobs,

@@ -66,7 +66,7 @@ class SkillSettings(Settings):
         return ("arm_depth",)
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def vector_observations(self) -> tuple[str, ...]:
         """Names of the other observations of the policy."""
         return OF_SKILLS
 

@@ -11,7 +11,7 @@ from h3data_training.torch.step import Grids, sample_sdf
 from sim_kinematic.sensing.table import TABLE
 
 
-def shown(moment: Any, names: Sequence[str]) -> dict[str, Tensor]:
+def read_sensors(moment: Any, names: Sequence[str]) -> dict[str, Tensor]:
     """The named sensors of a `sim_kinematic.sensing.table.Context`, which has what they need, float32 [W, n] each."""
     return {name: TABLE[name].of(moment).float() for name in names}
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from h3data.errors import InputError
 from h3data_training.torch.episodes import EpisodeBank
-from h3data_training.torch.geodesic import Way
+from h3data_training.torch.geodesic import ShortestPath
 from h3data_training.torch.task_worlds import Play, TaskTensors
 from sim_kinematic.sensing.sensor import facing
 from sim_kinematic.sensing.table import FOLLOWER
@@ -33,7 +33,7 @@ class SocialNavTensors(TaskTensors):
         self.paper = PaperReward()
 
     def _begun(self, play: Play) -> dict[str, Tensor]:
-        way, steps = super().way(play), torch.zeros_like(play.steps)
+        way, steps = super().path_to_person(play), torch.zeros_like(play.steps)
         return {"found": steps > 0, "followed": steps, "geodesic": way.length, "towards": way.towards}
 
     def _judged(self, now: Play, fresh: Tensor) -> tuple[StepOutcome, dict[str, Tensor]]:
@@ -52,9 +52,9 @@ class SocialNavTensors(TaskTensors):
         """Worlds whose robot has followed long enough, bool [W]."""
         return play.memory["followed"] >= self.paper.follow_steps
 
-    def way(self, play: Play) -> Way:
+    def path_to_person(self, play: Play) -> ShortestPath:
         """The shortest paths from robots to people, which are known."""
-        return Way(play.memory["geodesic"], play.memory["towards"])
+        return ShortestPath(play.memory["geodesic"], play.memory["towards"])
 
     def observations(self, names: Sequence[str], play: Play) -> dict[str, Tensor]:
         """Returns the observations of `sim_kinematic.sensing.table.FOLLOWER`, float32 [W, n] each.

@@ -24,7 +24,7 @@ from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import H3DataError, InputError
 from h3data_training.torch.contact import TouchTest
 from h3data_training.torch.episodes import EpisodeBank
-from h3data_training.torch.geodesic import Lattices, Way, shortest_way
+from h3data_training.torch.geodesic import Lattices, ShortestPath, shortest_path
 from h3data_training.torch.rules import refuse_others
 from h3data_training.torch.seen import clearance
 from h3data_training.torch.state import HumanTensors, RobotTensors
@@ -155,7 +155,7 @@ class TensorRollout:
 
     def path_length(self, agent: int, points: Tensor) -> Tensor:
         """Lengths of the shortest paths from an agent to points [W, 2], [W] [m]; inf where there is none."""
-        return self._sim.way_between(self._now, self.world.state.agents[agent].xz, points).length
+        return self._sim.path_between(self._now, self.world.state.agents[agent].xz, points).length
 
     def events_where(self, flags: Tensor, kind: str, *, agent: int = -1, target: str = "") -> tuple[()]:
         """No events: nothing is recorded on a device."""
@@ -233,14 +233,14 @@ class TaskTensors:
             grids=self._grids.at(place),
         )
 
-    def way_between(self, play: Play, start: Tensor, end: Tensor) -> Way:
+    def path_between(self, play: Play, start: Tensor, end: Tensor) -> ShortestPath:
         """The shortest paths between points [W, 2]."""
         place = self.place_of(play)
-        return shortest_way(self._grids.at(place), self._lattices.at(place), start, end)
+        return shortest_path(self._grids.at(place), self._lattices.at(place), start, end)
 
-    def way(self, play: Play) -> Way:
+    def path_to_person(self, play: Play) -> ShortestPath:
         """The shortest paths from robots to people."""
-        return self.way_between(play, play.robot.xz, play.human.xz)
+        return self.path_between(play, play.robot.xz, play.human.xz)
 
     def extra(self, name: str) -> Tensor:
         """An entry of `Episode.extra` of all episodes of the bank, [N, ...].
@@ -341,7 +341,7 @@ class TaskTensors:
         world: Any = self.world(play)
 
         def path() -> tuple[Tensor, Tensor]:
-            way = self.way(play)
+            way = self.path_to_person(play)
             return way.length, play.robot.xz + way.towards
 
         (now, other), (before, other_before), (start, _) = (

@@ -17,7 +17,7 @@ from h3data.recording import DatasetWriter, Recording, write_mcap
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.articulation import joints_of, posed
 from h3data_exporters.csv_tables import write_csv_tables
-from h3data_habitat.gfx.gfx_replay import read_gfx_replay
+from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from h3data_pipelines.validation.recordings import validate_recording

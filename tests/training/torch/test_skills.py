@@ -11,7 +11,7 @@ import torch
 from h3data.bodies import load_robot
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, quat_to_matrix
-from h3data_training.torch.skills.arm import Arm, placed, seen_by
+from h3data_training.torch.skills.arm import Arm, place_hand, seen_by
 from h3data_training.torch.skills.bank import SkillBank
 from h3data_training.torch.skills.worlds import SkillPlay, SkillTensors
 from sim_kinematic.agents.skills import CONTROL, Action
@@ -62,7 +62,9 @@ def test_the_hand_is_where_the_robots_kinematics_have_it(name: str) -> None:
     points = frames[:, :3, 3] + frames[:, :3, :3] @ robot.hand_position
     arm = Arm(robot, "cpu", torch.float64)
     floor = torch.full((count,), 0.3, dtype=torch.float64)
-    hand = placed(arm.hand(torch.as_tensor(joints[:, columns])), torch.as_tensor(xz), torch.as_tensor(heading), floor)
+    hand = place_hand(
+        arm.hand(torch.as_tensor(joints[:, columns])), torch.as_tensor(xz), torch.as_tensor(heading), floor
+    )
     np.testing.assert_allclose(hand.point.numpy(), points, atol=1e-9)
     np.testing.assert_allclose(hand.axes.numpy(), frames[:, :3, :3], atol=1e-9)
     far = rng.normal(size=(count, 3))

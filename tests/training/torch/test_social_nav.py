@@ -26,7 +26,7 @@ from h3data_homes import (  # noqa: E402
 from h3data_training.envs.social_nav_torch_env import SocialNavTorchEnv  # noqa: E402
 from h3data_training.torch.contact import TOLERANCE_M, TouchTest  # noqa: E402
 from h3data_training.torch.episodes import EpisodeBank  # noqa: E402
-from h3data_training.torch.geodesic import Lattices, shortest_way  # noqa: E402
+from h3data_training.torch.geodesic import Lattices, shortest_path  # noqa: E402
 from h3data_training.torch.graph import fused  # noqa: E402
 from h3data_training.torch.social_nav import SocialNavTensors  # noqa: E402
 from h3data_training.torch.state import HumanTensors, RobotTensors  # noqa: E402
@@ -193,7 +193,7 @@ def test_ways_are_nearly_the_exact_ones(home: str) -> None:
     a, b = (p[free.is_navigable(b)] for p in (a, b))
     exact = free.geodesic(a, b)
     tables = Grids.of([free], "cpu", torch.float64), Lattices.of([free], "cpu", torch.float64)
-    way = shortest_way(*tables, doubles(a), doubles(b))
+    way = shortest_path(*tables, doubles(a), doubles(b))
     found = way.length.numpy()
     error = np.abs(found - exact) / exact.clip(0.1)
     assert np.median(error) < 0.002
@@ -208,7 +208,7 @@ def test_ways_are_nearly_the_exact_ones(home: str) -> None:
     assert off[~turns & np.isfinite(found)].max() < 1.0  # a straight way may come nearer to corners, by 4 mm
     assert np.quantile(off[turns], 0.5) < 6
     assert np.quantile(off[turns], 0.9) < 20
-    back = shortest_way(*tables, doubles(b), doubles(a)).length.numpy()
+    back = shortest_path(*tables, doubles(b), doubles(a)).length.numpy()
     np.testing.assert_allclose(back, found, rtol=0, atol=1e-2)
 
 
@@ -217,11 +217,11 @@ def test_ways_on_several_floors_and_off_the_floor(bank: EpisodeBank) -> None:
     grids, lattices = Grids.of(bank.floors, "cpu", torch.float64), Lattices.of(bank.floors, "cpu", torch.float64)
     rng = np.random.default_rng(2)
     a, b = (np.stack([bank.floors[k].sample(rng, 1)[0] for k in place]) for _ in range(2))
-    found = shortest_way(grids.at(place), lattices.at(place), doubles(a), doubles(b)).length.numpy()
+    found = shortest_path(grids.at(place), lattices.at(place), doubles(a), doubles(b)).length.numpy()
     exact = [float(bank.floors[k].geodesic(p, q)) for k, p, q in zip(place, a, b, strict=True)]
     np.testing.assert_allclose(found, exact, rtol=0.05)
     assert len(bank.floors) == 2
-    far = shortest_way(grids.at(place), lattices.at(place), doubles(a + 500.0), doubles(b))
+    far = shortest_path(grids.at(place), lattices.at(place), doubles(a + 500.0), doubles(b))
     assert far.length.isinf().all()
     assert far.towards.isfinite().all()
 

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from h3data.bodies.people.rigid_parts import PeopleStyle
     from h3data.commands.arguments import FilePath, Names, Paths
     from h3data.render.light.sources import LightMode
+    from h3data_viewers.html_report.data import Run
     from h3data_viewers.html_report.report import Report
-    from h3data_viewers.html_report.report_data import Run
 
 
 def report(
@@ -123,8 +123,8 @@ class ReportCommand:
 
     def run(self) -> Outcome:
         """Writes the report, and its tables as Markdown and LaTeX if asked to."""
+        from h3data_viewers.html_report.reading import lost_part
         from h3data_viewers.html_report.report import replay_folder, write_report
-        from h3data_viewers.html_report.report_reading import lost_part
 
         check_workers(self.executor, self.workers)
         if not self.datasets:

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from h3data.errors import FormatError
-from h3data.safe_pickle import builtin, load_pickle
+from h3data_habitat.safe_pickle import builtin, load_pickle
 
 PATH = Path("x.pkl")
 LEAVES = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()

@@ -20,8 +20,8 @@ from h3data.formats.source_file import decode_json
 from h3data.geometry import quat_sign_continuous
 from h3data.recording.assets.handles import HANDLE, template_of
 from h3data.recording.records import AssetRef, Body, Episode, Event, Recording
-from h3data_habitat.hitl.hitl_agents import AgentKind, AgentTrack, JointOrder, add_agents, agent_kinds, root_height_m
-from h3data_habitat.hitl.hitl_scenes import Place
+from h3data_habitat.hitl.agents import AgentKind, AgentTrack, JointOrder, add_agents, agent_kinds, root_height_m
+from h3data_habitat.hitl.scenes import Place
 from h3data_habitat.json_files import not_json
 from h3data_habitat.limits import check_size
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from html import escape
 
-from h3data_viewers.html_report.report_tables import cut
+from h3data_viewers.html_report.tables import cut
 
 Scale = Callable[[float], float]
 

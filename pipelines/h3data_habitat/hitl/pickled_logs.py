@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 
 from h3data.errors import FormatError
-from h3data.safe_pickle import Record, builtin, load_pickle
+from h3data_habitat.safe_pickle import Record, builtin, load_pickle
 
 
 class _Config(Record):

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from h3data.metrics import Metric
 from h3data.metrics.episode import assumed_task
-from h3data_viewers.html_report.report_data import ReportData
-from h3data_viewers.html_report.report_tables import Cell, Column, Row, Section, Table, counted, number, to_html
+from h3data_viewers.html_report.data import ReportData
+from h3data_viewers.html_report.tables import Cell, Column, Row, Section, Table, counted, number, to_html
 
 TASKS = {"social_nav": "social navigation", "rearrange": "social rearrangement"}
 """Names of the paper's tasks."""

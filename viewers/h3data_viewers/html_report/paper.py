@@ -19,8 +19,8 @@ from h3data.metrics import (
     metrics_of,
 )
 from h3data.metrics.paper.published import published_results
-from h3data_viewers.html_report.report_data import Mean, ReportData, Run, same_episodes
-from h3data_viewers.html_report.report_tables import (
+from h3data_viewers.html_report.data import Mean, ReportData, Run, same_episodes
+from h3data_viewers.html_report.tables import (
     NAN,
     Cell,
     Column,

@@ -6,15 +6,13 @@ import ast
 import io
 import zipfile
 import zlib
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
-from h3data.safe_pickle import load_pickle
 
 MAX_BYTES = 1 << 30
 """Limit of what the requested members unpack to; real motion files have 1 to 100 MB."""
@@ -38,8 +36,23 @@ def npz_names(path: Path | io.BytesIO) -> tuple[str, ...]:
         raise FormatError(f"Expected an npz file, this is none ({error}): {path}", code="H3-FORMAT-020") from None
 
 
-def npz_members(path: Path | io.BytesIO, names: Collection[str] | None = None) -> dict[str, Any]:
-    """The existing members among ``names`` (all by default): arrays, or the value that a pickled one holds."""
+def npz_arrays(
+    path: Path | io.BytesIO,
+    names: Collection[str] | None = None,
+    *,
+    unpickle: Callable[[bytes, Path | io.BytesIO], Any] | None = None,
+) -> dict[str, Any]:
+    """Reads the existing arrays among ``names`` (all by default).
+
+    Args:
+        path: the npz file.
+        names: names of arrays.
+        unpickle: reads the bytes of a pickled member of the file named after them; None refuses pickled members.
+
+    Raises:
+        FormatError: the file is no npz file, or damaged; or a member is pickled.
+        InputError: there is no such file.
+    """
     try:
         with zipfile.ZipFile(path) as archive:
             members = [m for m in archive.infolist() if m.filename.endswith(".npy")]
@@ -50,7 +63,7 @@ def npz_members(path: Path | io.BytesIO, names: Collection[str] | None = None) -
                 raise FormatError(
                     f"The npz unpacks to {total / 2**20:.0f} MiB, more than is admitted: {path}", code="H3-FORMAT-024"
                 )
-            return {m.filename.removesuffix(".npy"): _npy(archive.read(m), m.filename, path) for m in members}
+            return {m.filename.removesuffix(".npy"): _npy(archive.read(m), m.filename, path, unpickle) for m in members}
     except FileNotFoundError:
         raise InputError(f"There is no such file: {path}", code="H3-FORMAT-013") from None
     except _DAMAGES as error:
@@ -59,18 +72,12 @@ def npz_members(path: Path | io.BytesIO, names: Collection[str] | None = None) -
         ) from None
 
 
-def npz_arrays(path: Path | io.BytesIO, names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
-    """Plain arrays of an npz file; a pickled one is an error that names it."""
-    members = npz_members(path, names)
-    for name, value in members.items():
-        if not isinstance(value, np.ndarray) or value.dtype.hasobject:
-            raise FormatError(
-                f"{name}: Expected an array of numbers or text, got pickled objects: {path}", code="H3-FORMAT-022"
-            )
-    return members
-
-
-def _npy(data: bytes, name: str, path: Path | io.BytesIO) -> Any:
+def _npy(
+    data: bytes,
+    name: str,
+    path: Path | io.BytesIO,
+    unpickle: Callable[[bytes, Path | io.BytesIO], Any] | None,
+) -> Any:
     width = 2 if data[6:7] == b"\x01" else 4
     length = int.from_bytes(data[8 : 8 + width], "little")
     try:
@@ -80,7 +87,12 @@ def _npy(data: bytes, name: str, path: Path | io.BytesIO) -> Any:
         body = data[8 + width + length :]
         dtype, shape = np.dtype(header["descr"]), tuple(header["shape"])
         if dtype.hasobject:
-            return load_pickle(body, path)
+            if unpickle is not None:
+                return unpickle(body, path)
+            raise FormatError(
+                f"{name.removesuffix('.npy')}: Expected an array of numbers or text, got pickled objects: {path}",
+                code="H3-FORMAT-022",
+            )
         return np.frombuffer(body, dtype).reshape(shape, order="F" if header["fortran_order"] else "C")
     except (ValueError, KeyError, TypeError, SyntaxError, RecursionError, MemoryError) as error:
         raise FormatError(f"{name} in the npz is damaged ({error}): {path}", code="H3-FORMAT-023") from None

@@ -18,9 +18,8 @@ from h3data.formats import SourceFile
 from h3data.geometry import Array, ground_pose
 from h3data.recording.assets.library import AssetLibrary
 from h3data.recording.records import STEP_NS, Event, Recording
-from h3data.safe_pickle import is_pickle
-from h3data_habitat.hitl.hitl_agents import AgentTrack, JointOrder, robot_named_in, tilt_rad
-from h3data_habitat.hitl.hitl_episode import (
+from h3data_habitat.hitl.agents import AgentTrack, JointOrder, robot_named_in, tilt_rad
+from h3data_habitat.hitl.episode import (
     MAX_FLOAT,
     HitlEpisode,
     Id,
@@ -32,11 +31,12 @@ from h3data_habitat.hitl.hitl_episode import (
     scalar_columns,
     unit_rotations,
 )
-from h3data_habitat.hitl.hitl_outcomes import AT_GOAL_M, at_goal, logged_outcomes
-from h3data_habitat.hitl.hitl_pickled_logs import json_of_pickled_log
-from h3data_habitat.hitl.hitl_scenes import find_place
+from h3data_habitat.hitl.outcomes import AT_GOAL_M, at_goal, logged_outcomes
+from h3data_habitat.hitl.pickled_logs import json_of_pickled_log
+from h3data_habitat.hitl.scenes import find_place
 from h3data_habitat.limits import MAX_TRACK_VALUES, check_size
 from h3data_habitat.motion.habitat_humanoid import HABITAT_JOINTS
+from h3data_habitat.safe_pickle import is_pickle
 
 JOINT_VALUES = 4 * len(HABITAT_JOINTS)
 PERSON_VALUES = JOINT_VALUES + 32
@@ -85,13 +85,13 @@ def read_hitl_log(
     - The log has no time stamps: row k is step k at ``fps`` steps per second.
     - A person's whole posture is in the action vector (spec/habitat-findings.md 9): ``agent_<i>.joint_quat`` holds it,
       ``root_pose`` the logged pelvis. ``joint_order`` of the vector is that of the person's URDF, which the log does not
-      name; None infers it from the posture (`h3data_habitat.hitl.hitl_agents.infer_joint_order`).
+      name; None infers it from the posture (`h3data_habitat.hitl.agents.infer_joint_order`).
     - The rest of the vector is the robot's ``agent_<i>.action``.
     - Of the objects only the positions of the targets are logged: their rotations are the identity.
     - ``input.user_0.<name>`` holds the input at the keyboard (``hint_walk_dir`` [T, 3], ``cam_yaw``, ...; NaN where
       absent); picking and placing are events.
     - ``metrics.*`` are the logged numbers, with ``metrics.success``, ``metrics.collision`` and ``metrics.at_goal`` for the
-      metrics of social rearrangement (`h3data_habitat.hitl.hitl_outcomes`).
+      metrics of social rearrangement (`h3data_habitat.hitl.outcomes`).
 
     Raises:
         FormatError: the file is something else, truncated or damaged, or a pickle that asks for code (which is named).

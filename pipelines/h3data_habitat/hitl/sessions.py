@@ -19,8 +19,8 @@ from h3data.geometry import normalized, pose_from_matrix, quat_rotate, quat_sign
 from h3data.recording.assets.library import AssetLibrary
 from h3data.recording.records import STEP_NS, Event, Recording
 from h3data_habitat.episodes.partnr import partnr_result
-from h3data_habitat.hitl.hitl_agents import AgentTrack, agent_kinds, robot_named_in
-from h3data_habitat.hitl.hitl_episode import (
+from h3data_habitat.hitl.agents import AgentTrack, agent_kinds, robot_named_in
+from h3data_habitat.hitl.episode import (
     HitlEpisode,
     Id,
     Number,
@@ -31,9 +31,9 @@ from h3data_habitat.hitl.hitl_episode import (
     held,
     unit_rotations,
 )
-from h3data_habitat.hitl.hitl_outcomes import logged_outcomes, max_steps
-from h3data_habitat.hitl.hitl_scenes import find_place
-from h3data_habitat.hitl.hitl_users import participation, without_user_ids
+from h3data_habitat.hitl.outcomes import logged_outcomes, max_steps
+from h3data_habitat.hitl.scenes import find_place
+from h3data_habitat.hitl.users import participation, without_user_ids
 from h3data_habitat.limits import MAX_TRACK_VALUES, check_size
 
 Order = Literal["xyzw", "wxyz"]
@@ -110,7 +110,7 @@ def read_hitl_episode(
       nobody was active is ``{}``: it repeats the state before it, its time lies between its neighbours', and the column
       ``recorded`` is False there.
     - Robots are shown by a built-in model at rest; people get a synthesised walk along their path
-      (`h3data.bodies.walk_synthesis`); ``info["synthesised"]`` says so. ``agent_<i>.root_pose`` keeps the root of
+      (`h3data_habitat.hitl.walk_synthesis`); ``info["synthesised"]`` says so. ``agent_<i>.root_pose`` keeps the root of
       people as logged.
     - ``user.user_<u>_camera`` [T, 7] is the view of user ``u`` in Habitat's camera frame (looks along -z), NaN where
       absent; ``input.user_<u>.held_object`` (``hovered_``, ``selected_``) the object ids, -1 = none; ``info["object_ids"]``

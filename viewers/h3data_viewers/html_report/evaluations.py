@@ -15,7 +15,7 @@ import numpy as np
 from h3data.errors import FormatError
 from h3data.metrics import EpisodeMetrics, Profile
 from h3data.metrics.registry import profile_for
-from h3data_viewers.html_report.report_episode import ReportEpisode
+from h3data_viewers.html_report.episode import ReportEpisode
 
 
 def holds_results(root: Path) -> bool:

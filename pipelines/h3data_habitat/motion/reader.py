@@ -10,9 +10,9 @@ import numpy as np
 from h3data.bodies.people.skeleton import JOINT_COUNT, JOINT_INDEX
 from h3data.errors import FormatError
 from h3data.geometry import normalized, quat_from_matrix
-from h3data.safe_pickle import is_pickle
 from h3data_habitat.motion.habitat_humanoid import HABITAT_JOINTS, HabitatClip
 from h3data_habitat.motion.habitat_motion import motion_parts, read_habitat_motion, read_habitat_sequence
+from h3data_habitat.safe_pickle import is_pickle
 from h3data_motion.clip import Motion, in_start_frame
 from h3data_motion.files import MotionReader, ReadOptions
 

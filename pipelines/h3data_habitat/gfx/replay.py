@@ -21,9 +21,9 @@ from h3data.recording.assets.folders import clean_path
 from h3data.recording.assets.library import EMPTY_URI, OWN_FOLDER_ENDING
 from h3data.recording.records import STEP_NS, AssetRef, Body, Episode, Recording
 from h3data.srgb import linear_to_bytes
-from h3data_habitat.gfx.gfx_agents import PERSON_ROOT_PREFIX, add_agents
-from h3data_habitat.gfx.gfx_fold import Fold, Life, Loaded, Updates, filled, fold_keyframes, fold_tracks
-from h3data_habitat.gfx.gfx_keyframes import Load, read_keyframes
+from h3data_habitat.gfx.agents import PERSON_ROOT_PREFIX, add_agents
+from h3data_habitat.gfx.fold import Fold, Life, Loaded, Updates, filled, fold_keyframes, fold_tracks
+from h3data_habitat.gfx.keyframes import Load, read_keyframes
 from h3data_habitat.limits import check_size
 
 _DIFFUSE = re.compile(r"_dif_(\d{1,20})")
@@ -45,7 +45,7 @@ def read_gfx_replay(path: str | os.PathLike[str], *, fps: float | None = None) -
       cameras keep Habitat's camera frame: x right, y up, looking along -z.
     - Bones become columns ``rig.<id>`` [T, bones, 7], pose7 in the world; ``episode.info["rigs"]`` names the bones and the
       body that they deform (`h3data.recording.assets.skinned_meshes`).
-    - Robots and people are recognised by their file names, see `h3data_habitat.gfx.gfx_agents`.
+    - Robots and people are recognised by their file names, see `h3data_habitat.gfx.agents`.
 
     ``episode.info`` holds the lights, the rigs, how each agent's floor position was found, and ``warnings``.
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from h3data.metrics import Metric, metrics_of
 from h3data.metrics.paper.published import published_results
-from h3data_viewers.html_report.report_data import Run
-from h3data_viewers.html_report.report_episode import GRID_S
-from h3data_viewers.html_report.report_svg import Svg, axes, linear, tick_text, ticks, x_axis
+from h3data_viewers.html_report.data import Run
+from h3data_viewers.html_report.episode import GRID_S
+from h3data_viewers.html_report.svg import Svg, axes, linear, tick_text, ticks, x_axis
 
 COLORS = 8
 """Runs beyond this many share colours."""

@@ -18,10 +18,10 @@ import msgspec
 from h3data.errors import FormatError, InputError
 from h3data.formats import SourceFile, json_format
 from h3data.recording.task_episodes.rearrange_episode import ContentFile, EpisodeSet, RearrangeEpisode
-from h3data.safe_pickle import is_pickle
 from h3data_habitat.episodes.episode_json import Notes, decode_episodes, encode_episode, encode_json
 from h3data_habitat.episodes.episode_pickle import unpickle_episodes
 from h3data_habitat.json_files import not_json
+from h3data_habitat.safe_pickle import is_pickle
 
 _OBJECT = msgspec.json.Decoder(dict[str, msgspec.Raw])
 _LIST = msgspec.json.Decoder(list[msgspec.Raw])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError
 from h3data.formats.source_file import decode_json
 from h3data.geometry import IDENTITY_POSE, quat_sign_continuous
-from h3data_habitat.gfx.gfx_keyframes import BonePose, Creation, Keyframe, Load, Transform
+from h3data_habitat.gfx.keyframes import BonePose, Creation, Keyframe, Load, Transform
 from h3data_habitat.limits import MAX_BODIES, MAX_STEPS, check_count
 
 _BLOCK = 1 << 14

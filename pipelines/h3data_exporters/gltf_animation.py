@@ -11,9 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.exporters.gltf_skin import Node, add_joints, local_poses, skin_record, trs
-from h3data.exporters.posed_parts import PosedCamera, PosedPart
-from h3data.exporters.posing import drawn_note, posed_cameras, posed_parts
 from h3data.files import part_file, size_text
 from h3data.formats import Exported, ExportRequest
 from h3data.geometry import Array, quat_sign_continuous
@@ -22,6 +19,9 @@ from h3data.mesh.glb_write import Influences, mesh_lists
 from h3data.mesh.mesh import Mesh
 from h3data.recording.records import Recording
 from h3data.replay import Replay
+from h3data_exporters.gltf_skin import Node, add_joints, local_poses, skin_record, trs
+from h3data_exporters.posed_parts import PosedCamera, PosedPart
+from h3data_exporters.posing import drawn_note, posed_cameras, posed_parts
 
 _STILL = 1e-7
 """A track that changes by less [m, or quaternion component] is written as the pose of its node."""
@@ -52,7 +52,7 @@ def write_gltf_animation(
     - Cameras are glTF cameras; one that is absent at times stays where it was.
 
     ``extras`` of the file hold uid, task and scene of the episode; those of a node its semantic id and whether its file
-    was missing (it is drawn as a placeholder). ``parts`` and ``cameras`` come from `h3data.exporters.posing`.
+    was missing (it is drawn as a placeholder). ``parts`` and ``cameras`` come from `h3data_exporters.posing`.
 
     Raises:
         InputError: there is no row to write, or the name does not end in .glb.

@@ -15,7 +15,7 @@ from h3data.metrics.batch import Part, part_recordings, sendable
 from h3data.metrics.registry import profile_for
 from h3data.recording import Recording
 from h3data.recording.storage import AnyPath
-from h3data_viewers.html_report.report_episode import GRID_S, TRACK_S, ReportEpisode, Track
+from h3data_viewers.html_report.episode import GRID_S, TRACK_S, ReportEpisode, Track
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,11 +21,11 @@ from h3data.metrics.report_layout import Milestone
 from h3data.recording import Recording
 from h3data.render.image_files import jpeg_data_uri
 from h3data.render.light.sources import LightMode
-from h3data_viewers.html_report.report_charts import series_class
-from h3data_viewers.html_report.report_data import Run, read_whole
-from h3data_viewers.html_report.report_episode import GRID_S, ReportEpisode, Track
-from h3data_viewers.html_report.report_svg import Svg, linear
-from h3data_viewers.html_report.report_tables import counted, number
+from h3data_viewers.html_report.charts import series_class
+from h3data_viewers.html_report.data import Run, read_whole
+from h3data_viewers.html_report.episode import GRID_S, ReportEpisode, Track
+from h3data_viewers.html_report.svg import Svg, linear
+from h3data_viewers.html_report.tables import counted, number
 
 if TYPE_CHECKING:
     from h3data.replay import Replay

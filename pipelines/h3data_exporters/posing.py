@@ -11,7 +11,6 @@ from h3data.bodies import Humanoid
 from h3data.bodies.people.humanoid import SkinnedMesh as PersonMesh
 from h3data.bodies.people.skeleton import HUMAN_ROOT_HEIGHT_M
 from h3data.errors import SceneError
-from h3data.exporters.posed_parts import PosedCamera, PosedPart, Skeleton
 from h3data.geometry import (
     Array,
     pose_from_matrix,
@@ -27,6 +26,7 @@ from h3data.render import OPENGL_TO_OPENCV
 from h3data.replay.cameras import THIRD_PERSON, camera_names, camera_track
 from h3data.replay.records import JointTrack, LinkTrack, PersonTrack, RigTrack
 from h3data.replay.replay import Replay
+from h3data_exporters.posed_parts import PosedCamera, PosedPart, Skeleton
 
 _ROOT_OF_PERSON = np.array([0, HUMAN_ROOT_HEIGHT_M, 0, *quat_from_heading(np.pi / 2)])
 """habitat-lab's humanoid root in the agent's root frame: at that height, z forward."""

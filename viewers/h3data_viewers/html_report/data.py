@@ -27,8 +27,8 @@ from h3data.progress import progress
 from h3data.recording import Recording, open_recording
 from h3data.recording.finding import find_sources
 from h3data.stats import over_seeds
-from h3data_viewers.html_report.report_episode import ReportEpisode
-from h3data_viewers.html_report.report_evaluations import (
+from h3data_viewers.html_report.episode import ReportEpisode
+from h3data_viewers.html_report.evaluations import (
     evaluated_seeds,
     evaluated_zsc,
     holds_results,
@@ -36,8 +36,8 @@ from h3data_viewers.html_report.report_evaluations import (
     result_episodes,
     zero_shot_population,
 )
-from h3data_viewers.html_report.report_reading import Found, Unread, read_part
-from h3data_viewers.html_report.report_tables import counted
+from h3data_viewers.html_report.reading import Found, Unread, read_part
+from h3data_viewers.html_report.tables import counted
 
 _FIRST = ("social_nav", "rearrange")
 """Tasks that a report begins with."""
