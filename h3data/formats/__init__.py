@@ -16,11 +16,12 @@ from h3data.formats.detection import (
     json_format,
     load,
 )
-from h3data.formats.format import Exported, ExportRequest, Format, PersonDetail
+from h3data.formats.format import BagStorage, Exported, ExportRequest, Format, PersonDetail
 from h3data.formats.source_file import SourceFile
 
 __all__ = [
     "FORMATS",
+    "BagStorage",
     "ExportRequest",
     "Exported",
     "Format",

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 PersonDetail = Literal["full", "low"]
+BagStorage = Literal["mcap", "sqlite3"]
 
 Function = str | Callable[..., Any] | None
 """A function, or ``module:name`` of one that is imported at first use."""
@@ -43,7 +44,9 @@ class Format:
     write: Function = None
     """Called as ``write(recordings, request)`` with an iterable of recordings (which may be iterated repeatedly) and an
     `ExportRequest`; returns an `Exported`."""
-    write_options: tuple[Literal["agent", "assets", "person_detail", "people", "stand_ins", "cameras"], ...] = ()
+    write_options: tuple[
+        Literal["agent", "assets", "person_detail", "people", "stand_ins", "cameras", "storage", "lidar"], ...
+    ] = ()
     """Options of `h3data export` that apply; the others are refused."""
     target: Literal["file", "folder", "dataset"] = "file"
     """Type of the output. A dataset is a folder as in h3data docs format, which ``--force`` replaces."""
@@ -76,6 +79,10 @@ class ExportRequest:
     """True if plain things stand in for missing assets, as in `h3data.replay.posed_recording.PosedRecording`."""
     cameras: Sequence[str] = ()
     """Cameras to render, by name or file."""
+    storage: BagStorage = "mcap"
+    """File format of the messages in a bag."""
+    lidar: int = 0
+    """Rays of a lidar that is cast into the scene for each robot; 0 for none."""
     stored_cameras: Sequence[str] = ()
     """Cameras of which all recordings have a video in the dataset that they come from."""
     stored_videos: Callable[[int], Sequence[Any]] = lambda number: ()
