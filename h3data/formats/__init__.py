@@ -16,7 +16,7 @@ from h3data.formats.detection import (
     json_format,
     load,
 )
-from h3data.formats.format import BagStorage, Exported, ExportRequest, Format, PersonDetail
+from h3data.formats.format import BagStorage, Exported, ExportRequest, Format, ImportRequest, LengthUnit, PersonDetail
 from h3data.formats.source_file import SourceFile
 
 __all__ = [
@@ -25,6 +25,8 @@ __all__ = [
     "ExportRequest",
     "Exported",
     "Format",
+    "ImportRequest",
+    "LengthUnit",
     "PersonDetail",
     "SourceFile",
     "detect",

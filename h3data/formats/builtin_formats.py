@@ -1,7 +1,7 @@
 """The built-in file formats, and how each is recognised. Order matters: the first format that fits is taken.
 
-Habitat's are recognised here, so that a message can name them; what reads and writes them comes from h3data_habitat by the
-group ``h3data.formats``, whose entries take the places of the rows with their names.
+Habitat's and those of ROS are recognised here, so that a message can name them; what reads and writes them comes from
+h3data_habitat and h3data_ros by the group ``h3data.formats``, whose entries take the places of the rows with their names.
 """
 
 from __future__ import annotations
@@ -147,6 +147,13 @@ BUILT_IN = (
         name="navmesh",
         title="a Habitat navmesh",
         begins=_magic(b"TESM"),
+    ),
+    Format(
+        name="rosbag2",
+        title="a bag of ROS 2",
+        begins=re.compile(
+            rb"\x89MCAP0\r\n\x01.{8}\x04\0\0\0ros2|SQLite format 3\0|\s*rosbag2_bagfile_information:", re.DOTALL
+        ),
     ),
     Format(name="mcap", title="an MCAP log", begins=_magic(b"\x89MCAP0\r\n")),
     Format(

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 PersonDetail = Literal["full", "low"]
 BagStorage = Literal["mcap", "sqlite3"]
+LengthUnit = Literal["m", "cm", "mm"]
 
 Function = str | Callable[..., Any] | None
 """A function, or ``module:name`` of one that is imported at first use."""
@@ -37,9 +38,9 @@ class Format:
     read: Function = None
     """Called as ``read(file, **options)`` with a path (a `SourceFile`, which saves reading its bytes again); returns a
     `h3data.recording.Recording`."""
-    read_options: tuple[Literal["fps", "assets"], ...] = ()
+    read_options: tuple[Literal["fps", "assets", "tracks"], ...] = ()
     """Keyword arguments that ``read`` takes: ``fps``, steps per second of files without times; ``assets``, an
-    `h3data.recording.assets.library.AssetLibrary`."""
+    `h3data.recording.assets.library.AssetLibrary`; ``tracks``, an `ImportRequest`."""
 
     write: Function = None
     """Called as ``write(recordings, request)`` with an iterable of recordings (which may be iterated repeatedly) and an
@@ -57,6 +58,28 @@ class Format:
     def option(self) -> str:
         """The name on the command line."""
         return self.name.replace("_", "-")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportRequest:
+    """Options of the import of tracks of robots and people."""
+
+    people: str = ""
+    """Topic of people in a bag; empty: the only one."""
+    robot: str = ""
+    """Frame or topic of the robot in a bag, or its id in a file of tracks."""
+    map: Path | None = None
+    """The yaml file of an occupancy map, whose walls become the scene."""
+    goal: str = ""
+    """Goal of the robot, ``x,y`` in the frame of the map [m]."""
+    columns: Sequence[str] = ()
+    """Names of the columns of a table: in their order, or as ``meaning=name``."""
+    unit: LengthUnit | None = None
+    """Unit of lengths in a file of tracks; None: that of its format."""
+    rate: float | None = None
+    """Frame numbers per second in a file of tracks."""
+    hz: float | None = None
+    """Rows per second; None: a row for each observation."""
 
 
 @dataclass(frozen=True, kw_only=True)

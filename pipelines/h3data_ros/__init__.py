@@ -1,10 +1,19 @@
-"""ROS 2 without ROS: bags out and in, tracks of people in the files of data sets, and maps of map_server as scenes."""
+"""ROS 2 without ROS: bags out and in, tracks of people in the files of data sets, and maps of map_server as scenes.
 
-from h3data.formats import Format
+These formats are recognised by `h3data.formats.builtin_formats`.
+"""
 
-ROSBAG2 = Format(
-    name="rosbag2",
-    title="a bag of ROS 2",
+from dataclasses import replace
+
+from h3data.formats.builtin_formats import BUILT_IN
+
+_RECOGNISED = {one.name: one for one in BUILT_IN}
+
+ROSBAG2 = replace(
+    _RECOGNISED["rosbag2"],
+    suffixes=("metadata.yaml",),
+    read="h3data_ros.bag_import:read_rosbag2",
+    read_options=("tracks",),
     write="h3data_ros.bag_export:export_rosbag2",
     write_options=("assets", "people", "stand_ins", "cameras", "storage", "lidar"),
     target="folder",
