@@ -181,5 +181,17 @@ BUILT_IN = (
         title="rearrangement episodes of Habitat, with their scenes",
     ),
 )
+TABLES = (
+    Format(
+        name="tracks",
+        title="a table that may hold tracks of people",
+        begins=re.compile(
+            rb"""FILE_ID[,\t]|\s*\{\s*"(?:track|scene)"\s*:\s*\{\s*"(?:f|id|p)"\s*:"""  # THÖR-MAGNI, TrajNet++
+            rb"""|(?:[#%][^\n]*\n)*[^\S\n]*[\w."'-][^\n,;\t{}<>\0]*(?:[,;\t][^\n,;\t{}<>\0]*){2,}(?:\n|$)"""  # CSV
+            rb"""|(?:[#%][^\n]*\n)*[^\S\n]*(?:[+-]?[\d.]+(?:[eE][+-]?\d+)?(?:[ \t]+|(?=\r?\n|$))){4,}\r?(?:\n|$)"""  # numbers
+        ),
+    ),
+)
+"""Formats of text that plug-ins may know better: they are asked first."""
 JSON = Format(name="json", title="JSON of an unknown kind")
 UNKNOWN = Format(name="unknown", title="a file of an unknown kind")

@@ -5,9 +5,9 @@ These formats are recognised by `h3data.formats.builtin_formats`.
 
 from dataclasses import replace
 
-from h3data.formats.builtin_formats import BUILT_IN
+from h3data.formats.builtin_formats import BUILT_IN, TABLES
 
-_RECOGNISED = {one.name: one for one in BUILT_IN}
+_RECOGNISED = {one.name: one for one in (*BUILT_IN, *TABLES)}
 
 ROSBAG2 = replace(
     _RECOGNISED["rosbag2"],
@@ -18,3 +18,4 @@ ROSBAG2 = replace(
     write_options=("assets", "people", "stand_ins", "cameras", "storage", "lidar"),
     target="folder",
 )
+TRACKS = replace(_RECOGNISED["tracks"], read="h3data_ros.track_import:read_tracks", read_options=("tracks",))
