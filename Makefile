@@ -115,7 +115,7 @@ test-packages: dev  ### the wheel without each of its packages in turn: what nee
 	H3DATA_SITE=$(CURDIR)/$(PACKAGES)/site $(PYTEST) -m "slow or not slow" --durations 6 tests/product/test_packages.py
 
 LOWEST := .venv-lowest
-LOWEST_EXTRAS := gltf env rays robomimic foxglove hitl remote sql hub frames notebook
+LOWEST_EXTRAS := gltf env rays robomimic foxglove ros hitl remote sql hub frames notebook
 LOWEST_TESTS := tests/recording tests/mesh tests/scene tests/stats tests/studies/test_mixed_models.py tests/export tests/metrics \
 	tests/bodies/robots tests/sim/envs \
 	tests/pipelines/test_parsing.py tests/pipelines/test_sql.py tests/pipelines/test_sync.py tests/viewers/test_rerun_view.py

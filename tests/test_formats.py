@@ -58,6 +58,7 @@ def test_the_built_in_table_is_sound() -> None:
     assert len({one.name for one in BUILT_IN}) == len(BUILT_IN)
     assert list(export_options()) == [
         "gfx-replay",
+        "rosbag2",
         "habitat-episodes",
         "csv",
         "foxglove",

@@ -520,11 +520,12 @@ TARGETS = {
     "gfx-replay": "e.gfx_replay.json",
     "gltf": "e.glb",
     "foxglove": "e.foxglove.mcap",
+    "rosbag2": "bag",
     "csv": "tables",
     "lerobot": "lerobot",
     "robomimic": "d.hdf5",
 }
-NEEDS = {"robomimic": "h5py", "foxglove": "mcap_protobuf"}
+NEEDS = {"robomimic": "h5py", "foxglove": "mcap_protobuf", "rosbag2": "rosbags"}
 
 
 def run_json(capsys: pytest.CaptureFixture[str], *arguments: str | Path, code: int = 0) -> Any:
@@ -553,7 +554,7 @@ def test_the_command_writes_once_and_again_only_by_force(
     arguments: list[str | Path] = ["export", log, "--to", to, "-o", out]
     assert run_json(capsys, *arguments)["to"] == to
     assert out.exists()
-    assert "exist" in run_json(capsys, *arguments, code=2)["error"] or to == "csv"
+    assert "exist" in run_json(capsys, *arguments, code=2)["error"] or to in ("csv", "rosbag2")
     run_json(capsys, *arguments, "--force")
     assert not list(tmp_path.rglob("*.part"))
 

@@ -33,6 +33,7 @@ PLACES = {
     "h3data_pipelines": "pipelines",
     "h3data_training": "pipelines",
     "h3data_remote": "pipelines",
+    "h3data_ros": "pipelines",
     "h3data_play": "viewers",
     "h3data_studies": "viewers",
     "h3data_viewers": "viewers",
