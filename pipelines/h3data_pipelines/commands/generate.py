@@ -124,6 +124,7 @@ def generate(
     max_steps: int | None = None,
     spawn_distance: float | None = None,
     overrides: Overrides = (),
+    sensors: Sequence[str] = (),
     cameras: Paths = (),
     people: PeopleStyle = "skin",
     light: LightMode = "baked",
@@ -224,6 +225,9 @@ class Generate:
     train skill; or oracle: simple rules that a GPU plays too, with the paper's people, where nobody gives way to anybody
     (default: skills that know the whole state)."""
     overrides: OverridesOption
+    sensors: tuple[str, ...]
+    """Sensors of robots that are recorded with every step: lidar, lidar_legs or any other of h3data docs environments; not in
+    rearrange."""
     cameras: tuple[str, ...]
     """Cameras whose videos are added to the dataset (observation.images.<name>), as in rerender."""
     people: PeopleOption
@@ -411,6 +415,7 @@ class Generate:
             max_steps=self.max_steps,
             spawn_distance=self.spawn_distance,
             overrides=read_overrides(self.overrides),
+            sensors=self.sensors or None,
         )
         choices = with_skills(choices, ",".join(self.skills))
         in_set = self.episodes_file is None and len(self.scenes) == 1
