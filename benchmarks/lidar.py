@@ -12,6 +12,7 @@ import numpy as np
 
 from h3data.scene import FreeSpace
 from h3data_homes import HomeSpec, build_home
+from h3data_homes.spec import Preset
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.sensing.lidar import scan
 from sim_kinematic.sensing.table import SensorContext
@@ -23,7 +24,8 @@ ROUNDS = 60
 
 def run(emit: Emit) -> None:
     """Emits ``lidar.*``."""
-    for preset, worlds, people in (("medium", 1, 1), ("large", 1, 6), ("large", 16, 6)):
+    cases: tuple[tuple[Preset, int, int], ...] = (("medium", 1, 1), ("large", 1, 6), ("large", 16, 6))
+    for preset, worlds, people in cases:
         free = FreeSpace.from_scene(build_home(HomeSpec(preset=preset, seed=2)))
         for legs in (False, True):
             name = f"lidar.{preset}.w{worlds}_people{people}{'_legs' if legs else ''}_us"

@@ -28,11 +28,15 @@ class Scan(NamedTuple):
     max_m: float
     """Greatest distance that it can measure; rays that long met nothing."""
 
+    def met(self) -> NDArray[np.float32]:
+        """Distances [T, R] [m] to what the rays met, infinite where that is nothing."""
+        return np.where(self.ranges < self.max_m * (1 - 1e-3), self.ranges, np.float32(np.inf))
+
     def points(self, recording: Recording, rows: NDArray[np.integer] | slice = slice(None)) -> NDArray[np.float32]:
         """World points that the rays met in some rows, [t, R, 3] [m]; NaN where a ray met nothing."""
         base = recording.agent_column(self.agent, "base_pose")[rows].astype(np.float64)
-        reach = self.ranges[rows].astype(np.float64)
-        reach[~(reach < self.max_m * (1 - 1e-3))] = np.nan
+        reach = self.met()[rows].astype(np.float64)
+        reach[np.isinf(reach)] = np.nan
         turns = np.arange(reach.shape[1]) * (2 * math.pi / max(reach.shape[1], 1))
         headings = heading_from_quat(base[:, 3:])[:, None] + turns
         x, z = base[:, :1] + reach * np.cos(headings), base[:, 2:3] - reach * np.sin(headings)

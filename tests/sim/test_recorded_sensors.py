@@ -66,3 +66,47 @@ def test_scans_without_sound_facts_are_shown_as_far_as_they_go(recording: h3data
     found: list[Scan] = scans_of(odd)
     assert found[0].max_m == pytest.approx(float(np.nanmax(found[0].ranges)))
     assert np.isfinite(found[0].points(odd)).any()
+
+
+# --- what is shown and exported ---------------------------------------------------------------------------------------
+def test_the_rerun_view_shows_the_points(recording: h3data.Recording, tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    from h3data_viewers.rerun.floor_marks import SCAN_EVERY
+    from h3data_viewers.rerun.rrd_file import write_rrd
+    from tests.viewers.rerun_file import File
+
+    shown = File(write_rrd(recording, tmp_path / "a.rrd"))
+    met = np.isfinite(scans_of(recording)[0].points(recording)).all(-1)[::SCAN_EVERY]
+    _, points = shown.column("/world/scans/robot_lidar", "Points3D:positions")
+    assert [len(at) for at in points] == met.sum(1).tolist()
+
+
+def test_the_html_replay_has_the_distances(recording: h3data.Recording) -> None:
+    from h3data_viewers.html_replay.packing import Payload
+    from h3data_viewers.html_replay.story import SCAN_M, add_story
+
+    payload = Payload()
+    story = add_story(payload, recording, np.arange(len(recording)))
+    assert [(s["agent"], s["track"], s["most"]) for s in story["scans"]] == [(0, "scan_0", 12.0), (0, "scan_1", 12.0)]
+    entry = payload.entries["scan_0"]
+    assert entry["shape"] == [40, 360]
+    assert entry["step"] == SCAN_M
+
+
+def test_foxglove_gets_laser_scans_to_the_left(recording: h3data.Recording, tmp_path: Path) -> None:
+    pytest.importorskip("foxglove_schemas_protobuf")
+    from mcap.reader import make_reader
+    from mcap_protobuf.decoder import DecoderFactory
+
+    from h3data_exporters.foxglove.foxglove_file import write_foxglove
+
+    path = tmp_path / "a.foxglove.mcap"
+    write_foxglove(recording, lambda steps: [], path)
+    with path.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        scans = [message for *_, message in reader.iter_decoded_messages(topics=["/agents/robot/lidar"])]
+    assert len(scans) == len(recording)
+    np.testing.assert_array_equal(np.array(scans[7].ranges, np.float32), scans_of(recording)[0].met()[7])
+    assert scans[7].end_angle == pytest.approx(2 * np.pi * 359 / 360)
+    turn = scans[7].pose.orientation  # from x forward, y left, z up to the root's x forward, y up, z right
+    assert (turn.x, turn.y, turn.z, turn.w) == pytest.approx((-(0.5**0.5), 0, 0, 0.5**0.5))
