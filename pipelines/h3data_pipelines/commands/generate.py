@@ -205,7 +205,7 @@ class Generate:
     """Who takes part (default: robot,human): kinds, bodies, files, or a kind with one of these, as in robot,human,male_1 or
     robot:my_robot.urdf,human:male_1."""
     robot: str | None
-    """Body of each agent named robot: a built-in one, a URDF, or a folder with robot.toml (default: quad_arm)."""
+    """Body of each agent named robot: a built-in one, a URDF or MJCF file, or a folder with robot.toml (default: quad_arm)."""
     human: str | None
     """Body of each agent named human: a built-in one, with an outfit as in female_0:dress; random:SEED; an .npz file; any: each
     episode samples one of the twelve adults; random: new people for each episode, in wander for each person (default: the
