@@ -121,3 +121,45 @@ def test_environments_show_it() -> None:
     np.testing.assert_array_equal(rows["lidar"][0], shown["lidar"])
     people = np.flatnonzero(rows["lidar"] != rows["lidar_legs"])
     assert len(people) < 0.3 * rows["lidar"].size
+
+
+# --- in three dimensions ------------------------------------------------------------------------------------------------
+def test_environments_show_3d_scans() -> None:
+    pytest.importorskip("embreex")
+    options: Any = {"scenes": "small:1", "observations": ("lidar_3d", "lidar", "localization")}
+    env = h3data.make("social_nav", **options)
+    shown, _ = env.reset(seed=3)
+    space: Any = env.observation_space
+    scan = shown["lidar_3d"]
+    assert space["lidar_3d"].contains(scan)
+    assert scan.shape == (16, 360)
+    assert 0.3 < scan.min() < scan.max() <= 30.0
+    level, flat = np.minimum(scan[7:9].max(0), 12.0), shown["lidar"]
+    assert np.median(level - flat) > -0.05, "above furniture it sees as far as the map says, or farther"
+    many = h3data.make("social_nav", num_envs=2, **options)
+    rows, _ = many.reset(seed=3)
+    np.testing.assert_allclose(rows["lidar_3d"][0], scan, atol=1e-5)
+    env.step(np.array([1.0, 0.0]))
+    again = env.step(np.array([1.0, 0.5]))[0]["lidar_3d"]
+    assert np.abs(again - scan).max() > 0.01
+
+
+def test_a_3d_scan_sees_people_but_not_the_robot_itself(free: FreeSpace) -> None:
+    pytest.importorskip("embreex")
+    from sim_kinematic.sensing.camera_sensor import StateRenderer
+
+    home = build_home(HomeSpec(preset="small", seed=1))
+    world = World(make_roster("robot,human"))
+    at = next(p for p in free.sample(np.random.default_rng(0), 4000) if free.free_along(p, [0.0], max_m=9)[0] > 2.0)
+    drawn, seen = StateRenderer(home, [member.body for member in world.roster]), []
+    for ahead in (1.3, -40.0):
+        world.place(np.array([[[*at, 0.0], [at[0] + ahead, at[1], 1.0]]]), [free])
+        drawn.pose(world.state, floor=free)
+        seen.append(drawn.scans(0)[0])
+    near, away = seen
+    assert 0.9 < near[:, 0].min() < 1.3, "the person, 1.3 m ahead"
+    assert away[:, 0].min() > 1.5
+    behind = slice(90, 270)
+    np.testing.assert_array_equal(near[:, behind], away[:, behind])
+    with pytest.raises(InputError, match="H3-SIM-"):
+        drawn.scans(1)
