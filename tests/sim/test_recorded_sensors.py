@@ -76,7 +76,7 @@ def test_the_rerun_view_shows_the_points(recording: h3data.Recording, tmp_path: 
     from tests.viewers.rerun_file import File
 
     shown = File(write_rrd(recording, tmp_path / "a.rrd"))
-    met = np.isfinite(scans_of(recording)[0].points(recording)).all(-1)[::SCAN_EVERY]
+    met = np.isfinite(scans_of(recording)[0].points(recording))[::SCAN_EVERY].all(-1)
     _, points = shown.column("/world/scans/robot_lidar", "Points3D:positions")
     assert [len(at) for at in points] == met.sum(1).tolist()
 
