@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
-from h3data.geometry import Array, ground_pose, quat_conjugate, quat_rotate
+from h3data.geometry import IDENTITY_POSE, Array, ground_pose, quat_conjugate, quat_rotate
 from h3data.kernels import kernel
 from h3data.moved import refuse_renamed
 from h3data.scene import FreeSpace
@@ -34,6 +34,7 @@ from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.contact import AgentContacts
 from sim_kinematic.contact.clearance import RobotHumanContact, clip_reach, robot_reach
 from sim_kinematic.contact.frames import body_frames, body_shapes, root_pose, shape_frames
+from sim_kinematic.contact.outlines import legs_at, shins
 from sim_kinematic.motion.gait import cycle_phase, drive_people, move_people, walk_humans
 from sim_kinematic.motion.spec import HOME_BASE, BaseSpec, WalkerSpec
 from sim_kinematic.motion.state import AgentState, HumanState, RobotState, WorldState, stack_agents
@@ -252,7 +253,7 @@ class World:
                 elif isinstance(command, PoseCommand):
                     move_people(own, values, command.headings[at], self.walker)
                 else:
-                    others = self._discs_beside(k)[at] if self._solid else None
+                    others = self._discs_beside(k, self.before.agents)[at] if self._solid else None
                     self.blocked[at, k] = drive_people(
                         own, free, values, self.walker, radius_m=self._person_radius_m, others=others
                     )
@@ -299,6 +300,20 @@ class World:
         for free, rows in self.groups:
             left[rows] = free.signed_distance(points[rows])
         return left
+
+    def free_along(self, xz: Array, headings: Array, max_m: float) -> Array:
+        """Distance [W, R] [m], at most ``max_m``, from places [W, 2] along headings [W, R] [rad] to the nearest obstacle."""
+        reach = np.empty(headings.shape)
+        for free, rows in self.groups:
+            reach[rows] = free.free_along(xz[rows], headings[rows], max_m=max_m)
+        return reach
+
+    def circles(self, agent: int, *, legs: bool = False) -> Array:
+        """All other agents as circles ``(x, z, radius)`` [W, N, 3] [m].
+
+        Robots are the discs of their bases; people are one disc, or with ``legs`` two legs in their posture.
+        """
+        return self._discs_beside(agent, self.state.agents, legs=legs)
 
     def in_root_frame(self, own: AgentState, points: Array) -> Array:
         """World points [W, n, 3] in the agent root frames of agents."""
@@ -349,11 +364,17 @@ class World:
             )
         return checked
 
-    def _discs_beside(self, agent: int) -> Array:
-        """Discs ``(x, z, radius)`` of all others before the step, [W, N, 3]."""
+    def _discs_beside(self, agent: int, agents: Sequence[AgentState], *, legs: bool = False) -> Array:
+        """Discs ``(x, z, radius)`` of all others in a state, [W, N, 3]."""
         discs = [np.zeros((self.worlds, 0, 3))]
-        for k, (member, was) in enumerate(zip(self.roster, self.before.agents, strict=True)):
+        for k, (member, was) in enumerate(zip(self.roster, agents, strict=True)):
             if k == agent:
+                continue
+            if legs and isinstance(member.body, Humanoid):
+                clip, phase, blend, _ = self.posture(k, self.rows)
+                posture = member.body.clip_pose(clip, phase, blend)
+                joints = member.body.joint_matrices(np.tile(IDENTITY_POSE, (self.worlds, 1)), *posture)
+                discs.append(legs_at(np, was.xz, was.heading, shins(joints)))
                 continue
             is_robot = member.kind == "robot"
             offsets = self.bases[k].disc_offsets_m if is_robot else (0.0,)

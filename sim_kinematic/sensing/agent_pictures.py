@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
 from sim_kinematic.contact.frames import Body
+from sim_kinematic.sensing.lidar import COLUMNS, LASERS, SCAN_M
 from sim_kinematic.sensing.sensor import DETECTED_PIXELS, Detection, detect_humanoids
 
 if TYPE_CHECKING:
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
 DETECTORS = {"humanoid_detector": "found", "humanoid_mask": "mask", "humanoid_box": "box"}
 """Observations that are parts of a `Detection`."""
+LIDAR_3D = "lidar_3d"
+"""Distances of a 3-D laser scanner on top of a robot (`sim_kinematic.sensing.camera_sensor.StateRenderer.scans`)."""
 ARM = "arm"
 PREFIX = "robot_"
 
@@ -47,13 +50,13 @@ def picture_names(body: Body) -> tuple[str, ...]:
     """Names of the pictures that a body can observe.
 
     A robot has ``CAMERA_depth`` and ``CAMERA_rgb`` of each of its cameras ``robot_CAMERA``, and `DETECTORS` if there is
-    one on its arm. A person has ``head_depth`` and ``head_rgb``, their own view.
+    one on its arm, and `LIDAR_3D`. A person has ``head_depth`` and ``head_rgb``, their own view.
     """
     if isinstance(body, Humanoid):
         return ("head_depth", "head_rgb")
     cameras = [c.name.removeprefix(PREFIX) for c in body.cameras if not c.name.endswith("_rgb")]
     names = [f"{camera}_{output}" for camera in cameras for output in ("depth", "rgb")]
-    return (*names, *DETECTORS) if ARM in cameras else tuple(names)
+    return (*names, *(DETECTORS if ARM in cameras else ()), LIDAR_3D)
 
 
 class AgentPictures:
@@ -92,7 +95,9 @@ class AgentPictures:
         self.names = tuple(name for name in names if name in picture_names(body))
         self._agent = agent
         self._lenses = {
-            n: _lens(body, n, own.get(n, rgb_size if n.endswith("_rgb") else depth_size)) for n in self.names
+            n: _lens(body, n, own.get(n, rgb_size if n.endswith("_rgb") else depth_size))
+            for n in self.names
+            if n != LIDAR_3D
         }
         self._detects_from = 0
         if set(DETECTORS) & set(self.names) and isinstance(body, Robot):
@@ -107,6 +112,8 @@ class AgentPictures:
 
     def limits(self, name: str) -> Limits:
         """The space of one world's picture: ``rgb`` uint8 [H, W, 3], the detector float32 [1], others float32 [H, W, 1]."""
+        if name == LIDAR_3D:
+            return Limits(0.0, SCAN_M, (LASERS, COLUMNS), np.float32)
         lens = self._lenses[name]
         if name.endswith("_rgb"):
             return Limits(0, 255, (lens.height, lens.width, 3), np.uint8)
@@ -129,7 +136,7 @@ class AgentPictures:
             )
             seen[lens] = sensor.observe(drawn)
         detected: dict[Lens, Detection] = {}
-        pictures = {}
+        pictures = {LIDAR_3D: drawn.scans(self._agent)} if LIDAR_3D in self.names else {}
         for name, lens in self._lenses.items():
             if name not in DETECTORS:
                 picture = seen[lens][_output(name)]

@@ -22,7 +22,7 @@ from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.recorded import COMMAND, is_remote
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import WorldRollout
-from sim_kinematic.tasks.recorder import Recorder, Sink, describe
+from sim_kinematic.tasks.recorder import RecordedSensors, Recorder, Sink, describe
 from sim_kinematic.tasks.registry import reference_of
 from sim_kinematic.tasks.task import Task
 
@@ -110,6 +110,7 @@ def simulate(
     sink: Callable[[RecordingHeader], Sink] | None = None,
     progress: Callable[[int], object] | None = None,
     info: Mapping[str, Any] | None = None,
+    sensors: Sequence[str] = (),
 ) -> Recording:
     """Plays one episode to its end and returns its recording.
 
@@ -122,14 +123,18 @@ def simulate(
             come, such as a `RecordingWriter`. It is closed at the end and aborted on an error.
         progress: Called with 1 after every step.
         info: Entries of the recording's info that the caller knows better than the task.
+        sensors: Names of sensors of robots that are recorded with every step, as columns ``metrics.agent_<i>.<sensor>``.
 
     Raises:
-        InputError: no such policy or agent.
+        InputError: no such policy, agent or sensor.
     """
     assigned = assign(task, episode, policies)
+    measured = RecordedSensors(task, episode.roster, sensors) if sensors else None
+    if measured is not None:
+        info = {**(info or {}), "sensors": measured.facts}
     header = describe(task, episode, assigned, episode_id=episode_id, reference=reference_of(task))
     play = WorldRollout.of(task, episode, assigned, measure=False)
-    recorder = Recorder(header, play, sink(header) if sink is not None else None)
+    recorder = Recorder(header, play, sink(header) if sink is not None else None, sensors=measured)
     try:
         run(play, recorder, progress=progress, note=partial(_record, task, recorder))
         return recorder.finish(

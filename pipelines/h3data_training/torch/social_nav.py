@@ -13,7 +13,7 @@ from h3data_training.torch.episodes import EpisodeBank
 from h3data_training.torch.geodesic import ShortestPath
 from h3data_training.torch.task_worlds import Play, TaskTensors
 from sim_kinematic.sensing.sensor import facing
-from sim_kinematic.sensing.table import FOLLOWER
+from sim_kinematic.sensing.table import ON_DEVICES
 from sim_kinematic.tasks.episode import StepOutcome
 from sim_kinematic.tasks.rules.predicates import is_found
 from sim_kinematic.tasks.rules.rewards import PaperReward
@@ -57,12 +57,12 @@ class SocialNavTensors(TaskTensors):
         return ShortestPath(play.memory["geodesic"], play.memory["towards"])
 
     def observations(self, names: Sequence[str], play: Play) -> dict[str, Tensor]:
-        """Returns the observations of `sim_kinematic.sensing.table.FOLLOWER`, float32 [W, n] each.
+        """Returns the observations of `sim_kinematic.sensing.table.ON_DEVICES`, float32 [W, n] each.
 
         Raises:
             InputError: there is no such observation on a device.
         """
-        if strangers := [name for name in names if name not in FOLLOWER]:
+        if strangers := [name for name in names if name not in ON_DEVICES]:
             raise InputError(f"On a device there is no observation {strangers[0]!r}.", code="H3-TRAIN-075")
         return super().observations(names, play)
 
