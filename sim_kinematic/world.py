@@ -35,7 +35,7 @@ from sim_kinematic.contact import AgentContacts
 from sim_kinematic.contact.clearance import RobotHumanContact, clip_reach, robot_reach
 from sim_kinematic.contact.frames import body_frames, body_shapes, root_pose, shape_frames
 from sim_kinematic.motion.gait import cycle_phase, drive_people, move_people, walk_humans
-from sim_kinematic.motion.spec import HOME_BASE, BaseSpec, WalkerSpec
+from sim_kinematic.motion.spec import HOME_BASE, BaseSpec, PersonContact, WalkerSpec
 from sim_kinematic.motion.state import AgentState, HumanState, RobotState, WorldState
 from sim_kinematic.motion.step import discs_at, drive_robots, first_not_finite
 
@@ -114,6 +114,7 @@ class World:
         walker: WalkerSpec | None = None,
         person_radius_m: float = 0.25,
         solid: bool = False,
+        person_contact: PersonContact = "body",
         objects: int = 0,
         scene_joints: int = 0,
     ) -> None:
@@ -126,6 +127,7 @@ class World:
             walker: gait and speed of people.
             person_radius_m: radius of a person who is driven from outside.
             solid: whether people who are driven slide along the discs of the other agents, at their positions before the step.
+            person_contact: collision shapes of people.
             objects: number of things that agents can take, in `state`.
             scene_joints: number of doors and drawers, in `state`.
 
@@ -139,6 +141,7 @@ class World:
         self.bases = tuple(base_of(m.body, rules) if isinstance(m.body, Robot) else rules for m in self.roster)
         """Discs and limits of each robot; the rules for people."""
         self._person_radius_m, self._solid = person_radius_m, solid
+        self._person_contact: PersonContact = person_contact
         robots = [member.body for member in self.roster if isinstance(member.body, Robot)]
         people = len(self.roster) - len(robots)
         self.state = WorldState.zeros(
@@ -176,7 +179,7 @@ class World:
 
     @cached_property
     def _contact(self) -> _PairContacts:
-        return _PairContacts(self.roster, self.pairs)
+        return _PairContacts(self.roster, self.pairs, self._person_contact)
 
     def place(self, starts: Array, floors: Sequence[FreeSpace], rows: Rows | None = None) -> None:
         """Puts all agents at rest at their starts, each world on its own floor.
@@ -393,20 +396,24 @@ def _worlds_near(xz, other, rows, gate):
 class _PairContacts:
     """Contact between all pairs of agents: by distance first, then by FCL in the worlds where a pair is near."""
 
-    def __init__(self, roster: Sequence[AgentSpec], pairs: Sequence[tuple[int, int]]) -> None:
+    def __init__(
+        self, roster: Sequence[AgentSpec], pairs: Sequence[tuple[int, int]], person_contact: PersonContact
+    ) -> None:
         self._roster, self._pairs = roster, pairs
+        self._person_contact: PersonContact = person_contact
         # a robot that keeps its posture beside a person: posed together, as recorded
         self._of = [
-            RobotHumanContact(roster[a].body, roster[b].body)  # type: ignore[arg-type]
+            RobotHumanContact(roster[a].body, roster[b].body, person_contact=person_contact)  # type: ignore[arg-type]
             if (roster[a].kind, roster[b].kind) == ("robot", "human")
             else None
             for a, b in pairs
         ]
         self._reach = [
-            robot_reach(m.body, m.body.rest) if isinstance(m.body, Robot) else clip_reach(m.body) for m in roster
+            robot_reach(m.body, m.body.rest) if isinstance(m.body, Robot) else clip_reach(m.body, person_contact)
+            for m in roster
         ]
         self._others = [p for p, own in enumerate(self._of) if own is None]
-        self._contacts = AgentContacts(*(body_shapes(m.body) for m in roster)) if self._others else None
+        self._contacts = AgentContacts(*(body_shapes(m.body, person_contact) for m in roster)) if self._others else None
 
     def touching(self, world: World, rows: Rows) -> NDArray[np.bool_]:
         agents = world.state.agents
@@ -436,7 +443,7 @@ class _PairContacts:
             w = rows[k]
             for number, (member, own) in enumerate(zip(self._roster, world.state.agents, strict=True)):
                 frames = body_frames(member.body, own.take([w]), world.floors[w], speed_mps=world.walker.speed_mps)
-                self._contacts.update(number, shape_frames(member.body, frames)[0])
+                self._contacts.update(number, shape_frames(member.body, frames, self._person_contact)[0])
             for p in self._others:
                 near[k, p] = near[k, p] and self._contacts.collides(*self._pairs[p])
 

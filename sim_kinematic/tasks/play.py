@@ -173,6 +173,7 @@ class WorldRollout:
             walker=spec.human,
             person_radius_m=spec.agent_radius_m,
             solid=getattr(spec, "solid_agents", False),
+            person_contact=getattr(spec, "person_contact", "body"),
         )
         self.episodes: list[Episode] = []
         """Episode of each world; empty before the first `begin`."""

@@ -30,6 +30,7 @@ from h3data_training.torch.seen import clearance
 from h3data_training.torch.state import HumanTensors, RobotTensors
 from h3data_training.torch.step import Grids, drive_robots, move_humans, refuse_stairs, walk_humans
 from sim_kinematic.avoidance.robot_base import base_of
+from sim_kinematic.motion.spec import PersonContact
 from sim_kinematic.motion.state import ROBOT
 from sim_kinematic.sensing.sensor import in_base_frame
 from sim_kinematic.sensing.table import Pose, SensorContext, sensed
@@ -193,7 +194,10 @@ class TaskTensors:
         self._lattices = Lattices.of(bank.floors, self.device, self.dtype)
         body = load_robot(robot)
         self.base = base_of(body, spec.robot)
-        self.touch = TouchTest.of(body, load_humanoid(human), spec.human, self.device, self.dtype)
+        contact: PersonContact = getattr(spec, "person_contact", "body")
+        self.touch = TouchTest.of(
+            body, load_humanoid(human), spec.human, self.device, self.dtype, person_contact=contact
+        )
 
         def on_device(*columns: Any) -> Tensor:
             parts = [torch.as_tensor(c, dtype=self.dtype, device=self.device) for c in columns]
