@@ -35,6 +35,7 @@ from sim_kinematic.tasks.episode import Episode, StepOutcome
 from sim_kinematic.tasks.rearrange.codec import RearrangeCodec
 from sim_kinematic.tasks.rearrange.control import SkillControl
 from sim_kinematic.tasks.rearrange.episode import (
+    ORACLE_RULES,
     RearrangeEpisode,
     RearrangeSpec,
     draw_episode,
@@ -51,7 +52,7 @@ class Rearrange(Task):
 
     name: ClassVar[str] = "rearrange"
     Spec: ClassVar[type[Any]] = RearrangeSpec
-    usage: ClassVar[TaskUsage] = TaskUsage(crosses_partners=True, can_be_solo=True)
+    usage: ClassVar[TaskUsage] = TaskUsage(crosses_partners=True, can_be_solo=True, device_rules=ORACLE_RULES)
     control: ClassVar[Control] = SkillControl()
     columns: ClassVar[Mapping[str, Any]] = {"metrics.at_goal": np.bool_}
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {
