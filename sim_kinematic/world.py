@@ -36,7 +36,7 @@ from sim_kinematic.contact.clearance import RobotHumanContact, clip_reach, robot
 from sim_kinematic.contact.frames import body_frames, body_shapes, root_pose, shape_frames
 from sim_kinematic.contact.outlines import legs_at, shins
 from sim_kinematic.motion.gait import cycle_phase, drive_people, move_people, walk_humans
-from sim_kinematic.motion.spec import HOME_BASE, BaseSpec, WalkerSpec
+from sim_kinematic.motion.spec import HOME_BASE, BaseSpec, PersonContact, WalkerSpec
 from sim_kinematic.motion.state import AgentState, HumanState, RobotState, WorldState, stack_agents
 from sim_kinematic.motion.step import discs_at, drive_robots, first_not_finite
 
@@ -116,6 +116,7 @@ class World:
         person_radius_m: float = 0.25,
         solid: bool = False,
         contact: bool = True,
+        person_contact: PersonContact = "body",
         objects: int = 0,
         scene_joints: int = 0,
     ) -> None:
@@ -129,6 +130,7 @@ class World:
             person_radius_m: radius of a person who is driven from outside.
             solid: whether people who are driven slide along the discs of the other agents, at their positions before the step.
             contact: whether it finds out who touches whom; otherwise whoever moves the agents sets `touching`.
+            person_contact: collision shapes of people.
             objects: number of things that agents can take, in `state`.
             scene_joints: number of doors and drawers, in `state`.
 
@@ -142,6 +144,7 @@ class World:
         self.bases = tuple(base_of(m.body, rules) if isinstance(m.body, Robot) else rules for m in self.roster)
         """Discs and limits of each robot; the rules for people."""
         self._person_radius_m, self._solid, self._finds_contact = person_radius_m, solid, contact
+        self._person_contact: PersonContact = person_contact
         robots = [member.body for member in self.roster if isinstance(member.body, Robot)]
         people = len(self.roster) - len(robots)
         self.state = WorldState.zeros(
@@ -179,7 +182,7 @@ class World:
 
     @cached_property
     def _contact(self) -> _PairContacts:
-        return _PairContacts(self.roster, self.pairs)
+        return _PairContacts(self.roster, self.pairs, self._person_contact)
 
     def place(self, starts: Array, floors: Sequence[FreeSpace], rows: Rows | None = None) -> None:
         """Puts all agents at rest at their starts, each world on its own floor.
@@ -420,23 +423,30 @@ def _near_pairs(xz, rows, pairs, gates):
 class _PairContacts:
     """Contact between all pairs of agents: by distance first, then by FCL in the worlds where a pair is near."""
 
-    def __init__(self, roster: Sequence[AgentSpec], pairs: Sequence[tuple[int, int]]) -> None:
+    def __init__(
+        self, roster: Sequence[AgentSpec], pairs: Sequence[tuple[int, int]], person_contact: PersonContact
+    ) -> None:
         self._roster, self._pairs = roster, pairs
+        self._person_contact: PersonContact = person_contact
         # a robot that keeps its posture beside a person: posed together, as recorded
         self._of = [
-            RobotHumanContact(roster[a].body, roster[b].body)  # type: ignore[arg-type]
+            RobotHumanContact(roster[a].body, roster[b].body, person_contact=person_contact)  # type: ignore[arg-type]
             if (roster[a].kind, roster[b].kind) == ("robot", "human")
             else None
             for a, b in pairs
         ]
-        reach = [robot_reach(m.body, m.body.rest) if isinstance(m.body, Robot) else clip_reach(m.body) for m in roster]
+        reach = [
+            robot_reach(m.body, m.body.rest) if isinstance(m.body, Robot) else clip_reach(m.body, person_contact)
+            for m in roster
+        ]
         gates = [
             reach[a] + reach[b] if own is None else own.gate_m + 1e-3
             for (a, b), own in zip(pairs, self._of, strict=True)
         ]
         self._gates, self._numbers = np.array(gates), np.array(pairs, np.intp).reshape(-1, 2)
         self._others = np.array([p for p, own in enumerate(self._of) if own is None], np.intp)
-        self._contacts = AgentContacts(*(body_shapes(m.body) for m in roster)) if len(self._others) else None
+        shapes = (body_shapes(m.body, person_contact) for m in roster)
+        self._contacts = AgentContacts(*shapes) if len(self._others) else None
 
     def touching(self, world: World, rows: Rows) -> NDArray[np.bool_]:
         if not self._pairs:
@@ -470,7 +480,7 @@ class _PairContacts:
                 body, agents = self._roster[numbers[0]].body, [world.state.agents[n] for n in numbers]
                 together = stack_agents(agents, w)
                 frames = body_frames(body, together, world.floors[w], speed_mps=world.walker.speed_mps)
-                for number, own in zip(numbers, shape_frames(body, frames), strict=True):
+                for number, own in zip(numbers, shape_frames(body, frames, self._person_contact), strict=True):
                     self._contacts.update(number, own)
             for p in asked.tolist():
                 near[k, p] = self._contacts.collides(*self._pairs[p])

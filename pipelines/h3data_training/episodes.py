@@ -18,6 +18,8 @@ from h3data_training.torch.episodes import EpisodeBank
 from h3data_training.torch.step import refuse_stairs
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import WALKERS, SocialNavSpec
+from sim_kinematic.tasks.episode import with_options
+from sim_kinematic.tasks.social_nav import TRAINING
 
 MOST_WORKERS = 32
 Task = TypeVar("Task")
@@ -25,14 +27,14 @@ Bank = TypeVar("Bank")
 
 
 def rules(settings: Settings) -> SocialNavSpec:
-    """The paper's rules for training, with the person's walk of the settings.
+    """The paper's rules for training, with the set of rules that the settings name.
 
     Raises:
         InputError: there is no such walk.
     """
     if settings.walk not in WALKERS:
         raise InputError(f"Unknown walk {settings.walk!r}. Expected one of: {', '.join(WALKERS)}.", code="H3-TRAIN-020")
-    return SocialNavSpec(spawn_distance_m=3.0, human=WALKERS[settings.walk])
+    return with_options(TRAINING, rules=settings.walk)
 
 
 def make_bank(settings: Settings, *, seed: int, workers: int | None = None) -> EpisodeBank:

@@ -15,6 +15,7 @@ from h3data.render.light.sources import LightMode
 from sim_kinematic.envs.recipe import EnvRecipe
 from sim_kinematic.policies.assignment import PolicyChoice
 from sim_kinematic.sensing.sensor import NoiseModel
+from sim_kinematic.tasks.episode import with_options
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.sources import Scenes
 from sim_kinematic.tasks.task import Task
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     import pettingzoo
     import torch
 
+    from h3data.commands.command import RuleSet
     from sim_kinematic.tasks.sessions import Spec
 
 
@@ -49,6 +51,7 @@ class MakeOptions(TypedDict, total=False):
     partner: PolicyChoice | None
     level: Literal["high", "low"] | None
     spec: Spec | None
+    rules: RuleSet | None
     roster: str | Sequence[str | Robot] | None
     robot: str | Path | Robot | None
     human: str | None
@@ -110,6 +113,7 @@ def make(
     partner: PolicyChoice | None = None,
     level: Literal["high", "low"] | None = None,
     spec: Spec | None = None,
+    rules: RuleSet | None = None,
     roster: str | Sequence[str | Robot] | None = None,
     robot: str | Path | Robot | None = None,
     human: str | None = None,
@@ -146,6 +150,7 @@ def make(
         partner: Policy of the agents that do not act.
         level: Actions of rearrangement: ``high`` chooses skills, ``low`` base velocity, arm joints and grip.
         spec: Rules of the task.
+        rules: Name of a set of rules that changes them: ``natural`` or ``paper`` (h3data docs simulation).
         roster: Agents that are present.
         robot: Body of robots.
         human: Body of people.
@@ -178,6 +183,7 @@ def make(
         "partner": partner,
         "level": level,
         "spec": spec,
+        "rules": rules,
         "roster": roster,
         "robot": robot,
         "human": human,
@@ -249,6 +255,9 @@ def _make(
     options: dict[str, Any],
 ) -> Any:
     found = find_task(task)
+    if (rules := options.pop("rules", None)) is not None:
+        usual = (device is not None and found.usage.device_rules) or found.usage.env_rules or found.Spec()
+        options["spec"] = with_options(options.get("spec") or usual, rules=rules)
     if device is not None:
         if flatten:
             raise InputError(
@@ -291,7 +300,7 @@ def _require_known(task: Task, stepper: Any, options: dict[str, Any], shared: Se
     """Refuses options that nobody takes."""
     parameters = inspect.signature(stepper.__init__).parameters.values()
     known = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY and p.name not in ("worlds", "options")]
-    known += [*shared, *task.usage.env_options, "num_envs", "device", "render_mode", "flatten"]
+    known += [*shared, *task.usage.env_options, "rules", "num_envs", "device", "render_mode", "flatten"]
     for name in options:
         if name not in known:
             raise InputError(

@@ -111,6 +111,7 @@ class WorldRollout:
             contact=not task.control.has_skills,
             objects=objects,
             scene_joints=scene_joints,
+            person_contact=getattr(spec, "person_contact", "body"),
         )
         self.episodes: list[Episode] = []
         """Episode of each world; empty before the first `begin`."""

@@ -83,6 +83,8 @@ class TaskUsage:
     """Rules of generated datasets; None: `Task.Spec` with its defaults."""
     env_rules: Any = None
     """Rules of environments; None: `Task.Spec` with its defaults."""
+    device_rules: Any = None
+    """Rules of environments on a device; None: those of the other environments."""
     set_rules: Callable[[SceneSet], Any] | None = None
     """Returns the rules by which a scene set samples starts; users' changes do not affect them. None: the dataset's rules."""
     env_options: Mapping[str, Callable[[Any], object]] = field(default_factory=dict)

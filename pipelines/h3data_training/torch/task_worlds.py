@@ -32,6 +32,7 @@ from h3data_training.torch.state import HumanTensors, RobotTensors
 from h3data_training.torch.step import Grids, drive_robots, heading_direction, move_humans, refuse_stairs, walk_humans
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.contact.outlines import legs_at, shins
+from sim_kinematic.motion.spec import PersonContact
 from sim_kinematic.motion.state import ROBOT
 from sim_kinematic.sensing.sensor import in_base_frame
 from sim_kinematic.sensing.table import Pose, SensorContext, sensed
@@ -228,7 +229,10 @@ class TaskTensors:
         self._lattices = Lattices.of(bank.floors, self.device, self.dtype)
         body = load_robot(robot)
         self.base = base_of(body, spec.robot)
-        self.touch = TouchTest.of(body, load_humanoid(human), spec.human, self.device, self.dtype)
+        contact: PersonContact = getattr(spec, "person_contact", "body")
+        self.touch = TouchTest.of(
+            body, load_humanoid(human), spec.human, self.device, self.dtype, person_contact=contact
+        )
         cycle = self.touch.cycle
         self._outlines = Outlines(
             torch.as_tensor(self.base.disc_offsets_m, dtype=self.dtype, device=self.device),

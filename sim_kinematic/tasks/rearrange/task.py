@@ -35,6 +35,7 @@ from sim_kinematic.tasks.control import Control
 from sim_kinematic.tasks.episode import Episode, StepOutcome
 from sim_kinematic.tasks.rearrange.codec import RearrangeCodec
 from sim_kinematic.tasks.rearrange.episode import (
+    ORACLE_RULES,
     RearrangeEpisode,
     RearrangeSpec,
     draw_episode,
@@ -63,6 +64,7 @@ class Rearrange(Task):
         can_be_solo=True,
         env_options={"level": check_level, "interrupts_when_close": bool},
         env_partners={"human": "plan_pop_4"},
+        device_rules=ORACLE_RULES,
     )
     control: ClassVar[Control] = SkillControl()
     columns: ClassVar[Mapping[str, Any]] = {"metrics.at_goal": np.bool_}
