@@ -280,9 +280,21 @@ def test_measure_takes_recordings_datasets_episodes_and_paths(generated: Any) ->
 
 # --- keyword arguments -------------------------------------------------------------------------------------------------
 JOBS = (
-    ("card", "evaluate", "export", "generate", "import_", "pull", "push", "render_frame", "report", "rerender")
-    + ("run_benchmark", "sync", "verify_benchmark", "view")
-)  # fmt: skip
+    "card",
+    "evaluate",
+    "export",
+    "generate",
+    "import_",
+    "pull",
+    "push",
+    "render_frame",
+    "report",
+    "rerender",
+    "run_benchmark",
+    "sync",
+    "verify_benchmark",
+    "view",
+)
 
 
 @pytest.mark.parametrize("name", JOBS)
