@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from h3data.exporters.posing import drawn_note
 from numpy.typing import NDArray
 
 from h3data.bodies import load_robot
 from h3data.bodies.robots.robot_files import find_robot
 from h3data.errors import H3DataError, InputError
-from h3data.exporters.posing import drawn_note
 from h3data.files import path_inside, size_text
 from h3data.formats import BagStorage, Exported, ExportRequest
 from h3data.geometry import heading_from_quat, pose_from_matrix, pose_multiply, quat_from_axis_angle, wrap_angle

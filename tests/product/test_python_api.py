@@ -278,6 +278,36 @@ def test_measure_takes_recordings_datasets_episodes_and_paths(generated: Any) ->
     assert h3data.measure(dataset[0]).to_dict()["values"].keys() == set(whole["metrics"])
 
 
+# --- keyword arguments -------------------------------------------------------------------------------------------------
+JOBS = (
+    "card",
+    "evaluate",
+    "export",
+    "generate",
+    "import_",
+    "pull",
+    "push",
+    "render_frame",
+    "report",
+    "rerender",
+    "run_benchmark",
+    "sync",
+    "verify_benchmark",
+    "view",
+)
+
+
+@pytest.mark.parametrize("name", JOBS)
+def test_unknown_keyword_arguments_are_refused_with_the_one_that_was_meant(name: str) -> None:
+    job = getattr(h3data, name)
+    some = list(inspect.signature(job).parameters)[-1]
+    with pytest.raises(TypeError, match=re.escape(f"has no argument '{some}x'. Did you mean '{some}'?")):
+        job(**{f"{some}x": 1})
+    with pytest.raises(TypeError, match=f"has no argument 'zzzzzzzz'. Expected one of: .*{some}"):
+        job(zzzzzzzz=1)
+    assert pickle.loads(pickle.dumps(job)) is job
+
+
 # --- environments ------------------------------------------------------------------------------------------------------
 def test_the_version() -> None:
     assert h3data.__version__

@@ -25,7 +25,7 @@ from h3data.commands.command import (
     open_episode,
 )
 from h3data.commands.options import command_line, command_of
-from h3data.errors import InputError
+from h3data.errors import InputError, suggest_keywords
 from h3data.formats import BagStorage, ExportRequest, Format, PersonDetail, export_format, export_options, load
 from h3data.progress import progress
 from h3data.recording import Recording
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 
+@suggest_keywords
 def export(
     recording: FilePath,
     out: FilePath,

@@ -33,7 +33,7 @@ from h3data.commands.command import (
 from h3data.commands.executors import ExecutorOption, check_workers, opened
 from h3data.commands.options import OfTasks, TaskNotes, command_line, command_of
 from h3data.commands.shards import Executor
-from h3data.errors import H3DataError, InputError
+from h3data.errors import H3DataError, InputError, suggest_keywords
 from h3data.progress import progress
 from h3data.recording.storage import AnyPath, place
 from h3data.scene.scene_sets import find_scene_set
@@ -98,6 +98,7 @@ MAX_STEPS = TaskNotes(
 SPAWN_DISTANCE = TaskNotes({"social_nav": "Sets and files decide it."})
 
 
+@suggest_keywords
 def generate(
     task: TaskChoice,
     out: FilePath,

@@ -10,6 +10,7 @@ import tyro
 from h3data.commands.arguments import result_of
 from h3data.commands.command import ForceFlag, JsonFlag, Outcome
 from h3data.commands.options import command_of
+from h3data.errors import suggest_keywords
 from h3data.formats import ImportRequest, LengthUnit
 from h3data.pseudonyms import participant_key_path
 from h3data_pipelines.assets.scene_reports import text_table
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from h3data.commands.arguments import FilePath, Paths
 
 
+@suggest_keywords
 def import_(
     paths: Paths,
     out: FilePath,

@@ -13,7 +13,7 @@ import tyro
 from h3data.commands.arguments import result_of
 from h3data.commands.command import ForceFlag, JsonFlag, Outcome, claim_folder, keeping
 from h3data.commands.options import command_of
-from h3data.errors import FormatError, InputError
+from h3data.errors import FormatError, InputError, suggest_keywords
 from h3data.files import size_text
 from h3data.progress import progress
 from h3data.recording.storage import local
@@ -29,6 +29,7 @@ _THREADS = 4
 _BESIDE = ("README.md", "card.jpg")
 
 
+@suggest_keywords
 def pull(repo: str, out: FilePath, *, revision: str = "main", force: bool = False) -> Path:
     """Downloads a dataset from the Hugging Face Hub; options as of ``h3data pull``.
 

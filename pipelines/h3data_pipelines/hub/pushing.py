@@ -12,7 +12,7 @@ import tyro
 from h3data.commands.arguments import result_of
 from h3data.commands.command import JsonFlag, Outcome, keeping
 from h3data.commands.options import command_of
-from h3data.errors import InputError
+from h3data.errors import InputError, suggest_keywords
 from h3data.files import size_text
 from h3data.progress import progress
 from h3data.recording.storage import local
@@ -31,6 +31,7 @@ _BATCH = 16
 """Files uploaded between two updates of the progress bar."""
 
 
+@suggest_keywords
 def push(dataset: FilePath, repo: str, *, private: bool = False, message: str = "") -> str:
     """Uploads a dataset to the Hugging Face Hub; options as of ``h3data push``.
 

@@ -33,7 +33,7 @@ from h3data.commands.command import (
 )
 from h3data.commands.executors import ExecutorOption, check_workers, opened
 from h3data.commands.options import command_of
-from h3data.errors import H3DataError, InputError
+from h3data.errors import H3DataError, InputError, suggest_keywords
 from h3data.progress import progress
 from h3data.recording.finding import find_episodes
 from h3data.recording.parquet.files import is_dataset
@@ -66,6 +66,7 @@ class Rendered:
     """Why a recording could not be rendered, by its path."""
 
 
+@suggest_keywords
 def rerender(
     recordings: Paths,
     out: FilePath,

@@ -25,7 +25,7 @@ from h3data.commands.command import (
 )
 from h3data.commands.executors import ExecutorOption, check_workers, opened
 from h3data.commands.options import command_line, command_of
-from h3data.errors import InputError
+from h3data.errors import InputError, suggest_keywords
 
 if TYPE_CHECKING:
     from typing import Literal
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from h3data_viewers.html_report.report import Report
 
 
+@suggest_keywords
 def report(
     datasets: Paths,
     out: FilePath = "report.html",
