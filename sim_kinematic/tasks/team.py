@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -29,7 +30,8 @@ class Team(ABC):
     """Agents of a rollout. A base class: ``play`` is the `sim_kinematic.tasks.play.WorldRollout`."""
 
     def __init__(self, play: Any) -> None:
-        self.play = play
+        # no circle of references: policies with open connections are freed with the last use of their rollout
+        self.play: Any = weakref.proxy(play)
         self.controllers: Sequence[Any] = ()
         """A `sim_kinematic.controllers.controller.Controller` for each agent."""
         self.order: Sequence[int] = range(len(play.world.roster))
