@@ -136,7 +136,7 @@ class MotionTeam(Team):
         """The named observations of an agent in all worlds."""
         if not names:
             return {}
-        context, who = self._context(agent), (type(self.play.task).__name__, self.play.world.roster[agent].name)
+        context, who = self._context(agent), (self.play.task.name, self.play.world.roster[agent].name)
         return {name: np.asarray(sensed(name, sensors[name], context, *who), np.float64) for name in names}
 
     def _context(self, agent: int) -> SensorContext:
