@@ -190,7 +190,7 @@ class WorldStepper:
 
     @property
     def _objects(self) -> int:
-        return self.spec.objects if self.task.control.has_skills else 0
+        return self.spec.objects if self.task.control.has_skills else 1  # sensors of things say that there are none
 
     @property
     def _is_low(self) -> bool:

@@ -240,7 +240,7 @@ class WorldRollout:
         """
         if agent not in self._sensors:
             self._sensors[agent] = AgentSensors.of(
-                self.task, self.world.roster[agent], self.world.state.held_by.shape[1]
+                self.task, self.world.roster[agent], max(self.world.state.held_by.shape[1], 1)
             )
         own, shown = self._sensors[agent], {}
         own.check(names)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -30,7 +31,8 @@ class Team(ABC):
     """Agents of a rollout. A base class: ``play`` is the `sim_kinematic.tasks.play.WorldRollout`."""
 
     def __init__(self, play: Any) -> None:
-        self.play = play
+        # no circle of references: policies with open connections are freed with the last use of their rollout
+        self.play: Any = weakref.proxy(play)
         self.controllers: Sequence[Any] = ()
         """A `sim_kinematic.controllers.controller.Controller` for each agent."""
         self.order: Sequence[int] = range(len(play.world.roster))
@@ -145,7 +147,7 @@ class MotionTeam(Team):
         """The named observations of an agent in all worlds."""
         if not names:
             return {}
-        context, who = self._context(agent), (type(self.play.task).__name__, self.play.world.roster[agent].name)
+        context, who = self._context(agent), (self.play.task.name, self.play.world.roster[agent].name)
         return {name: np.asarray(sensed(name, sensors[name], context, *who), np.float64) for name in names}
 
     def _context(self, agent: int) -> SensorContext:

@@ -367,7 +367,7 @@ def test_device_and_full_rules_judge_alike(monkeypatch: pytest.MonkeyPatch) -> N
     full = []
     for episode in episodes:
         play = rollout(task, episode, {"robot": "learn_single", "human": "plan_pop_3"})
-        full.append((run(play) == "success", play.steps))
+        full.append((run(play) == "success", play.step))
     # measured: success 0.93 and 0.97, steps 414 and 499
     (success, steps), (full_success, full_steps) = (np.mean(rows, 0) for rows in (device, full))
     assert abs(success - full_success) <= 0.1

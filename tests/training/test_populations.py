@@ -295,7 +295,7 @@ def test_without_gps_nothing_tells_where_the_person_is(episodes: Sequence[Rearra
 
     def compare(_: Any) -> None:
         nonlocal carried
-        if play.steps % 40:
+        if play.step % 40:
             return
         view = play.view(0)
         other = moved_person(view, rng)

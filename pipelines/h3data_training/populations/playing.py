@@ -192,7 +192,7 @@ def play_episode(job: Job, episode: RearrangeEpisode) -> Batch:
     by = {event.target: event.agent for event in play.events if event.kind == "place"}
     played = Played(
         partner=job.partner,
-        steps=play.steps,
+        steps=play.step,
         ended=play.ended,
         reward=float(np.sum(rewards)),
         placed=sum(by.get(name) == 0 for name in there),

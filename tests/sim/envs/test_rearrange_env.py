@@ -81,13 +81,13 @@ def test_it_is_the_episode_that_the_simulator_plays() -> None:
         action = greedy.act(session.view("robot"))
         session.step({"robot": action})
         rewards += session.reward
-        heights.append(session.play.steps)
+        heights.append(session.play.step)
 
     never = robot_policy("greedy_nearest")
     never.interrupts = lambda view: ""  # outside, nobody has second thoughts
     recording = simulate_rearrange(session.play.episode, policy=never, partner="both", solo_steps=1)
     assert recording.episode.info["ended"] == session.ended
-    assert len(recording) == session.play.steps == heights[-1]
+    assert len(recording) == session.play.step == heights[-1]
     np.testing.assert_array_equal(
         recording.columns["object_pose"][-1], session.play.team.objects.poses.astype(np.float32)
     )
@@ -111,7 +111,7 @@ def test_two_outside_play_the_planners_episode() -> None:
         session.step({name: policies[name].act(session.view(name)) for name in session.choosing})
     while not alone.ended:
         alone.step({"robot": other.act(alone.view("robot"))})
-    assert (session.ended, session.play.steps) == (alone.ended, alone.play.steps)
+    assert (session.ended, session.play.step) == (alone.ended, alone.play.step)
     np.testing.assert_array_equal(session.play.team.objects.poses, alone.play.team.objects.poses)
     np.testing.assert_array_equal(session.play.memory, alone.play.memory)
 
