@@ -25,8 +25,8 @@ from sim_kinematic.policies.assignment import policy_names, resolve_policy, unkn
 from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.rearrange import HighLevelPolicy
 from sim_kinematic.policies.rearrange_observations import STATE_SENSES, exact, limits
-from sim_kinematic.sensing.agent_pictures import Limits, picture_names
-from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names
+from sim_kinematic.sensing.agent_pictures import Limits, camera_names, picture_names
+from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names, split_sizes
 from sim_kinematic.tasks.describe import in_words
 from sim_kinematic.tasks.rearrange.play import SkillExecutor, SkillRollout
 from sim_kinematic.tasks.rearrange.task import Rearrange
@@ -285,7 +285,9 @@ class SkillStepper:
 
     def _observation_sets(self, names: Sequence[str], options: Options) -> dict[str, ObservationSet]:
         states = {agent: self._limits(agent) for agent in self.agents}
-        known = [(*states[agent], *picture_names(self._bodies[agent])) for agent in self.agents]
+        bodies = self._bodies
+        known = [(*states[a], *picture_names(bodies[a]), *camera_names(bodies[a])) for a in self.agents]
+        names, sizes = split_sizes(names)
         chosen = checked_names(names, *known, noise=options.noise or ())
         return {
             agent: ObservationSet(
@@ -295,6 +297,7 @@ class SkillStepper:
                 agent=KINDS.index(agent),
                 depth_size=options.depth_size,
                 rgb_size=options.rgb_size,
+                sizes=sizes,
                 noise=options.noise,
             )
             for agent, own in zip(self.agents, chosen, strict=True)
