@@ -257,7 +257,8 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
 
     def __repr__(self) -> str:
         kind = "recorded" if self._recorded else "sampled"
-        return f"{type(self).__name__}({self.task}, {kind} episodes, {', '.join(self.observation_space.spaces)})"
+        shown = (self.demonstrations.state_key, *(camera.key for camera, _ in self._cameras))
+        return f"{type(self).__name__}({self.task}, {kind} episodes, {', '.join(shown)})"
 
     __str__ = __repr__
 

@@ -58,6 +58,10 @@ DEFAULTS = Options()
 class Stepper(Protocol):
     """W worlds, each in an episode of its own."""
 
+    task: Any
+    """The task, with its ``name``."""
+    spec: Any
+    """Its rules, with ``max_steps``."""
     worlds: int
     agents: tuple[str, ...]
     """Names of the agents that act."""
@@ -121,6 +125,7 @@ class ManySteppers:
             )
         self.each = [make() for _ in range(worlds)]
         self.worlds, self.agents = worlds, self.each[0].agents
+        self.task, self.spec = self.each[0].task, self.each[0].spec
         self.observation_space = self.each[0].observation_space
         self.action_space = self.each[0].action_space
 
