@@ -12,16 +12,23 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from h3data.bodies import Humanoid
+from h3data.bodies.people.arms import draw_in
+from h3data.bodies.people.planted_gait import on_stairs, planted_states, pose_planted
 from h3data.errors import InputError, suggest
 from h3data.plugins import names_from_data
 from h3data.recording import Dataset, Recording
 from h3data.recording.demonstrations import Demonstrations, read_demonstrations
 from h3data.render.light.sources import LightMode, check_light
+from h3data.scene import Scene
+from h3data.scene.floor_heights import room_heights
+from sim_kinematic.contact.frames import body_frames
 from sim_kinematic.envs.single import checked_render_mode, run_seed
 from sim_kinematic.envs.stepper import checked_actions, gymnasium
 from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.policies.assignment import assign
 from sim_kinematic.policies.policy import External, Velocity
+from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
 from sim_kinematic.sensing.eyes import shared_renderer
 from sim_kinematic.sensing.watching import DebugRenderer
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode
@@ -75,7 +82,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
 
         Raises:
             InputError: the dataset was not exported to LeRobot, or it cannot be played: its task has skills, its agent is no
-                robot, or no robot carries one of its cameras.
+                robot, or nobody carries one of its cameras.
             FormatError: it is damaged.
         """
         given = {"episodes": episodes, "cameras": cameras, "max_steps": max_steps, "light": light}
@@ -114,14 +121,14 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         self._loop: DecisionLoop | None = None
         self._succeeded = False
         self.task_description = self._task.codec.instruction(self._first)
-        """The task in words, as LeRobot asks for it."""
+        """The task in words, as policies that are conditioned on language have learned it."""
         width = len(self.demonstrations.action_names)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (width,), np.float32)
         self.observation_space = self._space()
 
     @property
-    def _max_episode_steps(self) -> int:
-        """Number of steps after which an episode ends at the latest, as LeRobot asks for it."""
+    def max_episode_steps(self) -> int:
+        """Number of steps after which an episode ends at the latest, without the one that `reset` makes."""
         return (self._max_steps or self._first.spec.max_steps) - 1
 
     def _space(self) -> Dict:
@@ -162,6 +169,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
             episode = replace(episode, spec=replace(episode.spec, max_steps=self._max_steps))
         self._begin(episode)
         self._succeeded = False
+        self._tracks: list[dict[str, NDArray[Any]]] = []
         self._advance(begun)
         facts |= {"scene": episode.scene.name, "episode_seed": episode.seed}
         return self._observed(), {**self._informed(), **facts}
@@ -218,19 +226,20 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         happened = any(event.kind in self.demonstrations.success_events for event in play.events)
         happened = happened or (play.over and play.ended == "success")
         play.events.clear()
+        self._tracks.append(play.columns([play.snapshot()], play.step - 1))
         first, self._succeeded = happened and not self._succeeded, self._succeeded or happened
         return float(first)
 
     # --- what is shown ------------------------------------------------------------------------------------------------
     def _observed(self) -> dict[str, NDArray[Any]]:
-        play, shown = self.play, self.demonstrations
-        assert play is not None
-        columns = play.columns([play.snapshot()], play.step - 1)
+        shown, columns = self.demonstrations, self._tracks[-1]
         state = np.concatenate([columns[name].reshape(-1).astype(np.float32) for name in shown.state_columns])
         seen: dict[str, NDArray[Any]] = {shown.state_key: state}
+        drawn = self._posed() if self._cameras else None
         for camera, number in self._cameras:
-            size = {camera.camera: (camera.width, camera.height)}
-            picture = play.pictures(number, 0, [camera.camera], size, self.light)[camera.camera]
+            size = (camera.width, camera.height)
+            sensor = CameraSensor(camera=camera.camera, agent=number, outputs=("rgb",), size=size)
+            picture = sensor.observe(drawn)["rgb"][0]
             more = (0, camera.stored_height - camera.height), (0, camera.stored_width - camera.width), (0, 0)
             seen[camera.key] = np.pad(picture, more, mode="edge")
         return seen
@@ -244,12 +253,37 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
             return None
         if self.play is None:
             raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
-        world, spec, scene = self.play.world, self.play.spec, self.play.episode.scene
+        return self._watcher.picture(self._posed(), self._number)
+
+    def _posed(self) -> StateRenderer:
+        """Returns the renderer of the home, with everybody posed as replays of recordings pose them.
+
+        People set their feet along the track of the whole episode so far. Clips, as other environments show them, would put
+        arms and legs elsewhere than the videos have them.
+        """
+        assert self.play is not None
+        world, scene, speed = self.play.world, self.play.episode.scene, self.play.spec.human.speed_mps
         bodies = tuple(member.body for member in world.roster)
-        speed = spec.human.speed_mps
         drawn = shared_renderer(scene, bodies, (), speed, self.light, None, threading.get_ident())
-        drawn.pose(world.state, floor=world.floors[0])
-        return self._watcher.picture(drawn, self._number)
+        frames = [
+            self._joint_frames(k, body, scene)
+            if isinstance(body, Humanoid)
+            else body_frames(body, world.state.agents[k], world.floors[0])
+            for k, body in enumerate(bodies)
+        ]
+        drawn.pose(world.state, floor=world.floors[0], frames=frames)
+        return drawn
+
+    def _joint_frames(self, number: int, body: Humanoid, scene: Scene) -> NDArray[np.floating]:
+        """World frames of a person's joints now, [1, 55, 4, 4]."""
+        agent, now = f"agent_{number}.", self._tracks[-1]
+        base = np.concatenate([row[agent + "base_pose"] for row in self._tracks])
+        seconds = np.concatenate([row["time_ns"] for row in self._tracks]) * 1e-9
+        tables = on_stairs(body.gait_tables, room_heights(scene.rooms))
+        quats, pelvis = pose_planted(tables, planted_states(tables, base, seconds)[-1:])
+        if agent + "motion_arms" in now:
+            draw_in(quats, now[agent + "motion_arms"], shoulders_forward=True)
+        return body.joint_matrices(base[-1:], quats, pelvis)
 
     def __reduce__(self) -> tuple[Callable[[], DatasetEnv], tuple[()]]:
         dataset, scenes, options = self._arguments
@@ -281,23 +315,20 @@ def _playable(shown: Demonstrations, episodes: int) -> Demonstrations:
 
 
 def _shown(shown: Demonstrations, names: Sequence[str] | None, first: Recording) -> list[tuple[Any, int]]:
-    """The cameras to show, each with the number of the robot that carries it.
-
-    A person's own view is refused: replays turn their eyes to what is ahead of them, which an environment cannot know.
-    """
+    """The cameras to show, each with the number of the agent that carries it."""
     known = {camera.key.removeprefix("observation.images."): camera for camera in shown.cameras}
-    robots = {agent.name: number for number, agent in enumerate(first.agents) if agent.kind == "robot"}
+    agents = {agent.name: number for number, agent in enumerate(first.agents)}
     chosen = list(known) if names is None else list(names)
     for name in chosen:
         if name not in known:
             raise InputError(
                 f"The dataset has no camera {name!r}.{suggest(name, known, lead='It has')}", code="H3-ENV-047"
             )
-        if known[name].agent not in robots:
-            carried = ", ".join(other for other in known if known[other].agent in robots) or "none"
+        if known[name].agent not in agents:
+            carried = ", ".join(other for other in known if known[other].agent in agents) or "none"
             raise InputError(
-                f"No robot carries the camera {name!r}, so that an environment cannot show what it showed. Hint: cameras= with "
+                f"Nobody carries the camera {name!r}, so that an environment cannot show what it showed. Hint: cameras= with "
                 f"those on which the policy was trained: {carried}.",
                 code="H3-ENV-049",
             )
-    return [(known[name], robots[known[name].agent]) for name in dict.fromkeys(chosen)]
+    return [(known[name], agents[known[name].agent]) for name in dict.fromkeys(chosen)]
