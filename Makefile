@@ -33,7 +33,7 @@ help:
 help-all: help
 	$(call list,\#\#\#)
 
-.PHONY: setup dev demo kernels check-kernels warm test test-all test-browser test-ray test-packages test-lowest check check-docs docs check-openpi check-lerobot check-gltf web check-web format bench wheel smoke sbom check-tag check-workflows api api-diff changelog clean
+.PHONY: setup dev demo kernels check-kernels warm test test-all test-browser test-ray test-packages test-lowest check check-docs docs check-openpi check-lerobot check-rl check-gltf web check-web format bench wheel smoke sbom check-tag check-workflows api api-diff changelog clean
 
 setup: $(INSTALLED)  ## .venv with what h3data needs, and no more
 
@@ -187,6 +187,19 @@ check-lerobot: $(LEROBOT_INSTALLED)  ### lerobot opens datasets and exports, lea
 		--env.episodes=recorded --eval.n_episodes=2 --eval.batch_size=2 --seed=0 --output_dir=out/lerobot/eval
 	$(LEROBOT_RUN)/replay_actions.py out/lerobot/demos out/lerobot/eval
 
+RL := .venv-rl
+$(RL)/.installed: $(DEV)
+	rm -rf $(RL) && $(BIN)/python -m venv --without-pip $(RL)
+	@# what it lacks it takes from .venv: torch, gymnasium
+	site=`$(RL)/bin/python -c "import sysconfig; print(sysconfig.get_path('purelib'))"`; \
+		$(BIN)/python -c "import sysconfig; print(sysconfig.get_path('purelib'))" > $$site/below.pth; \
+		printf '%s\n' $(CURDIR) $(CURDIR)/pipelines $(CURDIR)/viewers > $$site/h3data_source.pth
+	$(BIN)/python -m pip --python $(RL)/bin/python install -q --disable-pip-version-check --no-deps stable-baselines3==2.9.2 cloudpickle
+	touch $@
+
+check-rl: $(RL)/.installed  ### Stable-Baselines3 learns in our vector environments, in .venv-rl (examples/sb3_vec_env.py)
+	OMP_NUM_THREADS=1 $(RL)/bin/python tests/sim/envs/check_sb3.py
+
 GLTF := out/gltf
 check-gltf: setup  ### exported animations and scenes pass the Khronos validator (needs npm)
 	$(BIN)/h3data generate social_nav --episodes 1 --seed 5 --force -o $(GLTF)/ds
@@ -277,4 +290,4 @@ sbom: wheel  ### what `pip install h3data` brings, as CycloneDX: dist/h3data.cdx
 		-o dist/h3data.cdx.json $(SBOM)/env/bin/python
 
 clean:  ## removes environments and everything that was built
-	rm -rf $(VENV) $(LEROBOT) $(LOWEST) out dist build
+	rm -rf $(VENV) $(LEROBOT) $(RL) $(LOWEST) out dist build

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import runpy
 import sys
 import tomllib
 from pathlib import Path
@@ -13,6 +15,7 @@ import pytest
 import h3data
 from h3data.errors import InputError
 from h3data.recording import Dataset
+from h3data_pipelines.cli import main
 from lerobot_env_h3data import ENV_ID
 from lerobot_env_h3data.env import LeRobotEnv, make_vector
 from tests.paths import ROOT
@@ -79,3 +82,28 @@ def test_what_is_no_export_is_refused(tmp_path: Path, demos: Path) -> None:
         LeRobotEnv(tmp_path)
     with pytest.raises(InputError, match="robot_leg"):
         LeRobotEnv(demos, cameras=["robot_leg"])
+
+
+def test_push_writes_the_environment_of_a_dataset(
+    demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "env"
+    words = ["push", str(demos), "user/name", "--env", str(out), "--dry-run"]
+    assert main([*words, "--json"]) == 0
+    assert {Path(path).name for path in json.loads(capsys.readouterr().out)["plan"]["env"]} == {
+        "env.py",
+        "requirements.txt",
+        "README.md",
+    }
+    monkeypatch.setenv("H3DATA_ENV_DATASET", str(demos))
+    module = runpy.run_path(str(out / "env.py"))
+    assert module["REPO"] == "user/name"
+    worlds = module["make_env"](n_envs=2)
+    shown, _ = worlds.reset(seed=1)
+    assert shown["pixels"]["robot_arm_rgb"].shape == (2, 24, 32, 3)
+    assert main(words) == 0, "the same again"
+    (out / "env.py").write_text("mine")
+    assert main(words) == 2
+    assert (out / "env.py").read_text() == "mine"
+    assert main(["push", str(demos.with_name("ds")), "user/name", "--env", str(tmp_path / "no"), "--dry-run"]) == 2
+    assert not (tmp_path / "no").exists()
