@@ -1,4 +1,5 @@
 """The configuration ``--env.type=h3data`` of lerobot."""
+# pyright: reportMissingImports=false
 
 from __future__ import annotations
 
@@ -41,11 +42,11 @@ class H3DataEnvConfig(EnvConfig):
             raise ValueError("--env.dataset is missing: the folder of a dataset that h3data export --to lerobot wrote.")
         env = LeRobotEnv(self.dataset, **self._options())
         self.task, self.fps = env.task, int(env.metadata["render_fps"])
-        spaces = env.observation_space.spaces
-        shapes = {STATE: spaces[STATE].shape or ()}
+        spaces: dict[str, Any] = vars(env.observation_space)["spaces"]
+        shape = spaces[STATE].shape
         self.features = {
             "action": PolicyFeature(type=FeatureType.ACTION, shape=env.action_space.shape or ()),
-            STATE: PolicyFeature(type=FeatureType.STATE, shape=shapes[STATE]),
+            STATE: PolicyFeature(type=FeatureType.STATE, shape=shape),
         }
         self.features_map = {"action": "action", STATE: "observation.state"}
         for name, space in getattr(spaces.get(PIXELS), "spaces", {}).items():

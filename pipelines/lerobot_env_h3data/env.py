@@ -36,9 +36,8 @@ class LeRobotEnv(gymnasium.Env[Any, Any]):
         self.env = DatasetEnv(dataset, render_mode=render_mode, **options)
         self.render_mode = render_mode
         self.action_space = self.env.action_space
-        self.observation_space = gymnasium.spaces.Dict(
-            _sorted(dict(self.env.observation_space.spaces), gymnasium.spaces.Dict)
-        )
+        shown: Any = self.env.observation_space
+        self.observation_space = gymnasium.spaces.Dict(_sorted(dict(shown.spaces), gymnasium.spaces.Dict))
         self.task, self.task_description = self.env.task, self.env.task_description
         self._max_episode_steps = self.env.max_episode_steps
 

@@ -235,7 +235,9 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         shown, columns = self.demonstrations, self._tracks[-1]
         state = np.concatenate([columns[name].reshape(-1).astype(np.float32) for name in shown.state_columns])
         seen: dict[str, NDArray[Any]] = {shown.state_key: state}
-        drawn = self._posed() if self._cameras else None
+        if not self._cameras:
+            return seen
+        drawn = self._posed()
         for camera, number in self._cameras:
             size = (camera.width, camera.height)
             sensor = CameraSensor(camera=camera.camera, agent=number, outputs=("rgb",), size=size)

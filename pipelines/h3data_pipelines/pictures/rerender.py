@@ -53,8 +53,6 @@ if TYPE_CHECKING:
     from h3data.render.light.sources import LightMode
 
 
-
-
 @dataclass(frozen=True, kw_only=True)
 class Rendered:
     """Pictures of recordings."""
