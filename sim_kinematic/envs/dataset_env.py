@@ -14,13 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import Humanoid
 from h3data.bodies.people.arms import draw_in
-from h3data.bodies.people.planted_gait import on_stairs, planted_states, pose_planted
+from h3data.bodies.people.planted_gait import PlantedWalk, on_stairs, pose_planted
 from h3data.errors import InputError, suggest
 from h3data.plugins import names_from_data
 from h3data.recording import Dataset, Recording
 from h3data.recording.demonstrations import Demonstrations, read_demonstrations
 from h3data.render.light.sources import LightMode, check_light
-from h3data.scene import Scene
 from h3data.scene.floor_heights import room_heights
 from sim_kinematic.contact.frames import body_frames
 from sim_kinematic.envs.single import checked_render_mode, run_seed
@@ -120,6 +119,10 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         self.play: WorldRollout | None = None
         self._loop: DecisionLoop | None = None
         self._succeeded = False
+        self._columns: dict[str, NDArray[Any]] = {}
+        """Columns of the step that has just been made, as a recording has them, one row each."""
+        self._walks: dict[int, PlantedWalk] = {}
+        """Feet of each person, by number of the agent."""
         self.task_description = self._task.codec.instruction(self._first)
         """The task in words, as policies that are conditioned on language have learned it."""
         width = len(self.demonstrations.action_names)
@@ -169,7 +172,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
             episode = replace(episode, spec=replace(episode.spec, max_steps=self._max_steps))
         self._begin(episode)
         self._succeeded = False
-        self._tracks: list[dict[str, NDArray[Any]]] = []
+        self._walks = {}
         self._advance(begun)
         facts |= {"scene": episode.scene.name, "episode_seed": episode.seed}
         return self._observed(), {**self._informed(), **facts}
@@ -226,13 +229,15 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         happened = any(event.kind in self.demonstrations.success_events for event in play.events)
         happened = happened or (play.over and play.ended == "success")
         play.events.clear()
-        self._tracks.append(play.columns([play.snapshot()], play.step - 1))
+        self._columns = play.columns([play.snapshot()], play.step - 1)
+        if self._cameras or self.render_mode:
+            self._walk(play)
         first, self._succeeded = happened and not self._succeeded, self._succeeded or happened
         return float(first)
 
     # --- what is shown ------------------------------------------------------------------------------------------------
     def _observed(self) -> dict[str, NDArray[Any]]:
-        shown, columns = self.demonstrations, self._tracks[-1]
+        shown, columns = self.demonstrations, self._columns
         state = np.concatenate([columns[name].reshape(-1).astype(np.float32) for name in shown.state_columns])
         seen: dict[str, NDArray[Any]] = {shown.state_key: state}
         if not self._cameras:
@@ -268,7 +273,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         bodies = tuple(member.body for member in world.roster)
         drawn = shared_renderer(scene, bodies, (), speed, self.light, None, threading.get_ident())
         frames = [
-            self._joint_frames(k, body, scene)
+            self._joint_frames(k, body)
             if isinstance(body, Humanoid)
             else body_frames(body, world.state.agents[k], world.floors[0])
             for k, body in enumerate(bodies)
@@ -276,16 +281,25 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         drawn.pose(world.state, floor=world.floors[0], frames=frames)
         return drawn
 
-    def _joint_frames(self, number: int, body: Humanoid, scene: Scene) -> NDArray[np.floating]:
+    def _walk(self, play: WorldRollout) -> None:
+        """Lets people set their feet where the step that has just been made took them."""
+        for k, member in enumerate(play.world.roster):
+            if not isinstance(member.body, Humanoid):
+                continue
+            base = self._columns[f"agent_{k}.base_pose"][0]
+            if k in self._walks:
+                self._walks[k].step(base)
+            else:
+                heights = room_heights(play.episode.scene.rooms)
+                self._walks[k] = PlantedWalk(on_stairs(member.body.gait_tables, heights), base)
+
+    def _joint_frames(self, number: int, body: Humanoid) -> NDArray[np.floating]:
         """World frames of a person's joints now, [1, 55, 4, 4]."""
-        agent, now = f"agent_{number}.", self._tracks[-1]
-        base = np.concatenate([row[agent + "base_pose"] for row in self._tracks])
-        seconds = np.concatenate([row["time_ns"] for row in self._tracks]) * 1e-9
-        tables = on_stairs(body.gait_tables, room_heights(scene.rooms))
-        quats, pelvis = pose_planted(tables, planted_states(tables, base, seconds)[-1:])
+        agent, now = f"agent_{number}.", self._columns
+        quats, pelvis = pose_planted(self._walks[number].tables, self._walks[number].state[None])
         if agent + "motion_arms" in now:
             draw_in(quats, now[agent + "motion_arms"], shoulders_forward=True)
-        return body.joint_matrices(base[-1:], quats, pelvis)
+        return body.joint_matrices(now[agent + "base_pose"], quats, pelvis)
 
     def __reduce__(self) -> tuple[Callable[[], DatasetEnv], tuple[()]]:
         dataset, scenes, options = self._arguments
