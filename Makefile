@@ -167,7 +167,7 @@ $(LEROBOT_INSTALLED): $(INSTALLED) tests/export/lerobot_loader/requirements.txt 
 		-e pipelines/lerobot_env_h3data
 	touch $@
 
-check-lerobot: $(LEROBOT_INSTALLED)  ### lerobot opens datasets and exports, learns from one and is evaluated in its environment; an environment of its own (400 MB)
+check-lerobot: $(LEROBOT_INSTALLED)  ### lerobot opens datasets and exports, learns from one and is evaluated in its environment; an environment of its own (550 MB)
 	$(BIN)/h3data generate social_nav --episodes 2 --seed 5 --max-steps 40 $(LEROBOT_CAMERAS) --force -o out/lerobot/ds
 	$(BIN)/h3data generate rearrange --episodes 1 --seed 5 --force -o out/lerobot/plain
 	$(BIN)/h3data export out/lerobot/ds --to lerobot --force -o out/lerobot/export
