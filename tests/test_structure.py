@@ -59,6 +59,7 @@ AGAINST_THE_LAYERS = {
         "sim_kinematic.tasks.sessions",
     ],
     "h3data.envs": [
+        "sim_kinematic.envs.dataset_env",
         "sim_kinematic.envs.make",
         "sim_kinematic.envs.parallel",
         "sim_kinematic.envs.single",

@@ -18,6 +18,7 @@ from h3data.recording.parquet.videos import EpisodeVideo, VideoFeature
 from h3data.render import VideoWriter
 from h3data.render.light.sources import LightMode
 from h3data.replay import CameraTrack, Replay, camera_track
+from h3data.replay.cameras import split_size
 from h3data.replay.stage import FrameBackend
 
 KEY_FRAMES = 10
@@ -123,6 +124,7 @@ def camera_tracks(replay: Replay, cameras: Sequence[str]) -> list[CameraTrack]:
     for name in cameras:
         try:
             tracks.append(camera_track(replay, name))
+            _, size = split_size(name)
         except InputError as error:
             if name.rpartition("_")[2].rpartition(".")[2] in _DEPTH:
                 raise InputError(
@@ -131,6 +133,12 @@ def camera_tracks(replay: Replay, cameras: Sequence[str]) -> list[CameraTrack]:
                     code="H3-EXPORT-002",
                 ) from None
             raise
+        if size is not None and any(side % 2 for side in size):
+            raise InputError(
+                f"Videos have even sides, and a policy must be shown what they hold: expected an even width and height, "
+                f"got {name}.",
+                code="H3-EXPORT-038",
+            )
     names = [track.camera.name for track in tracks]
     if len(set(names)) < len(names):
         raise InputError(f"Expected each camera once, got: {', '.join(names)}.", code="H3-EXPORT-001")

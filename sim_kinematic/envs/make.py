@@ -45,6 +45,7 @@ class MakeOptions(TypedDict, total=False):
     """Options of `make` beyond task, scenes, number of worlds, device and agents."""
 
     render_mode: str | None
+    autoreset_mode: str | None
     flatten: bool | None
     observations: Sequence[str] | None
     reward: str | None
@@ -107,6 +108,7 @@ def make(
     device: str | torch.device | None = None,
     agents: str | Sequence[str] | None = None,
     render_mode: str | None = None,
+    autoreset_mode: str | None = None,
     flatten: bool | None = None,
     observations: Sequence[str] | None = None,
     reward: str | None = None,
@@ -144,6 +146,8 @@ def make(
         device: Torch device of the worlds, such as ``cuda`` or ``cpu``; None simulates with NumPy.
         agents: Names of the agents that act (default: the robot).
         render_mode: ``rgb_array`` for ``render()``.
+        autoreset_mode: Beginning of the next episodes in ``num_envs`` worlds: ``NEXT_STEP`` (default), ``SAME_STEP`` or
+            ``DISABLED``, as of Gymnasium; not on a device.
         flatten: True if observations are one vector instead of a dictionary of arrays; not on a device.
         observations: Names of sensors and images; each agent gets those that it has.
         reward: Reward of social navigation: ``paper`` or ``habitat``.
@@ -177,6 +181,7 @@ def make(
         "device": device,
         "agents": agents,
         "render_mode": render_mode,
+        "autoreset_mode": autoreset_mode,
         "flatten": flatten,
         "observations": observations,
         "reward": reward,
@@ -270,6 +275,7 @@ def _make(
 
     if isinstance(agents, str):
         agents = (agents,)
+    autoreset_mode = options.pop("autoreset_mode", None) if num_envs is not None else None
     if len(agents) > 1 and num_envs is not None:
         raise InputError("An environment of two agents has one world. Hint: leave out num_envs.", code="H3-ENV-018")
     if "agent" in options:
@@ -280,11 +286,13 @@ def _make(
     if found.usage.env_rules is not None:
         given = {"spec": found.usage.env_rules, **given}
     if num_envs is not None:
-        from sim_kinematic.envs.vector import TaskVectorEnv
+        from sim_kinematic.envs.vector import TaskVectorEnv, checked_autoreset_mode
+
+        mode = checked_autoreset_mode(autoreset_mode or "NEXT_STEP")
 
         many: Any = WorldStepper(found, scenes, worlds=num_envs, **given)
         many = FlatStepper(many) if flatten else many
-        return TaskVectorEnv(many, render_mode=render_mode)
+        return TaskVectorEnv(many, render_mode=render_mode, autoreset_mode=mode)
     stepper: Any = WorldStepper(found, scenes, **given)
     stepper = FlatStepper(stepper) if flatten else stepper
     if len(agents) > 1:

@@ -56,6 +56,10 @@ DEFAULTS = Options()
 class Stepper(Protocol):
     """W worlds, each in an episode of its own."""
 
+    task: Any
+    """The task, with its ``name``."""
+    spec: Any
+    """Its rules, with ``max_steps``."""
     worlds: int
     agents: tuple[str, ...]
     """Names of the agents that act."""

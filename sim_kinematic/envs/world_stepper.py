@@ -27,8 +27,8 @@ from sim_kinematic.policies.assignment import assign, policy_names, resolve_poli
 from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.rearrange_observations import limits
 from sim_kinematic.policies.waypoints import WaypointPolicy
-from sim_kinematic.sensing.agent_pictures import picture_names
-from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names
+from sim_kinematic.sensing.agent_pictures import camera_names, picture_names
+from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names, split_sizes
 from sim_kinematic.tasks.describe import in_words
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import WorldRollout
@@ -449,7 +449,9 @@ class WorldStepper:
             for k in numbers
             for sensors in (self.task.sensors(roster[k].kind),)
         ]
-        known = [(*own, *picture_names(roster[k].body)) for own, k in zip(states, numbers, strict=True)]
+        pictures = [(*picture_names(roster[k].body), *camera_names(roster[k].body)) for k in numbers]
+        known = [(*own, *seen) for own, seen in zip(states, pictures, strict=True)]
+        names, sizes = split_sizes(names)
         names = [name for name in names if any(name in own for own in known)] if lone else names
         chosen = checked_names(names, *known, noise=self._options.noise or ())
         return {
@@ -460,6 +462,7 @@ class WorldStepper:
                 agent=k,
                 depth_size=self._options.depth_size,
                 rgb_size=self._options.rgb_size,
+                sizes=sizes,
                 noise=self._options.noise,
             )
             for k, own, spaces in zip(numbers, chosen, states, strict=True)
