@@ -63,7 +63,6 @@ MOVED = {
     "h3data.bodies.motion.motion_retarget": "h3data_motion.retarget",
     "h3data.bodies.motion.walk_import": "h3data_motion.walks",
     "h3data.bodies.motion.walk_names": "h3data.bodies.names",
-    "h3data.bodies.walk_synthesis": "h3data_habitat.hitl.walk_synthesis",
     "h3data.recording.assets.stand_ins": "h3data_habitat.stand_ins",
     "h3data.exporters.csv_tables": "h3data_exporters.csv_tables",
     "h3data.exporters.foxglove": "h3data_exporters.foxglove",

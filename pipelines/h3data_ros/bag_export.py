@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from h3data.exporters.posing import drawn_note
 from numpy.typing import NDArray
 
 from h3data.bodies import load_robot
@@ -23,6 +22,7 @@ from h3data.recording.records import Recording
 from h3data.render.camera import Camera
 from h3data.replay import Replay, camera_track
 from h3data.scene import FreeSpace, Scene, load_scene
+from h3data_exporters.posing import drawn_note
 from h3data_ros.frames import pose_to_ros, safe_names
 from h3data_ros.messages import delivery, message_types, require_rosbags
 from h3data_ros.occupancy import map_of

@@ -105,7 +105,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         self._recorded, self._max_steps, self._scenes = episodes == "recorded", max_steps, scenes
         first = self.dataset[0]
         self._task, self.task = task_of(first), self.demonstrations.task
-        if not self._task.control.batched:
+        if self._task.control.has_skills:
             raise InputError(
                 f"Recordings of {self._task.name} hold the velocity of the base, and not what the arm did: a policy that has "
                 f"learned from them cannot play. Expected demonstrations of a task whose agents only drive and walk.",

@@ -37,7 +37,7 @@ from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.tasks.codec import scene_attachment
 from sim_kinematic.tasks.episode import Episode
-from sim_kinematic.tasks.play import AgentSensors, Columns, WorldRollout, check_observations
+from sim_kinematic.tasks.play import AgentSensors, Columns, WorldRollout
 from sim_kinematic.tasks.task import Task
 
 BLOCK = 30
@@ -83,7 +83,7 @@ class RecordedSensors:
             InputError: there is no robot, or it has no sensor of such a name.
         """
         self._names, self._robots = tuple(names), [k for k, member in enumerate(roster) if member.kind == "robot"]
-        if isinstance(names, str) or not self._robots or not task.control.clip_coded:
+        if isinstance(names, str) or not self._robots or task.control.has_skills:
             raise InputError(
                 f"Expected a list of sensors, of robots in a task whose agents drive and walk, got {names!r} of "
                 f"{len(self._robots)} robots in {task.name}. Hint: leave them out.",
@@ -93,10 +93,10 @@ class RecordedSensors:
         """Sensor, agent, unit, frame and bounds of each column."""
         self._types: dict[str, type] = {}
         for k in self._robots:
-            known = AgentSensors.of(task, roster[k])
-            check_observations(self._names, (known.sensors,), roster[k].name)
+            known = AgentSensors.of(task, roster[k], objects=0)._replace(pictures=frozenset())
+            known.check(self._names)
             for name in self._names:
-                sensor, low, high = known.sensors[name]
+                sensor, (low, high) = known.sensors[name], known.limits[name]
                 column = scan_column(k, name)
                 self.facts[column] = {
                     "sensor": name,
