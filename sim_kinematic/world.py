@@ -346,6 +346,7 @@ class World:
             )
         checked: list[Command] = []
         for member, command, base in zip(self.roster, commands, self.bases, strict=True):
+            assert command is not None, "agents with skills move themselves"
             if isinstance(command, RecordedPoseCommand | GaitCommand):
                 checked.append(command)
                 continue

@@ -35,6 +35,12 @@ SESSIONS: dict[str, tuple[str, ...]] = {
         "h3data doctor",
         "h3data warmup",
     ),
+    "crowds": (
+        "h3data generate crowd_nav --scenes small:1 --episodes 1 --max-steps 60 --policy mpc --sensors lidar,lidar_legs "
+        "-o {scratch}/mpc",
+        "h3data generate crowd_nav --scenes small:1 --episodes 1 --max-steps 60 --policy orca --partner social_force "
+        "-o {scratch}/orca",
+    ),
     "live play": ("python -m pytest -q -p no:cacheprovider -m slow tests/play/test_live.py -k rehearsal",),
 }
 """Commands that users run, by their names in progress messages. ``{scratch}`` is a folder of the session; everything runs in

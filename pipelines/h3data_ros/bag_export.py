@@ -309,7 +309,7 @@ class _Export:
                 _TO_MAP, pose_from_matrix(view.poses[min(step, len(view.poses) - 1)].astype(np.float64))
             )
             if np.isfinite(pose).all():
-                moved.append(self._transform(t, MAP, f"{name}_optical_frame", pose))
+                moved.append(self._transform(t, MAP, f"{name}_optical_frame", np.asarray(pose, np.float64)))
         if moved:
             self._put("/tf", "tf2_msgs/TFMessage", t, transforms=moved)
 
@@ -492,7 +492,7 @@ class _Export:
                 scans[robot.number] = cast_scans(
                     self._free,
                     base[:, [0, 2]],
-                    heading_from_quat(base[:, 3:]).reshape(-1),
+                    np.asarray(heading_from_quat(base[:, 3:]), np.float64).reshape(-1),
                     around,
                     rays=rays,
                     radius_m=PERSON_RADIUS_M,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -43,6 +44,8 @@ ROOTS = ("map", "odom")
 _SOLID = (1, 2, 3, 10)
 """Markers that show a body: cubes, spheres, cylinders, meshes; texts, arrows and lines are beside it."""
 Pose = tuple[float, float, float, float, float, float, float]
+UNTURNED = (math.nan, math.nan, math.nan, math.nan)
+"""Quaternion of something whose turn a message does not say."""
 
 
 def read_rosbag2(file: str | os.PathLike[str], *, tracks: ImportRequest) -> Recording:
@@ -212,7 +215,7 @@ class _Log:
                 if marker.action != 0 or marker.type not in _SOLID or name in seen:
                     continue
                 seen.add(name)
-                self._add(name, marker.header, t, (*_pose(marker.pose)[:3], *[np.nan] * 4))
+                self._add(name, marker.header, t, (*_pose(marker.pose)[:3], *UNTURNED))
             return
         stamp = _time(message.header, t)
         self.offsets.append(t - stamp)
@@ -225,7 +228,7 @@ class _Log:
         else:
             for number, one in enumerate(message.people):
                 p = one.position
-                self._add(one.name or f"unnamed_{number}", message.header, t, (p.x, p.y, p.z, *[np.nan] * 4))
+                self._add(one.name or f"unnamed_{number}", message.header, t, (p.x, p.y, p.z, *UNTURNED))
 
     def _add(self, name: str, header: Any, t: int, pose: Pose) -> None:
         self.places.append((name, _frame(header), _time(header, t), pose))
@@ -336,7 +339,7 @@ def _in_root(frames: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray
 
     moved = pose_multiply(frames, poses)
     moved[:, :3] = frames[:, :3] + quat_rotate(frames[:, 3:], poses[:, :3])  # also where the quaternion is NaN
-    return moved
+    return np.asarray(moved, np.float64)
 
 
 def _upright(poses: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -269,7 +269,7 @@ def _magni(text: str, robot: str, path: object) -> TrackTable:
     left = [body for body in bodies if body not in people]
     places = np.concatenate(xy)
     seen = np.isfinite(places).all(axis=1)  # empty fields are people who are away, not faults
-    names = [name for name, here in zip(ids, seen.tolist(), strict=True) if here]
+    names = [ids[k] for k in np.flatnonzero(seen)]
     times = np.tile(t, len(people))[seen]
     return TrackTable(layout="THÖR-MAGNI", ids=names, t=times, frames=False, xy=places[seen], unit="mm", left_out=left)
 

@@ -78,7 +78,8 @@ class TransformTree:
         down = self._composed(theirs, times, gap_ns, fastest)
         if down is None:
             return np.tile(IDENTITY, (len(times), 1)) if up is None else up
-        return pose_inverse(down) if up is None else pose_multiply(pose_inverse(down), up)
+        back = pose_inverse(down)
+        return np.asarray(back if up is None else pose_multiply(back, up), np.float64)
 
     def _chain(self, frame: str) -> list[str]:
         """The frame and those that it hangs in, the root last."""
@@ -90,7 +91,7 @@ class TransformTree:
     def _composed(
         self, children: list[str], times: NDArray[np.int64], gap_ns: int, fastest: int
     ) -> NDArray[np.float64] | None:
-        total = None
+        total: NDArray[np.float64] | None = None
         for child in reversed(children):
             edge = self._edges[child]
             stamps, poses = edge.sorted()
@@ -102,7 +103,7 @@ class TransformTree:
                 here = np.tile(poses[-1], (len(times), 1))
             else:
                 here = at_times(stamps, poses, times, gap_ns if len(edge.times) >= fastest else None)
-            total = here if total is None else pose_multiply(total, here)
+            total = here if total is None else np.asarray(pose_multiply(total, here), np.float64)
         return total
 
 

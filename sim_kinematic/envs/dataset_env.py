@@ -197,8 +197,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         others = {who.name: who.policy for who in shown.agents if who.name != shown.agent and who.policy}
         with names_from_data():
             policies = assign(self._task, episode, {**others, shown.agent: External()})
-        play = self._task.control.rollout(self._task, episode, policies, measure=False)
-        assert isinstance(play, WorldRollout)
+        play = WorldRollout.of(self._task, episode, policies, measure=False)
         self.play, self._loop = play, DecisionLoop(play)
 
     def step(self, action: ArrayLike) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
