@@ -1,7 +1,7 @@
-"""Write `datasets/h3-homes` or, with ``--generation 2``, `datasets/h3-homes-v2`.
+"""Write a set of homes: `datasets/h3-homes` or, with ``--set``, `datasets/h3-homes-v2` or `datasets/h3-homes-large`.
 
 ``python -m bake.home_sets --choose`` picks the homes of the three splits and writes them down; without ``--choose``
-only the tables of the card are measured again.
+only the tables of the card are measured again. ``--split`` picks those of one split.
 
 Sizes are spread evenly on a logarithmic scale, and the rooms follow from them. A seed is taken only if the home has no
 faults (`h3data scenes validate`) and the episodes of the split can be sampled in it.
@@ -31,9 +31,10 @@ from sim_kinematic.tasks.social_nav.sets import set_episode
 
 log = logging.getLogger(__name__)
 
-NAMES = {1: "h3-homes", 2: "h3-homes-v2"}
 LEAST_M2, MOST_M2, LARGEST_M2 = 64.0, 420.0, 846.0
 """The paper's smallest benchmark home has 69 m2, its largest 846; every split has one of that size."""
+MIDDLE_M2 = 136.0
+"""The paper's other benchmark home, from whose size on the homes of `h3-homes-large` are."""
 TRIED_REARRANGEMENTS = 1
 """Episodes of rearrangement that are drawn in a home of the second generation before it is taken."""
 
@@ -48,6 +49,9 @@ class Split:
     spawn_distance_m: float
     first_seed: int
     about: str
+    set_name: str = "h3-homes"
+    sizes_m2: tuple[float, float] = (LEAST_M2, MOST_M2)
+    """Floor areas between which all homes but one lie; that one has `LARGEST_M2`."""
     generation: int = 1
     tried_episodes: int = 200
     """At most so many are drawn in a home before it is taken."""
@@ -63,10 +67,33 @@ SPLITS = (
     Split(name="val", homes=12, episodes=100, spawn_distance_m=5.0, first_seed=20_000, about="12 homes to choose by"),
     Split(name="test", homes=10, episodes=15, spawn_distance_m=5.0, first_seed=30_000, about="10 homes to report on"),
 )
-SPLITS_2 = tuple(
-    replace(s, first_seed=s.first_seed + 100_000, generation=2, tried_episodes=3, about=f"{s.homes} homes {text}")
-    for s, text in zip(SPLITS, ("to train in", "to validate in", "to test in"), strict=True)
-)
+_TEXTS = ("to train in", "to validate in", "to test in")
+SETS = {
+    "h3-homes": SPLITS,
+    "h3-homes-v2": tuple(
+        replace(
+            s,
+            set_name="h3-homes-v2",
+            first_seed=s.first_seed + 100_000,
+            generation=2,
+            tried_episodes=3,
+            about=f"{s.homes} homes {text}",
+        )
+        for s, text in zip(SPLITS, _TEXTS, strict=True)
+    ),
+    "h3-homes-large": tuple(
+        replace(
+            s,
+            set_name="h3-homes-large",
+            sizes_m2=(MIDDLE_M2, LARGEST_M2),
+            first_seed=s.first_seed + 200_000,
+            tried_episodes=3,
+            about=f"{s.homes} large homes {text}",
+        )
+        for s, text in zip(SPLITS, _TEXTS, strict=True)
+    ),
+}
+"""Splits of each set by its name."""
 
 
 # --- choosing ---------------------------------------------------------------------------------------------------------
@@ -74,7 +101,8 @@ def wishes(split: Split) -> list[HomeSpec]:
     """The homes that are wanted, smallest first; their seeds are 100 apart, so that each has some to spare."""
     rng = np.random.Generator(np.random.Philox(split.first_seed))
     steps = (np.arange(split.homes - 1) + rng.uniform(0.2, 0.8, split.homes - 1)) / (split.homes - 1)
-    areas = [*(LEAST_M2 * (MOST_M2 / LEAST_M2) ** steps), LARGEST_M2]
+    least, most = split.sizes_m2
+    areas = [*(least * (most / least) ** steps), LARGEST_M2]
     found = []
     for k, area in enumerate(areas):
         bedrooms = int(np.clip(round(area / 55 + rng.uniform(-0.6, 0.8)), 1, MAX_BEDROOMS - 2))
@@ -121,7 +149,7 @@ def _eased(spec: HomeSpec, failures: int) -> HomeSpec:
 
 def _set_of(split: Split, scenes: tuple[SceneEntry, ...]) -> SceneSet:
     return SceneSet(
-        name=NAMES[split.generation],
+        name=split.set_name,
         split=split.name,
         scenes=scenes,
         social_nav=split.rules,
@@ -182,7 +210,7 @@ def tables(splits: tuple[Split, ...]) -> dict[str, str]:
     overview = [_line("split", "scenes", "episodes", "starts apart", *heads[1:]), _rule(10)]
     homes = [_line(*heads), _rule(7)]
     for split in splits:
-        scenes = read_scene_set(builtin_root() / NAMES[split.generation] / f"{split.name}.toml")
+        scenes = read_scene_set(builtin_root() / split.set_name / f"{split.name}.toml")
         rows = []
         for named in named_scenes(scenes.label):
             free = open_free_space(named.source, AGENT_RADIUS_M, AGENT_HEIGHT_M)
@@ -221,15 +249,17 @@ def main() -> None:
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--choose", action="store_true", help="pick the homes anew")
-    parser.add_argument("--generation", type=int, default=1, choices=tuple(NAMES))
+    parser.add_argument("--set", default="h3-homes", choices=tuple(SETS), dest="set_name")
+    parser.add_argument("--split", choices=[split.name for split in SPLITS], help="pick only the homes of one split")
     given = parser.parse_args()
-    splits = SPLITS if given.generation == 1 else SPLITS_2
-    folder = builtin_root() / NAMES[given.generation]
+    splits, folder = SETS[given.set_name], builtin_root() / given.set_name
     if given.choose:
         for split in splits:
-            _write(folder / f"{split.name}.toml", set_text(chosen(split)))
-    card = folder / "README.md"
-    _write(card, updated_card(card.read_text(encoding="utf-8"), tables(splits)))
+            if given.split in (None, split.name):
+                _write(folder / f"{split.name}.toml", set_text(chosen(split)))
+    if given.split is None:
+        card = folder / "README.md"
+        _write(card, updated_card(card.read_text(encoding="utf-8"), tables(splits)))
 
 
 def _write(path: Path, text: str) -> None:

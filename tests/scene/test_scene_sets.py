@@ -264,3 +264,24 @@ def test_scenes_in_files(tmp_path: Path) -> None:
     assert len(open_scene(theirs.source).instances) == len(open_scene(dataset.source).instances) > 20
     assert named_scenes(str(tmp_path / "home.glb"))[0].source == ours.source
     assert open_scene(ours.source) is open_scene(ours.source)
+
+
+def test_large_homes_begin_where_the_middle_of_the_others_ends() -> None:
+    assert builtin_sets()["h3-homes-large"] == ("train", "val", "test")
+    for split in ("train", "val", "test"):
+        first, large = find_scene_set(f"h3-homes/{split}"), find_scene_set(f"h3-homes-large/{split}")
+        assert first is not None
+        assert large is not None
+        assert len(first.scenes) == len(large.scenes)
+        assert first.social_nav == large.social_nav
+        homes = [entry.source for entry in large.scenes]
+        assert all(isinstance(home, HomeSpec) and home.generation == 1 for home in homes)
+        areas = [home.area_m2 for home in homes if isinstance(home, HomeSpec)]
+        assert areas == sorted(areas)
+        assert 136 <= min(areas)
+        assert max(areas) == 846.0
+    seeds = {
+        name: {e.source.seed for split in splits for e in find_scene_set(f"{name}/{split}").scenes}  # type: ignore[union-attr]
+        for name, splits in builtin_sets().items()
+    }
+    assert len(set().union(*seeds.values())) == sum(map(len, seeds.values())) == 59 * len(seeds)

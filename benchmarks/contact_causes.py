@@ -1,0 +1,156 @@
+"""Causes of contact between the robot and the person in social navigation, each changed alone.
+
+``python -m benchmarks.contact_causes --scenes h3-homes/val --episodes 120 --seed 41`` plays the same episodes of the paper's
+rules once for each variant and prints S, SPS, F and CR, with what the contacts were like. It is a study and no benchmark of
+speed: `benchmarks.__main__` does not run it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from h3data.metrics import measure
+from h3data.recording import Recording
+from h3data.stats.intervals import wilson_interval
+from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest
+from sim_kinematic.motion.spec import STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
+from sim_kinematic.policies.policy import Velocity
+from sim_kinematic.policies.social_nav import KEEP_DISTANCE_M, heuristic_expert, next_waypoint
+from sim_kinematic.policies.views import SocialNavView
+
+TURNS_ABOVE_RAD = 0.1
+"""Habitat's navigation skill turns on the spot above this error of heading (spec/habitat.md 1.6)."""
+METRICS = ("S", "SPS", "F", "CR", "BYR", "TD", "FD")
+
+
+def turns_then_drives(view: SocialNavView, spec: BaseSpec) -> Velocity:
+    """The heuristic expert, but it approaches as Habitat's navigation skill: it turns on the spot or drives at full speed."""
+    if not np.isfinite(view.geodesic_m) or view.geodesic_m <= KEEP_DISTANCE_M:
+        return heuristic_expert(view, spec)
+    dx, dz = next_waypoint(view, spec) - view.robot_xz
+    error = float((np.arctan2(-dz, dx) - view.robot_heading + np.pi) % (2 * np.pi) - np.pi)
+    if abs(error) > TURNS_ABOVE_RAD:
+        return Velocity(0.0, float(np.clip(error / (spec.max_turn_rad_s * STEP_S), -1, 1)), "find")
+    gap = (view.geodesic_m - KEEP_DISTANCE_M) / (spec.max_speed_mps * STEP_S)
+    return Velocity(min(gap, 1.0), 0.0, "find")
+
+
+def backs_at_full_speed(view: SocialNavView, spec: BaseSpec) -> Velocity:
+    """The heuristic expert, but within 1.5 m it always backs at full speed, where the other only restores the distance."""
+    told = heuristic_expert(view, spec)
+    return told._replace(forward=-1.0) if told.forward < 0 else told
+
+
+class Variant(NamedTuple):
+    """What differs from the rules that all variants share."""
+
+    about: str
+    rules: Mapping[str, Any]
+    policy: str = "heuristic_expert"
+
+
+PAPER_BASE, PAPER_WALKER, BONES = {"robot": BaseSpec()}, {"human": WalkerSpec()}, {"person_contact": "bones"}
+OWN = "benchmarks.contact_causes:"
+VARIANTS = {
+    "before": Variant("whole bodies, base of three discs, people keep clear of walls", {}),
+    "bones": Variant("people collide with boxes along their bones", BONES),
+    "base": Variant("the paper's base: two discs, centre and front", PAPER_BASE),
+    "slide": Variant("the same, which slides as Habitat's", {"robot": BaseSpec(slide="habitat")}),
+    "walker": Variant("people on shortest paths, which cut corners", PAPER_WALKER),
+    "driving": Variant("turns on the spot, then drives, as Habitat's skill", {}, f"{OWN}turns_then_drives"),
+    "backing": Variant("backs at full speed", {}, f"{OWN}backs_at_full_speed"),
+    "bones+base": Variant("bones and the paper's base", {**BONES, **PAPER_BASE}),
+    "bones+base+walker": Variant("bones, the paper's base, shortest paths", {**BONES, **PAPER_BASE, **PAPER_WALKER}),
+    "all": Variant(
+        "the same, sliding as Habitat's",
+        {**BONES, "robot": BaseSpec(slide="habitat"), **PAPER_WALKER},
+    ),
+    "all+driving": Variant(
+        "and turns on the spot, then drives",
+        {**BONES, "robot": BaseSpec(slide="habitat"), **PAPER_WALKER},
+        f"{OWN}turns_then_drives",
+    ),
+    "all+backing": Variant(
+        "all, and backs at full speed",
+        {**BONES, "robot": BaseSpec(slide="habitat"), **PAPER_WALKER},
+        f"{OWN}backs_at_full_speed",
+    ),
+}
+
+
+def contact_of(recording: Recording) -> dict[str, float]:
+    """Returns the speeds along the line between both in the step of the contact [m/s], positive towards the other."""
+    robot, person = (recording.agent_column(k, "base_pose")[-2:, [0, 2]].astype(np.float64) for k in (0, 1))
+    towards = person[0] - robot[0]
+    towards /= max(float(np.hypot(*towards)), 1e-9)
+    return {
+        "robot_mps": float((robot[1] - robot[0]) @ towards) / STEP_S,
+        "person_mps": -float((person[1] - person[0]) @ towards) / STEP_S,
+    }
+
+
+def play(job: Any, variant: Variant) -> dict[str, float]:
+    """Returns the metrics of one episode, and of its contact if it ends in one."""
+    spec = replace(job.spec, **variant.rules)
+    recording = replace(job, spec=spec, policy=variant.policy).record()
+    values = measure(recording).to_dict()["values"]
+    found = {name: np.nan if values[name] is None else float(values[name]) for name in METRICS}
+    return {**found, **(contact_of(recording) if found["CR"] else {})}
+
+
+def summary(rows: list[dict[str, float]]) -> dict[str, Any]:
+    """Returns the means over episodes, with the 95% interval of CR, and shares of contacts."""
+    means: dict[str, Any] = {name: float(np.nanmean([row[name] for row in rows])) for name in METRICS}
+    hits = [row for row in rows if "robot_mps" in row]
+    means["CR_interval"] = [float(v) for v in wilson_interval(len(hits), len(rows))]
+    for name, holds in _KINDS.items():
+        means[name] = sum(map(holds, hits)) / max(len(hits), 1)
+    return {**means, "episodes": len(rows)}
+
+
+_KINDS: Mapping[str, Callable[[dict[str, float]], bool]] = {
+    "robot_stands": lambda hit: abs(hit["robot_mps"]) < 0.1 < hit["person_mps"],
+    "robot_backs": lambda hit: hit["robot_mps"] <= -0.1,
+    "robot_comes": lambda hit: hit["robot_mps"] >= 0.1,
+}
+"""Kinds of contact: the person walks into a robot that stands or backs away, or the robot drives at the person."""
+
+
+def main() -> None:
+    """Plays and prints, one line of JSON for each variant and then a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", default="h3-homes/val", help="homes, as for h3data evaluate")
+    parser.add_argument("--homes", type=int, default=12, help="number of homes of a preset")
+    parser.add_argument("--episodes", type=int, default=120)
+    parser.add_argument("--seed", type=int, default=41)
+    parser.add_argument("--variants", default=",".join(VARIANTS))
+    parser.add_argument("--workers", type=int, default=1)
+    args = parser.parse_args()
+    request = EvaluationRequest(
+        task="social_nav",
+        policies=("heuristic_expert",),
+        scenes=(args.scenes,),
+        episodes=args.episodes,
+        homes=args.homes,
+        seed=args.seed,
+        rules="paper",
+        overrides=(("person_contact", "body"),),
+    )
+    jobs = [evaluation.base for evaluation in request.jobs()]
+    assert all(isinstance(job.spec, SocialNavSpec) for job in jobs)
+    with ProcessPoolExecutor(args.workers) as pool:
+        for name in args.variants.split(","):
+            rows = list(pool.map(partial(play, variant=VARIANTS[name]), jobs, chunksize=4))
+            print(json.dumps({"variant": name, "scenes": args.scenes, "seed": args.seed, **summary(rows)}), flush=True)
+
+
+if __name__ == "__main__":
+    main()
