@@ -46,7 +46,12 @@ except ImportError as error:
         "Environments need Gymnasium. Hint: pip install 'h3data[env]'", code="H3-FILE-008"
     ) from error
 
-IDS = {"h3data/SocialNav-v0": "social_nav", "h3data/Rearrange-v0": "rearrange", "h3data/Wander-v0": "wander"}
+IDS = {
+    "h3data/SocialNav-v0": "social_nav",
+    "h3data/Rearrange-v0": "rearrange",
+    "h3data/Wander-v0": "wander",
+    "h3data/CrowdNav-v0": "crowd_nav",
+}
 """Name of the task by id."""
 
 for _id, _task in IDS.items():

@@ -38,7 +38,7 @@ AREAS = {
     "RECORDING": ("recordings and datasets", "format", "h3data/recording"),
     "REPLAY": ("replay", "replay", "h3data/replay"),
     "RENDER": ("pictures", "rendering", "h3data/render pipelines/h3data_gpu pipelines/h3data_pipelines/pictures"),
-    "EXPORT": ("exports", "export", "pipelines/h3data_exporters"),
+    "EXPORT": ("exports", "export", "pipelines/h3data_exporters pipelines/lerobot_env_h3data"),
     "ROS": ("bags of ROS 2, tracks and maps", "ros", "pipelines/h3data_ros"),
     "METRIC": ("metrics", "metrics", "h3data/metrics"),
     "STATS": ("statistics", "statistics", "h3data/stats"),

@@ -105,6 +105,7 @@ def view_from_wire(fields: Any, episode: Episode, number: int) -> Any:
         "walker": episode.spec.human,
         "extra": episode.extra,
         "traffic": _no_traffic,
+        "crowds": _no_traffic,
     }
     known = {name: value for name, value in rules.items() if name in kind._fields}
     try:

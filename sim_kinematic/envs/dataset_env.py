@@ -318,7 +318,7 @@ def _playable(shown: Demonstrations, episodes: int) -> Demonstrations:
         raise InputError(
             f"Expected meta/h3data.json to describe the dataset's {episodes} episodes, it describes {len(shown.seeds)}. Hint: "
             "export it again with h3data export --to lerobot.",
-            code="H3-ENV-057",
+            code="H3-ENV-048",
         )
     kinds = {agent.name: agent.kind for agent in shown.agents}
     if kinds.get(shown.agent) != "robot":

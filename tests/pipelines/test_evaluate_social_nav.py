@@ -205,7 +205,7 @@ def test_the_papers_people_are_touched_at_their_bones() -> None:
     assert repr(paper) == repr(whole)[:-1] + ", person_contact='bones')"
     assert "person_contact" not in rules_dict(whole)
     assert rules_dict(paper)["person_contact"] == "bones"
-    with pytest.raises(InputError, match="H3-SIM-056"):
+    with pytest.raises(InputError, match="H3-SIM-057"):
         with_options(paper, person_contact="skin")
 
 

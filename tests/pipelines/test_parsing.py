@@ -59,7 +59,7 @@ REFUSED = {
     "generate wander -o x --episodes": "Missing value for --episodes. See: h3data generate --help",
     "robots reach quad_arm 1 2": "POINT: expected 3 values, got 2. See: h3data robots reach --help",
     "robots reach quad_arm 1 2 z": "POINT: expected a number, got 'z'. See: h3data robots reach --help",
-    "export a --to b -o c": "Cannot export to 'b'. Expected one of: gfx-replay, habitat-episodes,",
+    "export a --to b -o c": "Cannot export to 'b'. Expected one of: gfx-replay, rosbag2, habitat-episodes,",
     "rerender a --format b -o c": "--format: expected one of mp4, av1, png, data, got 'b'. See: h3data rerender --help",
     "generate --ot x": "Unknown option '--ot'. Did you mean '--out'? See: h3data generate --help",
     "view a -o --json": "Missing value for -o/--out. See: h3data view --help",

@@ -271,11 +271,10 @@ def _jobs(paths: Sequence[Path], out: Path) -> list[ImportJob]:
     for path in paths:
         if path.is_dir():
             suffixes = import_suffixes()
-            if not suffixes:
-                FORMATS.get("gfx_replay")  # fails, and says which package has it
             files = sorted(p for p in path.rglob("*") if p.is_file() and p.name.endswith(suffixes))
             files.sort(key=lambda p: not p.name.endswith(".pkl.gz"))  # stable: logs that are not rounded come first
             if not files:
+                FORMATS.get("gfx_replay")  # where its package is missing, it fails and says which one has it
                 raise InputError(
                     f"No {', '.join(suffixes[:-1])} or {suffixes[-1]} file in this folder: {path}", code="H3-JOB-040"
                 )

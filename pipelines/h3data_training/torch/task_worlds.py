@@ -229,7 +229,7 @@ class TaskTensors:
         self._lattices = Lattices.of(bank.floors, self.device, self.dtype)
         body = load_robot(robot)
         self.base = base_of(body, spec.robot)
-        contact: PersonContact = getattr(spec, "person_contact", "body")
+        contact: PersonContact = spec.person_contact if hasattr(spec, "person_contact") else "body"
         self.touch = TouchTest.of(
             body, load_humanoid(human), spec.human, self.device, self.dtype, person_contact=contact
         )

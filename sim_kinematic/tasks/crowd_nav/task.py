@@ -82,7 +82,7 @@ class CrowdNav(Task):
         if not len(fits):
             raise SceneError(
                 f"No free place in {scene.name} is {spec.goal_path_m} m from the robot's start by the shortest path, with "
-                f"{spec.goal_room_m} m of room. Hint: a larger home, or --set goal_path_m=3.",
+                f"{spec.goal_room_m} m of room. Hint: a larger home, or a smaller goal_path_m.",
                 code="H3-TASK-074",
             )
         extra = {"goal": goals[fits[0]].tolist()}

@@ -277,7 +277,9 @@ def test_lists_of_sets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     data = run_json(capsys, "scenes", "list")
     episodes = {"train": 37_000, "val": 1200, "test": 150}
     assert {s["set"]: s["episodes"] for s in data["sets"]} == {
-        f"{name}/{split}": count for name in ("h3-homes", "h3-homes-v2", "h3-homes-large") for split, count in episodes.items()
+        f"{name}/{split}": count
+        for name in ("h3-homes", "h3-homes-v2", "h3-homes-large")
+        for split, count in episodes.items()
     }
     assert [p["preset"] for p in data["presets"]] == [
         *("small", "medium", "large", "small2", "medium2", "large2"),

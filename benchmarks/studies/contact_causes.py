@@ -1,6 +1,6 @@
 """Causes of contact between the robot and the person in social navigation, each changed alone.
 
-``python -m benchmarks.contact_causes --scenes h3-homes/val --episodes 120 --seed 41`` plays the same episodes of the paper's
+``python -m benchmarks.studies.contact_causes --scenes h3-homes/val --episodes 120 --seed 41`` plays the same episodes of the paper's
 rules once for each variant and prints S, SPS, F and CR, with what the contacts were like. It is a study and no benchmark of
 speed: `benchmarks.__main__` does not run it.
 """
@@ -58,7 +58,7 @@ class Variant(NamedTuple):
 
 
 PAPER_BASE, PAPER_WALKER, BONES = {"robot": BaseSpec()}, {"human": WalkerSpec()}, {"person_contact": "bones"}
-OWN = "benchmarks.contact_causes:"
+OWN = "benchmarks.studies.contact_causes:"
 VARIANTS = {
     "before": Variant("whole bodies, base of three discs, people keep clear of walls", {}),
     "bones": Variant("people collide with boxes along their bones", BONES),
