@@ -1,0 +1,35 @@
+"""docs/pictures/crowd.jpg: a robot of `crowd_nav` among four people, over its shoulder in four moments.
+
+python -m bake.crowd_sheet docs/pictures/crowd.jpg
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+
+import h3data
+from h3data.render.image_files import write_jpg
+from h3data.replay import CameraTrack, Replay, camera_at
+
+ROSTER = ("robot", "female_0", "male_1", "female_2", "male_3")
+SCENE, SEED = "medium:1", 6
+SHARES = (0.15, 0.35, 0.55, 0.75)
+
+
+def main(out: str) -> None:
+    """Plays an episode and writes the picture."""
+    recording = h3data.simulate("crowd_nav", SCENE, roster=ROSTER, agents={"robot": "mpc"}, seed=SEED)
+    replay = Replay(recording, light="baked")
+    shots = [("third_person", int(share * (len(recording) - 1))) for share in SHARES]
+    pictures = []
+    for name, step in shots:
+        seen_from = camera_at(replay, name, step)
+        track = CameraTrack(camera=seen_from, poses=seen_from.pose[None])
+        pictures.append(next(iter(replay.frames([track], [step], outputs=("rgb",))))[1][0]["rgb"])
+    write_jpg(out, np.vstack([np.hstack(pictures[:2]), np.hstack(pictures[2:])]))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
