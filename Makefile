@@ -33,7 +33,7 @@ help:
 help-all: help
 	$(call list,\#\#\#)
 
-.PHONY: setup dev demo kernels check-kernels warm test test-all test-browser test-ray test-packages test-lowest check check-docs docs check-openpi check-lerobot check-gltf web check-web format bench wheel smoke sbom check-tag check-workflows api api-diff changelog clean
+.PHONY: setup dev demo kernels check-kernels warm test test-all test-browser test-ray test-packages test-lowest check check-docs docs check-openpi check-lerobot check-rl check-gltf web check-web format bench wheel smoke sbom check-tag check-workflows api api-diff changelog clean
 
 setup: $(INSTALLED)  ## .venv with what h3data needs, and no more
 
@@ -115,7 +115,7 @@ test-packages: dev  ### the wheel without each of its packages in turn: what nee
 	H3DATA_SITE=$(CURDIR)/$(PACKAGES)/site $(PYTEST) -m "slow or not slow" --durations 6 tests/product/test_packages.py
 
 LOWEST := .venv-lowest
-LOWEST_EXTRAS := gltf env rays robomimic foxglove hitl remote sql hub frames notebook
+LOWEST_EXTRAS := gltf env rays robomimic foxglove ros hitl remote sql hub frames notebook
 LOWEST_TESTS := tests/recording tests/mesh tests/scene tests/stats tests/studies/test_mixed_models.py tests/export tests/metrics \
 	tests/bodies/robots tests/sim/envs \
 	tests/pipelines/test_parsing.py tests/pipelines/test_sql.py tests/pipelines/test_sync.py tests/viewers/test_rerun_view.py
@@ -146,16 +146,28 @@ LEROBOT_INSTALLED := $(LEROBOT)/.installed
 LEROBOT_CHECK := OMP_NUM_THREADS=1 $(LEROBOT)/bin/python tests/export/lerobot_loader/open_datasets.py
 LEROBOT_CAMERAS := --camera robot_arm --camera human_head
 LEROBOT_DATASETS := out/lerobot/ds=out/lerobot/pictures out/lerobot/export=out/lerobot/pictures out/lerobot/rearrange
-$(LEROBOT_INSTALLED): $(INSTALLED) tests/export/lerobot_loader/requirements.txt
+LEROBOT_RUN := HF_HUB_OFFLINE=1 OMP_NUM_THREADS=1 $(LEROBOT)/bin/python tests/export/lerobot_loader
+# as small as ACT can be: this is about the path from recordings to an evaluation, not about what is learned
+LEROBOT_ACT := --policy.type=act --policy.device=cpu --policy.push_to_hub=false --policy.dim_model=64 --policy.n_heads=4 \
+	--policy.dim_feedforward=128 --policy.n_encoder_layers=1 --policy.chunk_size=10 --policy.n_action_steps=10 \
+	--policy.use_vae=false --policy.pretrained_backbone_weights=null --batch_size=4 --num_workers=0 --steps=20 --save_freq=20 \
+	--log_freq=10 --eval_freq=0 --wandb.enable=false
+$(LEROBOT_INSTALLED): $(INSTALLED) tests/export/lerobot_loader/requirements.txt pipelines/lerobot_env_h3data/pyproject.toml
 	rm -rf $(LEROBOT) && $(BIN)/python -m venv --without-pip $(LEROBOT)
 	@# what it lacks it takes from .venv: torch, numpy, pyarrow
 	$(BIN)/python -c "import sysconfig; print(sysconfig.get_path('purelib'))" \
 		> `$(LEROBOT)/bin/python -c "import sysconfig; print(sysconfig.get_path('purelib'))"`/below.pth
 	$(BIN)/python -m pip --python $(LEROBOT)/bin/python install -q --disable-pip-version-check datasets==4.8.5 huggingface-hub==0.35.3
 	$(BIN)/python -m pip --python $(LEROBOT)/bin/python install -q --disable-pip-version-check --no-deps -r tests/export/lerobot_loader/requirements.txt
+	@# this checkout, and the package by whose name lerobot finds our environments
+	printf '%s\n' $(CURDIR) $(CURDIR)/pipelines $(CURDIR)/viewers \
+		> `$(LEROBOT)/bin/python -c "import sysconfig; print(sysconfig.get_path('purelib'))"`/h3data_source.pth
+	$(BIN)/python -m pip install -q --disable-pip-version-check hatchling editables -c constraints.txt
+	$(BIN)/python -m pip --python $(LEROBOT)/bin/python install -q --disable-pip-version-check --no-deps --no-build-isolation \
+		-e pipelines/lerobot_env_h3data
 	touch $@
 
-check-lerobot: $(LEROBOT_INSTALLED)  ### datasets and exports open with lerobot's own loader, down to decoded frames; an environment of its own (350 MB)
+check-lerobot: $(LEROBOT_INSTALLED)  ### lerobot opens datasets and exports, learns from one and is evaluated in its environment; an environment of its own (550 MB)
 	$(BIN)/h3data generate social_nav --episodes 2 --seed 5 --max-steps 40 $(LEROBOT_CAMERAS) --force -o out/lerobot/ds
 	$(BIN)/h3data generate rearrange --episodes 1 --seed 5 --force -o out/lerobot/plain
 	$(BIN)/h3data export out/lerobot/ds --to lerobot --force -o out/lerobot/export
@@ -164,6 +176,29 @@ check-lerobot: $(LEROBOT_INSTALLED)  ### datasets and exports open with lerobot'
 	LEROBOT_BACKEND=pyav $(LEROBOT_CHECK) $(LEROBOT_DATASETS)
 	libs=`$(LEROBOT)/bin/python tests/export/lerobot_loader/link_ffmpeg.py` && \
 		LEROBOT_BACKEND=torchcodec LD_LIBRARY_PATH=$$libs $(LEROBOT_CHECK) $(LEROBOT_DATASETS)
+	@# from recordings to an evaluation: lerobot learns from a dataset and acts in the environment that shows the same
+	$(BIN)/h3data generate social_nav --scenes small:3 --episodes 3 --seed 5 --max-steps 60 --spawn-distance 2 --force -o out/lerobot/walks
+	$(BIN)/h3data export out/lerobot/walks --to lerobot --camera robot_arm_rgb@64x48 --force -o out/lerobot/demos
+	rm -rf out/lerobot/run out/lerobot/eval
+	$(LEROBOT_RUN)/beside_cpu_torch.py lerobot_train --dataset.repo_id=local/demos --dataset.root=out/lerobot/demos \
+		--dataset.video_backend=pyav $(LEROBOT_ACT) --output_dir=out/lerobot/run
+	$(LEROBOT_RUN)/beside_cpu_torch.py lerobot_eval --policy.path=out/lerobot/run/checkpoints/last/pretrained_model \
+		--policy.device=cpu --env.discover_packages_path=lerobot_env_h3data --env.type=h3data --env.dataset=out/lerobot/demos \
+		--env.episodes=recorded --eval.n_episodes=2 --eval.batch_size=2 --seed=0 --output_dir=out/lerobot/eval
+	$(LEROBOT_RUN)/replay_actions.py out/lerobot/demos out/lerobot/eval
+
+RL := .venv-rl
+$(RL)/.installed: $(DEV)
+	rm -rf $(RL) && $(BIN)/python -m venv --without-pip $(RL)
+	@# what it lacks it takes from .venv: torch, gymnasium
+	site=`$(RL)/bin/python -c "import sysconfig; print(sysconfig.get_path('purelib'))"`; \
+		$(BIN)/python -c "import sysconfig; print(sysconfig.get_path('purelib'))" > $$site/below.pth; \
+		printf '%s\n' $(CURDIR) $(CURDIR)/pipelines $(CURDIR)/viewers > $$site/h3data_source.pth
+	$(BIN)/python -m pip --python $(RL)/bin/python install -q --disable-pip-version-check --no-deps stable-baselines3==2.9.2 cloudpickle
+	touch $@
+
+check-rl: $(RL)/.installed  ### Stable-Baselines3 learns in our vector environments, in .venv-rl (examples/sb3_vec_env.py)
+	OMP_NUM_THREADS=1 $(RL)/bin/python tests/sim/envs/check_sb3.py
 
 GLTF := out/gltf
 check-gltf: setup  ### exported animations and scenes pass the Khronos validator (needs npm)
@@ -255,4 +290,4 @@ sbom: wheel  ### what `pip install h3data` brings, as CycloneDX: dist/h3data.cdx
 		-o dist/h3data.cdx.json $(SBOM)/env/bin/python
 
 clean:  ## removes environments and everything that was built
-	rm -rf $(VENV) $(LEROBOT) $(LOWEST) out dist build
+	rm -rf $(VENV) $(LEROBOT) $(RL) $(LOWEST) out dist build

@@ -44,7 +44,7 @@ def _step_times(path: Path) -> Array:
         overwrite=True,
         end_on_collision=False,
     )
-    person, rng, times = session.play.people[0], np.random.default_rng(0), []  # type: ignore[attr-defined]
+    person, rng, times = session.play.team.people[0], np.random.default_rng(0), []  # type: ignore[attr-defined]
     for step in range(STEPS):
         if session.ended:
             break

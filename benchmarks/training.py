@@ -116,7 +116,7 @@ def _acting(learner: Learner, passes: int) -> Iterator[Line]:
     yield "acting_decisions_per_s", rate, "1/s"
     yield "acting_steps_per_s", rate * s.hold, "steps/s"
     action = learner.memory.last.clone()
-    rate = s.worlds / _seconds(lambda: learner.worlds.held(action), passes, device)
+    rate = s.worlds / _seconds(lambda: learner.worlds.repeat_action(action), passes, device)
     yield "environment_steps_per_s", rate * s.hold, "steps/s"
     if device == "cuda":
         _kernels(lambda: learner._collect(plan), s.rollout)

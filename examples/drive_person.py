@@ -16,7 +16,7 @@ from h3data.policies import External, PersonCommand, Pick, Place
 
 path = sys.argv[1] if len(sys.argv) > 1 else "out/driven.mcap"
 session = h3data.session("rearrange", "small:3", agents={"person": External(), "robot": "still"}, record=path)
-person, walker = session.play.people[0], session.episode.spec.human
+person, walker = session.play.team.people[0], session.episode.spec.human
 
 
 def steer(forward_m: float, left_rad: float) -> None:

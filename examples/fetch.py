@@ -22,8 +22,8 @@ from h3data.tasks import (
     RearrangeCodec,
     RearrangeSpec,
     SkillControl,
-    SkillRollout,
     StepOutcome,
+    WorldRollout,
     generator,
 )
 
@@ -118,24 +118,24 @@ class Fetch(Rearrange):
         drawer_of(episode)
         return episode
 
-    def begin(self, play: SkillRollout, rows: NDArray[np.intp]) -> None:
+    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
         """Nothing is paid yet: the drawer, then each thing."""
-        play.memory = {"drawer": drawer_of(play.episode), "paid": np.zeros(1 + len(play.objects.names), np.bool_)}
+        play.memory = {"drawer": drawer_of(play.episode), "paid": np.zeros(1 + len(play.team.objects.names), np.bool_)}
 
-    def judge(self, play: SkillRollout) -> StepOutcome:
+    def judge(self, play: WorldRollout) -> StepOutcome:
         """Pays once for the open drawer and for each thing at its goal, in nobody's hand."""
         spec, drawer, paid = play.spec, play.memory["drawer"], play.memory["paid"]
-        there = np.append(play.open_joints[drawer], play.at_goal)
-        worth = np.append(spec.drawer_worth, np.full(len(play.at_goal), spec.thing_worth))
+        there = np.append(play.team.open_joints[drawer], play.team.at_goal)
+        worth = np.append(spec.drawer_worth, np.full(len(play.team.at_goal), spec.thing_worth))
         fresh = there & ~paid
         paid |= there
         success, collides = bool(there.all()), bool(play.world.touching.any())
-        events = [(0, Event(step=play.step, agent=-1, kind="opened", target=play.objects.joints[drawer]))]
+        events = [(0, Event(step=play.step, agent=-1, kind="opened", target=play.team.objects.joints[drawer]))]
         return StepOutcome(
             reward=np.array([worth[fresh].sum() - 1.0 * collides]),
             terminated=np.array([success or collides]),
             success=np.array([success]),
-            columns={"metrics.at_goal": play.at_goal[None], "metrics.drawer_open": there[None, 0]},
+            columns={"metrics.at_goal": play.team.at_goal[None], "metrics.drawer_open": there[None, 0]},
             ended="success" if success else "collision",
             events=events if fresh[0] else (),
         )

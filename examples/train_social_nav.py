@@ -57,12 +57,12 @@ def flat(observation: dict[str, Tensor]) -> Tensor:
     return torch.cat(list(observation.values()), 1)
 
 
-def roll_out(env: Any, learner: Learner, dice: torch.Generator, x: Tensor) -> tuple[dict[str, Tensor], Tensor]:
+def roll_out(env: Any, learner: Learner, generator: torch.Generator, x: Tensor) -> tuple[dict[str, Tensor], Tensor]:
     """Collects `ROLLOUT` steps, arrays [T, W, ...], and returns them with the observation that follows."""
     rows = []
     for _ in range(ROLLOUT):
         begins, before, chosen = env.play.ended.clone(), env.play.followed.clone(), learner.policy(x)
-        action = chosen.mean + chosen.stddev * torch.randn(chosen.mean.shape, generator=dice, device=x.device)
+        action = chosen.mean + chosen.stddev * torch.randn(chosen.mean.shape, generator=generator, device=x.device)
         observation, reward, terminated, truncated, info = env.step(action)
         rows.append(
             {
@@ -90,13 +90,13 @@ def add_advantages(seen: dict[str, Tensor], learner: Learner, last: Tensor, gamm
 
 
 def learn(
-    seen: dict[str, Tensor], learner: Learner, optimizer: torch.optim.Adam, dice: torch.Generator, size: int
+    seen: dict[str, Tensor], learner: Learner, optimizer: torch.optim.Adam, generator: torch.Generator, size: int
 ) -> None:
     """Some epochs, ``size`` samples at once. A step that begins an episode takes no action, so nothing is learned from it."""
     samples = {name: rows[~seen["begins"]] for name, rows in seen.items()}
     samples["gain"] = (samples["gain"] - samples["gain"].mean()) / samples["gain"].std()
     for _ in range(EPOCHS):
-        for k in torch.randperm(len(samples["x"]), generator=dice, device=dice.device).split(size):
+        for k in torch.randperm(len(samples["x"]), generator=generator, device=generator.device).split(size):
             x, gain, chosen = samples["x"][k], samples["gain"][k], learner.policy(samples["x"][k])
             ratio = (chosen.log_prob(samples["action"][k]).sum(1) - samples["log_prob"][k]).exp()
             worth = torch.minimum(ratio * gain, ratio.clamp(1 - CLIP, 1 + CLIP) * gain).mean()
@@ -156,7 +156,7 @@ def train(
     x = flat(env.reset(seed=seed)[0])
     learner = Learner(x.shape[1]).to(device)
     optimizer = torch.optim.Adam(learner.parameters(), RATE)
-    dice = torch.Generator(device).manual_seed(seed)
+    generator = torch.Generator(device).manual_seed(seed)
     checkpoint, curve = out.with_suffix(".checkpoint"), []
     asked = {
         "scenes": scenes,
@@ -174,7 +174,7 @@ def train(
             raise InputError(f"Resume with the options of the checkpoint: {kept['asked']}. Got: {asked}.")
         learner.load_state_dict(kept["learner"])
         optimizer.load_state_dict(kept["optimizer"])
-        dice.set_state(kept["dice"])
+        generator.set_state(kept["generator"])
         x, curve = kept["x"].to(device), kept["curve"]
         for mine, theirs in zip(env.play.tensors(), kept["play"], strict=True):
             mine.copy_(theirs)
@@ -185,9 +185,9 @@ def train(
         optimizer.param_groups[0]["lr"] = RATE * (1 - share)
         gamma = 1 - 1 / (horizon[0] + share * (horizon[1] - horizon[0]))
         with torch.no_grad():
-            seen, x = roll_out(env, learner, dice, x)
+            seen, x = roll_out(env, learner, generator, x)
             add_advantages(seen, learner, x, gamma)
-        learn(seen, learner, optimizer, dice, minibatch)
+        learn(seen, learner, optimizer, generator, minibatch)
         total = {name: float(seen[name].sum()) for name in ("begins", "reward", "follows", "terminated", "ended")}
         moves, ends = size - total["begins"], max(total["ended"], 1.0)
         means = total["reward"] / moves, total["follows"] / moves, total["terminated"] / ends
@@ -198,7 +198,11 @@ def train(
         if (now - saved > checkpoint_s and now > began) or done == rounds:
             saved, left = now, (now - began) / max(done - first - 1, 1) * (rounds - done) / 60
             print(*(f"{name} {figure:.3g}" for name, figure in curve[-1].items()), f"{left:.1f} min left", sep="  ")
-            kept = {"learner": learner.state_dict(), "optimizer": optimizer.state_dict(), "dice": dice.get_state()}
+            kept = {
+                "learner": learner.state_dict(),
+                "optimizer": optimizer.state_dict(),
+                "generator": generator.get_state(),
+            }
             with part_file(checkpoint) as part:
                 torch.save({**kept, "asked": asked, "x": x, "play": list(env.play.tensors()), "curve": curve}, part)
             with part_file(out.with_suffix(".csv")) as part:

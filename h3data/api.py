@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, overload
 from numpy.typing import NDArray
 
 from h3data.bodies.people.rigid_parts import PeopleStyle
-from h3data.errors import InputError
+from h3data.errors import InputError, suggest_keywords
 from h3data.recording import Dataset, Episodes, Recording, open_recording
 from h3data.render import Output
 from h3data.render.light.sources import LightMode
@@ -136,6 +136,7 @@ def measure(recordings: Any, profile: str | None = None) -> EpisodeMetrics | Met
     return metrics.measure_many(recordings, profile)
 
 
+@suggest_keywords
 def render_frame(
     recording: Recording | Replay,
     *,

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import functools
+from collections.abc import Callable, Iterable
+from typing import ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 class H3DataError(Exception):
@@ -72,3 +77,21 @@ def suggest(name: str, valid: Iterable[str], *, lead: str = "Expected one of", m
     """
     valid = list(valid)
     return did_you_mean(name, valid) or f" {lead}: {', '.join(valid) or 'none'}{more}."
+
+
+def suggest_keywords(function: Callable[P, R]) -> Callable[P, R]:
+    """Decorator: the `TypeError` of an unknown keyword argument says which one was meant, or which there are.
+
+    Python does so itself from 3.13 on, but not which there are. For functions without ``**`` arguments.
+    """
+    code = function.__code__
+    keywords = code.co_varnames[code.co_posonlyargcount : code.co_argcount + code.co_kwonlyargcount]
+
+    @functools.wraps(function)
+    def checked(*args: P.args, **kwargs: P.kwargs) -> R:
+        for name in kwargs:
+            if name not in keywords:
+                raise TypeError(f"{function.__name__}() has no argument {name!r}.{suggest(name, keywords)}")
+        return function(*args, **kwargs)
+
+    return checked

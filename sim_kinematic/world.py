@@ -1,7 +1,7 @@
 """W worlds with the same agents, each in a home of its own: places everybody, moves everybody, says who touches whom.
 
 ```python
-world = World(agents_of("robot,robot,human"), worlds=16)
+world = World(make_roster("robot,robot,human"), worlds=16)
 world.place(starts, [free] * 16)                     # [16, 3, 3]: x, z, heading
 world.step([DriveCommand(a), DriveCommand(b), WaypointCommand(points)])  # [16, 2] each
 world.touching                                       # [16, 3]: of world.pairs
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
-from h3data.geometry import Array, ground_pose, quat_conjugate, quat_rotate
+from h3data.geometry import IDENTITY_POSE, Array, ground_pose, quat_conjugate, quat_rotate
 from h3data.kernels import kernel
 from h3data.moved import refuse_renamed
 from h3data.scene import FreeSpace
@@ -34,9 +34,10 @@ from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.contact import AgentContacts
 from sim_kinematic.contact.clearance import RobotHumanContact, clip_reach, robot_reach
 from sim_kinematic.contact.frames import body_frames, body_shapes, root_pose, shape_frames
+from sim_kinematic.contact.outlines import legs_at, shins
 from sim_kinematic.motion.gait import cycle_phase, drive_people, move_people, walk_humans
-from sim_kinematic.motion.spec import HOME_BASE, BaseSpec, WalkerSpec
-from sim_kinematic.motion.state import AgentState, HumanState, RobotState, WorldState
+from sim_kinematic.motion.spec import HOME_BASE, BaseSpec, PersonContact, WalkerSpec
+from sim_kinematic.motion.state import AgentState, HumanState, RobotState, WorldState, stack_agents
 from sim_kinematic.motion.step import discs_at, drive_robots, first_not_finite
 
 if not TYPE_CHECKING:
@@ -114,6 +115,8 @@ class World:
         walker: WalkerSpec | None = None,
         person_radius_m: float = 0.25,
         solid: bool = False,
+        contact: bool = True,
+        person_contact: PersonContact = "body",
         objects: int = 0,
         scene_joints: int = 0,
     ) -> None:
@@ -126,6 +129,8 @@ class World:
             walker: gait and speed of people.
             person_radius_m: radius of a person who is driven from outside.
             solid: whether people who are driven slide along the discs of the other agents, at their positions before the step.
+            contact: whether it finds out who touches whom; otherwise whoever moves the agents sets `touching`.
+            person_contact: collision shapes of people.
             objects: number of things that agents can take, in `state`.
             scene_joints: number of doors and drawers, in `state`.
 
@@ -138,7 +143,8 @@ class World:
         rules, self.walker = base or HOME_BASE, walker or WalkerSpec()
         self.bases = tuple(base_of(m.body, rules) if isinstance(m.body, Robot) else rules for m in self.roster)
         """Discs and limits of each robot; the rules for people."""
-        self._person_radius_m, self._solid = person_radius_m, solid
+        self._person_radius_m, self._solid, self._finds_contact = person_radius_m, solid, contact
+        self._person_contact: PersonContact = person_contact
         robots = [member.body for member in self.roster if isinstance(member.body, Robot)]
         people = len(self.roster) - len(robots)
         self.state = WorldState.zeros(
@@ -176,7 +182,7 @@ class World:
 
     @cached_property
     def _contact(self) -> _PairContacts:
-        return _PairContacts(self.roster, self.pairs)
+        return _PairContacts(self.roster, self.pairs, self._person_contact)
 
     def place(self, starts: Array, floors: Sequence[FreeSpace], rows: Rows | None = None) -> None:
         """Puts all agents at rest at their starts, each world on its own floor.
@@ -219,7 +225,7 @@ class World:
         for state in (self.state, self.before, self.start):
             state.put(rows, fresh)
 
-    def step(self, commands: Sequence[Command]) -> None:
+    def step(self, commands: Sequence[Command | None]) -> None:
         """Move all agents by one step of 1/30 s: people first, then robots, as in Habitat.
 
         Raises:
@@ -250,7 +256,7 @@ class World:
                 elif isinstance(command, PoseCommand):
                     move_people(own, values, command.headings[at], self.walker)
                 else:
-                    others = self._discs_beside(k)[at] if self._solid else None
+                    others = self._discs_beside(k, self.before.agents)[at] if self._solid else None
                     self.blocked[at, k] = drive_people(
                         own, free, values, self.walker, radius_m=self._person_radius_m, others=others
                     )
@@ -298,6 +304,20 @@ class World:
             left[rows] = free.signed_distance(points[rows])
         return left
 
+    def free_along(self, xz: Array, headings: Array, max_m: float) -> Array:
+        """Distance [W, R] [m], at most ``max_m``, from places [W, 2] along headings [W, R] [rad] to the nearest obstacle."""
+        reach = np.empty(headings.shape)
+        for free, rows in self.groups:
+            reach[rows] = free.free_along(xz[rows], headings[rows], max_m=max_m)
+        return reach
+
+    def circles(self, agent: int, *, legs: bool = False) -> Array:
+        """All other agents as circles ``(x, z, radius)`` [W, N, 3] [m].
+
+        Robots are the discs of their bases; people are one disc, or with ``legs`` two legs in their posture.
+        """
+        return self._discs_beside(agent, self.state.agents, legs=legs)
+
     def in_root_frame(self, own: AgentState, points: Array) -> Array:
         """World points [W, n, 3] in the agent root frames of agents."""
         root = ground_pose(own.xz, own.heading, self.heights(own.xz))[:, None]
@@ -319,7 +339,7 @@ class World:
         )
 
     # --- parts of a step ----------------------------------------------------------------------------------------------
-    def _checked(self, commands: Sequence[Command]) -> list[Command]:
+    def _checked(self, commands: Sequence[Command | None]) -> list[Command]:
         if len(commands) != len(self.roster):
             raise InputError(
                 f"Expected one command for each of {len(self.roster)} agents, got {len(commands)}.", code="H3-SIM-051"
@@ -347,11 +367,17 @@ class World:
             )
         return checked
 
-    def _discs_beside(self, agent: int) -> Array:
-        """Discs ``(x, z, radius)`` of all others before the step, [W, N, 3]."""
+    def _discs_beside(self, agent: int, agents: Sequence[AgentState], *, legs: bool = False) -> Array:
+        """Discs ``(x, z, radius)`` of all others in a state, [W, N, 3]."""
         discs = [np.zeros((self.worlds, 0, 3))]
-        for k, (member, was) in enumerate(zip(self.roster, self.before.agents, strict=True)):
+        for k, (member, was) in enumerate(zip(self.roster, agents, strict=True)):
             if k == agent:
+                continue
+            if legs and isinstance(member.body, Humanoid):
+                clip, phase, blend, _ = self.posture(k, self.rows)
+                posture = member.body.clip_pose(clip, phase, blend)
+                joints = member.body.joint_matrices(np.tile(IDENTITY_POSE, (self.worlds, 1)), *posture)
+                discs.append(legs_at(np, was.xz, was.heading, shins(joints)))
                 continue
             is_robot = member.kind == "robot"
             offsets = self.bases[k].disc_offsets_m if is_robot else (0.0,)
@@ -375,50 +401,63 @@ class World:
 
     def _touching(self, rows: Rows) -> NDArray[np.bool_]:
         """Pairs that touch in the worlds ``rows`` [n], [n, P]."""
-        return self._contact.touching(self, rows)
+        return (
+            self._contact.touching(self, rows)
+            if self._finds_contact
+            else np.zeros((len(rows), len(self.pairs)), np.bool_)
+        )
 
 
 @kernel(error_model="numpy")
-def _worlds_near(xz, other, rows, gate):
-    """Indices into ``rows`` [n] of the worlds in which two points [W, 2] are at most ``gate`` apart."""
-    near, count = np.empty(len(rows), np.intp), 0
+def _near_pairs(xz, rows, pairs, gates):
+    """Marks the pairs [P, 2] of agents at ``xz`` [W, A, 2] that are at most ``gates`` [P] apart in the worlds ``rows`` [n]."""
+    near = np.zeros((len(rows), len(pairs)), np.bool_)
     for n in range(len(rows)):
         w = rows[n]
-        if math.hypot(xz[w, 0] - other[w, 0], xz[w, 1] - other[w, 1]) <= gate:
-            near[count] = n
-            count += 1
-    return near[:count]
+        for p in range(len(pairs)):
+            a, b = pairs[p, 0], pairs[p, 1]
+            near[n, p] = math.hypot(xz[w, a, 0] - xz[w, b, 0], xz[w, a, 1] - xz[w, b, 1]) <= gates[p]
+    return near
 
 
 class _PairContacts:
     """Contact between all pairs of agents: by distance first, then by FCL in the worlds where a pair is near."""
 
-    def __init__(self, roster: Sequence[AgentSpec], pairs: Sequence[tuple[int, int]]) -> None:
+    def __init__(
+        self, roster: Sequence[AgentSpec], pairs: Sequence[tuple[int, int]], person_contact: PersonContact
+    ) -> None:
         self._roster, self._pairs = roster, pairs
+        self._person_contact: PersonContact = person_contact
         # a robot that keeps its posture beside a person: posed together, as recorded
         self._of = [
-            RobotHumanContact(roster[a].body, roster[b].body)  # type: ignore[arg-type]
+            RobotHumanContact(roster[a].body, roster[b].body, person_contact=person_contact)  # type: ignore[arg-type]
             if (roster[a].kind, roster[b].kind) == ("robot", "human")
             else None
             for a, b in pairs
         ]
-        self._reach = [
-            robot_reach(m.body, m.body.rest) if isinstance(m.body, Robot) else clip_reach(m.body) for m in roster
+        reach = [
+            robot_reach(m.body, m.body.rest) if isinstance(m.body, Robot) else clip_reach(m.body, person_contact)
+            for m in roster
         ]
-        self._others = [p for p, own in enumerate(self._of) if own is None]
-        self._contacts = AgentContacts(*(body_shapes(m.body) for m in roster)) if self._others else None
+        gates = [
+            reach[a] + reach[b] if own is None else own.gate_m + 1e-3
+            for (a, b), own in zip(pairs, self._of, strict=True)
+        ]
+        self._gates, self._numbers = np.array(gates), np.array(pairs, np.intp).reshape(-1, 2)
+        self._others = np.array([p for p, own in enumerate(self._of) if own is None], np.intp)
+        shapes = (body_shapes(m.body, person_contact) for m in roster)
+        self._contacts = AgentContacts(*shapes) if len(self._others) else None
 
     def touching(self, world: World, rows: Rows) -> NDArray[np.bool_]:
-        agents = world.state.agents
-        result = np.zeros((len(rows), len(self._pairs)), np.bool_)
-        for p, ((a, b), contact) in enumerate(zip(self._pairs, self._of, strict=True)):
-            gate = self._reach[a] + self._reach[b] if contact is None else contact.gate_m + 1e-3
-            near = _worlds_near(agents[a].xz, agents[b].xz, rows, gate)
-            if not len(near):
-                continue
+        if not self._pairs:
+            return np.zeros((len(rows), 0), np.bool_)
+        xz = np.stack([own.xz for own in world.state.agents], axis=1)
+        result = _near_pairs(xz, rows, self._numbers, self._gates)
+        for p in np.flatnonzero(result.any(0)).tolist():
+            contact = self._of[p]
             if contact is None:
-                result[near, p] = True
                 continue
+            (a, b), near = self._pairs[p], np.flatnonzero(result[:, p])
             at = rows[near]
             result[near, p] = contact.touching_many(
                 world.roots(a, at).astype(np.float32),
@@ -430,15 +469,21 @@ class _PairContacts:
         return result
 
     def _decide(self, world: World, rows: Rows, near: NDArray[np.bool_]) -> None:
-        """Ask FCL about the near pairs that are not a robot and a person, in place."""
+        """Asks FCL about the near pairs that are not a robot and a person, in place; only who is in one of them is posed."""
         assert self._contacts is not None
-        for k in np.flatnonzero(near[:, self._others].any(1)):
-            w = rows[k]
-            for number, (member, own) in enumerate(zip(self._roster, world.state.agents, strict=True)):
-                frames = body_frames(member.body, own.take([w]), world.floors[w], speed_mps=world.walker.speed_mps)
-                self._contacts.update(number, shape_frames(member.body, frames)[0])
-            for p in self._others:
-                near[k, p] = near[k, p] and self._contacts.collides(*self._pairs[p])
+        for k in np.flatnonzero(near[:, self._others].any(1)).tolist():
+            w, asked = rows[k], self._others[near[k, self._others]]
+            alike: dict[int, list[int]] = {}
+            for number in np.unique(self._numbers[asked]).tolist():
+                alike.setdefault(id(self._roster[number].body), []).append(number)
+            for numbers in alike.values():  # agents with the same body are posed together
+                body, agents = self._roster[numbers[0]].body, [world.state.agents[n] for n in numbers]
+                together = stack_agents(agents, w)
+                frames = body_frames(body, together, world.floors[w], speed_mps=world.walker.speed_mps)
+                for number, own in zip(numbers, shape_frames(body, frames, self._person_contact), strict=True):
+                    self._contacts.update(number, own)
+            for p in asked.tolist():
+                near[k, p] = self._contacts.collides(*self._pairs[p])
 
 
 def _recorded(values: Array) -> Array:

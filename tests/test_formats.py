@@ -58,10 +58,11 @@ def test_the_built_in_table_is_sound() -> None:
     assert len({one.name for one in BUILT_IN}) == len(BUILT_IN)
     assert list(export_options()) == [
         "gfx-replay",
-        "gltf",
+        "rosbag2",
         "habitat-episodes",
         "csv",
         "foxglove",
+        "gltf",
         "lerobot",
         "robomimic",
     ]

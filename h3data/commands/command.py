@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
-import signal
-import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -16,10 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, TypeVar
 import tyro
 
 from h3data.bodies.people.rigid_parts import PeopleStyle
-from h3data.errors import H3DataError, InputError
+from h3data.errors import InputError
 from h3data.files import part_file
 from h3data.recording import Recording
-from h3data.recording.storage import AnyPath, RemotePath, local, remove_tree
+from h3data.recording.storage import AnyPath, RemotePath, local
 from h3data.render.light.sources import LightMode
 from h3data.terminal import counted
 
@@ -233,49 +230,6 @@ def missing_lines(replay: Replay, *, max_names: int = 8) -> list[str]:
     return lines
 
 
-def unfinished_dataset(root: AnyPath) -> str:
-    """Describe the dataset in a folder for `claim_folder`; empty if there is none."""
-    from h3data.recording import Dataset
-    from h3data.recording.parquet.files import is_begun
-
-    if not ((root / "h3" / "schema.json").is_file() or is_begun(root)):
-        return ""
-    try:
-        count = len(Dataset(root))
-    except H3DataError:  # interrupted before the first commit
-        count = 0
-    return f"a dataset of {counted(count, 'finished episode')}" if count else "a dataset without finished episodes"
-
-
-_PARTS_OF_DATASET = ("meta", "data", "h3", "videos", "mcap")
-
-
-def remove_dataset(root: AnyPath) -> None:
-    """Deletes the dataset in a folder; an `InputError`, and nothing is deleted, if the folder holds anything else."""
-    from h3data.recording.parquet.files import is_begun
-
-    if not root.exists() or (root.is_dir() and not any(root.iterdir())):
-        return
-    if not ((root / "h3" / "schema.json").is_file() or is_begun(root)):
-        raise InputError(
-            f"--force would delete this, but it is not an h3data dataset. Remove it yourself: {root}",
-            code="H3-OPTION-006",
-        )
-    others = [p for p in root.iterdir() if p.name not in (*_PARTS_OF_DATASET, "README.md", "card.jpg")]
-    others += [p for p in root.glob("mcap/*") if not re.fullmatch(r"\d{6,}\.mcap(\.part)?", p.name)]
-    if others:
-        raise InputError(
-            f"--force would replace this dataset, but its folder holds {counted(len(others), 'other file')}. Move them away. "
-            f"The first: {min(others)}",
-            code="H3-OPTION-007",
-        )
-    for name in _PARTS_OF_DATASET:  # meta first: without it, nothing is committed
-        remove_tree(root / name)
-    for name in ("README.md", "card.jpg"):
-        if (root / name).is_file():
-            (root / name).unlink()
-
-
 def read_overrides(texts: Iterable[str]) -> tuple[tuple[str, Any], ...]:
     """Names and values of single rules of a task, from ``NAME=VALUE`` with a value as in JSON or a bare word.
 
@@ -314,22 +268,3 @@ def keeping(kept: Callable[[], str]) -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         raise KeyboardInterrupt(kept()) from None
-
-
-@contextmanager
-def uninterrupted() -> Iterator[None]:
-    """Delays Ctrl-C, SIGTERM and SIGHUP to the end of the block, so that a write in progress is finished first."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    received: list[int] = []
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    heeded = [s for s in numbers if signal.getsignal(s) is not signal.SIG_IGN]  # nohup ignores SIGHUP
-    before = {s: signal.signal(s, lambda number, _: received.append(number)) for s in heeded}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        for number in received[:1]:
-            signal.raise_signal(number)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import inspect
 import json
-import math
 import os
 import re
 import shlex
@@ -181,7 +179,7 @@ def _option(name: str, annotation: Any, *, required: bool) -> Option:
     if get_origin(kind) is tuple:
         count = None if get_args(kind)[-1] is ... else len(get_args(kind))
         kind = get_args(kind)[0]
-    if kind is not bool and get_origin(kind) is not Literal and kind not in KINDS:
+    if kind is not bool and get_origin(kind) is not Literal and kind not in _PYTHON_TYPES:
         raise TypeError(f"Options must be bool, int, float, str, Path, Literal, or tuples of these; {name} is {kind}.")
     flags: tuple[str, ...] = ()
     if _POSITIONAL not in metadata:
@@ -215,17 +213,6 @@ def split_list(text: str) -> list[str]:
     return [part for part in map(str.strip, parts) if part]
 
 
-def _listed(option: Option, words: Iterable[str]) -> list[str]:
-    """All values of a list option: each word may hold several. A path with a comma in its name is one value if it exists."""
-    listed: list[str] = []
-    for word in words:
-        parts = [word] if option.kind is Path and os.path.exists(word) else split_list(word)
-        if not parts:
-            raise ValueError("expected at least one value, got an empty text")
-        listed += parts
-    return listed
-
-
 def known_tasks(options: Iterable[Option]) -> tuple[str, ...]:
     """The tasks that some of the options belong to, or are described for, in this order."""
     return tuple(dict.fromkeys(task for o in options for task in (*o.notes, *o.tasks)))
@@ -244,25 +231,6 @@ def check_task(command: type[Command], task: str, given: Iterable[str]) -> None:
     if strangers:
         listed = ", ".join(f"{option.flags[-1]} (of {' and '.join(option.tasks)})" for option in strangers)
         raise InputError(f"These are no options of {task}: {listed}.", code="H3-OPTION-076")
-
-
-def read_value(option: Option, given: Any) -> Any:
-    """The value of an option from its words.
-
-    Raises:
-        ValueError: they are not of its type; the message says what was expected and what came.
-    """
-    if option.kind is bool:
-        return given
-    if get_origin(option.kind) is Literal:
-        read: Callable[[str], Any] = functools.partial(_choice, get_args(option.kind))
-    else:
-        read = KINDS[option.kind][1]
-    if option.count == 1:
-        return read(given)
-    if option.count is not None and len(given) != option.count:
-        raise ValueError(f"expected {option.count} values, got {len(given)}")
-    return tuple(map(read, _listed(option, given) if option.is_list else given))
 
 
 def python_value(option: Option, value: Any) -> Any:
@@ -321,66 +289,10 @@ _PYTHON_TYPES: dict[Any, tuple[tuple[type, ...], str]] = {
 }
 
 
-def _choice(choices: tuple[Any, ...], text: str) -> Any:
-    for choice in choices:
-        if text == str(choice):
-            return choice
-    raise ValueError(f"expected one of {', '.join(map(str, choices))}, got {text!r}")
-
-
-def _whole(text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise ValueError(f"expected a whole number, got {text!r}") from None
-
-
-def _number(text: str) -> float:
-    with contextlib.suppress(ValueError):
-        if math.isfinite(value := float(text)):
-            return value
-    raise ValueError(f"expected a number, got {text!r}")
-
-
-def _path(text: str) -> Path:
-    if not text:
-        raise ValueError("expected a path, got an empty text")
-    return Path(text)
-
-
-KINDS: dict[Any, tuple[str, Callable[[str], Any]]] = {
-    int: ("INT", _whole),
-    float: ("NUMBER", _number),
-    str: ("TEXT", str),
-    Path: ("PATH", _path),
-}
-
-
 # --- options in messages ----------------------------------------------------------------------------------------------
 # Commands name options as the shell does (--resume), the packages below them as Python does (resume=True). Both reach users
 # of both, so they are translated where they leave: here, once, instead of two texts in hundreds of messages.
-_AS_FORCE = {"overwrite": "force"}
-"""Parameters of functions that a command offers under another name."""
-_IN_PYTHON = re.compile(r"(?<![\w.-])([a-z]\w*)=(?:True\b|\[([A-Z]+)\]|([A-Z]+)\b|(?=[\s,;:)]|\.(?:\s|$)|$))")
 _IN_SHELL = re.compile(r"(h3data [a-z]+ [^.;)`]*)|(?<![\w-])(--?[a-z][a-z-]*)(?:[ =]([A-Z]+\b|\d[\d.]*\b(?!\.)))?")
-_OTHER_OUT = re.compile(r"\banother -o\b")
-
-
-def in_shell_words(message: str, command: type[Command]) -> str:
-    """Return a message with the options of the command as the shell names them: ``resume=True`` becomes ``--resume``."""
-    by_field = {option.field: option for option in options_of(command)}
-
-    def as_flag(found: re.Match[str]) -> str:
-        name = _AS_FORCE.get(found[1], found[1])
-        option = by_field.get(name)
-        if option is None or not option.flags:
-            return found[0]
-        return " ".join(filter(None, (option.flags[-1], found[2] or found[3])))
-
-    out = by_field.get("out")
-    if out is not None and not out.flags:
-        message = _OTHER_OUT.sub("another OUT", message)
-    return _IN_PYTHON.sub(as_flag, message)
 
 
 def in_python_words(message: str, command: type[Command]) -> str:

@@ -16,14 +16,17 @@ from h3data.formats.detection import (
     json_format,
     load,
 )
-from h3data.formats.format import Exported, ExportRequest, Format, PersonDetail
+from h3data.formats.format import BagStorage, Exported, ExportRequest, Format, ImportRequest, LengthUnit, PersonDetail
 from h3data.formats.source_file import SourceFile
 
 __all__ = [
     "FORMATS",
+    "BagStorage",
     "ExportRequest",
     "Exported",
     "Format",
+    "ImportRequest",
+    "LengthUnit",
     "PersonDetail",
     "SourceFile",
     "detect",

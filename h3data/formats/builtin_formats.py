@@ -1,7 +1,7 @@
 """The built-in file formats, and how each is recognised. Order matters: the first format that fits is taken.
 
-Habitat's are recognised here, so that a message can name them; what reads and writes them comes from h3data_habitat by the
-group ``h3data.formats``, whose entries take the places of the rows with their names.
+Habitat's and those of ROS are recognised here, so that a message can name them; what reads and writes them comes from
+h3data_habitat and h3data_ros by the group ``h3data.formats``, whose entries take the places of the rows with their names.
 """
 
 from __future__ import annotations
@@ -148,6 +148,13 @@ BUILT_IN = (
         title="a Habitat navmesh",
         begins=_magic(b"TESM"),
     ),
+    Format(
+        name="rosbag2",
+        title="a bag of ROS 2",
+        begins=re.compile(
+            rb"\x89MCAP0\r\n\x01.{8}\x04\0\0\0ros2|SQLite format 3\0|\s*rosbag2_bagfile_information:", re.DOTALL
+        ),
+    ),
     Format(name="mcap", title="an MCAP log", begins=_magic(b"\x89MCAP0\r\n")),
     Format(
         name="parquet",
@@ -164,15 +171,21 @@ BUILT_IN = (
     Format(name="zip", title="a zip archive", begins=_magic(b"PK\x03\x04")),
     Format(name="numpy", title="a NumPy array", begins=_magic(b"\x93NUMPY")),
     Format(
-        name="gltf",
-        title="an animated glTF model",
-        write="h3data.exporters.gltf_animation:export_gltf",
-        write_options=("assets", "person_detail", "people", "stand_ins"),
-    ),
-    Format(
         name="habitat_episodes",
         title="rearrangement episodes of Habitat, with their scenes",
     ),
 )
+TABLES = (
+    Format(
+        name="tracks",
+        title="a table that may hold tracks of people",
+        begins=re.compile(
+            rb"""FILE_ID[,\t]|\s*\{\s*"(?:track|scene)"\s*:\s*\{\s*"(?:f|id|p)"\s*:"""  # THÖR-MAGNI, TrajNet++
+            rb"""|(?:[#%][^\n]*\n)*[^\S\n]*[\w."'-][^\n,;\t{}<>\0]*(?:[,;\t][^\n,;\t{}<>\0]*){2,}(?:\n|$)"""  # CSV
+            rb"""|(?:[#%][^\n]*\n)*[^\S\n]*(?:[+-]?[\d.]+(?:[eE][+-]?\d+)?(?:[ \t]+|(?=\r?\n|$))){4,}\r?(?:\n|$)"""  # numbers
+        ),
+    ),
+)
+"""Formats of text that plug-ins may know better: they are asked first."""
 JSON = Format(name="json", title="JSON of an unknown kind")
 UNKNOWN = Format(name="unknown", title="a file of an unknown kind")

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import msgspec
 
 from h3data.errors import FormatError, H3DataError, InputError, PluginError, suggest
-from h3data.formats.builtin_formats import BUILT_IN, JSON, UNKNOWN
+from h3data.formats.builtin_formats import BUILT_IN, JSON, TABLES, UNKNOWN
 from h3data.formats.format import Format
 from h3data.formats.source_file import BYTE_ORDER_MARK, SourceFile, decode_json
 from h3data.plugins import PluginWarning, Registry, load_reference
@@ -35,7 +35,7 @@ def _check(loaded: Any) -> None:
 
 
 FORMATS: Registry[Format] = Registry(
-    "h3data.formats", {one.name: one for one in BUILT_IN}, what="file format", check=_check
+    "h3data.formats", {one.name: one for one in (*BUILT_IN, *TABLES)}, what="file format", check=_check
 )
 
 
@@ -78,7 +78,7 @@ def detect(path: str | os.PathLike[str]) -> Format:
         built_in = _registered(built_in)
     except FormatError:
         return replace(UNKNOWN, title="a damaged gzip archive")
-    if built_in.read is not None:
+    if built_in.read is not None and built_in.name not in {one.name for one in TABLES}:
         return built_in
     return next(_third_party_formats(file), built_in)
 
@@ -90,7 +90,7 @@ def format_by_beginning(head: bytes) -> Format:
 
 def _registered(recognised: Format) -> Format:
     """The format of this name with its reader, writer and advice; without its package, advice to install it."""
-    if recognised not in BUILT_IN:
+    if recognised not in (*BUILT_IN, *TABLES):
         return recognised
     package = FORMATS.missing().get(recognised.name)
     if package is None:
@@ -103,7 +103,7 @@ def _registered(recognised: Format) -> Format:
 
 def _by_beginning(head: bytes) -> Format:
     text = head.removeprefix(BYTE_ORDER_MARK)
-    for one in BUILT_IN:
+    for one in (*BUILT_IN, *TABLES):
         if one.begins is not None and one.begins.match(text):
             return one
     if text.lstrip()[:1] in (b"{", b"["):

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 PersonDetail = Literal["full", "low"]
+BagStorage = Literal["mcap", "sqlite3"]
+LengthUnit = Literal["m", "cm", "mm"]
 
 Function = str | Callable[..., Any] | None
 """A function, or ``module:name`` of one that is imported at first use."""
@@ -36,14 +38,16 @@ class Format:
     read: Function = None
     """Called as ``read(file, **options)`` with a path (a `SourceFile`, which saves reading its bytes again); returns a
     `h3data.recording.Recording`."""
-    read_options: tuple[Literal["fps", "assets"], ...] = ()
+    read_options: tuple[Literal["fps", "assets", "tracks"], ...] = ()
     """Keyword arguments that ``read`` takes: ``fps``, steps per second of files without times; ``assets``, an
-    `h3data.recording.assets.library.AssetLibrary`."""
+    `h3data.recording.assets.library.AssetLibrary`; ``tracks``, an `ImportRequest`."""
 
     write: Function = None
     """Called as ``write(recordings, request)`` with an iterable of recordings (which may be iterated repeatedly) and an
     `ExportRequest`; returns an `Exported`."""
-    write_options: tuple[Literal["agent", "assets", "person_detail", "people", "stand_ins", "cameras"], ...] = ()
+    write_options: tuple[
+        Literal["agent", "assets", "person_detail", "people", "stand_ins", "cameras", "storage", "lidar"], ...
+    ] = ()
     """Options of `h3data export` that apply; the others are refused."""
     target: Literal["file", "folder", "dataset"] = "file"
     """Type of the output. A dataset is a folder as in h3data docs format, which ``--force`` replaces."""
@@ -54,6 +58,28 @@ class Format:
     def option(self) -> str:
         """The name on the command line."""
         return self.name.replace("_", "-")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportRequest:
+    """Options of the import of tracks of robots and people."""
+
+    people: str = ""
+    """Topic of people in a bag; empty: the only one."""
+    robot: str = ""
+    """Frame or topic of the robot in a bag, or its id in a file of tracks."""
+    map: Path | None = None
+    """The yaml file of an occupancy map, whose walls become the scene."""
+    goal: str = ""
+    """Goal of the robot, ``x,y`` in the frame of the map [m]."""
+    columns: Sequence[str] = ()
+    """Names of the columns of a table: in their order, or as ``meaning=name``."""
+    unit: LengthUnit | None = None
+    """Unit of lengths in a file of tracks; None: that of its format."""
+    rate: float | None = None
+    """Frame numbers per second in a file of tracks."""
+    hz: float | None = None
+    """Rows per second; None: a row for each observation."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +102,10 @@ class ExportRequest:
     """True if plain things stand in for missing assets, as in `h3data.replay.posed_recording.PosedRecording`."""
     cameras: Sequence[str] = ()
     """Cameras to render, by name or file."""
+    storage: BagStorage = "mcap"
+    """File format of the messages in a bag."""
+    lidar: int = 0
+    """Rays of a lidar that is cast into the scene for each robot; 0 for none."""
     stored_cameras: Sequence[str] = ()
     """Cameras of which all recordings have a video in the dataset that they come from."""
     stored_videos: Callable[[int], Sequence[Any]] = lambda number: ()

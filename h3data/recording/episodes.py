@@ -46,46 +46,6 @@ class StoredEpisode:
         return {**info, **row, "info": info}
 
 
-def read_ahead(stored: Sequence[StoredEpisode], *, most_steps: int) -> Iterator[Callable[[], Recording]]:
-    """For each of the episodes in turn, a function that returns its recording or raises an `H3DataError`.
-
-    Episodes that follow each other in a dataset are read together, up to ``most_steps`` steps at once.
-    """
-    for group in _consecutive(stored, most_steps):
-        first = group[0]
-        recordings: list[Recording] = []
-        if first.read_together is not None and first.index is not None and len(group) > 1:
-            try:
-                recordings = list(first.read_together(range(first.index, first.index + len(group))))
-            except H3DataError:  # one of them is damaged: each for itself
-                recordings = []
-        for k, of in enumerate(group):
-            yield (lambda k=k, recordings=recordings: recordings[k]) if recordings else of.read
-
-
-def _consecutive(stored: Sequence[StoredEpisode], most_steps: int) -> Iterator[list[StoredEpisode]]:
-    group: list[StoredEpisode] = []
-    steps = 0
-    for of in stored:
-        try:
-            length = int(of.facts["length"]) if of.read_together is not None else most_steps
-        except H3DataError:
-            length = most_steps
-        last = group[-1] if group else None
-        follows = (
-            last is not None
-            and of.read_together is not None
-            and (of.path, of.index) == (last.path, (last.index or 0) + 1)
-        )
-        if group and (not follows or steps + length > most_steps):
-            yield group
-            group, steps = [], 0
-        group.append(of)
-        steps += length
-    if group:
-        yield group
-
-
 def common_cameras(stored: Iterable[StoredEpisode]) -> list[str]:
     """Cameras of which all of the given episodes have a video of the same size.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,34 @@ from h3data.replay.replay import Replay
 from h3data.replay.third_person import default_leader, third_person, third_person_at
 
 THIRD_PERSON = "third_person"
+MAX_SIDE_PX = 8192
+"""Largest width and height of a picture [px]."""
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Parse ``"1280x720"`` as width and height [px].
+
+    Raises:
+        InputError: it is no size, or a side is 0 or above `MAX_SIDE_PX`.
+    """
+    sides = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    width, height = (int(side) for side in sides.groups()) if sides else (0, 0)
+    if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX):
+        raise InputError(
+            f"Expected a size such as 1280x720, of at most {MAX_SIDE_PX} pixels a side, got {text!r}.",
+            code="H3-RENDER-085",
+        )
+    return width, height
+
+
+def split_size(name_or_file: str) -> tuple[str, tuple[int, int] | None]:
+    """Split ``robot_arm@224x224`` into the camera and its size [px]; the size is None where the text has none.
+
+    Raises:
+        InputError: a side is 0 or above `MAX_SIDE_PX`.
+    """
+    sized = re.fullmatch(r"(.+)@(\d+x\d+)", name_or_file)
+    return (sized[1], parse_size(sized[2])) if sized else (name_or_file, None)
 
 
 def camera_names(replay: Replay) -> list[str]:
@@ -37,11 +66,16 @@ def camera_names(replay: Replay) -> list[str]:
 def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
     """The camera with a name (`camera_names`), or the one described in a TOML or JSON file (h3data docs cameras).
 
-    ``agent/name`` selects the camera of one agent if several have a camera of that name.
+    ``agent/name`` selects the camera of one agent if several have a camera of that name. ``name@WIDTHxHEIGHT`` gives its
+    pictures another size and keeps the field of view (`CameraTrack.resized`).
 
     Raises:
-        InputError: there is no such camera (the message lists those that exist), or the file is not a camera.
+        InputError: there is no such camera (the message lists those that exist), the file is not a camera, or the size is
+            none.
     """
+    name_or_file, size = split_size(name_or_file)
+    if size is not None:
+        return camera_track(replay, name_or_file).resized(*size)
     if name_or_file.lower().endswith((".toml", ".json")):
         return track_of_file(replay, Path(name_or_file))
     names = camera_names(replay)
@@ -64,7 +98,10 @@ def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
 
 def camera_at(replay: Replay, name_or_file: str, step: int) -> Camera:
     """`camera_track` at one step (negative steps count from the end), much faster for the ``third_person`` camera."""
-    row = replay.row(step)
+    row, (name_or_file, size) = replay.row(step), split_size(name_or_file)
+    if size is not None:
+        track = camera_track(replay, name_or_file)
+        return camera_at(replay, name_or_file, row).resized(*size, crop=track.crops)
     if (leader := _followed(replay, name_or_file)) is not None:
         return replace(third_person_at(replay, row, leader), name=name_or_file.replace("/", "."))
     return camera_track(replay, name_or_file).at(row)
@@ -79,24 +116,31 @@ def _followed(replay: Replay, name: str) -> int | None:
     return next((k for k, agent in enumerate(agents) if agent.name == owner), None) if owner else default_leader(replay)
 
 
-def _mounted(replay: Replay, name: str) -> CameraTrack | None:
-    """The mounted camera of the first agent that has one with this name, or of the agent in ``agent/name``; else None."""
+def carrier_of(replay: Replay, name: str) -> int | None:
+    """Number of the first agent that carries a camera of this name, or of the agent in ``agent/name``; None: nobody does."""
     owner, _, camera_name = name.rpartition("/")
     for index, agent in enumerate(replay.recording.agents):
         model = replay.model(index) if agent.model and owner in ("", agent.name) else None
-        if isinstance(model, Robot):
-            for mounted in model.cameras:
-                if mounted.name == camera_name:
-                    camera = pinhole(
-                        mounted.width, mounted.height, hfov_deg=mounted.hfov_deg, name=name.replace("/", ".")
-                    )
-                    link = model.camera(camera_name)
-                    poses = replay.link_track(index, link.link).astype(np.float64) @ link.pose
-                    return CameraTrack(camera=camera, poses=poses)
-        elif model is not None and camera_name == HUMAN_HEAD:
-            camera = pinhole(640, 480, hfov_deg=90.0, name=name.replace("/", "."), near=HEAD_NEAR_M)
-            return CameraTrack(camera=camera, poses=link_frames(replay, index, "head") @ HEAD_POSE)
+        if isinstance(model, Robot) and any(mounted.name == camera_name for mounted in model.cameras):
+            return index
+        if model is not None and not isinstance(model, Robot) and camera_name == HUMAN_HEAD:
+            return index
     return None
+
+
+def _mounted(replay: Replay, name: str) -> CameraTrack | None:
+    """The camera that an agent carries (`carrier_of`); None: nobody does."""
+    index, camera_name = carrier_of(replay, name), name.rpartition("/")[2]
+    if index is None:
+        return None
+    model = replay.model(index)
+    if isinstance(model, Robot):
+        mounted = model.camera(camera_name)
+        camera = pinhole(mounted.width, mounted.height, hfov_deg=mounted.hfov_deg, name=name.replace("/", "."))
+        poses = replay.link_track(index, mounted.link).astype(np.float64) @ mounted.pose
+        return CameraTrack(camera=camera, poses=poses)
+    camera = pinhole(640, 480, hfov_deg=90.0, name=name.replace("/", "."), near=HEAD_NEAR_M)
+    return CameraTrack(camera=camera, poses=link_frames(replay, index, "head") @ HEAD_POSE)
 
 
 HUMAN_HEAD = "human_head"

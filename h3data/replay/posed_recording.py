@@ -18,11 +18,10 @@ from h3data.bodies.people.rigid_parts import PeopleStyle, rigid_parts
 from h3data.bodies.robots.trot import legs_are_posed, trot
 from h3data.errors import FormatError, InputError
 from h3data.geometry import Array, pose_to_matrix
-from h3data.plugins import names_from_data
+from h3data.plugins import Registry, names_from_data
 from h3data.recording import Agent, AssetRef, Body, Recording
 from h3data.recording.assets.folders import clean_path
 from h3data.recording.assets.library import AssetLibrary
-from h3data.recording.assets.stand_ins import named_box, with_stand_ins
 from h3data.recording.records import JOINTS
 from h3data.render.light.sources import LightMode, check_light
 from h3data.replay.link_poses import LinkPoses
@@ -41,6 +40,8 @@ from h3data.scene import Mesh, Scene, load_scene
 from h3data.scene.articulation import SceneJoints, joints_of
 from h3data.scene.floor_heights import LEVEL, room_heights
 
+_STAND_INS: Registry[Any] = Registry("h3data.stand_ins", {}, what="maker of stand-ins")
+
 
 class PosedRecording:
     """Everything in a recording, posed at any step.
@@ -57,7 +58,7 @@ class PosedRecording:
         light: Light in images: ``flat``, the same everywhere, or ``baked``, from windows, sun and lamps
             (`h3data.render.light`).
         stand_ins: True replaces missing assets by plain ones instead of marked ones: built-in robots and people in the
-            recorded postures, and boxes with names (`h3data.recording.assets.stand_ins`). `recording` then names these bodies.
+            recorded postures, and boxes with names (the group `h3data.stand_ins`). `recording` then names these bodies.
     """
 
     def __init__(
@@ -94,7 +95,9 @@ class PosedRecording:
             self.scene = self._read_scene(bytes(recording.attachments["scene.glb"]))
             self.library = self.library.with_scene(self.scene)
         self.stand_ins = stand_ins
-        recording, missing = with_stand_ins(recording, self.library) if stand_ins else (recording, {})
+        recording, missing = (
+            _STAND_INS.get("habitat").with_stand_ins(recording, self.library) if stand_ins else (recording, {})
+        )
         self.recording = recording
         self._tracks: list[Track | None] = []
         self._drawables: list[Drawable] = []
@@ -142,7 +145,10 @@ class PosedRecording:
         joint = -1 if self._joints is None or body.moving >= 0 else self._joints.owner.get(body.name, -1)
         track: Track | None = JointTrack(joint) if joint >= 0 else None
         if mesh is None:
-            mesh = named_box(clean_path(ref.uri)) if self.stand_ins else self.library.placeholder(ref, body)
+            if self.stand_ins:
+                mesh = _STAND_INS.get("habitat").named_box(clean_path(ref.uri))
+            else:
+                mesh = self.library.placeholder(ref, body)
             self.missing[ref.uri] = self.missing.get(ref.uri, 0) + 1
         self._add(
             Drawable(

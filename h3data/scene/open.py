@@ -65,22 +65,6 @@ def named_scenes(
     )
 
 
-def listed_scenes(text: str) -> tuple[NamedScene, ...]:
-    """The scenes of several names separated by commas, as in ``h3-homes/train,h3-homes-v2/train``, in that order.
-
-    Raises:
-        InputError, FormatError: as `named_scenes`; or two names mean the same scene.
-    """
-    names = [text] if Path(text).exists() else [name.strip() for name in text.split(",")]
-    found = tuple(named for name in names for named in named_scenes(name))
-    seen: set[SceneSource] = set()
-    for named in found:
-        if named.source in seen:
-            raise InputError(f"Expected each scene once, got {named.name} again. Scenes: {text}", code="H3-HABITAT-109")
-        seen.add(named.source)
-    return found
-
-
 def is_builtin_name(text: str) -> bool:
     """Returns whether words name generated homes (``small``, ``small:3``) or a set of scenes, one of which may follow ``#``."""
     if _generated(text, 1):

@@ -9,12 +9,11 @@ from sim_kinematic.tasks.control import Control, VelocityControl
 from sim_kinematic.tasks.episode import Episode, StepOutcome, TaskSpec, sample_starts
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.codec import RearrangeCodec
-from sim_kinematic.tasks.rearrange.control import SkillControl
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
-from sim_kinematic.tasks.rearrange.play import SkillRollout
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.runner import Session
+from sim_kinematic.tasks.skills.control import SkillControl
 from sim_kinematic.tasks.social_nav import SocialNav
 from sim_kinematic.tasks.task import Task, TaskUsage
 from sim_kinematic.tasks.wander import Wander
@@ -29,7 +28,6 @@ __all__ = [
     "RearrangeSpec",
     "Session",
     "SkillControl",
-    "SkillRollout",
     "SocialNav",
     "SocialNavSpec",
     "StepOutcome",

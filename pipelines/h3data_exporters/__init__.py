@@ -1,4 +1,4 @@
-"""Recordings in the formats of other tools: CSV tables, Foxglove, LeRobot, robomimic."""
+"""Recordings in the formats of other tools: CSV tables, Foxglove, glTF, LeRobot, robomimic."""
 
 from h3data.formats import Format
 
@@ -24,3 +24,9 @@ ROBOMIMIC = Format(
     many=True,
 )
 CSV = Format(name="csv", title="CSV tables", write="h3data_exporters.csv_tables:export_csv", target="folder")
+GLTF = Format(
+    name="gltf",
+    title="an animated glTF model",
+    write="h3data_exporters.gltf_animation:export_gltf",
+    write_options=("assets", "person_detail", "people", "stand_ins"),
+)

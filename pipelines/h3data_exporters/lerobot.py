@@ -13,12 +13,20 @@ import numpy as np
 
 from h3data.errors import InputError
 from h3data.formats import Exported, ExportRequest
-from h3data.recording.parquet.videos import EpisodeVideo
+from h3data.recording.demonstrations import (
+    DemonstratedAgent,
+    DemonstratedCamera,
+    DemonstratedScene,
+    Demonstrations,
+    write_demonstrations,
+)
+from h3data.recording.parquet.videos import EpisodeVideo, VideoFeature
 from h3data.recording.parquet.writer import DatasetWriter
 from h3data.recording.records import Recording
 from h3data.recording.storage import AnyPath, RemotePath, place
+from h3data.render.light.sources import LightMode
 from h3data.terminal import counted
-from h3data_exporters.transitions import transitions_of
+from h3data_exporters.transitions import SUCCESS_EVENTS, transitions_of
 
 VideosOf = Callable[[int, Recording], AbstractContextManager[Sequence[EpisodeVideo]]]
 """Videos of the episode with this number, of all its steps but the last; their files may go at the end of the block."""
@@ -31,6 +39,7 @@ def write_lerobot(
     agent: str | None = None,
     overwrite: bool = False,
     videos_of: VideosOf | None = None,
+    light: LightMode = "baked",
 ) -> int:
     """Write a dataset of transitions (`transitions_of`) into a folder; returns the number of episodes.
 
@@ -38,7 +47,9 @@ def write_lerobot(
     simulator's own, and LeRobot's loader fails on unsigned 64-bit numbers), each frame has ``observation.state``
     (the agent's base pose, joints, ...), ``action`` (what it did in that state), ``next.reward``, ``next.done`` and
     ``next.success``. Rows without an action after them, the last of each episode, are left out.
-    ``recordings`` are gone through twice, first for the widest columns: give a list, not a generator.
+    ``meta/h3data.json`` says what an environment has to show to a policy that learns from it (`Demonstrations`).
+    ``light`` is that of videos whose recordings do not name it. ``recordings`` are gone through twice, first for the widest
+    columns: give a list, not a generator.
 
     Raises:
         InputError: there is no recording, one has no actions, or it does not fit the dataset.
@@ -48,11 +59,18 @@ def write_lerobot(
         raise InputError("There is no recording to write.", code="H3-EXPORT-027")
     fps = round(1e9 / _with_transitions(first, agent).episode.dt_ns)  # refused before a folder is made
     widest = (_with_transitions(recording, agent) for recording in recordings)
+    summary: _Summary | None = None
     with DatasetWriter(root, fps=fps, overwrite=overwrite, like=widest) as out:
         for number, recording in enumerate(recordings):
             with videos_of(number, recording) if videos_of else nullcontext(()) as videos:
                 out.add(_with_transitions(recording, agent), videos=videos)
-        return len(out)
+                if summary is None:
+                    summary = _Summary(recording, agent, [video.feature for video in videos], fps=fps, light=light)
+            summary.add(recording)
+        count = len(out)
+    assert summary is not None
+    write_demonstrations(place(root), summary.demonstrations())
+    return count
 
 
 def export_lerobot(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
@@ -73,17 +91,24 @@ def export_lerobot(recordings: Iterable[Recording], request: ExportRequest) -> E
         counts["copied"] += len(cameras) - len(wanted)
 
     with _appearing_whole(place(request.out)) as root:
-        count = write_lerobot(recordings, root, agent=request.agent, videos_of=videos_of if cameras else None)
+        count = write_lerobot(
+            recordings, root, agent=request.agent, videos_of=videos_of if cameras else None, light=_light(request)
+        )
     text = f"{request.out}: {counted(count, 'episode')} as a LeRobot v3.0 dataset"
     if cameras:
         text += f", with videos of {', '.join(cameras)} ({counts['rendered']} rendered, {counts['copied']} copied)"
     return Exported(text=text, data={"episodes": count, "cameras": list(cameras), "videos": counts})
 
 
+def _light(request: ExportRequest) -> LightMode:
+    """Light of videos whose recordings do not name it: those of older datasets are flat, and what is added to them too."""
+    return "flat" if request.stored_cameras else "baked"
+
+
 def _rendered(
     recording: Recording, cameras: Sequence[str], folder: Path, frames: int, request: ExportRequest
 ) -> list[EpisodeVideo]:
-    from h3data.exporters.camera_videos import render_videos
+    from h3data.replay.camera_videos import render_videos
 
     return render_videos(
         recording,
@@ -93,7 +118,7 @@ def _rendered(
         threads=request.threads,
         assets=request.assets,
         stand_ins=request.stand_ins,
-        light=recording.episode.info.get("light", "flat" if request.stored_cameras else "baked"),
+        light=recording.episode.info.get("light", _light(request)),
         backend=request.backend,
         progress=lambda items, total: request.progress(items, total, "frame"),
     )
@@ -126,6 +151,109 @@ def _appearing_whole(root: AnyPath) -> Iterator[AnyPath]:
                 f"Could not write the dataset ({why}); nothing of it is kept: {root}", code="H3-EXPORT-029"
             ) from error
         raise
+
+
+class _Summary:
+    """Contents of ``meta/h3data.json``, gathered episode by episode."""
+
+    def __init__(
+        self, recording: Recording, agent: str | None, features: Sequence[VideoFeature], *, fps: int, light: LightMode
+    ) -> None:
+        self._first, self._agent, self._features, self._fps, self._light = recording, agent, tuple(features), fps, light
+        self._scenes: dict[str, DemonstratedScene] = {}
+        self._seeds: list[int] = []
+        self._places: list[int] = []
+
+    def add(self, recording: Recording) -> None:
+        """Takes down where an episode was played, and from which seed."""
+        episode = recording.episode
+        digest = str(episode.info.get("scene_sha256", ""))
+        source = episode.info.get("scene_source")
+        scene = DemonstratedScene(
+            name=episode.scene,
+            sha256=digest,
+            episode=len(self._seeds),
+            source=source if isinstance(source, dict) else {},
+        )
+        key = digest or episode.scene
+        self._scenes.setdefault(key, scene)
+        self._places.append(list(self._scenes).index(key))
+        self._seeds.append(episode.seed)
+
+    def demonstrations(self) -> Demonstrations:
+        """All of it."""
+        recording = self._first
+        info, found = recording.episode.info, transitions_of(recording, agent=self._agent)
+        moved_by = {"robot": str(info.get("policy", "")), "human": str(info.get("partner", ""))}
+        policies = {kind: names.split(",") if names else [] for kind, names in moved_by.items()}
+        agents = []
+        for who in recording.agents:
+            named, number = policies.get(who.kind, []), sum(other.kind == who.kind for other in agents)
+            policy = named[min(number, len(named) - 1)] if named else ""
+            agents.append(DemonstratedAgent(name=who.name, kind=who.kind, model=who.model, policy=policy))
+        return Demonstrations(
+            created_by=recording.episode.created_by,
+            task=str(info.get("task") or recording.episode.task),
+            instruction=str(info.get("instruction", "")),
+            agent=recording.agents[found.agent].name,
+            agents=tuple(agents),
+            fps=self._fps,
+            light=str(info.get("light", self._light)),
+            state_columns=tuple(f"agent_{found.agent}.{name}" for name in found.state),
+            state_names=found.state_names,
+            action_names=found.action_names,
+            success_events=SUCCESS_EVENTS,
+            cameras=_cameras_of(recording, self._features),
+            scenes=tuple(self._scenes.values()),
+            seeds=tuple(self._seeds),
+            episode_scenes=tuple(self._places),
+            rules=info["spec"] if isinstance(info.get("spec"), dict) else {},
+        )
+
+
+def _cameras_of(recording: Recording, features: Sequence[VideoFeature]) -> tuple[DemonstratedCamera, ...]:
+    """Lens and carrier of the cameras of some videos."""
+    if not features:
+        return ()
+    from h3data.replay import Replay
+    from h3data.replay.cameras import camera_names, camera_track, carrier_of
+
+    replay = Replay(recording, stand_ins=True, light="flat")
+    known = camera_names(replay)
+    cameras = []
+    for feature in features:
+        names = (
+            name for name in (*known, *_owned(recording, feature.camera)) if name.replace("/", ".") == feature.camera
+        )
+        name = next(names, "")
+        carrier = carrier_of(replay, name) if name else None
+        size, hfov_deg = (feature.width, feature.height), 0.0
+        if carrier is not None:
+            camera = camera_track(replay, name).camera
+            hfov_deg = camera.hfov_deg
+            # videos of the camera's own size, of which the last column or row may be a copy
+            if (camera.width + camera.width % 2, camera.height + camera.height % 2) == size:
+                size = camera.width, camera.height
+        cameras.append(
+            DemonstratedCamera(
+                key=feature.key,
+                camera=name.rpartition("/")[2] if carrier is not None else feature.camera,
+                agent="" if carrier is None else recording.agents[carrier].name,
+                width=size[0],
+                height=size[1],
+                stored_width=feature.width,
+                stored_height=feature.height,
+                hfov_deg=hfov_deg,
+            )
+        )
+    return tuple(cameras)
+
+
+def _owned(recording: Recording, camera: str) -> Iterator[str]:
+    """The names ``agent/camera`` that a feature ``agent.camera`` may come from."""
+    for agent in recording.agents:
+        if camera.startswith(f"{agent.name}."):
+            yield f"{agent.name}/{camera.removeprefix(f'{agent.name}.')}"
 
 
 def _with_transitions(recording: Recording, agent: str | None) -> Recording:

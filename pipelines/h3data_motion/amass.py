@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from h3data.bodies.people.skeleton import JOINT_COUNT
 from h3data.errors import FormatError
 from h3data.geometry import Array, normalized, quat_from_axis_angle, quat_from_rotvec
-from h3data.npz_arrays import npz_arrays, npz_names
 from h3data_motion.clip import Motion, in_start_frame, turned_frames
+from h3data_motion.npz_arrays import npz_arrays, npz_names
 
 FPS_KEYS = ("mocap_framerate", "mocap_frame_rate", "frame_rate", "framerate", "fps")
 ROOT_KEYS, BODY_KEYS, TRANS_KEYS = ("root_orient", "global_orient"), ("pose_body", "body_pose"), ("trans", "transl")

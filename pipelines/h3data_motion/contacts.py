@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies.people.humanoid import Humanoid
 from h3data.bodies.people.legs import LEG_MAX
-from h3data.bodies.people.soles import ANKLE, HIP, KNEE, LEG_JOINTS, leg_frames, runs, sole_points
+from h3data.bodies.people.soles import ANKLE, HIP, KNEE, LEG_JOINTS, runs, sole_points
 from h3data.geometry import (
     Array,
     normalized,
@@ -23,6 +23,7 @@ from h3data.geometry import (
     quat_from_matrix,
     quat_multiply,
     quat_rotate,
+    quat_to_matrix,
 )
 
 LOW_M, SLOW_MPS = 0.04, 0.25
@@ -183,3 +184,18 @@ def _shortest_turn(a: Array, b: Array) -> Array:
     """Quaternions [T, 4] by the shortest way from directions ``a`` [T, 3] to ``b`` [T, 3]."""
     a, b = normalized(a), normalized(b)
     return normalized(np.concatenate([np.cross(a, b), 1 + np.sum(a * b, axis=1, keepdims=True)], axis=1))
+
+
+def leg_frames(body: Humanoid, quats: Array, pelvis: Array) -> Array:
+    """Frames [T, 2, 4, 4, 4] of hip, knee, ankle and toe joint of the left and right leg, in the frame of ``pelvis`` [T, 3].
+
+    As `h3data.bodies.people.kernels.clips.joint_frames`, for these joints alone: a seventh of the memory.
+    """
+    frames = np.zeros((len(quats), 2, 4, 4, 4))
+    frames[..., 3, 3] = 1
+    turn, place = quat_to_matrix(quats[:, 0])[:, None], pelvis[:, None]
+    for k, joints in enumerate(LEG_JOINTS.T):
+        place = place + (turn @ body.joint_offsets[joints][..., None])[..., 0]
+        turn = turn @ quat_to_matrix(quats[:, joints])
+        frames[:, :, k, :3, :3], frames[:, :, k, :3, 3] = turn, place
+    return frames

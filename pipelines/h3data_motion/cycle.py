@@ -10,14 +10,7 @@ from numpy.typing import NDArray
 from h3data.bodies.people.clips import CLIP_FRAMES, Clip
 from h3data.bodies.people.gait import STAND_ANKLE_Z_M
 from h3data.bodies.people.humanoid import Humanoid
-from h3data.bodies.people.soles import (
-    ANKLE,
-    LEG_JOINTS,
-    TOE,
-    leg_frames,
-    runs,
-    sole_points,
-)
+from h3data.bodies.people.soles import ANKLE, LEG_JOINTS, TOE, runs, sole_points
 from h3data.errors import InputError
 from h3data.geometry import (
     IDENTITY_POSE,
@@ -32,7 +25,7 @@ from h3data.geometry import (
     wrap_angle,
 )
 from h3data_motion.clip import Motion, pelvis_heading
-from h3data_motion.contacts import find_contacts, planted
+from h3data_motion.contacts import find_contacts, leg_frames, planted
 from h3data_motion.retarget import retarget
 
 COMPARED = 22

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from h3data.bodies.people.humanoid import Humanoid
-from h3data.bodies.people.soles import leg_frames, sole_points
+from h3data.bodies.people.soles import sole_points
 from h3data.geometry import Array, quat_sign_continuous
 from h3data_motion.clip import Motion
-from h3data_motion.contacts import find_contacts, planted
+from h3data_motion.contacts import find_contacts, leg_frames, planted
 
 ADULT_LEG_M = 0.80
 """Thigh and shank of an adult: for motion that says neither how long its legs are nor shows it by walking."""

@@ -47,11 +47,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(args: list[str]) -> int:
-    from h3data.commands.options import in_shell_words
     from h3data.errors import H3DataError  # here, so that Ctrl-C during these slow imports is caught too
     from h3data.plugins import missing_part
     from h3data.recording.storage import masked
     from h3data_pipelines.commands.table import REGISTRY, TABLE, all_commands
+    from h3data_pipelines.option_words import in_shell_words
     from h3data_pipelines.parsing import parse
 
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s", stream=sys.stderr)

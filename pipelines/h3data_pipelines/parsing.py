@@ -20,20 +20,11 @@ import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from h3data.commands.command import Command, Group, NameOf
-from h3data.commands.options import (
-    KINDS,
-    RENAMED,
-    Option,
-    Repeatable,
-    annotated,
-    check_task,
-    known_tasks,
-    options_of,
-    read_value,
-)
+from h3data.commands.options import RENAMED, Option, Repeatable, annotated, check_task, known_tasks, options_of
 from h3data.errors import InputError, did_you_mean, suggest
 from h3data.plugins import own_version, trust
 from h3data_pipelines.job_files import read_job_file
+from h3data_pipelines.option_words import KINDS, read_value
 
 _CONFIG = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName)
 _SILENT = ("None", "False", "", "''")

@@ -112,7 +112,7 @@ class RemotePolicy:
         self.where, self._chosen, self._batched = where, chosen, where.scheme == "zmq"
         self._body = body = episode.roster[number].body
         self._seed, self._instruction = int(episode.seed), task.codec.instruction(episode)
-        self._with_objects = not task.control.common_policies
+        self._with_objects = task.control.has_skills
         self._task, self._episode, self._number, self._session = task, episode, number, uuid.uuid4().hex
         self._connect()
         adapter = self.adapter

@@ -112,7 +112,7 @@ class ServedPolicy:
             raise InputError(
                 "Expected a policy of this machine to serve, got the address of a server.", code="H3-REMOTE-045"
             )
-        if not self.task.control.common_policies:
+        if self.task.control.has_skills:
             raise InputError(
                 f"Expected a task whose robots drive, such as social_nav, got {self.task.name}, whose policies choose skills.",
                 code="H3-REMOTE-046",

@@ -24,7 +24,7 @@ def state_of(learner: Learner) -> dict[str, Any]:
     return {
         "net": learner.net.state_dict(),
         "optimizer": learner.optimizer.state_dict(),
-        "dice": everyone(learner.dice.get_state()[None].to(m.state.device)),
+        "generator": everyone(learner.generator.get_state()[None].to(m.state.device)),
         "play": [everyone(t) for t in learner.worlds.play.tensors()],
         "shown": {n: everyone(t) for n, t in m.shown.items()},
         "state": everyone(m.state),
@@ -42,17 +42,16 @@ def restore(learner: Learner, kept: dict[str, Any], path: Path) -> None:
     """
     m, own = learner.memory, learner.ranks.own
     try:
-        dice = kept["dice"].cpu()
-        dice = dice[None] if dice.ndim == 1 else dice  # of before there were several processes
-        if len(dice) != learner.ranks.count:
+        generator = kept["generator"].cpu()
+        if len(generator) != learner.ranks.count:
             raise InputError(
-                f"The run in this folder is one of {len(dice)} processes, not {learner.ranks.count}. "
-                f"Hint: --gpus {len(dice)}. File: {path}",
+                f"The run in this folder is one of {len(generator)} processes, not {learner.ranks.count}. "
+                f"Hint: --gpus {len(generator)}. File: {path}",
                 code="H3-TRAIN-004",
             )
         learner.net.load_state_dict(kept["net"])
         learner.optimizer.load_state_dict(kept["optimizer"])
-        learner.dice.set_state(own(dice)[0].clone())  # a part of a tensor crashes torch
+        learner.generator.set_state(own(generator)[0].clone())  # a part of a tensor crashes torch
         overwrite(learner.worlds.play.tensors(), map(own, kept["play"]))
         overwrite(m.shown.values(), (own(kept["shown"][name]) for name in m.shown))
         overwrite((m.state, m.last, m.over), (own(kept[n]) for n in ("state", "last", "over")))
@@ -69,7 +68,7 @@ class PlainSettings(RunLength, Protocol):
         ...
 
 
-def to_go_on(path: Path, settings: PlainSettings, seed: int, *, form: str = FORMAT) -> dict[str, Any] | None:
+def load_checkpoint(path: Path, settings: PlainSettings, seed: int, *, form: str = FORMAT) -> dict[str, Any] | None:
     """The checkpoint in a file, as `read` reads it; None where there is no file.
 
     Raises:

@@ -6,16 +6,20 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
+from pathlib import Path
 from typing import TypeVar
 
 from h3data.errors import InputError
 from h3data.progress import progress
-from h3data.scene.open import listed_scenes
+from h3data.scene.open import NamedScene, named_scenes
+from h3data.scene.sources import SceneSource
 from h3data_training.settings import Settings
 from h3data_training.torch.episodes import EpisodeBank
 from h3data_training.torch.step import refuse_stairs
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import WALKERS, SocialNavSpec
+from sim_kinematic.tasks.episode import with_options
+from sim_kinematic.tasks.social_nav import TRAINING
 
 MOST_WORKERS = 32
 Task = TypeVar("Task")
@@ -23,14 +27,14 @@ Bank = TypeVar("Bank")
 
 
 def rules(settings: Settings) -> SocialNavSpec:
-    """The paper's rules for training, with the person's walk of the settings.
+    """The paper's rules for training, with the set of rules that the settings name.
 
     Raises:
         InputError: there is no such walk.
     """
     if settings.walk not in WALKERS:
         raise InputError(f"Unknown walk {settings.walk!r}. Expected one of: {', '.join(WALKERS)}.", code="H3-TRAIN-020")
-    return SocialNavSpec(spawn_distance_m=3.0, human=WALKERS[settings.walk])
+    return with_options(TRAINING, rules=settings.walk)
 
 
 def make_bank(settings: Settings, *, seed: int, workers: int | None = None) -> EpisodeBank:
@@ -79,3 +83,19 @@ def _home_bank(task: tuple[Settings, str, int]) -> EpisodeBank:
     for floor in bank.floors:
         _ = floor.lattice  # built at first use, and needed on the device
     return bank
+
+
+def listed_scenes(text: str) -> tuple[NamedScene, ...]:
+    """The scenes of several names separated by commas, as in ``h3-homes/train,h3-homes-v2/train``, in that order.
+
+    Raises:
+        InputError, FormatError: as `named_scenes`; or two names mean the same scene.
+    """
+    names = [text] if Path(text).exists() else [name.strip() for name in text.split(",")]
+    found = tuple(named for name in names for named in named_scenes(name))
+    seen: set[SceneSource] = set()
+    for named in found:
+        if named.source in seen:
+            raise InputError(f"Expected each scene once, got {named.name} again. Scenes: {text}", code="H3-HABITAT-109")
+        seen.add(named.source)
+    return found

@@ -26,15 +26,15 @@ class ActionRepeat:
     _shown: dict[str, Tensor]
     """Observations of the last call of `_eager`."""
 
-    def held(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
-        """Moves all worlds by an action [W, A]; returns what `h3data_training.ppo.Worlds.held` does, in tensors of its own."""
+    def repeat_action(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
+        """Moves all worlds by an action [W, A]; returns what `Worlds.repeat_action` returns, in tensors of its own."""
         with torch.no_grad():
             self._action.copy_(action)
             self._advance()
         return self._result(), self.gain.clone(), self.over.clone(), self.timed_out.clone(), self.idle.clone()
 
-    def held_in_place(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
-        """`held`, operation by operation, for a CUDA graph to capture; the next call overwrites the tensors."""
+    def repeat_action_in_place(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
+        """`repeat_action`, operation by operation, for a CUDA graph to capture; the next call overwrites the tensors."""
         own = self._shown  # where a graph of these worlds alone writes
         self._action.copy_(action)
         self._eager()

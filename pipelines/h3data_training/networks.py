@@ -68,7 +68,7 @@ class ActorCritic(nn.Module):
         told = critic_length(s)
         self.auxiliary = nn.Sequential(nn.Linear(s.hidden, 128), nn.ELU(), nn.Linear(128, told - 1))
         self.log_std = nn.Parameter(torch.full((s.actions,), math.log(s.std)))
-        self.worth = nn.Sequential(
+        self.value_head = nn.Sequential(
             nn.Linear(told, s.critic_width),
             nn.ELU(),
             nn.Linear(s.critic_width, s.critic_width),
@@ -230,7 +230,7 @@ def network(settings: Settings) -> ActorCritic:
     return {"cnn_gru": ActorCritic, "resnet18_lstm": ResNetActorCritic}[settings.network](settings)
 
 
-def begin_with(net: ActorCritic, policy: VisualPolicy, settings: Settings) -> dict[str, Any]:
+def warm_start(net: ActorCritic, policy: VisualPolicy, settings: Settings) -> dict[str, Any]:
     """Replaces the actor by a trained one; returns what its card says of its training, and of what came before that.
 
     Raises:

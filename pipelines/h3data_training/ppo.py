@@ -43,7 +43,7 @@ class Worlds(Protocol):
         """Begins episodes in all worlds; returns the actor's observations and those of the critic."""
         ...
 
-    def held(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
+    def repeat_action(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
         """Moves all worlds by an action [W, A].
 
         Returns:
@@ -52,8 +52,8 @@ class Worlds(Protocol):
         """
         ...
 
-    def held_in_place(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
-        """Does `held` operation by operation, so that a CUDA graph can capture it; the next call overwrites the tensors."""
+    def repeat_action_in_place(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
+        """Does `repeat_action` operation by operation, for a CUDA graph to capture; the next call overwrites the tensors."""
         ...
 
     def taught(self) -> Tensor:
@@ -115,7 +115,7 @@ class Learner:
         self.ranks = ranks or Ranks()
         device = worlds.device
         torch.manual_seed(seed)  # initial weights, the same in every process
-        self.dice = torch.Generator(device).manual_seed(seed + RANK_SEED * self.ranks.rank)
+        self.generator = torch.Generator(device).manual_seed(seed + RANK_SEED * self.ranks.rank)
         self.net = network(settings).to(device)
         fused = True if device.type == "cuda" else None
         self.optimizer = torch.optim.Adam(self.net.parameters(), settings.rate, eps=1e-5, fused=fused)
@@ -159,7 +159,7 @@ class Learner:
         shown, s = self.memory.shown, self.settings
         found = {
             "numbers": actor_numbers(shown, self.memory.last, s.observations),
-            "told": critic_numbers(shown, over, s.critic),
+            "critic_obs": critic_numbers(shown, over, s.critic),
         }
         return found | ({"pixels": self.net.pixels(shown[self.net.sees])} if self.net.sees else {})
 
@@ -183,7 +183,7 @@ class Learner:
         self._over.copy_(self.memory.over)
         decide = self._decide[plan.teacher > 0]
         for _ in range(s.rollout):
-            self._noise.normal_(generator=self.dice)
+            self._noise.normal_(generator=self.generator)
             decide()
         # rewards are paid per step and scaled so that values stay near what one step pays, whatever the horizon
         self._kept["gain"].mul_((1 - plan.gamma) / s.hold)
@@ -205,7 +205,7 @@ class Learner:
         if taught:
             row["taught"] = self.worlds.taught()
         keep_row(self._kept, self._row, row, rows=s.rollout)
-        shown, gain, over, timed_out, idle = self.worlds.held_in_place(action)
+        shown, gain, over, timed_out, idle = self.worlds.repeat_action_in_place(action)
         after = {"gain": gain, "over": over, "timed_out": timed_out, "valid": ~idle}
         keep_row(self._kept, self._row, after, rows=s.rollout)
         self._row.add_(1).remainder_(s.rollout)
@@ -221,7 +221,7 @@ class Learner:
         A truncated episode would have gone on as it was.
         """
         kept, s = self._kept, self.settings
-        value = self.net.worth(torch.cat([kept["told"], last["told"][None]])).squeeze(-1)
+        value = self.net.value_head(torch.cat([kept["critic_obs"], last["critic_obs"][None]])).squeeze(-1)
         going = (~kept["over"]).float()
         gain = kept["gain"] + gamma * (value[1:] * going + value[:-1] * kept["timed_out"]) - value[:-1]
         for t in reversed(range(len(gain) - 1)):
@@ -245,9 +245,9 @@ class Learner:
         device, valid = first.device, kept["valid"].float()
         sums = torch.zeros(4, device=device)
         for _ in range(s.epochs):
-            order = torch.randperm(len(first), generator=self.dice, device=device)
+            order = torch.randperm(len(first), generator=self.generator, device=device)
             for rows in order.split(len(first) // s.minibatches):
-                x = {n: kept[n][:, rows] for n in ("numbers", "told", "action", "begins", "log_prob", "mean")}
+                x = {n: kept[n][:, rows] for n in ("numbers", "critic_obs", "action", "begins", "log_prob", "mean")}
                 pixels = kept["pixels"][:, rows].flatten(0, 1) if net.sees else None
                 features = net.features(pixels, x["numbers"].flatten(0, 1)).view(s.rollout, len(rows), -1)
                 state = net.roll(features, first[rows], x["begins"])
@@ -256,9 +256,9 @@ class Learner:
                 ratio, gain = (log_prob - x["log_prob"]).exp(), advantages[:, rows]
                 clipped = ratio.clamp(1 - s.clip, 1 + s.clip)
                 worth = (torch.minimum(ratio * gain, clipped * gain) * valid[:, rows]).mean()
-                wrong = (net.worth(x["told"]).squeeze(-1) - targets[:, rows]).square().mean()
+                wrong = (net.value_head(x["critic_obs"]).squeeze(-1) - targets[:, rows]).square().mean()
                 guess = F.smooth_l1_loss(
-                    net.auxiliary(state if acts else state.detach()), x["told"][..., :-1], beta=0.5
+                    net.auxiliary(state if acts else state.detach()), x["critic_obs"][..., :-1], beta=0.5
                 )
                 beyond = (mean.abs() - BEYOND).clamp_min(0).square().mean()
                 loss = wrong + s.auxiliary * guess

@@ -19,7 +19,7 @@ from h3data_training import checkpoints
 from h3data_training.curve import EventLog, save_curve
 from h3data_training.episodes import make_bank
 from h3data_training.launch import StopRequest, launch
-from h3data_training.networks import begin_with
+from h3data_training.networks import warm_start
 from h3data_training.ppo import Learner, schedule
 from h3data_training.ranks import Ranks, connect, leave, own_place, torchrun_place
 from h3data_training.running import SPARE_S, RunResult, Say, one_thread, share_of, stop_asked
@@ -104,7 +104,7 @@ def train(
             code="H3-TRAIN-041",
         )
     require_light(settings, device)
-    job.kept()
+    job.load_checkpoint()
     with stop_asked() as stop:
         if place is None and processes > 1:
             return launch(_work, processes, replace(job, bank=job.episodes(say)), stop=stop, say=say)
@@ -142,9 +142,9 @@ class _Job:
     began: float
     """By the clock on the wall, which all processes see [s]."""
 
-    def kept(self) -> dict[str, Any] | None:
+    def load_checkpoint(self) -> dict[str, Any] | None:
         """The checkpoint to go on from."""
-        return checkpoints.to_go_on(self.folder / CHECKPOINT, self.settings, self.seed) if self.resume else None
+        return checkpoints.load_checkpoint(self.folder / CHECKPOINT, self.settings, self.seed) if self.resume else None
 
     def episodes(self, say: Say) -> Bank:
         bank = self.bank
@@ -204,13 +204,13 @@ class _Run:
         self.curve: list[dict[str, float]] = []
         self.before_s = self.setups_s = 0.0
         self.parent: dict[str, Any] = {}
-        kept = job.kept()
+        kept = job.load_checkpoint()
         if kept is not None:
             checkpoints.restore(self.learner, kept, self.folder / CHECKPOINT)
             self.curve, self.before_s, self.setups_s = kept["curve"], kept["seconds"], kept["setups_s"]
             self.parent = kept.get("parent", {})
         elif job.init is not None:
-            self.parent = begin_with(self.learner.net, job.init, self.settings)
+            self.parent = warm_start(self.learner.net, job.init, self.settings)
         self.events = EventLog(self.folder, self.curve) if ranks.is_first else None
         self.device = torch.cuda.get_device_name() if worlds.device.type == "cuda" else "cpu"
         self.setup_s = self.elapsed()

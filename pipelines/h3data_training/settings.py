@@ -22,7 +22,7 @@ class Settings:
     """Settings of one run. Rates and shares are linear in progress, 0 at the start and 1 at the end of the run."""
 
     scenes: str = "h3-homes/train"
-    """One name or several, separated by commas (`h3data.scene.open.listed_scenes`)."""
+    """One name or several, separated by commas (`h3data_training.episodes.listed_scenes`)."""
     episodes_per_home: int = 28
     observations: tuple[str, ...] = PAPER_OBSERVATIONS
     picture_size: tuple[int, int] = (64, 48)
@@ -95,7 +95,7 @@ class Settings:
                 "Light makes no difference to depth. Hint: leave out the light, or observe arm_rgb.",
                 code="H3-TRAIN-045",
             )
-        known = (*self.pictures, *self.told)
+        known = (*self.pictures, *self.vector_observations)
         strangers = [name for name in self.observations if name not in known]
         if strangers or not self.observations:
             raise InputError(
@@ -162,7 +162,7 @@ class Settings:
         return tuple(PICTURES)
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def vector_observations(self) -> tuple[str, ...]:
         """Observations that the actor may be told beside a picture, or without one."""
         return OF_SOCIAL_NAV
 

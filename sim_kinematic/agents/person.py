@@ -153,6 +153,7 @@ class Person:
         spec: WalkerSpec = PERSON_SPEC,
         free: FreeSpace | None = None,
         sizes: Mapping[str, float] | None = None,
+        state: HumanState | None = None,
     ) -> None:
         """Puts a person at a pose, standing still.
 
@@ -163,7 +164,9 @@ class Person:
             spec: how the person walks.
             free: free floor, by which the arms are folded in as ``spec.arms`` says.
             sizes: radii of the grips of objects by name [m]; the default is `GRIP_M`.
+            state: the person's part of the state of one world, whose place and heading follow the agent root.
         """
+        self.state = HumanState.zeros(1) if state is None else state
         self.body, self.spec, self.free = body, spec, free
         self._drawn = HumanState.zeros(1)
         self.tilts: dict[Hand, float] = {"left": 0.0, "right": 0.0}
@@ -189,6 +192,17 @@ class Person:
         self._closing: dict[Hand, float] = {}
         self._carry_arms: dict[Hand, tuple[list[int], Array]] = {}
         self._stand()
+
+    @property
+    def base(self) -> Array:
+        """Pose of the agent root [7]."""
+        return self._base
+
+    @base.setter
+    def base(self, pose: Array) -> None:
+        self._base = pose
+        self.state.xz[0, 0], self.state.xz[0, 1] = pose[0], pose[2]
+        self.state.heading[0] = heading_from_quat(pose[3:])
 
     # --- joints -----------------------------------------------------------------------------------------------------
     def set_pose(self, quats: ArrayLike, pelvis: ArrayLike, base_pose: ArrayLike | None = None) -> None:
@@ -259,7 +273,7 @@ class Person:
         way = float(wrap_angle(heading - start))
         steps = max(int(np.ceil(abs(way) / (self.spec.turn_rad_s * STEP_S))), 1) if abs(way) > 1e-9 else 0
         for k in range(1, steps + 1):
-            self.base[3:] = quat_from_heading(start + way * k / steps)
+            self.base = np.append(self.base[:3], quat_from_heading(start + way * k / steps))
             self.stride()
             yield
         if settles:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies.people.reach import Hand, reacher
-from h3data.geometry import Array, heading_from_quat
+from h3data.geometry import Array
 from h3data.scene import FreeSpace
+from sim_kinematic.agents.company import Company
 from sim_kinematic.agents.opening.openables import ArticulatedParts, stands_clear
 from sim_kinematic.agents.opening.skills import Leading, full_way, handle_way, stands_before, why_not
 from sim_kinematic.agents.person import MotionResult, Person, Transition
@@ -78,12 +79,8 @@ class PersonActor:
     """Checks where the body would be; None: nobody does."""
     others: tuple[ObservedAgent, ...] = ()
     """Other agents that the person gives way to, the nearest first."""
-    agreed: bool = False
-    """True if all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
-    meets: Callable[[], bool] = field(default=lambda: False)
-    """True if the person touches somebody now: then they stay where they were."""
-    openables: ArticulatedParts | None = None
-    """Doors and drawers; None: nothing opens."""
+    company: Company | None = None
+    """The agents that it heeds, itself among them; None: it is alone."""
     path: NDArray[np.floating] = field(default_factory=lambda: NO_PATH)
     yields: bool = True
     aside: NDArray[np.float64] | None = None
@@ -98,6 +95,15 @@ class PersonActor:
         """Steps since the last one that was not stopped by others."""
         self._goes_around = False
         """Turned away, they go by ways around who stands, until they get somewhere."""
+
+    def meets(self) -> bool:
+        """Returns whether the person touches somebody now: then they stay where they were."""
+        return self.company is not None and self.company.meets(self)
+
+    @property
+    def openables(self) -> ArticulatedParts | None:
+        """Doors and drawers; None: nothing opens."""
+        return self.objects.openables
 
     @property
     def is_robot(self) -> bool:
@@ -117,12 +123,12 @@ class PersonActor:
     @property
     def xz(self) -> NDArray:
         """Position on the floor [2] [m]."""
-        return self.person.base[0:3:2].copy()
+        return self.person.state.xz[0].copy()
 
     @property
     def heading(self) -> float:
         """Heading [rad]."""
-        return float(heading_from_quat(self.person.base[3:]))
+        return self.person.state.heading.item(0)
 
     @property
     def hand_pose(self) -> Array:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.moved import refuse_renamed
+from h3data.scene import Scene
 from sim_kinematic.motion.state import NOBODY, WorldState
 
 if not TYPE_CHECKING:
@@ -126,22 +127,6 @@ def choices(objects: int, *, robot: bool = True) -> tuple[Action, ...]:
     return (*with_target, Action("wait", steps=CHOICE_WAIT_STEPS), *primitives)
 
 
-class Actor(Protocol):
-    """Somebody with skills."""
-
-    def infeasible(self, action: Action) -> str:
-        """Why a skill cannot start now; empty: it can."""
-        ...
-
-    def start(self, action: Action) -> Skill:
-        """Begins an action; the skill that is returned advances by one step at each iteration."""
-        ...
-
-    def idle(self) -> None:
-        """One step of doing nothing."""
-        ...
-
-
 class LearnedSkill(Protocol):
     """A skill that a network carries out instead of the one that knows all."""
 
@@ -165,6 +150,10 @@ class Objects:
     """``object_pose`` [1, K, 7], ``held_by`` [1, K], ``grip_pose`` [1, K, 7], ``joint_pos`` [1, J]."""
     joints: tuple[str, ...] = ()
     """Names of the home's doors and drawers."""
+    scene: Scene | None = None
+    """The home, with doors and drawers where they last stood still."""
+    openables: Any = None
+    """Its doors and drawers, `sim_kinematic.agents.opening.openables.ArticulatedParts`; None: nothing opens."""
 
     @property
     def poses(self) -> NDArray[np.float64]:

@@ -11,17 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.geometry import IDENTITY_POSE, Array, pose_to_matrix
 from h3data.scene import Scene
-from h3data.scene.shape_bounds import bounding_sphere
+from h3data.scene.shape_bounds import bounding_capsule, bounding_sphere
 from sim_kinematic.contact import (
     AgentContacts,
     FclScene,
     MovingShapes,
-    capsule_transforms,
     collide,
     contacts,
     shapes_from_capsules,
 )
 from sim_kinematic.contact.frames import body_shapes, shape_frames
+from sim_kinematic.motion.spec import PersonContact
 
 SUPPORT_M, SUPPORT_RADIUS_M = 0.12, 0.02
 """A thing in which the capsule from a point so far down is, of this radius, is what lies at that point rests on."""
@@ -36,17 +36,25 @@ REACH_MARGIN_M = 0.05
 class RobotHumanContact:
     """Contact between a robot that keeps one posture and a person who is posed by motion clips.
 
-    The robot has the collision shapes of its links, the person 18 capsules.
+    The robot has the collision shapes of its links, the person those that ``person_contact`` names.
     """
 
-    def __init__(self, robot: Robot, human: Humanoid, posture: ArrayLike | None = None) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        human: Humanoid,
+        posture: ArrayLike | None = None,
+        *,
+        person_contact: PersonContact = "body",
+    ) -> None:
         """``posture``: the robot's joint positions [J]; None is its resting one."""
         self._human = human
+        self._person_contact: PersonContact = person_contact
         joints = np.asarray(robot.rest if posture is None else posture, np.float64)
         links = robot.link_matrices(IDENTITY_POSE[None], joints[None])[0]
         self._shapes_at = shape_frames(robot, links)
-        self._pair = AgentContacts(body_shapes(robot), body_shapes(human))
-        self.gate_m = robot_reach(robot, joints) + clip_reach(human)
+        self._pair = AgentContacts(body_shapes(robot), body_shapes(human, person_contact))
+        self.gate_m = robot_reach(robot, joints) + clip_reach(human, person_contact)
         """Bases farther apart than this on the floor [m] cannot touch."""
 
     def touching(
@@ -90,13 +98,13 @@ class RobotHumanContact:
         result = np.zeros(len(gap), np.bool_)
         if not len(near):
             return result
-        start, end, _ = _clip_capsules(
-            self._human, clip[near], phase[near], blend[near], human_base[near], None if arms is None else arms[near]
-        )
+        posture = self._human.clip_pose(clip[near], phase[near], blend[near], arms=None if arms is None else arms[near])
+        joints = self._human.joint_matrices(human_base[near], *posture)
+        people = shape_frames(self._human, joints, self._person_contact)
         bases = pose_to_matrix(robot_base[near].astype(np.float64))
-        for n, base, starts, ends in zip(near, bases, start, end, strict=True):
+        for n, base, person in zip(near, bases, people, strict=True):
             self._pair.update(0, base @ self._shapes_at)
-            self._pair.update(1, capsule_transforms(starts, ends))
+            self._pair.update(1, person)
             result[n] = self._pair.collides()
         return result
 
@@ -157,27 +165,19 @@ def robot_span(robot: Robot) -> float:
 
 
 @lru_cache(maxsize=32)
-def clip_reach(human: Humanoid) -> float:
-    """Farthest that the person's capsules get from the root along the floor in any of the clips [m]."""
+def clip_reach(human: Humanoid, person_contact: PersonContact = "body") -> float:
+    """Farthest that the person's collision shapes get from the root along the floor in any of the clips [m]."""
     clip, phase, blend = (
         grid.ravel()
         for grid in np.meshgrid(np.arange(len(human.clips)), np.arange(32) / 32, [0.0, 0.5, 1.0], indexing="ij")
     )
-    start, end, radius = _clip_capsules(human, clip, phase, blend)
-    ends = np.hypot(*np.stack([start, end])[..., [0, 2]].transpose(3, 0, 1, 2))
-    return float((ends + radius).max()) + REACH_MARGIN_M
-
-
-def _clip_capsules(
-    human: Humanoid,
-    clip: NDArray,
-    phase: NDArray,
-    blend: NDArray,
-    base: NDArray[np.floating] = IDENTITY_POSE[None],
-    arms: NDArray | None = None,
-) -> tuple[Array, Array, Array]:
-    """Starts [T, C, 3], ends and radii of the capsules at frames [T] of clips, the root at ``base`` [T or 1, 7]."""
-    return human.capsules_world(human.joint_matrices(base, *human.clip_pose(clip, phase, blend, arms=arms)))
+    joints = human.joint_matrices(IDENTITY_POSE[None], *human.clip_pose(clip, phase, blend))
+    frames = shape_frames(human, joints, person_contact)
+    capsules = [bounding_capsule(shape) for shape in body_shapes(human, person_contact)]
+    ends = np.array([[start, end] for start, end, _ in capsules])
+    floor = np.einsum("tnij,nkj->tnki", frames[..., :3, :3], ends) + frames[..., None, :3, 3]
+    reach = np.hypot(floor[..., 0], floor[..., 2]) + np.array([radius for *_, radius in capsules])[:, None]
+    return float(reach.max()) + REACH_MARGIN_M
 
 
 def supports(scenery: FclScene, point: Array) -> set[str]:

@@ -7,11 +7,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
-from h3data.geometry import Array, ground_pose
-from h3data.scene import FreeSpace, Shape
+from h3data.geometry import IDENTITY_POSE, Array, ground_pose
+from h3data.scene import Box, FreeSpace, Shape
 from sim_kinematic.contact import capsule_transforms, shapes_from_capsules
 from sim_kinematic.motion.gait import cycle_phase
-from sim_kinematic.motion.spec import WalkerSpec
+from sim_kinematic.motion.spec import PersonContact, WalkerSpec
 from sim_kinematic.motion.state import AgentState, HumanState, RobotState, WorldState
 
 Body = Robot | Humanoid
@@ -69,17 +69,23 @@ def walking_phase(body: Humanoid, clip: int, state: HumanState) -> NDArray[np.fl
     return cycle_phase(walk, state.distance, state.set_off)
 
 
-def body_shapes(body: Body) -> tuple[Shape, ...]:
-    """The collision shapes of an agent: those of a robot's links, or a person's capsules, each in its own frame."""
+def body_shapes(body: Body, person_contact: PersonContact = "body") -> tuple[Shape, ...]:
+    """The collision shapes of an agent, each in its own frame: those of a robot's links, or a person's (`PersonContact`)."""
     if isinstance(body, Robot):
         return tuple(shape for link in body.links for shape in link.shapes)
     standing = body.joint_matrices(ground_pose(np.zeros((1, 2)), np.zeros(1)), *body.clip_pose([0], [0.0]))
+    if person_contact == "bones":
+        return tuple(Box(pose=IDENTITY_POSE, half_extents=size / 2) for size in body.bone_boxes_world(standing)[1])
     start, end, radius = body.capsules_world(standing)
     return shapes_from_capsules(start[0], end[0], radius)
 
 
-def shape_frames(body: Body, frames: NDArray[np.floating]) -> NDArray[np.floating]:
+def shape_frames(
+    body: Body, frames: NDArray[np.floating], person_contact: PersonContact = "body"
+) -> NDArray[np.floating]:
     """World frames of `body_shapes` [..., n, 4, 4], from `body_frames` [..., L or 55, 4, 4]."""
     if isinstance(body, Robot):
         return frames[..., [k for k, link in enumerate(body.links) for _ in link.shapes], :, :]
+    if person_contact == "bones":
+        return body.bone_boxes_world(frames)[0]
     return capsule_transforms(*body.capsules_world(frames)[:2])

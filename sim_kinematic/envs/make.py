@@ -15,6 +15,7 @@ from h3data.render.light.sources import LightMode
 from sim_kinematic.envs.recipe import EnvRecipe
 from sim_kinematic.policies.assignment import PolicyChoice
 from sim_kinematic.sensing.sensor import NoiseModel
+from sim_kinematic.tasks.episode import with_options
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.sources import Scenes
 from sim_kinematic.tasks.task import Task
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     import pettingzoo
     import torch
 
+    from h3data.commands.command import RuleSet
     from sim_kinematic.tasks.sessions import Spec
 
 
@@ -43,12 +45,14 @@ class MakeOptions(TypedDict, total=False):
     """Options of `make` beyond task, scenes, number of worlds, device and agents."""
 
     render_mode: str | None
+    autoreset_mode: str | None
     flatten: bool | None
     observations: Sequence[str] | None
     reward: str | None
     partner: PolicyChoice | None
     level: Literal["high", "low"] | None
     spec: Spec | None
+    rules: RuleSet | None
     roster: str | Sequence[str | Robot] | None
     robot: str | Path | Robot | None
     human: str | None
@@ -104,12 +108,14 @@ def make(
     device: str | torch.device | None = None,
     agents: str | Sequence[str] | None = None,
     render_mode: str | None = None,
+    autoreset_mode: str | None = None,
     flatten: bool | None = None,
     observations: Sequence[str] | None = None,
     reward: str | None = None,
     partner: PolicyChoice | None = None,
     level: Literal["high", "low"] | None = None,
     spec: Spec | None = None,
+    rules: RuleSet | None = None,
     roster: str | Sequence[str | Robot] | None = None,
     robot: str | Path | Robot | None = None,
     human: str | None = None,
@@ -140,12 +146,15 @@ def make(
         device: Torch device of the worlds, such as ``cuda`` or ``cpu``; None simulates with NumPy.
         agents: Names of the agents that act (default: the robot).
         render_mode: ``rgb_array`` for ``render()``.
+        autoreset_mode: Beginning of the next episodes in ``num_envs`` worlds: ``NEXT_STEP`` (default), ``SAME_STEP`` or
+            ``DISABLED``, as of Gymnasium; not on a device.
         flatten: True if observations are one vector instead of a dictionary of arrays; not on a device.
         observations: Names of sensors and images; each agent gets those that it has.
         reward: Reward of social navigation: ``paper`` or ``habitat``.
         partner: Policy of the agents that do not act.
         level: Actions of rearrangement: ``high`` chooses skills, ``low`` base velocity, arm joints and grip.
         spec: Rules of the task.
+        rules: Name of a set of rules that changes them: ``natural`` or ``paper`` (h3data docs simulation).
         roster: Agents that are present.
         robot: Body of robots.
         human: Body of people.
@@ -172,12 +181,14 @@ def make(
         "device": device,
         "agents": agents,
         "render_mode": render_mode,
+        "autoreset_mode": autoreset_mode,
         "flatten": flatten,
         "observations": observations,
         "reward": reward,
         "partner": partner,
         "level": level,
         "spec": spec,
+        "rules": rules,
         "roster": roster,
         "robot": robot,
         "human": human,
@@ -221,8 +232,7 @@ def make_env(
         agents: Agents that act; several make a PettingZoo environment, which has one world.
         render_mode: ``rgb_array`` for ``render()``.
         flatten: Observations are one vector instead of a dictionary of arrays.
-        **options: Options of the task's stepper (`sim_kinematic.envs.world_stepper.WorldStepper`,
-            `sim_kinematic.envs.skill_stepper.SkillStepper`) and `sim_kinematic.envs.stepper.Options`.
+        **options: Options of `sim_kinematic.envs.world_stepper.WorldStepper` and `sim_kinematic.envs.stepper.Options`.
 
     Raises:
         InputError: no such task, scenes, agents or option, or both ``num_envs`` and several agents are wanted.
@@ -250,6 +260,9 @@ def _make(
     options: dict[str, Any],
 ) -> Any:
     found = find_task(task)
+    if (rules := options.pop("rules", None)) is not None:
+        usual = (device is not None and found.usage.device_rules) or found.usage.env_rules or found.Spec()
+        options["spec"] = with_options(options.get("spec") or usual, rules=rules)
     if device is not None:
         if flatten:
             raise InputError(
@@ -257,31 +270,30 @@ def _make(
                 code="H3-ENV-019",
             )
         return _on_device(found, scenes, num_envs, device, agents, options)
-    from sim_kinematic.envs.stepper import FlatStepper, ManySteppers, Options
+    from sim_kinematic.envs.stepper import FlatStepper, Options
+    from sim_kinematic.envs.world_stepper import WorldStepper
 
     if isinstance(agents, str):
         agents = (agents,)
+    autoreset_mode = options.pop("autoreset_mode", None) if num_envs is not None else None
     if len(agents) > 1 and num_envs is not None:
         raise InputError("An environment of two agents has one world. Hint: leave out num_envs.", code="H3-ENV-018")
-    stepper_class = _stepper_class(found)
     if "agent" in options:
         agents = (options.pop("agent"),)
     shared = {f.name: options.pop(f.name) for f in fields(Options) if f.name in options}
-    _require_known(found, stepper_class, options, [f.name for f in fields(Options)])
+    _require_known(found, WorldStepper, options, [f.name for f in fields(Options)])
     given = {**options, "agents": tuple(agents), "options": Options(**shared)}
     if found.usage.env_rules is not None:
         given = {"spec": found.usage.env_rules, **given}
     if num_envs is not None:
-        from sim_kinematic.envs.vector import TaskVectorEnv
+        from sim_kinematic.envs.vector import TaskVectorEnv, checked_autoreset_mode
 
-        many: Any
-        if found.control.batched:
-            many = stepper_class(found, scenes, worlds=num_envs, **given)
-        else:
-            many = ManySteppers(lambda: stepper_class(found, scenes, **given), num_envs)
+        mode = checked_autoreset_mode(autoreset_mode or "NEXT_STEP")
+
+        many: Any = WorldStepper(found, scenes, worlds=num_envs, **given)
         many = FlatStepper(many) if flatten else many
-        return TaskVectorEnv(many, render_mode=render_mode)
-    stepper: Any = stepper_class(found, scenes, **given)
+        return TaskVectorEnv(many, render_mode=render_mode, autoreset_mode=mode)
+    stepper: Any = WorldStepper(found, scenes, **given)
     stepper = FlatStepper(stepper) if flatten else stepper
     if len(agents) > 1:
         from sim_kinematic.envs.parallel import TaskParallelEnv
@@ -292,21 +304,11 @@ def _make(
     return TaskEnv(stepper, render_mode=render_mode)
 
 
-def _stepper_class(task: Task) -> Any:
-    if task.control.batched:
-        from sim_kinematic.envs.world_stepper import WorldStepper
-
-        return WorldStepper
-    from sim_kinematic.envs.skill_stepper import SkillStepper
-
-    return SkillStepper
-
-
 def _require_known(task: Task, stepper: Any, options: dict[str, Any], shared: Sequence[str]) -> None:
     """Refuses options that nobody takes."""
     parameters = inspect.signature(stepper.__init__).parameters.values()
     known = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY and p.name not in ("worlds", "options")]
-    known += [*shared, *task.usage.env_options, "num_envs", "device", "render_mode", "flatten"]
+    known += [*shared, *task.usage.env_options, "rules", "num_envs", "device", "render_mode", "flatten"]
     for name in options:
         if name not in known:
             raise InputError(

@@ -1,12 +1,11 @@
 """Interface of a task to environments: it begins episodes, takes actions and returns observations, worlds first.
 
-`sim_kinematic.envs.world_stepper` steps W worlds at once; `sim_kinematic.envs.skill_stepper` steps one world in which an
-action may last many steps; `ManySteppers` puts several of the latter side by side.
+`sim_kinematic.envs.world_stepper` is its implementation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -15,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
 from h3data.geometry import Array
-from h3data.progress import progress
 from h3data.render.light.sources import LightMode, check_light
 from sim_kinematic.sensing.observation_set import Arrays, gymnasium
 from sim_kinematic.sensing.sensor import NoiseModel
@@ -25,7 +23,7 @@ if TYPE_CHECKING:
 
     from sim_kinematic.sensing.watching import DebugRenderer
 
-__all__ = ["DEFAULTS", "Info", "ManySteppers", "Options", "Stepper", "checked_actions", "gymnasium"]
+__all__ = ["DEFAULTS", "Info", "Options", "Stepper", "checked_actions", "gymnasium"]
 
 Info = dict[str, NDArray[Any]]
 
@@ -58,6 +56,10 @@ DEFAULTS = Options()
 class Stepper(Protocol):
     """W worlds, each in an episode of its own."""
 
+    task: Any
+    """The task, with its ``name``."""
+    spec: Any
+    """Its rules, with ``max_steps``."""
     worlds: int
     agents: tuple[str, ...]
     """Names of the agents that act."""
@@ -111,59 +113,6 @@ class Stepper(Protocol):
         ...
 
 
-class ManySteppers:
-    """Steppers of one world each, side by side."""
-
-    def __init__(self, make: Callable[[], Any], worlds: int) -> None:
-        if isinstance(worlds, bool) or not isinstance(worlds, int) or worlds < 1:
-            raise InputError(
-                f"Expected at least 1 world (num_envs), a whole number, got {worlds!r}.", code="H3-ENV-030"
-            )
-        self.each = [make() for _ in range(worlds)]
-        self.worlds, self.agents = worlds, self.each[0].agents
-        self.observation_space = self.each[0].observation_space
-        self.action_space = self.each[0].action_space
-
-    def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
-        """Begins episodes in the steppers ``where`` [W], one after the other, with a progress bar if it takes long."""
-        one = np.ones(1, np.bool_)
-        with progress(desc="episodes", total=int(where.sum()), unit="episode", delay=1.0, leave=False) as begun:
-            for w in np.flatnonzero(where).tolist():
-                self.each[w].begin([seeds[w]], [indices[w]], one)
-                begun.update()
-
-    def step(self, actions: Mapping[str, Any]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Steps every stepper whose episode is not over; the others give zeros."""
-        parts = [
-            stepper.step({agent: np.asarray(action)[w : w + 1] for agent, action in actions.items()})
-            if not stepper.is_over
-            else (np.zeros(1), np.zeros(1, np.bool_), np.zeros(1, np.bool_))
-            for w, stepper in enumerate(self.each)
-        ]
-        reward, terminated, truncated = (np.concatenate(part) for part in zip(*parts, strict=True))
-        return reward, terminated, truncated
-
-    def observe(self, agent: str) -> Arrays:
-        """Observations of an agent in all worlds, [W, ...] each."""
-        return _joined([stepper.observe(agent) for stepper in self.each])
-
-    def info(self, agent: str) -> Info:
-        """Facts beyond the observations in all worlds, [W] each."""
-        return _joined([stepper.info(agent) for stepper in self.each])
-
-    def episode_info(self) -> Info:
-        """Scene and seed of the episode in each world, [W] each."""
-        return _joined([stepper.episode_info() for stepper in self.each])
-
-    def picture(self, agent: str, watcher: DebugRenderer, world: int = 0) -> NDArray[np.uint8]:
-        """Picture of one world for people who watch, uint8 [480, 640, 3]."""
-        return self.each[world].picture(agent, watcher)
-
-    def describe(self) -> str:
-        """Description of the first stepper, with the number of worlds."""
-        return self.each[0].describe().removesuffix("1 world") + f"{self.worlds} world{'s' if self.worlds > 1 else ''}"
-
-
 class FlatStepper:
     """A stepper whose observations are one vector for each world, as wrappers that know no dictionaries want them."""
 
@@ -183,10 +132,6 @@ class FlatStepper:
         shown, space = self._stepper.observe(agent), self.observation_space(agent)
         rows = [shown[name].reshape(self._stepper.worlds, -1) for name in self._spaces[agent].spaces]
         return np.concatenate(rows, axis=1, dtype=space.dtype)
-
-
-def _joined(parts: Sequence[Arrays]) -> Arrays:
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def checked_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:

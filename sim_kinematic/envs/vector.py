@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,19 +19,40 @@ from sim_kinematic.sensing.watching import DebugRenderer
 class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
     """W worlds of `sim_kinematic.envs.single.TaskEnv`: world w after ``reset(seed=s)`` is the single one after ``s + w``.
 
-    Autoreset is Gymnasium's NEXT_STEP: the step after a world's last ignores its action, begins its next episode, gives
-    the first observation of that and a reward of 0.
+    Worlds whose episode has ended begin the next one as Gymnasium's autoreset modes say. NEXT_STEP (the default): the step
+    after a world's last ignores its action, begins its next episode, gives the first observation of that and a reward of 0.
+    SAME_STEP: the last step gives that observation already, with the last one of the old episode in ``info["final_obs"]``
+    and its facts in ``info["final_info"]``. DISABLED: ``reset(options={"reset_mask": ended})`` begins them, and a step before
+    that is refused.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
+    metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's classes have it, and each environment its own
         "render_modes": ["rgb_array"],
         "render_fps": round(1 / STEP_S),
         "autoreset_mode": gymnasium.vector.AutoresetMode.NEXT_STEP,
     }
 
-    def __init__(self, stepper: Stepper, *, render_mode: str | None = None) -> None:
-        """``render_mode``: ``rgb_array`` for `render`, or None."""
+    def __init__(
+        self,
+        stepper: Stepper,
+        *,
+        render_mode: str | None = None,
+        autoreset_mode: str | gymnasium.vector.AutoresetMode = gymnasium.vector.AutoresetMode.NEXT_STEP,
+    ) -> None:
+        """Put worlds behind Gymnasium's interface.
+
+        Args:
+            stepper: the worlds.
+            render_mode: ``rgb_array`` for `render`, or None.
+            autoreset_mode: a mode of Gymnasium or its name, in capitals or as its value (``NextStep``).
+
+        Raises:
+            InputError: there is no such mode.
+        """
         self.render_mode = checked_render_mode(render_mode)
+        self.autoreset_mode = checked_autoreset_mode(autoreset_mode)
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
+        self._attributes: dict[str, tuple[Any, ...]] = {}
         self.stepper = stepper
         self.num_envs = stepper.worlds
         self._watchers = [DebugRenderer() for _ in range(self.num_envs)]
@@ -47,7 +68,13 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Any]]:  # type: ignore[override]
-        """Begins the next episode in all worlds; with a seed the first of the runs seed, seed + 1, ..., or of those listed."""
+        """Begins the next episode in all worlds; with a seed the first of the runs seed, seed + 1, ..., or of those listed.
+
+        ``options["reset_mask"]`` (bool [W]) chooses worlds; the others go on, and ``info`` has masks without them.
+
+        Raises:
+            InputError: the seeds or the mask do not fit the number of worlds, or some worlds have not begun yet.
+        """
         single = seed if isinstance(seed, int | np.integer) else None
         super().reset(seed=None if single is None else int(single))
         listed: Sequence[int | None]
@@ -59,13 +86,33 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
             raise InputError(
                 f"Expected one seed, or one for each of {self.num_envs} worlds, got {len(listed)}.", code="H3-ENV-032"
             )
-        for w, given in enumerate(listed):
-            if given is not None or self._indices[w] < 0:
-                self._seeds[w], self._indices[w] = run_seed(given, self.np_random), -1
-        self._indices += 1
-        self._ended[:] = False
-        self.stepper.begin(self._seeds, self._indices, np.ones(self.num_envs, np.bool_))  # type: ignore[arg-type]
-        return self.stepper.observe(self.agent), _masked(self._info(episodes=True))
+        chosen = self._chosen(options)
+        for w in np.flatnonzero(chosen).tolist():
+            if listed[w] is not None or self._indices[w] < 0:
+                self._seeds[w], self._indices[w] = run_seed(listed[w], self.np_random), -1
+        self._begin(chosen)
+        self._ended[chosen] = False
+        return self.stepper.observe(self.agent), _masked(self._info(episodes=True), chosen)
+
+    def _chosen(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
+        """The worlds to begin anew, [W]."""
+        mask = (options or {}).get("reset_mask")
+        if mask is None:
+            return np.ones(self.num_envs, np.bool_)
+        chosen = np.asarray(mask)
+        if chosen.shape != (self.num_envs,) or chosen.dtype != np.bool_ or not chosen.any():
+            raise InputError(
+                f"Expected a reset_mask of {self.num_envs} truth values, at least one of them true, got {mask!r}.",
+                code="H3-ENV-051",
+            )
+        if (self._indices[~chosen] < 0).any():
+            raise InputError("Expected a reset of all worlds first. Hint: leave out reset_mask.", code="H3-ENV-052")
+        return chosen
+
+    def _begin(self, where: NDArray[np.bool_]) -> None:
+        """Begin the next episodes of some worlds."""
+        self._indices[where] += 1
+        self.stepper.begin(self._seeds, self._indices, where)  # type: ignore[arg-type]
 
     def step(
         self, actions: ArrayLike
@@ -75,16 +122,95 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
         Raises:
             InputError: the actions are malformed; then nothing has moved.
         """
-        again = self._ended
-        reward, terminated, truncated = self.stepper.step({self.agent: actions})
-        going = ~again
+        again, mode = self._ended, self.autoreset_mode
+        if mode == gymnasium.vector.AutoresetMode.DISABLED and again.any():
+            raise InputError(
+                f"The episodes of worlds {np.flatnonzero(again).tolist()} have ended. Hint: "
+                'reset(options={"reset_mask": terminated | truncated}) first.',
+                code="H3-ENV-053",
+            )
+        going, none = ~again, np.zeros(self.num_envs)
+        # where all begin their next episode, nobody acts
+        reward, terminated, truncated = (
+            self.stepper.step({self.agent: actions}) if going.any() else (none, none > 0, none > 0)
+        )
         if again.any():
-            self._indices[again] += 1
-            self.stepper.begin(self._seeds, self._indices, again)  # type: ignore[arg-type]
-        terminated, truncated = going & terminated, going & truncated
+            self._begin(again)
+        reward, terminated, truncated = np.where(going, reward, 0.0), going & terminated, going & truncated
         self._ended = terminated | truncated
+        final: dict[str, Any] = {}
+        if mode == gymnasium.vector.AutoresetMode.SAME_STEP and self._ended.any():
+            again, self._ended = self._ended, np.zeros(self.num_envs, np.bool_)
+            final = self._final(again)
+            self._begin(again)
         info = _masked(self._info(episodes=bool(again.any())))
-        return self.stepper.observe(self.agent), np.where(going, reward, 0.0), terminated, truncated, info
+        return self.stepper.observe(self.agent), reward, terminated, truncated, info | final
+
+    def _final(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
+        """Last observations and facts of the worlds whose episodes have ended, in Gymnasium's form."""
+        shown, last = self.stepper.observe(self.agent), np.full(self.num_envs, None, object)
+        for w in np.flatnonzero(ended).tolist():
+            last[w] = (
+                {name: rows[w].copy() for name, rows in shown.items()} if isinstance(shown, dict) else shown[w].copy()
+            )
+        facts = _masked({name: np.array(rows) for name, rows in self._info(episodes=False).items()}, ended)
+        return {"final_obs": last, "_final_obs": ended.copy(), "final_info": facts, "_final_info": ended.copy()}
+
+    # --- attributes of the worlds -------------------------------------------------------------------------------------
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Return an attribute of each world: one that `set_attr` has set, or one that all worlds share.
+
+        Raises:
+            AttributeError: there is none.
+        """
+        if name in self._attributes:
+            return self._attributes[name]
+        own = {"observation_space": "single_observation_space", "action_space": "single_action_space"}.get(name, name)
+        return (getattr(self, own),) * self.num_envs
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Return what a method of each world gives, or its attribute. Only ``render`` differs from world to world.
+
+        Raises:
+            AttributeError: there is none.
+            InputError: it would move single worlds.
+        """
+        if name == "render":
+            return self.render() or (None,) * self.num_envs
+        if name in ("reset", "step"):
+            raise InputError(
+                f"Worlds are stepped together: call {name}() of the vector environment.", code="H3-ENV-054"
+            )
+        values = self.get_attr(name)
+        if name in self._attributes:
+            return tuple(value(*args, **kwargs) if callable(value) else value for value in values)
+        return (values[0](*args, **kwargs),) * self.num_envs if callable(values[0]) else values
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Set an attribute of each world: one value for all, or a list or tuple with one for each.
+
+        Raises:
+            InputError: the number of values differs, or the environment already has an attribute of this name.
+        """
+        if name in dir(self):
+            raise InputError(f"{name} cannot be set: it was decided when the environment was made.", code="H3-ENV-055")
+        each = tuple(values) if isinstance(values, list | tuple) else (values,) * self.num_envs
+        if len(each) != self.num_envs:
+            raise InputError(
+                f"Expected one value of {name}, or one for each of {self.num_envs} worlds, got {len(each)}.",
+                code="H3-ENV-056",
+            )
+        self._attributes[name] = each
+
+    @property
+    def task(self) -> str:
+        """Name of the task."""
+        return str(self.stepper.task.name)
+
+    @property
+    def _max_episode_steps(self) -> int:
+        """Number of steps after which an episode ends at the latest, by the name that Gymnasium's `TimeLimit` gives it."""
+        return int(self.stepper.spec.max_steps)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
         """Each world's agent and its surroundings, W pictures as `sim_kinematic.envs.single.TaskEnv.render`."""
@@ -102,6 +228,24 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
     __str__ = __repr__
 
 
-def _masked(info: Info) -> dict[str, Any]:
-    """Gymnasium's form: beside each array, under ``_name``, in which worlds it holds, here in all."""
-    return {**info, **{f"_{name}": np.ones(len(array), np.bool_) for name, array in info.items()}}
+def checked_autoreset_mode(mode: str | gymnasium.vector.AutoresetMode) -> gymnasium.vector.AutoresetMode:
+    """Return a mode of Gymnasium by its name or value.
+
+    Raises:
+        InputError: there is no such mode.
+    """
+    known = gymnasium.vector.AutoresetMode
+    for one in known:
+        if mode in (one, one.name, one.value):
+            return one
+    raise InputError(
+        f"Unknown autoreset mode {mode!r}. Expected one of: {', '.join(one.name for one in known)}.", code="H3-ENV-050"
+    )
+
+
+def _masked(info: Info, where: NDArray[np.bool_] | None = None) -> dict[str, Any]:
+    """Gymnasium's form: beside each array, under ``_name``, in which worlds it holds (default: in all)."""
+    masks = {
+        f"_{name}": np.ones(len(array), np.bool_) if where is None else where.copy() for name, array in info.items()
+    }
+    return {**info, **masks}

@@ -1,4 +1,9 @@
-"""W worlds of a task whose agents drive and walk, as an environment steps them: actions in, observations and rewards out."""
+"""W worlds of any task, stepped by an environment.
+
+Agents who drive and walk are moved in all worlds at once, one step of the simulation for one of the environment. Agents with
+skills (`sim_kinematic.tasks.skills`) are asked in turn, each world by itself: there an action is a skill, and a step of the
+environment lasts until an agent that acts must choose again; on their lower layer it lasts one step of the simulation.
+"""
 
 from __future__ import annotations
 
@@ -8,23 +13,30 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from h3data.bodies import Robot
 from h3data.errors import InputError
 from h3data.geometry import Array
+from h3data.progress import progress
 from h3data.render.light.sources import LightMode
+from sim_kinematic.agents.robots.skills import checked_command
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
+from sim_kinematic.agents.skills import CONTROL, Action, choices
+from sim_kinematic.controllers.motion import command_of
 from sim_kinematic.envs.stepper import DEFAULTS, Info, Options, checked_actions, gymnasium
-from sim_kinematic.motion.state import HumanState
-from sim_kinematic.policies.assignment import assign, resolve_policy
+from sim_kinematic.policies.assignment import assign, policy_names, resolve_policy, unknown_policy
 from sim_kinematic.policies.policy import External
+from sim_kinematic.policies.rearrange_observations import limits
 from sim_kinematic.policies.waypoints import WaypointPolicy
-from sim_kinematic.sensing.agent_pictures import picture_names
-from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names
-from sim_kinematic.sensing.table import STATE_OBSERVATIONS, sensed
+from sim_kinematic.sensing.agent_pictures import camera_names, picture_names
+from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names, split_sizes
 from sim_kinematic.tasks.describe import in_words
-from sim_kinematic.tasks.play import WorldRollout, resting_arm
+from sim_kinematic.tasks.episode import Episode
+from sim_kinematic.tasks.play import WorldRollout
+from sim_kinematic.tasks.runner import DecisionLoop
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 from sim_kinematic.tasks.task import Task
-from sim_kinematic.world import Command, DriveCommand, GaitCommand, PoseCommand, WaypointCommand
+from sim_kinematic.tasks.team import resting_arm
+from sim_kinematic.world import Command, DriveCommand, PoseCommand, WaypointCommand
 
 if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space
@@ -32,9 +44,53 @@ if TYPE_CHECKING:
     from sim_kinematic.sensing.camera_sensor import StateRenderer
     from sim_kinematic.sensing.watching import DebugRenderer
 
+OTHER = {"robot": "human", "human": "robot"}
+
+
+class Turns:
+    """One world whose agents are asked in turn: those in ``acting`` from outside, the others' policies here."""
+
+    def __init__(self, play: WorldRollout, acting: Sequence[int]) -> None:
+        self.play, self._acting, self._loop = play, acting, DecisionLoop(play)
+        self.steps, self.reward = 0, 0.0
+        """Simulated steps of the last `go_on`, and their rewards."""
+        self.go_on({})
+        self.steps, self.reward = 0, 0.0
+
+    @property
+    def is_over(self) -> bool:
+        """Returns whether the episode has ended."""
+        return self._loop.over
+
+    @property
+    def choosing(self) -> list[int]:
+        """Agents outside whose next action counts: the one that must choose, and those that will in this very step."""
+        if self._loop.asked is None:
+            return []
+        team = self.play.team
+        now = list(team.order)[list(team.order).index(self._loop.asked) :]
+        return [k for k in self._acting if k == now[0] or (k in now and team.controllers[k].is_free)]
+
+    def go_on(self, chosen: dict[int, Action]) -> None:
+        """Plays until an agent outside must choose that is not in ``chosen``, or to the end of the episode."""
+        self.steps, self.reward = 0, 0.0
+        loop, play = self._loop, self.play
+        while not loop.over:
+            number = loop.asked
+            if number is None:
+                self.steps += 1
+                self.reward += play.reward
+                loop.go_on()
+            elif number not in self._acting:
+                loop.answer(play.policies[number].policy.act(play.view(number)))
+            elif number in chosen:
+                loop.answer(chosen.pop(number))
+            else:
+                return
+
 
 class WorldStepper:
-    """Stepper of W worlds of a task whose agents drive and walk."""
+    """Stepper of W worlds of a task."""
 
     def __init__(
         self,
@@ -61,12 +117,13 @@ class WorldStepper:
             worlds: number of worlds W.
             spec: rules (default: the task's).
             roster: all agents of a world (default: the task's roster).
-            partner: policy of the agents that do not act, by agent or kind (default: the task's).
+            partner: policy of the agents that do not act, by agent or kind (default: the task's); of agents with skills also a
+                function that makes one from an episode's seed.
             observations: names of sensors and pictures; each agent gets those that its kind has.
             robot: body of robots named by their kind.
             human: body of people named by their kind.
             options: pictures and noise.
-            **task_options: options of the task (`WorldRollout.options`).
+            **task_options: options of the task (`TaskUsage.env_options`).
 
         Raises:
             InputError: a name does not exist.
@@ -76,8 +133,6 @@ class WorldStepper:
         for name, check in task.usage.env_options.items():
             if name in task_options:
                 check(task_options[name])
-        self.play = WorldRollout(task, self.spec, self.source.roster, worlds=worlds, options=task_options)
-        self.worlds = self.play.world.worlds
         names = [member.name for member in self.source.roster]
         strangers = [agent for agent in agents if agent not in names]
         if strangers or not agents or len(set(agents)) < len(agents):
@@ -87,15 +142,70 @@ class WorldStepper:
         self.agents = tuple(agents)
         self.numbers = {agent: names.index(agent) for agent in agents}
         self._others = [k for k in range(len(names)) if k not in self.numbers.values()]
-        self._partner, self._options = partner, options
-        for k in self._others if isinstance(partner, str) else ():
-            resolve_policy(task, self.source.roster[k].kind, partner, self.spec)
-        self._walkers: list[list[Any]] = [[] for _ in range(self.worlds)]
-        self._targets: dict[int, Array] = {k: np.zeros((self.worlds, 2)) for k in self._others}
-        self._home = np.full(self.worlds, -1)
-        self._renderers: dict[tuple[int, int, LightMode], StateRenderer] = {}
-        """Renderers by home, number of worlds that are rendered at once, and light."""
-        self._sets = self._observation_sets(observations or STATE_OBSERVATIONS)
+        self._partner, self._options, self._task_options = partner, options, task_options
+        if task.control.has_skills:
+            self._check_skills(worlds)
+        for k in self._others:
+            self._check_partner(k)
+        self.worlds = worlds
+        self.plays: list[WorldRollout] = []
+        """The rollouts: one of all worlds, or one of each world."""
+        if not task.control.has_skills:
+            self.plays = [WorldRollout(task, self.spec, self.source.roster, worlds=worlds, options=task_options)]
+        self.turns: list[Turns] = []
+        """The worlds of agents with skills."""
+        self._walkers: list[list[Any]] = [[] for _ in range(worlds)]
+        self._targets: dict[int, Array] = {k: np.zeros((worlds, 2)) for k in self._others}
+        self._home = np.full(worlds, -1)
+        self._renderers: dict[Any, StateRenderer] = {}
+        """Renderers by home, number of worlds that are rendered at once, and light; with skills by world and light."""
+        self._choices = {k: choices(self._objects, robot=self._kind(k) == "robot") for k in self.numbers.values()}
+        self._sets = self._observation_sets(observations or task.control.observations)
+
+    def _check_skills(self, worlds: int) -> None:
+        if isinstance(worlds, bool) or not isinstance(worlds, int) or worlds < 1:
+            raise InputError(
+                f"Expected at least 1 world (num_envs), a whole number, got {worlds!r}.", code="H3-ENV-030"
+            )
+        if self._is_low and not any(self._kind(k) == "robot" for k in self.numbers.values()):
+            raise InputError("Only a robot has a lower layer. Hint: level='high' for the person.", code="H3-ENV-026")
+        if not self._others and self._partner is not None:
+            raise InputError(
+                "All agents are told from outside, so there is no partner. Hint: leave out partner.", code="H3-ENV-041"
+            )
+
+    def _check_partner(self, k: int) -> None:
+        """Refuses policies of the other kind, too: the task itself lets either kind follow both, as recordings may."""
+        name, kind = self._partner_of(k), self._kind(k)
+        if isinstance(name, str):
+            if name in policy_names(self.task, OTHER[kind]) and name not in policy_names(self.task, kind):
+                raise unknown_policy(self.task, kind, name)
+            resolve_policy(self.task, kind, name, self.spec)
+
+    def _partner_of(self, k: int) -> Any:
+        return self.task.usage.env_partners.get(self._kind(k)) if self._partner is None else self._partner
+
+    def _kind(self, k: int) -> str:
+        return self.source.roster[k].kind
+
+    @property
+    def _objects(self) -> int:
+        return self.spec.objects if self.task.control.has_skills else 1  # sensors of things say that there are none
+
+    @property
+    def _is_low(self) -> bool:
+        return self._task_options.get("level") == "low"
+
+    @property
+    def play(self) -> WorldRollout:
+        """The rollout of all worlds, or of the first one.
+
+        Raises:
+            InputError: no episode has begun.
+        """
+        if not self.plays:
+            raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
+        return self.plays[0]
 
     # --- spaces -------------------------------------------------------------------------------------------------------
     def observation_space(self, agent: str) -> Dict:
@@ -103,8 +213,17 @@ class WorldStepper:
         return self._sets[self.numbers[agent]].space()
 
     def action_space(self, agent: str) -> Space[Any]:
-        """Base velocity in -1..1 of the limits, [2], or [3] where a robot can move sideways."""
-        return gymnasium.spaces.Box(-1.0, 1.0, (self._width(self.numbers[agent]),), np.float32)
+        """Base velocity in -1..1 of the limits, [2], or [3] where a robot can move sideways.
+
+        Of agents with skills the number of a choice; on the lower layer base [2], arm joints [n] and grip [1] in -1..1.
+        """
+        number = self.numbers[agent]
+        if not self.task.control.has_skills:
+            return gymnasium.spaces.Box(-1.0, 1.0, (self._width(number),), np.float32)
+        body = self.source.roster[number].body
+        if self._is_low and isinstance(body, Robot):
+            return gymnasium.spaces.Box(-1.0, 1.0, (len(body.require_arm()) + 3,), np.float32)
+        return gymnasium.spaces.Discrete(len(self._choices[number]))
 
     def _width(self, number: int) -> int:
         is_robot = self.source.roster[number].kind == "robot"
@@ -112,29 +231,68 @@ class WorldStepper:
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
-        """Samples episodes for the worlds ``where`` [W], then begins them together; a failure changes no world."""
-        rows = np.flatnonzero(where) if self.play.episodes else np.arange(self.worlds)
+        """Samples episodes for the worlds ``where`` [W], then begins them; if one cannot be sampled, no world has changed.
+
+        Agents with skills then go on until one that acts must choose.
+        """
+        begun = bool(self.plays and self.plays[0].episodes)
+        rows = np.flatnonzero(where) if begun else np.arange(self.worlds)
         if not len(rows):
             return
         runs = [(int(seeds[w]), int(indices[w])) for w in rows.tolist()]
         self.source.prepare(runs)
-        episodes = [self.source.sample(*run) for run in runs]  # all of them first: if one fails, no world has changed
+        with progress(desc="episodes", total=len(runs), unit="episode", delay=1.0, leave=False) as bar:
+            episodes = []
+            for run in runs:
+                episodes.append(self.source.sample(*run))
+                bar.update()
+        if self.task.control.has_skills:
+            self._begin_turns(rows, episodes)
+        else:
+            self._begin_together(rows, episodes)
+
+    def _begin_turns(self, rows: NDArray[np.intp], episodes: Sequence[Episode]) -> None:
+        turns = []
+        for episode in episodes:
+            play = WorldRollout.of(self.task, episode, assign(self.task, episode, self._policies(episode)))
+            turns.append(Turns(play, list(self.numbers.values())))
+        self.turns = self.turns or list(turns)
+        for w, begun in zip(rows.tolist(), turns, strict=True):
+            self.turns[w] = begun
+            self._renderers = {key: renderer for key, renderer in self._renderers.items() if key[0] != w}
+        self.plays = [one.play for one in self.turns]
+
+    def _policies(self, episode: Episode) -> dict[str, Any]:
+        closely = self._task_options.get("interrupts_when_close", True)
+        chosen: dict[str, Any] = {agent: External(interrupts_when_close=closely) for agent in self.agents}
+        for k in self._others:
+            partner = self._partner_of(k)
+            if self.task.control.has_skills and callable(partner):
+                partner = partner(episode.seed)
+            if partner is not None:
+                chosen[self.source.roster[k].name] = partner
+        return chosen
+
+    def _begin_together(self, rows: NDArray[np.intp], episodes: Sequence[Episode]) -> None:
         self.play.begin(episodes, rows)
         homes = {id(home.scene): k for k, home in enumerate(self.source.homes) if home.is_ready}
         for w, episode in zip(rows.tolist(), episodes, strict=True):
             self._home[w] = homes[id(episode.scene)]
-            chosen = {agent: External() for agent in self.agents}
-            if self._partner is not None:
-                chosen |= {self.source.roster[k].name: self._partner for k in self._others}
-            self._walkers[w] = [assigned.policy for assigned in assign(self.task, episode, chosen)]
+            self._walkers[w] = [given.policy for given in assign(self.task, episode, self._policies(episode))]
         for k in self._others:
             for w in rows.tolist():
                 policy = self._walkers[w][k]
                 if isinstance(policy, WaypointPolicy) and self.spec.human.stride is None:
                     self._targets[k][w] = policy.target(self.play.world.state.agents[k].xz[w])
 
-    def step(self, actions: Mapping[str, ArrayLike]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Applies the actions [W, n] of the agents that act, and lets the others follow their policies."""
+    def step(self, actions: Mapping[str, Any]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Applies the actions [W, n] of the agents that act, and lets the others follow their policies.
+
+        Agents with skills play on until one that acts must choose again, or to the end; worlds whose episode is over give
+        zeros, and actions count for the agents that are `choosing`.
+        """
+        if self.task.control.has_skills:
+            return self._step_turns(actions)
         given = {
             self.numbers[agent]: checked_actions(action, (self.worlds, self._width(self.numbers[agent])))
             for agent, action in actions.items()
@@ -149,6 +307,46 @@ class WorldStepper:
         if self._options.end_on_success:
             ends = ends | outcome.success
         return outcome.reward, ends, self.play.out_of_time
+
+    def _step_turns(self, actions: Mapping[str, Any]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        going = [w for w, turns in enumerate(self.turns) if not turns.is_over]
+        if not going:
+            raise InputError("No episode is going on. Hint: call reset() first.", code="H3-ENV-027")
+        chosen: dict[int, dict[int, Action]] = {w: {} for w in going}
+        for agent, action in actions.items():
+            number = self.numbers[agent]
+            for w in going:
+                own = action if self.worlds == 1 else np.asarray(action)[w : w + 1]
+                choice = self._chosen(number, own)
+                if number in self.turns[w].choosing:
+                    chosen[w][number] = self.task.control.checked(self.plays[w], number, choice)
+        reward, ended = np.zeros(self.worlds), [""] * self.worlds
+        for w in going:
+            turns = self.turns[w]
+            turns.go_on(chosen[w])
+            reward[w], ended[w] = turns.reward, turns.play.ended if turns.is_over else ""
+        return reward, np.array([word not in ("", "max_steps") for word in ended]), np.array(ended) == "max_steps"
+
+    def _chosen(self, number: int, action: ArrayLike | Action) -> Action:
+        """The choice that a row of actions [1, ...] means; an `Action` is taken as it is."""
+        if isinstance(action, Action):
+            return action
+        body, there = self.source.roster[number].body, self._choices[number]
+        if self._is_low and isinstance(body, Robot):
+            row = np.asarray(action, object)
+            return Action(CONTROL, command=tuple(checked_command(row[0] if row.ndim else action, body).tolist()))
+        given = np.asarray(action)
+        if given.shape != (1,) or given.dtype.kind not in "iu" or not 0 <= given[0] < len(there):
+            shown = given[0] if given.shape == (1,) else action
+            raise InputError(
+                f"Expected the number of an action, 0 to {len(there) - 1}, got {shown!r}.", code="H3-ENV-028"
+            )
+        return there[int(given[0])]
+
+    def choosing(self, world: int = 0) -> tuple[str, ...]:
+        """Names of the agents with skills whose next action counts in a world."""
+        now = self.turns[world].choosing if self.turns else []
+        return tuple(agent for agent, number in self.numbers.items() if number in now)
 
     def _other_command(self, k: int) -> Command:
         """Command of an agent that is not controlled by actions."""
@@ -165,51 +363,61 @@ class WorldStepper:
         walkers = [self._walkers[w][k] for w in range(self.worlds)]
         views = [self.task.view(self.play, k, w) for w in range(self.worlds)]
         together = getattr(walkers[0], "act_together", None)  # policies of one server, which may answer for all at once
-        choices = (
+        chosen = (
             together(walkers, views)
             if together is not None
             else [who.act(view) for who, view in zip(walkers, views, strict=True)]
         )
-        if hasattr(choices[0], "gait"):
-            gait = HumanState.zeros(self.worlds)
-            for w, choice in enumerate(choices):
-                gait.put([w], choice.gait)
-            return GaitCommand(gait)
-        if hasattr(choices[0], "heading"):
-            return PoseCommand(
-                np.array([choice.xz for choice in choices]), np.array([choice.heading for choice in choices])
-            )
-        if hasattr(choices[0], "xz"):
-            return WaypointCommand(np.array([choice.xz for choice in choices]))
-        return DriveCommand(np.array([[choice.forward, choice.turn] for choice in choices]))
+        return command_of(chosen, self.source.roster[k].name)
 
     # --- what is shown ------------------------------------------------------------------------------------------------
     def observe(self, agent: str) -> Arrays:
         """Observations of an agent in all worlds, [W, ...] each."""
-        own = self._sets[self.numbers[agent]]
-        moment = self.play.sensor_context(self.numbers[agent])
-        sensors, who = self.task.sensors(self.source.roster[self.numbers[agent]].kind), (self.task.name, agent)
-        exact: Arrays = {name: np.asarray(sensed(name, sensors[name], moment, *who), np.float64) for name in own.states}
+        number = self.numbers[agent]
+        own, sensors = self._sets[number], self.task.sensors(self._kind(number))
+        self._require_begun()
+        exact = joined([play.team.exact(number, own.states, sensors) for play in self.plays])
         if own.pictures.names:
             exact |= self._pictures(own)
-        return own.shown(exact, [episode.seed for episode in self.play.episodes], self.play.steps.tolist())
+        steps = [step for play in self.plays for step in play.steps.tolist()]
+        return own.shown(exact, [episode.seed for episode in self._episodes], steps)
+
+    def _require_begun(self) -> None:
+        if not self.play.episodes:
+            raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
+
+    @property
+    def _episodes(self) -> list[Episode]:
+        return [episode for play in self.plays for episode in play.episodes]
 
     def info(self, agent: str) -> Info:
-        """Facts of the task about all worlds (`Task.info_of`), the same for every agent."""
-        del agent
-        return self.task.info_of(self.play)
+        """Facts of the task about all worlds (`Task.info_of`), the same for every agent.
+
+        Of an agent with skills: its last skill, the objects, and the choices that are possible now.
+        """
+        play = self.play
+        if not self.task.control.has_skills:
+            return self.task.info_of(play)
+        number, told = self.numbers[agent], []
+        for w, (turns, play) in enumerate(zip(self.turns, self.plays, strict=True)):
+            facts = {"steps": turns.steps, "step": play.step, **play.team.info(number, self._choices[number])}
+            facts["success"] = turns.is_over and play.ended == "success"
+            if len(self.agents) > 1:
+                facts["choosing"] = agent in self.choosing(w)
+            told.append({n: np.array([v], object if isinstance(v, str) else None) for n, v in facts.items()})
+        return joined(told)
 
     def episode_info(self) -> Info:
         """Scene and seed of the episode in each world, [W] each."""
+        self._require_begun()
         return {
-            "scene": np.array([e.scene.name for e in self.play.episodes], object),
-            "episode_seed": np.array([e.seed for e in self.play.episodes], np.int64),
+            "scene": np.array([e.scene.name for e in self._episodes], object),
+            "episode_seed": np.array([e.seed for e in self._episodes], np.int64),
         }
 
     def picture(self, agent: str, watcher: DebugRenderer, world: int = 0) -> NDArray[np.uint8]:
         """Picture of one world for people who watch, uint8 [480, 640, 3]."""
-        if not self.play.episodes:
-            raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
+        self._require_begun()
         return watcher.picture(self._posed(np.array([world]), self._options.light), self.numbers[agent])
 
     def describe(self) -> str:
@@ -217,47 +425,56 @@ class WorldStepper:
         models = {member.name: member.model for member in self.source.roster}
         acting = {name: models[name] for name in self.agents}
         beside = {name: model for name, model in models.items() if name not in acting}
+        if self.task.control.has_skills:
+            beside = {name: f"{model} ({self._partner_named(name)})" for name, model in beside.items()}
         return in_words(
             self.task.name, self.source.scenes, len(self.source.homes), acting, beside=beside, worlds=self.worlds
         )
+
+    def _partner_named(self, name: str) -> str:
+        number = next(k for k in self._others if self.source.roster[k].name == name)
+        partner = self._partner_of(number) or self.task.defaults[self._kind(number)]
+        return partner if isinstance(partner, str) else "partner of its own"
 
     # --- inside -------------------------------------------------------------------------------------------------------
     def _observation_sets(self, names: Sequence[str]) -> dict[int, ObservationSet]:
         roster, lone = self.source.roster, len(self.source.roster) == 1
         numbers = list(self.numbers.values())
-        states = []
-        for k in numbers:
-            arm = resting_arm(roster[k].body)
-            states.append(
-                {
-                    name: sensor.limits(len(arm) if sensor.times == "joints" else 1)
-                    for name, sensor in self.task.sensors(roster[k].kind).items()
-                    if not (lone and sensor.of_other) and (sensor.times != "joints" or len(arm))
-                }
-            )
-        known = [(*own, *picture_names(roster[k].body)) for own, k in zip(states, numbers, strict=True)]
+        states = [
+            {
+                name: space
+                for name, space in limits(sensors, objects=self._objects, arm=len(resting_arm(roster[k].body))).items()
+                if not (lone and sensors[name].of_other)
+            }
+            for k in numbers
+            for sensors in (self.task.sensors(roster[k].kind),)
+        ]
+        pictures = [(*picture_names(roster[k].body), *camera_names(roster[k].body)) for k in numbers]
+        known = [(*own, *seen) for own, seen in zip(states, pictures, strict=True)]
+        names, sizes = split_sizes(names)
         names = [name for name in names if any(name in own for own in known)] if lone else names
         chosen = checked_names(names, *known, noise=self._options.noise or ())
         return {
             k: ObservationSet(
                 own,
-                limits,
+                spaces,
                 roster[k].body,
                 agent=k,
                 depth_size=self._options.depth_size,
                 rgb_size=self._options.rgb_size,
+                sizes=sizes,
                 noise=self._options.noise,
             )
-            for k, own, limits in zip(numbers, chosen, states, strict=True)
+            for k, own, spaces in zip(numbers, chosen, states, strict=True)
         }
 
     def _pictures(self, own: ObservationSet) -> Arrays:
         result: Arrays = {}
         light = self._options.light if own.pictures.in_colour else "flat"
-        at_once = self.worlds if len(self.source.homes) == 1 else 1
+        together = len(self.source.homes) == 1 and not self.task.control.has_skills
         for home in np.unique(self._home):
             rows = np.flatnonzero(self._home == home)
-            for part in rows.reshape(-1, at_once):
+            for part in rows.reshape(-1, self.worlds if together else 1):
                 for name, picture in own.take(self._posed(part, light)).items():
                     if name not in result:
                         result[name] = np.zeros((self.worlds, *picture.shape[1:]), picture.dtype)
@@ -266,22 +483,34 @@ class WorldStepper:
 
     def _posed(self, worlds: NDArray[np.intp], light: LightMode = "flat") -> StateRenderer:
         """The renderer of some worlds that are in one home, with everything where it is now."""
-        renderer = self._renderer(int(self._home[worlds[0]]), len(worlds), light)
+        w = int(worlds[0])
+        if self.task.control.has_skills:
+            renderer = self._renderer((w, light), self.plays[w].episode, light)
+            now = self.plays[w].team.scenery(0)
+            renderer.pose(now["state"], frames=now["frames"])
+            return renderer
         world = self.play.world
-        renderer.pose(world.state.take(worlds), floor=world.floors[worlds[0]])
+        renderer = self._renderer((int(self._home[w]), len(worlds), light), self.play.episodes[w], light, len(worlds))
+        renderer.pose(world.state.take(worlds), floor=world.floors[w])
         return renderer
 
-    def _renderer(self, home: int, worlds: int, light: LightMode) -> StateRenderer:
+    def _renderer(self, key: Any, episode: Episode, light: LightMode, worlds: int = 1) -> StateRenderer:
         """Returns the renderer of a home that renders ``worlds`` worlds at once."""
         from sim_kinematic.sensing.camera_sensor import StateRenderer
 
-        if (home, worlds, light) not in self._renderers:
-            self._renderers[home, worlds, light] = StateRenderer(
-                self.source.homes[home].scene,
+        if key not in self._renderers:
+            self._renderers[key] = StateRenderer(
+                episode.scene,
                 [member.body for member in self.source.roster],
+                objects=tuple(episode.moving),
                 threads=self._options.threads,
                 worlds=worlds,
                 speed_mps=self.spec.human.speed_mps,
                 light=light,
             )
-        return self._renderers[home, worlds, light]
+        return self._renderers[key]
+
+
+def joined(parts: Sequence[Arrays]) -> Arrays:
+    """Arrays by name of several rollouts, one after the other."""
+    return parts[0] if len(parts) == 1 else {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, get_args
 
 from h3data.errors import InputError
 
@@ -15,6 +15,9 @@ STEP_S = 1 / 30
 
 
 Slide = Literal["strict", "habitat"]
+PersonContact = Literal["body", "bones"]
+"""Collision shapes of people: ``body``, 18 capsules as thick as the body, or ``bones``, a box of 2 x 2 cm along each bone, as
+the people have that Habitat publishes (spec/habitat.md 1.6)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,10 +197,27 @@ class SocialNavSpec:
     """Height of Habitat's navigation mesh for Spot, which both agents use [m] (spec/habitat.md 1.2)."""
     robot: BaseSpec = HOME_BASE
     human: WalkerSpec = NATURAL_WALKER
-    rule_sets: ClassVar[Mapping[str, Mapping[str, Any]]] = RULE_SETS
+    rule_sets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "natural": {**RULE_SETS["natural"], "person_contact": "body"},
+        "paper": {**RULE_SETS["paper"], "person_contact": "bones"},
+    }
     solid_agents: bool = field(default=False, repr=False)
     """True if a person under commands slides along the discs of others as along walls: the rule where people play live. Left
     out of ``repr``, from which episodes have their identity."""
+    person_contact: PersonContact = field(default="body", repr=False)
+    """Shapes of people that robots collide with."""
+
+    def __repr__(self) -> str:
+        # uids of episodes are made of it: those from before there was a choice of shapes stay as they were
+        shown = [f for f in fields(self) if f.repr or (f.name == "person_contact" and self.person_contact != "body")]
+        return f"SocialNavSpec({', '.join(f'{f.name}={getattr(self, f.name)!r}' for f in shown)})"
+
+    def __post_init__(self) -> None:
+        if self.person_contact not in (kinds := get_args(PersonContact)):
+            raise InputError(
+                f"Unknown person_contact {self.person_contact!r}. Expected one of: {', '.join(kinds)}.",
+                code="H3-SIM-057",
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

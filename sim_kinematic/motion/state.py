@@ -106,6 +106,12 @@ class HumanState(_Arrays):
 AgentState = RobotState | HumanState
 
 
+def stack_agents(agents: Sequence[AgentState], world: int) -> AgentState:
+    """States of several agents of one kind in one world, as if each were in a world of its own."""
+    rows = [vars(own) for own in agents]
+    return type(agents[0])(**{name: np.stack([row[name][world] for row in rows]) for name in rows[0]})
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WorldState(_Arrays):
     """Everything that a step reads and writes. The arrays are changed in place; `copy` keeps a moment."""

@@ -46,7 +46,7 @@ CORNER_M = 0.5
 
 
 @kernel(error_model="numpy")
-def _at(path, cumulative, along):
+def point_along(path, cumulative, along):
     """The point of the path ``along`` [m] from its beginning."""
     k = 1
     while k < len(path) - 1 and cumulative[k] < along:
@@ -60,7 +60,7 @@ def _at(path, cumulative, along):
 
 
 @kernel(error_model="numpy")
-def _next(cumulative, along):
+def next_waypoint_index(cumulative, along):
     """Number of the first way point beyond ``along`` [m], at most the last one."""
     k = 1
     while k < len(cumulative) - 1 and cumulative[k] <= along + 1e-9:
@@ -77,15 +77,15 @@ def _bearing(x, z, heading, to_x, to_z):
 
 
 @kernel(error_model="numpy")
-def _progress(path, cumulative, along, x, z):
+def progress_along(path, cumulative, along, x, z):
     """Returns the distance along the path [m] of the nearest point that is not behind ``along``."""
     total = cumulative[-1]
-    px, pz = _at(path, cumulative, along)
+    px, pz = point_along(path, cumulative, along)
     gap = math.hypot(px - x, pz - z)
     # only forward and to the first nearest point: where a path folds back, its next leg may be nearer still
     while along < total:
         ahead = min(along + PROGRESS_M, total)
-        px, pz = _at(path, cumulative, ahead)
+        px, pz = point_along(path, cumulative, ahead)
         nearer = math.hypot(px - x, pz - z)
         if nearer > gap:
             break
@@ -94,7 +94,7 @@ def _progress(path, cumulative, along, x, z):
 
 
 @kernel(error_model="numpy")
-def _slide(sdf, origin, cell, radius, x, z, nx, nz, most):
+def slide_along_walls(sdf, origin, cell, radius, x, z, nx, nz, most):
     """End of a step from (x, z) towards (nx, nz) that keeps ``radius`` from obstacles and is at most ``most`` [m] long.
 
     Returns ``(x, z, moved, clearance)``: the position, the length that obstacles allowed, and the least clearance.
@@ -138,20 +138,20 @@ def stride_step(
     if heights.shape[0]:  # they are slow enough when they set foot on stairs
         to_stairs = way_to_stairs(heights, x, z)
         speed = min(speed, math.sqrt((STAIRS_SHARE * speed) ** 2 + 2.0 * decel * to_stairs))
-    along = _progress(path, cumulative, state[5], x, z)
+    along = progress_along(path, cumulative, state[5], x, z)
     end_x, end_z = path[-1, 0], path[-1, 1]
     to_end = math.hypot(end_x - x, end_z - z)
     room = sample_sdf(sdf, origin, cell, x, z) - radius
     ahead = min(0.3 + max(room, 0.0), look)
     if keeps_to_path:  # to each way point in turn, even where the path folds back
-        k = _next(cumulative, along)
+        k = next_waypoint_index(cumulative, along)
         if k < len(path) - 1 and math.hypot(path[k, 0] - x, path[k, 1] - z) <= max(v * dt, arrive / 4.0):
             along = cumulative[k]
             k += 1
         ahead = min(0.1, max(cumulative[k] - along, 0.0))
-    tx, tz = _at(path, cumulative, min(along + ahead, total))
+    tx, tz = point_along(path, cumulative, min(along + ahead, total))
     bearing = _bearing(x, z, heading, tx, tz)
-    fx, fz = _at(path, cumulative, min(along + ahead + CORNER_M, total))
+    fx, fz = point_along(path, cumulative, min(along + ahead + CORNER_M, total))
     bend = max(abs(bearing), abs(_bearing(x, z, heading, fx, fz)))  # they slow down before a corner
     closing = to_end < 2.0 * arrive and along + ahead >= total
     wanted = min(max(gain * bearing, -turn_rate), turn_rate)
@@ -190,11 +190,11 @@ def stride_step(
     # wanted, not needed: who is in a narrower gap already keeps the room that there is
     wide = min(radius + SHOULDER_M, max(room + radius, radius))
     if beside < wide and not closing and not keeps_to_path:
-        sx, sz, moved, clearance = _slide(sdf, origin, cell, wide, x, z, nx, nz, v * dt)
+        sx, sz, moved, clearance = slide_along_walls(sdf, origin, cell, wide, x, z, nx, nz, v * dt)
         if clearance >= wide - 1e-3:
             nx, nz, v, beside = sx, sz, min(v, max(moved / dt, v - decel * dt)), radius
     if beside < radius:
-        sx, sz, moved, clearance = _slide(sdf, origin, cell, radius, x, z, nx, nz, v * dt)
+        sx, sz, moved, clearance = slide_along_walls(sdf, origin, cell, radius, x, z, nx, nz, v * dt)
         if clearance >= min(radius, room + radius) - 1e-3:
             nx, nz, v = sx, sz, min(v, max(moved / dt, v - decel * dt))
         # they were pushed into something else, so they stay; patience ends that

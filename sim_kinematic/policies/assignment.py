@@ -9,14 +9,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 from h3data.errors import InputError, UntrustedNameError, suggest
 from h3data.plugins import Registry, come_from_data
 from sim_kinematic.avoidance.robot_base import base_of
+from sim_kinematic.crowd.crowd import CrowdModel
+from sim_kinematic.crowd.traits import sample_traits
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import BaseSpec
+from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.learned import PREFIX, weights_hint
 from sim_kinematic.policies.policy import External, FunctionPolicy, Policy, Still
 from sim_kinematic.policies.waypoints import WanderPolicy, WaypointPolicy
@@ -37,10 +40,21 @@ def _wander(task: Task, episode: Episode, number: int) -> Policy:
     return WanderPolicy(episode.free, episode_seed(episode.seed, number), episode.spec.human)
 
 
+def _crowd(model: CrowdModel, task: Task, episode: Episode, number: int) -> Policy:
+    walker, seed = episode.spec.human, episode_seed(episode.seed, number)
+    return CrowdPolicy(model, episode.free, seed, sample_traits(episode.seed, number, walker.speed_mps), walker)
+
+
 Factory = Callable[[Task, Episode, int], Policy]
 COMMON: Mapping[str, Mapping[str, Factory]] = {
     "robot": {"wander": _wander, "still": lambda *_: Still()},
-    "human": {"waypoints": _waypoints, "wander": _wander, "still": lambda *_: Still()},
+    "human": {
+        "waypoints": _waypoints,
+        "wander": _wander,
+        "orca": partial(_crowd, "orca"),
+        "social_force": partial(_crowd, "social_force"),
+        "still": lambda *_: Still(),
+    },
 }
 """Policies of tasks whose agents drive and walk, by kind and name."""
 
@@ -225,7 +239,7 @@ def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
     if made is not None:
         return made
     own = (
-        {**COMMON[kind], **task.policies.get(kind, {})} if task.control.common_policies else task.policies.get(kind, {})
+        {**COMMON[kind], **task.policies.get(kind, {})} if not task.control.has_skills else task.policies.get(kind, {})
     )
     plugins = plugin_policies()
     if name in own:
@@ -239,7 +253,7 @@ def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
 
 def policy_names(task: Task, kind: str) -> list[str]:
     """Names of the policies that agents of a kind can have in a task, without those of plug-ins."""
-    common = COMMON[kind] if task.control.common_policies else {}
+    common = COMMON[kind] if not task.control.has_skills else {}
     return list(dict.fromkeys((*task.policies.get(kind, {}), *common)))
 
 

@@ -193,7 +193,7 @@ class NavigationContext:
         return self._view.free.signed_distance(points)
 
 
-def told(view: SocialNavView, spec: BaseSpec, names: Iterable[str]) -> dict[str, Floats]:
+def read_sensors(view: SocialNavView, spec: BaseSpec, names: Iterable[str]) -> dict[str, Floats]:
     """The named observations of a moment, some of `FOLLOWER`, float64 [n] each."""
     moment = NavigationContext(view, spec)
     return {name: np.asarray(TABLE[name].of(moment), np.float64) for name in names}
@@ -201,7 +201,7 @@ def told(view: SocialNavView, spec: BaseSpec, names: Iterable[str]) -> dict[str,
 
 def navigation_input(view: SocialNavView, spec: BaseSpec, names: tuple[str, ...]) -> NDArray[np.float32]:
     """The named observations of a moment, one after the other, [in] float32."""
-    return np.concatenate(list(told(view, spec, names).values())).astype(np.float32)
+    return np.concatenate(list(read_sensors(view, spec, names).values())).astype(np.float32)
 
 
 class LearnedNavigation:
@@ -268,7 +268,7 @@ class VisualNavigation:
         """
         card = self.network.card
         pictures = tuple(n for n in card.observations if n not in FOLLOWER)
-        shown: dict[str, NDArray[Any]] = dict(told(view, spec, (n for n in card.observations if n in FOLLOWER)))
+        shown: dict[str, NDArray[Any]] = dict(read_sensors(view, spec, (n for n in card.observations if n in FOLLOWER)))
         if pictures and view.pictures is None:
             raise InputError(
                 f"The policy needs {' and '.join(pictures)}, and nobody takes pictures here.", code="H3-POLICY-021"

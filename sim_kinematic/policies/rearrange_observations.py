@@ -6,7 +6,7 @@ computed by `sim_kinematic.sensing.agent_pictures`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Literal
 
@@ -18,7 +18,16 @@ from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.sensing.agent_pictures import Limits
 from sim_kinematic.sensing.sensor import FAR_M, in_frame, path_points
-from sim_kinematic.sensing.table import AHEAD_M, HABITAT_SENSES, PAPER_SENSES, SENSES, STATE_SENSES, Ending, Pose
+from sim_kinematic.sensing.table import (
+    AHEAD_M,
+    HABITAT_SENSES,
+    PAPER_SENSES,
+    SENSES,
+    STATE_SENSES,
+    Ending,
+    Pose,
+    Sensor,
+)
 
 __all__ = ["HABITAT_SENSES", "PAPER_SENSES", "SENSES", "STATE_SENSES", "RearrangeContext", "exact", "limits", "observe"]
 SNAP_M = 2.0
@@ -115,20 +124,22 @@ def observe(view: RearrangeView, names: Sequence[str]) -> dict[str, NDArray[np.f
     return shown
 
 
-def exact(view: RearrangeView, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
+def exact(
+    view: RearrangeView, names: Sequence[str], sensors: Mapping[str, Sensor] = SENSES
+) -> dict[str, NDArray[np.float64]]:
     """The named observations as they are, each [n]; of the other agent zeros if there is none."""
     moment, lone = RearrangeContext(view), None
     found = {}
     for name in names:
-        if SENSES[name].of_other and moment.is_alone:
-            lone = lone or limits(objects=len(view.objects), arm=len(view.arm))
+        if sensors[name].of_other and moment.is_alone:
+            lone = lone or limits(sensors, objects=len(view.objects), arm=len(view.arm))
             found[name] = np.zeros(lone[name].shape)
         else:
-            found[name] = np.asarray(SENSES[name].of(moment), np.float64)
+            found[name] = np.asarray(sensors[name].of(moment), np.float64)
     return found
 
 
-def limits(*, objects: int, arm: int) -> dict[str, Limits]:
+def limits(sensors: Mapping[str, Sensor] = SENSES, *, objects: int, arm: int) -> dict[str, Limits]:
     """The spaces of all that an agent with ``arm`` joints (0: a person) can be shown beside pictures."""
     counts = {"once": 1, "objects": objects, "joints": arm, "choices": len(choices(objects, robot=arm > 0))}
-    return {name: sensor.limits(counts[sensor.times]) for name, sensor in SENSES.items() if counts[sensor.times]}
+    return {name: sensor.limits(counts[sensor.times]) for name, sensor in sensors.items() if counts[sensor.times]}

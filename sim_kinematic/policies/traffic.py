@@ -1,13 +1,12 @@
 """Agents that move about one world and heed each other.
 
-Paths, right of way, maneuvers and the test for contact are those of rearrangement (`RobotActor`, `PersonActor`, `RightOfWay`,
-`AgentContactTracker`). The agents act on a copy of the world's state, one after the other; the world then makes the same step.
+Paths, right of way, maneuvers and the test for contact are those of rearrangement (`RobotActor`, `PersonActor`, `GivingWay`).
+The agents act on a copy of the world's state, one after the other; the world then makes the same step.
 """
 
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
-from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -17,7 +16,7 @@ from h3data.bodies import Humanoid, Robot
 from h3data.geometry import Array, pose_multiply
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.arm_tuck import draw_arms
-from sim_kinematic.agents.contact_tracker import AgentContactTracker
+from sim_kinematic.agents.giving_way import GivingWay
 from sim_kinematic.agents.person import Frame, MotionResult, Person
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.skills import RobotActor
@@ -161,11 +160,10 @@ class Traffic:
         self.actors = [self._actor(number, floor) for number, floor in enumerate(floors)]
         for actor in self.actors:
             actor.follow(self._state)
-        self._tracker = AgentContactTracker(world.roster, self.actors, people_see_robot=True)
-        self._right_of_way = RightOfWay(world.floors[row], self.actors) if len(self.actors) > 1 else None
+        several = len(self.actors) > 1
+        rule = RightOfWay(world.floors[row], self.actors) if several else None
+        self._company = GivingWay(world.roster, self.actors, rule, agreed=several, people_see_robot=True)
         for actor in self.actors:
-            actor.agreed = self._right_of_way is not None
-            actor.meets = partial(self._tracker.meets, actor)
             actor.yields = False  # until it takes a turn: whoever follows another policy makes way for nobody
 
     def _actor(self, number: int, floor: FreeSpace) -> RobotTrafficAgent | WalkingAgent:
@@ -181,21 +179,19 @@ class Traffic:
             self._begin_step(step)
         actor = self.actors[number]
         actor.yields = True
-        self._tracker.show(actor)
-        actor.hindered_by = frozenset()
+        self._company.begin_turn(actor)
         return actor
 
     def end_turn(self, number: int) -> None:
         """Tells the others that an agent has made its step."""
-        self._tracker.moved(number)
+        self._company.end_turn(number)
 
     def _begin_step(self, step: int) -> None:
         self._state.put([0], self._world.state.take([self._row]))
         for actor in self.actors:
             actor.follow(self._state)
-            self._tracker.moved(actor.number)
+            self._company.end_turn(actor.number)
         if self._step >= 0:
-            self._tracker.end_step()
+            self._company.end_step()
         self._step = step
-        if self._right_of_way is not None:
-            self._right_of_way.update()
+        self._company.begin_step()

@@ -15,6 +15,7 @@ from sim_kinematic.motion.spec import BaseSpec, WalkerSpec
 from sim_kinematic.motion.state import NOBODY
 
 if TYPE_CHECKING:
+    from sim_kinematic.policies.crowd.crowds import Crowds
     from sim_kinematic.policies.traffic import Traffic
 
 Observe = Callable[..., dict[str, NDArray[Any]]]
@@ -44,6 +45,8 @@ class AgentView(NamedTuple):
     """`Episode.extra`."""
     traffic: Callable[[], Traffic]
     """Returns how the agents of this world heed each other, which those that wander share."""
+    crowds: Callable[[], Crowds]
+    """Returns the crowds of this world, which people who follow a model of crowds share."""
     observe: Observe | None = None
     """Function that returns the agent's observation of a name; None if observations are not computed."""
 

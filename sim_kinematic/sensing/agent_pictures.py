@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
+from h3data.replay.cameras import HUMAN_HEAD, MAX_SIDE_PX
 from sim_kinematic.contact.frames import Body
+from sim_kinematic.sensing.lidar import COLUMNS, LASERS, SCAN_M
 from sim_kinematic.sensing.sensor import DETECTED_PIXELS, Detection, detect_humanoids
 
 if TYPE_CHECKING:
@@ -22,6 +24,8 @@ if TYPE_CHECKING:
 
 DETECTORS = {"humanoid_detector": "found", "humanoid_mask": "mask", "humanoid_box": "box"}
 """Observations that are parts of a `Detection`."""
+LIDAR_3D = "lidar_3d"
+"""Distances of a 3-D laser scanner on top of a robot (`sim_kinematic.sensing.camera_sensor.StateRenderer.scans`)."""
 ARM = "arm"
 PREFIX = "robot_"
 
@@ -47,13 +51,26 @@ def picture_names(body: Body) -> tuple[str, ...]:
     """Names of the pictures that a body can observe.
 
     A robot has ``CAMERA_depth`` and ``CAMERA_rgb`` of each of its cameras ``robot_CAMERA``, and `DETECTORS` if there is
-    one on its arm. A person has ``head_depth`` and ``head_rgb``, their own view.
+    one on its arm, and `LIDAR_3D`. A person has ``head_depth`` and ``head_rgb``, their own view.
     """
     if isinstance(body, Humanoid):
         return ("head_depth", "head_rgb")
     cameras = [c.name.removeprefix(PREFIX) for c in body.cameras if not c.name.endswith("_rgb")]
     names = [f"{camera}_{output}" for camera in cameras for output in ("depth", "rgb")]
-    return (*names, *DETECTORS) if ARM in cameras else tuple(names)
+    return (*names, *(DETECTORS if ARM in cameras else ()), LIDAR_3D)
+
+
+def camera_names(body: Body) -> tuple[str, ...]:
+    """Names of the cameras that a body carries, each of which is also an observation: the colours that this camera sees.
+
+    They are the names that recordings, ``h3data rerender`` and the videos of datasets give them.
+    """
+    return (HUMAN_HEAD,) if isinstance(body, Humanoid) else tuple(camera.name for camera in body.cameras)
+
+
+def in_colour(name: str, body: Body) -> bool:
+    """Return whether a picture of a body shows colours, and not depth or what a detector found."""
+    return name.endswith("_rgb") or name in camera_names(body)
 
 
 class AgentPictures:
@@ -73,7 +90,7 @@ class AgentPictures:
 
         Args:
             body: body of the agent.
-            names: its observations; those in `picture_names` are pictures.
+            names: its observations; those in `picture_names` and `camera_names` are pictures.
             agent: its number in the state.
             depth_size: width and height of depth, masks and boxes [px]; None is each camera's own. The field of view does not
                 change.
@@ -81,18 +98,22 @@ class AgentPictures:
             sizes: width and height of single pictures by name, before the two above.
 
         Raises:
-            InputError: a size is less than 1 x 1.
+            InputError: a size is less than 1 x 1 or too large.
         """
         own = dict(sizes or {})
         for size in filter(None, (depth_size, rgb_size, *own.values())):
-            if len(size) != 2 or min(size) < 1:
+            if len(size) != 2 or not 1 <= min(size) <= max(size) <= MAX_SIDE_PX:
                 raise InputError(
-                    f"Expected a picture of at least 1 x 1 pixels (width, height), got {size}.", code="H3-SIM-039"
+                    f"Expected a picture of 1 x 1 to {MAX_SIDE_PX} x {MAX_SIDE_PX} pixels (width, height), got {size}.",
+                    code="H3-SIM-039",
                 )
-        self.names = tuple(name for name in names if name in picture_names(body))
-        self._agent = agent
+        known = (*picture_names(body), *camera_names(body))
+        self.names = tuple(name for name in names if name in known)
+        self._agent, self._body = agent, body
         self._lenses = {
-            n: _lens(body, n, own.get(n, rgb_size if n.endswith("_rgb") else depth_size)) for n in self.names
+            n: _lens(body, n, own.get(n, rgb_size if in_colour(n, body) else depth_size))
+            for n in self.names
+            if n != LIDAR_3D
         }
         self._detects_from = 0
         if set(DETECTORS) & set(self.names) and isinstance(body, Robot):
@@ -103,12 +124,14 @@ class AgentPictures:
     @property
     def in_colour(self) -> bool:
         """Returns whether one of them shows the light of the home."""
-        return any(name.endswith("_rgb") for name in self.names)
+        return any(in_colour(name, self._body) for name in self.names)
 
     def limits(self, name: str) -> Limits:
         """The space of one world's picture: ``rgb`` uint8 [H, W, 3], the detector float32 [1], others float32 [H, W, 1]."""
+        if name == LIDAR_3D:
+            return Limits(0.0, SCAN_M, (LASERS, COLUMNS), np.float32)
         lens = self._lenses[name]
-        if name.endswith("_rgb"):
+        if in_colour(name, self._body):
             return Limits(0, 255, (lens.height, lens.width, 3), np.uint8)
         return Limits(0.0, 1.0, (1,) if name == "humanoid_detector" else (lens.height, lens.width, 1), np.float32)
 
@@ -118,7 +141,7 @@ class AgentPictures:
 
         outputs: dict[Lens, list[Output]] = {}
         for name, lens in self._lenses.items():
-            outputs.setdefault(lens, []).append(_output(name))
+            outputs.setdefault(lens, []).append(self._output(name))
         seen = {}
         for lens, wanted in outputs.items():
             sensor = CameraSensor(
@@ -129,22 +152,21 @@ class AgentPictures:
             )
             seen[lens] = sensor.observe(drawn)
         detected: dict[Lens, Detection] = {}
-        pictures = {}
+        pictures = {LIDAR_3D: drawn.scans(self._agent)} if LIDAR_3D in self.names else {}
         for name, lens in self._lenses.items():
             if name not in DETECTORS:
-                picture = seen[lens][_output(name)]
-                pictures[name] = picture if name.endswith("_rgb") else picture[..., None]
+                picture = seen[lens][self._output(name)]
+                pictures[name] = picture if in_colour(name, self._body) else picture[..., None]
                 continue
             if lens not in detected:
                 detected[lens] = detect_humanoids(seen[lens]["semantic"], more_than_pixels=self._detects_from)
             pictures[name] = getattr(detected[lens], DETECTORS[name])[..., None]
         return pictures
 
-
-def _output(name: str) -> Output:
-    if name in DETECTORS:
-        return "semantic"
-    return "rgb" if name.endswith("_rgb") else "depth"
+    def _output(self, name: str) -> Output:
+        if name in DETECTORS:
+            return "semantic"
+        return "rgb" if in_colour(name, self._body) else "depth"
 
 
 def _lens(body: Body, name: str, size: tuple[int, int] | None) -> Lens:
@@ -154,7 +176,9 @@ def _lens(body: Body, name: str, size: tuple[int, int] | None) -> Lens:
         return Lens("", *(size or HEAD_SIZE))
     mounted = [camera.name for camera in body.cameras]
     camera = PREFIX + (ARM if name in DETECTORS else name.removesuffix("_depth"))
-    if name.endswith("_rgb") and camera not in mounted:
+    if name in mounted:
+        camera = name
+    elif name.endswith("_rgb") and camera not in mounted:
         camera = camera.removesuffix("_rgb")
     own = body.camera(camera)
     return Lens(camera, *(size or (own.width, own.height)))

@@ -22,10 +22,11 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
 from h3data.geometry import Array, pose_to_matrix
-from h3data.render import Camera, Light, Output, Renderer, RenderInstance, RenderScene, pinhole
+from h3data.render import Camera, Light, Output, Renderer, RenderInstance, RenderScene, equirectangular, pinhole
 from h3data.render.light.bake import lit_scene
 from h3data.render.light.sources import LightMode, sources_of
 from h3data.render.raster.hulls import may_see
+from h3data.render.rays import Part, RayCaster, lidar
 from h3data.render.renderer import Backend
 from h3data.replay.cameras import HEAD_NEAR_M, HEAD_POSE, HUMAN_HEAD
 from h3data.replay.shadow_casters import ShadowCasters, shadow_casters
@@ -33,6 +34,7 @@ from h3data.scene import Mesh, Scene, Shape
 from h3data.scene.records import Capsule, Instance, instance_matrix
 from sim_kinematic.contact.frames import Body, Floor, body_frames, body_shapes, require_bodies, shape_frames
 from sim_kinematic.motion.state import WorldState
+from sim_kinematic.sensing.lidar import COLUMNS, ELEVATION_DEG, LASERS, SCAN_M
 from sim_kinematic.sensing.sensor import HUMAN_ID, scaled_depth
 
 ROBOT_ID = 200
@@ -118,6 +120,8 @@ class StateRenderer:
         """Agent, world and mesh of those who are skinned as last posed."""
         self._rigid: list[tuple[list[int], Array]] = []
         """Instances [n] of objects and of each robot, and their matrices [W, n, 4, 4], as last posed."""
+        self._still: Part | None = None
+        """Everything that never moves, for `scans`; built once."""
         self._is_shaded = False
         """True if shadows are those of what was last posed."""
 
@@ -254,6 +258,41 @@ class StateRenderer:
         worlds = list(range(self.worlds)) * (len(cameras) // self.worlds)
         return self.renderer.render_batch(cameras, worlds=worlds, outputs=outputs)
 
+    def scans(self, agent: int) -> Array:
+        """Distances that a 3-D laser scanner on top of a robot measures in all worlds, as last posed, [W, L, C] [m].
+
+        Its `LASERS` are spread over `ELEVATION_DEG`; column 0 of the `COLUMNS` looks forward, the others follow to the left.
+        It sees every surface but the robot's own; rays that meet none within `SCAN_M` measure that. Needs the extra ``rays``.
+
+        Raises:
+            InputError: the agent is no robot, or nothing is posed.
+            MissingExtraError: Embree is not installed.
+        """
+        body = self._agents[agent].body if 0 <= agent < len(self._agents) else None
+        frames = self._posed(agent)
+        if not isinstance(body, Robot):
+            raise InputError(f"Laser scanners are on robots, agent {agent} is none.", code="H3-SIM-056")
+        places = frames[:, 0] @ np.linalg.inv(body.to_base)
+        places = places @ _raised(body.body_height_m)
+        eyes = [equirectangular(64).at(place) for place in places]
+        for k, drawn in enumerate(self._agents):
+            if isinstance(drawn.body, Humanoid) and self._skinned:
+                self._show_person(k, drawn, drawn.body, eyes)
+        moving = np.zeros(len(self.scene.instances), np.bool_)
+        moving[[*self._objects, *(i for drawn in self._agents for i in drawn.instances)]] = True
+        elevations, found = np.linspace(*ELEVATION_DEG, LASERS), []
+        for w, place in enumerate(places):
+            poses = self.renderer.poses(w)
+            if self._still is None:
+                self._still = Part(self.scene, poses, np.flatnonzero(~moving))
+            shown = moving & poses.visible
+            shown[self._agents[agent].instances] = False
+            parts = [self._still, Part(self.scene, poses, np.flatnonzero(shown))]
+            caster = RayCaster(self.scene, poses, parts=parts)
+            scan = lidar(caster, place, elevations_deg=elevations, columns=COLUMNS, max_m=SCAN_M)
+            found.append(np.where(scan.instance >= 0, scan.distance, SCAN_M))
+        return np.array(found, np.float64)
+
     def _shade(self, casters: ShadowCasters) -> None:
         """Sets shadows and light of what moves, as last posed."""
         people = [
@@ -291,6 +330,13 @@ class StateRenderer:
                 for w, vertices in zip(fresh, body.skin(joints[fresh], lod=lod), strict=True):
                     self.renderer.set_vertices(drawn.meshes[int(lod)], vertices, world=w)
                 self._shown |= {(agent, w, lod) for w in fresh}
+
+
+def _raised(height_m: float) -> Array:
+    """4x4 of a frame above another one."""
+    out = np.eye(4)
+    out[1, 3] = height_m
+    return out
 
 
 def recorded_matrix(instance: Instance) -> Array:

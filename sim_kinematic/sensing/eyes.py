@@ -14,7 +14,7 @@ from h3data.render.light.sources import LightMode
 from h3data.scene import Scene
 from sim_kinematic.contact.frames import Body, Floor
 from sim_kinematic.motion.state import WorldState
-from sim_kinematic.sensing.agent_pictures import AgentPictures
+from sim_kinematic.sensing.agent_pictures import AgentPictures, in_colour
 from sim_kinematic.sensing.camera_sensor import StateRenderer
 from sim_kinematic.sensing.sensor import scaled_depth
 
@@ -43,7 +43,7 @@ def see(
         state: One world.
         scene: The home.
         bodies: Bodies of all agents in the order of the state.
-        names: Some of `sim_kinematic.sensing.agent_pictures.picture_names`.
+        names: Some of `sim_kinematic.sensing.agent_pictures.picture_names` and ``camera_names``.
         agent: Number of the agent whose cameras are used.
         size: Width and height [pixels], one for all or by name of a picture; None is each camera's own.
         floor: Map of the home's floor, or the height of that floor [m].
@@ -54,10 +54,10 @@ def see(
         lit_as: Scene whose baked light the surfaces carry, as in `StateRenderer`.
 
     Returns:
-        ``*_depth`` [H, W, 1] in 0..1 of `DEPTH_RANGE_M`, ``*_rgb`` uint8 [H, W, 3], the detector [1].
+        ``*_depth`` [H, W, 1] in 0..1 of `DEPTH_RANGE_M`, ``*_rgb`` and cameras uint8 [H, W, 3], the detector [1].
     """
-    seen_in, like = (light, lit_as) if any(name.endswith("_rgb") for name in names) else ("flat", None)
-    rendered = _renderer(scene, tuple(bodies), tuple(objects), speed_mps, seen_in, like, threading.get_ident())
+    seen_in, like = (light, lit_as) if any(in_colour(name, bodies[agent]) for name in names) else ("flat", None)
+    rendered = shared_renderer(scene, tuple(bodies), tuple(objects), speed_mps, seen_in, like, threading.get_ident())
     rendered.pose(state, floor=floor, frames=frames)
     by_name = size if isinstance(size, Mapping) else dict.fromkeys(names, size) if size is not None else {}
     sizes = tuple((name, tuple(each)) for name, each in by_name.items())
@@ -71,7 +71,7 @@ def _pictures(body: Body, names: tuple[str, ...], agent: int, sizes: tuple[tuple
 
 
 @lru_cache(maxsize=4)  # packing a home costs as much as some hundred pictures
-def _renderer(
+def shared_renderer(
     scene: Scene,
     bodies: tuple[Body, ...],
     objects: tuple[str, ...],
@@ -80,5 +80,6 @@ def _renderer(
     lit_as: Scene | None,
     thread: int,
 ) -> StateRenderer:
+    """Return the renderer of a thread (`threading.get_ident`) for one world of a home; arguments as of `StateRenderer`."""
     del thread  # a renderer must not be shared between threads
     return StateRenderer(scene, bodies, objects=objects, speed_mps=speed_mps, light=light, lit_as=lit_as)

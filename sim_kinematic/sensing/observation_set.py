@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, MissingExtraError
+from h3data.replay.cameras import split_size
 from sim_kinematic.contact.frames import Body
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.sensing.agent_pictures import AgentPictures, Limits
@@ -44,6 +45,7 @@ class ObservationSet:
         agent: int,
         depth_size: tuple[int, int] | None = None,
         rgb_size: tuple[int, int] | None = None,
+        sizes: Mapping[str, tuple[int, int]] | None = None,
         noise: Mapping[str, NoiseModel] | None = None,
     ) -> None:
         """Selects the observations of one agent.
@@ -55,13 +57,16 @@ class ObservationSet:
             agent: its number in the state.
             depth_size: as for `AgentPictures`.
             rgb_size: as for `AgentPictures`.
+            sizes: as for `AgentPictures`.
             noise: noise model by name of an observation; others are exact.
 
         Raises:
-            InputError: a size is less than 1 x 1.
+            InputError: a size is less than 1 x 1 or too large.
         """
         self.names = tuple(names)
-        self.pictures = AgentPictures(body, self.names, agent=agent, depth_size=depth_size, rgb_size=rgb_size)
+        self.pictures = AgentPictures(
+            body, self.names, agent=agent, depth_size=depth_size, rgb_size=rgb_size, sizes=sizes
+        )
         self.states = tuple(name for name in self.names if name not in self.pictures.names)
         self.limits = {n: states[n] if n in self.states else self.pictures.limits(n) for n in self.names}
         # as exact values are: clipping doubles by floats casts twice
@@ -116,6 +121,22 @@ class ObservationSet:
 def box(limits: Limits) -> gymnasium.spaces.Box:
     """The space with these limits."""
     return gymnasium.spaces.Box(limits.low, limits.high, limits.shape, limits.dtype)
+
+
+def split_sizes(names: Sequence[str]) -> tuple[Sequence[str], dict[str, tuple[int, int]]]:
+    """Split names such as ``robot_arm@224x224`` into the names of observations and the sizes of pictures by name [px].
+
+    Raises:
+        InputError: a side is 0 or too large, or one picture has two sizes.
+    """
+    if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
+        return names, {}  # `checked_names` says what is wrong with it
+    split = [split_size(name) for name in names]
+    sizes: dict[str, tuple[int, int]] = {}
+    for name, size in split:
+        if size is not None and sizes.setdefault(name, size) != size:
+            raise InputError(f"Expected one size of {name}, got several: {', '.join(names)}.", code="H3-SIM-058")
+    return [name for name, _ in split], sizes
 
 
 def checked_names(

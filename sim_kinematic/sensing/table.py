@@ -19,6 +19,7 @@ from h3data.moved import refuse_renamed
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.state import NOBODY, AgentState
 from sim_kinematic.sensing.agent_pictures import Limits
+from sim_kinematic.sensing.lidar import LIDAR_M, LIDAR_RAYS, scan
 from sim_kinematic.sensing.sensor import (
     FAR_M,
     FAST,
@@ -108,6 +109,14 @@ class Context(Protocol):
         """Signed distance [..., n] [m] of points [..., n, 2] to the nearest obstacle."""
         ...
 
+    def free_along(self, headings: Any, max_m: float) -> Any:
+        """Distance [..., R] [m], at most ``max_m``, from the agent along headings [..., R] [rad] to the nearest obstacle."""
+        ...
+
+    def circles(self, *, legs: bool) -> Any:
+        """The other agents as circles ``(x, z, radius)`` [..., N, 3] [m]; with ``legs``, people as two legs each."""
+        ...
+
     def in_hand(self, points: Any) -> Any:
         """World points [..., n, 3] in the frame of the hand."""
         ...
@@ -180,6 +189,14 @@ class SensorContext(NamedTuple):
     def clearance(self, points: Array) -> Array:
         """Signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
         return self.world.clearance(points)
+
+    def free_along(self, headings: Array, max_m: float) -> Array:
+        """Distance [W, R] [m], at most ``max_m``, from the agent along headings [W, R] [rad] to the nearest obstacle."""
+        return self.world.free_along(self.now.xz, headings, max_m)
+
+    def circles(self, *, legs: bool) -> Array:
+        """The other agents as circles ``(x, z, radius)`` [W, N, 3] [m]; with ``legs``, people as two legs each."""
+        return self.world.circles(self.agent, legs=legs)
 
     def from_start(self, points: Array) -> Array:
         """World points [W, n, 3] in the agent root frame of the start."""
@@ -278,6 +295,11 @@ def _approach(m: Context) -> Any:
     return (m.ways("objects", other=True, then=True) - m.ways("objects", other=True)).clip(-NEARER_M, NEARER_M)
 
 
+def _lidar(*, legs: bool) -> Sensor:
+    many = {"low": (0.0,) * LIDAR_RAYS, "high": (LIDAR_M,) * LIDAR_RAYS, "unit": ("m",) * LIDAR_RAYS}
+    return Sensor(lambda m: scan(m, legs=legs), **many, frame="base")
+
+
 _OTHER_GPS = Sensor(lambda m: gps_compass(m.now.xz, m.now.heading, m.other.xz, xp=m.xp), **_POLAR, of_other=True)
 _OTHER_VELOCITY = Sensor(
     lambda m: humanoid_velocity(m.now.heading, m.other_before.xz, m.other.xz, xp=m.xp), **_MOVES, of_other=True
@@ -308,6 +330,8 @@ TABLE: Mapping[str, Sensor] = {
         ("m",) * RANGES,
         "base",
     ),
+    "lidar": _lidar(legs=False),
+    "lidar_legs": _lidar(legs=True),
     "localization_in_start_frame": Sensor(
         lambda m: localization_in_start_frame(m.start.xz, m.start.heading, m.now.xz, m.now.heading, xp=m.xp),
         **_POSE,
@@ -364,6 +388,10 @@ TABLE: Mapping[str, Sensor] = {
 """Every sensor by name (h3data docs environments)."""
 
 
+LIDARS = ("lidar", "lidar_legs")
+"""Laser scanners that see agents, as discs or by their legs."""
+
+
 def _rows(*names: str) -> Mapping[str, Sensor]:
     return {name: TABLE[name] for name in names}
 
@@ -386,12 +414,22 @@ SENSES = _rows(
         name
         for name in TABLE
         if name
-        not in ("humanoid_velocity", "way", "range_scan", "target_gps_compass", "target_sensor", "resting_sensor")
+        not in (
+            "humanoid_velocity",
+            "way",
+            "range_scan",
+            *LIDARS,
+            "target_gps_compass",
+            "target_sensor",
+            "resting_sensor",
+        )
     )
 )
 """Sensors of agents of rearrangement."""
 FOLLOWER = (HUMANOID_GPS, "egomotion", "localization", "humanoid_velocity", "way", "range_scan")
 """Observations that a robot that follows a person may have in training and in play, on the CPU and on devices."""
+ON_DEVICES = (*FOLLOWER, *LIDARS)
+"""Observations of the robot of social navigation in worlds on a device."""
 STATE_OBSERVATIONS = (HUMANOID_GPS, "egomotion")
 """Default observations of agents that drive and walk: they cost no picture."""
 PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", HUMANOID_GPS)

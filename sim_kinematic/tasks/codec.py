@@ -30,7 +30,7 @@ from h3data.scene.sources import SceneSource
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, kinds_of, make_roster, with_motion
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode, rules_dict
-from sim_kinematic.tasks.play import Rollout
+from sim_kinematic.tasks.play import WorldRollout
 
 SNAP_M = 0.05
 """A stored point may be this far off the free floor: files round to a centimeter, navigation meshes to a cell."""
@@ -136,7 +136,7 @@ class EpisodeCodec(Generic[R]):
         """Entries of a recording's info that are known from the start, besides scene and bodies: enough for `restore`."""
         raise NotImplementedError
 
-    def final_info(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+    def final_info(self, episode: Episode, play: WorldRollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         """Entries of a recording's info that are known only after the last step."""
         del episode, policies
         return {"ended": play.ended}

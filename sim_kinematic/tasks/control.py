@@ -1,7 +1,7 @@
 """Control of a task's agents: the form of a choice, what carries it out, and how it is recorded and repeated.
 
 A task names one `Control` (`sim_kinematic.tasks.task.Task.control`). With `VelocityControl`, agents drive and walk. With
-`sim_kinematic.tasks.rearrange.control.SkillControl` they have skills: they take things, put them down, open and close.
+`sim_kinematic.tasks.skills.control.SkillControl` they have skills: they take things, put them down, open and close.
 """
 
 from __future__ import annotations
@@ -17,19 +17,20 @@ from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.policy import Still, Velocity
 from sim_kinematic.policies.recorded import RecordedTrack, RecordedVelocities, deciding_since, recorded_commands
+from sim_kinematic.sensing.table import STATE_OBSERVATIONS
 from sim_kinematic.tasks.episode import Episode
-from sim_kinematic.tasks.play import Rollout, WorldRollout
+from sim_kinematic.tasks.team import MotionTeam, Team
 
 
 class Control:
-    """Control of agents. A base class; ``play`` is the result of `rollout`, ``number`` is the index of an agent."""
+    """Control of agents. A base class; ``play`` is a `sim_kinematic.tasks.play.WorldRollout`, ``number`` an agent's index."""
 
-    batched: ClassVar[bool] = True
-    """True if it plays many worlds at once (`WorldRollout`), False if it plays one."""
-    clip_coded: ClassVar[bool] = True
-    """True if people are recorded as motion clips, False if joint by joint."""
-    common_policies: ClassVar[bool] = True
-    """True if `sim_kinematic.policies.assignment.COMMON` makes such choices."""
+    has_skills: ClassVar[bool] = False
+    """True if choices are skills that take many steps: then each rollout has one world, people are recorded joint by joint
+    instead of as motion clips, and `sim_kinematic.policies.assignment.COMMON` makes no such choices."""
+
+    observations: ClassVar[tuple[str, ...]] = STATE_OBSERVATIONS
+    """Names of the sensors that an environment shows by default."""
 
     def __init__(self, skills: Mapping[str, tuple[str, ...]] | None = None) -> None:
         """Creates the control.
@@ -42,13 +43,8 @@ class Control:
     def check_roster(self, roster: Sequence[AgentSpec]) -> None:
         """Raises an `InputError` if an agent cannot be told such things; by default all can."""
 
-    def rollout(
-        self, task: Any, episode: Episode, policies: Sequence[AssignedPolicy] = (), *, measure: bool = True
-    ) -> Rollout:
-        """One episode of a task, ready for `sim_kinematic.tasks.runner.run`.
-
-        ``measure=False`` leaves out what only rewards need.
-        """
+    def team(self, play: Any) -> Team:
+        """The controllers of all agents of a `sim_kinematic.tasks.play.WorldRollout` that is about to begin."""
         raise NotImplementedError
 
     # --- choices from outside -----------------------------------------------------------------------------------------
@@ -136,14 +132,9 @@ class Control:
 class VelocityControl(Control):
     """Agents drive and walk: they choose velocities, way points or places."""
 
-    def rollout(
-        self, task: Any, episode: Episode, policies: Sequence[AssignedPolicy] = (), *, measure: bool = True
-    ) -> WorldRollout:
-        """One world of a task."""
-        play = WorldRollout(task, episode.spec, episode.roster, measure=measure)
-        play.begin([episode])
-        play.policies = list(policies)
-        return play
+    def team(self, play: Any) -> Team:
+        """Agents of W worlds who are moved together."""
+        return MotionTeam(play)
 
     def checked(self, play: Any, number: int, choice: Any) -> Any:
         """A velocity: a pair, or anything with ``forward`` and ``turn``.

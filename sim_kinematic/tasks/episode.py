@@ -122,10 +122,12 @@ def rules_dict(spec: Any) -> dict[str, Any]:
     """Rules of an episode as a dictionary, as recordings and episode files hold them.
 
     A rule added after the first version of the format has no entry as long as it has its neutral value: people turn on
-    the spot (no ``stride``), nobody is solid, no floor moves, and no skill is learned or an oracle's. Old and new
-    recordings of the same episode thus have equal dictionaries.
+    the spot (no ``stride``), nobody is solid, no floor moves, people collide with their whole bodies, and no skill is
+    learned or an oracle's. Old and new recordings of the same episode thus have equal dictionaries.
     """
     rules = asdict(spec)
+    if rules.get("person_contact") == "body":
+        del rules["person_contact"]
     for name in ("solid_agents", "floor_moves", "skills", "oracle"):
         if not rules.get(name, True):
             del rules[name]

@@ -1,41 +1,31 @@
-"""Episodes under way: the protocol that the runner drives, and the play of tasks whose agents drive and walk."""
+"""Episodes under way: W worlds of one task, or one whose agents are asked in turn."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Generator, Mapping, Sequence
-from functools import partial
+from collections.abc import Generator, Mapping, Sequence
 from itertools import combinations
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Humanoid, Robot
 from h3data.errors import H3DataError, InputError, suggest
 from h3data.geometry import Array
 from h3data.moved import refuse_renamed
 from h3data.recording import STEP_NS, Event, SkillSpan
 from h3data.render.light.sources import LightMode
+from h3data.scene.articulation import joint_names
 from sim_kinematic.agents.roster import AgentSpec
-from sim_kinematic.contact.frames import root_pose
-from sim_kinematic.motion.state import HumanState, RobotState
 from sim_kinematic.policies.assignment import AssignedPolicy
-from sim_kinematic.policies.policy import GaitAction, PoseAction, RecordedPose, WaypointAction
-from sim_kinematic.policies.traffic import Traffic
-from sim_kinematic.policies.views import AgentView
+from sim_kinematic.policies.crowd.people import CrowdPolicy
+from sim_kinematic.policies.rearrange_observations import limits
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.agent_pictures import picture_names
-from sim_kinematic.sensing.sensor import first_point
-from sim_kinematic.sensing.table import Sensor, SensorContext, sensed
-from sim_kinematic.tasks.episode import Episode, StepOutcome, agent_floor
+from sim_kinematic.sensing.table import Sensor
+from sim_kinematic.tasks.episode import Episode, StepOutcome
+from sim_kinematic.tasks.team import Columns, resting_arm
 from sim_kinematic.world import (
     Command,
-    DriveCommand,
-    GaitCommand,
-    PoseCommand,
-    Posture,
-    RecordedPoseCommand,
-    WaypointCommand,
     World,
 )
 
@@ -44,71 +34,12 @@ if TYPE_CHECKING:
 else:
     __getattr__ = refuse_renamed(__name__)
 
-Columns = dict[str, NDArray[Any]]
-
-
-class Rollout(Protocol):
-    """One episode under way. It moves everybody; who decides is asked through `turns`."""
-
-    policies: list[AssignedPolicy]
-    """One for each agent."""
-    ended: str
-    """Reason why the episode ended; ``max_steps`` until there is another."""
-    events: list[Event]
-    """Events since the recorder last took them."""
-    spans: list[SkillSpan]
-    """Skills that have ended, likewise."""
-
-    @property
-    def episode(self) -> Episode:
-        """The episode that is played."""
-        ...
-
-    @property
-    def step(self) -> int:
-        """The step that is being played, from 0."""
-        ...
-
-    @property
-    def over(self) -> bool:
-        """Returns whether the last step has been played."""
-        ...
-
-    @property
-    def reward(self) -> float:
-        """Reward of the last step."""
-        ...
-
-    def turns(self) -> Generator[int | None, Any, None]:
-        """Generator that plays the episode to its end.
-
-        It yields the number of an agent that must decide and is sent the agent's choice, and yields None after each
-        step.
-        """
-        ...
-
-    def view(self, agent: int) -> Any:
-        """Observation of an agent's policy."""
-        ...
-
-    def snapshot(self) -> Any:
-        """The step just played, as `columns` takes it."""
-        ...
-
-    def columns(self, snapshots: Sequence[Any], first: int) -> Columns:
-        """Columns of consecutive steps, of which the first is number ``first``."""
-        ...
-
-    def finish(self) -> None:
-        """Closes what is still going on, such as running skills."""
-        ...
-
 
 class Rules(Protocol):
     """Methods of a task that `WorldRollout` calls; `sim_kinematic.tasks.task.Task` explains them."""
 
     control: ClassVar[Any]
-    """Says what agents report to be doing (`sim_kinematic.tasks.control.Control`)."""
+    """Makes the controllers of agents (`sim_kinematic.tasks.control.Control`)."""
     columns: ClassVar[Mapping[str, Any]]
 
     @property
@@ -133,7 +64,7 @@ class Rules(Protocol):
 
 
 class WorldRollout:
-    """W worlds of one task, each in an episode of its own; with W = 1 a `Rollout`."""
+    """W worlds of one task, each in an episode of its own; `turns` plays a world of one."""
 
     xp: ClassVar[Any] = np
     """The array namespace: `Task.begin`, `Task.judge` and sensors written with it run on a torch device too."""
@@ -147,6 +78,8 @@ class WorldRollout:
         worlds: int = 1,
         measure: bool = True,
         options: Mapping[str, Any] | None = None,
+        objects: int = 0,
+        scene_joints: int = 0,
     ) -> None:
         """Creates worlds without episodes; `begin` puts episodes into them.
 
@@ -157,6 +90,8 @@ class WorldRollout:
             worlds: number of worlds W.
             measure: whether rewards and collisions are computed.
             options: options of the task, for environments.
+            objects: number of things that agents can take.
+            scene_joints: number of doors and drawers that agents can move.
 
         Raises:
             InputError: W is less than 1, or the rules allow no steps.
@@ -173,6 +108,10 @@ class WorldRollout:
             walker=spec.human,
             person_radius_m=spec.agent_radius_m,
             solid=getattr(spec, "solid_agents", False),
+            contact=not task.control.has_skills,
+            objects=objects,
+            scene_joints=scene_joints,
+            person_contact=getattr(spec, "person_contact", "body"),
         )
         self.episodes: list[Episode] = []
         """Episode of each world; empty before the first `begin`."""
@@ -187,15 +126,46 @@ class WorldRollout:
         self.ended = "max_steps"
         self.events: list[Event] = []
         self.spans: list[SkillSpan] = []
-        self._commands: list[Command] = []
-        self._words: list[str] = []
-        self._checked, self._records_judgement = False, bool(task.codec.records_judgement)
-        self._arms = [np.tile(resting_arm(member.body), (self.world.worlds, 1)) for member in self.world.roster]
-        """Resting positions of the arm joints of each agent, [W, n]."""
+        self.team: Any = task.control.team(self)
+        """Controllers of the agents (`sim_kinematic.tasks.team.Team`)."""
+        self._checked, self._checks = False, measure and not task.control.has_skills
+        self._judgement: dict[str, type] = {}
+        """Columns of the judgement that are recorded, with their dtypes."""
+        if task.codec.records_judgement or task.control.has_skills:
+            self._judgement["metrics.reward"] = np.float32
+        if task.codec.records_judgement:
+            self._judgement["metrics.success"] = np.bool_
         self._sensors: dict[int, AgentSensors] = {}
         """Sensors of the agents for which observations were requested."""
-        self._traffic: dict[int, Traffic] = {}
-        """Traffic of the worlds for which it was requested."""
+
+    @classmethod
+    def of(
+        cls, task: Rules, episode: Episode, policies: Sequence[AssignedPolicy], *, measure: bool = True
+    ) -> WorldRollout:
+        """One episode of a task, ready for `sim_kinematic.tasks.runner.run`.
+
+        ``measure=False`` leaves out what only rewards need.
+
+        Raises:
+            InputError: there is not one policy for each agent.
+        """
+        if len(policies) != len(episode.roster):
+            raise InputError(
+                f"Expected one policy for each of {len(episode.roster)} agents, got {len(policies)}.",
+                code="H3-TASK-016",
+            )
+        has_skills = task.control.has_skills
+        play = cls(
+            task,
+            episode.spec,
+            episode.roster,
+            measure=measure,
+            objects=len(episode.moving) if has_skills else 0,
+            scene_joints=len(joint_names(episode.scene)) if has_skills else 0,
+        )
+        play.policies = list(policies)
+        play.begin([episode])
+        return play
 
     # --- W worlds -----------------------------------------------------------------------------------------------------
     def begin(self, episodes: Sequence[Episode], rows: NDArray[np.intp] | None = None) -> None:
@@ -205,9 +175,9 @@ class WorldRollout:
             self.episodes = list(episodes)
         for w, episode in zip(rows.tolist(), episodes, strict=True):
             self.episodes[w] = episode
-            self._traffic.pop(w, None)
         self.world.place(np.stack([e.starts for e in episodes]), [e.free for e in episodes], rows)
         self.steps[rows] = 0
+        self.team.begin(rows)
         begun = self.task.begin(self, rows)
         if begun is not None and self.memory is None:
             self.memory = dict(begun)
@@ -217,7 +187,7 @@ class WorldRollout:
                 kept[rows] = values[rows]
                 self.memory[name] = kept
 
-    def advance(self, commands: Sequence[Command]) -> StepOutcome:
+    def advance(self, commands: Sequence[Command | None]) -> StepOutcome:
         """Moves all worlds one step and judges it.
 
         Raises:
@@ -225,11 +195,10 @@ class WorldRollout:
         """
         if not self.episodes:
             raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
-        self.world.step(commands)
-        self._commands = list(commands)
+        self.team.move(commands)
         self.steps += 1
         outcome = self.task.judge(self)
-        if not self._checked or self.measure:
+        if not self._checked or self._checks:
             outcome, self._checked = checked_outcome(self.task, outcome, self.world.worlds), True
         self.outcome = outcome
         return outcome
@@ -257,58 +226,9 @@ class WorldRollout:
         """Worlds whose episode has had all its steps, [W]."""
         return self.steps >= self.spec.max_steps
 
-    def agent_view(self, agent: int, world: int = 0) -> AgentView:
-        """Observation of an agent in one world, for any policy."""
-        w, now, before = world, self.world.state.agents, self.world.before.agents
-        episode = self.episodes[w]
-        places = np.array([[*own.xz[w], own.heading[w]] for own in now])
-        was = np.array([[*own.xz[w], own.heading[w]] for own in before])
-        return AgentView(
-            int(self.steps[w]),
-            episode.seed,
-            agent,
-            tuple(member.kind for member in self.world.roster),
-            agent_floor(episode, agent),
-            places,
-            was,
-            self.world.bases,
-            self.spec.human,
-            episode.extra,
-            partial(self._traffic_of, world),
-            partial(self.observe, agent, world),
-        )
-
-    def sensor_context(self, agent: int) -> SensorContext:
-        """Returns the input of an agent's sensors now, in all worlds."""
-        world = self.world
-        kinds = [member.kind for member in world.roster]
-        other = next((n for n, kind in enumerate(kinds) if kind != kinds[agent]), (agent + 1) % len(kinds))
-        now, before = world.state.agents, world.before.agents
-        mine = [p for p, pair in enumerate(world.pairs) if agent in pair]
-        return SensorContext(
-            self.spec,
-            world.bases[agent],
-            self.memory,
-            self.episodes,
-            world,
-            agent,
-            now[agent],
-            before[agent],
-            world.start.agents[agent],
-            now[other],
-            before[other],
-            world.blocked[:, agent],
-            np.asarray(world.touching[:, mine].any(1)),
-            self._arms[agent],
-            partial(self._path, agent, other),
-        )
-
-    def _path(self, agent: int, other: int) -> tuple[Array, Array]:
-        """The shortest paths from an agent to another: their lengths [W] [m] and their first way points [W, 2] [m]."""
-        world, lengths = self.world, self.world.geodesic(agent, other)
-        xz, to, begun = world.state.agents[agent].xz, world.state.agents[other].xz, world.bases[agent].disc_radius_m / 2
-        ends = zip(world.floors, xz, to, lengths.tolist(), strict=True)
-        return lengths, np.array([first_point(free, a, b, length, beyond_m=begun) for free, a, b, length in ends])
+    def agent_view(self, agent: int, world: int = 0) -> Any:
+        """Observation of an agent in one world: an `AgentView`, or a `RearrangeView` where agents have skills."""
+        return self.team.view(agent, world)
 
     def observe(
         self, agent: int, world: int, names: Sequence[str], size: PictureSize = None, light: LightMode = "flat"
@@ -319,15 +239,15 @@ class WorldRollout:
             InputError: it has no observation of such a name.
         """
         if agent not in self._sensors:
-            self._sensors[agent] = AgentSensors.of(self.task, self.world.roster[agent])
+            self._sensors[agent] = AgentSensors.of(
+                self.task, self.world.roster[agent], max(self.world.state.held_by.shape[1], 1)
+            )
         own, shown = self._sensors[agent], {}
         own.check(names)
         measured = [name for name in names if name in own.sensors]
-        context = self.sensor_context(agent) if measured else None
-        for name in measured:
-            sensor, low, high = own.sensors[name]
-            values = sensed(name, sensor, context, type(self.task).__name__, own.agent)[world]
-            shown[name] = np.minimum(np.maximum(values, low), high).astype(np.float32)
+        for name, values in self.team.exact(agent, measured, own.sensors).items():
+            low, high = own.limits[name]
+            shown[name] = np.minimum(np.maximum(values[world], low), high).astype(np.float32)
         if len(measured) < len(names):
             shown |= self.pictures(agent, world, [name for name in names if name in own.pictures], size, light)
         return shown
@@ -343,19 +263,12 @@ class WorldRollout:
         """Named pictures of an agent now, as `sim_kinematic.sensing.eyes.see`."""
         from sim_kinematic.sensing.eyes import see
 
-        state = self.world.state.take(np.array([world]))
-        bodies = [member.body for member in self.world.roster]
-        floor, speed = self.world.floors[world], self.spec.human.speed_mps
-        scene = self.episodes[world].scene
-        return see(state, scene, bodies, names, agent=agent, size=size, floor=floor, speed_mps=speed, light=light)
+        bodies, lit_as = [member.body for member in self.world.roster], self.episodes[world].scene
+        return see(
+            **self.team.scenery(world), bodies=bodies, names=names, agent=agent, size=size, light=light, lit_as=lit_as
+        )
 
-    def _traffic_of(self, world: int) -> Traffic:
-        if world not in self._traffic:
-            floors = [agent_floor(self.episodes[world], number) for number in range(len(self.world.roster))]
-            self._traffic[world] = Traffic(self.world, world, floors)
-        return self._traffic[world]
-
-    # --- one world: Rollout -------------------------------------------------------------------------------------------
+    # --- one world ----------------------------------------------------------------------------------------------------
     @property
     def episode(self) -> Episode:
         """Episode of the first world."""
@@ -381,18 +294,36 @@ class WorldRollout:
         return self.task.view(self, agent, 0)
 
     def turns(self) -> Generator[int | None, Any, None]:
-        """Plays the first world to the end of its episode: asks every agent in turn, then makes a step."""
-        agents = range(len(self.world.roster))
+        """Plays the first world to the end of its episode.
+
+        It yields the number of an agent that must decide and is sent the agent's choice, and yields None after each step.
+        """
+        world, team, rows = self.world, self.team, self.world.rows
+        commands: list[Command | None] = [None] * len(world.roster)
         for _ in range(self.spec.max_steps):
-            choices = []
-            for number in agents:
-                policy = self.policies[number].policy
-                # the script needs no view: it is asked a hundred times more often than anything else
-                scripted = type(policy) is WaypointPolicy
-                own = self.world.state.agents[number]
-                choices.append(policy.move(own.xz[0], own.heading.item(0)) if scripted else (yield number))
-            self._words = [getattr(choice, "skill", "") for choice in choices]
-            outcome = self.advance([self._command(k, choice) for k, choice in enumerate(choices)])
+            team.begin_step()
+            for number in team.order:
+                team.begin_turn(number)
+                controller, policy, own = (
+                    team.controllers[number],
+                    self.policies[number].policy,
+                    world.state.agents[number],
+                )
+                while True:
+                    if controller.status == "choosing":
+                        # scripts need no view: they are asked a hundred times more often than anything else
+                        if type(policy) is WaypointPolicy:
+                            choice = policy.move(own.xz[0], own.heading.item(0))
+                        elif type(policy) is CrowdPolicy:
+                            choice = policy.move(team.crowds_of(0), number, self.step)
+                        else:
+                            choice = yield number
+                        controller.start(world, number, rows, (choice,))
+                    commands[number] = controller.step(world, number, rows)
+                    if controller.status != "choosing":
+                        break
+                team.end_turn(number)
+            outcome = self.advance(commands)
             self.events += [event for _, event in outcome.events]
             if outcome.terminated[0]:
                 self.ended = outcome.ended or ("success" if outcome.success[0] else "terminated")
@@ -400,98 +331,37 @@ class WorldRollout:
                 return
             yield None
 
-    def _command(self, number: int, choice: Any) -> Command:
-        """A choice for one agent of the only world; velocities are rounded to float32, as they are recorded."""
-        if isinstance(choice, WaypointAction):
-            return WaypointCommand(choice.xz[None])
-        if isinstance(choice, PoseAction):
-            return PoseCommand(choice.xz[None], np.array([choice.heading]))
-        if isinstance(choice, GaitAction):
-            return GaitCommand(choice.gait)
-        if isinstance(choice, RecordedPose):
-            posture = Posture(
-                np.array([choice.clip]), np.array([choice.phase]), np.array([choice.blend]), np.array([choice.arms])
-            )
-            return RecordedPoseCommand(choice.xz[None], np.array([choice.heading]), posture)
-        if not hasattr(choice, "forward"):
-            who = self.world.roster[number].name
-            raise InputError(
-                f"Expected {who} to choose a Velocity or WaypointAction, got {choice!r}.", code="H3-TASK-069"
-            )
-        return DriveCommand(np.array([[choice.forward, choice.turn]], np.float32).astype(np.float64))
-
     def finish(self) -> None:
-        """Nothing goes on: the recorder reads skills off their columns."""
+        """Closes what is still going on, such as running skills."""
+        self.team.finish()
 
     # --- recording ----------------------------------------------------------------------------------------------------
-    def snapshot(self) -> tuple[Any, ...]:
-        """State of the first world after a step, as plain numbers; `columns` makes blocks of them."""
-        numbers: list[float] = []
-        state, before, skills = self.world.state, self.world.before, self.task.control.skills
-        for k, (member, own) in enumerate(zip(self.world.roster, state.agents, strict=True)):
-            words = skills.get(member.kind, ())
-            (x, z), heading = own.xz[0].tolist(), own.heading.item(0)  # Python floats: half the time of NumPy's
-            if isinstance(own, RobotState):
-                command = self._commands[k]
-                forward, turn = command[0][0, :2].tolist() if isinstance(command, DriveCommand) else (0.0, 0.0)
-                code = words.index(self._words[k]) if self._words[k] in words else -1
-                numbers += (x, z, heading, own.contact.item(0), forward, turn, code)
-            else:
-                was = before.agents[k]
-                assert isinstance(was, HumanState)
-                distance = own.distance.item(0)
-                walks = distance > was.distance.item(0)
-                code = words.index("walk" if walks else "turn") if words else -1
-                since = distance - own.set_off.item(0)
-                numbers += (x, z, heading, since, own.blend.item(0), *own.arms[0].tolist(), code)
+    def snapshot(self) -> tuple[Any, dict[str, Any], NDArray[np.bool_]]:
+        """State of the first world after a step; `columns` makes blocks of them."""
         judged = {name: values[0] for name, values in self.outcome.columns.items()}
-        if self._records_judgement:
-            judged |= {"metrics.reward": self.outcome.reward[0], "metrics.success": self.outcome.success[0]}
-        return (*numbers, judged, self.world.touching[0])
+        judged |= {name: getattr(self.outcome, name.partition(".")[2])[0] for name in self._judgement}
+        return self.team.snapshot(), judged, self.world.touching[0]
 
     def columns(self, snapshots: Sequence[Any], first: int) -> Columns:
         """Columns of a recording from the snapshots of consecutive steps, the first of which is step ``first``."""
-        numbers = np.array([row[:-2] for row in snapshots], np.float64)
-        steps, floor = len(snapshots), self.episode.free
-        result: Columns = {"time_ns": np.arange(first + 1, first + steps + 1, dtype=np.int64) * STEP_NS}
-        places, contact, at = [], [], 0
-        for k, member in enumerate(self.world.roster):
-            agent, body = f"agent_{k}.", member.body
-            own = numbers[:, at : at + (7 if isinstance(body, Robot) else 8)].T
-            at += len(own)
-            xz = np.stack([own[0], own[1]], -1)
-            places.append(xz)
-            result[agent + "base_pose"] = root_pose(body, xz, own[2], floor).astype(np.float32)
-            if isinstance(body, Robot):
-                contact.append(own[3].astype(np.bool_))
-                result[agent + "joint_pos"] = np.tile(body.rest.astype(np.float32), (steps, 1))
-                result[agent + "action"] = np.stack([own[4], own[5]], -1).astype(np.float32)
-            else:
-                result |= {agent + name: values for name, values in self._motion_columns(k, body, own).items()}
-            result[agent + "grasp_body"] = np.full(steps, -1, np.int32)
-            if self.task.control.skills.get(member.kind):
-                result[agent + "skill"] = own[-1].astype(np.int32)
+        result: Columns = {"time_ns": np.arange(first + 1, first + len(snapshots) + 1, dtype=np.int64) * STEP_NS}
+        own, places, contact = self.team.columns([row[0] for row in snapshots])
+        touched: Columns = {}
         if self.world.pairs:
             gaps = [np.hypot(*(places[b] - places[a]).T) for a, b in self.world.pairs]
-            result["metrics.dist_agents"] = np.min(gaps, axis=0).astype(np.float32)
-            result |= contact_columns([m.kind for m in self.world.roster], np.array([row[-1] for row in snapshots]))
-        if contact:
-            result["metrics.robot_contact"] = np.any(contact, axis=0)
-        judgement = {"metrics.reward": np.float32, "metrics.success": np.bool_} if self._records_judgement else {}
-        for name, dtype in {**self.task.columns, **judgement}.items():
-            result[name] = np.array([row[-2][name] for row in snapshots]).astype(dtype)
+            touched["metrics.dist_agents"] = np.min(gaps, axis=0).astype(np.float32)
+            touched |= contact_columns([m.kind for m in self.world.roster], np.array([row[2] for row in snapshots]))
+        if contact is not None:
+            touched["metrics.robot_contact"] = contact
+        judged, paid = (
+            {name: np.array([row[1][name] for row in snapshots]).astype(dtype) for name, dtype in some.items()}
+            for some in (self.task.columns, self._judgement)
+        )
+        # in the order of earlier versions, which files keep
+        parts = (own, judged, touched, paid) if self.task.control.has_skills else (own, touched, judged, paid)
+        for part in parts:
+            result |= part
         return result
-
-    def _motion_columns(self, k: int, body: Humanoid, own: Array) -> Columns:
-        clip, walk = self.world.clips[k], body.clips[self.world.clips[k]]
-        columns: Columns = {
-            "motion_id": np.full(own.shape[1], clip, np.int32),
-            "motion_phase": ((walk.start_phase + own[3] / walk.stride_m) % 1.0).astype(np.float32),
-            "motion_blend": own[4].astype(np.float32),
-        }
-        if self.spec.human.arms is not None:
-            columns["motion_arms"] = np.stack([own[5], own[6]], -1).astype(np.float32)
-        return columns
 
 
 def contact_columns(kinds: Sequence[str], touching: NDArray[np.bool_]) -> Columns:
@@ -552,36 +422,24 @@ class AgentSensors(NamedTuple):
     """Observations that one agent can have."""
 
     agent: str
-    sensors: Mapping[str, tuple[Sensor, Array, Array]]
-    """Each with its least and greatest values."""
+    sensors: Mapping[str, Sensor]
+    limits: Mapping[str, tuple[Array, Array]]
+    """Least and greatest values of each."""
     pictures: frozenset[str]
 
     @classmethod
-    def of(cls, task: Rules, member: AgentSpec) -> AgentSensors:
-        """The sensors and pictures of an agent."""
-        arm, sensors = len(resting_arm(member.body)), {}
-        for name, sensor in task.sensors(member.kind).items():
-            limits = sensor.limits(arm if sensor.times == "joints" else 1)
-            sensors[name] = sensor, np.asarray(limits.low, np.float64), np.asarray(limits.high, np.float64)
-        return cls(member.name, sensors, frozenset(picture_names(member.body)))
+    def of(cls, task: Rules, member: AgentSpec, objects: int) -> AgentSensors:
+        """The sensors and pictures of an agent beside so many objects."""
+        sensors = task.sensors(member.kind)
+        spaces = limits(sensors, objects=objects, arm=len(resting_arm(member.body)))
+        exact = {name: (np.asarray(s.low, np.float64), np.asarray(s.high, np.float64)) for name, s in spaces.items()}
+        return cls(member.name, {name: sensors[name] for name in exact}, exact, frozenset(picture_names(member.body)))
 
     def check(self, names: Sequence[str]) -> None:
         """Raises an `InputError` if there is no such observation; it lists what there is."""
-        check_observations(names, (self.sensors, self.pictures), self.agent)
-
-
-def resting_arm(body: Humanoid | Robot) -> Array:
-    """Resting positions of a robot's arm joints, [n]; [0] of a person or of a robot without a hand."""
-    return body.rest[list(body.arm_columns)].astype(np.float64) if isinstance(body, Robot) else np.zeros(0)
-
-
-def check_observations(names: Sequence[str], known: Sequence[Collection[str]], agent: str) -> None:
-    """Checks that an agent has observations of these names.
-
-    Raises:
-        InputError: it has not; the message lists what there is.
-    """
-    for name in names:
-        if not any(name in some for some in known):
-            there = [each for some in known for each in sorted(some)]
-            raise InputError(f"Unknown observation {name!r} of {agent}.{suggest(name, there)}", code="H3-TASK-071")
+        for name in names:
+            if name not in self.sensors and name not in self.pictures:
+                there = [*sorted(self.sensors), *sorted(self.pictures)]
+                raise InputError(
+                    f"Unknown observation {name!r} of {self.agent}.{suggest(name, there)}", code="H3-TASK-071"
+                )

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot, robot_digest
 from h3data.bodies.names import JOIN
+from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.plugins import REFERENCE, own_version, trust
 from h3data.recording import (
@@ -29,17 +30,22 @@ from h3data.recording import (
     state_hash,
 )
 from h3data.recording import Episode as EpisodeRecord
+from h3data.recording.scans import scan_column
 from h3data.scene import Scene
 from h3data.scene.kinds import categories_of
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.tasks.codec import scene_attachment
 from sim_kinematic.tasks.episode import Episode
-from sim_kinematic.tasks.play import Columns, Rollout
+from sim_kinematic.tasks.play import AgentSensors, Columns, WorldRollout
 from sim_kinematic.tasks.task import Task
 
 BLOCK = 30
 """Rows that are handed to the sink at once: one second, which is what a crash may lose."""
+
+
+SHORT_M = 16.0
+"""Lengths up to this are recorded in 16 bits: to 4 mm at 8 m."""
 
 
 class Sink(Protocol):
@@ -67,12 +73,63 @@ class Sink(Protocol):
         """Ends the recording early; what was written so far stays readable."""
 
 
+class RecordedSensors:
+    """Sensors of an episode's robots that are recorded with every step."""
+
+    def __init__(self, task: Task, roster: Sequence[AgentSpec], names: Sequence[str]) -> None:
+        """Checks the names of the sensors.
+
+        Raises:
+            InputError: there is no robot, or it has no sensor of such a name.
+        """
+        self._names, self._robots = tuple(names), [k for k, member in enumerate(roster) if member.kind == "robot"]
+        if isinstance(names, str) or not self._robots or task.control.has_skills:
+            raise InputError(
+                f"Expected a list of sensors, of robots in a task whose agents drive and walk, got {names!r} of "
+                f"{len(self._robots)} robots in {task.name}. Hint: leave them out.",
+                code="H3-TASK-075",
+            )
+        self.facts: dict[str, dict[str, Any]] = {}
+        """Sensor, agent, unit, frame and bounds of each column."""
+        self._types: dict[str, type] = {}
+        for k in self._robots:
+            known = AgentSensors.of(task, roster[k], objects=0)._replace(pictures=frozenset())
+            known.check(self._names)
+            for name in self._names:
+                sensor, (low, high) = known.sensors[name], known.limits[name]
+                column = scan_column(k, name)
+                self.facts[column] = {
+                    "sensor": name,
+                    "agent": k,
+                    "unit": _one(sensor.unit),
+                    "frame": sensor.frame,
+                    "low": _one(low.tolist()),
+                    "high": _one(high.tolist()),
+                }
+                short = {*sensor.unit} == {"m"} and low.min() >= 0 and high.max() <= SHORT_M
+                self._types[column] = np.float16 if short else np.float32
+
+    def read(self, play: Any) -> dict[str, Any]:
+        """Values of the step that has just been played, by column."""
+        values = {}
+        for k in self._robots:
+            for name, shown in play.observe(k, 0, self._names).items():
+                column = scan_column(k, name)
+                values[column] = shown.astype(self._types[column])
+        return values
+
+
+def _one(values: Sequence[Any]) -> Any:
+    """The value if all are equal, else the values as a list."""
+    return values[0] if len(set(values)) == 1 else list(values)
+
+
 @dataclass
 class Recorder:
     """The episode as it grows."""
 
     header: RecordingHeader
-    play: Rollout
+    play: WorldRollout
     sink: Sink | None = None
     blocks: list[Columns] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
@@ -81,6 +138,8 @@ class Recorder:
     beside: dict[str, np.generic] = field(default_factory=dict)
     """Values of columns beside those of the task, taken down with every row. All of them have to be there before the first
     row, and keep their dtypes. A recording that is simulated again does not have them, so they must not be state."""
+    sensors: RecordedSensors | None = None
+    """Sensors that are recorded with every step; their columns are measurements, not state."""
     latest: Any = None
     """Snapshot of the step that has just been played; None before the first."""
     _rows: list[Any] = field(default_factory=list)
@@ -92,6 +151,8 @@ class Recorder:
 
     def add(self) -> None:
         """Takes down the step that has just been played."""
+        if self.sensors is not None:
+            self.beside |= self.sensors.read(self.play)
         self.latest = self.play.snapshot()
         self._rows.append(self.latest)
         self._beside.append(tuple(self.beside.values()))
@@ -278,7 +339,7 @@ def _agent(task: Task, member: AgentSpec) -> Agent:
         kind="human",
         model=f"humanoid/{member.model}",
         semantic_id=100,
-        motion_names=tuple(clip.name for clip in body.clips) if task.control.clip_coded else (),
+        motion_names=tuple(clip.name for clip in body.clips) if not task.control.has_skills else (),
         skill_names=skills,
     )
 

@@ -13,6 +13,7 @@ BUILT_IN = {
     "social_nav": "sim_kinematic.tasks.social_nav:SocialNav",
     "rearrange": "sim_kinematic.tasks.rearrange.task:Rearrange",
     "wander": "sim_kinematic.tasks.wander:Wander",
+    "crowd_nav": "sim_kinematic.tasks.crowd_nav.task:CrowdNav",
 }
 
 

@@ -23,7 +23,7 @@ from sim_kinematic.policies.assignment import KINDS, AssignedPolicy, assign, mak
 from sim_kinematic.policies.recorded import NotRecorded
 from sim_kinematic.tasks.codec import POLICY_ENTRIES
 from sim_kinematic.tasks.episode import Episode
-from sim_kinematic.tasks.play import Columns, Rollout
+from sim_kinematic.tasks.play import Columns, WorldRollout
 from sim_kinematic.tasks.recorder import Recorder, finished
 from sim_kinematic.tasks.registry import find_task, task_registry
 from sim_kinematic.tasks.resimulation import (
@@ -205,7 +205,7 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
     robots = [n for n in played.columns if any(n.startswith(f"agent_{k}.") for k in _numbers(recording, "robot"))]
     # beside a kept track, what was measured of the person may differ in its last bits
     require_kept(
-        recording, step, played.columns, played.ended, robots if keeps_people and task.control.clip_coded else None
+        recording, step, played.columns, played.ended, robots if keeps_people and not task.control.has_skills else None
     )
     came = origin(recording, step)
     told = codec.info(episode, assigned)
@@ -239,7 +239,7 @@ class _Played:
         keeps_people: bool,
         since: int = 0,
     ) -> None:
-        self.play: Rollout = task.control.rollout(task, episode, policies, measure=False)
+        self.play: WorldRollout = WorldRollout.of(task, episode, policies, measure=False)
         self.track: dict[str, Any] = {}
         recorder = Recorder(header_from(recording, "again"), self.play)
         most = episode.spec.max_steps if steps is None else min(steps, episode.spec.max_steps)
@@ -276,7 +276,7 @@ class _Played:
         }
         self.columns |= kept
         self.columns["state_hash"] = state_hash({n: a for n, a in self.columns.items() if n != "state_hash"})
-        cut_short: dict[str, Any] = {} if task.control.clip_coded else {"outcome": "running", "reason": ""}
+        cut_short: dict[str, Any] = {} if not task.control.has_skills else {"outcome": "running", "reason": ""}
         cut = [
             span if span.end_step < rows else replace(span, end_step=rows - 1, **cut_short)
             for span in recording.skills
@@ -284,7 +284,7 @@ class _Played:
         ]
         robots = [span for span in self.skills if span.agent not in people]
         self.skills = (*robots, *cut)
-        if not task.control.clip_coded:  # skills that have a result are recorded when they end
+        if task.control.has_skills:  # skills that have a result are recorded when they end
             self.skills = tuple(sorted(self.skills, key=lambda span: span.end_step))
         else:
             theirs = [e for e in recording.events if e.agent in people and e.step < rows]

@@ -21,8 +21,8 @@ from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, assign
 from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.recorded import COMMAND, is_remote
 from sim_kinematic.tasks.episode import Episode
-from sim_kinematic.tasks.play import Rollout
-from sim_kinematic.tasks.recorder import Recorder, Sink, describe
+from sim_kinematic.tasks.play import WorldRollout
+from sim_kinematic.tasks.recorder import RecordedSensors, Recorder, Sink, describe
 from sim_kinematic.tasks.registry import reference_of
 from sim_kinematic.tasks.task import Task
 
@@ -33,7 +33,7 @@ if not TYPE_CHECKING:
 class DecisionLoop:
     """An episode's turns, one at a time: who must decide next, or that a step is over."""
 
-    def __init__(self, play: Rollout) -> None:
+    def __init__(self, play: WorldRollout) -> None:
         self._play = play
         self._turns: Generator[int | None, Any, None] = play.turns()
         self.over = False
@@ -56,7 +56,7 @@ class DecisionLoop:
             self.asked, self.over = None, True
 
 
-def rollout(task: Task, episode: Episode, policies: Assigned | None = None, *, measure: bool = True) -> Rollout:
+def rollout(task: Task, episode: Episode, policies: Assigned | None = None, *, measure: bool = True) -> WorldRollout:
     """One episode of a task under policies, by agent or kind, ready for `run`.
 
     ``measure=False`` leaves out what only rewards need.
@@ -64,11 +64,11 @@ def rollout(task: Task, episode: Episode, policies: Assigned | None = None, *, m
     Raises:
         InputError: no such policy or agent.
     """
-    return task.control.rollout(task, episode, assign(task, episode, policies), measure=measure)
+    return WorldRollout.of(task, episode, assign(task, episode, policies), measure=measure)
 
 
 def run(
-    play: Rollout,
+    play: WorldRollout,
     recorder: Recorder | None = None,
     *,
     steps: int | None = None,
@@ -110,6 +110,7 @@ def simulate(
     sink: Callable[[RecordingHeader], Sink] | None = None,
     progress: Callable[[int], object] | None = None,
     info: Mapping[str, Any] | None = None,
+    sensors: Sequence[str] = (),
 ) -> Recording:
     """Plays one episode to its end and returns its recording.
 
@@ -122,14 +123,18 @@ def simulate(
             come, such as a `RecordingWriter`. It is closed at the end and aborted on an error.
         progress: Called with 1 after every step.
         info: Entries of the recording's info that the caller knows better than the task.
+        sensors: Names of sensors of robots that are recorded with every step, as columns ``metrics.agent_<i>.<sensor>``.
 
     Raises:
-        InputError: no such policy or agent.
+        InputError: no such policy, agent or sensor.
     """
     assigned = assign(task, episode, policies)
+    measured = RecordedSensors(task, episode.roster, sensors) if sensors else None
+    if measured is not None:
+        info = {**(info or {}), "sensors": measured.facts}
     header = describe(task, episode, assigned, episode_id=episode_id, reference=reference_of(task))
-    play = task.control.rollout(task, episode, assigned, measure=False)
-    recorder = Recorder(header, play, sink(header) if sink is not None else None)
+    play = WorldRollout.of(task, episode, assigned, measure=False)
+    recorder = Recorder(header, play, sink(header) if sink is not None else None, sensors=measured)
     try:
         run(play, recorder, progress=progress, note=partial(_record, task, recorder))
         return recorder.finish(
@@ -241,7 +246,7 @@ class Session:
                 self._inboxes[number] = _Inbox(assigned.policy)
                 assigned = assigned._replace(policy=self._inboxes[number])
             self.policies.append(assigned)
-        self.play = task.control.rollout(task, episode, self.policies)
+        self.play = WorldRollout.of(task, episode, self.policies)
         header = describe(task, episode, self.policies, episode_id=episode_id, reference=reference_of(task))
         if info:
             header = replace(header, episode=replace(header.episode, info={**header.episode.info, **info}))

@@ -93,12 +93,16 @@ def simulate(
     rules: Literal["natural", "paper"] | None = None,
     human_speed: float | None = None,
     max_steps: int | None = None,
+    sensors: Sequence[str] = (),
     **overrides: RuleValue,
 ) -> Recording:
-    """Plays one episode under policies and returns its recording; arguments as `session`."""
+    """Plays one episode under policies and returns its recording; arguments as `session`.
+
+    ``sensors`` of robots, such as ``("lidar",)``, are recorded with every step (h3data docs lidar).
+    """
     changes = {"rules": rules, "human_speed": human_speed, "max_steps": max_steps, **overrides}
     found, episode = _episode(task, scenes, roster, seed, index, spec, robot, human, changes)
-    return simulate_episode(found, episode, agents, sink=_sink(record, overwrite, share_in))
+    return simulate_episode(found, episode, agents, sink=_sink(record, overwrite, share_in), sensors=sensors)
 
 
 def _episode(

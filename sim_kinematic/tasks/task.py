@@ -39,22 +39,19 @@ _CODEC = {
     "changed_policies": "check_changes",
 }
 _CONTROL = {
-    **{
-        name: name
-        for name in ("batched", "skills", "clip_coded", "check_roster", "is_busy", "refusal", "needed_columns")
-    },
+    **{name: name for name in ("skills", "check_roster", "is_busy", "refusal", "needed_columns")},
     **{name: name for name in ("recorded_policies", "keep_people")},
     "checked_choice": "checked",
     "idle_choice": "idle",
     "interrupts_running": "interrupts",
     "choice_to_json": "to_json",
     "choice_from_json": "from_json",
-    "uses_common_policies": "common_policies",
+    **dict.fromkeys(("batched", "clip_coded", "uses_common_policies"), "has_skills"),
     "commanded": "recorded_agent",
     "recorded_agents": "recorded_agent",
     "agents_with_recorded_decisions": "decided",
     "recorded_policy": "still",
-    "play": "rollout",
+    "play": "team",
 }
 _USAGE = {
     **{name: name for name in ("env_options", "set_rules", "bodies_in_agents", "crosses_partners", "can_be_solo")},
@@ -69,7 +66,7 @@ _MOVED = {
     **{old: f"TaskUsage.{new}, of Task.usage," for old, new in _USAGE.items()},
     "storage": "Task.codec",
     "bodies": "Episode.moving",
-    "last_reward": "Rollout.reward",
+    "last_reward": "WorldRollout.reward",
     "end_reason": "StepOutcome.ended",
     "without_robots": "Episode.only",
     "sample_starts": "sim_kinematic.tasks.episode.sample_starts, and Task.sample decides which starts there are,",
@@ -86,11 +83,15 @@ class TaskUsage:
     """Rules of generated datasets; None: `Task.Spec` with its defaults."""
     env_rules: Any = None
     """Rules of environments; None: `Task.Spec` with its defaults."""
+    device_rules: Any = None
+    """Rules of environments on a device; None: those of the other environments."""
     set_rules: Callable[[SceneSet], Any] | None = None
     """Returns the rules by which a scene set samples starts; users' changes do not affect them. None: the dataset's rules."""
     env_options: Mapping[str, Callable[[Any], object]] = field(default_factory=dict)
     """Names of further options of environments, which the task finds in ``WorldRollout.options``, each with a function that
     raises an `InputError` if a value is not allowed."""
+    env_partners: Mapping[str, str] = field(default_factory=dict)
+    """Policies of the agents that do not act in an environment, by kind, where they are not those of `Task.defaults`."""
     named_kinds: tuple[str, ...] = ("robot", "human")
     """Kinds of agents of which a job names the policy also where it is the default one."""
     bodies_in_agents: bool = False

@@ -17,8 +17,6 @@ from h3data.bodies.people.skeleton import JOINT_NAMES
 from h3data.bodies.robots.robot_files import robot_names
 from h3data.bodies.robots.robot_loading import load_robot
 from h3data.errors import InputError
-from h3data.exporters.gltf_animation import write_gltf_animation
-from h3data.exporters.posing import posed_cameras, posed_parts
 from h3data.geometry import pose_to_matrix, quat_from_heading, quat_to_matrix
 from h3data.mesh.accessors import GltfArrays
 from h3data.mesh.glb import unpack_glb
@@ -38,11 +36,13 @@ from h3data.recording import (
 )
 from h3data.replay import Replay
 from h3data_exporters.csv_tables import write_csv_tables
+from h3data_exporters.gltf_animation import write_gltf_animation
 from h3data_exporters.lerobot import write_lerobot
+from h3data_exporters.posing import posed_cameras, posed_parts
 from h3data_exporters.robomimic import write_robomimic
 from h3data_exporters.transitions import transitions_of
 from h3data_habitat.exporters.gfx_replay_export import write_gfx_replay
-from h3data_habitat.gfx.gfx_replay import read_gfx_replay
+from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
@@ -520,11 +520,12 @@ TARGETS = {
     "gfx-replay": "e.gfx_replay.json",
     "gltf": "e.glb",
     "foxglove": "e.foxglove.mcap",
+    "rosbag2": "bag",
     "csv": "tables",
     "lerobot": "lerobot",
     "robomimic": "d.hdf5",
 }
-NEEDS = {"robomimic": "h5py", "foxglove": "mcap_protobuf"}
+NEEDS = {"robomimic": "h5py", "foxglove": "mcap_protobuf", "rosbag2": "rosbags"}
 
 
 def run_json(capsys: pytest.CaptureFixture[str], *arguments: str | Path, code: int = 0) -> Any:
@@ -553,7 +554,7 @@ def test_the_command_writes_once_and_again_only_by_force(
     arguments: list[str | Path] = ["export", log, "--to", to, "-o", out]
     assert run_json(capsys, *arguments)["to"] == to
     assert out.exists()
-    assert "exist" in run_json(capsys, *arguments, code=2)["error"] or to == "csv"
+    assert "exist" in run_json(capsys, *arguments, code=2)["error"] or to in ("csv", "rosbag2")
     run_json(capsys, *arguments, "--force")
     assert not list(tmp_path.rglob("*.part"))
 

@@ -25,14 +25,14 @@ pytest.importorskip("foxglove_schemas_protobuf", reason='needs the extra: pip in
 
 from h3data.bodies.people.skeleton import JOINT_NAMES
 from h3data.errors import InputError, MissingExtraError
-from h3data.exporters.posing import posed_parts
 from h3data.geometry import pose_to_matrix, quat_from_heading
 from h3data.recording import AssetRef, Body, Episode, Event, InputEvent, Recording, SkillSpan
 from h3data.render import pinhole
 from h3data.replay import Replay, camera_track
 from h3data_exporters.foxglove import foxglove_file
 from h3data_exporters.foxglove.foxglove_file import FoxgloveCamera, write_foxglove
-from h3data_habitat.gfx.gfx_replay import read_gfx_replay
+from h3data_exporters.posing import posed_parts
+from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_homes import HomeSpec, build_home
 from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
 from tests.export.foxglove_file import TURN, File, matrix, nanoseconds

@@ -14,8 +14,8 @@ import pytest
 import h3data
 from h3data.errors import InputError
 from h3data.recording.task_episodes.rearrange_episode import goal_poses, instance_handles, object_poses
-from h3data_habitat.episodes.episode_files import read_episodes
 from h3data_habitat.episodes.episode_json import KEYS
+from h3data_habitat.episodes.files import read_episodes
 from h3data_habitat.scenes.scene_instance import load_habitat_scene
 from h3data_pipelines.cli import main
 

@@ -36,8 +36,8 @@ from h3data.scene import (
 from h3data.scene.articulation import joints_of, posed
 from h3data_habitat.exporters import scenes as export_module
 from h3data_habitat.exporters.scenes import NAVMESH_SETTINGS, export_habitat, export_habitat_dataset
+from h3data_habitat.navmesh.file import read_navmesh
 from h3data_habitat.navmesh.navmesh import NavMeshSettings
-from h3data_habitat.navmesh.navmesh_file import read_navmesh
 from h3data_habitat.scenes.colliders import part_mesh, part_points
 from h3data_habitat.scenes.scene_instance import load_habitat_scene
 from h3data_homes import HomeSpec, build_home

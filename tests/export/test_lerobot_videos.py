@@ -13,12 +13,11 @@ import pytest
 
 import h3data
 from h3data.errors import InputError
-from h3data.exporters import camera_videos
-from h3data.exporters.camera_videos import render_videos
 from h3data.formats import ExportRequest
 from h3data.recording import Dataset, Recording
 from h3data.recording.parquet.lerobot import rebuild_meta
-from h3data.replay import Replay, camera_track
+from h3data.replay import Replay, camera_track, camera_videos
+from h3data.replay.camera_videos import render_videos
 from h3data_exporters import lerobot as lerobot_export
 from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main

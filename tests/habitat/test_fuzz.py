@@ -23,17 +23,17 @@ from h3data.formats import detect
 from h3data.mesh.glb_write import glb_bytes
 from h3data.mesh.loading import load_mesh
 from h3data.mesh.primitives import primitive_mesh
-from h3data.npz_arrays import npz_arrays
 from h3data.recording import AssetRef, read_mcap, write_mcap
 from h3data.recording.assets.library import AssetLibrary
 from h3data.replay import Replay
-from h3data_habitat.episodes.episode_files import read_episodes
-from h3data_habitat.gfx.gfx_keyframes import KEYFRAME_BYTES
-from h3data_habitat.gfx.gfx_replay import read_gfx_replay
-from h3data_habitat.hitl.hitl_paper_logs import read_hitl_log
-from h3data_habitat.hitl.hitl_sessions import read_hitl_episode
+from h3data_habitat.episodes.files import read_episodes
+from h3data_habitat.gfx.keyframes import KEYFRAME_BYTES
+from h3data_habitat.gfx.replay import read_gfx_replay
+from h3data_habitat.hitl.paper_logs import read_hitl_log
+from h3data_habitat.hitl.sessions import read_hitl_episode
 from h3data_habitat.limits import MAX_AGENTS
 from h3data_motion.bvh import read_bvh_file
+from h3data_motion.npz_arrays import npz_arrays
 from h3data_pipelines.cli import main
 from tests.examples import examples
 
@@ -460,7 +460,7 @@ def test_hostile_files_leave_nothing_behind(
 ) -> None:
     name, content, reason = HOSTILE[case]
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("h3data_habitat.gfx.gfx_fold.MAX_BODIES", 2000)
+    monkeypatch.setattr("h3data_habitat.gfx.fold.MAX_BODIES", 2000)
     (tmp_path / "in").mkdir()
     path = tmp_path / "in" / name
     path.write_bytes(content())

@@ -16,7 +16,7 @@ from h3data.mesh.loading import load_mesh, node_box
 from h3data.mesh.primitives import primitive_mesh
 from h3data.recording import AssetRef
 from h3data.recording.assets.library import AssetLibrary
-from h3data_habitat.gfx.gfx_replay import read_gfx_replay
+from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_habitat.scenes.scene_instance import load_habitat_scene
 from h3data_pipelines.cli import main
 

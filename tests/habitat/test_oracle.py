@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from h3data.errors import InputError
 from h3data.geometry import ground_pose
 from h3data_habitat.metrics.oracle import LONGEST, oracle_min_steps, steps_to_find
-from h3data_habitat.navmesh.navmesh_file import read_navmesh
+from h3data_habitat.navmesh.file import read_navmesh
 from h3data_habitat.navmesh.pathfinder import PathFinder
 from tests.paths import REFERENCE
 

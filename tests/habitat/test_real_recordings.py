@@ -13,7 +13,7 @@ import pytest
 import h3data
 from h3data.geometry import pose_from_matrix, pose_inverse, pose_multiply, pose_to_matrix
 from h3data.recording.assets.library import AssetLibrary
-from h3data_habitat.gfx.gfx_replay import read_gfx_replay
+from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_pipelines.cli import main
 from h3data_pipelines.validation.recordings import validate_recording
 

@@ -16,9 +16,9 @@ from h3data.commands.command import missing_lines
 from h3data.errors import InputError
 from h3data.geometry import ground_pose, pose_from_matrix, pose_to_matrix, quat_from_rotvec
 from h3data.recording import Recording
-from h3data.recording.assets.stand_ins import named_box, readable_name
 from h3data.replay import Replay
-from h3data_habitat.gfx.gfx_replay import read_gfx_replay
+from h3data_habitat.gfx.replay import read_gfx_replay
+from h3data_habitat.stand_ins import named_box, readable_name
 from tests.paths import REAL
 
 STEPS = 4

@@ -202,8 +202,8 @@ def test_no_pickle_runs(walk: Motion, tmp_path: Path) -> None:
     assert len(read_motion(tmp_path / "extra.npz")) == len(walk)  # what nobody needs is not even looked at
     np.savez(tmp_path / "needed.npz", **{**arrays, "trans": np.array([_Trap(made)], object)})
     (tmp_path / "trap.pkl").write_bytes(pickle.dumps({"pose_motion": _Trap(made)}))
-    for name in ("needed.npz", "trap.pkl"):
-        with pytest.raises(FormatError, match=r"(?s)only NumPy arrays are admitted.*H3-FORMAT-026"):
+    for name, code in (("needed.npz", "H3-FORMAT-022"), ("trap.pkl", "H3-FORMAT-026")):
+        with pytest.raises(FormatError, match=code):
             read_motion(tmp_path / name)
     assert not made.exists()
 

@@ -17,7 +17,7 @@ import pytest
 
 import h3data
 from h3data.commands import command as command_parts
-from h3data.commands.command import claim_folder, remove_dataset, unfinished_dataset, uninterrupted
+from h3data.commands.command import claim_folder
 from h3data.errors import InputError
 from h3data.recording import (
     Agent,
@@ -32,6 +32,7 @@ from h3data.recording import (
 from h3data.recording.mcap import part as mcap_part
 from h3data_pipelines.cli import main
 from h3data_pipelines.commands import generate
+from h3data_pipelines.dataset_folders import remove_dataset, unfinished_dataset, uninterrupted
 from h3data_pipelines.jobs import running as episode_jobs
 from h3data_pipelines.jobs.generated import require_same_options
 from tests.recording.strategies import simple_recording

@@ -21,6 +21,7 @@ from h3data_pipelines.cli import main
 from h3data_pipelines.jobs.cross_play import cross_play_table
 from h3data_pipelines.jobs.evaluations import chosen_names, files_of
 from h3data_pipelines.jobs.policy_table import policy_table
+from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.policies.network import Network, save_network
 from sim_kinematic.tasks.episode import rules_dict, with_options
 from sim_kinematic.tasks.registry import find_task
@@ -193,6 +194,19 @@ def test_the_papers_rules_do_not_differ_from_the_paper(task: str) -> None:
 
     assert deviations("paper") == ""
     assert deviations("natural") != ""
+
+
+def test_the_papers_people_are_touched_at_their_bones() -> None:
+    natural, paper = (with_options(SocialNavSpec(), rules=name) for name in ("natural", "paper"))
+    assert (natural.person_contact, paper.person_contact) == ("body", "bones")
+    assert with_options(paper, rules="natural") == natural
+    whole = with_options(paper, person_contact="body")
+    assert "person_contact" not in repr(whole)  # episodes from before keep their identity
+    assert repr(paper) == repr(whole)[:-1] + ", person_contact='bones')"
+    assert "person_contact" not in rules_dict(whole)
+    assert rules_dict(paper)["person_contact"] == "bones"
+    with pytest.raises(InputError, match="H3-SIM-056"):
+        with_options(paper, person_contact="skin")
 
 
 def test_rearrangement_with_learned_skills_or_with_agents_that_heed_each_other_is_not_the_papers() -> None:

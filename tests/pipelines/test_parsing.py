@@ -15,7 +15,7 @@ import pytest
 
 import h3data
 from h3data.commands.command import Group, RuleSet
-from h3data.commands.options import RENAMED, in_python_words, in_shell_words, options_of, split_list
+from h3data.commands.options import RENAMED, in_python_words, options_of, split_list
 from h3data.errors import InputError
 from h3data_pipelines.cli import main
 from h3data_pipelines.commands import demo
@@ -26,6 +26,7 @@ from h3data_pipelines.commands.importing import Import
 from h3data_pipelines.commands.table import all_commands
 from h3data_pipelines.jobs.episodes import Choices, Job, make_jobs
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest
+from h3data_pipelines.option_words import in_shell_words
 from h3data_pipelines.parsing import parse
 from h3data_viewers.commands.viewing import View
 from sim_kinematic.tasks.registry import find_task
@@ -58,7 +59,7 @@ REFUSED = {
     "generate wander -o x --episodes": "Missing value for --episodes. See: h3data generate --help",
     "robots reach quad_arm 1 2": "POINT: expected 3 values, got 2. See: h3data robots reach --help",
     "robots reach quad_arm 1 2 z": "POINT: expected a number, got 'z'. See: h3data robots reach --help",
-    "export a --to b -o c": "Cannot export to 'b'. Expected one of: gfx-replay, gltf,",
+    "export a --to b -o c": "Cannot export to 'b'. Expected one of: gfx-replay, habitat-episodes,",
     "rerender a --format b -o c": "--format: expected one of mp4, av1, png, data, got 'b'. See: h3data rerender --help",
     "generate --ot x": "Unknown option '--ot'. Did you mean '--out'? See: h3data generate --help",
     "view a -o --json": "Missing value for -o/--out. See: h3data view --help",

@@ -515,8 +515,8 @@ def test_episodes_of_an_export_lead_to_its_scenes(
     from h3data.recording.task_episodes.rearrange_episode import instance_handles
     from h3data.recording.task_episodes.social_nav_episodes import read_social_nav
     from h3data.scene.sources import SceneFile
-    from h3data_habitat.episodes.episode_files import read_episodes
-    from h3data_habitat.episodes.episode_scenes import scene_of_episode
+    from h3data_habitat.episodes.files import read_episodes
+    from h3data_habitat.episodes.scenes import scene_of_episode
 
     monkeypatch.chdir(tmp_path)
     homes = [{"id": f"home_{k}", "seed": 20000 + k, "preset": "small"} for k in range(2)]

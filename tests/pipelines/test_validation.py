@@ -17,11 +17,12 @@ from h3data.bodies import load_humanoid
 from h3data.errors import H3DataError
 from h3data.geometry import pose_multiply
 from h3data.recording import DatasetWriter, Event, InputEvent, Recording, SkillSpan, state_hash, write_mcap
-from h3data.recording.episodes import StoredEpisode, read_ahead
+from h3data.recording.episodes import StoredEpisode
 from h3data.scene import load_scene
-from h3data_habitat.gfx.gfx_replay import read_gfx_replay
+from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
+from h3data_pipelines.commands.validating import read_ahead
 from h3data_pipelines.validation import recordings as validation
 from h3data_pipelines.validation.recordings import Finding, validate_recording
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec

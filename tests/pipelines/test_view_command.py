@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from h3data.geometry import transform_points
+from h3data.mesh.thinning import thin_mesh
 from h3data.recording import DatasetWriter, Recording, open_recording, write_mcap
 from h3data.recording.storage import place
 from h3data.replay import Replay
@@ -18,7 +19,6 @@ from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from h3data_viewers import write_rrd
 from h3data_viewers.rerun.entities import SKIN_VERTICES
-from h3data_viewers.rerun.mesh_budget import thin_mesh
 from sim_kinematic.motion.spec import SocialNavSpec
 from tests.simulated import simulate_social_nav, social_nav_episode
 from tests.viewers.rerun_file import File

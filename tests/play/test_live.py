@@ -296,7 +296,7 @@ def test_steering_the_robot(tmp_path: Path):
     with pytest.raises(InputError, match="H3-PLAY-014"):
         player.send(k="drop")
     bring(player, 0)
-    assert game.session.play.at_goal[0], player.said  # type: ignore[attr-defined]
+    assert game.session.play.team.at_goal[0], player.said  # type: ignore[attr-defined]
     game.close()
     assert verify(read_mcap(tmp_path / "000000.mcap")).difference is None
 

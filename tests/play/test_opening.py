@@ -67,7 +67,7 @@ def test_a_drawer_is_opened_emptied_and_closed_and_the_recording_verifies(tmp_pa
         known |= told
     assert still > 10
     assert known == dict(enumerate(game.columns[JOINTS][-1].tolist()))
-    assert known[drawer] == pytest.approx(game.session.play.openables.joints.opened[drawer])  # type: ignore[attr-defined]
+    assert known[drawer] == pytest.approx(game.session.play.team.openables.joints.opened[drawer])  # type: ignore[attr-defined]
     assert game.barriers(player.number) == [[-1, -1], [-1, -1]]
     player.send(k="pick", o=MUG, lead=True)
     player.until_free()
@@ -81,7 +81,7 @@ def test_a_drawer_is_opened_emptied_and_closed_and_the_recording_verifies(tmp_pa
     game.close()
     recording = read_mcap(tmp_path / "000000.mcap")
     assert verify(recording).difference is None
-    name = game.session.play.openables.joints.names[drawer]  # type: ignore[attr-defined]
+    name = game.session.play.team.openables.joints.names[drawer]  # type: ignore[attr-defined]
     assert [(e.kind, e.target) for e in recording.events if e.kind in ("open", "close")] == [
         ("open", name),
         ("close", name),
@@ -97,8 +97,8 @@ def test_a_closed_door_between_rooms_is_named_and_told(tmp_path: Path):
     player = Player(LiveGame(opening(tmp_path, **ROOMS), 0))
     player.play()
     game, play = player.game, player.game.session.play
-    doors = play.doorways.joints  # type: ignore[attr-defined]
-    cup, other = play.objects.poses[:, :3].tolist()  # type: ignore[attr-defined]
+    doors = play.team.doorways.joints  # type: ignore[attr-defined]
+    cup, other = play.team.objects.poses[:, :3].tolist()  # type: ignore[attr-defined]
     (door, at_goal), (of_other, at_its_goal) = game.barriers(player.number)
     assert (of_other, door) == (-1, at_goal) == (-1, at_its_goal)
     assert door in doors
@@ -173,7 +173,7 @@ def test_a_played_robot_opens_and_takes(tmp_path: Path):
     player.send(k="open", j=game.barriers(player.number)[MUG][0], lead=True)
     player.until_free()
     bring(player, MUG)
-    assert game.session.play.at_goal[MUG], player.said  # type: ignore[attr-defined]
+    assert game.session.play.team.at_goal[MUG], player.said  # type: ignore[attr-defined]
     game.close()
     assert verify(read_mcap(tmp_path / "000000.mcap")).difference is None
 
@@ -241,12 +241,12 @@ def test_pages_are_told_of_the_floor_when_it_has_changed(tmp_path: Path):
     assert floors(2) == [], "the page has loaded it"
     assert sum("barriers" in message for message in told) == 1
     other = replace(free, sdf=free.sdf - np.float32(0.1))
-    game.session.play.floor = other  # type: ignore[attr-defined]
+    game.session.play.team.floor = other  # type: ignore[attr-defined]
     (message,) = floors(3)
     cells = np.frombuffer(zlib.decompress(base64.b64decode(message["cells"])), "<i2").reshape(message["shape"])
     np.testing.assert_allclose(cells * message["unit"], other.sdf, atol=0.6e-3)
     assert message["origin"] == pytest.approx(free.origin.tolist())
-    game.session.play.floor = free  # type: ignore[attr-defined]
+    game.session.play.team.floor = free  # type: ignore[attr-defined]
     assert len(floors(2)) == 1, "and back"
     for here in (False, True):
         worker.here("g", {"agent": number, "here": here})

@@ -14,7 +14,7 @@ import h3data
 from h3data.formats import source_file
 from h3data.mesh import gltf_primitives, images, png
 from h3data_habitat import limits
-from h3data_habitat.gfx import gfx_keyframes
+from h3data_habitat.gfx import keyframes
 from h3data_pipelines.cli import main
 from tests.paths import DOCS, ROOT
 
@@ -128,7 +128,7 @@ def test_limits_in_the_docs_are_those_of_the_code() -> None:
     reading = " ".join((DOCS / "import.md").read_text(encoding="utf-8").split())
     exponents = [f"10^{len(str(limit)) - 1}" for limit in (limits.MAX_STEPS, limits.MAX_BODIES)]
     assert f"more than {exponents[0]} steps, {exponents[1]} instances or assets, {limits.MAX_AGENTS} agents" in reading
-    assert f"a keyframe of more than {gfx_keyframes.KEYFRAME_BYTES >> 20} MiB" in reading
+    assert f"a keyframe of more than {keyframes.KEYFRAME_BYTES >> 20} MiB" in reading
     assert f"tracks of more than {limits.MAX_TRACK_VALUES * 4 >> 20} MiB" in reading
     assert (
         f"unpack to more than {source_file.UNPACKED_BYTES >> 20} MiB and {source_file.UNPACKED_RATIO} times their size"

@@ -51,6 +51,7 @@ READING = {
             "robomimic": ".hdf5",
             "habitat-episodes": "_episodes",
             "csv": "_csv",
+            "rosbag2": "_bag",
         }.items()
     ],
     "import": [["PATH", "-o", "imported"]],

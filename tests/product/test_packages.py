@@ -34,6 +34,7 @@ PLACES = {
     "h3data_pipelines": "pipelines",
     "h3data_training": "pipelines",
     "h3data_remote": "pipelines",
+    "h3data_ros": "pipelines",
     "h3data_play": "viewers",
     "h3data_studies": "viewers",
     "h3data_viewers": "viewers",
@@ -190,6 +191,18 @@ def test_files_of_habitat_name_their_package(tmp_path: Path) -> None:
     assert not out.exists()
 
 
+def test_exports_name_their_package(tmp_path: Path) -> None:
+    tree, out = tmp_path / "tree", tmp_path / "out"
+    tree.mkdir()
+    refused = [["export", str(out), "--to", name, "-o", str(out)] for name in ("gltf", "csv", "lerobot")]
+    said = run_without("h3data_exporters", tree, [["metrics", "list"], ["export", "--help"], *refused])
+    assert said["metrics list"][0] == said["export --help"][0] == 0
+    for words in refused:
+        code, text = said[" ".join(words)]
+        assert code == 2
+        assert "h3data_exporters" in text, f"{words}: {text}"
+
+
 PLAYED = "--episodes 1 --max-steps 20 --workers 1"
 
 
@@ -217,6 +230,7 @@ NEEDING = {
         "generate social_nav --episodes-file {files}/episodes.json.gz --workers 1 -o {out}/of_file",
         "scenes export {files}/home_small_3.glb -o {out}/dataset",
         "motion import {files}/walk.pkl -o {out}/motions",
+        "view {files}/ds#0 --stand-ins -o {out}/plain.rrd",
     ),
     "h3data_gpu": ("rerender {files}/ds#0 --camera robot_arm --backend gpu -o {out}/device",),
     "h3data_homes": ("scenes show small:1 -o {out}/plan.png",),

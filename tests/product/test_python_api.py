@@ -278,6 +278,36 @@ def test_measure_takes_recordings_datasets_episodes_and_paths(generated: Any) ->
     assert h3data.measure(dataset[0]).to_dict()["values"].keys() == set(whole["metrics"])
 
 
+# --- keyword arguments -------------------------------------------------------------------------------------------------
+JOBS = (
+    "card",
+    "evaluate",
+    "export",
+    "generate",
+    "import_",
+    "pull",
+    "push",
+    "render_frame",
+    "report",
+    "rerender",
+    "run_benchmark",
+    "sync",
+    "verify_benchmark",
+    "view",
+)
+
+
+@pytest.mark.parametrize("name", JOBS)
+def test_unknown_keyword_arguments_are_refused_with_the_one_that_was_meant(name: str) -> None:
+    job = getattr(h3data, name)
+    some = list(inspect.signature(job).parameters)[-1]
+    with pytest.raises(TypeError, match=re.escape(f"has no argument '{some}x'. Did you mean '{some}'?")):
+        job(**{f"{some}x": 1})
+    with pytest.raises(TypeError, match=f"has no argument 'zzzzzzzz'. Expected one of: .*{some}"):
+        job(zzzzzzzz=1)
+    assert pickle.loads(pickle.dumps(job)) is job
+
+
 # --- environments ------------------------------------------------------------------------------------------------------
 def test_the_version() -> None:
     assert h3data.__version__
@@ -333,7 +363,6 @@ def test_make_names_every_option_of_every_environment() -> None:
     from h3data_training.envs.task_torch_env import TaskTorchEnv
     from sim_kinematic.envs import make as maker
     from sim_kinematic.envs.make import MakeOptions
-    from sim_kinematic.envs.skill_stepper import SkillStepper
     from sim_kinematic.envs.stepper import Options
     from sim_kinematic.envs.world_stepper import WorldStepper
     from sim_kinematic.tasks.registry import find_task
@@ -342,7 +371,7 @@ def test_make_names_every_option_of_every_environment() -> None:
         return {p.name for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY}
 
     real = keywords(maker.make_env) | {field.name for field in fields(Options)}
-    for environment in (WorldStepper, SkillStepper, TaskTorchEnv, SocialNavTorchEnv, RearrangeTorchEnv):
+    for environment in (WorldStepper, TaskTorchEnv, SocialNavTorchEnv, RearrangeTorchEnv):
         real |= keywords(environment)
     for task in ("social_nav", "rearrange"):
         real |= set(find_task(task).usage.env_options)

@@ -87,15 +87,15 @@ def test_who_was_killed_goes_on_to_the_same_weights(
 
 def test_advantages_end_with_their_episodes(example: dict[str, Any]) -> None:
     steps, worlds = 12, 5
-    dice = torch.Generator().manual_seed(0)
-    ended = torch.rand(steps, worlds, generator=dice) < 0.3
+    generator = torch.Generator().manual_seed(0)
+    ended = torch.rand(steps, worlds, generator=generator) < 0.3
     seen = {
-        "x": torch.randn(steps, worlds, 1, generator=dice),
-        "reward": torch.randn(steps, worlds, generator=dice),
+        "x": torch.randn(steps, worlds, 1, generator=generator),
+        "reward": torch.randn(steps, worlds, generator=generator),
         "ended": ended,
-        "terminated": ended & (torch.rand(steps, worlds, generator=dice) < 0.5),
+        "terminated": ended & (torch.rand(steps, worlds, generator=generator) < 0.5),
     }
-    last = torch.randn(worlds, 1, generator=dice)
+    last = torch.randn(worlds, 1, generator=generator)
 
     class Values:
         def value(self, x: Any) -> Any:

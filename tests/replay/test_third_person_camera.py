@@ -12,9 +12,9 @@ from h3data.errors import InputError
 from h3data.recording import Agent, AssetRef, Body, Episode, Recording
 from h3data.recording.assets.library import AssetLibrary
 from h3data.replay import CameraTrack, Replay, camera_at, camera_names, camera_track
-from h3data_habitat.gfx.gfx_replay import read_gfx_replay
-from h3data_habitat.hitl.hitl_paper_logs import read_hitl_log
-from h3data_habitat.hitl.hitl_sessions import read_hitl_episode
+from h3data_habitat.gfx.replay import read_gfx_replay
+from h3data_habitat.hitl.paper_logs import read_hitl_log
+from h3data_habitat.hitl.sessions import read_hitl_episode
 from h3data_homes import HomeSpec, build_home
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
 from tests.simulated import simulate_social_nav, social_nav_episode

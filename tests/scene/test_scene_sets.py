@@ -13,12 +13,13 @@ from bake.home_sets import set_text, updated_card
 from h3data.builtin import builtin_root
 from h3data.errors import FormatError, InputError
 from h3data.scene import save_scene, scene_digest
-from h3data.scene.open import listed_scenes, named_scenes, open_scene
+from h3data.scene.open import named_scenes, open_scene
 from h3data.scene.scene_sets import SceneSet, builtin_sets, find_scene_set, read_scene_set
 from h3data.scene.sources import SceneFile
 from h3data_habitat.exporters.scenes import export_habitat
 from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.assets.scene_reports import validate_scene
+from h3data_training.episodes import listed_scenes
 
 SPLITS = {"train": (37, 1000, 3.0), "val": (12, 100, 5.0), "test": (10, 15, 5.0)}
 """Homes, episodes in each (paper, appendix on scenes), least distance of the starts (appendix, social navigation)."""

@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 import h3data
 from sim_kinematic.agents.roster import make_roster, sample_places
 from sim_kinematic.agents.skills import Action
-from sim_kinematic.envs.skill_stepper import KINDS, SkillStepper
 from sim_kinematic.envs.stepper import Options
-from sim_kinematic.envs.world_stepper import STATE_OBSERVATIONS, WorldStepper
+from sim_kinematic.envs.world_stepper import WorldStepper
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.sensing.table import STATE_OBSERVATIONS
 from sim_kinematic.tasks.social_nav import TRAINING
 from sim_kinematic.world import DriveCommand, WaypointCommand, World
 from tests.simulated import REARRANGE, SOCIAL_NAV
@@ -85,7 +85,7 @@ class SkillSession:
     """One world of rearrangement whose agents are given skills."""
 
     def __init__(self, scenes: Any, **options: Any) -> None:
-        self.stepper = SkillStepper(REARRANGE, scenes, **options)
+        self.stepper = WorldStepper(REARRANGE, scenes, **options)
         self.reward, self.steps = 0.0, 0
 
     def begin(self, seed: int, index: int) -> None:
@@ -93,7 +93,7 @@ class SkillSession:
 
     def step(self, actions: Mapping[str, Action]) -> None:
         self.reward = float(self.stepper.step(actions)[0][0])
-        self.steps = self.stepper.last_steps
+        self.steps = self.stepper.turns[0].steps
 
     @property
     def play(self) -> Any:
@@ -101,17 +101,17 @@ class SkillSession:
 
     @property
     def ended(self) -> str:
-        return self.play.ended if self.stepper.is_over else ""
+        return self.play.ended if self.stepper.turns[0].is_over else ""
 
     @property
     def choosing(self) -> tuple[str, ...]:
-        return self.stepper.choosing
+        return self.stepper.choosing()
 
     def view(self, agent: str) -> Any:
-        return self.play.view(KINDS.index(agent))
+        return self.play.view(PAIR.index(agent))
 
     def runner(self, agent: str) -> Any:
-        return self.play.runner(KINDS.index(agent))
+        return self.play.team.controllers[PAIR.index(agent)]
 
 
 class AgentWorlds:

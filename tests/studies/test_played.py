@@ -22,7 +22,7 @@ from h3data_studies.commands.managing import StudyForget, StudyStatus, payments_
 from h3data_studies.commands.reporting import StudyCompare, StudyReport, _by_policy, _shipped
 from h3data_studies.commands.running import keep_design, running
 from h3data_studies.files import bots_folder, open_store, open_study, read_design
-from h3data_viewers.html_report.report_episode import ReportEpisode
+from h3data_viewers.html_report.episode import ReportEpisode
 from sim_kinematic.policies.learned import network_of
 from tests.studies.played import NOTHING, pid, play_study
 from tests.studies.tiny import tiny, write_tiny

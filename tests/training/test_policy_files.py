@@ -27,8 +27,9 @@ from sim_kinematic.policies import visual_policy
 from sim_kinematic.policies.learned import VisualNavigation, navigation_of, network_of, stamped
 from sim_kinematic.policies.learned_chooser import learned_chooser
 from sim_kinematic.policies.visual_policy import FILE_FORMAT, PolicyCard, VisualPolicy, save_policy
+from sim_kinematic.tasks.episode import with_options
 from sim_kinematic.tasks.runner import rollout, run
-from sim_kinematic.tasks.social_nav import SocialNav
+from sim_kinematic.tasks.social_nav import TRAINING, SocialNav
 from sim_kinematic.tasks.sources import EpisodeSource
 from tests.training.runs import SMALL, small
 
@@ -50,6 +51,13 @@ def colored(settings: Settings) -> Settings:
 
 
 @pytest.mark.parametrize("settings", [PICTURED, colored(PICTURED)], ids=["depth", "rgb"])
+def test_runs_with_the_papers_people_touch_their_bones() -> None:
+    paper, natural = (rules(Settings(walk=walk)) for walk in ("paper", "natural"))
+    assert (paper.person_contact, natural.person_contact) == ("bones", "body")
+    assert natural == TRAINING
+    assert paper == with_options(TRAINING, rules="paper")
+
+
 def test_it_gives_what_pytorch_gives(settings: Settings) -> None:
     torch.manual_seed(1)
     net = ActorCritic(settings)
@@ -134,7 +142,7 @@ def test_device_and_simulator_show_the_same(seen: str, light: Any) -> None:
         np.testing.assert_array_equal(shown["humanoid_detector"][0].numpy(), exact["humanoid_detector"])
         scale = 1 if seen == "arm_depth" else 255
         pixels += (np.abs(shown[seen][0].numpy() / scale - exact[seen] / scale) > 0.01).mean()
-        shown = worlds.held(torch.tensor([action]))[0]
+        shown = worlds.repeat_action(torch.tensor([action]))[0]
     actions = {action for _, action in watched.rows}
     assert len(watched.rows) == 36
     assert 3 < len(actions) <= 12  # held for three steps each

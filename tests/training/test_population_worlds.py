@@ -36,8 +36,8 @@ from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPoli
 from sim_kinematic.policies.learned import network_of  # noqa: E402
 from sim_kinematic.policies.rearrange import partner_plan, planner  # noqa: E402
 from sim_kinematic.policies.rearrange_observations import limits  # noqa: E402
+from sim_kinematic.tasks.play import WorldRollout  # noqa: E402
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode, RearrangeSpec  # noqa: E402
-from sim_kinematic.tasks.rearrange.play import SkillRollout  # noqa: E402
 from sim_kinematic.tasks.rearrange.task import Rearrange  # noqa: E402
 from sim_kinematic.tasks.runner import rollout, run  # noqa: E402
 from sim_kinematic.tasks.sources import EpisodeSource  # noqa: E402
@@ -149,7 +149,7 @@ def test_decisions_are_those_of_the_cpu(
         chooser = _Best(policy, 2)
         seed = populations.episode_seed(job.seed, job.number)
         plan = AssignedPolicy(planner(job.partner, seed, 2), job.partner, "human", job.partner)
-        play = SkillRollout(Rearrange(), episode, [AssignedPolicy(chooser, ROBOT, ROBOT), plan])
+        play = WorldRollout.of(Rearrange(), episode, [AssignedPolicy(chooser, ROBOT, ROBOT), plan])
         rewards: list[float] = []
         run(play, progress=lambda _, rewards=rewards, play=play: rewards.append(play.reward))
         first, chosen = chooser.rows[:4], mine["chosen"]
@@ -367,7 +367,7 @@ def test_device_and_full_rules_judge_alike(monkeypatch: pytest.MonkeyPatch) -> N
     full = []
     for episode in episodes:
         play = rollout(task, episode, {"robot": "learn_single", "human": "plan_pop_3"})
-        full.append((run(play) == "success", play.steps))
+        full.append((run(play) == "success", play.step))
     # measured: success 0.93 and 0.97, steps 414 and 499
     (success, steps), (full_success, full_steps) = (np.mean(rows, 0) for rows in (device, full))
     assert abs(success - full_success) <= 0.1

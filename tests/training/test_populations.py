@@ -46,8 +46,8 @@ from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS, network
 from sim_kinematic.policies.rearrange import ZSC_TEN, partner_policy, planner, robot_policy
 from sim_kinematic.policies.rearrange_observations import limits, observe
 from sim_kinematic.policies.visual_policy import save_policy
+from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.play import SkillRollout
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.runner import rollout, run
@@ -225,7 +225,7 @@ class _Watched(RecurrentSkillPolicy):
         assert may.any()
         np.testing.assert_array_equal(may, allowed(view, self.choices))
         for number in np.flatnonzero(may).tolist():
-            assert self.play.objects.why_not(view.agent, self.choices[number]) == ""  # type: ignore[attr-defined]
+            assert self.play.team.objects.why_not(view.agent, self.choices[number]) == ""  # type: ignore[attr-defined]
         skill = [self.choices[k].skill for k in np.flatnonzero(may)]
         preferred = [k for k, s in zip(np.flatnonzero(may).tolist(), skill, strict=True) if s in ("pick", "place")]
         chosen = int(self.rng.choice(preferred or np.flatnonzero(may)))
@@ -238,7 +238,7 @@ def test_what_cannot_be_is_never_offered(episodes: Sequence[RearrangeEpisode]) -
     episode = replace(episodes[0], spec=replace(episodes[0].spec, max_steps=700))
     robot = _Watched(chooser(think_steps=200), robot=True, seed=1)
     person = _Watched(chooser("partner_0", think_steps=200), robot=False, seed=2)
-    play = SkillRollout(
+    play = WorldRollout.of(
         Rearrange(),
         episode,
         [
@@ -256,7 +256,7 @@ def test_a_score_cannot_buy_what_is_not_allowed(episodes: Sequence[RearrangeEpis
     bias = network.arrays["each_1.bias"].copy()
     bias[2:] = 1e6  # pick and place, and nobody has arrived anywhere
     policy = RecurrentSkillPolicy(replace(network, arrays={**network.arrays, "each_1.bias": bias}), 2, robot=True)
-    play = SkillRollout(
+    play = WorldRollout.of(
         Rearrange(),
         episodes[0],
         [
@@ -283,7 +283,7 @@ def test_without_gps_nothing_tells_where_the_person_is(episodes: Sequence[Rearra
     assert robot.network.observations == tuple(n for n in OBSERVATIONS if n not in OF_OTHER)
     inputs: dict[str, list[np.ndarray]] = {"blind": [], "seeing": []}
     blind, seeing = robot.network.observations, OBSERVATIONS
-    play = SkillRollout(
+    play = WorldRollout.of(
         Rearrange(),
         replace(episodes[0], spec=replace(episodes[0].spec, max_steps=700)),
         [
@@ -295,7 +295,7 @@ def test_without_gps_nothing_tells_where_the_person_is(episodes: Sequence[Rearra
 
     def compare(_: Any) -> None:
         nonlocal carried
-        if play.steps % 40:
+        if play.step % 40:
             return
         view = play.view(0)
         other = moved_person(view, rng)
@@ -440,7 +440,7 @@ def test_at_first_only_the_critic_learns() -> None:
     learner = updated(SMALL)
     fresh = ChooserLearner(SMALL, ROBOT, seed=0)
     moved = {name for name, w in fresh.net.state_dict().items() if not torch.equal(w, learner.net.state_dict()[name])}
-    assert moved == {name for name in moved if name.startswith("worth.")} != set()
+    assert moved == {name for name in moved if name.startswith("value_head.")} != set()
 
 
 @pytest.mark.usefixtures("one_torch_thread")
@@ -805,5 +805,5 @@ def test_a_critic_is_told_who_the_partner_is() -> None:
     settings = replace(SMALL, population="plan_pop_3")
     net = Chooser(settings, agent=ROBOT, objects=2)
     of_object, rest = input_lengths(ROBOT)
-    assert net.worth[0].in_features == 2 * of_object + rest + 3
-    assert not any(name.startswith("worth") for name in net.arrays())
+    assert net.value_head[0].in_features == 2 * of_object + rest + 3
+    assert not any(name.startswith("value_head") for name in net.arrays())

@@ -140,7 +140,7 @@ def test_the_learning_curve_has_the_mean_distance_to_the_person(bank: EpisodeBan
         small(observations=("humanoid_gps", "range_scan")), bank, device="cpu", compile=False, hold=1
     )
     worlds.reset(seed=0)
-    worlds.held(torch.zeros(4, 2))
+    worlds.repeat_action(torch.zeros(4, 2))
     apart = (worlds.play.robot.xz - worlds.play.human.xz).norm(dim=-1)
     total = dict(zip(worlds.counts, worlds.totals.tolist(), strict=True))
     assert worlds.figures(total)["distance_m"] == pytest.approx(float(apart.mean()), rel=1e-5)
@@ -197,7 +197,7 @@ def test_a_decision_can_be_part_of_a_graph(bank: EpisodeBank) -> None:
     learner.update(plan)
     kept = [*learner.memory.tensors(), *learner.worlds.play.tensors(), *learner._kept.values()]
     assert [tensor.data_ptr() for tensor in kept] == places
-    shown, *_ = worlds.held(torch.zeros(4, 2))
+    shown, *_ = worlds.repeat_action(torch.zeros(4, 2))
     assert all(torch.equal(shown[name], worlds._shown[name]) for name in shown)
 
 
@@ -241,7 +241,7 @@ def test_episodes_are_cut_short_after_following(bank: EpisodeBank) -> None:
         worlds = ActionRepeatEnv(small(follow_steps=limit, observations=BLIND), bank, device="cpu", compile=False)
         worlds.reset(seed=0)
         worlds.play.memory["followed"].copy_(torch.tensor([0, 4, 5, 900]))
-        _, _, over, timed_out, idle = worlds.held(torch.zeros(4, 2))
+        _, _, over, timed_out, idle = worlds.repeat_action(torch.zeros(4, 2))
         cut = [False, False, True, True] if limit else [False] * 4
         assert (over.tolist(), timed_out.tolist(), idle.tolist()) == (cut, cut, [False] * 4)
         assert worlds.play.steps.tolist() == [1 if c else 5 for c in cut]  # the next episode has begun

@@ -31,11 +31,11 @@ from sim_kinematic.policies.skills.names import recorded_skills, skills_of
 from sim_kinematic.policies.skills.player import NetworkSkill
 from sim_kinematic.policies.visual_policy import PolicyCard, VisualPolicy, save_policy
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.skill_judging import judge
-from sim_kinematic.tasks.rearrange.skill_starts import SKILL_NAMES, draw_starts
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.resume import verify
 from sim_kinematic.tasks.runner import simulate
+from sim_kinematic.tasks.skills.skill_judging import judge
+from sim_kinematic.tasks.skills.skill_starts import SKILL_NAMES, draw_starts
 from sim_kinematic.tasks.sources import EpisodeSource
 from tests.training.torch.capturable import CapturableOnly
 
@@ -143,7 +143,8 @@ def test_episodes_are_cut_short_and_count_once(bank: SkillBank) -> None:
     worlds = ActionRepeatSkills(replace(SMALL, limit=6), bank, device="cpu")
     worlds.reset(seed=[0, 1, 2, 3])
     still = torch.zeros(4, 10)
-    over = [worlds.held(still)[2:5] for _ in range(3)]  # six steps, then a decision that begins the next episode
+    # six steps, then a decision that begins the next episode
+    over = [worlds.repeat_action(still)[2:5] for _ in range(3)]
     begun, timed_out, idle = over[2]
     assert begun.all()
     assert timed_out.all()
@@ -206,7 +207,7 @@ def test_the_teacher_does_what_it_teaches(bank: SkillBank, skill: str, observati
     for _ in range(80):
         action = worlds.taught()
         assert action.shape == (4, worlds.sim.action_width)
-        worlds.held(action)
+        worlds.repeat_action(action)
     total = dict(zip(ActionRepeatSkills.counts, worlds.totals.tolist(), strict=True))
     assert total["succeeded"] >= 3
     assert total["failed"] == 0
@@ -319,7 +320,7 @@ def test_worlds_show_pictures_of_the_state_after_the_last_step(bank: SkillBank) 
     shown, _ = worlds.reset(seed=[0, 1, 2, 3])
     assert shown["arm_depth"].shape == (4, 12, 16, 1)
     assert 0 <= shown["arm_depth"].min() < shown["arm_depth"].max() <= 1
-    after = worlds.held(torch.ones(4, 10))[0]
+    after = worlds.repeat_action(torch.ones(4, 10))[0]
     assert not torch.equal(after["arm_depth"], shown["arm_depth"])
     assert worlds._cameras is not None
     want = worlds._cameras.observe(worlds.play)["depth"].clip(0, 10) / 10

@@ -27,13 +27,13 @@ from h3data.recording import DatasetWriter, Recording, open_recording
 from h3data.recording.records import STEP_NS, Agent, Episode
 from h3data_pipelines.cli import main
 from h3data_training.curve import save_curve
+from h3data_viewers.html_report.data import gather, same_episodes
+from h3data_viewers.html_report.paper import social_nav_table
+from h3data_viewers.html_report.pictures import highlights, key_rows
+from h3data_viewers.html_report.reading import Found, lost_part
 from h3data_viewers.html_report.report import Report, make_report
-from h3data_viewers.html_report.report_data import gather, same_episodes
-from h3data_viewers.html_report.report_paper import social_nav_table
-from h3data_viewers.html_report.report_pictures import highlights, key_rows
-from h3data_viewers.html_report.report_reading import Found, lost_part
-from h3data_viewers.html_report.report_svg import ticks
-from h3data_viewers.html_report.report_tables import (
+from h3data_viewers.html_report.svg import ticks
+from h3data_viewers.html_report.tables import (
     Cell,
     Column,
     Row,

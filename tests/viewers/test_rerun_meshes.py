@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from h3data.mesh.mesh import Mesh, Texture
+from h3data.mesh.thinning import thin_mesh
 from h3data_viewers import write_rrd
-from h3data_viewers.rerun.mesh_budget import baked_colors, thin_mesh, view_mesh
+from h3data_viewers.rerun.mesh_budget import baked_colors, view_mesh
 from tests.viewers.rerun_file import File, Stage, Thing, example, sphere
 
 pytest.importorskip("rerun")

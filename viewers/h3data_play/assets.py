@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 from h3data.bodies import Robot
-from h3data.exporters.gltf_animation import write_gltf_animation
-from h3data.exporters.posing import posed_parts
 from h3data.recording import RecordingHeader
 from h3data.replay import Replay
 from h3data.replay.rigs import joint_rigs, robot_rig
 from h3data.scene import FreeSpace
+from h3data_exporters.gltf_animation import write_gltf_animation
+from h3data_exporters.posing import posed_parts
 from h3data_play.app import App
 from h3data_play.drivers import driving_base
 from h3data_play.messages import PERIOD_S
@@ -110,7 +110,7 @@ def manifest(session: Session, app: App, sdf: dict[str, Any]) -> dict[str, Any]:
 
 def _joints(session: Session, app: App, movable: set[str]) -> list[dict[str, Any]]:
     """Doors and drawers, where the task has any that move."""
-    openables = getattr(session.play, "openables", None)
+    openables = getattr(session.play.team, "openables", None)
     if openables is None:
         return []
     return [

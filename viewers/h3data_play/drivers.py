@@ -38,7 +38,6 @@ from sim_kinematic.agents.skills import Action, sentence
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.tasks.episode import agent_base, agent_floor
-from sim_kinematic.tasks.rearrange.play import SkillRollout
 from sim_kinematic.tasks.runner import Session, StepResult
 
 CANCEL = Action("wait", steps=1)
@@ -214,7 +213,7 @@ class SkillDriver(Driver):
             raise InputError(f"There is no door or drawer {message.j}; the home has {len(names)}.", code="H3-PLAY-016")
         if self.objects.held(self.number) >= 0:
             return sentence("hand_full")
-        openables = self.session.play.openables  # type: ignore[attr-defined]
+        openables = self.session.play.team.openables  # type: ignore[attr-defined]
         if message.lead and self.door_before(openables.handles(openables.positions)[message.j]) not in (-1, message.j):
             return DOOR_SHUT
         skill = Action("open" if isinstance(message, Open) else "close", message.j)
@@ -222,7 +221,7 @@ class SkillDriver(Driver):
 
     def barred(self, k: int, lead: bool, *, at_goal: bool = False) -> str:
         """Why object ``k`` cannot be taken, or put at its goal, before something is opened; empty: it can."""
-        openables = self.session.play.openables  # type: ignore[attr-defined]
+        openables = self.session.play.team.openables  # type: ignore[attr-defined]
         if openables is not None and openables.barrier_of(k, at_goal=at_goal) >= 0:
             return sentence("closed")
         point = self.objects.goals[k] if at_goal else self.objects.poses[k, :3]
@@ -230,16 +229,16 @@ class SkillDriver(Driver):
 
     def door_before(self, point: Array) -> int:
         """The closed door between rooms that keeps the agent from where it could reach a world point [3]; -1: none."""
-        play: SkillRollout = self.session.play  # type: ignore[assignment]
-        actor = play.actors[self.number]
-        return play.door_before(actor, partial(actor.stands_on, point=point))
+        team = self.session.play.team
+        actor = team.actors[self.number]
+        return team.door_before(actor, partial(actor.stands_on, point=point))
 
     def go(self, xz: Any, heading: float | None = None) -> str:
         """Walks or drives to a floor point, unless a closed door is in between."""
-        play: SkillRollout = self.session.play  # type: ignore[assignment]
-        spot = play.doorways.open_floor.snap(xz, max_distance_m=FLOOR_SNAP_M)
+        team = self.session.play.team
+        spot = team.doorways.open_floor.snap(xz, max_distance_m=FLOOR_SNAP_M)
         place = np.array([[*spot, 0.0]])[np.isfinite(spot).all(keepdims=True)]
-        if play.door_before(play.actors[self.number], lambda _: place) >= 0:
+        if team.door_before(team.actors[self.number], lambda _: place) >= 0:
             return DOOR_SHUT
         return super().go(xz, heading)
 
@@ -310,12 +309,12 @@ class SkillDriver(Driver):
     @property
     def floor(self) -> FreeSpace:
         """Free floor on which the agent moves now."""
-        return self.session.play.actors[self.number].free  # type: ignore[attr-defined]
+        return self.session.play.team.actors[self.number].free  # type: ignore[attr-defined]
 
     @property
     def objects(self) -> Any:
         """`sim_kinematic.agents.skills.Objects` of the play."""
-        return self.session.play.objects  # type: ignore[attr-defined]
+        return self.session.play.team.objects  # type: ignore[attr-defined]
 
 
 class PersonDriver(SkillDriver):
@@ -373,7 +372,7 @@ class PersonDriver(SkillDriver):
     @property
     def body(self) -> DrivenPerson:
         """The person in the play."""
-        return self.session.play.actors[self.number]  # type: ignore[attr-defined]
+        return self.session.play.team.actors[self.number]  # type: ignore[attr-defined]
 
 
 class RobotDriver(SkillDriver):
@@ -382,7 +381,7 @@ class RobotDriver(SkillDriver):
     @property
     def base(self) -> BaseSpec:
         """Its own, which covers what the hand carries, too."""
-        return self.session.play.actors[self.number].base  # type: ignore[attr-defined]
+        return self.session.play.team.actors[self.number].base  # type: ignore[attr-defined]
 
 
 def driving_base(session: Session, number: int) -> BaseSpec:
@@ -396,5 +395,5 @@ def driving_base(session: Session, number: int) -> BaseSpec:
         max_turn_rad_s=spec.human.turn_rad_s,
         disc_offsets_m=(0.0,),
         disc_radius_m=spec.agent_radius_m,
-        allow_back=isinstance(session.play, SkillRollout),
+        allow_back=session.task.control.has_skills,
     )

@@ -373,24 +373,24 @@ class LiveGame:
         is what encloses the object, or a door between rooms that leaves no path to it; -1 if there is none. The list is
         empty in homes without such parts, and for spectators.
         """
-        play: Any = self.session.play
-        openables = getattr(play, "openables", None)
+        team: Any = self.session.play.team
+        openables = getattr(team, "openables", None)
         if openables is None or number not in self.drivers:
             return []
         # found again, in up to 50 ms, only when something has been opened, closed, taken or put down: nobody gets from one
         # side of a closed door to the other without
-        key = openables.joints.is_open(openables.positions).tobytes() + play.objects.held_by.tobytes()
+        key = openables.joints.is_open(openables.positions).tobytes() + team.objects.held_by.tobytes()
         known = self._barriers.get(number)
-        if known is None or known[0] is not play.floor or known[1] != key:
-            barrier = partial(play.barrier, play.actors[number], detour_m=np.inf)
-            found = [[barrier(k, at_goal) for at_goal in (False, True)] for k in range(len(play.objects.names))]
-            self._barriers[number] = known = play.floor, key, found
+        if known is None or known[0] is not team.floor or known[1] != key:
+            barrier = partial(team.barrier, team.actors[number], detour_m=np.inf)
+            found = [[barrier(k, at_goal) for at_goal in (False, True)] for k in range(len(team.objects.names))]
+            self._barriers[number] = known = team.floor, key, found
         return known[2]
 
     @property
     def floor(self) -> FreeSpace:
-        """The floor as it is now, on which pages predict their players: tasks whose doors move have one (``play.floor``)."""
-        return getattr(self.session.play, "floor", self.session.episode.free)
+        """The floor as it is now, on which pages predict their players: doors move where agents have skills."""
+        return getattr(self.session.play.team, "floor", self.session.episode.free)
 
     # --- the end ------------------------------------------------------------------------------------------------------
     def close(self, info: Mapping[str, Any] | None = None) -> Recording | None:

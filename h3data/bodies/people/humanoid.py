@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 LOD_BELOW_PX = 220.0
 """Up to this height in a picture a person is drawn with the light mesh: its error (4 mm) is then below half a pixel."""
-BONE_BOX_M, BONE_PAD_M = 0.02, 0.02
+BONE_BOX_M, BONE_PAD_M, BONE_PAD_PART = 0.02, 0.02, 1 / 25
 """Habitat's collision boxes are this wide and end this far before the joints (spec/habitat.md 1.6)."""
 
 
@@ -238,6 +238,9 @@ class Humanoid:
     def bone_boxes_world(self, joint_matrices: Array) -> tuple[Array, Array]:
         """Habitat's collision profile: a thin box along every bone (spec/habitat.md 1.6, 3.1).
 
+        A bone leads from a joint to each of its children; head, toes and fingertips have none of their own. Boxes are 2 cm
+        thick and end before both joints, by 2 cm or 1/25 of the bone, whichever is less.
+
         Returns centres with rotations, [T, K, 4, 4] with y along the bone, and full sizes [K, 3] [m].
         """
         start, end = self._bones
@@ -253,15 +256,13 @@ class Humanoid:
         frames[..., :3, 3] = (a + b) / 2
         frames[..., 3, 3] = 1
         across = np.full_like(length, BONE_BOX_M)
-        return frames, np.stack([across, length - 2 * BONE_PAD_M, across], axis=1)
+        return frames, np.stack([across, length - 2 * np.minimum(length * BONE_PAD_PART, BONE_PAD_M), across], axis=1)
 
     @cached_property
     def _bones(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Start and end joints [K] of the bones long enough for a box."""
+        """Start and end joints [K] of the bones; a joint that is where its parent is ends none."""
         length = np.linalg.norm(self.joint_offsets, axis=1)
-        end = np.array(
-            [j for j, parent in enumerate(self.parents) if parent >= 0 and length[j] > 2 * BONE_PAD_M + 1e-3]
-        )
+        end = np.array([j for j, parent in enumerate(self.parents) if parent >= 0 and length[j] > 1e-3])
         return np.array(self.parents)[end], end
 
     @cached_property

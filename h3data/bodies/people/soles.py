@@ -7,27 +7,12 @@ from numpy.typing import NDArray
 
 from h3data.bodies.people.humanoid import Humanoid
 from h3data.bodies.people.skeleton import JOINT_INDEX
-from h3data.geometry import Array, quat_to_matrix
+from h3data.geometry import Array
 
 SIDES = ("left", "right")
 LEG_JOINTS = np.array([[JOINT_INDEX[f"{s}_{j}"] for j in ("hip", "knee", "ankle", "foot")] for s in SIDES])
 HIP, KNEE, ANKLE, TOE = range(4)
 """Columns of `LEG_JOINTS`."""
-
-
-def leg_frames(body: Humanoid, quats: Array, pelvis: Array) -> Array:
-    """Frames [T, 2, 4, 4, 4] of hip, knee, ankle and toe joint of the left and right leg, in the frame of ``pelvis`` [T, 3].
-
-    As `h3data.bodies.people.kernels.clips.joint_frames`, for these joints alone: a seventh of the memory.
-    """
-    frames = np.zeros((len(quats), 2, 4, 4, 4))
-    frames[..., 3, 3] = 1
-    turn, place = quat_to_matrix(quats[:, 0])[:, None], pelvis[:, None]
-    for k, joints in enumerate(LEG_JOINTS.T):
-        place = place + (turn @ body.joint_offsets[joints][..., None])[..., 0]
-        turn = turn @ quat_to_matrix(quats[:, joints])
-        frames[:, :, k, :3, :3], frames[:, :, k, :3, 3] = turn, place
-    return frames
 
 
 def sole_points(body: Humanoid, frames: Array) -> Array:

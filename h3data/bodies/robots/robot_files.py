@@ -13,6 +13,8 @@ from h3data.errors import InputError, suggest
 from h3data.plugins import REFERENCE, Registry
 
 SETTINGS_NAME = "robot.toml"
+DESCRIPTIONS = (".urdf", ".xml", ".mjcf")
+"""Endings of descriptions of robots: URDF and MJCF."""
 
 
 def _check(loaded: Any) -> None:
@@ -68,7 +70,7 @@ def is_robot(name_or_path: str | Path) -> bool:
 def is_robot_file(path: str | Path) -> bool:
     """Returns whether a path is that of a robot by its name: a ``.urdf``, a ``robot.toml``, or a folder that holds either."""
     path = Path(path)
-    if path.suffix.lower() == ".urdf" or path.name == SETTINGS_NAME:
+    if path.suffix.lower() in DESCRIPTIONS or path.name == SETTINGS_NAME:
         return True
     return path.is_dir() and ((path / SETTINGS_NAME).is_file() or any(path.glob("*.urdf")))
 
@@ -88,7 +90,7 @@ def find_robot(name_or_path: str | Path) -> RobotFiles:
     claimed = REFERENCE.fullmatch(text) or _registry().origin(text) != repr(text)
     if not is_robot_file(path) and claimed:
         path = Path(_registry().get(text))
-    if path.suffix.lower() == ".urdf":
+    if path.suffix.lower() in DESCRIPTIONS:
         return RobotFiles(path, _settings_beside(path))
     if path.name == SETTINGS_NAME and not path.is_dir():
         if not path.is_file():

@@ -1,4 +1,4 @@
-"""Robots from files: a URDF with meshes and, beside it, a small ``robot.toml`` with what URDF cannot say."""
+"""Robots from files: a URDF with meshes, or MJCF, and, beside it, a small ``robot.toml`` with what URDF cannot say."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies.robots.extents import resting_hull
 from h3data.bodies.robots.guess import guess_settings
+from h3data.bodies.robots.mjcf import is_mjcf, mjcf_files, read_mjcf
 from h3data.bodies.robots.robot import Robot, RobotCamera, RobotLeg, RobotLink
 from h3data.bodies.robots.robot_files import RobotFiles, find_robot, is_built_in
 from h3data.bodies.robots.robot_settings import CameraSettings, RobotSettings, read_settings
@@ -62,7 +63,7 @@ def guess_robot_settings(urdf: str | Path, *, up: Literal["z", "y"] = "z") -> Ro
         InputError: There is no such file.
         FormatError: It is not a usable URDF.
     """
-    read, sure = with_stand_ins(read_urdf(urdf, allow_missing=True))
+    read, sure = with_stand_ins(_read(Path(urdf)))
     return guess_settings(_robot(read, RobotSettings(), up), sure)
 
 
@@ -86,6 +87,8 @@ def robot_digest(name_or_path: str | Path) -> str:
 @lru_cache(maxsize=32)
 def _meshes_of(urdf: Path, version: tuple[int, int]) -> tuple[Path, ...]:
     del version  # only part of the key: a changed file is read again
+    if is_mjcf(urdf):
+        return tuple(mjcf_files(urdf)[1:])
     return tuple(mesh_files(read_urdf(urdf, allow_missing=True, warn=False).links))
 
 
@@ -127,7 +130,7 @@ def check_robot(name_or_path: str | Path, sha256: str, *, agent: str) -> None:
 @lru_cache(maxsize=32)
 def _loaded(files: RobotFiles, up: Literal["z", "y"], fill_in: bool, *versions: tuple[int, int]) -> Robot:
     del versions  # only part of the key: changed files are read again
-    urdf = read_urdf(files.urdf, allow_missing=fill_in)
+    urdf = _read(files.urdf, allow_missing=fill_in)
     if not fill_in:
         robot = _robot(urdf, read_settings(files.settings, urdf), up)
     else:
@@ -148,6 +151,11 @@ def _version(path: Path | None) -> tuple[int, int]:
     return status.st_mtime_ns, status.st_size
 
 
+def _read(path: Path, *, allow_missing: bool = True) -> Urdf:
+    """The description of a robot, URDF or MJCF."""
+    return read_mjcf(path) if is_mjcf(path) else read_urdf(path, allow_missing=allow_missing)
+
+
 # --- building ---------------------------------------------------------------------------------------------------------
 def _robot(urdf: Urdf, settings: RobotSettings, up: Literal["z", "y"]) -> Robot:
     order = _parents_first(urdf)
@@ -162,7 +170,7 @@ def _robot(urdf: Urdf, settings: RobotSettings, up: Literal["z", "y"]) -> Robot:
         names += [f"{joint.name}.{part}" for part in "xyzw"] if ball else [joint.name]
         lower += [-1.0] * 4 if ball else [joint.lower]
         upper += [1.0] * 4 if ball else [joint.upper]
-        rest += [0.0, 0.0, 0.0, 1.0] if ball else [min(max(0.0, joint.lower), joint.upper)]
+        rest += [0.0, 0.0, 0.0, 1.0] if ball else [min(max(urdf.rest.get(joint.name, 0.0), joint.lower), joint.upper)]
         moves += [index[joint.child]] * joint.width
     leaders = [None if j is None else j.mimic for j in joints]
     kinds = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 2, "spherical": 3}
@@ -242,11 +250,17 @@ def _visual(part: UrdfPart) -> Mesh:
         case "box":
             return moved(flat_shaded(box_mesh(np.array(g.size) / 2, color=color)), part.origin)
         case "mesh":
-            assert g.file is not None
-            mesh = load_mesh(g.file)
+            mesh = _mesh_of(part)
             return moved(mesh if part.color is None else painted(mesh, part.color), part.origin, g.scale)
         case kind:
             return moved(round_mesh(g.radius, g.length, color, caps=kind != "cylinder"), part.origin)
+
+
+def _mesh_of(part: UrdfPart) -> Mesh:
+    if part.geometry.mesh is not None:
+        return part.geometry.mesh
+    assert part.geometry.file is not None
+    return load_mesh(part.geometry.file)
 
 
 def _shape(part: UrdfPart) -> Shape:
@@ -260,8 +274,7 @@ def _shape(part: UrdfPart) -> Shape:
                 pose=pose_from_matrix(origin @ y_to_z).astype(np.float64), radius=g.radius, half_height=g.length / 2
             )
         case "mesh":
-            assert g.file is not None
-            return Hull(points=_hull_points(moved(load_mesh(g.file), origin, g.scale)))
+            return Hull(points=_hull_points(moved(_mesh_of(part), origin, g.scale)))
         case _:
             along = origin[:3, 2] * g.length / 2
             return Capsule(start=origin[:3, 3] - along, end=origin[:3, 3] + along, radius=g.radius)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from functools import lru_cache
 from pathlib import Path
@@ -136,32 +135,6 @@ def read_settings(path: Path | None, urdf: Urdf) -> RobotSettings:
             f"The robot description does not fit its URDF: {'; '.join(faults[:8])}. File: {path}", code="H3-BODY-110"
         )
     return settings
-
-
-def encode_settings(settings: RobotSettings) -> str:
-    """Returns the text of a ``robot.toml``: all fields that differ from their defaults, and the base's discs."""
-    lines: list[str] = []
-    tables: list[str] = []
-    for name, value in msgspec.structs.asdict(settings).items():
-        default = next(f.default for f in msgspec.structs.fields(RobotSettings) if f.name == name)
-        if isinstance(value, tuple) and value and isinstance(value[0], msgspec.Struct):
-            for one in value:
-                tables += ["", f"[[{name}]]", *(f"{k} = {_toml(v)}" for k, v in msgspec.structs.asdict(one).items())]
-        elif value != default or name.startswith("base_discs"):
-            if name == "base_profiles":
-                tables += [
-                    "",
-                    "[base_profiles]",
-                    *(f"{_toml(k)} = {_toml(v)}" for k, v in settings.base_profiles.items()),
-                ]
-            else:
-                lines.append(f"{name} = {_toml(value)}")
-    return "\n".join([*lines, *tables, ""])
-
-
-def _toml(value: Any) -> str:
-    """A number, a text, or a list of them in TOML: JSON, which is a part of it, does."""
-    return json.dumps(list(value) if isinstance(value, tuple) else value)
 
 
 def _finite(value: Any) -> bool:

@@ -13,8 +13,8 @@ from __future__ import annotations
 import logging
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, get_args
 from xml.etree import ElementTree
@@ -101,6 +101,8 @@ class Urdf:
     root: str
     links: tuple[UrdfLink, ...]
     joints: tuple[UrdfJoint, ...]
+    rest: Mapping[str, float] = field(default_factory=dict)
+    """Resting positions of joints that the file gives [rad or m], which URDF files cannot."""
 
     @property
     def movable(self) -> tuple[UrdfJoint, ...]:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.geometry import Array
+from h3data.mesh.mesh import Mesh
 
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae", ".off")
 """Kinds of files that a URDF may name; nothing else is ever opened for it."""
@@ -52,6 +53,8 @@ class UrdfGeometry:
     radius: float = 0.0
     length: float = 0.0
     file: Path | None = None
+    """File of a mesh; None of one that is not in a file of its own."""
+    mesh: Mesh | None = None
     scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 

@@ -42,14 +42,6 @@ class _Proposition(msgspec.Struct):
     args: dict[str, Any] = {}
 
 
-def predicates_of(episode: RearrangeEpisode) -> list[str]:
-    """Function of each proposition of an episode; none if it is not PARTNR's."""
-    listed = episode.extra.get(PROPOSITIONS)
-    if not isinstance(listed, list):
-        return []
-    return [str(entry.get("function_name")) for entry in listed if isinstance(entry, dict)]
-
-
 def placements_of(episode: RearrangeEpisode) -> tuple[Placement, ...] | None:
     """Returns the placements that an episode of PARTNR asks for, in the order of its propositions; None for other episodes.
 

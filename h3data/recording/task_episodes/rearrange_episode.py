@@ -2,7 +2,7 @@
 
 Poses stay the 4x4 matrices that the file has (row-major, acting on column vectors, local to world [m]), so that reading
 and writing lose nothing; `object_poses` and `goal_poses` give them as pose7. An object's frame is its centre-of-mass frame.
-`h3data_habitat.episodes.episode_files` reads and writes the files.
+`h3data_habitat.episodes.files` reads and writes the files.
 """
 
 from __future__ import annotations

@@ -7,18 +7,14 @@ Habitat stores neither where the two agents begin nor where the person walks (sp
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
-import numpy as np
 
-from h3data.bodies.names import split_walk
 from h3data.errors import InputError
-from h3data.recording import Recording
 from h3data.recording.task_episodes.rearrange_episode import Matrix, RearrangeEpisode, RigidObject
-from h3data.recording.task_episodes.stored_episodes import Start, info_block, plain, read_info_block, start_fields
+from h3data.recording.task_episodes.stored_episodes import Start, info_block, read_info_block, start_fields
 
 TASK = "social_nav"
 
@@ -65,7 +61,7 @@ def social_nav_episode(
     Habitat's own fields hold the robot's start. Its social-navigation task also looks for a target object when it
     resets (spec/habitat.md 1.2); give it one by ``rigid_objects`` and ``targets`` if the file is to be run there.
     """
-    _require_finite(nav)
+    require_finite(nav)
     return RearrangeEpisode(
         episode_id=episode_id,
         scene_id=scene_id,
@@ -86,88 +82,8 @@ def read_social_nav(episode: RearrangeEpisode) -> SocialNavEpisode | None:
     return read_info_block(episode, TASK, SocialNavEpisode)
 
 
-def social_nav_of(recording: Recording) -> SocialNavEpisode:
-    """Starts and way points of a recorded episode, to run it again with another policy.
-
-    The person's goals are taken from ``episode.info["human_goals"]`` if they are there, else from the ``new_goal``
-    events, which name them to the centimetre (``goals_within_m``).
-
-    Raises:
-        InputError: the recording is of another task, or does not say where they began.
-    """
-    info = recording.episode.info
-    name = recording.episode.episode_id
-    if recording.episode.task != TASK:
-        raise InputError(
-            f"Expected a recording of social_nav, {name!r} is one of {recording.episode.task!r}.", code="H3-HABITAT-039"
-        )
-    robots = [k for k, agent in enumerate(recording.agents) if agent.kind == "robot"]
-    humans = [k for k, agent in enumerate(recording.agents) if agent.kind == "human"]
-    if len(robots) != 1 or len(humans) != 1 or not len(recording):
-        raise InputError(
-            f"Expected one robot, one human and some steps, {name!r} has {len(robots)}, {len(humans)}, {len(recording)}.",
-            code="H3-HABITAT-040",
-        )
-    goals, within = _goals(recording, humans[0])
-    floor_y = float(recording.agent_column(robots[0], "base_pose")[0, 1])
-    try:
-        nav = msgspec.convert(
-            {
-                "robot_start": info.get("robot_start"),
-                "human_start": info.get("human_start"),
-                "human_goals": goals,
-                "goals_within_m": within,
-                "goals_complete": len(recording) >= int(info.get("max_steps", 0)) > 0,
-                "floor_y": floor_y,
-                "max_steps": info.get("max_steps", len(recording)),
-                "seed": recording.episode.seed,
-                "robot": recording.agents[robots[0]].model,
-                "human": split_walk(recording.agents[humans[0]].model)[0],
-                "scene_sha256": info.get("scene_sha256", ""),
-                "scene_source": plain(info.get("scene_source", {})),
-                "rules": plain(info.get("spec", {})),
-                "recording": recording.episode.uid,
-            },
-            SocialNavEpisode,
-        )
-    except (msgspec.ValidationError, TypeError, ValueError) as fault:
-        raise InputError(
-            f"The info of recording {name!r} lacks something: {str(fault).replace('`', '')}", code="H3-HABITAT-043"
-        ) from None
-    _require_finite(nav)
-    return nav
-
-
-_POINT = re.compile(r"\((-?\d+\.?\d*), (-?\d+\.?\d*)\)")
-
-
-def _goals(recording: Recording, human: int) -> tuple[Any, float]:
-    """The person's goals, and how far they may be off [m]."""
-    exact = recording.episode.info.get("human_goals")
-    if exact is not None:
-        return exact, 0.0
-    goals: list[tuple[float, float]] = []
-    for event in recording.events:
-        if event.kind != "new_goal" or event.agent != human:
-            continue
-        point = _POINT.fullmatch(event.detail)
-        if point is None:
-            raise InputError(
-                f"Expected a point like (1.20, -3.40) in the event of step {event.step}, got {event.detail!r}.",
-                code="H3-HABITAT-044",
-            )
-        goals.append((float(point[1]), float(point[2])))
-    column = recording.columns.get("sim.human_goal")
-    count = int(np.max(column)) + 1 if column is not None and len(column) else len(goals)
-    if count != len(goals):
-        raise InputError(
-            f"Recording {recording.episode.episode_id!r} has {len(goals)} events new_goal, its steps speak of {count}.",
-            code="H3-HABITAT-041",
-        )
-    return goals, 0.01
-
-
-def _require_finite(nav: SocialNavEpisode) -> None:
+def require_finite(nav: SocialNavEpisode) -> None:
+    """Raise an InputError where a start or way point is NaN or infinite."""
     numbers = [*nav.robot_start, *nav.human_start, *(v for goal in nav.human_goals for v in goal), nav.floor_y]
     if not all(map(math.isfinite, numbers)):
         raise InputError(

@@ -14,10 +14,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from h3data.bodies.names import split_walk
 from h3data.errors import InputError
 from h3data.geometry import pose_from_matrix
-from h3data.recording import Recording
 from h3data.recording.task_episodes.partnr_goals import Placement, placements_of
 from h3data.recording.task_episodes.rearrange_episode import (
     Matrix,
@@ -131,7 +129,7 @@ def rearrangement_entry(
     Habitat itself plays ``rigid_objects`` (in the order of their configs) and ``targets``, which
     `h3data_habitat.exporters.episodes` fills in; h3data needs neither.
     """
-    _require_finite(record)
+    require_finite(record)
     names = targets or {}
     on = name_to_receptacle or {}
     info: dict[str, Any] = {"object_labels": {name: f"any_targets|{k}" for k, name in enumerate(names)}}
@@ -161,7 +159,7 @@ def read_rearrangement(episode: RearrangeEpisode) -> StoredRearrangement | None:
     if task_of(episode) == TASK:
         record = read_info_block(episode, TASK, StoredRearrangement)
         assert record is not None
-        _require_finite(record)
+        require_finite(record)
         if not record.goals and not record.placements:
             raise InputError(
                 f"Episode {episode.episode_id!r} has no objects to rearrange: goals is empty.", code="H3-HABITAT-053"
@@ -212,50 +210,6 @@ def _of_habitat(episode: RearrangeEpisode, placements: tuple[Placement, ...]) ->
     )
 
 
-def rearrangement_of(recording: Recording) -> StoredRearrangement:
-    """Objects, goals and starts of a recorded episode, to play it again with others.
-
-    Raises:
-        InputError: the recording is of another task, or lacks something.
-    """
-    info, name = recording.episode.info, recording.episode.episode_id
-    if recording.episode.task != TASK:
-        raise InputError(
-            f"Expected a recording of rearrange, {name!r} is one of {recording.episode.task!r}.", code="H3-HABITAT-049"
-        )
-    if not len(recording) or not recording.agents:
-        raise InputError(f"Expected a recording with agents and steps, {name!r} has none.", code="H3-HABITAT-050")
-    first = {agent.kind: k for k, agent in reversed(list(enumerate(recording.agents)))}
-    starts = {kind: info.get(f"{kind}_start") for kind in ("robot", "human")}
-    if "starts" in info:
-        starts |= {kind: info["starts"][k] for kind, k in first.items()}
-    models = {kind: recording.agents[k].model for kind, k in first.items()}
-    floor_y = float(recording.agent_column(next(iter(first.values())), "base_pose")[0, 1])
-    try:
-        record = msgspec.convert(
-            {
-                "goals": info.get("goals"),
-                **{f"{kind}_start": start for kind, start in starts.items()},
-                "floor_y": floor_y,
-                "seed": recording.episode.seed,
-                "robot": models.get("robot", ""),
-                "human": split_walk(models.get("human", ""))[0],
-                "scene_sha256": info.get("scene_sha256", ""),
-                "scene_source": plain(info.get("scene_source", {})),
-                "rules": plain(info.get("spec", {})),
-                "recording": recording.episode.uid,
-                "instruction": str(info.get("instruction") or ""),
-            },
-            StoredRearrangement,
-        )
-    except (msgspec.ValidationError, TypeError, ValueError) as fault:
-        raise InputError(
-            f"The info of recording {name!r} lacks something: {str(fault).replace('`', '')}", code="H3-HABITAT-043"
-        ) from None
-    _require_finite(record)
-    return record
-
-
 def _at(receptacles: Sequence[tuple[str, int | None]], index: int) -> str:
     return receptacles[index][0] if index < len(receptacles) else ""
 
@@ -273,7 +227,8 @@ def _poses(matrices: Sequence[Matrix], what: Sequence[str], where: str) -> list[
     return pose_from_matrix(stacked).astype(np.float64).tolist()
 
 
-def _require_finite(record: StoredRearrangement) -> None:
+def require_finite(record: StoredRearrangement) -> None:
+    """Raise an InputError where a start or goal is NaN or infinite."""
     for start in (record.robot_start, record.human_start):
         if start is not None and not all(map(math.isfinite, start)):
             raise InputError(f"Expected finite starts, got {start}.", code="H3-HABITAT-054")

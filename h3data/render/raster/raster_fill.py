@@ -23,7 +23,11 @@ from h3data.render.raster.raster_simd import (
     Y0,
     Y1,
     blend_block,
+    fetch_ahead,
 )
+
+_ROWS_AHEAD = 2
+"""Rows from the one that is filled to the one that is fetched into the cache."""
 
 
 @kernel_part(forceinline=True)
@@ -236,7 +240,7 @@ def fill_large(p, view, is_near, box, inv_z_at, words_at, stride, word):
     last = float(x1 - x0)
     inverse0, inverse1, inverse2 = -1 / d0, -1 / d1, -1 / d2
     f0, f1, f2, fw = np.float32(d0), np.float32(d1), np.float32(d2), np.float32(dw)
-    row = np.uintp((y0 * stride + x0) * 4)
+    row, further = np.uintp((y0 * stride + x0) * 4), np.uintp(_ROWS_AHEAD * stride * 4)
     for _ in range(y0, y1 + 1):
         low, high = cut_exact(0.0, last, e0, d0, inverse0)
         low, high = cut_exact(low, high, e1, d1, inverse1)
@@ -245,6 +249,9 @@ def fill_large(p, view, is_near, box, inv_z_at, words_at, stride, word):
             x, end = int(low), int(high)
             while x <= end:
                 offset = row + np.uintp(x * 4)
+                # the buffers of a large image do not fit the caches, and each row begins on another page
+                fetch_ahead(inv_z_at + offset + further)
+                fetch_ahead(words_at + offset + further)
                 blend_block(
                     inv_z_at + offset,
                     words_at + offset,

@@ -6,6 +6,7 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 
 from h3data.render.raster.vectors import FLOAT, INT, INT8, LANES, Vec, fma, intrinsic, lanes, load, opaque, splat, store
 
@@ -77,6 +78,21 @@ def blend_block(typing_context, inv_z_at, word_at, e0, e1, e2, inv_z, e0_dx, e1_
         return context.get_dummy_value()
 
     return types.void(_p, _p, _f, _f, _f, _f, _f, _f, _f, _f, _i), codegen
+
+
+@intrinsic
+def fetch_ahead(typing_context, address):
+    """Asks for the cache line at ``address``, which may lie anywhere."""
+
+    def codegen(context, builder, signature, arguments):
+        byte = ir.IntType(8).as_pointer()
+        kind = ir.FunctionType(ir.VoidType(), [byte, INT, INT, INT])
+        function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")
+        read, all_levels, data = (ir.Constant(INT, k) for k in (0, 3, 1))
+        builder.call(function, [builder.inttoptr(arguments[0], byte), read, all_levels, data])
+        return context.get_dummy_value()
+
+    return types.void(_p), codegen
 
 
 def _smallest(v: list[Vec]) -> Vec:

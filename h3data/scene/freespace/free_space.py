@@ -21,8 +21,15 @@ from h3data.scene.floor_heights import STEPS, floor_heights
 from h3data.scene.freespace import store
 from h3data.scene.freespace._geodesic import first_leg, geodesic_many, path_pair
 from h3data.scene.freespace._lattice import Lattice, build_lattice, lattice_step, quick_distance_many
-from h3data.scene.freespace._points import SNAP_M, each_pair, each_point, one_point
-from h3data.scene.freespace._sdf import line_of_sight, sample_sdf, sample_sdf_many, sdf_gradient, sdf_gradient_many
+from h3data.scene.freespace._points import SNAP_M, each_pair, each_point, floor_points, one_point
+from h3data.scene.freespace._sdf import (
+    line_of_sight,
+    sample_sdf,
+    sample_sdf_many,
+    sdf_gradient,
+    sdf_gradient_many,
+    trace_rays,
+)
 from h3data.scene.freespace._visibility import locate_many, snap_many
 from h3data.scene.freespace.build import build_from_scene, scene_key, without_stairs
 from h3data.scene.freespace.distance_field import DistanceField
@@ -143,6 +150,22 @@ class FreeSpace(FloorMap):
     def clearance(self, points: ArrayLike) -> NDArray[np.float64]:
         """Free way [...] [m] between the rim of the agent at points [..., 2] and the nearest obstacle; negative: overlap."""
         return self.signed_distance(points) - self.radius_m
+
+    def free_along(self, points: ArrayLike, headings: ArrayLike, *, max_m: float) -> NDArray[np.float64]:
+        """Distance [..., R] [m], at most ``max_m``, from points [..., 2] along headings [..., R] [rad] to an obstacle.
+
+        That is what an ideal laser scanner measures in a plane. The outlines are those of the map: whatever stands in the
+        way of an agent counts as solid between ``max_climb_m`` and ``height_m``.
+        """
+        p, angles = floor_points(points), np.asarray(headings, np.float64)
+        if angles.shape[:-1] != p.shape[:-1]:
+            raise InputError(
+                f"Expected headings [..., R] of points [..., 2], got shapes {list(angles.shape)} and {list(p.shape)}.",
+                code="H3-SCENE-069",
+            )
+        rays = np.ascontiguousarray(angles.reshape(-1, angles.shape[-1]))
+        grid = self.sdf, self.origin, self.cell_m
+        return trace_rays(*grid, np.ascontiguousarray(p.reshape(-1, 2)), rays, float(max_m)).reshape(angles.shape)
 
     # --- where one may be -----------------------------------------------------------------------------------------------
     @property

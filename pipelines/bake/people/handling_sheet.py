@@ -148,7 +148,7 @@ def handed_over() -> Recording:
     """A person takes the first object and gives it to the robot, which keeps still."""
     session = h3data.session("rearrange", HOME, seed=SEED, agents={"person": External(), "robot": "still"})
     play: Any = session.play  # a person who is driven has more than the interface of a session
-    person, robot = play.people[0], play.actors[0]
+    person, robot = play.team.people[0], play.team.actors[0]
     for choice in (Action("nav_to_object", 0), Pick(0)):
         session.act("person", choice)
         session.step()

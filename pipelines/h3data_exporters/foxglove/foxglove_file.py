@@ -14,8 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, MissingExtraError
-from h3data.exporters.posed_parts import PosedPart
-from h3data.exporters.posing import drawn_note, posed_parts
 from h3data.files import part_file, size_text
 from h3data.formats import Exported, ExportRequest
 from h3data.geometry import Array, pose_from_matrix
@@ -23,9 +21,12 @@ from h3data.recording.log_lines import log_lines
 from h3data.recording.mcap.header import episode_metadata, log_time, start_time
 from h3data.recording.opening import FOXGLOVE_SUFFIX
 from h3data.recording.records import Recording
+from h3data.recording.scans import HEIGHT_M, scans_of
 from h3data.recording.schema import Column
 from h3data.render.camera import Camera
 from h3data.replay import Replay, camera_track
+from h3data_exporters.posed_parts import PosedPart
+from h3data_exporters.posing import drawn_note, posed_parts
 
 if TYPE_CHECKING:
     from mcap_protobuf.writer import Writer
@@ -74,6 +75,7 @@ def write_foxglove(
     - ``/scene_update``: SceneUpdate with GLB models. Layers (``ceiling``) have topics below it, so that they can be switched
       off, and so has everything that is away at times. People are cut into rigid pieces, one for each joint.
     - ``/agents/<name>/pose``: PoseInFrame; ``/agents/<name>/joints``: JointStates of robots.
+    - ``/agents/<name>/<sensor>``: LaserScan of a recorded laser scanner; rays that met nothing are infinite.
     - ``/metrics``: the per-step scalars, a message of our own to plot. ``/log``: Log, events, skills and raw input.
     - ``/cam/<name>/calibration``: CameraCalibration of perspective cameras; ``/cam/<name>/video``: CompressedVideo (H.264).
 
@@ -147,6 +149,7 @@ class _Export:
         self._camera_frames = [frames.names[frames.add(f"cam_{view.camera.name}")] for view in cameras]
         self._streams = [PictureStream(view.camera.width, view.camera.height) for view in cameras]
         self._metrics = _Metrics(recording)
+        self._scans = [(scan, scan.met()) for scan in scans_of(recording)]
         self._lines = self._log_lines()
         self._topics: set[str] = set()
         self._count = 0
@@ -196,6 +199,9 @@ class _Export:
             if joints is not None and joints.shape[1:] == (len(agent.joint_names),):
                 states = make.joint_states(t, agent.joint_names, joints[step].tolist())
                 self._put(f"/agents/{name}/joints", states, t)
+        for scan, met in self._scans:
+            name = self._scene.agent_frame(scan.agent)
+            self._put(f"/agents/{name}/{scan.sensor}", make.laser_scan(t, name, HEIGHT_M, met[step]), t)
         if self._metrics.names:
             self._put("/metrics", self._metrics.at(step), t)
         for view, frame in zip(self._cameras, self._camera_frames, strict=True):

@@ -12,6 +12,7 @@ from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.JointState_pb2 import JointState
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from foxglove_schemas_protobuf.LaserScan_pb2 import LaserScan
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.ModelPrimitive_pb2 import ModelPrimitive
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
@@ -93,6 +94,23 @@ def joint_states(time_ns: int, names: Sequence[str], positions: Sequence[float])
     """Positions of a robot's joints [rad or m]."""
     joints = [JointState(name=name, position=at) for name, at in zip(names, positions, strict=True)]
     return JointStates(timestamp=stamp(time_ns), joints=joints)
+
+
+def laser_scan(time_ns: int, frame: str, height_m: float, ranges: Array) -> LaserScan:
+    """Distances of rays at equal angles in the plane ``height_m`` over an agent's root frame; infinite: nothing is met.
+
+    The plane's own frame has x forward, y left and z up.
+    """
+    step = 2 * np.pi / max(len(ranges), 1)
+    pose = np.array([0.0, height_m, 0.0, -np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
+    return LaserScan(
+        timestamp=stamp(time_ns),
+        frame_id=frame,
+        pose=_pose(pose),
+        start_angle=0.0,
+        end_angle=step * (len(ranges) - 1),
+        ranges=ranges.tolist(),
+    )
 
 
 def log(time_ns: int, source: str, text: str, *, warning: bool = False) -> Log:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.exporters.posed_parts import Skeleton
 from h3data.geometry import Array, normalized, pose_inverse, pose_to_matrix, transform_points
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.mesh_operations import face_texture_indices
+from h3data_exporters.posed_parts import Skeleton
 
 SHARED = 0.3
 """A triangle also belongs to joints that move it by this share: pieces overlap at bent joints instead of gaping."""

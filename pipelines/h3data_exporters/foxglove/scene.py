@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.exporters.posed_parts import PosedPart
 from h3data.geometry import IDENTITY_POSE, Array
 from h3data.mesh.glb_write import glb_bytes
 from h3data.mesh.mesh import Mesh
@@ -16,6 +15,7 @@ from h3data.recording.records import Recording
 from h3data_exporters.foxglove import messages as messages
 from h3data_exporters.foxglove.frames import WORLD, FrameTree
 from h3data_exporters.foxglove.rigid_pieces import rigid_pieces
+from h3data_exporters.posed_parts import PosedPart
 
 TOPIC = "/scene_update"
 _TAG_HEIGHT_M = {"human": 1.95, "robot": 0.95}

@@ -11,10 +11,10 @@ from h3data.recording.task_episodes.episode_files import EpisodeFiles
 from h3data.recording.task_episodes.stored_rearrangements import EpisodeObject
 from h3data.scene.records import Scene
 from h3data.scene.sources import SceneSource
-from h3data_habitat.episodes.episode_files import read_episodes, write_episodes
 from h3data_habitat.episodes.episode_json import encode_episode
-from h3data_habitat.episodes.episode_objects import read_object_template, search_in, search_of, with_objects
-from h3data_habitat.episodes.episode_scenes import scene_of_episode
+from h3data_habitat.episodes.files import read_episodes, write_episodes
+from h3data_habitat.episodes.objects import read_object_template, search_in, search_of, with_objects
+from h3data_habitat.episodes.scenes import scene_of_episode
 
 
 def _add_objects(

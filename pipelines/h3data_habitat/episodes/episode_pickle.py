@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError
-from h3data.safe_pickle import builtin, load_pickle
+from h3data_habitat.safe_pickle import builtin, load_pickle
 
 
 def unpickle_episodes(data: bytes, path: Path) -> Sequence[msgspec.Raw]:

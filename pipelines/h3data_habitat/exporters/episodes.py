@@ -22,11 +22,11 @@ from h3data.recording.task_episodes.stored_rearrangements import (
     EpisodeObject,
     StoredRearrangement,
     rearrangement_entry,
-    rearrangement_of,
 )
 from h3data.scene import load_scene, scene_digest
 from h3data.scene.records import Instance, Scene
-from h3data_habitat.episodes.episode_files import write_episodes
+from h3data_habitat.episodes.files import write_episodes
+from h3data_habitat.episodes.recorded_episodes import rearrangement_of
 from h3data_habitat.exporters.scenes import DatasetExport
 
 EPISODES = "episodes/rearrange.json.gz"

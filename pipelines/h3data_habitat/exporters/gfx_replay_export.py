@@ -19,9 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.exporters.gltf_skin import skinned_glb_bytes
-from h3data.exporters.posed_parts import PosedCamera, PosedPart, spans
-from h3data.exporters.posing import missing_note, posed_cameras, posed_parts
 from h3data.files import part_file, size_text
 from h3data.formats import Exported, ExportRequest
 from h3data.geometry import Array
@@ -32,8 +29,11 @@ from h3data.recording.assets.handles import HANDLE
 from h3data.recording.assets.library import EMPTY_URI
 from h3data.recording.records import AssetRef, Recording
 from h3data.replay import Replay
+from h3data_exporters.gltf_skin import skinned_glb_bytes
+from h3data_exporters.posed_parts import PosedCamera, PosedPart, spans
+from h3data_exporters.posing import missing_note, posed_cameras, posed_parts
 from h3data_habitat.exporters.lights import replay_lights
-from h3data_habitat.gfx.gfx_agents import PERSON_ROOT_PREFIX
+from h3data_habitat.gfx.agents import PERSON_ROOT_PREFIX
 
 DECIMALS = 7
 """Number of decimals, as habitat-sim writes them; single precision has no more."""
@@ -93,7 +93,7 @@ def write_gfx_replay(
       it. The user transform `PERSON_ROOT_PREFIX` and the rig's number says where the person stands, for our importer.
     - Cameras become user transforms, ``sensor_<name>``; ``user.<name>`` columns keep their names.
 
-    Poses are rounded to `DECIMALS`. ``parts`` and ``cameras`` come from `h3data.exporters.posing`.
+    Poses are rounded to `DECIMALS`. ``parts`` and ``cameras`` come from `h3data_exporters.posing`.
 
     Raises:
         InputError: there is no row to write, or the name does not end in .json or .json.gz.

@@ -26,8 +26,8 @@ from h3data.scene.scene_json import asset_record
 from h3data_habitat.exporters.articulated import ArticulatedExport, articulated_instance
 from h3data_habitat.exporters.building import building_parts, parts_by_class, speck
 from h3data_habitat.exporters.lights import SHADER, light_setup
+from h3data_habitat.navmesh.file import navmesh_bytes
 from h3data_habitat.navmesh.navmesh import NavMeshSettings, navmesh_from_free_space
-from h3data_habitat.navmesh.navmesh_file import navmesh_bytes
 from h3data_habitat.scenes.colliders import part_mesh, scaled_asset
 from h3data_habitat.scenes.scene_dataset import DATASET_ENDING
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
-from h3data.npz_arrays import MAX_BYTES, npz_members
-from h3data.safe_pickle import is_pickle, load_pickle
 from h3data_habitat.motion.habitat_humanoid import HabitatClip, HabitatMotion, Hand, ReachGrid
+from h3data_habitat.safe_pickle import is_pickle, load_pickle
+from h3data_motion.npz_arrays import MAX_BYTES, npz_arrays
 
 HANDS: tuple[Hand, ...] = ("left", "right")
 
@@ -69,7 +69,7 @@ def _content(path: Path) -> dict[str, Any]:
         raise InputError(
             f"Cannot read a motion file: {error.strerror or error}. Path: {path}", code="H3-BODY-036"
         ) from None
-    content = load_pickle(data, path) if is_pickle(data) else npz_members(path)
+    content = load_pickle(data, path) if is_pickle(data) else npz_arrays(path, unpickle=load_pickle)
     if not isinstance(content, dict):
         raise FormatError(
             f"Expected a motion file with its parts by name, got {type(content).__name__}: {path}", code="H3-BODY-029"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ import tyro
 
 from h3data.bodies import Robot, guess_robot_settings, load_robot, robot_names, solve_ik
 from h3data.bodies.robots.robot_files import SETTINGS_NAME
-from h3data.bodies.robots.robot_settings import encode_settings
+from h3data.bodies.robots.robot_settings import RobotSettings
 from h3data.commands.command import ForceFlag, Group, JsonFlag, Outcome, claim_file
 from h3data.errors import H3DataError, InputError
 
@@ -198,3 +199,29 @@ def _line(row: dict[str, Any]) -> str:
         f"{row['name']:<12} {row['links']:>3} links {len(row['joints']):>3} joints {row['triangles']:>6} triangles  "
         f"cameras: {cameras}"
     )
+
+
+def encode_settings(settings: RobotSettings) -> str:
+    """Returns the text of a ``robot.toml``: all fields that differ from their defaults, and the base's discs."""
+    lines: list[str] = []
+    tables: list[str] = []
+    for name, value in msgspec.structs.asdict(settings).items():
+        default = next(f.default for f in msgspec.structs.fields(RobotSettings) if f.name == name)
+        if isinstance(value, tuple) and value and isinstance(value[0], msgspec.Struct):
+            for one in value:
+                tables += ["", f"[[{name}]]", *(f"{k} = {_toml(v)}" for k, v in msgspec.structs.asdict(one).items())]
+        elif value != default or name.startswith("base_discs"):
+            if name == "base_profiles":
+                tables += [
+                    "",
+                    "[base_profiles]",
+                    *(f"{_toml(k)} = {_toml(v)}" for k, v in settings.base_profiles.items()),
+                ]
+            else:
+                lines.append(f"{name} = {_toml(value)}")
+    return "\n".join([*lines, *tables, ""])
+
+
+def _toml(value: Any) -> str:
+    """A number, a text, or a list of them in TOML: JSON, which is a part of it, does."""
+    return json.dumps(list(value) if isinstance(value, tuple) else value)

@@ -308,7 +308,7 @@ class ScenesExport:
         else:
             raise InputError(
                 f"One USD file holds one scene, {len(scenes)} are given. Hint: name a folder. -o: {self.out}",
-                code="H3-BODY-159",
+                code="H3-BODY-177",
             )
         files = [file for scene, target in zip(scenes, targets, strict=True) for file in usd.write_scene(scene, target)]
         return files, str(targets[0])

@@ -13,7 +13,7 @@ from h3data.commands.arguments import result_of
 from h3data.commands.command import ForceFlag, Group, JsonFlag, Outcome, claim_file, write_text
 from h3data.commands.executors import ExecutorOption
 from h3data.commands.options import command_of
-from h3data.errors import InputError
+from h3data.errors import InputError, suggest_keywords
 from h3data.progress import progress
 from h3data.terminal import aligned, counted
 
@@ -55,6 +55,7 @@ class BenchmarkList:
         return Outcome(text=aligned(lines), data={"benchmarks": data})
 
 
+@suggest_keywords
 def run_benchmark(
     benchmark: str,
     out: FilePath,
@@ -129,6 +130,7 @@ class BenchmarkRunCommand:
         return Outcome(text=done.to_text(), data=data, result=done, exit_code=0 if done.result.is_complete else 1)
 
 
+@suggest_keywords
 def verify_benchmark(
     result: FilePath, *, benchmark: FilePath | None = None, episodes: int | None = None, seed: int = 0, workers: int = 1
 ) -> ResultVerification:

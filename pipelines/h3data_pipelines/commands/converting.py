@@ -12,17 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
-from h3data.commands.command import (
-    ForceFlag,
-    JsonFlag,
-    Outcome,
-    ShareScenesFlag,
-    claim_file,
-    claim_folder,
-    remove_dataset,
-    unfinished_dataset,
-    uninterrupted,
-)
+from h3data.commands.command import ForceFlag, JsonFlag, Outcome, ShareScenesFlag, claim_file, claim_folder
 from h3data.commands.executors import ExecutorOption, check_workers, opened
 from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
@@ -30,6 +20,7 @@ from h3data.recording.episodes import StoredEpisode, common_cameras
 from h3data.recording.finding import find_episodes
 from h3data.recording.storage import AnyPath, place
 from h3data.terminal import counted
+from h3data_pipelines.dataset_folders import remove_dataset, unfinished_dataset, uninterrupted
 from h3data_pipelines.jobs.episode_parts import EpisodePart, episode_parts
 
 if TYPE_CHECKING:

@@ -16,28 +16,20 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import tyro
 
-from h3data.commands.command import (
-    ForceFlag,
-    JsonFlag,
-    LightOption,
-    Outcome,
-    claim_folder,
-    open_episode,
-    remove_dataset,
-    write_text,
-)
+from h3data.commands.command import ForceFlag, JsonFlag, LightOption, Outcome, claim_folder, open_episode, write_text
 from h3data.errors import InputError
 from h3data.files import size_text
 from h3data.plugins import Registry
 from h3data.progress import is_quiet, progress
 from h3data.recording import Recording
 from h3data.replay import CameraTrack, Replay, camera_track
+from h3data.replay.cameras import parse_size
 from h3data.terminal import counted
+from h3data_pipelines.dataset_folders import remove_dataset
 from h3data_pipelines.execution.processes import core_count
 from h3data_pipelines.machine.warmup import compiled_aside
 from h3data_pipelines.outputs import Target
 from h3data_pipelines.pictures.rendering import render_files
-from h3data_pipelines.pictures.rerender import parse_size
 
 VIEWERS: Registry[Callable[..., object]] = Registry("h3data.viewers", {}, what="viewer")
 """Functions that write a recording as the file of a viewer, such as `h3data_viewers.write_rrd`."""
@@ -96,7 +88,7 @@ class Demo:
             raise InputError(
                 f"--human-speed must be above 0 and at most 4 m/s, got {self.human_speed}.", code="H3-OPTION-030"
             )
-        size = parse_size(self.size)
+        size = parse_size(self.size) if self.size else None
         if "rerun" not in VIEWERS.names():
             VIEWERS.get("rerun")  # says which package is missing, before anything is done
         (home,) = named_scenes(f"small2:{self.seed}")

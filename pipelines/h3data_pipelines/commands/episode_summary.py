@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from h3data.errors import H3DataError
-from h3data.recording.task_episodes.partnr_goals import PROPOSITIONS, predicates_of
+from h3data.recording.task_episodes.partnr_goals import PROPOSITIONS
 from h3data.recording.task_episodes.rearrange_episode import EpisodeSet, RearrangeEpisode, template_name
 from h3data.recording.task_episodes.social_nav_episodes import read_social_nav
 from h3data.recording.task_episodes.stored_episodes import task_of
@@ -188,3 +188,11 @@ def _spread(numbers: Sequence[float] | Iterable[float]) -> Spread | None:
     if not len(values):
         return None
     return Spread(least=float(values.min()), mean=float(values.mean()), greatest=float(values.max()))
+
+
+def predicates_of(episode: RearrangeEpisode) -> list[str]:
+    """Function of each proposition of an episode; none if it is not PARTNR's."""
+    listed = episode.extra.get(PROPOSITIONS)
+    if not isinstance(listed, list):
+        return []
+    return [str(entry.get("function_name")) for entry in listed if isinstance(entry, dict)]

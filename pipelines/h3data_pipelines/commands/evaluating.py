@@ -24,6 +24,7 @@ from h3data.commands.command import (
 )
 from h3data.commands.executors import ExecutorOption
 from h3data.commands.options import OfTasks, TaskNotes, command_of
+from h3data.errors import suggest_keywords
 from h3data.progress import progress
 from h3data.render.light.sources import LightMode
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest, evaluate_task
@@ -52,6 +53,7 @@ PARTNERS = TaskNotes(
 SKILLS = TaskNotes({"rearrange": "default none; also oracle, as of h3data generate.", "skill": "default learned."})
 
 
+@suggest_keywords
 def evaluate(
     task: TaskChoice,
     out: FilePath,

@@ -23,16 +23,16 @@ from h3data.commands.command import (
     claim_file,
     claim_folder,
     open_episode,
-    remove_dataset,
 )
 from h3data.commands.options import command_line, command_of
-from h3data.errors import InputError
-from h3data.formats import ExportRequest, Format, PersonDetail, export_format, export_options, load
+from h3data.errors import InputError, suggest_keywords
+from h3data.formats import BagStorage, ExportRequest, Format, PersonDetail, export_format, export_options, load
 from h3data.progress import progress
 from h3data.recording import Recording
 from h3data.recording.episodes import StoredEpisode, common_cameras
 from h3data.recording.finding import find_episodes
 from h3data.recording.storage import place
+from h3data_pipelines.dataset_folders import remove_dataset
 from h3data_pipelines.execution.processes import core_count
 from h3data_pipelines.hub.provenance import read_commands, write_commands
 
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 
+@suggest_keywords
 def export(
     recording: FilePath,
     out: FilePath,
@@ -56,6 +57,8 @@ def export(
     cameras: Paths = (),
     people: PeopleStyle = "skin",
     stand_ins: bool = False,
+    storage: Literal["mcap", "sqlite3"] = "mcap",
+    lidar: int = 0,
     backend: Literal["auto", "cpu", "gpu"] = "cpu",
     force: bool = False,
 ) -> Path:
@@ -76,13 +79,15 @@ class Export:
 
     h3data docs export says what each format keeps. gfx-replay: Habitat's own replay (.json, .json.gz) with GLB files beside it.
     gltf: one animated .glb for three.js and Blender. foxglove: a .foxglove.mcap of standard messages for Foxglove and
-    Lichtblick. csv: a folder of tables and NumPy arrays. lerobot and robomimic: demonstrations to learn from, of one or
-    many recordings. habitat-episodes: rearrangement as habitat-lab's episodes, with their scenes.
+    Lichtblick. rosbag2: a bag of ROS 2 for RViz, PlotJuggler and ros2 bag play. csv: a folder of tables and NumPy arrays.
+    lerobot and robomimic: demonstrations to learn from, of one or many recordings. habitat-episodes: rearrangement
+    as habitat-lab's episodes, with their scenes.
 
     Examples:
         h3data export out/demo/episode.mcap --to gfx-replay -o episode.gfx_replay.json.gz
         h3data export out/demo/episode.mcap --to gltf -o episode.glb
         h3data export ds#3 --to foxglove --camera robot_arm -o episode.foxglove.mcap
+        h3data export ds#3 --to rosbag2 --camera robot_arm -o bag/
         h3data export ds#3 --to csv -o tables/
         h3data export ds/ --to lerobot -o lerobot/ --agent robot
         h3data export ds/ --to lerobot --cameras robot_arm,human_head -o lerobot/
@@ -96,7 +101,7 @@ class Export:
     to: Annotated[str, NameOf(export_options)]
     """Format to write: a built-in one, one of an installed plug-in, or module:name."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """The file (gfx-replay, gltf, foxglove, robomimic) or folder (csv, lerobot, habitat-episodes)."""
+    """The file (gfx-replay, gltf, foxglove, robomimic) or folder (rosbag2, csv, lerobot, habitat-episodes)."""
     agent: str | None
     """Agent whose actions are learned, for lerobot and robomimic (default: the first robot that acts)."""
     assets: tuple[Path, ...]
@@ -106,8 +111,12 @@ class Export:
     people: PeopleOption
     stand_ins: StandInsFlag
     cameras: tuple[str, ...]
-    """Cameras to add as videos, for foxglove and lerobot: names as in rerender, or .toml or .json files.
+    """Cameras to add as videos (foxglove, lerobot) or images (rosbag2): names as in rerender, or .toml or .json files.
     lerobot copies the videos that a dataset has, and renders others (default: all that the dataset has)."""
+    storage: BagStorage
+    """Storage of a bag: mcap, or sqlite3, which Humble reads without another package; for rosbag2."""
+    lidar: int
+    """Rays of a planar lidar on each robot without recorded scans, cast into the map; for rosbag2 (0 for none)."""
     backend: BackendOption
     force: ForceFlag
     json: JsonFlag = False
@@ -122,8 +131,9 @@ class Export:
             )
         check_backend(self.backend)
         given = {option: getattr(self, option) for option in ("agent", "assets", "people", "stand_ins", "cameras")}
-        for option, value in {**given, "person_detail": self.person_detail}.items():
-            if value not in (None, (), "skin", "full", False) and option not in form.write_options:
+        given |= {"person_detail": self.person_detail, "storage": self.storage, "lidar": self.lidar}
+        for option, value in given.items():
+            if value not in (None, (), "skin", "full", False, "mcap", 0) and option not in form.write_options:
                 raise InputError(
                     f"--{option.replace('_', '-')} is not for {form.option}, but for {_formats_with(option)}. Leave it out.",
                     code="H3-OPTION-035",
@@ -146,6 +156,8 @@ class Export:
             people=self.people,
             stand_ins=self.stand_ins,
             cameras=self.cameras,
+            storage=self.storage,
+            lidar=self.lidar,
             stored_cameras=common_cameras(sources) if "cameras" in form.write_options else (),
             stored_videos=lambda number: sources[number].read_videos(),
             threads=core_count(),

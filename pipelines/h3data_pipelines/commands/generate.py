@@ -29,18 +29,16 @@ from h3data.commands.command import (
     claim_folder,
     keeping,
     read_overrides,
-    remove_dataset,
-    unfinished_dataset,
-    uninterrupted,
 )
 from h3data.commands.executors import ExecutorOption, check_workers, opened
 from h3data.commands.options import OfTasks, TaskNotes, command_line, command_of
 from h3data.commands.shards import Executor
-from h3data.errors import H3DataError, InputError
+from h3data.errors import H3DataError, InputError, suggest_keywords
 from h3data.progress import progress
 from h3data.recording.storage import AnyPath, place
 from h3data.scene.scene_sets import find_scene_set
 from h3data.terminal import counted
+from h3data_pipelines.dataset_folders import remove_dataset, unfinished_dataset, uninterrupted
 from h3data_pipelines.hub.provenance import write_commands
 from h3data_pipelines.jobs.episode_files import (
     FileJobs,
@@ -100,6 +98,7 @@ MAX_STEPS = TaskNotes(
 SPAWN_DISTANCE = TaskNotes({"social_nav": "Sets and files decide it."})
 
 
+@suggest_keywords
 def generate(
     task: TaskChoice,
     out: FilePath,
@@ -124,6 +123,7 @@ def generate(
     max_steps: int | None = None,
     spawn_distance: float | None = None,
     overrides: Overrides = (),
+    sensors: Sequence[str] = (),
     cameras: Paths = (),
     people: PeopleStyle = "skin",
     light: LightMode = "baked",
@@ -204,7 +204,7 @@ class Generate:
     """Who takes part (default: robot,human): kinds, bodies, files, or a kind with one of these, as in robot,human,male_1 or
     robot:my_robot.urdf,human:male_1."""
     robot: str | None
-    """Body of each agent named robot: a built-in one, a URDF, or a folder with robot.toml (default: quad_arm)."""
+    """Body of each agent named robot: a built-in one, a URDF or MJCF file, or a folder with robot.toml (default: quad_arm)."""
     human: str | None
     """Body of each agent named human: a built-in one, with an outfit as in female_0:dress; random:SEED; an .npz file; any: each
     episode samples one of the twelve adults; random: new people for each episode, in wander for each person (default: the
@@ -224,6 +224,9 @@ class Generate:
     train skill; or oracle: simple rules that a GPU plays too, with the paper's people, where nobody gives way to anybody
     (default: skills that know the whole state)."""
     overrides: OverridesOption
+    sensors: tuple[str, ...]
+    """Sensors of robots that are recorded with every step: lidar, lidar_legs or any other of h3data docs environments; not in
+    rearrange."""
     cameras: tuple[str, ...]
     """Cameras whose videos are added to the dataset (observation.images.<name>), as in rerender."""
     people: PeopleOption
@@ -411,6 +414,7 @@ class Generate:
             max_steps=self.max_steps,
             spawn_distance=self.spawn_distance,
             overrides=read_overrides(self.overrides),
+            sensors=self.sensors or None,
         )
         choices = with_skills(choices, ",".join(self.skills))
         in_set = self.episodes_file is None and len(self.scenes) == 1

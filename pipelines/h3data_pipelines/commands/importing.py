@@ -10,14 +10,19 @@ import tyro
 from h3data.commands.arguments import result_of
 from h3data.commands.command import ForceFlag, JsonFlag, Outcome
 from h3data.commands.options import command_of
+from h3data.errors import suggest_keywords
+from h3data.formats import ImportRequest, LengthUnit
 from h3data.pseudonyms import participant_key_path
 from h3data_pipelines.assets.scene_reports import text_table
 from h3data_pipelines.jobs.imports import ImportResult, import_files
 
 if TYPE_CHECKING:
+    from typing import Literal
+
     from h3data.commands.arguments import FilePath, Paths
 
 
+@suggest_keywords
 def import_(
     paths: Paths,
     out: FilePath,
@@ -25,6 +30,14 @@ def import_(
     assets: Paths = (),
     manifest: FilePath | None = None,
     fps: float = 30.0,
+    people: str = "",
+    robot: str = "",
+    map: FilePath | None = None,
+    goal: str = "",
+    columns: tuple[str, ...] = (),
+    unit: Literal["m", "cm", "mm"] | None = None,
+    rate: float | None = None,
+    hz: float | None = None,
     strict: bool = False,
     force: bool = False,
 ) -> ImportResult:
@@ -44,16 +57,19 @@ def import_(
 class Import:
     """Convert recordings of other programs to MCAP recordings. Folders are searched, formats are detected by content.
 
-    Reads gfx-replay files, the logs of Habitat's human-in-the-loop tools, and formats of plug-ins (h3data docs import).
+    Reads gfx-replay files, the logs of Habitat's human-in-the-loop tools, bags of ROS 2, tracks of people in the files of data
+    sets (h3data docs ros), and formats of plug-ins (h3data docs import).
 
     Examples:
         h3data import my_session.gfx_replay.json -o rec/
         h3data import hitl_sessions/ -o rec/ --assets ~/habitat
         h3data import hitl_sessions/ -o rec/ --manifest sessions.csv
+        h3data import my_bag/ --people /people --map map.yaml -o rec/
+        h3data import tracks.csv --columns t,id,x,y --robot 7 -o rec/
     """
 
     paths: tyro.conf.Positional[tuple[Path, ...]]
-    """gfx-replay files (.json, .json.gz), HITL logs (.json.gz, .pkl.gz) or folders that hold some."""
+    """gfx-replay files (.json, .json.gz), HITL logs (.json.gz, .pkl.gz), bags, files of tracks, or folders that hold some."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the recordings, one .mcap each; files of a folder keep their place below it."""
     assets: tuple[Path, ...]
@@ -63,6 +79,22 @@ class Import:
     (h3data docs import)."""
     fps: float
     """Steps per second of files without times: gfx-replays and the first generation of HITL logs."""
+    people: str
+    """Topic of people in a bag of ROS 2, when it has several or one of markers."""
+    robot: str
+    """The robot: its frame or topic in a bag (default: base_footprint or base_link), its id in a file of tracks."""
+    map: Path | None
+    """Yaml file of an occupancy map, whose walls become the scene of tracks (default: the one in the bag)."""
+    goal: str
+    """Goal of the robot, x,y in metres of the map."""
+    columns: tuple[str, ...]
+    """Columns of a table of tracks: t,id,x,y in their order, or t=NAME,id=NAME,x=NAME,y=NAME."""
+    unit: LengthUnit | None
+    """Unit of lengths in a table of tracks, where its format does not say."""
+    rate: float | None
+    """Frame numbers per second in a file of tracks that has no times."""
+    hz: float | None
+    """Rows per second of tracks (default: a row for each observation)."""
     strict: bool
     """Refuse recordings with warnings or missing assets."""
     force: ForceFlag
@@ -76,6 +108,16 @@ class Import:
             assets=self.assets,
             manifest=self.manifest,
             fps=self.fps,
+            tracks=ImportRequest(
+                people=self.people,
+                robot=self.robot,
+                map=self.map,
+                goal=self.goal,
+                columns=self.columns,
+                unit=self.unit,
+                rate=self.rate,
+                hz=self.hz,
+            ),
             strict=self.strict,
             force=self.force,
         )

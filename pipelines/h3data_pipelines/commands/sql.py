@@ -20,9 +20,14 @@ import tyro
 from h3data.commands.command import ForceFlag, JsonFlag, Outcome, claim_file
 from h3data.errors import InputError, MissingExtraError
 from h3data.files import part_file
+from h3data.recording.parquet.files import shard_path
+from h3data.recording.parquet.folder import DatasetFolder
+from h3data.recording.parquet.schema import SIDECARS, data_schema, record_schema
+from h3data.recording.storage import RemotePath
 
 if TYPE_CHECKING:
     import duckdb
+    import pyarrow.dataset as pads
 
     from h3data.recording import Dataset
 
@@ -132,7 +137,6 @@ def connect(
         import duckdb
     except ImportError:
         raise MissingExtraError('SQL needs DuckDB. Hint: pip install "h3data[sql]"', code="H3-OPTION-056") from None
-    from h3data.recording.parquet.tables import record_table, step_source
 
     connection = duckdb.connect()
     steps = []
@@ -322,3 +326,37 @@ def _write(relation: duckdb.DuckDBPyRelation, path: Path) -> int:
         kind = path.suffix.removeprefix(".")
         (written,) = writer.execute(f"COPY (FROM result) TO {_text(str(part))} (FORMAT {kind})").fetchall()
     return written[0]
+
+
+def step_source(dataset: DatasetFolder) -> pads.Dataset:
+    """All committed steps, lazily: engines read only the columns and row groups they need. float16 becomes float32."""
+    import pyarrow.dataset as pads  # imports pandas where it is installed: half a second of every command
+
+    schema = pa.schema([pa.field(f.name, _without_halves(f.type)) for f in data_schema(dataset.schema)])
+    paths = [shard_path(dataset.root, "data", shard) for shard in committed_shards(dataset, with_steps=True)]
+    if not paths:
+        return pads.dataset(schema.empty_table())
+    if isinstance(paths[0], RemotePath):
+        keys = [path.key for path in paths if isinstance(path, RemotePath)]
+        return pads.dataset(keys, schema=schema, format="parquet", filesystem=paths[0].filesystem)
+    return pads.dataset([str(path) for path in paths], schema=schema, format="parquet")
+
+
+def record_table(dataset: DatasetFolder, kind: str) -> pa.Table:
+    """All records with their ``episode_index``: ``bodies``, ``assets``, ``agents``, ``skills``, ``events`` or ``inputs``."""
+    schema = record_schema(SIDECARS[kind])
+    tables = [dataset.sidecar(kind, shard).select(schema.names) for shard in committed_shards(dataset)]
+    return pa.concat_tables([schema.empty_table(), *tables], promote_options="default")
+
+
+def committed_shards(dataset: DatasetFolder, *, with_steps: bool = False) -> list[int]:
+    """Numbers of the shards in the episode tables, optionally only those that have steps."""
+    rows = dataset.rows
+    return list(dict.fromkeys(dataset.shard_of(row) for row in rows if row["length"] or not with_steps))
+
+
+def _without_halves(kind: pa.DataType) -> pa.DataType:
+    """float32 in place of float16, because DuckDB refuses any table with a float16 column."""
+    if pa.types.is_fixed_size_list(kind):
+        return pa.list_(_without_halves(kind.value_type), kind.list_size)
+    return pa.float32() if kind == pa.float16() else kind

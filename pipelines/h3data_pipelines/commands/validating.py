@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -17,7 +17,7 @@ from h3data.commands.executors import ExecutorOption, check_workers, opened
 from h3data.errors import FormatError, H3DataError, InputError, with_code
 from h3data.progress import progress
 from h3data.recording import Recording
-from h3data.recording.episodes import StoredEpisode, read_ahead
+from h3data.recording.episodes import StoredEpisode
 from h3data_pipelines.jobs.episode_parts import EpisodePart, episode_parts
 
 _TOGETHER = 16
@@ -148,3 +148,43 @@ def _text(rows: list[dict[str, Any]], failed: int) -> str:
     if len(rows) > 1:
         lines.append(f"{len(rows)} recordings, {failed} failed")
     return "\n".join(lines)
+
+
+def read_ahead(stored: Sequence[StoredEpisode], *, most_steps: int) -> Iterator[Callable[[], Recording]]:
+    """For each of the episodes in turn, a function that returns its recording or raises an `H3DataError`.
+
+    Episodes that follow each other in a dataset are read together, up to ``most_steps`` steps at once.
+    """
+    for group in _consecutive(stored, most_steps):
+        first = group[0]
+        recordings: list[Recording] = []
+        if first.read_together is not None and first.index is not None and len(group) > 1:
+            try:
+                recordings = list(first.read_together(range(first.index, first.index + len(group))))
+            except H3DataError:  # one of them is damaged: each for itself
+                recordings = []
+        for k, of in enumerate(group):
+            yield (lambda k=k, recordings=recordings: recordings[k]) if recordings else of.read
+
+
+def _consecutive(stored: Sequence[StoredEpisode], most_steps: int) -> Iterator[list[StoredEpisode]]:
+    group: list[StoredEpisode] = []
+    steps = 0
+    for of in stored:
+        try:
+            length = int(of.facts["length"]) if of.read_together is not None else most_steps
+        except H3DataError:
+            length = most_steps
+        last = group[-1] if group else None
+        follows = (
+            last is not None
+            and of.read_together is not None
+            and (of.path, of.index) == (last.path, (last.index or 0) + 1)
+        )
+        if group and (not follows or steps + length > most_steps):
+            yield group
+            group, steps = [], 0
+        group.append(of)
+        steps += length
+    if group:
+        yield group

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from h3data.commands.arguments import result_of
 from h3data.commands.command import DryRunFlag, ForceFlag, JsonFlag, Outcome, write_text
 from h3data.commands.options import command_of
-from h3data.errors import H3DataError, InputError
+from h3data.errors import H3DataError, InputError, suggest_keywords
 from h3data.progress import progress
 from h3data.recording.storage import local
 from h3data_pipelines.hub.provenance import read_commands
@@ -39,6 +39,7 @@ _HEIGHT, _WIDTH = 180, 320
 _LISTED = 12
 
 
+@suggest_keywords
 def card(
     dataset: FilePath,
     *,

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from h3data.commands.arguments import result_of
-from h3data.commands.command import ForceFlag, JsonFlag, Outcome, claim_folder, keeping, remove_dataset
+from h3data.commands.command import ForceFlag, JsonFlag, Outcome, claim_folder, keeping
 from h3data.commands.options import command_of
-from h3data.errors import FormatError, InputError
+from h3data.errors import FormatError, InputError, suggest_keywords
 from h3data.files import size_text
 from h3data.progress import progress
 from h3data.recording.storage import local
 from h3data.terminal import counted
+from h3data_pipelines.dataset_folders import remove_dataset
 from h3data_pipelines.hub.checksums import PARTS, require_checksums
 from h3data_pipelines.hub.client import TYPE, checked_repo, hub_api, hub_errors
 
@@ -28,6 +29,7 @@ _THREADS = 4
 _BESIDE = ("README.md", "card.jpg")
 
 
+@suggest_keywords
 def pull(repo: str, out: FilePath, *, revision: str = "main", force: bool = False) -> Path:
     """Downloads a dataset from the Hugging Face Hub; options as of ``h3data pull``.
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import tyro
 
 from h3data.commands.arguments import result_of
-from h3data.commands.command import JsonFlag, Outcome, keeping
+from h3data.commands.command import DryRunFlag, JsonFlag, Outcome, keeping
 from h3data.commands.options import command_of
-from h3data.errors import InputError
+from h3data.errors import InputError, suggest_keywords
 from h3data.files import size_text
 from h3data.progress import progress
 from h3data.recording.storage import local
@@ -21,6 +21,7 @@ from h3data_pipelines.hub.card import CARD, PICTURE, write_card
 from h3data_pipelines.hub.checksums import FILE as CHECKSUMS
 from h3data_pipelines.hub.checksums import PARTS, checksums_of, files_of, to_json
 from h3data_pipelines.hub.client import TYPE, checked_repo, hub_api, hub_errors
+from h3data_pipelines.hub.lerobot_env import write_env
 
 if TYPE_CHECKING:
     from h3data.commands.arguments import FilePath
@@ -31,7 +32,8 @@ _BATCH = 16
 """Files uploaded between two updates of the progress bar."""
 
 
-def push(dataset: FilePath, repo: str, *, private: bool = False, message: str = "") -> str:
+@suggest_keywords
+def push(dataset: FilePath, repo: str, *, private: bool = False, message: str = "", env: FilePath | None = None) -> str:
     """Uploads a dataset to the Hugging Face Hub; options as of ``h3data push``.
 
     Returns:
@@ -55,6 +57,7 @@ class Push:
     Examples:
         h3data push ds/ user/name
         h3data push ds/ user/name --private
+        h3data push lerobot/ user/name --env env/ --dry-run
     """
 
     dataset: tyro.conf.Positional[Path]
@@ -65,6 +68,10 @@ class Push:
     """Create it as a private dataset. One that exists stays as it is."""
     message: str
     """Message of the commit."""
+    env: Path | None
+    """Folder for env.py, requirements.txt and README.md: the environment of a dataset that was exported to LeRobot, for a
+    repository of models of the same name, which `hf upload user/name FOLDER .` fills."""
+    dry_run: DryRunFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
@@ -72,9 +79,21 @@ class Push:
         from h3data.recording import Dataset
 
         dataset, repo = Dataset(local(self.dataset)), checked_repo(self.repo)
-        root, api = Path(str(dataset.root)), hub_api()
+        root = Path(str(dataset.root))
         if not len(dataset):
             raise InputError(f"The dataset has no episodes: {root}", code="H3-HUB-009")
+        written = [] if self.env is None else write_env(dataset, self.env, repo=repo)
+        made = [f"\nwrote {path}" for path in written]
+        if written:
+            made.append(f"\nTo publish the environment: hf upload {repo} {self.env} .")
+        if self.dry_run:
+            names = files_of(root)
+            text = (
+                f"Would push {counted(len(dataset), 'episode')}, {counted(len(names), 'file')} to {repo}{''.join(made)}"
+            )
+            plan = {"repo": repo, "episodes": len(dataset), "files": len(names), "env": [str(path) for path in written]}
+            return Outcome(text=text, data={"plan": plan}, result="")
+        api = hub_api()
         if not (root / CARD).exists():
             write_card(dataset, repo=repo)
         names = files_of(root)
@@ -96,6 +115,7 @@ class Push:
             _tag(api, repo)
         url = f"{api.endpoint}/datasets/{repo}"
         text = f"pushed {counted(len(dataset), 'episode')}, {counted(len(names), 'file')}, {size_text(size)}: {url}"
+        text += "".join(made)
         data = {
             "repo": repo,
             "url": url,
@@ -103,6 +123,7 @@ class Push:
             "files": len(names),
             "bytes": size,
             "commit": commit.oid,
+            "env": [str(path) for path in written],
         }
         return Outcome(text=text, data=data, result=url)
 

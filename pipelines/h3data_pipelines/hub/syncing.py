@@ -13,7 +13,7 @@ import tyro
 from h3data.commands.arguments import result_of
 from h3data.commands.command import DryRunFlag, JsonFlag, Outcome, keeping
 from h3data.commands.options import command_of
-from h3data.errors import FormatError, InputError
+from h3data.errors import FormatError, InputError, suggest_keywords
 from h3data.files import part_file, size_text
 from h3data.progress import progress
 from h3data.recording.parquet.files import is_dataset, write_atomic
@@ -32,6 +32,7 @@ _INFO = "meta/info.json"
 _WRITER = "h3/writer"
 
 
+@suggest_keywords
 def sync(source: FilePath, target: FilePath, *, quick: bool = False, force: bool = False) -> Path | RemotePath:
     """Copies a dataset to another folder or object store, or what is new in it; options as of ``h3data sync``.
 

@@ -58,6 +58,8 @@ class Job:
     """The task's record of the episode, from a file."""
     origin: dict[str, Any] | None = None
     """Which episode of which set or file it is; ends up in the recording."""
+    sensors: tuple[str, ...] | None = None
+    """Sensors of robots that are recorded with every step."""
 
     def to_json(self) -> dict[str, Any]:
         """Everything that determines the episode, as JSON types.
@@ -134,6 +136,7 @@ class Job:
             self.episode(),
             {kind: name for kind, name in chosen.items() if name is not None},
             episode_id=f"{self.index:06d}",
+            sensors=self.sensors or (),
         )
 
 
@@ -161,6 +164,8 @@ class Choices:
     spawn_distance: float | None = None
     overrides: tuple[tuple[str, Any], ...] = ()
     """Single fields of the task's rules, by name."""
+    sensors: tuple[str, ...] | None = None
+    """Sensors of robots that are recorded with every step."""
     oracle: bool = False
     """Oracle skills in rearrangement (`sim_kinematic.tasks.rearrange.episode.ORACLE_RULES`)."""
 
@@ -205,6 +210,7 @@ class Choices:
             policy=self.policy,
             partner=self.partner,
             robot=self.robot,
+            sensors=self.sensors,
             origin=drawn.origin,
             **given,
         )

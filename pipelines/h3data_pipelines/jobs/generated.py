@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from h3data.errors import InputError
 from h3data.recording import Recording
 from h3data.recording.storage import AnyPath, RemotePath
+from h3data.replay.cameras import split_size
 from h3data_pipelines.jobs.episodes import Job
 from h3data_pipelines.jobs.failed_episodes import is_failed
 
@@ -94,7 +95,8 @@ def require_same_options(folder: AnyPath, jobs: Sequence[Job], *, cameras: Seque
     if not shard_files(folder, "meta/episodes"):  # new, or killed before the first commit
         return
     dataset = Dataset(folder)
-    known = {name.replace("/", ".") for name in cameras if not name.lower().endswith((".toml", ".json"))}
+    named = [split_size(name)[0] for name in cameras]
+    known = {name.replace("/", ".") for name in named if not name.lower().endswith((".toml", ".json"))}
     if len(dataset) and (len(set(cameras)) != len(dataset.cameras) or not known <= {*dataset.cameras}):
         raise InputError(
             f"Cannot resume with other options: the dataset has videos of {', '.join(dataset.cameras) or 'no camera'}, "

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from h3data.commands.command import claim_file, keeping, recording_stem
 from h3data.errors import FormatError, H3DataError, InputError
-from h3data.formats import FORMATS, Format, SourceFile, detect, import_suffixes, load
+from h3data.formats import FORMATS, Format, ImportRequest, SourceFile, detect, import_suffixes, load
 from h3data.progress import progress
 from h3data.recording import Recording
 from h3data.recording.assets.library import AssetLibrary
@@ -73,6 +73,7 @@ def import_files(
     assets: Sequence[Path] = (),
     manifest: Path | None = None,
     fps: float = 30.0,
+    tracks: ImportRequest | None = None,
     strict: bool = False,
     force: bool = False,
 ) -> ImportResult:
@@ -86,6 +87,7 @@ def import_files(
         assets: Folders below which recorded asset files are searched (default: H3DATA_ASSETS).
         manifest: CSV table of participants and conditions (`h3data_pipelines.session_manifest`).
         fps: Steps per second of files without times.
+        tracks: Options of bags and of files of tracks.
         strict: True refuses recordings with warnings or missing assets.
         force: True if existing recordings may be replaced.
 
@@ -96,10 +98,15 @@ def import_files(
     if not 0.001 <= fps <= 1000:
         raise InputError(f"--fps must be at least 0.001 and at most 1000, got {fps}.", code="H3-JOB-036")
     importer = _Importer(
-        AssetLibrary(assets), None if manifest is None else read_manifest(manifest), fps=fps, strict=strict, force=force
+        AssetLibrary(assets),
+        None if manifest is None else read_manifest(manifest),
+        fps=fps,
+        tracks=tracks or ImportRequest(),
+        strict=strict,
+        force=force,
     )
     jobs = _jobs(paths, out)
-    alone = len(jobs) == 1 and jobs[0].source in paths
+    alone = len(jobs) == 1 and (jobs[0].source in paths or _is_bag(jobs[0].source))
     files: list[ImportedFile] = []
     with keeping(lambda: _kept(files, out)):
         for job in progress(jobs, desc="import", unit="file", at_least=2):
@@ -146,10 +153,17 @@ class _Importer:
     """Imports one file after the other."""
 
     def __init__(
-        self, library: AssetLibrary, manifest: SessionManifest | None, *, fps: float, strict: bool, force: bool
+        self,
+        library: AssetLibrary,
+        manifest: SessionManifest | None,
+        *,
+        fps: float,
+        tracks: ImportRequest,
+        strict: bool,
+        force: bool,
     ) -> None:
         self._library, self._manifest = library, manifest
-        self._fps, self._strict, self._force = fps, strict, force
+        self._fps, self._tracks, self._strict, self._force = fps, tracks, strict, force
         self._written: dict[Path, Path] = {}
         self._strangers: list[str] = []
 
@@ -228,8 +242,19 @@ class _Importer:
         if form.read is None:
             hint = f" Hint: {form.hint}." if form.hint else ""
             raise FormatError(f"Expected a recording, this is {form.title}.{hint} {file.path}", code="H3-JOB-039")
-        options = {"fps": self._fps, "assets": self._library}
+        if self._tracks != ImportRequest() and "tracks" not in form.read_options:
+            raise InputError(
+                f"--people, --robot, --map, --goal, --columns, --unit, --rate and --hz are for bags and tracks; this is "
+                f"{form.title}. Leave them out: {file.path}",
+                code="H3-JOB-051",
+            )
+        options = {"fps": self._fps, "assets": self._library, "tracks": self._tracks}
         return load(form, "read")(file, **{name: options[name] for name in form.read_options})
+
+
+def _is_bag(file: Path) -> bool:
+    """Returns whether a file stands for its folder, a bag of ROS 2, whose name the recording gets."""
+    return file.name == "metadata.yaml"
 
 
 def _jobs(paths: Sequence[Path], out: Path) -> list[ImportJob]:
@@ -239,9 +264,9 @@ def _jobs(paths: Sequence[Path], out: Path) -> list[ImportJob]:
     jobs: list[ImportJob] = []
 
     def add(file: Path, below: Path) -> None:
-        jobs.append(
-            ImportJob(file, out / below.parent / f"{recording_stem(file)}.mcap", PurePosixPath(below.as_posix()))
-        )
+        named, place = (file.parent.resolve(), below.parent.parent) if _is_bag(file) else (file, below.parent)
+        target = out / place / f"{recording_stem(named)}.mcap"
+        jobs.append(ImportJob(file, target, PurePosixPath(below.as_posix())))
 
     for path in paths:
         if path.is_dir():

@@ -6,11 +6,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from h3data.metrics import Profile, Summary
+from h3data.metrics import Metric, Profile, Summary
 from h3data.metrics.episode import deviation_lines
 from h3data.metrics.table import legend
 from h3data.terminal import aligned
 from h3data_pipelines.jobs.table_cells import NOTHING, SEEDS_HEAD, SeedsSummary, cell_dict, cell_of, rows_of
+
+MOST_COLUMNS = 30
+"""Profiles with more metrics are printed by the columns of their report."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +32,8 @@ class PolicyTable:
         """Measured rows with intervals, followed by published ones; a sentence if there are no results."""
         if not self.cells:
             return NOTHING
-        names = [metric.name for metric in self.profile.metrics]
+        shown = self._columns()
+        names, left_out = [metric.name for metric in shown], len(self.profile.metrics) - len(shown)
         policies = tuple(dict.fromkeys(policy for policy, _ in self.cells))
         head = "Mean [95% interval]" + (SEEDS_HEAD if self.seeds else "")
         lines = [[head, *names]]
@@ -40,7 +44,13 @@ class PolicyTable:
             lines.append([f"{published.paper}, as published", *names])
             lines += [[row.name, *(_published(row.values.get(name, ())) for name in names)] for row in published.rows]
         source = [f"{published.source}."] if published else []
-        return "\n".join([aligned(lines), legend(self.profile.metrics), *source, *deviation_lines(self.deviations)])
+        more = [f"{left_out} more metrics: h3data metrics, or --json."] if left_out else []
+        return "\n".join([aligned(lines), legend(shown), *more, *source, *deviation_lines(self.deviations)])
+
+    def _columns(self) -> list[Metric]:
+        """The metrics that fit a terminal: of profiles with many, those of the report's main table."""
+        metrics, main = list(self.profile.metrics), self.profile.report.columns
+        return [m for m in metrics if m.name in main] if len(metrics) > MOST_COLUMNS and main else metrics
 
     def to_dict(self) -> dict[str, Any]:
         """The table as JSON types; NaN becomes None. ``seeds`` has the rows of several policies."""

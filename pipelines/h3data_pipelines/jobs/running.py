@@ -86,7 +86,7 @@ def film_job(job: Job, filming: VideoJob) -> RenderedVideo:
     recording = simulate_job(job)
     if not filming.cameras or is_failed(recording):
         return RenderedVideo(recording)
-    from h3data.exporters.camera_videos import render_videos
+    from h3data.replay.camera_videos import render_videos
     from h3data.replay.stage import chosen_backend
 
     # that of this machine: a resumed run goes on with it

@@ -96,8 +96,8 @@ def judge_episode(job: SkillJob) -> dict[str, Any]:
     from sim_kinematic.motion.randomness import generator
     from sim_kinematic.policies.skills.names import skills_of
     from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-    from sim_kinematic.tasks.rearrange.skill_judging import action_of, judge
-    from sim_kinematic.tasks.rearrange.skill_starts import SKILL_NAMES, draw_starts
+    from sim_kinematic.tasks.skills.skill_judging import action_of, judge
+    from sim_kinematic.tasks.skills.skill_starts import SKILL_NAMES, draw_starts
 
     rows = []
     try:

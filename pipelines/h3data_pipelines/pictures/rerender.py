@@ -33,12 +33,13 @@ from h3data.commands.command import (
 )
 from h3data.commands.executors import ExecutorOption, check_workers, opened
 from h3data.commands.options import command_of
-from h3data.errors import H3DataError, InputError
+from h3data.errors import H3DataError, InputError, suggest_keywords
 from h3data.progress import progress
 from h3data.recording.finding import find_episodes
 from h3data.recording.parquet.files import is_dataset
 from h3data.recording.storage import local, place
 from h3data.replay import CameraTrack, Replay, camera_track
+from h3data.replay.cameras import parse_size
 from h3data.terminal import counted
 from h3data_pipelines.execution.processes import core_count
 from h3data_pipelines.jobs.camera_log import CameraLog
@@ -52,10 +53,6 @@ if TYPE_CHECKING:
     from h3data.render.light.sources import LightMode
 
 
-MAX_SIDE_PX = 8192
-"""Longest side of a picture."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Rendered:
     """Pictures of recordings."""
@@ -66,6 +63,7 @@ class Rendered:
     """Why a recording could not be rendered, by its path."""
 
 
+@suggest_keywords
 def rerender(
     recordings: Paths,
     out: FilePath,
@@ -148,7 +146,8 @@ class Rerender:
 
     def run(self) -> Outcome:
         """Renders all recordings, in several processes if asked to, and returns the files."""
-        parse_size(self.size)
+        if self.size:
+            parse_size(self.size)
         local(self.out)
         if not self.recordings:
             raise InputError("Expected at least one recording (.mcap).", code="H3-RENDER-089")
@@ -201,7 +200,7 @@ class Rerender:
             open_episode(path), assets=self.assets, people=self.people, light=light, stand_ins=self.stand_ins
         )
         tracks = [camera_track(replay, name) for name in self.cameras or ("top_down",)]
-        if size := parse_size(self.size):
+        if size := self.size and parse_size(self.size):
             tracks = [track.resized(*size) for track in tracks]
         names = [track.camera.name for track in tracks]
         if len(set(names)) < len(names):
@@ -362,20 +361,6 @@ def _refuse_existing(targets: Sequence[Target]) -> None:
                 f"overwrite it, or another -o: {target.path}",
                 code="H3-RENDER-092",
             )
-
-
-def parse_size(text: str) -> tuple[int, int] | None:
-    """Parses ``"1280x720"`` as width and height [px]; None if empty."""
-    if not text:
-        return None
-    sides = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
-    width, height = (int(side) for side in sides.groups()) if sides else (0, 0)
-    if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX):
-        raise InputError(
-            f"Expected a size such as 1280x720, of at most {MAX_SIDE_PX} pixels a side, got {text!r}.",
-            code="H3-RENDER-085",
-        )
-    return width, height
 
 
 def parse_steps(text: str, count: int) -> range:

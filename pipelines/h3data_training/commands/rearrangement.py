@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 from h3data.commands.command import Outcome
 from h3data.progress import say
-from h3data.scene.open import listed_scenes
 from h3data.terminal import counted
 from h3data_training.commands.folders import run_folder
+from h3data_training.episodes import listed_scenes
 
 if TYPE_CHECKING:
     from h3data_training.populations.settings import PopulationSettings

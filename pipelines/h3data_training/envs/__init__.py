@@ -57,7 +57,7 @@ def make_any(
     Raises:
         InputError: the task has skills or another person, its functions are not for tensors, or an option is wrong.
     """
-    if not task.control.batched:
+    if task.control.has_skills:
         raise InputError(
             f"On a torch device agents drive and walk, and those of {task.name} choose skills; of tasks with skills only "
             "rearrange plays there. Hint: leave out device.",

@@ -9,12 +9,12 @@ from h3data.errors import InputError
 from h3data_training.envs.task_torch_env import PICTURED, TaskTorchEnv
 from h3data_training.envs.torch_env import Tensors
 from h3data_training.torch.social_nav import SocialNavTensors
-from sim_kinematic.sensing.table import FOLLOWER, TABLE, Sensor
+from sim_kinematic.sensing.table import ON_DEVICES, TABLE, Sensor
 from sim_kinematic.tasks.social_nav import SocialNav
 from sim_kinematic.tasks.sources import Scenes
 from sim_kinematic.tasks.task import Task
 
-OBSERVATIONS = (*PICTURED, *FOLLOWER)
+OBSERVATIONS = (*PICTURED, *ON_DEVICES)
 """Names of the observations that a device can compute, as in `sim_kinematic.sensing.table`."""
 
 
@@ -39,7 +39,7 @@ class SocialNavTorchEnv(TaskTorchEnv):
 
     @staticmethod
     def _sensors(task: Task) -> Mapping[str, Sensor]:
-        return {name: TABLE[name] for name in FOLLOWER}
+        return {name: TABLE[name] for name in ON_DEVICES}
 
     def _make_worlds(self, **options: Any) -> SocialNavTensors:
         return SocialNavTensors(self.bank, **options)

@@ -22,7 +22,7 @@ from sim_kinematic.policies.choosers.chooser_network import KIND, SkillPolicyNet
 from sim_kinematic.policies.visual_policy import PolicyCard
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 
-LEARNED_FROM = ("each", "rest", "allowed", "chosen", "log_prob", "told", "advantage", "target")
+LEARNED_FROM = ("each", "rest", "allowed", "chosen", "log_prob", "critic_obs", "advantage", "target")
 """Columns of a minibatch."""
 
 
@@ -112,12 +112,12 @@ class ChooserLearner:
             if f.name != "partners"
         }
         counts = x.pop("counts")
-        told = self._told(x, counts, decisions.partners)
+        critic_obs = self._critic_obs(x, counts, decisions.partners)
         with torch.no_grad():
-            value = self.net.worth(told).squeeze(-1)
+            value = self.net.value_head(critic_obs).squeeze(-1)
         advantage = advantages(x["gain"] * s.reward_scale, x["discount"], value, counts, lam=s.gae_lambda)
         target, spread = advantage + value, advantage.std(correction=0) + 1e-4
-        x |= {"told": told, "target": target, "advantage": (advantage - advantage.mean()) / spread}
+        x |= {"critic_obs": critic_obs, "target": target, "advantage": (advantage - advantage.mean()) / spread}
         at, valid = chunks_of(counts, s.chunk)
         states = x["state"][at[0]]
         batch = {name: x[name][at] for name in LEARNED_FROM} | {"valid": valid.float()}
@@ -171,7 +171,7 @@ class ChooserLearner:
         moved = (log_prob - x["log_prob"]) * valid
         ratio, gain = moved.exp(), x["advantage"]
         worth = torch.minimum(ratio * gain, ratio.clamp(1 - s.clip, 1 + s.clip) * gain)
-        wrong = ((net.worth(x["told"]).squeeze(-1) - x["target"]).square() * valid).sum() / total
+        wrong = ((net.value_head(x["critic_obs"]).squeeze(-1) - x["target"]).square() * valid).sum() / total
         loss = wrong - self._acts * ((worth + self._entropy * entropy) * valid).sum() / total
         self.optimizer.zero_grad(set_to_none=False)
         loss.backward()
@@ -182,7 +182,7 @@ class ChooserLearner:
             parts = (entropy, (ratio - 1) - moved, outside)
             self._means.copy_(torch.stack([wrong, *((t * valid).sum() / total for t in parts)]))
 
-    def _told(self, x: Mapping[str, Tensor], counts: Tensor, partners: Sequence[str]) -> Tensor:
+    def _critic_obs(self, x: Mapping[str, Tensor], counts: Tensor, partners: Sequence[str]) -> Tensor:
         """Inputs of the critic, which include who the partner is, [D, n]."""
         number = torch.tensor([self.settings.partners.index(name) for name in partners], device=self.device)
         one = nn.functional.one_hot(number.repeat_interleave(counts), len(self.settings.partners))

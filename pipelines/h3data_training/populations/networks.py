@@ -34,7 +34,9 @@ class Chooser(nn.Module):
         self.rest_0, self.rest_1 = nn.Linear(s.hidden + rest, s.width), nn.Linear(s.width, others)
         self.persist = nn.Parameter(torch.full((1,), PERSIST))
         told = objects * of_object + rest + len(s.partners)
-        self.worth = nn.Sequential(nn.Linear(told, 128), nn.ELU(), nn.Linear(128, 128), nn.ELU(), nn.Linear(128, 1))
+        self.value_head = nn.Sequential(
+            nn.Linear(told, 128), nn.ELU(), nn.Linear(128, 128), nn.ELU(), nn.Linear(128, 1)
+        )
         with torch.no_grad():
             for last in (self.each_1, self.rest_1):
                 last.weight.mul_(0.1)

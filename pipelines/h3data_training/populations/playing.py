@@ -29,8 +29,8 @@ from sim_kinematic.policies.choosers.chooser_network import Floats, SkillPolicyN
 from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy
 from sim_kinematic.policies.rearrange import planner
 from sim_kinematic.policies.views import RearrangeView
+from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.play import SkillRollout
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.runner import run
 
@@ -186,13 +186,13 @@ def play_episode(job: Job, episode: RearrangeEpisode) -> Batch:
         else:
             plan = planner(name, episode_seed(job.seed, job.number), objects)
             policies.append(AssignedPolicy(plan, name, kind, name))
-    play, rewards = SkillRollout(Rearrange(), episode, policies), []
+    play, rewards = WorldRollout.of(Rearrange(), episode, policies), []
     run(play, progress=lambda _: rewards.append(play.reward))
-    there = [name for name, at_goal in zip(play.objects.names, play.at_goal.tolist(), strict=True) if at_goal]
+    there = [name for name, at_goal in zip(play.team.objects.names, play.team.at_goal.tolist(), strict=True) if at_goal]
     by = {event.target: event.agent for event in play.events if event.kind == "place"}
     played = Played(
         partner=job.partner,
-        steps=play.steps,
+        steps=play.step,
         ended=play.ended,
         reward=float(np.sum(rewards)),
         placed=sum(by.get(name) == 0 for name in there),

@@ -17,9 +17,9 @@ from h3data.errors import FormatError, InputError, SceneError
 from h3data.files import part_file
 from h3data.progress import progress
 from h3data.recording.task_episodes.stored_rearrangements import StoredGoal
-from h3data.scene.open import listed_scenes, named_scenes
+from h3data.scene.open import named_scenes
 from h3data_training.checkpoints import differences
-from h3data_training.episodes import by_home
+from h3data_training.episodes import by_home, listed_scenes
 from h3data_training.populations.settings import LONGEST, PopulationSettings, rules_of
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.motion.randomness import episode_seed

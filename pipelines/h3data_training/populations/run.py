@@ -81,7 +81,7 @@ def train(
         raise InputError(f"Expected at least 1 worker, got {count}.", code="H3-TRAIN-030")
     if settings.oracle:
         checked_device(device)
-    kept = checkpoints.to_go_on(folder / CHECKPOINT, settings, seed, form=FORMAT) if resume else None
+    kept = checkpoints.load_checkpoint(folder / CHECKPOINT, settings, seed, form=FORMAT) if resume else None
     with stop_asked() as stop:
         players = _players(episodes, settings, count, device, episodes_file, folder, say)
         say(f"{players.size} episodes in {players.homes} homes after {time.time() - began:.0f} s")

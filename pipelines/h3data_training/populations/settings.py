@@ -42,7 +42,7 @@ class PopulationSettings:
 
     population: str = "plan_pop_3"
     scenes: str = "h3-homes/train"
-    """One name or several, separated by commas (`h3data.scene.open.listed_scenes`)."""
+    """One name or several, separated by commas (`h3data_training.episodes.listed_scenes`)."""
     episodes_per_home: int = 32
     """Episodes are drawn once and played again and again, beside other partners."""
     robot: str = "quad_arm"

@@ -67,13 +67,13 @@ class TensorSkillPolicy:
         """Tensors that a step changes."""
         return [self._state, self._thought]
 
-    def begin(self, jobs: Sequence[Job], names: Sequence[str], dice: torch.Generator, *, steps: int) -> None:
+    def begin(self, jobs: Sequence[Job], names: Sequence[str], generator: torch.Generator, *, steps: int) -> None:
         """New episodes of so many steps at most, with the networks of today in the worlds whose ``names`` they have."""
         device = self._sim.device
         first = jobs[0].networks[names[0]]  # learners of one agent differ in their weights only
         self._hold, self._observations = first.card.hold, first.card.observations
         shape = steps, len(names), len(self._sim.choices(self._agent))
-        noise = torch.rand(shape, generator=dice, device=device)
+        noise = torch.rand(shape, generator=generator, device=device)
         if not self._arrays:
             self._offered = torch.as_tensor(first.offered, device=device)
             self._state = torch.zeros(len(names), first.arrays["gru.weight_hh"].shape[1], device=device)

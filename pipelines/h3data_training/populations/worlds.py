@@ -123,15 +123,15 @@ class _Worlds:
         """Some episodes, in their order."""
         device, seed = self._sim.device, episode_seed(jobs[0].seed, jobs[0].number) % 2**63
         entries = torch.tensor([job.entry for job in jobs], device=device)
-        dice = torch.Generator(device).manual_seed(seed)
-        fresh = self._sim.start_at(entries, self._starts(entries, dice))
+        generator = torch.Generator(device).manual_seed(seed)
+        fresh = self._sim.start_at(entries, self._starts(entries, generator))
         if len(self._choosers) == 1:
             orders_ = _orders(jobs, self._sim.bank.objects, device)
             fresh = fresh._replace(human_does=fresh.human_does._replace(order=orders_))
         overwrite(self._play.tensors(), fresh.tensors())
         self._step.zero_()
         for chooser, names in zip(self._choosers, ([ROBOT] * len(jobs), [job.partner for job in jobs]), strict=False):
-            chooser.begin(jobs, names, dice, steps=self._longest)
+            chooser.begin(jobs, names, generator, steps=self._longest)
         if device.type == "cuda" and self._advance == self._eager:
             changed = [t for chooser in self._choosers for t in chooser.remembered]
             self._advance = captured(self._eager, [*self._play.tensors(), *changed, self._step])
@@ -143,7 +143,7 @@ class _Worlds:
                 break
         return _batch(self._sim, self._play, jobs, self._choosers, self._rewards[:steps].double())
 
-    def _starts(self, entries: Tensor, dice: torch.Generator) -> Tensor:
+    def _starts(self, entries: Tensor, generator: torch.Generator) -> Tensor:
         """Starts ``(x, z, heading)`` of robot and person, [W, 2, 3].
 
         With `moves_starts` each agent begins where it does in a random episode of the same home, unless both would be
@@ -156,7 +156,7 @@ class _Worlds:
         place = self._sim.tables.place
         by_home, counts = place.argsort(stable=True), place.bincount()
         home = place[entries][:, None]
-        picked = torch.rand(len(entries), 2, generator=dice, device=entries.device)
+        picked = torch.rand(len(entries), 2, generator=generator, device=entries.device)
         nth = torch.minimum((picked * counts[home]).long(), counts[home] - 1)
         other = by_home[(counts.cumsum(0) - counts)[home] + nth]
         found = torch.stack([starts[other[:, who], who] for who in range(2)], 1)

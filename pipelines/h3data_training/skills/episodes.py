@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -10,20 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Robot
-from h3data.errors import FormatError, SceneError
+from h3data.errors import SceneError
 from h3data.files import part_file
-from h3data.npz_arrays import npz_arrays
 from h3data.scene import FreeSpace, Scene
-from h3data.scene.open import listed_scenes, named_scenes
-from h3data_training.episodes import by_home
+from h3data.scene.open import named_scenes
+from h3data_training.episodes import by_home, listed_scenes
 from h3data_training.skills.settings import SkillSettings
 from h3data_training.torch.skills.bank import COLUMNS, SkillBank
 from sim_kinematic.agents.roster import AgentSpec, make_roster
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
-from sim_kinematic.tasks.rearrange.skill_starts import draw_starts
 from sim_kinematic.tasks.rearrange.task import Rearrange
+from sim_kinematic.tasks.skills.skill_starts import draw_starts
 from sim_kinematic.tasks.sources import Home
 
 FILE_FORMAT = "h3data.skill_starts/1"
@@ -79,8 +80,9 @@ def _read(file: Path, about: str) -> dict[str, NDArray[Any]] | None:
     if not file.is_file():
         return None
     try:
-        arrays = npz_arrays(file, ("about", "homes", *COLUMNS))
-    except FormatError:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, TypeError, ValueError):  # damaged, or no npz file
         return None
     return arrays if str(arrays.pop("about", "")) == about and set(arrays) == {"homes", *COLUMNS} else None
 

@@ -10,7 +10,7 @@ from h3data.errors import InputError
 from h3data_training.settings import Settings
 from sim_kinematic.policies.visual_policy import BASE_ACTIONS
 from sim_kinematic.sensing.table import OF_SKILLS
-from sim_kinematic.tasks.rearrange.skill_starts import SKILL_NAMES, Skill, check_skill
+from sim_kinematic.tasks.skills.skill_starts import SKILL_NAMES, Skill, check_skill
 
 OF_THE_BASE = ("target_gps_compass", "way", "range_scan", "egomotion")
 OF_THE_ARM = (*OF_THE_BASE, "target_sensor", "resting_sensor", "arm_joints", "is_holding")
@@ -66,7 +66,7 @@ class SkillSettings(Settings):
         return ("arm_depth",)
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def vector_observations(self) -> tuple[str, ...]:
         """Names of the other observations of the policy."""
         return OF_SKILLS
 

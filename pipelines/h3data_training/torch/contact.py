@@ -1,4 +1,4 @@
-"""Contacts of the resting robot with the walking person, by tensors alone: capsules as balls in the robot's distance field.
+"""Contacts of the resting robot with the walking person, by tensors alone: the person as balls in the robot's distance field.
 
 `sim_kinematic.contact.clearance.RobotHumanContact` (FCL on the exact shapes) is the truth; this differs from it only
 where the two are
@@ -20,13 +20,18 @@ from h3data.scene.records import Box, Capsule, Shape
 from h3data_training.torch.cycle import WalkingCycle
 from h3data_training.torch.state import HumanTensors, RobotTensors
 from h3data_training.torch.step import heading_direction
-from sim_kinematic.motion.spec import WalkerSpec
+from sim_kinematic.motion.spec import PersonContact, WalkerSpec
 
 TOLERANCE_M = 0.004
 CELL_M = 0.02
 """Side of a cell of the robot's distance field."""
 SCALLOP_M = 0.003
 """A row of balls may be this much thinner than the capsule that it stands for."""
+BONE_TOLERANCE_M = 0.007
+"""The same as `TOLERANCE_M` for boxes of bones: their corners stand 4 mm out of the balls at their ends."""
+BONE_RADIUS_M, BONE_END_M = 0.0125, 0.0085
+"""Radius of the balls of a box of 2 x 2 cm, which is between the radii of the circles in and around its section, and how far
+before the ends of the box the last balls are."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,9 +53,16 @@ class TouchTest:
 
     @classmethod
     def of(
-        cls, robot: Robot, human: Humanoid, walker: WalkerSpec, device: torch.device | str, dtype: torch.dtype
+        cls,
+        robot: Robot,
+        human: Humanoid,
+        walker: WalkerSpec,
+        device: torch.device | str,
+        dtype: torch.dtype,
+        *,
+        person_contact: PersonContact = "body",
     ) -> TouchTest:
-        """For a robot at rest and a person who walks as the spec says.
+        """For a robot at rest and a person who walks as the spec says, with the given collision shapes.
 
         Raises:
             InputError: a shape of the robot is neither box nor capsule.
@@ -59,7 +71,7 @@ class TouchTest:
         links = robot.link_matrices(IDENTITY_POSE[None], joints[None])[0]
         placed = [(shape, matrix) for matrix, link in zip(links, robot.links, strict=True) for shape in link.shapes]
         cycle = WalkingCycle.of(human, walker)
-        centres, radii = _balls(cycle)
+        centres, radii = _bone_balls(cycle) if person_contact == "bones" else _balls(cycle)
         margin = radii.max() + 2 * CELL_M
         reach = [_bounds(shape, matrix) for shape, matrix in placed]
         low = np.min([r[0] for r in reach], axis=0) - margin
@@ -121,6 +133,18 @@ def _balls(cycle: WalkingCycle) -> tuple[Array, Array]:
             centres.append(start[:, k] + t * (end[:, k] - start[:, k]))
             radii.append(radius[k])
     return np.stack(centres, 1), np.array(radii)
+
+
+def _bone_balls(cycle: WalkingCycle) -> tuple[Array, Array]:
+    """Centres [rows, S, 3] in the root's frame and radii [S] of balls along the boxes of the bones."""
+    frames, sizes = cycle.human.bone_boxes_world(cycle.joint_matrices())
+    apart = 2 * np.sqrt(2 * BONE_RADIUS_M * SCALLOP_M)
+    centres: list[Array] = []
+    for k, size in enumerate(sizes):
+        end = max(float(size[1]) / 2 - BONE_END_M, 0.0)
+        along = np.linspace(-end, end, int(np.ceil(2 * end / apart)) + 1)
+        centres += [frames[:, k, :3, 3] + y * frames[:, k, :3, 1] for y in along]
+    return np.stack(centres, 1), np.full(len(centres), BONE_RADIUS_M)
 
 
 def _bounds(shape: Shape, matrix: Array) -> tuple[Array, Array]:

@@ -97,7 +97,7 @@ class Lattices:
         return Lattices(rows=self.rows, table=self.table, **rows)
 
 
-class Way(NamedTuple):
+class ShortestPath(NamedTuple):
     """Shortest ways of W worlds."""
 
     length: Tensor
@@ -106,7 +106,7 @@ class Way(NamedTuple):
     """In which direction (x, z) they begin, of any length, [W, 2]."""
 
 
-def shortest_way(grids: Grids, lattices: Lattices, a: Tensor, b: Tensor) -> Way:
+def shortest_path(grids: Grids, lattices: Lattices, a: Tensor, b: Tensor) -> ShortestPath:
     """The shortest way from a [W, 2] to b [W, 2]."""
     gap = b - a
     straight = torch.hypot(gap[:, 0], gap[:, 1])
@@ -114,13 +114,13 @@ def shortest_way(grids: Grids, lattices: Lattices, a: Tensor, b: Tensor) -> Way:
     least = sample_sdf(grids, torch.addcmul(a, along, gap)).distance.amin(0)
     sees = (least >= lattices.clearance) & (straight <= LOOK_APART_M * (LOOKS - 1))
     through = _through_nodes(lattices, torch.stack([a, b]))
-    return Way(
+    return ShortestPath(
         torch.where(sees, straight, torch.maximum(through.length, straight)),
         torch.where((sees | through.length.isinf())[:, None], gap, through.towards),
     )
 
 
-def _through_nodes(lattices: Lattices, ends: Tensor) -> Way:
+def _through_nodes(lattices: Lattices, ends: Tensor) -> ShortestPath:
     """The shortest way between ``ends`` [2, W, 2] through a node beside each."""
     f = torch.addcmul(lattices.shift, lattices.scale, ends)
     low = torch.minimum((f.floor() - (AROUND // 2 - 1)).clamp_min(0.0), lattices.top)
@@ -139,4 +139,4 @@ def _through_nodes(lattices: Lattices, ends: Tensor) -> Way:
     length = over.amin(1)
     weight = torch.exp((length[:, None] - over) / DETOUR_M)
     towards = torch.stack([weight * (i - f[0, :, 0, None]), weight * (j - f[0, :, 1, None])], -1).sum(1)
-    return Way(length, towards)
+    return ShortestPath(length, towards)

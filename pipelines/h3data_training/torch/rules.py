@@ -44,7 +44,16 @@ HELD: Mapping[str, Held] = {
     "social_nav": Held(
         SocialNavSpec(),
         {
-            SocialNavSpec: ("max_steps", "near_m", "far_m", "facing_dot", "end_on_collision", "robot", "human"),
+            SocialNavSpec: (
+                "max_steps",
+                "near_m",
+                "far_m",
+                "facing_dot",
+                "end_on_collision",
+                "robot",
+                "human",
+                "person_contact",
+            ),
             BaseSpec: _BASE,
             WalkerSpec: _WALKER,
         },

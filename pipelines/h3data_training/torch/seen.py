@@ -5,15 +5,32 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import torch
 from torch import Tensor
 
-from h3data_training.torch.step import Grids, sample_sdf
+from h3data.scene.freespace._sdf import HIT_M, RAY_STRIDE_GROWTH, RAY_STRIDE_M, RAY_STRIDES
+from h3data_training.torch.step import Grids, heading_direction, sample_sdf
 from sim_kinematic.sensing.table import TABLE
 
 
-def shown(moment: Any, names: Sequence[str]) -> dict[str, Tensor]:
+def read_sensors(moment: Any, names: Sequence[str]) -> dict[str, Tensor]:
     """The named sensors of a `sim_kinematic.sensing.table.Context`, which has what they need, float32 [W, n] each."""
     return {name: TABLE[name].of(moment).float() for name in names}
+
+
+def free_along(grids: Grids, xz: Tensor, headings: Tensor, max_m: float) -> Tensor:
+    """Distance [W, R] [m] from places [W, 2] along headings [W, R], as `h3data.scene.freespace._sdf.trace_rays`."""
+    start, direction = xz, heading_direction(headings).movedim(1, 0)
+    reach = headings.new_zeros(headings.shape).movedim(1, 0)
+    going = reach >= 0.0
+    for _ in range(RAY_STRIDES):
+        left = sample_sdf(grids, torch.addcmul(start, direction, reach[..., None])).distance
+        hit = left <= HIT_M
+        stride = torch.maximum(left, reach * RAY_STRIDE_GROWTH + RAY_STRIDE_M)
+        further = torch.where(hit, (reach + left.clamp_max(0.0)).clamp_min(0.0), reach + stride)
+        reach = torch.where(going, further, reach)
+        going = going & ~hit & (reach < max_m)
+    return reach.clamp_max(max_m).movedim(0, 1)
 
 
 def clearance(grids: Grids, points: Tensor) -> Tensor:

@@ -10,10 +10,10 @@ from torch import Tensor
 
 from h3data.errors import InputError
 from h3data_training.torch.episodes import EpisodeBank
-from h3data_training.torch.geodesic import Way
+from h3data_training.torch.geodesic import ShortestPath
 from h3data_training.torch.task_worlds import Play, TaskTensors
 from sim_kinematic.sensing.sensor import facing
-from sim_kinematic.sensing.table import FOLLOWER
+from sim_kinematic.sensing.table import ON_DEVICES
 from sim_kinematic.tasks.episode import StepOutcome
 from sim_kinematic.tasks.rules.predicates import is_found
 from sim_kinematic.tasks.rules.rewards import PaperReward
@@ -33,7 +33,7 @@ class SocialNavTensors(TaskTensors):
         self.paper = PaperReward()
 
     def _begun(self, play: Play) -> dict[str, Tensor]:
-        way, steps = super().way(play), torch.zeros_like(play.steps)
+        way, steps = super().path_to_person(play), torch.zeros_like(play.steps)
         return {"found": steps > 0, "followed": steps, "geodesic": way.length, "towards": way.towards}
 
     def _judged(self, now: Play, fresh: Tensor) -> tuple[StepOutcome, dict[str, Tensor]]:
@@ -52,17 +52,17 @@ class SocialNavTensors(TaskTensors):
         """Worlds whose robot has followed long enough, bool [W]."""
         return play.memory["followed"] >= self.paper.follow_steps
 
-    def way(self, play: Play) -> Way:
+    def path_to_person(self, play: Play) -> ShortestPath:
         """The shortest paths from robots to people, which are known."""
-        return Way(play.memory["geodesic"], play.memory["towards"])
+        return ShortestPath(play.memory["geodesic"], play.memory["towards"])
 
     def observations(self, names: Sequence[str], play: Play) -> dict[str, Tensor]:
-        """Returns the observations of `sim_kinematic.sensing.table.FOLLOWER`, float32 [W, n] each.
+        """Returns the observations of `sim_kinematic.sensing.table.ON_DEVICES`, float32 [W, n] each.
 
         Raises:
             InputError: there is no such observation on a device.
         """
-        if strangers := [name for name in names if name not in FOLLOWER]:
+        if strangers := [name for name in names if name not in ON_DEVICES]:
             raise InputError(f"On a device there is no observation {strangers[0]!r}.", code="H3-TRAIN-075")
         return super().observations(names, play)
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import is_dataclass, replace
+from dataclasses import dataclass, is_dataclass, replace
 from typing import Any, NamedTuple
 
 import torch
@@ -23,13 +23,16 @@ from torch import Tensor
 from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import H3DataError, InputError
 from h3data_training.torch.contact import TouchTest
+from h3data_training.torch.cycle import WalkingCycle
 from h3data_training.torch.episodes import EpisodeBank
-from h3data_training.torch.geodesic import Lattices, Way, shortest_way
+from h3data_training.torch.geodesic import Lattices, ShortestPath, shortest_path
 from h3data_training.torch.rules import refuse_others
-from h3data_training.torch.seen import clearance
+from h3data_training.torch.seen import clearance, free_along
 from h3data_training.torch.state import HumanTensors, RobotTensors
-from h3data_training.torch.step import Grids, drive_robots, move_humans, refuse_stairs, walk_humans
+from h3data_training.torch.step import Grids, drive_robots, heading_direction, move_humans, refuse_stairs, walk_humans
 from sim_kinematic.avoidance.robot_base import base_of
+from sim_kinematic.contact.outlines import legs_at, shins
+from sim_kinematic.motion.spec import PersonContact
 from sim_kinematic.motion.state import ROBOT
 from sim_kinematic.sensing.sensor import in_base_frame
 from sim_kinematic.sensing.table import Pose, SensorContext, sensed
@@ -109,6 +112,21 @@ class Agents(NamedTuple):
     """[W, 0]."""
 
 
+@dataclass(frozen=True, eq=False)
+class Outlines:
+    """Outlines of robot and person on the floor, as laser scanners see them."""
+
+    offsets: Tensor
+    """Places of the discs of the robot's base along its axis, [D] [m]."""
+    robot_m: float
+    """Radius of these discs."""
+    human_m: float
+    """Radius of the person as a disc."""
+    cycle: WalkingCycle
+    legs: Tensor
+    """Middles of the person's legs in the frame of the root, a table of the ``cycle``, [rows, 2, 2] [m]."""
+
+
 class TensorWorld(NamedTuple):
     """The part of a `sim_kinematic.world.World` that tasks and sensors read, on a device."""
 
@@ -123,6 +141,8 @@ class TensorWorld(NamedTuple):
     """Height of the floor in each world [m], [W]."""
     grids: Grids
     """Grids of the worlds' floors."""
+    outlines: Outlines
+    """Outlines of the agents on the floor."""
 
     def heights(self, xz: Tensor) -> Tensor:
         """Heights of the floor at places, [W] [m]: floors are level."""
@@ -132,6 +152,22 @@ class TensorWorld(NamedTuple):
     def clearance(self, points: Tensor) -> Tensor:
         """Signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
         return clearance(self.grids, points)
+
+    def free_along(self, xz: Tensor, headings: Tensor, max_m: float) -> Tensor:
+        """Distance [W, R] [m], at most ``max_m``, from places [W, 2] along headings [W, R] [rad] to the nearest obstacle."""
+        return free_along(self.grids, xz, headings, max_m)
+
+    def circles(self, agent: int, *, legs: bool = False) -> Tensor:
+        """The other agent as circles ``(x, z, radius)`` [W, N, 3] [m], as `sim_kinematic.world.World.circles`."""
+        robot, human = self.state.agents
+        if agent != ROBOT:
+            ahead = heading_direction(robot.heading)[:, None] * self.outlines.offsets[:, None]
+            xz, radius_m = robot.xz[:, None] + ahead, self.outlines.robot_m
+        elif legs:
+            return legs_at(torch, human.xz, human.heading, self.outlines.cycle.look_up(self.outlines.legs, human))
+        else:
+            xz, radius_m = human.xz[:, None], self.outlines.human_m
+        return torch.cat([xz, torch.full_like(xz[..., :1], radius_m)], -1)
 
     def in_root_frame(self, own: Any, points: Tensor) -> Tensor:
         """World points [W, n, 3] in the agent root frames of agents."""
@@ -155,7 +191,7 @@ class TensorRollout:
 
     def path_length(self, agent: int, points: Tensor) -> Tensor:
         """Lengths of the shortest paths from an agent to points [W, 2], [W] [m]; inf where there is none."""
-        return self._sim.way_between(self._now, self.world.state.agents[agent].xz, points).length
+        return self._sim.path_between(self._now, self.world.state.agents[agent].xz, points).length
 
     def events_where(self, flags: Tensor, kind: str, *, agent: int = -1, target: str = "") -> tuple[()]:
         """No events: nothing is recorded on a device."""
@@ -193,7 +229,18 @@ class TaskTensors:
         self._lattices = Lattices.of(bank.floors, self.device, self.dtype)
         body = load_robot(robot)
         self.base = base_of(body, spec.robot)
-        self.touch = TouchTest.of(body, load_humanoid(human), spec.human, self.device, self.dtype)
+        contact: PersonContact = getattr(spec, "person_contact", "body")
+        self.touch = TouchTest.of(
+            body, load_humanoid(human), spec.human, self.device, self.dtype, person_contact=contact
+        )
+        cycle = self.touch.cycle
+        self._outlines = Outlines(
+            torch.as_tensor(self.base.disc_offsets_m, dtype=self.dtype, device=self.device),
+            self.base.disc_radius_m,
+            spec.agent_radius_m,
+            cycle,
+            torch.as_tensor(shins(cycle.joint_matrices()), dtype=self.dtype, device=self.device),
+        )
 
         def on_device(*columns: Any) -> Tensor:
             parts = [torch.as_tensor(c, dtype=self.dtype, device=self.device) for c in columns]
@@ -231,16 +278,17 @@ class TaskTensors:
             touching=play.collides[:, None],
             floor_y=self._floor_y[place],
             grids=self._grids.at(place),
+            outlines=self._outlines,
         )
 
-    def way_between(self, play: Play, start: Tensor, end: Tensor) -> Way:
+    def path_between(self, play: Play, start: Tensor, end: Tensor) -> ShortestPath:
         """The shortest paths between points [W, 2]."""
         place = self.place_of(play)
-        return shortest_way(self._grids.at(place), self._lattices.at(place), start, end)
+        return shortest_path(self._grids.at(place), self._lattices.at(place), start, end)
 
-    def way(self, play: Play) -> Way:
+    def path_to_person(self, play: Play) -> ShortestPath:
         """The shortest paths from robots to people."""
-        return self.way_between(play, play.robot.xz, play.human.xz)
+        return self.path_between(play, play.robot.xz, play.human.xz)
 
     def extra(self, name: str) -> Tensor:
         """An entry of `Episode.extra` of all episodes of the bank, [N, ...].
@@ -341,7 +389,7 @@ class TaskTensors:
         world: Any = self.world(play)
 
         def path() -> tuple[Tensor, Tensor]:
-            way = self.way(play)
+            way = self.path_to_person(play)
             return way.length, play.robot.xz + way.towards
 
         (now, other), (before, other_before), (start, _) = (

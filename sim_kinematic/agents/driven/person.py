@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -56,10 +55,6 @@ class DrivenPerson(PersonActor):
     """Tests where an object fits; None: it fits everywhere."""
     radius_m: float = 0.25
     """Radius of the disc that keeps clear of obstacles [m]."""
-    actors: Sequence[PersonActor | RobotActor] = ()
-    """All agents of the episode, by number."""
-    others_discs: Callable[[], Array] | None = None
-    """Discs ``(x, z, radius)`` [N, 3] of the others, along which the person slides under commands; None: they do not."""
     command: tuple[float, float] = (0.0, 0.0)
     """Forward and left turn of the last step, -1..1; zero while a skill runs."""
     _shares: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
@@ -69,6 +64,15 @@ class DrivenPerson(PersonActor):
     """Points to which the palms are led now, [2, 3] [m]: the targets, but no faster than a hand moves."""
     _head: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
     _drives: bool = False
+
+    @property
+    def _is_solid(self) -> bool:
+        """Returns whether the person slides along the discs of the others under commands."""
+        return self.company is not None and self.company.solid
+
+    def meets(self) -> bool:
+        """Returns whether the person touches somebody now, or is nearer to a solid one than they may come."""
+        return super().meets() or (self._is_solid and self.company.comes_too_near(self))  # type: ignore[union-attr]
 
     # --- what it can do -----------------------------------------------------------------------------------------------
     def infeasible(self, action: Action) -> str:
@@ -132,8 +136,8 @@ class DrivenPerson(PersonActor):
         return self._cannot_reach(self._meeting_point(robot), action.target)
 
     def _robot(self, action: Action) -> RobotActor | None:
-        number = int(action.command[0])
-        robot = self.actors[number] if 0 <= number < len(self.actors) else None
+        number, actors = int(action.command[0]), () if self.company is None else self.company.actors
+        robot = actors[number] if 0 <= number < len(actors) else None
         return robot if isinstance(robot, RobotActor) else None
 
     # --- skills -------------------------------------------------------------------------------------------------------
@@ -247,7 +251,7 @@ class DrivenPerson(PersonActor):
         stopped = gait.take([0])
         for velocity in ((command.forward, command.turn), (0.0, 0.0)):
             self.command = velocity
-            others = None if self.others_discs is None else self.others_discs()[None]
+            others = self.company.discs_beside(self.number)[None] if self._is_solid and self.company else None
             drive_people(
                 gait, self.free, np.array([velocity]), self.spec, radius_m=self.radius_m, backwards=True, others=others
             )

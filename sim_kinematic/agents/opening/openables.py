@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
@@ -16,6 +16,7 @@ from h3data.scene.articulation import SceneJoints, handle_points, joints_of, pos
 from h3data.scene.floor_heights import floor_heights, room_heights
 from h3data.scene.records import Asset, Shape
 from h3data.scene.shape_bounds import shape_bounds
+from sim_kinematic.agents.company import Company
 from sim_kinematic.agents.driven.object_room import object_extent
 from sim_kinematic.agents.skills import Objects
 from sim_kinematic.contact import FclScene, MovingShapes
@@ -44,10 +45,8 @@ class ArticulatedParts:
     scene: Scene
     objects: Objects
     floor_y: float
-    discs: Callable[[int], NDArray[np.float64]] = field(default=lambda _: np.zeros((0, 3)))
-    """Gives the discs ``(x, z, radius)`` [N, 3] of an agent."""
-    agents: int = 0
-    """Number of agents."""
+    company: Company | None = None
+    """The agents in whose way it may stand; None: there is nobody."""
     doors: frozenset[int] = frozenset()
     """Joints of the doors between rooms: they are opened from both sides, and the walls are not in their way."""
     _scenes: dict[bytes, Scene] = field(default_factory=dict)
@@ -208,8 +207,8 @@ class ArticulatedParts:
     def hits_agent(self, k: int, way: NDArray[np.float64]) -> int:
         """The first agent into whose discs a joint would move something at positions [T]; -1: none."""
         points = self.points(k, way)[:, [0, 2]]
-        for number in range(self.agents):
-            if bool(_covered(points, self.discs(number)).any()):
+        for number in range(0 if self.company is None else len(self.company.actors)):
+            if bool(_covered(points, self.company.discs_of(number)).any()):  # type: ignore[union-attr]
                 return number
         return -1
 

@@ -11,12 +11,11 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.bodies.people.reach import reacher
 from h3data.geometry import IDENTITY_POSE, Array, pose_inverse, pose_multiply, wrap_angle
-from sim_kinematic.agents.contact_tracker import AgentContactTracker, AnyActor
+from sim_kinematic.agents.giving_way import AnyActor, GivingWay
 from sim_kinematic.agents.oracle.rules import AIMED_RAD, VIA_M, gets_on, is_there, left_to_do, reaches
 from sim_kinematic.agents.oracle.ways import NONE, Ways
 from sim_kinematic.agents.person import CARRY, Held
@@ -28,7 +27,6 @@ from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Skill, Skil
 from sim_kinematic.motion.gait import move_people
 from sim_kinematic.motion.spec import STEP_S, OracleSpec
 from sim_kinematic.motion.state import NOBODY
-from sim_kinematic.motion.step import discs_at
 
 
 class SubGoal(NamedTuple):
@@ -260,12 +258,8 @@ def _hand_over(actor: OracleRobot | OraclePerson, action: Action, errand: SubGoa
     return ""
 
 
-class DiscContacts(AgentContactTracker):
+class DiscContacts(GivingWay):
     """Agents that heed nobody, and touch where their discs do."""
-
-    def __init__(self, roster: Sequence, actors: Sequence[AnyActor], radius_m: float) -> None:
-        super().__init__(roster, actors)
-        self._radius_m = radius_m
 
     def avoids(self, me: AnyActor, other: AnyActor) -> bool:
         """False: with oracle skills no agent gives way to another."""
@@ -273,14 +267,6 @@ class DiscContacts(AgentContactTracker):
         return False
 
     def _touch(self, a: int, b: int) -> bool:
-        one, other = (self._discs(self.actors[k]) for k in (a, b))
+        one, other = self.discs_of(a), self.discs_of(b)
         gap = one[:, None, :2] - other[None, :, :2]
         return bool((np.hypot(gap[..., 0], gap[..., 1]) < one[:, None, 2] + other[None, :, 2]).any())
-
-    def _discs(self, actor: AnyActor) -> NDArray[np.float64]:
-        """Discs ``(x, z, radius)`` of an agent [N, 3]."""
-        offsets: tuple[float, ...] = (0.0,)
-        radius = self._radius_m
-        if isinstance(actor, RobotActor):
-            offsets, radius = actor.base.disc_offsets_m, actor.base.disc_radius_m
-        return discs_at(actor.xz[None], np.array([actor.heading]), offsets, radius)[0]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from h3data.bodies import Robot
 from h3data.geometry import IDENTITY_POSE, Array, pose_from_matrix, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
+from sim_kinematic.agents.company import Company
 from sim_kinematic.agents.opening.openables import ArticulatedParts
 from sim_kinematic.agents.robots.arm_clearance import ArmClearance
 from sim_kinematic.agents.robots.hand_reach import (
@@ -62,18 +63,14 @@ class RobotDriver:
     """True if its base keeps clear of other agents (`keep_clear`), in every skill."""
     others: tuple[ObservedAgent, ...] = ()
     """Other agents, the nearest first."""
-    agreed: bool = False
-    """True if all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
-    meets: Callable[[], bool] = field(default=lambda: False)
-    """True if it touches another agent in its present posture: then it stops where it was."""
+    company: Company | None = None
+    """The agents that it heeds, itself among them; None: it is alone."""
     yields: bool = True
     aside: NDArray[np.float64] | None = None
     turned_away: bool = False
     hindered_by: frozenset[int] = frozenset()
     command: tuple[float, float] = (0.0, 0.0)
     """The last command of its base, -1..1 of the limits."""
-    openables: ArticulatedParts | None = None
-    """Doors and drawers; None: nothing opens."""
     arm_goal: Array = field(init=False)
     """Joint positions towards which the arm moves in every step [J]."""
 
@@ -82,7 +79,7 @@ class RobotDriver:
         self.state: RobotState = self.objects.state.robots[self.number]
         """Its own part of the state of one world."""
         self.arm_goal = self.robot.rest.copy()
-        self._empty_base, self._carrying_base = self.base, carrying_base_of(self.robot, self.base)
+        self.empty_base, self._carrying_base = self.base, carrying_base_of(self.robot, self.base)
         self._folded_m = float(np.hypot(*self._hand_in_root(self.robot.rest)[[0, 2]])) if self._arm.size else 0.0
         self.footprint: Footprint = footprint_of(self.base)
         self._target = 0.0, 0.0
@@ -102,6 +99,20 @@ class RobotDriver:
     def is_robot(self) -> bool:
         """True."""
         return True
+
+    @property
+    def agreed(self) -> bool:
+        """Returns whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
+        return self.company is not None and self.company.agreed
+
+    def meets(self) -> bool:
+        """Returns whether it touches another agent in its present posture: then it stops where it was."""
+        return self.company is not None and self.company.meets(self)
+
+    @property
+    def openables(self) -> ArticulatedParts | None:
+        """Doors and drawers; None: nothing opens."""
+        return self.objects.openables
 
     @property
     def xz(self) -> NDArray:
@@ -394,11 +405,11 @@ class RobotDriver:
 
     def _choose_base(self) -> None:
         """Has the base keep clear by what the hand carries too, from where it has the room for that."""
-        if self._carrying_base is self._empty_base:
+        if self._carrying_base is self.empty_base:
             return
         if self.objects.held(self.number) < 0:
-            self.base = self._empty_base
-        elif self.base is self._empty_base and discs_fit(self.free, self._carrying_base, self.xz, self.heading):
+            self.base = self.empty_base
+        elif self.base is self.empty_base and discs_fit(self.free, self._carrying_base, self.xz, self.heading):
             self.base = self._carrying_base
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -74,8 +74,6 @@ class RobotActor(RobotDriver):
 
     learned: Mapping[str, LearnedSkill] = field(default_factory=dict)
     """Learned skills in the place of its own, by name."""
-    pictures: Callable[[Sequence[str], tuple[int, int] | None], dict[str, NDArray]] | None = None
-    """Takes named pictures of it now, of some size (width, height): `sim_kinematic.sensing.eyes.see`. None: nobody does."""
 
     def infeasible(self, action: Action) -> str:
         """Reason why an action is impossible now; empty if it is possible."""
@@ -170,7 +168,7 @@ class RobotActor(RobotDriver):
 
         Returns None if no such pose can be reached.
         """
-        stands, clearance = self.stands(point, self._empty_base), self.arm_clearance
+        stands, clearance = self.stands(point, self.empty_base), self.arm_clearance
         is_clear = None if clearance is None else partial(clearance.is_open, point=point)
         k, _ = nearest_stand(self.free, stands, self.xz, is_clear=is_clear)
         return stands[k] if k >= 0 else None
@@ -185,7 +183,7 @@ class RobotActor(RobotDriver):
         """Drives to where the hand reaches a world point [3], and turns for it."""
         stands = self.stands(point)
         if not len(stands):  # with what it carries it cannot turn all around anywhere there: `lift_arm` with a box
-            stands = self.stands(point, self._empty_base)
+            stands = self.stands(point, self.empty_base)
         if self.openables is not None:
             ajar, base = self.openables.open_points(), self.base
             stands = stands[stands_clear(stands, ajar, base.disc_offsets_m, base.disc_radius_m)]

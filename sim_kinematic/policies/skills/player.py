@@ -119,9 +119,21 @@ class NetworkSkill:
         shown: dict[str, NDArray[Any]] = dict(observe(view, [name for name in card.observations if name != PICTURE]))
         if not self.network.sees:
             return shown
-        if actor.pictures is None:
+        objects, company = actor.objects, actor.company
+        if objects.scene is None or company is None:
             raise InputError(f"The skill needs {PICTURE}, and nobody takes pictures here.", code="H3-POLICY-061")
-        return shown | actor.pictures((PICTURE,), card.picture_size)
+        from sim_kinematic.sensing.eyes import see
+
+        return shown | see(
+            objects.state,
+            objects.scene,
+            company.bodies,
+            (PICTURE,),
+            agent=actor.number,
+            size=card.picture_size,
+            objects=objects.names,
+            frames=company.frames(),
+        )
 
     def _view(self, actor: RobotActor, point: Array, stand_xz: Array, before: tuple[Array, float]) -> SkillView:
         return SkillView(

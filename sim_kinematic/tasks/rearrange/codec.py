@@ -54,7 +54,7 @@ from sim_kinematic.tasks.codec import (
     uid_of,
 )
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode, rules_dict
-from sim_kinematic.tasks.play import Rollout
+from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import (
     PAIR,
     SPARE,
@@ -329,11 +329,11 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
             what += f":{episode.pair_starts.places.tolist()}:{[goal_record(target) for target in episode.targets]}"
         return uid_of(what)
 
-    def final_info(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+    def final_info(self, episode: Episode, play: WorldRollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         """``solo_steps`` is ``L_human``, by which relative efficiency is measured."""
         assert isinstance(episode, RearrangeEpisode)
         alone = [policy.plan for policy in policies] == ["both"]
-        return {"ended": play.ended, "solo_steps": play.step + 1 if alone else solo_steps_of(self.task, episode)}
+        return {"ended": play.ended, "solo_steps": play.step if alone else solo_steps_of(self.task, episode)}
 
     def precompute(self, episode: Episode) -> dict[str, Any]:
         """Number of steps in which the first person alone would finish, for relative metrics."""

@@ -7,8 +7,8 @@ from typing import Any
 from sim_kinematic.agents.roster import kinds_of
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.rearrange import planner
+from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.play import SkillRollout
 from sim_kinematic.tasks.runner import run
 
 _SOLO_STEPS = "_solo_steps"
@@ -30,9 +30,9 @@ def _simulated_solo_steps(task: Any, episode: RearrangeEpisode) -> int:
     first = kinds.index("human") if "human" in kinds else 0
     alone = episode.only(first)
     plan = AssignedPolicy(planner("both", episode.seed, len(episode.targets)), "both", kinds[first], "both")
-    play = SkillRollout(task, alone, [plan])
+    play = WorldRollout.of(task, alone, [plan])
     run(play)
-    return play.step + 1
+    return play.step
 
 
 def keep_solo_steps(episode: RearrangeEpisode, steps: int) -> None:

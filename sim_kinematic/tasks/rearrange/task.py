@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import load_humanoid, load_robot
-from h3data.recording import Event
+from h3data.errors import InputError
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec, common_floor, kinds_of
 from sim_kinematic.motion.randomness import episode_seed
@@ -30,11 +30,12 @@ from sim_kinematic.policies.rearrange import (
     partner_policy,
     robot_policy,
 )
+from sim_kinematic.sensing.table import SENSES, Sensor
 from sim_kinematic.tasks.control import Control
 from sim_kinematic.tasks.episode import Episode, StepOutcome
 from sim_kinematic.tasks.rearrange.codec import RearrangeCodec
-from sim_kinematic.tasks.rearrange.control import SkillControl
 from sim_kinematic.tasks.rearrange.episode import (
+    ORACLE_RULES,
     RearrangeEpisode,
     RearrangeSpec,
     draw_episode,
@@ -43,15 +44,28 @@ from sim_kinematic.tasks.rearrange.episode import (
     starts_of,
 )
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
+from sim_kinematic.tasks.skills.control import SkillControl
 from sim_kinematic.tasks.task import Task, TaskUsage
 
 
+def check_level(level: Any) -> None:
+    """Raises an `InputError` if actions of environments have no such level."""
+    if level not in ("high", "low"):
+        raise InputError(f"Unknown level {level!r}. Expected one of: high, low.", code="H3-ENV-025")
+
+
 class Rearrange(Task):
-    """Bring objects to their goals (paper section 4.2). One world at a time."""
+    """Bring objects to their goals (paper section 4.2)."""
 
     name: ClassVar[str] = "rearrange"
     Spec: ClassVar[type[Any]] = RearrangeSpec
-    usage: ClassVar[TaskUsage] = TaskUsage(crosses_partners=True, can_be_solo=True)
+    usage: ClassVar[TaskUsage] = TaskUsage(
+        crosses_partners=True,
+        can_be_solo=True,
+        env_options={"level": check_level, "interrupts_when_close": bool},
+        env_partners={"human": "plan_pop_4"},
+        device_rules=ORACLE_RULES,
+    )
     control: ClassVar[Control] = SkillControl()
     columns: ClassVar[Mapping[str, Any]] = {"metrics.at_goal": np.bool_}
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {
@@ -90,11 +104,15 @@ class Rearrange(Task):
     def begin(self, play: Any, rows: NDArray[np.intp]) -> None:
         """Remembers which sub-goals have been paid: of each object that it was taken, and that it came to its goal."""
         del rows
-        play.memory = np.zeros((1, 2 * len(play.objects.names)), np.bool_)
+        play.memory = np.zeros((1, 2 * play.world.state.held_by.shape[1]), np.bool_)
 
     def judge(self, play: Any) -> StepOutcome:
         """Pays for sub-goals that are reached for the first time; ends with all objects at their goals, or by a contact."""
-        held, at_goal, collides = play.objects.held_by[None] != NOBODY, play.at_goal[None], np.array([play.collision])
+        held, at_goal, collides = (
+            play.world.state.held_by != NOBODY,
+            play.team.at_goal[None],
+            play.world.touching.any(1),
+        )
         worth = REARRANGE_REWARDS[play.spec.reward]
         reward, play.memory, done = worth.step(held, at_goal, play.memory, collides.astype(np.float64))
         success = bool(done[0])
@@ -104,8 +122,12 @@ class Rearrange(Task):
             success=done,
             columns={"metrics.at_goal": at_goal},
             ended="success" if success else "collision",
-            events=[(0, Event(step=play.step, agent=-1, kind="success"))] if success else (),
+            events=play.events_where(done, "success"),
         )
+
+    def sensors(self, kind: str) -> Mapping[str, Sensor]:
+        """Observations with objects and skills (`sim_kinematic.sensing.table.SENSES`)."""
+        return SENSES
 
     @property
     def codec(self) -> RearrangeCodec:

@@ -29,7 +29,7 @@ from sim_kinematic.tasks.codec import (
     uid_of,
 )
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode, agent_base, rules_dict
-from sim_kinematic.tasks.play import Rollout, WorldRollout
+from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rules.oracle import oracle_min_steps
 from sim_kinematic.tasks.social_nav.episode import Starts, episode_from, goals_of, rules_of, stored_episode
 
@@ -145,7 +145,7 @@ class SocialNavCodec(EpisodeCodec[SocialNavEpisode]):
                 code="H3-TASK-057",
             )
 
-    def final_info(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+    def final_info(self, episode: Episode, play: WorldRollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         """The person's goals, and the fewest steps ``l`` in which an oracle finds them.
 
         Both follow from the person's whole plan, however long the episode lasted; for a person without a script, from

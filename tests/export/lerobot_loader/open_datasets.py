@@ -14,49 +14,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import beside_cpu_torch  # noqa: F401  # first: lerobot imports torchvision
 import numpy as np
 import pyarrow.parquet as pq
 import torch
+from lerobot.datasets.compute_stats import aggregate_stats, get_feature_stats
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from PIL import Image
-
-# torchvision's operators need the CUDA build of torch, and so does torchcodec; lerobot imports the first for pictures.
-_operators = torch.library.Library("torchvision", "DEF")
-for _name in ("nms", "qnms"):
-    _operators.define(f"{_name}(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
-
-import torchvision  # noqa: E402
-
-
-class VideoReader:
-    """torchvision's reader of that name with the backend pyav, which lerobot calls and torchvision has dropped since 0.26."""
-
-    def __init__(self, path: str, stream: str) -> None:
-        import av
-
-        assert stream == "video"
-        self.container = av.open(path)
-        self._frames = self.container.decode(video=0)
-
-    def seek(self, time_s: float, keyframes_only: bool = False) -> VideoReader:
-        self.container.seek(int(time_s * 1e6), any_frame=not keyframes_only)
-        self._frames = self.container.decode(video=0)
-        return self
-
-    def __iter__(self) -> VideoReader:
-        return self
-
-    def __next__(self) -> dict[str, object]:
-        frame = next(self._frames)
-        picture = torch.from_numpy(frame.to_ndarray(format="rgb24")).permute(2, 0, 1)
-        return {"data": picture, "pts": float(frame.pts * frame.time_base)}
-
-
-if not hasattr(torchvision.io, "VideoReader"):
-    torchvision.io.VideoReader = VideoReader
-    torchvision.set_video_backend = lambda backend: None
-
-from lerobot.datasets.compute_stats import aggregate_stats, get_feature_stats  # noqa: E402
-from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: E402
 
 BACKEND = os.environ.get("LEROBOT_BACKEND", "pyav")
 """lerobot's name of a decoder: pyav or torchcodec."""

@@ -28,7 +28,7 @@ from h3data.recording.task_episodes.rearrange_episode import (
     instance_handles,
     object_poses,
 )
-from h3data_habitat.episodes.episode_files import read_episodes, write_episodes
+from h3data_habitat.episodes.files import read_episodes, write_episodes
 
 IDENTITY = np.eye(4).tolist()
 HABITAT_KEYS = {

@@ -18,14 +18,10 @@ from h3data.errors import FormatError, InputError
 from h3data.geometry import heading_direction, quat_rotate
 from h3data.recording import Event, Recording
 from h3data.recording.task_episodes.rearrange_episode import EpisodeSet, RearrangeEpisode, RigidObject
-from h3data.recording.task_episodes.social_nav_episodes import (
-    SocialNavEpisode,
-    read_social_nav,
-    social_nav_episode,
-    social_nav_of,
-)
+from h3data.recording.task_episodes.social_nav_episodes import SocialNavEpisode, read_social_nav, social_nav_episode
 from h3data.scene import FreeSpace
-from h3data_habitat.episodes.episode_files import read_episodes, write_episodes
+from h3data_habitat.episodes.files import read_episodes, write_episodes
+from h3data_habitat.episodes.recorded_episodes import social_nav_of
 from h3data_homes import HomeSpec, build_home
 from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
 from tests.simulated import SOCIAL_NAV, simulate_social_nav

@@ -11,7 +11,7 @@ import pytest
 
 from h3data.render import OPENGL_TO_OPENCV, Camera, pinhole
 from h3data.replay import Replay
-from h3data_habitat.gfx.gfx_replay import read_gfx_replay
+from h3data_habitat.gfx.replay import read_gfx_replay
 from tests.paths import HABITAT_SIM
 
 pytestmark = pytest.mark.skipif(

@@ -24,7 +24,7 @@ from h3data.geometry import (
     pose_to_matrix,
 )
 from h3data.recording.records import STEP_NS, Recording
-from h3data_habitat.gfx.gfx_replay import read_gfx_replay
+from h3data_habitat.gfx.replay import read_gfx_replay
 from tests.paths import REAL
 
 SESSION = REAL / "hitl" / "my_session.gfx_replay.json"

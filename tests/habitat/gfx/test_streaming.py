@@ -21,8 +21,8 @@ from h3data.errors import FormatError
 from h3data.formats import SourceFile, detect
 from h3data.formats.builtin_formats import REPLAY_MEMBERS
 from h3data.recording import recordings_equal
-from h3data_habitat.gfx.gfx_keyframes import Keyframe, read_keyframes
-from h3data_habitat.gfx.gfx_replay import read_gfx_replay
+from h3data_habitat.gfx.keyframes import Keyframe, read_keyframes
+from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_habitat.json_stream import ArrayElements, ArrayFault
 
 NASTY = ['"', "\\", '\\"', "}{][", "é\u2028\x00", "\\\\", 'a"b\\', ""]

@@ -21,9 +21,9 @@ from h3data.bodies.walk_synthesis import walk_columns
 from h3data.errors import FormatError, H3DataError
 from h3data.geometry import quat_from_axis_angle, quat_from_heading
 from h3data.recording import read_mcap, write_mcap
-from h3data_habitat.hitl.hitl_agents import infer_joint_order
-from h3data_habitat.hitl.hitl_paper_logs import read_hitl_log
-from h3data_habitat.hitl.hitl_sessions import read_hitl_episode
+from h3data_habitat.hitl.agents import infer_joint_order
+from h3data_habitat.hitl.paper_logs import read_hitl_log
+from h3data_habitat.hitl.sessions import read_hitl_episode
 from h3data_habitat.motion.habitat_humanoid import HABITAT_JOINTS
 from h3data_pipelines.cli import main
 

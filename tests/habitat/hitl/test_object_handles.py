@@ -16,9 +16,9 @@ from h3data.mesh.primitives import box_mesh
 from h3data.recording import AssetRef
 from h3data.recording.assets.library import AssetLibrary
 from h3data.replay import Replay
-from h3data_habitat.gfx.gfx_replay import read_gfx_replay
-from h3data_habitat.hitl.hitl_episode import object_bodies
-from h3data_habitat.hitl.hitl_sessions import read_hitl_episode
+from h3data_habitat.gfx.replay import read_gfx_replay
+from h3data_habitat.hitl.episode import object_bodies
+from h3data_habitat.hitl.sessions import read_hitl_episode
 
 CAN = AssetRef(name="can", uri="handle:can")
 SESSION = "habitat-lab/reference/hitl/session_1user_policy"

@@ -13,8 +13,8 @@ import pytest
 from h3data.metrics import measure
 from h3data.pseudonyms import KEY_VARIABLE, anonymous_id, participant_key
 from h3data.recording import open_recording
-from h3data_habitat.hitl.hitl_paper_logs import read_hitl_log
-from h3data_habitat.hitl.hitl_sessions import read_hitl_episode
+from h3data_habitat.hitl.paper_logs import read_hitl_log
+from h3data_habitat.hitl.sessions import read_hitl_episode
 from h3data_pipelines.cli import main
 from tests.habitat.hitl.test_hostile_files import TILTED, frame, log, session, stored
 

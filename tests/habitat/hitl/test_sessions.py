@@ -14,8 +14,8 @@ import h3data
 from h3data.geometry import pose_from_matrix, pose_to_matrix
 from h3data.recording import Dataset, DatasetWriter, Recording, read_mcap, recordings_equal, write_mcap
 from h3data.recording.assets.library import AssetLibrary
-from h3data_habitat.hitl.hitl_paper_logs import read_hitl_log
-from h3data_habitat.hitl.hitl_sessions import read_hitl_episode
+from h3data_habitat.hitl.paper_logs import read_hitl_log
+from h3data_habitat.hitl.sessions import read_hitl_episode
 from h3data_pipelines.cli import main
 
 ROUNDED = 5.1e-6

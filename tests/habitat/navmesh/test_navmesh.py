@@ -18,8 +18,8 @@ from shapely.geometry import Polygon, box
 from h3data.errors import FormatError, InputError, SceneError
 from h3data.scene import FreeSpace
 from h3data.scene.freespace.build import build_from_walkable
+from h3data_habitat.navmesh.file import read_navmesh, write_navmesh
 from h3data_habitat.navmesh.navmesh import NavMesh, NavMeshSettings, free_space_from_navmesh, navmesh_from_free_space
-from h3data_habitat.navmesh.navmesh_file import read_navmesh, write_navmesh
 from h3data_habitat.navmesh.pathfinder import PathFinder
 from h3data_homes import HomeSpec, build_home
 from tests.examples import examples

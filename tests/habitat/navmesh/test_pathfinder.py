@@ -21,8 +21,8 @@ from h3data.errors import InputError
 from h3data.scene import FreeSpace
 from h3data.scene.freespace.build import build_from_walkable
 from h3data_habitat.navmesh._surface import REACH_M, Surface, contains, height, nearest
+from h3data_habitat.navmesh.file import read_navmesh
 from h3data_habitat.navmesh.navmesh import free_space_from_navmesh
-from h3data_habitat.navmesh.navmesh_file import read_navmesh
 from h3data_habitat.navmesh.pathfinder import MultiGoalShortestPath, PathFinder, ShortestPath
 from tests.examples import examples
 from tests.habitat.navmesh.test_navmesh import REAL, ROOMS, mesh_of, needs_real, rect, room

@@ -10,8 +10,8 @@ import pytest
 
 from h3data.errors import InputError
 from h3data.scene import FreeSpace
+from h3data_habitat.navmesh.file import read_navmesh
 from h3data_habitat.navmesh.navmesh import free_space_from_navmesh
-from h3data_habitat.navmesh.navmesh_file import read_navmesh
 from h3data_habitat.navmesh.pathfinder import PathFinder
 from h3data_homes import HomeSpec, build_home
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, HabitatSlideSpec

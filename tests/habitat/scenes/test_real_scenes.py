@@ -16,8 +16,8 @@ from h3data.render import Renderer
 from h3data.render.camera import pinhole
 from h3data.render.sheets.scene_map import render_scene
 from h3data.scene import FreeSpace, Scene
+from h3data_habitat.navmesh.file import read_navmesh
 from h3data_habitat.navmesh.navmesh import free_space_from_navmesh
-from h3data_habitat.navmesh.navmesh_file import read_navmesh
 from h3data_habitat.scenes.articulated import (
     default_positions,
     joint_order,

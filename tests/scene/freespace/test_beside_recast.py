@@ -18,7 +18,7 @@ import shapely
 from h3data.mesh.mesh import Mesh
 from h3data.scene import FreeSpace
 from h3data.scene.records import Asset, Instance, Scene
-from h3data_habitat.navmesh.navmesh_file import read_navmesh
+from h3data_habitat.navmesh.file import read_navmesh
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 CHAIR_ORIGIN = np.array([0.0740, 0.2070, -0.0059])

@@ -26,9 +26,8 @@ from sim_kinematic.motion.spec import HOME_BASE, SocialNavSpec
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.policies.assignment import assign
 from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
-from sim_kinematic.tasks.play import contact_columns
+from sim_kinematic.tasks.play import WorldRollout, contact_columns
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.play import SkillRollout
 from sim_kinematic.tasks.resume import verify
 from tests.sim.steppers import AgentWorlds
 from tests.simulated import REARRANGE, rearrange_episode, simulate_rearrange, simulate_wander
@@ -284,7 +283,7 @@ def test_everybody_needs_a_policy(drawn: RearrangeEpisode) -> None:
     with pytest.raises(InputError, match=r"(?s)policy.*H3-POLICY-002"):
         simulate_rearrange(world, policy="complement,magic")
     with pytest.raises(InputError, match=r"(?s)2.*H3-TASK-016"):
-        SkillRollout(REARRANGE, world, [])
+        WorldRollout.of(REARRANGE, world, [])
     first, second = assign(REARRANGE, world.played_by("human,male_1"), {"human": "both"})
     assert first.plan == second.plan == "both"
     assert first.policy is not second.policy

@@ -20,13 +20,13 @@ from sim_kinematic.agents.skills import Action
 from sim_kinematic.motion.spec import OracleSpec
 from sim_kinematic.policies.assignment import assign
 from sim_kinematic.policies.policy import External
+from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.codec import rules_from_json, rules_to_json
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode, RearrangeSpec
-from sim_kinematic.tasks.rearrange.oracle import errands_of, stand_places
-from sim_kinematic.tasks.rearrange.play import SkillRollout
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.resume import resume, verify
 from sim_kinematic.tasks.runner import DecisionLoop, rollout, simulate
+from sim_kinematic.tasks.skills.errands import errands_of, stand_places
 from sim_kinematic.tasks.sources import EpisodeSource, Home, scene_sources
 
 HOMES = ["small:1", "h3-homes/val#1"]
@@ -105,12 +105,12 @@ def test_no_places_have_no_ways(floors: list[FreeSpace]) -> None:
 
 
 # --- skills -------------------------------------------------------------------------------------------------------------
-def told(episode: RearrangeEpisode) -> tuple[SkillRollout, DecisionLoop]:
-    play = SkillRollout(TASK, episode, assign(TASK, episode, {"robot": External(), "human": External()}))
+def told(episode: RearrangeEpisode) -> tuple[WorldRollout, DecisionLoop]:
+    play = WorldRollout.of(TASK, episode, assign(TASK, episode, {"robot": External(), "human": External()}))
     return play, DecisionLoop(play)
 
 
-def go(play: SkillRollout, turns: DecisionLoop, robot: Action, human: Action, steps: int = 1) -> None:
+def go(play: WorldRollout, turns: DecisionLoop, robot: Action, human: Action, steps: int = 1) -> None:
     for _ in range(steps):
         while turns.asked is not None:
             turns.answer(robot if turns.asked == 0 else human)
@@ -137,7 +137,7 @@ def test_a_place_is_where_room_for_the_reach_is(episode: RearrangeEpisode) -> No
 def test_an_errand(episode: RearrangeEpisode, who: int) -> None:
     rules = OracleSpec(robot_steps=(3, 5), person_steps=(3, 5))
     play, turns = told(replace(episode, spec=replace(ORACLE_RULES, oracle=rules, end_on_collision=False)))
-    objects, actor = play.objects, play.actors[who]
+    objects, actor = play.team.objects, play.team.actors[who]
 
     def own() -> list[Any]:
         return [span for span in play.spans if span.agent == who]
@@ -156,7 +156,7 @@ def test_an_errand(episode: RearrangeEpisode, who: int) -> None:
         raise AssertionError(f"{action} never ended")
 
     go(play, turns, *((Action("pick", 0), WAIT) if who == 0 else (WAIT, Action("pick", 0))))
-    assert play.runner(who).ending == ("failed", "out_of_reach")
+    assert play.team.controllers[who].ending == ("failed", "out_of_reach")
     for skill, held in (("nav_to_object", -1), ("pick", who), ("nav_to_goal", who), ("place", -1)):
         does(Action(skill, 0))
         assert objects.held_by[0] == held, skill
@@ -169,7 +169,7 @@ def test_an_errand(episode: RearrangeEpisode, who: int) -> None:
             np.testing.assert_allclose(objects.poses[0, [0, 2]], wanted, atol=1e-9)
             assert objects.poses[0, 1] == pytest.approx(episode.free.floor_y + y)
     np.testing.assert_array_equal(objects.poses[0, :3], episode.targets[0].goal)
-    assert play.at_goal.tolist() == [True, False]
+    assert play.team.at_goal.tolist() == [True, False]
     events = [event.kind for event in play.events if event.kind in ("pick", "place")]
     assert events == ["pick", "place"]
 
@@ -177,15 +177,15 @@ def test_an_errand(episode: RearrangeEpisode, who: int) -> None:
 def test_what_another_has_taken_is_lost(episode: RearrangeEpisode) -> None:
     rules = OracleSpec(robot_steps=(3, 5), person_steps=(6, 7))
     play, turns = told(replace(episode, spec=replace(ORACLE_RULES, oracle=rules, end_on_collision=False)))
-    while not all(actor.infeasible(Action("pick", 0)) == "" for actor in play.actors):
+    while not all(actor.infeasible(Action("pick", 0)) == "" for actor in play.team.actors):
         go(play, turns, Action("nav_to_object", 0), Action("nav_to_object", 0))
-    for actor in play.actors:
+    for actor in play.team.actors:
         assert isinstance(actor, OracleRobot | OraclePerson)
     go(play, turns, WAIT, WAIT)
     go(play, turns, Action("pick", 0), Action("pick", 0), 8)
     failed = [(span.agent, span.reason) for span in play.spans if span.name == "pick" and span.outcome == "failed"]
     assert (1, "held_by_other") in failed
-    assert play.objects.held_by[0] == 0
+    assert play.team.objects.held_by[0] == 0
 
 
 def test_agents_that_meet_touch_and_pass_through_each_other(episode: RearrangeEpisode) -> None:
@@ -200,9 +200,9 @@ def test_agents_that_meet_touch_and_pass_through_each_other(episode: RearrangeEp
             if turns.asked is not None:
                 turns.answer(play.policies[turns.asked].policy.act(play.view(turns.asked)))
                 continue
-            if play.collision:
+            if play.world.touching.any():
                 touched += 1
-                gap = np.hypot(*(play.actors[0].xz - play.actors[1].xz))
+                gap = np.hypot(*(play.team.actors[0].xz - play.team.actors[1].xz))
                 assert gap < 0.225 + 0.25 + 0.2
             turns.go_on()
         ended.append((play.ended, touched))

@@ -383,7 +383,7 @@ def test_who_has_finished_clears_a_doorway(home: Scene, free: FreeSpace) -> None
     world = replace(world, starts=places)
     play = rollout(REARRANGE, world, {"human": "both,still,still"})
     assert run(play) == "success"
-    idle = play.encounters.track(1)
+    idle = play.team.company.track(1)
     assert np.hypot(*(idle[-1] - narrow)) > 0.3  # she went out of the way
 
 

@@ -2,11 +2,18 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.geometry import ground_pose, pose_to_matrix, transform_points
-from h3data.scene import Box, Capsule, Shape
+from h3data.scene import Box, Capsule, FreeSpace, Shape
+from h3data_homes import HomeSpec, build_home
+from sim_kinematic.agents.roster import make_roster
+from sim_kinematic.contact import MovingShapes, collide
 from sim_kinematic.contact.clearance import RobotHumanContact, clip_reach, robot_reach
+from sim_kinematic.contact.frames import body_shapes, shape_frames
+from sim_kinematic.world import DriveCommand, WaypointCommand, World
 
 
 @pytest.fixture(scope="module")
@@ -100,3 +107,45 @@ def test_many_cases_are_those_of_each(robot: Robot, human: Humanoid) -> None:
     assert together.tolist() == each
     assert 5 < together.sum() < n - 5
     assert contact.touching_many(robots[:0], people[:0], clip[:0], phase[:0], blend[:0]).shape == (0,)
+
+
+def test_bones_touch_less_than_bodies_and_never_alone(robot: Robot, human: Humanoid) -> None:
+    body, bones = RobotHumanContact(robot, human), RobotHumanContact(robot, human, person_contact="bones")
+    assert bones.gate_m < body.gate_m
+    rng, n = np.random.default_rng(3), 400
+    robots = ground_pose(np.zeros((n, 2)), rng.uniform(-np.pi, np.pi, n))
+    people = ground_pose(rng.uniform(-1.0, 1.0, (n, 2)), rng.uniform(-np.pi, np.pi, n))
+    clip, phase, blend = np.full(n, human.clip_for_speed(2.5)), rng.random(n), rng.random(n)
+    whole, thin = (contact.touching_many(robots, people, clip, phase, blend) for contact in (body, bones))
+    assert (thin & ~whole).sum() <= 2  # fingers may stand out of the capsule of a hand
+    assert 20 < thin.sum() < whole.sum() - 10
+
+
+@given(away=st.floats(0.0, 1.6), angle=st.floats(-3.2, 3.2), turn=st.floats(-3.2, 3.2), phase=st.floats(0.0, 1.0))
+@settings(max_examples=60, deadline=None)
+def test_no_gate_hides_a_contact_of_bones(away: float, angle: float, turn: float, phase: float) -> None:
+    robot, human = load_robot("quad_arm"), load_humanoid("female_0")
+    bases = ground_pose(np.zeros(2), 0.0), ground_pose(away * np.array([np.cos(angle), np.sin(angle)]), turn)
+    frame = human.clip_for_speed(2.5), phase, 1.0
+    links = robot.link_matrices(bases[0][None], robot.rest[None])[0]
+    joints = human.joint_matrices(bases[1][None], *human.clip_pose(*([value] for value in frame)))
+    first, second = MovingShapes(body_shapes(robot)), MovingShapes(body_shapes(human, "bones"))
+    first.set_transforms(shape_frames(robot, links))
+    second.set_transforms(shape_frames(human, joints, "bones")[0])
+    contact = RobotHumanContact(robot, human, person_contact="bones")
+    assert contact.touching(*bases, *frame) == collide(first, second)
+
+
+def test_a_world_asks_the_shapes_that_its_rules_name() -> None:
+    home = build_home(HomeSpec(seed=1))
+    free = FreeSpace.from_scene(home)
+    middle = free.sample(np.random.default_rng(0), 1)[0]
+    touched = {}
+    for person in ("body", "bones"):
+        world = World(make_roster(("robot", "human")), worlds=30, person_contact=person)
+        starts = np.zeros((30, 2, 3))
+        starts[:, 0, :2], starts[:, 1, :2] = middle, middle + np.linspace(0, 1, 30)[:, None] * [1.0, 0.0]
+        world.place(starts, [free] * 30)
+        world.step([DriveCommand(np.zeros((30, 2))), WaypointCommand(starts[:, 1, :2])])
+        touched[person] = int(world.touching.sum())
+    assert 5 < touched["bones"] < touched["body"] < 30

@@ -19,7 +19,7 @@ from h3data.render.light.bake import LitScene
 from h3data.replay import Replay, camera_track
 from h3data.scene.articulation import opened
 from h3data_homes import HomeSpec, build_home
-from sim_kinematic.envs import stepper
+from sim_kinematic.envs import world_stepper
 from sim_kinematic.envs.single import TaskEnv
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.policies.policy import Velocity
@@ -110,7 +110,7 @@ def holding() -> TaskEnv:
 def test_held_things_are_in_the_picture(holding: TaskEnv) -> None:
     play = holding.stepper.play
     assert play is not None
-    drawn, target = holding.stepper._stage.posed(holding.stepper.play), play.episode.targets[0]
+    drawn, target = holding.stepper._posed(np.array([0])), play.episode.targets[0]
     (number,) = [k for k, i in enumerate(drawn.scene.instances) if i.name == target.name]
     away = np.array([-0.5, 1.0, 0.5])
 
@@ -118,7 +118,7 @@ def test_held_things_are_in_the_picture(holding: TaskEnv) -> None:
         camera = pinhole(80, 60, hfov_deg=30, pose=look_at(point + away, point), hidden_layers=("ceiling",))
         return drawn.picture([camera], ("instance",))["instance"][0]
 
-    there = looked_at(play.objects.poses[0, :3])
+    there = looked_at(play.team.objects.poses[0, :3])
     assert (there[20:40, 25:55] == number).sum() > 50
     assert set(drawn.instances(0)) & set(np.unique(there))  # the hand that holds it
     assert not (looked_at(target.start[:3])[20:40, 30:50] == number).any()
@@ -235,7 +235,7 @@ def test_collisions_are_felt(task: str) -> None:
     felt = []
     for _ in range(90):
         seen, _, terminated, _, info = env.step(action)
-        contact = info["robot_contact"] if task == "social_nav" else env.stepper.play.state.robots[0].contact[0]
+        contact = info["robot_contact"] if task == "social_nav" else env.stepper.play.world.state.robots[0].contact[0]
         assert seen["collision"].tolist() == [contact, terminated]
         felt.append(contact)
         if terminated:
@@ -377,7 +377,7 @@ def test_a_bar_tells_how_far_a_first_reset_is(task: str, monkeypatch: pytest.Mon
         return stderr.getvalue()
 
     def set_delay(seconds: float) -> None:
-        for module in (sources, stepper):
+        for module in (sources, world_stepper):
             monkeypatch.setattr(module, "progress", lambda **options: progress(**{**options, "delay": seconds}))
 
     assert told(terminal=False) == ""

@@ -81,14 +81,16 @@ def test_it_is_the_episode_that_the_simulator_plays() -> None:
         action = greedy.act(session.view("robot"))
         session.step({"robot": action})
         rewards += session.reward
-        heights.append(session.play.steps)
+        heights.append(session.play.step)
 
     never = robot_policy("greedy_nearest")
     never.interrupts = lambda view: ""  # outside, nobody has second thoughts
     recording = simulate_rearrange(session.play.episode, policy=never, partner="both", solo_steps=1)
     assert recording.episode.info["ended"] == session.ended
-    assert len(recording) == session.play.steps == heights[-1]
-    np.testing.assert_array_equal(recording.columns["object_pose"][-1], session.play.objects.poses.astype(np.float32))
+    assert len(recording) == session.play.step == heights[-1]
+    np.testing.assert_array_equal(
+        recording.columns["object_pose"][-1], session.play.team.objects.poses.astype(np.float32)
+    )
     assert rewards == pytest.approx(float(recording.columns["metrics.reward"].astype(np.float64).sum()), abs=1e-4)
     assert sorted(heights) == heights
 
@@ -109,8 +111,8 @@ def test_two_outside_play_the_planners_episode() -> None:
         session.step({name: policies[name].act(session.view(name)) for name in session.choosing})
     while not alone.ended:
         alone.step({"robot": other.act(alone.view("robot"))})
-    assert (session.ended, session.play.steps) == (alone.ended, alone.play.steps)
-    np.testing.assert_array_equal(session.play.objects.poses, alone.play.objects.poses)
+    assert (session.ended, session.play.step) == (alone.ended, alone.play.step)
+    np.testing.assert_array_equal(session.play.team.objects.poses, alone.play.team.objects.poses)
     np.testing.assert_array_equal(session.play.memory, alone.play.memory)
 
 
@@ -127,7 +129,7 @@ def test_seeds_decide_everything() -> None:
 def test_skills_take_their_time_and_what_is_infeasible_takes_a_step() -> None:
     env = make_env(HOME, partner="still", observations=(*PAPER_SENSES, "last_done", "holds"))
     seen, info = env.reset(seed=4)
-    assert env.stepper.choosing == ("robot",)
+    assert env.stepper.choosing() == ("robot",)
     assert info["action_mask"].tolist() == [1] * 6 + [0, 0] + [1] * 5
     for bad, reason in ((PICK_0, "out_of_reach"), (PLACE_0, "not_held")):
         seen, reward, _, _, info = env.step(bad)
@@ -189,7 +191,7 @@ def test_the_lower_layer_takes_and_carries() -> None:
     session.step({"robot": Action("nav_to_object", 0)})
     play = session.play
     assert play is not None
-    robot, objects = session.runner("robot").actor, play.objects
+    robot, objects = session.runner("robot").actor, play.team.objects
     assert isinstance(robot, RobotActor)
     _, at = robot._reach_line(robot._hand_target(Action("pick", 0)))
     columns = list(range(7))
@@ -223,9 +225,9 @@ def test_of_two_only_who_chooses_is_heard() -> None:
     assert rewards["robot"] == rewards["human"]
     assert infos["robot"]["choosing"]
     assert not infos["human"]["choosing"]
-    before = env.stepper.play.runner(1).action
+    before = env.stepper.play.team.controllers[1].action
     env.step({"robot": WAIT, "human": NAV_1})
-    assert env.stepper.play.runner(1).action == before == choices(2, robot=False)[NAV_0]
+    assert env.stepper.play.team.controllers[1].action == before == choices(2, robot=False)[NAV_0]
 
 
 # --- anything goes ------------------------------------------------------------------------------------------------------
@@ -282,10 +284,10 @@ def play_at_random(c: dict[str, Any], *, actions: int) -> None:
         assert all(spaces[a][1].contains(seen[a]) for a in seen)
         play = env.stepper.play
         assert play is not None
-        assert all(np.isfinite(array).all() for array in play.state.arrays())
+        assert all(np.isfinite(array).all() for array in play.world.state.arrays())
         base, free = play.episode.spec.robot, play.episode.free
         grid, offsets = (free.sdf, free.origin, free.cell_m), np.array(base.disc_offsets_m)
-        robot, person = (env.stepper.play.runner(k).actor for k in (0, 1))
+        robot, person = (env.stepper.play.team.controllers[k].actor for k in (0, 1))
         clearance = least_clearance(*grid, *robot.xz, robot.heading, offsets)
         assert clearance >= base.disc_radius_m - 2e-3 - 1e-9
         assert np.hypot(*(free.snap(person.xz) - person.xz)) <= 2e-3
@@ -313,10 +315,10 @@ def test_what_is_no_action_moves_nothing(action: Any) -> None:
     env = make_env(HOME)
     env.reset(seed=1)
     assert env.stepper.play is not None
-    before = env.stepper.play.state.copy()
+    before = env.stepper.play.world.state.copy()
     with pytest.raises(InputError, match=r"(?s)0.*12.*H3-ENV-028"):
         env.step(action)
-    for a, b in zip(before.arrays(), env.stepper.play.state.arrays(), strict=True):
+    for a, b in zip(before.arrays(), env.stepper.play.world.state.arrays(), strict=True):
         np.testing.assert_array_equal(a, b)
 
 
@@ -364,3 +366,19 @@ def test_make_finds_the_task() -> None:
     for w in range(2):
         assert_same(one.reset(seed=3 + w)[0], {name: array[w] for name, array in seen.items()})
     many.step(many.action_space.sample())
+
+
+def test_any_agents_can_rearrange() -> None:
+    """One robot acts beside another and two people, in two worlds that do not know of each other."""
+    given: Any = {"roster": "robot,robot,human,human", "agents": ("robot_2",), "partner": "still"}
+    both, one = make_env(HOME, num_envs=2, **given), make_env(HOME, **given)
+    both.reset(seed=[3, 4])
+    assert [len(play.episode.roster) for play in both.stepper.plays] == [4, 4]
+    one.reset(seed=3)
+    for action in (NAV_0, FORWARD):
+        seen, reward, _, _, info = both.step(np.array([action, FORWARD]))
+        alone, worth, _, _, told = one.step(action)
+        assert (reward[0], info["steps"][0], info["outcome"][0]) == (worth, told["steps"], told["outcome"])
+        for name, values in alone.items():
+            np.testing.assert_array_equal(seen[name][0], values)
+    assert "beside robot_1 quad_arm (still) and human_1 female_0 (still) and human_2 female_0 (still)" in repr(both)

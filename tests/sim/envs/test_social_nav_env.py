@@ -21,14 +21,16 @@ from h3data.errors import InputError, MissingExtraError, SceneError
 from sim_kinematic.envs.parallel import TaskParallelEnv
 from sim_kinematic.envs.single import TaskEnv
 from sim_kinematic.envs.vector import TaskVectorEnv
-from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec, WalkerSpec
+from sim_kinematic.motion.spec import NATURAL_WALKER, BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.motion.step import least_clearance
 from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.policies.social_nav import rollout_expert
 from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.sensing.agent_pictures import DETECTORS
 from sim_kinematic.sensing.table import SENSORS
+from sim_kinematic.tasks.episode import with_options
 from sim_kinematic.tasks.play import WorldRollout
+from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES
 from sim_kinematic.tasks.registry import BUILT_IN
 from tests.examples import examples
 from tests.sim.steppers import PAIR, Batch
@@ -427,6 +429,7 @@ def test_actions_are_clipped() -> None:
         ({"observations": ["arm_depth"], "depth_size": (0, 3)}, "H3-SIM-039"),
         ({"robot": "tank"}, r"(?s)quad_arm.*H3-BODY-102"),
         ({"human": "ghost"}, r"(?s)female_0.*H3-BODY-072"),
+        ({"rules": "chess"}, r"(?s)natural, paper.*H3-TASK-001"),
         ({"reward": "gold"}, r"(?s)paper, habitat.*H3-TASK-041"),
         ({"partner": "both"}, r"(?s)waypoints.*H3-POLICY-002"),
         ({"render_mode": "human"}, "H3-ENV-024"),
@@ -457,6 +460,24 @@ def test_reset_and_agents_come_first() -> None:
 
 
 # --- make ---------------------------------------------------------------------------------------------------------------
+def test_make_takes_the_name_of_a_set_of_rules() -> None:
+    usual, paper = h3data.make("social_nav", HOME), h3data.make("social_nav", HOME, rules="paper")
+    assert usual.unwrapped.stepper.spec.human == NATURAL_WALKER
+    assert paper.unwrapped.stepper.spec == with_options(usual.unwrapped.stepper.spec, rules="paper")
+    assert paper.unwrapped.stepper.spec.person_contact == "bones"
+    short = h3data.make("social_nav", HOME, num_envs=2, spec=SocialNavSpec(max_steps=7), rules="paper")
+    assert short.stepper.spec == with_options(SocialNavSpec(max_steps=7), rules="paper")
+    assert paper.unwrapped.recipe.options["rules"] == "paper"
+
+
+def test_on_a_device_the_rules_are_those_of_the_devices_worlds() -> None:
+    pytest.importorskip("torch")
+    env = h3data.make("rearrange", HOME, num_envs=2, device="cpu", rules="paper", episodes=2)
+    assert env.sim.spec == with_options(ORACLE_RULES, rules="paper")
+    nav = h3data.make("social_nav", HOME, num_envs=2, device="cpu", rules="paper", episodes=2)
+    assert nav.sim.spec.person_contact == "bones"
+
+
 def test_make_finds_tasks_without_knowing_them() -> None:
     assert isinstance(h3data.make("social_nav", scenes=HOME), TaskEnv)
     vector = h3data.make("social_nav", scenes=HOME, num_envs=3)

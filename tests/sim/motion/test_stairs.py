@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from h3data.bodies import humanoid_names, load_humanoid, load_robot
 from h3data.bodies.people.kernels.planted import AIR, FOOT, FOOT_COLUMNS
 from h3data.bodies.people.planted_gait import on_stairs, planted_states, pose_planted
-from h3data.bodies.people.soles import leg_frames, sole_points
+from h3data.bodies.people.soles import sole_points
 from h3data.bodies.robots.trot import trot
 from h3data.errors import InputError
 from h3data.geometry import pose_to_matrix, transform_points
 from h3data.replay import Replay
 from h3data.scene.floor_heights import floor_heights, nose_heights
+from h3data_motion.contacts import leg_frames
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.motion.spec import NATURAL_WALKER, BaseSpec
 from sim_kinematic.motion.stride import STAIRS_SHARE, Strider

@@ -19,11 +19,11 @@ from sim_kinematic.policies.skills.names import recorded_skills, skills_of
 from sim_kinematic.policies.skills.player import NetworkSkill
 from sim_kinematic.policies.visual_policy import PolicyCard, VisualPolicy, number_count, save_policy
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
-from sim_kinematic.tasks.rearrange.skill_judging import judge, play_of
-from sim_kinematic.tasks.rearrange.skill_starts import SkillStart, draw_starts
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.resume import verify
 from sim_kinematic.tasks.runner import simulate
+from sim_kinematic.tasks.skills.skill_judging import judge, play_of
+from sim_kinematic.tasks.skills.skill_starts import SkillStart, draw_starts
 from sim_kinematic.tasks.sources import EpisodeSource
 
 SHOWN = {
@@ -182,7 +182,7 @@ def test_an_object_in_the_hand_is_taken_kept_and_dropped(
 ) -> None:
     monkeypatch.setattr(RobotActor, "open_stand", lambda robot, point: np.array([*robot.xz, robot.heading]))
     start = start_of(episode, "pick")
-    hand = play_of(episode, start, {}).robots[0].hand_pose[:3]
+    hand = play_of(episode, start, {}).team.robots[0].hand_pose[:3]
     objects = start.objects.copy()
     objects[start.target] = hand + np.array([0.0, 0.05, 0.0])
     near = replace(start, objects=objects, point=objects[start.target])
@@ -194,7 +194,7 @@ def test_an_object_in_the_hand_is_taken_kept_and_dropped(
     lets_go = NetworkSkill(constant("skill_place", [0.0] * 9 + [-1.0]))
     place = start_of(episode, "place")
     assert judge(episode, place, {"place": lets_go})[:3] == ("failed", "dropped", 1)
-    at_hand = replace(place, point=play_of(episode, place, {}).robots[0].hand_pose[:3])
+    at_hand = replace(place, point=play_of(episode, place, {}).team.robots[0].hand_pose[:3])
     goals = episode.targets[place.target]._replace(goal=at_hand.point)
     targets = tuple(goals if k == place.target else t for k, t in enumerate(episode.targets))
     assert judge(replace(episode, targets=targets), at_hand, {"place": lets_go}).outcome == "done"

@@ -17,8 +17,8 @@ from sim_kinematic.agents.driven.commands import Close, Open
 from sim_kinematic.agents.opening.doorways import RoomDoors
 from sim_kinematic.agents.skills import Action
 from sim_kinematic.policies.policy import External
+from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec, draw_episode
-from sim_kinematic.tasks.rearrange.play import SkillRollout
 from sim_kinematic.tasks.resume import resume, verify
 from sim_kinematic.tasks.runner import Session, simulate
 from tests.examples import examples
@@ -136,26 +136,28 @@ def test_opening_a_door_gives_the_room_behind_it_and_closing_takes_it_back(
 ) -> None:
     session = Session(REARRANGE, episode.only(1), {"human": External()})
     play = session.play
-    assert isinstance(play, SkillRollout)
-    assert play.openables is not None
-    assert play.floor is episode.free
-    start = play.people[0].xz
-    near = [k for k in play.doorways.joints if len(play.people[0].stands_on(play.floor, handle(play, k)))]
+    assert isinstance(play, WorldRollout)
+    assert play.team.openables is not None
+    assert play.team.floor is episode.free
+    start = play.team.people[0].xz
+    near = [
+        k for k in play.team.doorways.joints if len(play.team.people[0].stands_on(play.team.floor, handle(play, k)))
+    ]
     k = min(near, key=lambda k: float(np.hypot(*(handle(play, k)[[0, 2]] - start))))
-    islands = [len(play.floor.polygon.geoms)]
+    islands = [len(play.team.floor.polygon.geoms)]
     for command in (Open(k), Close(k)):
         play_on(session, Action("nav_to_handle", k))
         assert session.refusal("human", command) is None
         play_on(session, command)
         session.step()  # all parts stand
-        islands.append(len(play.floor.polygon.geoms))
-        assert play.people[0].free is play.floor
+        islands.append(len(play.team.floor.polygon.geoms))
+        assert play.team.people[0].free is play.team.floor
     assert islands[1] == islands[0] - 1
     assert islands[2] == islands[0]
-    assert play.openables.positions[k] == joints_of(home).closed[k]
+    assert play.team.openables.positions[k] == joints_of(home).closed[k]
     assert verify(session.close()).difference is None
 
 
-def handle(play: SkillRollout, k: int) -> np.ndarray:
-    assert play.openables is not None
-    return play.openables.handles(play.openables.positions)[k]
+def handle(play: WorldRollout, k: int) -> np.ndarray:
+    assert play.team.openables is not None
+    return play.team.openables.handles(play.team.openables.positions)[k]

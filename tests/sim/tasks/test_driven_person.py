@@ -50,7 +50,7 @@ def begun(robot: Any = "still", **options: Any) -> Session:
 
 
 def driven(session: Session) -> DrivenPerson:
-    person = session.play.people[0]  # type: ignore[attr-defined]
+    person = session.play.team.people[0]  # type: ignore[attr-defined]
     assert isinstance(person, DrivenPerson)
     return person
 
@@ -382,7 +382,7 @@ def test_a_person_hands_over_to_a_robot_that_is_near() -> None:
     person, objects = driven(session), driven(session).objects
     assert session.refusal("person", HandOver(1)) == "Things can only be handed over to a robot."
     assert session.refusal("person", HandOver(0)) is not None, "it is far away"
-    robot = session.play.robots[0]  # type: ignore[attr-defined]
+    robot = session.play.team.robots[0]  # type: ignore[attr-defined]
     for ahead in np.arange(0.9, 0.5, -0.05):
         forward = np.array([np.cos(person.heading), -np.sin(person.heading)])
         robot.state.heading[0] = person.heading + np.pi

@@ -47,8 +47,8 @@ def test_only_a_driven_person_and_habitats_heed_nobody(home: Scene, free: FreeSp
         episode = rearrange_episode(home, seed=1, spec=spec, free=free)
         play = rollout(REARRANGE, episode, {"robot": "complement", "human": "both"})
         assert (play.right_of_way is not None) == heeds  # type: ignore[attr-defined]
-        person = play.people[0]  # type: ignore[attr-defined]
-        assert play.encounters.avoids(person, play.robots[0]) == heeds  # type: ignore[attr-defined]
+        person = play.team.people[0]  # type: ignore[attr-defined]
+        assert play.team.company.avoids(person, play.team.robots[0]) == heeds  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
@@ -58,13 +58,13 @@ def test_nobody_stands_aside_for_good(home: Scene, free: FreeSpace, seed: int) -
     asked: list[list[bool]] = []
 
     def look(step: int) -> None:
-        asked.append([actor.aside is not None for actor in play.actors])  # type: ignore[attr-defined]
+        asked.append([actor.aside is not None for actor in play.team.actors])  # type: ignore[attr-defined]
 
     run(play, progress=look)
     for steps in np.array(asked).T:
         spans = np.diff(np.flatnonzero(np.diff(np.concatenate([[False], steps, [False]]))))[::2]
         assert spans.max(initial=0) <= 2 * AVOIDANCE.lasts_steps, "asked at most twice in a row"
-    assert not play.collision  # type: ignore[attr-defined]
+    assert not play.world.touching.any()
 
 
 @pytest.mark.slow
@@ -72,7 +72,7 @@ def test_people_set_off_and_brake_where_they_step_aside(home: Scene, free: FreeS
     """They were at 1.3 m/s from one step to the next."""
     episode = rearrange_episode(home, seed=1, free=free)
     play = rollout(REARRANGE, episode, {"robot": "still", "human": "both"})
-    person = play.people[0]  # type: ignore[attr-defined]
+    person = play.team.people[0]  # type: ignore[attr-defined]
     path = person._path(free.sample(np.random.default_rng(3), 1)[0])
     assert np.hypot(*(path[0] - person.xz)) > 0.5
     person.aside, places = path[:1], [person.xz]

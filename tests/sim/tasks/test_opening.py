@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from h3data.recording import DatasetWriter, Recording, write_mcap
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.articulation import joints_of, posed
 from h3data_exporters.csv_tables import write_csv_tables
-from h3data_habitat.gfx.gfx_replay import read_gfx_replay
+from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from h3data_pipelines.validation.recordings import validate_recording
@@ -166,7 +167,7 @@ def session(episode: RearrangeEpisode) -> Session:
 
 
 def driven(session: Session) -> DrivenPerson:
-    person = session.play.people[0]  # type: ignore[attr-defined]
+    person = session.play.team.people[0]  # type: ignore[attr-defined]
     assert isinstance(person, DrivenPerson)
     return person
 
@@ -285,7 +286,7 @@ def test_nobody_is_hit(home: Scene) -> None:
     heading = 2 * np.arctan2(frame[4], frame[6])
     before = handle + 0.3 * np.array([np.sin(heading), 0, np.cos(heading)])
     discs = {0: np.zeros((0, 3)), 1: np.array([[before[0], before[2], 0.25]])}
-    openables.discs, openables.agents = discs.__getitem__, 2
+    openables.company = SimpleNamespace(actors=(0, 1), discs_of=discs.__getitem__)  # type: ignore[assignment]
     assert why_not(openables, 0, Action("open", k)) == "blocked"
     assert why_not(openables, 1, Action("open", k)) == "too_near"
     leading = Leading(openables, k, opens=True)

@@ -20,8 +20,8 @@ from h3data.scene import scene_digest
 from h3data.scene.open import open_free_space, open_scene
 from h3data.scene.scene_sets import SceneEntry, SceneSet, SocialNavRules
 from h3data.scene.sources import SceneFile
-from h3data_habitat.episodes.episode_files import read_episodes
-from h3data_habitat.episodes.episode_scenes import scene_of_episode
+from h3data_habitat.episodes.files import read_episodes
+from h3data_habitat.episodes.scenes import scene_of_episode
 from h3data_homes import HomeSpec
 from h3data_pipelines.cli import main
 from sim_kinematic.agents.waypoint_walker import human_plan

@@ -127,10 +127,10 @@ def test_each_world_sees_the_home_of_its_episode(device: Any, monkeypatch: pytes
     for _ in range(3):
         assert levels_apart(seen, want) < 5e-3
         assert torch.equal(seen["humanoid_detector"].cpu(), want["humanoid_detector"])
-        seen, want = env.step(torch.ones(4, 2))[0], worlds.held(torch.ones(4, 2))[0]
+        seen, want = env.step(torch.ones(4, 2))[0], worlds.repeat_action(torch.ones(4, 2))[0]
     worlds.play.ended.fill_(True)
     env.play.ended.fill_(True)  # the next episode of the bank is in the other home
-    seen, want = env.step(torch.ones(4, 2))[0], worlds.held(torch.ones(4, 2))[0]
+    seen, want = env.step(torch.ones(4, 2))[0], worlds.repeat_action(torch.ones(4, 2))[0]
     assert levels_apart(seen, want) < 5e-3
 
 

@@ -29,8 +29,8 @@ from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, OracleSpec  # n
 from sim_kinematic.policies.assignment import assign  # noqa: E402
 from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS  # noqa: E402
 from sim_kinematic.policies.policy import External  # noqa: E402
+from sim_kinematic.tasks.play import WorldRollout  # noqa: E402
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode, RearrangeSpec  # noqa: E402
-from sim_kinematic.tasks.rearrange.play import SkillRollout  # noqa: E402
 from sim_kinematic.tasks.rearrange.task import Rearrange  # noqa: E402
 from sim_kinematic.tasks.runner import DecisionLoop  # noqa: E402
 from sim_kinematic.tasks.sources import EpisodeSource  # noqa: E402
@@ -90,7 +90,7 @@ class Pair:
         self.state: Play = self.sim.start(self.sim.before_the_first(torch.arange(len(episodes)) - 1))
         task = Rearrange()
         chosen = {kind: External() if kind in outside else partner for kind in KINDS}
-        self.plays = [SkillRollout(task, e, assign(task, e, chosen)) for e in episodes]
+        self.plays = [WorldRollout.of(task, e, assign(task, e, chosen)) for e in episodes]
         self.turns = [DecisionLoop(play) for play in self.plays]
         self.known = {kind: choices(2, robot=kind == "robot") for kind in KINDS}
         self.seen: Counter[str] = Counter()
@@ -107,7 +107,7 @@ class Pair:
                 skill, last, outcome = (int(t[n]) for t in (does.skill, does.last, does.outcome))
                 if skill != FREE and rng.random() > 0.03:
                     continue
-                may = [c for c, action in enumerate(known) if not play.objects.why_not(agent, action)]
+                may = [c for c, action in enumerate(known) if not play.team.objects.why_not(agent, action)]
                 weights = np.array([1.0 if known[c].target < 0 else 6.0 for c in may])
                 found[n, agent] = rng.choice(may, p=weights / weights.sum())
                 if outcome == DONE and last < 4 and last + 4 in may and rng.random() < 0.9:
@@ -123,7 +123,7 @@ class Pair:
             while turns.asked is not None:
                 agent = turns.asked
                 policy = play.policies[agent].policy
-                running = play.runner(agent)
+                running = play.team.controllers[agent]
                 if not isinstance(policy, External):
                     turns.answer(policy.act(play.view(agent)))
                 elif chosen[n, agent] != FREE:
@@ -139,21 +139,21 @@ class Pair:
                 assert bool(self.state.success[n]) == (play.ended == "success")
                 self.seen[play.ended] += 1
 
-    def compare(self, n: int, play: SkillRollout, at_goal: Any) -> None:
+    def compare(self, n: int, play: WorldRollout, at_goal: Any) -> None:
         state = self.state
-        for actor, own in zip(play.actors, (state.robot, state.human), strict=True):
+        for actor, own in zip(play.team.actors, (state.robot, state.human), strict=True):
             np.testing.assert_allclose(own.xz[n], actor.xz, rtol=0, atol=1e-9)
             turned = np.exp(1j * (float(own.heading[n]) - actor.heading))
             np.testing.assert_allclose(turned, 1.0, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(state.objects[n], play.objects.poses[:, :3], rtol=0, atol=1e-9)
-        np.testing.assert_array_equal(state.held_by[n], play.objects.held_by)
-        np.testing.assert_array_equal(at_goal, play.at_goal)
-        assert bool(state.collides[n]) == play.collision
+        np.testing.assert_allclose(state.objects[n], play.team.objects.poses[:, :3], rtol=0, atol=1e-9)
+        np.testing.assert_array_equal(state.held_by[n], play.team.objects.held_by)
+        np.testing.assert_array_equal(at_goal, play.team.at_goal)
+        assert bool(state.collides[n]) == bool(play.world.touching.any())
         assert float(state.reward[n]) == pytest.approx(play.reward, abs=1e-12)
         for agent, kind in enumerate(KINDS):
-            action, last = play.runner(agent).action, int(self.does(kind).last[n])
+            action, last = play.team.controllers[agent].action, int(self.does(kind).last[n])
             assert self.known[kind][last][:2] == action[:2]
-        self.seen["picked"] += int((play.objects.held_by >= 0).any())
+        self.seen["picked"] += int((play.team.objects.held_by >= 0).any())
 
 
 def count_spans(pair: Pair) -> Counter[str]:

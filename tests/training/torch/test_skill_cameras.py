@@ -21,13 +21,12 @@ from h3data_training.torch.skills.cameras import SkillCameras, moved_bodies  # n
 from h3data_training.torch.skills.teacher import taught  # noqa: E402
 from h3data_training.torch.skills.worlds import SkillPlay, SkillTensors  # noqa: E402
 from sim_kinematic.agents.skills import CONTROL, Action  # noqa: E402
-from sim_kinematic.envs.skill_stepper import Stage  # noqa: E402
-from sim_kinematic.sensing.camera_sensor import ROBOT_ID, CameraSensor  # noqa: E402
+from sim_kinematic.sensing.camera_sensor import ROBOT_ID, CameraSensor, StateRenderer  # noqa: E402
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode  # noqa: E402
-from sim_kinematic.tasks.rearrange.skill_judging import play_of  # noqa: E402
-from sim_kinematic.tasks.rearrange.skill_starts import SKILL_NAMES, Skill, draw_starts  # noqa: E402
 from sim_kinematic.tasks.rearrange.task import Rearrange  # noqa: E402
 from sim_kinematic.tasks.runner import DecisionLoop  # noqa: E402
+from sim_kinematic.tasks.skills.skill_judging import play_of  # noqa: E402
+from sim_kinematic.tasks.skills.skill_starts import SKILL_NAMES, Skill, draw_starts  # noqa: E402
 from sim_kinematic.tasks.sources import EpisodeSource  # noqa: E402
 from tests.training.torch.test_cameras import device  # noqa: E402, F401
 
@@ -63,7 +62,7 @@ def test_it_sees_what_it_sees_on_the_cpu(device: Any) -> None:  # noqa: F811
         draw_starts(episode, "pick", 1, np.random.default_rng(5), path_m=(0.0, 1.0))[0],
         draw_starts(episode, "place", 1, np.random.default_rng(5))[0],
     )
-    hand = play_of(episode, pick, {}).robots[0].hand_pose[:3]
+    hand = play_of(episode, pick, {}).team.robots[0].hand_pose[:3]
     objects = pick.objects.copy()
     objects[pick.target] = hand + np.array([0.05, 0.0, 0.05])
     starts = [pick, replace(pick, objects=objects), place]
@@ -72,15 +71,18 @@ def test_it_sees_what_it_sees_on_the_cpu(device: Any) -> None:  # noqa: F811
     sim = SkillTensors("pick", SkillBank.of([(episode, episode.free, starts)]), device=name, dtype=torch.float32)
     cameras = SkillCameras(sim, worlds=3, size=SIZE, renderer=renderer)
     now, plays = begun(sim), [play_of(episode, start, {}) for start in starts]
-    runs, stages, rng = [DecisionLoop(play) for play in plays], [Stage() for _ in plays], np.random.default_rng(0)
+    runs, rng = [DecisionLoop(play) for play in plays], np.random.default_rng(0)
+    bodies = [member.body for member in plays[0].world.roster]
+    stage = StateRenderer(episode.scene, bodies, objects=tuple(episode.moving))
     sensor = CameraSensor(size=SIZE, outputs=("depth", "semantic"))
     wrong, shows_robot, shows_held = [], 0, 0
     ids = [episode.scene.instances[k].semantic_id for k in sim.bank.bodies[0]]
     for step in range(31):
         if step % 10 == 0 or step == 1:
             seen = {output: t.cpu().numpy() for output, t in cameras.observe(now, ("depth", "semantic")).items()}
-            for w, (play, stage) in enumerate(zip(plays, stages, strict=True)):
-                want = sensor.observe(stage.posed(play))
+            for w, play in enumerate(plays):
+                stage.pose(play.world.state, frames=play.team.company.frames())
+                want = sensor.observe(stage)
                 wrong.append((np.abs(seen["depth"][w] - want["depth"][0]) > 2e-3).mean())
                 assert (seen["semantic"][w] != want["semantic"][0]).mean() < 2e-3
                 shows_robot += (want["semantic"] == ROBOT_ID).sum()

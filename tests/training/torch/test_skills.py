@@ -11,19 +11,19 @@ import torch
 from h3data.bodies import load_robot
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, quat_to_matrix
-from h3data_training.torch.skills.arm import Arm, placed, seen_by
+from h3data_training.torch.skills.arm import Arm, place_hand, seen_by
 from h3data_training.torch.skills.bank import SkillBank
 from h3data_training.torch.skills.worlds import SkillPlay, SkillTensors
 from sim_kinematic.agents.skills import CONTROL, Action
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.spec import SkillSpec
 from sim_kinematic.policies.skills.observations import SkillView
+from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.play import SkillRollout
-from sim_kinematic.tasks.rearrange.skill_judging import play_of
-from sim_kinematic.tasks.rearrange.skill_starts import Skill, SkillStart, draw_starts
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.runner import DecisionLoop
+from sim_kinematic.tasks.skills.skill_judging import play_of
+from sim_kinematic.tasks.skills.skill_starts import Skill, SkillStart, draw_starts
 from sim_kinematic.tasks.sources import EpisodeSource
 
 STEPS = 240
@@ -62,7 +62,9 @@ def test_the_hand_is_where_the_robots_kinematics_have_it(name: str) -> None:
     points = frames[:, :3, 3] + frames[:, :3, :3] @ robot.hand_position
     arm = Arm(robot, "cpu", torch.float64)
     floor = torch.full((count,), 0.3, dtype=torch.float64)
-    hand = placed(arm.hand(torch.as_tensor(joints[:, columns])), torch.as_tensor(xz), torch.as_tensor(heading), floor)
+    hand = place_hand(
+        arm.hand(torch.as_tensor(joints[:, columns])), torch.as_tensor(xz), torch.as_tensor(heading), floor
+    )
     np.testing.assert_allclose(hand.point.numpy(), points, atol=1e-9)
     np.testing.assert_allclose(hand.axes.numpy(), frames[:, :3, :3], atol=1e-9)
     far = rng.normal(size=(count, 3))
@@ -89,7 +91,7 @@ def test_a_step_is_that_of_the_lower_layer(episode: RearrangeEpisode, skill: Ski
     there."""
     starts = starts_of(episode, skill)
     if skill == "pick":  # something to take without getting there first
-        hand = play_of(episode, starts[0], {}).robots[0].hand_pose[:3]
+        hand = play_of(episode, starts[0], {}).team.robots[0].hand_pose[:3]
         starts[0].objects[0] = hand + np.array([0.05, 0.0, 0.05])
     sim, now = worlds(episode, skill, starts)
     plays = [play_of(episode, start, {}) for start in starts]
@@ -108,21 +110,21 @@ def test_a_step_is_that_of_the_lower_layer(episode: RearrangeEpisode, skill: Ski
         for w, (play, turn) in enumerate(zip(plays, turns, strict=True)):
             turn.answer(Action(CONTROL, command=tuple(command[w])))
             turn.go_on()
-            robot = play.robots[0]
+            robot = play.team.robots[0]
             np.testing.assert_allclose(now.robot.xz[w].numpy(), robot.xz, atol=1e-5)
             np.testing.assert_allclose(float(now.robot.heading[w]), robot.heading, atol=1e-5)
             np.testing.assert_allclose(now.joints[w].numpy(), robot.arm, atol=1e-5)
-            np.testing.assert_allclose(now.objects[w].numpy(), play.objects.poses[:, :3], atol=1e-5)
-            axes = quat_to_matrix(play.objects.poses[:, 3:])
+            np.testing.assert_allclose(now.objects[w].numpy(), play.team.objects.poses[:, :3], atol=1e-5)
+            axes = quat_to_matrix(play.team.objects.poses[:, 3:])
             np.testing.assert_allclose(now.turned[w].numpy(), axes, atol=1e-5)
-            assert int(now.held[w]) == play.objects.held(0)
+            assert int(now.held[w]) == play.team.objects.held(0)
             assert bool(now.robot.contact[w]) == bool(robot.state.contact[0])
             gripped += int(now.held[w]) >= 0
     assert gripped or skill == "nav"
 
 
-def view_of(play: SkillRollout, start: SkillStart, before: tuple[Any, float]) -> SkillView:
-    robot = play.robots[0]
+def view_of(play: WorldRollout, start: SkillStart, before: tuple[Any, float]) -> SkillView:
+    robot = play.team.robots[0]
     return SkillView(
         free=robot.free,
         xz=robot.xz,

@@ -24,7 +24,7 @@ from h3data_training.torch.episodes import EpisodeBank  # noqa: E402
 from h3data_training.torch.task_worlds import TaskTensors  # noqa: E402
 from sim_kinematic.envs.world_stepper import WorldStepper  # noqa: E402
 from sim_kinematic.motion.spec import StrideSpec, WalkerSpec  # noqa: E402
-from sim_kinematic.sensing.table import SENSORS, TABLE  # noqa: E402
+from sim_kinematic.sensing.table import LIDARS, SENSORS, TABLE  # noqa: E402
 from sim_kinematic.tasks.episode import StepOutcome  # noqa: E402
 from tests.training.torch.capturable import CapturableOnly  # noqa: E402
 
@@ -32,7 +32,7 @@ pytestmark = pytest.mark.usefixtures("one_torch_thread")
 HOMES, SEED, WORLDS = ["small:1", "small:2"], 3, 6
 RULES = PointGoalSpec(max_steps=60, arrive_m=1.2, human=WalkerSpec())  # on a device arms always swing
 STRIDES = replace(RULES, human=WalkerSpec(speed_mps=1.3, stride=StrideSpec()))
-EXACT = ("goal_gps", *(name for name in SENSORS if name not in ("way", "collision")))
+EXACT = ("goal_gps", *(name for name in SENSORS if name not in ("way", "collision", *LIDARS)))
 """Sensors that no look-up changes."""
 
 
@@ -84,7 +84,7 @@ def test_the_same_actions_give_the_episodes_of_the_cpu(rules: Any, bank: Episode
 
 
 def test_make_gives_any_task_on_a_device(bank: EpisodeBank) -> None:
-    shown = ("goal_gps", "range_scan", "way", "collision", "arm_joints")
+    shown = ("goal_gps", "range_scan", "way", "collision", "arm_joints", *LIDARS)
     env = h3data.make(
         PointGoal(), num_envs=4, device="cpu", episodes=bank, spec=RULES, observations=shown, dtype=torch.float32
     )
@@ -105,7 +105,7 @@ def test_a_step_can_be_part_of_a_graph(bank: EpisodeBank) -> None:
     play, still = sim.before_the_first(torch.zeros(4, dtype=torch.int64)), torch.zeros(4, 2)
     with CapturableOnly():
         after = sim.step(play, still)
-        sim.observations(("goal_gps", "way", "range_scan"), after)
+        sim.observations(("goal_gps", "way", "range_scan", *LIDARS), after)
     for mine, theirs in zip(play.tensors(), after.tensors(), strict=True):
         assert (mine.shape, mine.dtype) == (theirs.shape, theirs.dtype)
 

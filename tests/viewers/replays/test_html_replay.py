@@ -17,13 +17,13 @@ import numpy as np
 import pytest
 
 from h3data.errors import InputError
-from h3data.exporters.gltf_skin import local_poses
-from h3data.exporters.posing import posed_parts
 from h3data.geometry import heading_from_quat, pose_to_matrix, quat_from_axis_angle
 from h3data.recording import Recording, write_mcap
 from h3data.recording.records import JOINTS, Event, SkillSpan
 from h3data.replay import Replay
 from h3data.scene.articulation import joints_of
+from h3data_exporters.gltf_skin import local_poses
+from h3data_exporters.posing import posed_parts
 from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from h3data_viewers.html_replay import home, html_file

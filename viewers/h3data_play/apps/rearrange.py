@@ -20,12 +20,12 @@ class RearrangeApp(App):
 
     def driver(self, number: int) -> Driver:
         """Driver of a person or a robot with skills."""
-        is_person = isinstance(self.session.play.actors[number], DrivenPerson)  # type: ignore[attr-defined]
+        is_person = isinstance(self.session.play.team.actors[number], DrivenPerson)  # type: ignore[attr-defined]
         return (PersonDriver if is_person else RobotDriver)(self.session, number)
 
     def hud(self, number: int) -> Hud:
         """Instruction, time left, and the number of things at their goals."""
-        done = int(self.session.play.at_goal.sum())  # type: ignore[attr-defined]
+        done = int(self.session.play.team.at_goal.sum())  # type: ignore[attr-defined]
         words = str(self.session.recorder.header.episode.info["instruction"])
         lines = (f"{done} of {len(self.goals())} things are where they belong.",)
         return Hud(task=sentence_of(words), left_s=self.left_s, lines=lines)

@@ -47,7 +47,7 @@ class TeleopApp(RearrangeApp):
 
     def _hand(self, number: int) -> str:
         """Returns what the gripper holds, or the distance of the nearest thing that is not at its goal yet."""
-        objects = self.session.play.objects  # type: ignore[attr-defined]
+        objects = self.session.play.team.objects  # type: ignore[attr-defined]
         number = number if number in self.drivers else next(iter(self.drivers), 0)
         held = objects.held(number)
         if held >= 0:
@@ -56,7 +56,7 @@ class TeleopApp(RearrangeApp):
             return "The gripper is empty."
         poses = self.session.recorder.latest_columns()["object_pose"][-1].astype(np.float64)
         gaps = np.hypot(*(poses[:, [0, 2]] - self.drivers[number].place[0]).T)
-        gaps[np.asarray(self.session.play.at_goal)] = np.inf  # type: ignore[attr-defined]
+        gaps[np.asarray(self.session.play.team.at_goal)] = np.inf  # type: ignore[attr-defined]
         k = int(gaps.argmin())
         if not np.isfinite(gaps[k]):
             return "The gripper is empty."

@@ -119,8 +119,8 @@ class TutorialApp(RearrangeApp):
             return WALK
         if self.looked.get(number, 0) < LOOK_STEPS:
             return LOOK
-        objects = self.session.play.objects  # type: ignore[attr-defined]
-        if bool(self.session.play.at_goal[0]) and objects.held(number) != 0:  # type: ignore[attr-defined]
+        objects = self.session.play.team.objects  # type: ignore[attr-defined]
+        if bool(self.session.play.team.at_goal[0]) and objects.held(number) != 0:  # type: ignore[attr-defined]
             return PUT + 1
         return PUT if objects.held(number) == 0 else TAKE
 

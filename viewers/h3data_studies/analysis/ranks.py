@@ -10,9 +10,9 @@ import numpy as np
 from h3data.errors import InputError
 from h3data_studies.analysis.estimates import study_layout
 from h3data_studies.statistics import RankAgreement, rank_agreement
-from h3data_viewers.html_report.report_data import Run
-from h3data_viewers.html_report.report_episode import ReportEpisode
-from h3data_viewers.html_report.report_tables import NAN, Cell, Column, Row, Section, Table, mean_cell, number
+from h3data_viewers.html_report.data import Run
+from h3data_viewers.html_report.episode import ReportEpisode
+from h3data_viewers.html_report.tables import NAN, Cell, Column, Row, Section, Table, mean_cell, number
 
 
 def rank_table(runs: Sequence[Run]) -> Table | None:

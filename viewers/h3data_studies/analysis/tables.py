@@ -16,10 +16,10 @@ from h3data_studies.analysis.estimates import (
     without_hint,
 )
 from h3data_studies.analysis.ranks import rank_table
-from h3data_viewers.html_report.report_charts import mean_charts
-from h3data_viewers.html_report.report_data import Run
-from h3data_viewers.html_report.report_paper import metric_column
-from h3data_viewers.html_report.report_tables import (
+from h3data_viewers.html_report.charts import mean_charts
+from h3data_viewers.html_report.data import Run
+from h3data_viewers.html_report.paper import metric_column
+from h3data_viewers.html_report.tables import (
     Cell,
     Column,
     Row,

@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from h3data_studies.exclusions import Exclusions
     from h3data_studies.overview import PlayedEpisode
     from h3data_studies.store import Participant
-    from h3data_viewers.html_report.report_episode import ReportEpisode
-    from h3data_viewers.html_report.report_tables import Table
+    from h3data_viewers.html_report.episode import ReportEpisode
+    from h3data_viewers.html_report.tables import Table
 
 
 @dataclass(frozen=True)
@@ -171,8 +171,8 @@ class StudyCompare:
         from h3data_studies.analysis.ranks import rank_table
         from h3data_studies.exclusions import exclusions
         from h3data_studies.files import open_store, open_study
-        from h3data_viewers.html_report.report_data import gather
-        from h3data_viewers.html_report.report_tables import to_markdown
+        from h3data_viewers.html_report.data import gather
+        from h3data_viewers.html_report.tables import to_markdown
 
         folder, design = open_study(self.study)
         people = finished(list(open_store(folder, design).participants.values()), everybody=self.everybody)
@@ -406,7 +406,7 @@ def _forms_text(means: Sequence[Any], differences: Sequence[Any]) -> str:
 
 def _forms_table(design: Design, people: Sequence[Participant]) -> Table | None:
     from h3data_studies.answers import form_means
-    from h3data_viewers.html_report.report_tables import Cell, Column, Row, Section, Table, mean_cell
+    from h3data_viewers.html_report.tables import Cell, Column, Row, Section, Table, mean_cell
 
     means, differences = form_means(design, people)
     if not means:
@@ -435,7 +435,7 @@ def _forms_table(design: Design, people: Sequence[Participant]) -> Table | None:
 
 def _rules_table(design: Design, rules: Exclusions) -> Table | None:
     from h3data_studies.exclusions import rule_text
-    from h3data_viewers.html_report.report_tables import Cell, Column, Row, Section, Table
+    from h3data_viewers.html_report.tables import Cell, Column, Row, Section, Table
 
     if not design.exclude:
         return None

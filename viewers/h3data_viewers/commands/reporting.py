@@ -25,7 +25,7 @@ from h3data.commands.command import (
 )
 from h3data.commands.executors import ExecutorOption, check_workers, opened
 from h3data.commands.options import command_line, command_of
-from h3data.errors import InputError
+from h3data.errors import InputError, suggest_keywords
 
 if TYPE_CHECKING:
     from typing import Literal
@@ -33,10 +33,11 @@ if TYPE_CHECKING:
     from h3data.bodies.people.rigid_parts import PeopleStyle
     from h3data.commands.arguments import FilePath, Names, Paths
     from h3data.render.light.sources import LightMode
+    from h3data_viewers.html_report.data import Run
     from h3data_viewers.html_report.report import Report
-    from h3data_viewers.html_report.report_data import Run
 
 
+@suggest_keywords
 def report(
     datasets: Paths,
     out: FilePath = "report.html",
@@ -123,8 +124,8 @@ class ReportCommand:
 
     def run(self) -> Outcome:
         """Writes the report, and its tables as Markdown and LaTeX if asked to."""
+        from h3data_viewers.html_report.reading import lost_part
         from h3data_viewers.html_report.report import replay_folder, write_report
-        from h3data_viewers.html_report.report_reading import lost_part
 
         check_workers(self.executor, self.workers)
         if not self.datasets:

@@ -28,7 +28,7 @@ from h3data.commands.command import (
     recording_stem,
 )
 from h3data.commands.options import command_of
-from h3data.errors import InputError
+from h3data.errors import InputError, suggest_keywords
 from h3data.files import size_text
 from h3data.recording import Recording
 from h3data.recording.storage import RemotePath, place
@@ -45,6 +45,7 @@ PICTURES = (".png", ".jpg")
 """Endings of files with a strip."""
 
 
+@suggest_keywords
 def view(
     recording: FilePath,
     *,

@@ -14,15 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from h3data.exporters.gltf_animation import write_gltf_animation
-from h3data.exporters.posed_parts import PosedPart
 from h3data.geometry import IDENTITY_POSE, Array
 from h3data.mesh.glb import FLOAT32, UINT16, UINT32
 from h3data.mesh.images import reduced, reduced_size
 from h3data.mesh.mesh import Mesh, Texture
+from h3data.mesh.thinning import thin_mesh
 from h3data.recording import Recording
+from h3data_exporters.gltf_animation import write_gltf_animation
+from h3data_exporters.posed_parts import PosedPart
 from h3data_viewers.html_replay.packing import Payload
-from h3data_viewers.rerun.mesh_budget import baked_colors, thin_mesh
+from h3data_viewers.rerun.mesh_budget import baked_colors
 
 _LOG = logging.getLogger(__name__)
 

@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 
 from h3data.errors import H3DataError, InputError
-from h3data.exporters.posing import posed_parts
 from h3data.files import part_file
 from h3data.plugins import own_version
 from h3data.recording import Recording
 from h3data.replay import Replay
+from h3data_exporters.posing import posed_parts
 from h3data_viewers.html_replay.home import add_home
 from h3data_viewers.html_replay.packing import Payload
 from h3data_viewers.html_replay.story import add_story

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.exporters.posed_parts import spans
+from h3data_exporters.posed_parts import spans
 
 _LEVELS = 2**30
 """Numbers stay below this, so that differences fit into 32 bits: a step that is too fine for the range is made coarser."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.recording import Recording
+from h3data.recording.scans import HEIGHT_M, scans_of
 from h3data_viewers.html_replay.packing import Payload
 from h3data_viewers.rerun.floor_marks import object_goals, walking_goals
 from h3data_viewers.rerun.timeseries import agent_pair, curves_of, is_following, lanes_of, touched_rows
@@ -21,6 +22,8 @@ VERBS = {"pick": "picks up", "place": "puts down", "new_goal": "heads for a new 
 LEVELS = 4000
 """Number of levels of a curve, from its least to its greatest value."""
 MOST_EVENTS = 4000
+SCAN_M = 0.01
+"""Step of the distances of scans."""
 _FOLLOWING_M = [1.0, 2.0]
 _TITLES = {
     "dist_agents": "Distance",
@@ -40,6 +43,7 @@ def add_story(payload: Payload, recording: Recording, rows: NDArray[np.integer])
         "contacts": _contacts(recording, rows),
         "goals": _goals(recording),
         "walks": _walks(recording, rows),
+        "scans": _scans(payload, recording, rows),
     }
 
 
@@ -186,6 +190,16 @@ def _walks(recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, An
         }
         for agent, changed, points in walking_goals(recording)
     ]
+
+
+def _scans(payload: Payload, recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, Any]]:
+    """Adds what laser scanners measured at ``rows``."""
+    scans = []
+    for number, scan in enumerate(scans_of(recording)):
+        ranges = np.nan_to_num(np.minimum(scan.ranges[rows], scan.max_m), nan=scan.max_m, posinf=scan.max_m)
+        track = payload.add_array(f"scan_{number}", ranges.astype(np.float64), SCAN_M)
+        scans.append({"agent": scan.agent, "track": track, "most": scan.max_m, "height": HEIGHT_M})
+    return scans
 
 
 # --- words ------------------------------------------------------------------------------------------------------------

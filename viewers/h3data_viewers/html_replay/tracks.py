@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Robot
-from h3data.exporters.gltf_skin import local_poses
-from h3data.exporters.posed_parts import PosedPart
 from h3data.geometry import Array, heading_from_quat, quat_sign_continuous
 from h3data.progress import progress
 from h3data.recording.records import JOINTS
 from h3data.replay import Replay
 from h3data.replay.rigs import joint_rigs, robot_rig
 from h3data.scene.articulation import posed
+from h3data_exporters.gltf_skin import local_poses
+from h3data_exporters.posed_parts import PosedPart
 from h3data_viewers.html_replay.packing import Payload
 
 POSITION_M, HEADING_RAD, JOINT, ROTATION = 5e-4, 5e-4, 2e-4, 1e-3
@@ -31,7 +31,7 @@ _BODY_HEIGHT_M = {"robot": 0.95, "human": 1.95}
 def add_tracks(payload: Payload, replay: Replay, parts: list[PosedPart], rows: NDArray[np.integer]) -> dict[str, Any]:
     """Adds the states at ``rows`` of the recording; returns the agents, things and joints of the page's manifest.
 
-    ``parts`` are posed at ``rows`` (`h3data.exporters.posing.posed_parts`).
+    ``parts`` are posed at ``rows`` (`h3data_exporters.posing.posed_parts`).
     """
     agents = [_agent(payload, replay, parts, k, rows) for k in range(len(replay.recording.agents))]
     joints = _joints(payload, replay, rows)

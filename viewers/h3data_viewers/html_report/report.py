@@ -25,22 +25,22 @@ from h3data.metrics.report_layout import FailedEpisodes, StepsModel
 from h3data.plugins import Registry, own_version
 from h3data.progress import progress
 from h3data.render.light.sources import LightMode
-from h3data_viewers.html_report.report_charts import (
+from h3data_viewers.html_report.charts import (
     distribution_charts,
     estimate_charts,
     learning_charts,
     legend,
     time_charts,
 )
-from h3data_viewers.html_report.report_data import CURVES_FILE, RUN_CURVES_FILE, ReportData, Run, gather
-from h3data_viewers.html_report.report_paper import (
+from h3data_viewers.html_report.data import CURVES_FILE, RUN_CURVES_FILE, ReportData, Run, gather
+from h3data_viewers.html_report.paper import (
     paired_tables,
     partner_tables,
     rearrangement_table,
     social_nav_table,
     task_table,
 )
-from h3data_viewers.html_report.report_pictures import (
+from h3data_viewers.html_report.pictures import (
     Highlight,
     Plans,
     Posing,
@@ -50,9 +50,9 @@ from h3data_viewers.html_report.report_pictures import (
     ranked_by,
     trajectory_figures,
 )
-from h3data_viewers.html_report.report_reading import Found
-from h3data_viewers.html_report.report_tables import StudyTables, Table, to_html, to_latex, to_markdown
-from h3data_viewers.html_report.report_text import TASKS, absences, beginning, episode_list, meanings, task_name
+from h3data_viewers.html_report.reading import Found
+from h3data_viewers.html_report.tables import StudyTables, Table, to_html, to_latex, to_markdown
+from h3data_viewers.html_report.text import TASKS, absences, beginning, episode_list, meanings, task_name
 
 SECTIONS: Registry[Callable[..., StudyTables]] = Registry("h3data.report_sections", {}, what="section of reports")
 """The section ``study`` of the package of studies: a function of the runs of a task and of the model of its steps."""

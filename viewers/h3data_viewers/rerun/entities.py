@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from h3data.geometry import pose_inverse, pose_to_matrix, transform_points
 from h3data.mesh.mesh import Mesh, Texture
+from h3data.mesh.thinning import thin_mesh
 from h3data.progress import progress
 from h3data.recording.records import Agent, Recording
-from h3data_viewers.rerun.mesh_budget import ViewMesh, baked_colors, texture_bytes, thin_mesh, view_mesh, view_texture
+from h3data_viewers.rerun.mesh_budget import ViewMesh, baked_colors, texture_bytes, view_mesh, view_texture
 from h3data_viewers.rerun.sink import Sink
 from h3data_viewers.rerun.transforms import LoggedTrack, decompose, step_blocks
 

@@ -1,4 +1,4 @@
-"""Marks on the floor of a Rerun view: free space, goals of objects and people."""
+"""Marks on the floor of a Rerun view: free space, goals of objects and people, scans of laser scanners."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import shapely
 from numpy.typing import NDArray
 
 from h3data.recording.records import Recording
+from h3data.recording.scans import scans_of
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.freespace.build import choose_method
 from h3data_viewers.rerun.sink import Sink
@@ -22,6 +23,10 @@ GOAL_COLOR = (236, 64, 122)
 ABOVE_FLOOR_M = 0.015
 LABEL_APART_M = 0.8
 """Labels of points that are nearer to each other would lie on each other when the whole home is in view."""
+SCAN_COLORS = ((255, 64, 200), (150, 110, 255), (255, 171, 64))
+SCAN_RADIUS_M = 0.035
+SCAN_EVERY = 3
+"""Steps between scans that are shown: 360 points take 4 kB."""
 STAIRS_EVERY_M = 0.25
 """In homes with stairs the border has a point at least this often, to follow them."""
 
@@ -53,6 +58,21 @@ def log_free_space(sink: Sink, recording: Recording, scene: Scene | None) -> boo
     strips = [np.column_stack([r[:, 0], y, r[:, 1]]).astype(np.float32) for r, y in zip(rings, levels, strict=True)]
     sink.static("world/free_space", rr.LineStrips3D(strips, colors=[FREE_COLOR], radii=[0.01]))
     return True
+
+
+# --- scans ------------------------------------------------------------------------------------------------------------
+def log_scans(sink: Sink, recording: Recording) -> None:
+    """Logs the points that laser scanners met below ``world/scans``, every `SCAN_EVERY` steps."""
+    import rerun as rr
+
+    rows = np.arange(0, len(recording), SCAN_EVERY)
+    for scan, color in zip(scans_of(recording), SCAN_COLORS * 9, strict=False):
+        points = scan.points(recording, rows)
+        met = np.isfinite(points).all(-1)
+        name = rr.escape_entity_path_part(f"{recording.agents[scan.agent].name}_{scan.sensor}")
+        sink.static(f"world/scans/{name}", rr.Points3D.from_fields(colors=[color], radii=[SCAN_RADIUS_M]))
+        columns = rr.Points3D.columns(positions=points[met]).partition(met.sum(1))
+        sink.columns(f"world/scans/{name}", rows, columns)
 
 
 # --- goals ------------------------------------------------------------------------------------------------------------

@@ -11,53 +11,11 @@ from h3data.mesh.gltf_primitives import nearest_texels
 from h3data.mesh.images import reduced, reduced_size
 from h3data.mesh.mesh import Mesh, Texture
 from h3data.mesh.mesh_operations import face_texture_indices
+from h3data.mesh.thinning import thin_mesh
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
 BAKED_SIDE_PX = 64
 """Size to which textures are reduced before their colours go to the vertices: each texel then averages its area."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ThinMesh:
-    """A subset of a mesh's vertices and the triangles between them."""
-
-    keep: NDArray[np.int64]
-    """Indices of the kept vertices in the full mesh, shape [K]; they thin other poses of the mesh just as well."""
-    faces: NDArray[np.int32]
-    """Indices into ``keep``, shape [F, 3]."""
-
-
-def thin_mesh(mesh: Mesh, max_vertices: int) -> ThinMesh:
-    """Thins a mesh to at most ``max_vertices`` vertices: one per occupied cell of a grid, whose size is bisected.
-
-    A mesh that is small enough is kept whole. The kept vertices are original ones rather than cell averages, so a
-    skinned mesh thinned in its rest pose is valid in every pose.
-    """
-    count = len(mesh.vertices)
-    if count <= max_vertices or count == 0:
-        return ThinMesh(keep=np.arange(count), faces=mesh.faces)
-    lo, hi = mesh.bounds
-    fine, coarse = 0.0, float((hi - lo).max()) + 1e-6
-    best = _cluster(mesh, lo, coarse)
-    for _ in range(14):
-        size = (fine + coarse) / 2
-        cells = _cluster(mesh, lo, size)
-        if cells.max() < max_vertices:
-            best, coarse = cells, size
-        else:
-            fine = size
-    _, keep = np.unique(best, return_index=True)
-    faces = best[mesh.faces].astype(np.int32)
-    collapsed = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
-    return ThinMesh(keep=keep, faces=faces[~collapsed])
-
-
-def _cluster(mesh: Mesh, origin: NDArray[np.float32], size: float) -> NDArray[np.int64]:
-    """Index of each vertex's grid cell among the occupied cells, shape [V]."""
-    cell = np.floor((mesh.vertices - origin) / size).astype(np.int64)
-    cell = np.minimum(cell, (1 << 20) - 1)
-    key = (cell[:, 0] << 40) | (cell[:, 1] << 20) | cell[:, 2]
-    return np.unique(key, return_inverse=True)[1].reshape(-1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -2,9 +2,9 @@
 
 Entities: ``world/scene/<name>`` (static meshes, below their layer if they have one), ``world/objects/<name>`` (moving
 ones), ``world/<agent>/...`` (parts of an agent, relative to its root frame: only joints that move cost bytes),
-``world/trajectories``, ``world/goals``, ``world/free_space``, ``world/cameras/<name>``, ``metrics/*``, ``actions/*``,
-``latency/*``, ``log/*``, ``input/*``. Two recordings in one file lie below ``/a`` and ``/b``. Timelines: ``step`` and
-``sim_time``.
+``world/trajectories``, ``world/goals``, ``world/free_space``, ``world/scans``, ``world/cameras/<name>``, ``metrics/*``,
+``actions/*``, ``latency/*``, ``log/*``, ``input/*``. Two recordings in one file lie below ``/a`` and ``/b``. Timelines:
+``step`` and ``sim_time``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from h3data.recording.records import Recording
 from h3data.replay import CameraTrack, Replay, camera_track
 from h3data_viewers.rerun.cameras import CameraFeed, ImageStorage, camera_entity, log_camera
 from h3data_viewers.rerun.entities import Drawable, PosedScene, entity_part, log_agents, log_rigid, log_skins
-from h3data_viewers.rerun.floor_marks import log_free_space, log_goals
+from h3data_viewers.rerun.floor_marks import log_free_space, log_goals, log_scans
 from h3data_viewers.rerun.layout import LoggedRecording, layout
 from h3data_viewers.rerun.sink import DeferredStream, Sink
 from h3data_viewers.rerun.timeseries import log_events, log_inputs, log_lanes, log_latency, log_scalars
@@ -243,6 +243,7 @@ def _log_world(
         log_skins(sink, recording, replay, skin_every, share=share)
     log_free_space(sink, recording, replay.scene if isinstance(replay, Replay) else None)
     log_goals(sink, recording)
+    log_scans(sink, recording)
     if ready is not None:
         ready()
         _check_videos([cameras])

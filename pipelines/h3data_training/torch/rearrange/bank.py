@@ -23,8 +23,8 @@ from sim_kinematic.agents.oracle.ways import Ways
 from sim_kinematic.policies.rearrange import partner_plan, planner
 from sim_kinematic.tasks.episode import agent_floor
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, PAIR, RearrangeEpisode, RearrangeSpec
-from sim_kinematic.tasks.rearrange.oracle import errands_of, floor_ways
 from sim_kinematic.tasks.rearrange.task import Rearrange
+from sim_kinematic.tasks.skills.errands import errands_of, floor_ways
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 
 ROBOT, HUMAN, FLOOR = 0, 1, 2

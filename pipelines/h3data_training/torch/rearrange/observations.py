@@ -14,11 +14,11 @@ from h3data_training.torch.rearrange.skills import Choices, Hands, every_choice,
 from h3data_training.torch.rearrange.state import ABORTED, DONE, FAILED, NOBODY, Play, SubGoal
 from h3data_training.torch.rearrange.tables import Places
 from h3data_training.torch.rearrange.worlds import RearrangeTensors
-from h3data_training.torch.seen import shown
+from h3data_training.torch.seen import read_sensors
 from h3data_training.torch.state import HumanTensors, RobotTensors
 from sim_kinematic.sensing.sensor import FAR_M
 from sim_kinematic.sensing.table import AHEAD_M, SENSES, Ending, Pose
-from sim_kinematic.tasks.rearrange.play import TRACK
+from sim_kinematic.tasks.skills.household import TRACK
 
 THEN = 1
 """A second ago, of the two moments of `Paths`; 0 is now."""
@@ -226,4 +226,4 @@ def observed(view: View, names: tuple[str, ...]) -> dict[str, Tensor]:
     """The named observations, each float32 [W, n]."""
     if view.paths is None and any(name in OF_PATHS for name in names):
         view = view._replace(paths=Paths.of(view.sim, view.play, view.places))
-    return shown(view, names)
+    return read_sensors(view, names)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from h3data_training.torch.state import HumanTensors, RobotTensors
-from sim_kinematic.tasks.rearrange.play import TRACK
+from sim_kinematic.tasks.skills.household import TRACK
 
 RUNNING, DONE, FAILED, ABORTED = 0, 1, 2, 3
 """Endings of the last choice of an agent."""

@@ -1,7 +1,7 @@
 """Social rearrangement in W worlds on a device, under the rules of `sim_kinematic.motion.spec.OracleSpec`.
 
 State, choices and results stay on the device and nothing waits for it, so that on a GPU a whole step with its new
-episodes is one CUDA graph. The same episodes with the same choices equal those of `sim_kinematic.tasks.rearrange.play`
+episodes is one CUDA graph. The same episodes with the same choices equal those of `sim_kinematic.tasks.skills.household`
 on the CPU (tests/training/torch/test_rearrange.py): places within 1e-9 m in float64, everything else exactly.
 """
 
@@ -34,9 +34,9 @@ from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.motion.spec import OracleSpec
 from sim_kinematic.policies.rearrange import Plan
 from sim_kinematic.sensing.sensor import agents_within_threshold
-from sim_kinematic.tasks.rearrange.play import TRACK
 from sim_kinematic.tasks.rules.predicates import is_object_at
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
+from sim_kinematic.tasks.skills.household import TRACK
 
 
 class RearrangeTensors:

@@ -150,7 +150,7 @@ def _after(joint: _Joint, parent: Hand, joints: Tensor) -> Hand:
     return Hand(point, parts[..., :3] + s * parts[..., 3:6] + c * parts[..., 6:9])
 
 
-def placed(hand: Hand, xz: Tensor, heading: Tensor, floor_y: Tensor) -> Hand:
+def place_hand(hand: Hand, xz: Tensor, heading: Tensor, floor_y: Tensor) -> Hand:
     """Hands in the frames of agents at floor points [W, 2] with headings [W] and heights [W], in the world."""
     c, s = heading.cos(), heading.sin()
     x, y, z = hand.point.unbind(-1)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, body_indices
-from sim_kinematic.tasks.rearrange.skill_starts import SkillStart
+from sim_kinematic.tasks.skills.skill_starts import SkillStart
 
 COLUMNS = ("place", "xz", "heading", "objects", "bodies", "turned", "target", "holds", "point", "stand")
 """The arrays of a `SkillBank`, with a row for each start."""

@@ -10,7 +10,7 @@ import math
 import torch
 from torch import Tensor
 
-from h3data_training.torch.skills.arm import placed
+from h3data_training.torch.skills.arm import place_hand
 from h3data_training.torch.skills.worlds import SkillPlay, SkillTensors
 from h3data_training.torch.state import RobotTensors
 from h3data_training.torch.step import wrap_angle
@@ -61,7 +61,7 @@ def taught(sim: SkillTensors, play: SkillPlay, hold: int, *, by_sight: bool = Fa
         off = (torch.hypot(target[:, 0], target[:, 1]) - sim.reach(play)).abs()
         left, arrived = torch.where(left < AROUND_M, torch.minimum(left, off), left), IN_REACH_M
     near = (left < arrived) | ((unfolded > 0.5) & (left < NEARLY_M))
-    hand = placed(sim.arm.hand(play.joints), robot.xz, robot.heading, sim.floors(play)).point
+    hand = place_hand(sim.arm.hand(play.joints), robot.xz, robot.heading, sim.floors(play)).point
     reached = _seen(robot, hand[:, 0:3:2])
     short = ((target - reached)[:, 0] / drive_most).clamp(-0.5, 0.5) * (unfolded > 0.8)
     forward, turn = torch.where(near, short, forward), torch.where(near, aside, turn)

@@ -20,10 +20,10 @@ from torch import Tensor
 from h3data.bodies import Robot, load_robot
 from h3data.errors import InputError
 from h3data.geometry import Array, quat_to_matrix
-from h3data_training.torch.geodesic import Lattices, Way, shortest_way
+from h3data_training.torch.geodesic import Lattices, ShortestPath, shortest_path
 from h3data_training.torch.rules import refuse_others
-from h3data_training.torch.seen import clearance, shown
-from h3data_training.torch.skills.arm import Arm, Hand, placed, seen_by, turned
+from h3data_training.torch.seen import clearance, read_sensors
+from h3data_training.torch.skills.arm import Arm, Hand, place_hand, seen_by, turned
 from h3data_training.torch.skills.bank import SkillBank
 from h3data_training.torch.skills.driving import Drive
 from h3data_training.torch.state import RobotTensors
@@ -34,7 +34,7 @@ from sim_kinematic.motion.spec import HOME_BASE, ArmSpec, BaseSpec, SkillSpec
 from sim_kinematic.motion.state import ROBOT
 from sim_kinematic.sensing.sensor import FAR_M
 from sim_kinematic.sensing.table import OF_SKILLS, Pose
-from sim_kinematic.tasks.rearrange.skill_starts import Skill
+from sim_kinematic.tasks.skills.skill_starts import Skill
 
 NOTHING = -1
 """Held by an empty hand."""
@@ -278,7 +278,7 @@ class SkillTensors:
             joints = self.arm.moved(joints, action[:, 2:-1], self.arm_rules)
         joints = torch.where(begins, self.arm.rest, joints)
         objects = torch.where(begins[..., None], self._objects[episode], play.objects)
-        hand = placed(self.arm.hand(joints), robot.xz, robot.heading, floor_y)
+        hand = place_hand(self.arm.hand(joints), robot.xz, robot.heading, floor_y)
         if self.skill != "nav":
             held = self._gripped(hand, objects, held, action[:, -1])
         target = self._target[episode]
@@ -286,9 +286,9 @@ class SkillTensors:
         carried = torch.arange(objects.shape[1], device=self.device) == held[:, None]
         objects = torch.where(carried[..., None], hand.point[:, None], objects)
         axes, grip = self._turned_objects(play, episode, hand, held, carried)
-        way = Way(play.way, play.towards)
+        way = ShortestPath(play.way, play.towards)
         if looks:
-            way = shortest_way(self.drive.grids.at(place), self.lattices.at(place), robot.xz, self._stand[episode])
+            way = shortest_path(self.drive.grids.at(place), self.lattices.at(place), robot.xz, self._stand[episode])
         moved = play._replace(
             robot=robot,
             joints=joints,
@@ -335,7 +335,7 @@ class SkillTensors:
     def _resting(self, robot: RobotTensors, floor_y: Tensor) -> Tensor:
         """Returns where hands would be at rest, in the world [W, 3]."""
         rest = Hand(self.rest.expand(len(floor_y), 3), self.rest.new_zeros(len(floor_y), 3, 3))
-        return placed(rest, robot.xz, robot.heading, floor_y).point
+        return place_hand(rest, robot.xz, robot.heading, floor_y).point
 
     def _judged(self, before: SkillPlay, now: SkillPlay) -> SkillPlay:
         """With what the step was worth."""
@@ -431,6 +431,8 @@ class SkillTensors:
             raise InputError(f"On a device there is no observation {strangers[0]!r} of skills.", code="H3-TRAIN-073")
         robot, place = play.robot, self._place[play.episode]
         floor_y = self._floor_y[place]
-        hand = placed(self.arm.hand(play.joints), robot.xz, robot.heading, floor_y)
+        hand = place_hand(self.arm.hand(play.joints), robot.xz, robot.heading, floor_y)
         grids = self.drive.grids.at(place)
-        return shown(SkillContext(play, grids, hand, self._point[play.episode], self._resting(robot, floor_y)), names)
+        return read_sensors(
+            SkillContext(play, grids, hand, self._point[play.episode], self._resting(robot, floor_y)), names
+        )

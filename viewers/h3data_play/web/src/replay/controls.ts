@@ -55,6 +55,7 @@ export class Controls {
     for (const overlay of Object.keys(marks.shown) as Overlay[]) {
       const box = element<HTMLInputElement>(`show-${overlay}`);
       box.checked = marks.shown[overlay];
+      box.parentElement!.hidden = overlay === "scans" && !episode.about.scans.length;
       box.addEventListener("change", () => {
         marks.shown[overlay] = box.checked;
         changed();

@@ -51,6 +51,15 @@ export interface Walk {
   points: [number, number, number][];
 }
 
+export interface Scan {
+  agent: number;
+  /** Name of the distances [T, R], m: the first straight ahead, the others to the left. */
+  track: string;
+  /** Farthest that it measures, and height over the floor, m. */
+  most: number;
+  height: number;
+}
+
 interface Cast extends Stage {
   /** With the height at which their names float, m. */
   agents: (StagedAgent & { height: number })[];
@@ -67,6 +76,7 @@ export interface About {
   contacts: Contact[];
   goals: Goal[];
   walks: Walk[];
+  scans: Scan[];
 }
 
 export class Episode {

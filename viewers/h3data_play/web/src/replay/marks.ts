@@ -5,11 +5,13 @@ import type { World } from "../scene/world.ts";
 import { FloorRing, Labels, type Mark } from "../screen/markers.ts";
 import { BAD, OTHER, ROBOT, thingColor, thingLetter, YOU } from "../screen/palette.ts";
 import type { Episode } from "./episode.ts";
+import { Fan } from "./scans.ts";
 
-export type Overlay = "paths" | "names" | "goals" | "contacts";
+export type Overlay = "paths" | "names" | "goals" | "contacts" | "scans";
 
 const ROBOTS = [ROBOT, "#f0e442", "#e69f00"];
 const PEOPLE = ["#56b4e9", OTHER, "#009e73", YOU];
+const SCANS = ["#c2188f", "#5b2ec7"];
 const OVER_FLOOR_M = 0.03;
 const PATH_M = 0.07;
 /** Points of a path are this far apart; a person's path is dashed, two points on, one off. */
@@ -29,12 +31,13 @@ export function agentColors(kinds: ("robot" | "human")[]): string[] {
 }
 
 export class Marks {
-  readonly shown: Record<Overlay, boolean> = { paths: true, names: true, goals: true, contacts: true };
+  readonly shown: Record<Overlay, boolean> = { paths: true, names: true, goals: true, contacts: true, scans: true };
   private readonly labels: Labels;
   private readonly paths: Path[];
   private readonly goals: FloorRing[];
   private readonly walks: FloorRing[];
   private readonly contacts: FloorRing[];
+  private readonly scans: Fan[];
   private readonly carried: number[];
 
   constructor(
@@ -53,6 +56,7 @@ export class Marks {
     this.goals = about.goals.map((_, k) => new FloorRing(world.scene, thingColor(k), 0.13, 0.17));
     this.walks = about.walks.map((walk) => new FloorRing(world.scene, colors[walk.agent]!, 0.2, 0.27));
     this.contacts = about.contacts.slice(0, MOST_RINGS).map(() => new FloorRing(world.scene, BAD, 0.3, 0.36));
+    this.scans = about.scans.map((scan, k) => new Fan(episode, scan, world, SCANS[k % SCANS.length]!));
     this.carried = about.goals.map((goal) => about.stage.objects.findIndex((thing) => thing.name === goal.object));
   }
 
@@ -66,6 +70,7 @@ export class Marks {
         marks.push({ point, text, thing: 0, near: false, far: null, chip, tone });
     };
     for (const path of this.paths) path.show(row, this.shown.paths);
+    for (const scan of this.scans) scan.show(row, this.shown.scans);
     about.stage.agents.forEach((agent, k) => {
       const { x, y, z } = this.episode.base(k, row);
       if (this.shown.names && k !== viewed && Number.isFinite(x))

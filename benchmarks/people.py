@@ -1,0 +1,184 @@
+"""How people of crowds walk among each other: speeds, distances, sides and what they cost, for each model of crowds.
+
+24 people walk about an empty hall of 18 x 12 m, and 4 in each of three homes of ``h3-homes/val``, twice for ``MINUTES`` each.
+Measured pedestrians (ETH and UCY data sets, our own statistics) give the ranges to compare with:
+
+``speed_mps``, ``speed_sd_mps``
+    Mean and standard deviation, between people, of the median speed of those who walk with nobody within 2 m: 0.84 to 1.48
+    and 0.30 to 0.42 outdoors. Homes make people turn, so the hall's figure is the one to compare.
+``speed_drop_mps``
+    Loss of speed for each 0.1 person/m2 within 2.5 m: 0.02 to 0.09.
+``closest_p5_m``, ``below_050``, ``below_035``
+    Least distance between two centres in an encounter (within 3 m): 5th percentile (0.61 to 0.79), and shares below
+    0.5 m (0.004 to 0.019) and 0.35 m (0 to 0.003).
+``majority_side``
+    Share of head-on encounters that pass on the more frequent side: 0.54 to 0.78.
+``standing``
+    Share of person-steps slower than 0.1 m/s: 0.05 to 0.34.
+``contacts_per_person_hour``, ``gridlocks_per_person_hour``
+    Steps in which bodies touch, by FCL; periods of 20 s in which nobody gets on by 0.5 m. Both should be 0.
+
+``people.<model>.p8_steps_per_cpu_s``, ``p24_steps_per_cpu_s``: steps of 8 and 24 people in a large home, with contact and
+recording. ``wander`` is the model with right of way, which is slower by design.
+
+    python -m benchmarks people
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from h3data.geometry import IDENTITY_POSE, Array
+from h3data.mesh.mesh import Mesh
+from h3data.recording import Recording
+from h3data.scene import Asset, Box, FreeSpace, Instance, Room, Scene
+from h3data.scene.open import named_scenes, open_free_space, open_scene
+from sim_kinematic.agents.roster import make_roster
+from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.tasks.runner import simulate
+from sim_kinematic.tasks.wander import Wander
+
+Emit = Callable[[str, float, str], None]
+MODELS = ("orca", "social_force")
+MINUTES = 2
+RATE = 30
+HALL_M = (18.0, 12.0)
+HOMES = ("h3-homes/val#0", "h3-homes/val#3", "h3-homes/val#5")
+NEAR_M, ALONE_M, AROUND_M = 3.0, 2.0, 2.5
+GRIDLOCK_S, GETS_ON_M = 20, 0.5
+
+
+def hall(width: float = HALL_M[0], depth: float = HALL_M[1]) -> Scene:
+    """An empty room with walls, ``width`` x ``depth`` [m]."""
+    blocks = {
+        "floor": ((-0.1, -0.1, -0.1), (width + 0.1, 0.0, depth + 0.1)),
+        "west": ((-0.1, 0.0, -0.1), (0.0, 2.6, depth + 0.1)),
+        "east": ((width, 0.0, -0.1), (width + 0.1, 2.6, depth + 0.1)),
+        "north": ((0.0, 0.0, -0.1), (width, 2.6, 0.0)),
+        "south": ((0.0, 0.0, depth), (width, 2.6, depth + 0.1)),
+    }
+    assets = {name: _block(name, np.array(low), np.array(high)) for name, (low, high) in blocks.items()}
+    walls = tuple(Instance(name=name, asset=name, pose=IDENTITY_POSE.copy(), motion="static") for name in blocks)
+    room = Room(name="hall", category="living", rectangles=np.array([[0.0, 0.0, width, depth]]))
+    return Scene(name="hall", assets=assets, instances=walls, rooms=(room,))
+
+
+def _block(name: str, low: Array, high: Array) -> Asset:
+    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+    faces = np.array([triangle for a, b, c, d in quads for triangle in ((a, b, c), (a, c, d))], np.int32)
+    mesh = Mesh(vertices=corners.astype(np.float32), faces=faces, colors=np.full((8, 3), 150, np.uint8))
+    shape = Box(pose=np.concatenate([(low + high) / 2, [0, 0, 0, 1]]), half_extents=(high - low) / 2)
+    return Asset(
+        name=name,
+        mesh=mesh,
+        category="floor" if name == "floor" else "wall",
+        shapes=() if name == "floor" else (shape,),
+    )
+
+
+def walk(scene: Scene, free: FreeSpace, people: int, policy: str, seed: int, steps: int) -> Recording:
+    """Recording of people who walk about a scene under a policy."""
+    task, roster = Wander(), make_roster(["human"] * people)
+    spec = SocialNavSpec(max_steps=steps, spawn_distance_m=0.8)
+    episode = task.sample(scene, free, seed, spec, roster)
+    return simulate(task, episode, {member.name: policy for member in roster})
+
+
+class Walks(NamedTuple):
+    """Motion of P people over T steps."""
+
+    xz: Array
+    """Positions [T, P, 2] [m]."""
+    velocity: Array
+    """Velocities [T - 1, P, 2] [m/s]."""
+    touching: Array
+    """Whether anybody touches anybody [T]."""
+
+    @classmethod
+    def of(cls, recording: Recording) -> Walks:
+        """Positions and velocities of a recording's people."""
+        columns, people = recording.columns, len(recording.agents)
+        xz = np.stack([columns[f"agent_{k}.base_pose"][:, [0, 2]] for k in range(people)], 1).astype(np.float64)
+        return cls(xz, np.diff(xz, axis=0) * RATE, np.asarray(columns["metrics.collision"]))
+
+
+def describe(walks: Sequence[Walks]) -> dict[str, tuple[float, str]]:
+    """Figures of several walks, each with its unit."""
+    free_speeds, closest, sides = [], [], []
+    density, speeds, standing = [], [], []
+    contacts = gridlocks = 0
+    hours = 0.0
+    for xz, velocity, touching in walks:
+        speed = np.hypot(*velocity.transpose(2, 0, 1))
+        gaps = np.hypot(*(xz[:-1, :, None] - xz[:-1, None]).transpose(3, 0, 1, 2))
+        gaps[:, np.arange(xz.shape[1]), np.arange(xz.shape[1])] = np.inf
+        walking, alone = speed > 0.2, gaps.min(2) > ALONE_M
+        free_speeds += [
+            float(np.median(speed[rows, k])) for k, rows in enumerate((walking & alone).T) if rows.sum() > 60
+        ]
+        density.append((((gaps < AROUND_M).sum(2) + 1) / (np.pi * AROUND_M**2))[walking])
+        speeds.append(speed[walking])
+        standing.append((speed < 0.1).ravel())
+        contacts += int(touching.sum())
+        hours += xz.shape[0] * xz.shape[1] / RATE / 3600
+        window = GRIDLOCK_S * RATE
+        for start in range(0, len(xz) - window, window):
+            gridlocks += bool((np.ptp(xz[start : start + window], axis=0).max(1) < GETS_ON_M).all())
+        for a, b in combinations(range(xz.shape[1]), 2):
+            near = np.flatnonzero(np.diff(np.concatenate([[0], gaps[:, a, b] < NEAR_M, [0]])))
+            for first, last in zip(near[::2], near[1::2], strict=True):
+                at = first + int(np.argmin(gaps[first:last, a, b]))
+                closest.append(gaps[at, a, b])
+                va, vb = velocity[at, a], velocity[at, b]
+                if va @ vb < -0.7 * np.hypot(*va) * np.hypot(*vb) and min(np.hypot(*va), np.hypot(*vb)) > 0.2:
+                    towards = xz[at, b] - xz[at, a]
+                    sides.append(va[0] * towards[1] - va[1] * towards[0] > 0)
+    by_density = np.polyfit(np.concatenate(density), np.concatenate(speeds), 1)[0]
+    least, right = np.array(closest), float(np.mean(sides)) if sides else np.nan
+    return {
+        "person_hours": (hours, "h"),
+        "speed_mps": (float(np.mean(free_speeds)), "m/s"),
+        "speed_sd_mps": (float(np.std(free_speeds)), "m/s"),
+        "speed_drop_mps": (-0.1 * float(by_density), "m/s"),
+        "encounters": (len(least), "n"),
+        "closest_p5_m": (float(np.percentile(least, 5)), "m"),
+        "below_050": (float(np.mean(least < 0.5)), "share"),
+        "below_035": (float(np.mean(least < 0.35)), "share"),
+        "majority_side": (max(right, 1 - right), "share"),
+        "standing": (float(np.mean(np.concatenate(standing))), "share"),
+        "contacts_per_person_hour": (contacts / hours, "steps"),
+        "gridlocks_per_person_hour": (gridlocks / hours, "n"),
+    }
+
+
+def _home(name: str) -> tuple[Scene, FreeSpace]:
+    (named,) = named_scenes(name)
+    spec = SocialNavSpec()
+    return open_scene(named.source), open_free_space(named.source, spec.agent_radius_m, spec.agent_height_m)
+
+
+def run(emit: Emit, *, episodes: int = 2) -> None:
+    """Measures each model of crowds in ``episodes`` runs of each place."""
+    room = hall()
+    floor = FreeSpace.from_scene(room)
+    homes, large = [_home(name) for name in HOMES], _home("large:0")
+    steps = MINUTES * 60 * RATE
+    for model in MODELS:
+        walk(*large, 8, model, 0, 30)  # compiles
+        for count in (8, 24):
+            began = time.process_time()
+            walk(*large, count, model, 1, 1800)
+            emit(f"people.{model}.p{count}_steps_per_cpu_s", 1800 / (time.process_time() - began), "steps/s")
+        places = {
+            "hall": [Walks.of(walk(room, floor, 24, model, 100 + k, steps)) for k in range(episodes)],
+            "homes": [Walks.of(walk(*home, 4, model, 100 + k, steps)) for home in homes for k in range(episodes)],
+        }
+        for place, walks in places.items():
+            for name, (value, unit) in describe(walks).items():
+                emit(f"people.{model}.{place}.{name}", value, unit)

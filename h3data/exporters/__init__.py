@@ -1,1 +1,0 @@
-"""Recordings and scenes written in other programs' formats."""

@@ -1,0 +1,133 @@
+"""``meta/h3data.json`` of demonstrations exported to LeRobot: what an environment needs to show a policy what they held.
+
+LeRobot's own metadata say how wide a state is and how large a picture. They do not say which numbers the state is made of,
+which lens took the picture, under which rules and in which homes. A policy that is shown anything else fails without a message.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+from h3data.errors import FormatError, InputError
+from h3data.recording.parquet.files import write_atomic
+from h3data.recording.storage import AnyPath
+
+FILE = "meta/h3data.json"
+VERSION = 1
+"""Version of the file. Readers refuse a newer one."""
+
+
+class DemonstratedCamera(msgspec.Struct, frozen=True, kw_only=True):
+    """A camera of which every episode has a video."""
+
+    key: str
+    """Name of the feature, ``observation.images.robot_arm``."""
+    camera: str
+    """Name of the camera on the body that carries it; that of the feature where nobody does."""
+    agent: str
+    """Name of the agent that carries it; empty: nobody does, so that an environment cannot show it."""
+    width: int
+    """Width of what was rendered [px]. A video has an even width: its last column may be a copy."""
+    height: int
+    stored_width: int
+    """Width of the video's frames [px]."""
+    stored_height: int
+    hfov_deg: float
+    """Horizontal field of view [deg]."""
+
+
+class DemonstratedAgent(msgspec.Struct, frozen=True, kw_only=True):
+    """An agent of the first episode."""
+
+    name: str
+    kind: str
+    model: str
+    policy: str = ""
+    """Name of the policy that moved it."""
+
+
+class DemonstratedScene(msgspec.Struct, frozen=True, kw_only=True):
+    """A home in which episodes were played."""
+
+    name: str
+    sha256: str
+    episode: int
+    """Number of the first episode there, which holds its file."""
+    source: Mapping[str, Any] = msgspec.field(default_factory=dict)
+    """Recipe by which it was made, as recordings have it."""
+
+
+class Demonstrations(msgspec.Struct, frozen=True, kw_only=True):
+    """All that ``meta/h3data.json`` says."""
+
+    version: int = VERSION
+    created_by: str = ""
+    task: str
+    """Name of the task."""
+    instruction: str = ""
+    """The task in words."""
+    agent: str
+    """Name of the agent whose actions are learned."""
+    agents: tuple[DemonstratedAgent, ...]
+    fps: int
+    light: str
+    """Light of the videos: ``baked`` or ``flat``."""
+    state_key: str = "observation.state"
+    state_columns: tuple[str, ...]
+    """Columns of a recording that the state is made of, one beside the other."""
+    state_names: tuple[str, ...]
+    """Names of its numbers."""
+    action_key: str = "action"
+    action_names: tuple[str, ...]
+    success_events: tuple[str, ...]
+    """Kinds of event that mean success. The first of them gives the reward 1, every other step 0."""
+    cameras: tuple[DemonstratedCamera, ...] = ()
+    scenes: tuple[DemonstratedScene, ...]
+    seeds: tuple[int, ...]
+    """Seed of each episode."""
+    episode_scenes: tuple[int, ...]
+    """Number of each episode's home in ``scenes``."""
+    rules: Mapping[str, Any] = msgspec.field(default_factory=dict)
+    """Rules of the first episode, as recordings hold them."""
+
+
+def write_demonstrations(root: AnyPath, demonstrations: Demonstrations) -> None:
+    """Write ``meta/h3data.json`` of a dataset."""
+    write_atomic(root / FILE, msgspec.json.format(msgspec.json.encode(demonstrations), indent=1))
+
+
+def read_demonstrations(root: AnyPath) -> Demonstrations:
+    """Read ``meta/h3data.json`` of a dataset.
+
+    Raises:
+        InputError: the dataset has no such file.
+        FormatError: it is damaged, or a newer h3data wrote it.
+    """
+    path = root / FILE
+    try:
+        found = msgspec.json.decode(path.read_bytes(), type=Demonstrations)
+    except (FileNotFoundError, NotADirectoryError):
+        raise InputError(
+            f"The dataset has no {FILE}, which says what a policy was shown. Hint: export it again with h3data export --to "
+            f"lerobot: {root}",
+            code="H3-RECORDING-132",
+        ) from None
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise FormatError(
+            f"{FILE} is damaged ({str(error).replace('`', '')}): {root}", code="H3-RECORDING-133"
+        ) from None
+    if found.version > VERSION:
+        raise FormatError(
+            f"{FILE} has version {found.version}, this h3data reads up to {VERSION}. Hint: install a newer one: {root}",
+            code="H3-RECORDING-130",
+        )
+    if len(found.seeds) != len(found.episode_scenes) or not all(
+        0 <= k < len(found.scenes) for k in found.episode_scenes
+    ):
+        raise FormatError(
+            f"{FILE} is damaged (seeds and scenes of the episodes do not fit): {root}", code="H3-RECORDING-131"
+        )
+    return found

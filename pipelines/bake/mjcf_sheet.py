@@ -1,0 +1,41 @@
+"""docs/pictures/mjcf.jpg: a robot from an MJCF file of our own, from three sides.
+
+python -m bake.mjcf_sheet tests/data/mjcf/barrow.xml docs/pictures/mjcf.jpg
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+
+from h3data.bodies import load_robot
+from h3data.geometry import IDENTITY_POSE
+from h3data.mesh.primitives import box_mesh
+from h3data.render import Renderer, RenderInstance, RenderScene, look_at, pinhole
+from h3data.render.image_files import write_jpg
+
+WIDTH, HEIGHT, AWAY_M = 420, 360, 1.9
+SIDES_DEG = (-40.0, 40.0, 140.0)
+
+
+def main(robot_file: str, out: str) -> None:
+    """Renders the robot at rest and writes the picture."""
+    robot = load_robot(robot_file)
+    frames = robot.link_matrices(IDENTITY_POSE[None], robot.rest[None])[0]
+    shown = [(link.mesh, frame) for link, frame in zip(robot.links, frames, strict=True) if link.mesh is not None]
+    ground = np.eye(4)
+    ground[1, 3] = -0.01
+    shown.append((box_mesh(np.array([4.0, 0.01, 4.0]), color=(206, 206, 200)), ground))
+    instances = [RenderInstance(k, frame) for k, (_, frame) in enumerate(shown)]
+    renderer = Renderer(RenderScene([mesh for mesh, _ in shown], instances))
+    middle, pictures = np.array([0.05, 0.4, 0.0]), []
+    for side in np.radians(SIDES_DEG):
+        eye = middle + AWAY_M * np.array([np.cos(side), 0.45, np.sin(side)])
+        camera = pinhole(WIDTH, HEIGHT, hfov_deg=45.0, pose=look_at(eye, middle))
+        pictures.append(renderer.render(camera, outputs=("rgb",), samples=4)["rgb"])
+    write_jpg(out, np.hstack(pictures))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,291 @@
+"""Reads Habitat's gfx-replay files as recordings."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import uuid
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import FormatError, InputError, SceneError
+from h3data.formats import SourceFile
+from h3data.mesh.loading import frame_rotation
+from h3data.mesh.primitives import is_primitive
+from h3data.recording.assets.folders import clean_path
+from h3data.recording.assets.library import EMPTY_URI, OWN_FOLDER_ENDING
+from h3data.recording.records import STEP_NS, AssetRef, Body, Episode, Recording
+from h3data.srgb import linear_to_bytes
+from h3data_habitat.gfx.agents import PERSON_ROOT_PREFIX, add_agents
+from h3data_habitat.gfx.fold import Fold, Life, Loaded, Updates, filled, fold_keyframes, fold_tracks
+from h3data_habitat.gfx.keyframes import Load, read_keyframes
+from h3data_habitat.limits import check_size
+
+_DIFFUSE = re.compile(r"_dif_(\d{1,20})")
+_SCENE_FOLDER = re.compile(r"(^|/)(stages?|scenes?|navmesh)/")
+_GENERIC_STEMS = {"textured", "mesh", "model", "visual", "collider", "textured_simple"}
+_GENERIC_FOLDERS = {"google_16k", "visual", "visuals", "meshes", "mesh", "assets", "tsdf", "poisson"}
+
+
+def read_gfx_replay(path: str | os.PathLike[str], *, fps: float | None = None) -> Recording:
+    """Reads the recording in a ``.gfx_replay.json`` (or ``.json.gz``) file of habitat-sim or its HITL tools.
+
+    A gfx-replay is a visual log (spec/habitat.md 5.1): poses of the rendered nodes, asset names, nothing else. So:
+
+    - Each created instance becomes one body. A body's pose is its node's world transform, the mesh frame after the
+      asset's ``frame`` has been rotated to +Y up. Bodies that always exist and never move are static, the others have
+      tracks.
+    - The format has no time stamps: row k is keyframe k, at ``fps`` keyframes per second (default: the nominal 30).
+    - User transforms become columns ``user.<name>`` [T, 7], pose7 in the world, NaN where absent. Those that are
+      cameras keep Habitat's camera frame: x right, y up, looking along -z.
+    - Bones become columns ``rig.<id>`` [T, bones, 7], pose7 in the world; ``episode.info["rigs"]`` names the bones and the
+      body that they deform (`h3data.recording.assets.skinned_meshes`).
+    - Robots and people are recognised by their file names, see `h3data_habitat.gfx.agents`.
+
+    ``episode.info`` holds the lights, the rigs, how each agent's floor position was found, and ``warnings``.
+
+    Raises:
+        FormatError: the file is something else, truncated or damaged.
+    """
+    file = SourceFile.of(path)
+    path = file.path
+    dt_ns = STEP_NS if fps is None else _step_ns(fps)
+    digest = hashlib.sha256()
+    fold = fold_keyframes(read_keyframes(file, digest.update), path)
+    assets, refs, notes = _assets(fold, path)
+    bodies, tracks = _bodies(fold, refs, path)
+    columns: dict[str, NDArray[Any]] = {"time_ns": np.arange(fold.steps, dtype=np.int64) * dt_ns}
+    if tracks.shape[1]:
+        columns["object_pose"] = tracks
+    columns |= _user_columns(fold, path) | _rig_columns(fold, path)
+    agents, bodies, agent_columns, agent_info = add_agents(
+        bodies, assets, columns.get("object_pose"), fold.steps, path, roots=_person_roots(fold, bodies, columns)
+    )
+    columns |= agent_columns
+    warnings = (
+        notes + [f"{count} {what}" for what, count in fold.counts.items()] + [w for a in agent_info for w in a.warnings]
+    )
+    stage = next((life.creation.filepath for life in fold.lives if _is_stage(life)), "")
+    info: dict[str, Any] = {
+        "source": {"format": "gfx_replay", "file": path.name, "sha256": digest.hexdigest()},
+        "nominal_fps": 1e9 / dt_ns,
+        "agents": [a.record for a in agent_info],
+        "lights": fold.lights[0][1] if fold.lights else [],
+        "warnings": warnings,
+    }
+    if len(fold.lights) > 1:
+        info["light_changes"] = [{"step": step, "lights": lights} for step, lights in fold.lights]
+    rigs = _rig_info(fold, bodies)
+    if rigs:
+        info["rigs"] = rigs
+    name = path.name.removesuffix(".gz").removesuffix(".json").removesuffix(".gfx_replay")
+    own = path.with_name(name + OWN_FOLDER_ENDING)
+    if own.is_dir() and any(ref.uri.startswith(f"{own.name}/") for ref in assets):
+        info["source"]["assets"] = str(own.absolute())
+    return Recording(
+        episode=Episode(
+            uid=str(uuid.uuid5(uuid.NAMESPACE_URL, "gfx_replay:" + info["source"]["sha256"])),
+            episode_id=name or path.name,
+            task="gfx_replay",
+            scene=PurePosixPath(clean_path(stage)).stem if stage else "",
+            dt_ns=dt_ns,
+            created_by="habitat-sim gfx-replay",
+            info=info,
+        ),
+        assets=tuple(assets),
+        bodies=tuple(bodies),
+        agents=tuple(agents),
+        columns=columns,
+    )
+
+
+def _step_ns(fps: float) -> int:
+    if not (np.isfinite(fps) and fps > 0):
+        raise InputError(f"fps must be a positive number of keyframes per second. Got {fps}.", code="H3-HABITAT-065")
+    return STEP_NS if fps == 30 else round(1e9 / fps)
+
+
+# --- assets -----------------------------------------------------------------------------------------------------------
+def _assets(fold: Fold, path: Path) -> tuple[list[AssetRef], list[str], list[str]]:
+    """Assets of the recording, the asset name of each life, and warnings."""
+    refs: dict[tuple[Any, ...], AssetRef] = {}
+    used: dict[str, int] = {}
+    names, unloaded, hidden = [], set(), 0
+    for life in fold.lives:
+        plain = life.creation.filepath.split("?", 1)[0]
+        if plain in ("", "invalid_filepath"):
+            hidden += 1
+            key: tuple[Any, ...] = (EMPTY_URI,)
+            values: dict[str, Any] = {"uri": EMPTY_URI}
+        else:
+            loaded = fold.loads.get(plain)
+            if loaded is None and not is_primitive(plain):
+                unloaded.add(plain)
+            load = Load(filepath=plain) if loaded is None else loaded.last  # as the player does
+            color = _color(life.creation.filepath, loaded)
+            uri = f"primitive:{plain}" if is_primitive(plain) else clean_path(plain)
+            values = {
+                "uri": uri,
+                "color": color,
+                "units_m": load.virtualUnitToMeters,
+                "up": _plus_zero(load.frame.up),
+                "front": _plus_zero(load.frame.front),
+            }
+            try:
+                frame_rotation(load.frame.up, load.frame.front)
+            except SceneError as fault:
+                raise FormatError(
+                    f"Not a valid gfx-replay: asset {plain!r}: {fault} {path}", code="H3-HABITAT-067"
+                ) from None
+            key = tuple(values.values())
+        if key not in refs:
+            refs[key] = AssetRef(name=_unique(_short_name(values["uri"]), used), **values)
+        names.append(refs[key].name)
+    notes = []
+    if hidden:
+        notes.append(f"{hidden} instances were recorded without a file (hidden while recording): they are invisible")
+    if unloaded:
+        notes.append(f"{len(unloaded)} assets have no load entry, their frame is taken as +Y up: {sorted(unloaded)[0]}")
+    return list(refs.values()), names, notes
+
+
+def _color(filepath: str, loaded: Loaded | None) -> tuple[int, int, int] | None:
+    """sRGB override of an instance's material, or None.
+
+    The suffix ``?phong_amb_.._dif_.._spec_..`` of the creation belongs to this instance (sRGB, one uint32 RGBA each).
+    The ``overridePhongMaterial`` of the loads (linear) is shared by the path, and counts only if no plain load exists.
+    """
+    _, _, suffix = filepath.partition("?")
+    match = _DIFFUSE.search(suffix)
+    if match:
+        rgba = int(match.group(1)) & 0xFFFFFFFF
+        return (rgba >> 24 & 255, rgba >> 16 & 255, rgba >> 8 & 255)
+    if loaded is None or not loaded.always_painted:
+        return None
+    phong = loaded.last.overridePhongMaterial
+    assert phong is not None
+    assert phong.diffuse is not None
+    r, g, b = (int(v) for v in linear_to_bytes(phong.diffuse[:3]))
+    return (r, g, b)
+
+
+def _plus_zero(axis: Sequence[float]) -> tuple[float, float, float]:
+    """The axis with -0.0 written as 0.0, so that equal frames compare and print equal."""
+    x, y, z = (float(v) + 0.0 for v in axis)
+    return (x, y, z)
+
+
+def _short_name(uri: str) -> str:
+    """A descriptive name of an asset: its file's stem, or the folder that names a YCB object."""
+    if uri.startswith("primitive:"):
+        return uri.removeprefix("primitive:").split("_", 1)[0]
+    parts = PurePosixPath(uri)
+    if parts.stem not in _GENERIC_STEMS:
+        return parts.stem
+    return next((p for p in reversed(parts.parts[:-1]) if p not in _GENERIC_FOLDERS), parts.stem)
+
+
+def _unique(name: str, used: dict[str, int]) -> str:
+    """The name, with the first free number appended if it is taken; ``used`` has the last number of each name."""
+    candidate, number = name, used.get(name, 0)
+    while candidate in used:
+        number += 1
+        candidate = f"{name}~{number + 1}"
+    used[name] = number
+    used.setdefault(candidate, 0)
+    return candidate
+
+
+def _is_stage(life: Life) -> bool:
+    return life.creation.isStatic or _SCENE_FOLDER.search(life.creation.filepath) is not None
+
+
+# --- bodies -----------------------------------------------------------------------------------------------------------
+def _bodies(fold: Fold, refs: Sequence[str], path: Path) -> tuple[list[Body], NDArray[np.float32]]:
+    """One body per life and the tracks [T, M, 7] of those that move."""
+    used: dict[str, int] = {}
+    bodies: list[Body] = []
+    movers: list[Life] = []
+    for life, ref in zip(fold.lives, refs, strict=True):
+        where = f"stateUpdates, instance {life.key}"
+        _check_rotations(life.updates, 1, where, path)
+        moves = life.moves(fold.steps)
+        if moves:
+            movers.append(life)
+        bodies.append(
+            Body(
+                name=_unique(f"{ref}_{life.key}", used),
+                asset=ref,
+                pose=life.first_pose(),
+                scale=np.array(life.creation.scale, np.float32),
+                semantic_id=life.semantic_id,
+                moving=len(movers) - 1 if moves else -1,
+            )
+        )
+    check_size(fold.steps, len(movers), path)
+    return bodies, fold_tracks(fold, movers)
+
+
+def _check_rotations(updates: Updates, bones: int, where: str, path: Path) -> None:
+    bad = np.isnan(updates.poses(bones)).any((1, 2))
+    if bad.any():
+        step = updates.steps[int(np.argmax(bad))]
+        raise FormatError(
+            f"Not a valid gfx-replay: the rotation is not a quaternion (length 0) at keyframe {step}, {where}: {path}",
+            code="H3-HABITAT-066",
+        )
+
+
+# --- user transforms and rigs -----------------------------------------------------------------------------------------
+def _user_columns(fold: Fold, path: Path) -> dict[str, NDArray[Any]]:
+    check_size(fold.steps, len(fold.user), path)
+    columns: dict[str, NDArray[Any]] = {}
+    for name, updates in fold.user.items():
+        _check_rotations(updates, 1, f"userTransforms, {name!r}", path)
+        rows = np.full((fold.steps, 7), np.nan, np.float32)
+        rows[np.array(updates.steps)] = updates.poses()[
+            :, 0
+        ]  # transforms do not persist: only keyframes that list one have it
+        columns[f"user.{name}"] = rows
+    return columns
+
+
+def _person_roots(
+    fold: Fold, bodies: Sequence[Body], columns: dict[str, NDArray[Any]]
+) -> dict[str, NDArray[np.float32]]:
+    """Takes the roots of people out of the user columns; by body."""
+    roots = {}
+    for life, body in zip(fold.lives, bodies, strict=True):
+        track = columns.get(f"user.{PERSON_ROOT_PREFIX}{life.creation.rigId}")
+        if track is not None:
+            there = np.arange(len(track)) >= life.start
+            there &= (np.arange(len(track)) < life.end) | (life.end < 0)
+            roots[body.name] = np.where(there[:, None], track, np.float32(np.nan))
+    for name in [name for name in columns if name.startswith(f"user.{PERSON_ROOT_PREFIX}")]:
+        del columns[name]
+    return roots
+
+
+def _rig_columns(fold: Fold, path: Path) -> dict[str, NDArray[Any]]:
+    ends = {life.creation.rigId: life.end for life in fold.lives if life.creation.rigId >= 0}
+    check_size(fold.steps, sum(rig.bones for rig in fold.rigs.values()), path)
+    columns: dict[str, NDArray[Any]] = {}
+    for number, rig in sorted(fold.rigs.items()):
+        if rig.updates.steps and rig.bones:
+            _check_rotations(rig.updates, rig.bones, f"rigUpdates, rig {number}", path)
+            end = ends.get(number, -1)
+            columns[f"rig.{number}"] = filled(rig.updates, 0, fold.steps, bones=rig.bones, end=end)
+    return columns
+
+
+def _rig_info(fold: Fold, bodies: Sequence[Body]) -> list[Mapping[str, Any]]:
+    owner = {life.creation.rigId: body.name for life, body in zip(fold.lives, bodies, strict=True)}
+    return [
+        {"id": number, "bones": rig.bone_names, "body": owner.get(number, "")}
+        for number, rig in sorted(fold.rigs.items())
+    ]

@@ -1,0 +1,41 @@
+"""Poses in the frames of ROS (REP 103: x forward, y left, z up) and in ours (+Y up, z right), converted exactly both ways.
+
+Both turn by 90 degrees about x, so numbers only change their places and signs, and no digit is lost.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+_UNSAFE = re.compile(r"[^A-Za-z0-9_]+")
+
+
+def pose_to_ros(pose: ArrayLike) -> NDArray[np.float64]:
+    """Convert poses [..., 7] from the world to the frame ``map``: (x, y, z) becomes (x, -z, y), quaternions likewise."""
+    turned = np.asarray(pose, np.float64)[..., [0, 2, 1, 3, 5, 4, 6]]
+    turned[..., [1, 4]] *= -1
+    return turned
+
+
+def pose_from_ros(pose: ArrayLike) -> NDArray[np.float64]:
+    """Convert poses [..., 7] from the frame ``map`` to the world, the inverse of `pose_to_ros`."""
+    turned = np.asarray(pose, np.float64)[..., [0, 2, 1, 3, 5, 4, 6]]
+    turned[..., [2, 5]] *= -1
+    return turned
+
+
+def safe_names(names: Iterable[str], fallback: str) -> list[str]:
+    """Return names of letters, digits and underscores that are all different, for topics, frames and ids."""
+    found: list[str] = []
+    for name in names:
+        base = _UNSAFE.sub("_", name).strip("_") or fallback
+        unique, number = base, 1
+        while unique in found:
+            number += 1
+            unique = f"{base}_{number}"
+        found.append(unique)
+    return found

@@ -1,0 +1,75 @@
+"""Scans of a planar lidar, cast into the distance grid of a floor and onto the discs of people."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.scene import FreeSpace
+
+RANGE_M = (0.05, 12.0)
+"""Nearest and farthest range [m]; farther ones are infinite, as REP 117 wants."""
+HIT_M = 0.005
+"""A ray ends this near to an outline."""
+_BLOCK = 64
+
+
+def cast_scans(
+    free: FreeSpace,
+    at: NDArray[np.float64],
+    headings: NDArray[np.float64],
+    people: NDArray[np.float64],
+    *,
+    rays: int,
+    radius_m: float,
+) -> NDArray[np.float32]:
+    """Return the ranges [T, rays] [m] that a lidar at the floor points ``at`` [T, 2] measures.
+
+    Rays go round to the left, the first one backwards; NaN where the lidar has no place. The outline of the floor is that
+    of things between knee and head height (`FreeSpace.signed_distance`), found by sphere tracing to `HIT_M`.
+
+    Args:
+        free: The floor.
+        at: Places (x, z) in the world [T, 2] [m].
+        headings: Headings of the lidar [T] [rad].
+        people: Places of people [T, P, 2] [m]; NaN where absent.
+        rays: Number of rays in a turn.
+        radius_m: Radius of the disc of a person [m].
+    """
+    angles = -np.pi + np.arange(rays) * (2 * np.pi / rays)
+    ranges = np.full((len(at), rays), np.nan, np.float32)
+    for start in range(0, len(at), _BLOCK):
+        rows = slice(start, start + _BLOCK)
+        heading = headings[rows, None] + angles
+        directions = np.stack([np.cos(heading), -np.sin(heading)], axis=-1)
+        known = np.isfinite(at[rows]).all(-1)
+        far = np.full(heading.shape, np.nan)
+        far[known] = _outline(free, at[rows][known], directions[known])
+        for p in range(people.shape[1]):
+            far = np.fmin(far, _disc(people[rows, p] - at[rows], directions, radius_m))
+        far[~known] = np.nan
+        far[far > RANGE_M[1]] = np.inf
+        ranges[rows] = far
+    return ranges
+
+
+def _outline(free: FreeSpace, at: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.float64]:
+    far = np.zeros(directions.shape[:2])
+    going = np.ones(far.shape, np.bool_)
+    starts = np.broadcast_to(at[:, None], directions.shape)
+    while going.any():
+        points = starts[going] + far[going, None] * directions[going]
+        gap = free.signed_distance(points)
+        far[going] += np.maximum(gap, HIT_M / 2)
+        ended = (gap < HIT_M) | (far[going] > RANGE_M[1])
+        going[going] = ~ended
+    return far
+
+
+def _disc(offset: NDArray[np.float64], directions: NDArray[np.float64], radius_m: float) -> NDArray[np.float64]:
+    """Distances [T, R] along rays to discs at offsets [T, 2]; NaN where a ray misses."""
+    along = np.einsum("trk,tk->tr", directions, offset)
+    aside = (offset**2).sum(-1)[:, None] - along**2
+    with np.errstate(invalid="ignore"):
+        hit = (aside < radius_m**2) & (along > 0)
+        return np.where(hit, np.maximum(along - np.sqrt(np.maximum(radius_m**2 - aside, 0)), 0), np.nan)

@@ -1,0 +1,319 @@
+"""Tracks of a robot and of people, from a bag or a file, as a recording that metrics, reports and pictures take."""
+
+from __future__ import annotations
+
+import itertools
+import uuid
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from h3data.bodies.walk_synthesis import SYNTHETIC_BODY, walk_columns
+from numpy.typing import NDArray
+
+from h3data.bodies import load_humanoid
+from h3data.errors import FormatError, InputError
+from h3data.geometry import ground_pose, heading_from_quat
+from h3data.recording.records import Agent, AssetRef, Body, Episode, Recording
+from h3data.scene import Scene
+from h3data.scene.scene_file import scene_bytes
+from h3data_ros.transforms import at_times
+
+GAP_S = 0.5
+"""Poses are interpolated between observations up to so far apart [s]; in longer gaps there is none."""
+JUMP_MPS, JUMP_M = 8.0, 1.0
+"""Nobody is faster, noise aside: a track that jumps becomes two people."""
+TELEPORTING = 0.5
+"""If so many of the tracks jump, unit or rate is wrong."""
+FAR_M = 1000.0
+"""World coordinates are float32: origins farther away are moved by whole metres."""
+CELLS_MAX = 20_000_000
+"""Rows times people of one recording."""
+HEADING_S, HEADING_M = 0.5, 0.1
+"""Headings are directions of motion over this time, where it leads so far [m]; else the one before holds."""
+FOOTPRINT_M, HEIGHT_M = 0.25, 0.5
+"""Radius and height of the cylinder that shows a robot without a model."""
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Track:
+    """Places of one agent at its own times."""
+
+    name: str
+    time_ns: NDArray[np.int64]
+    """Times [N], in any order."""
+    poses: Array
+    """pose7 in the world [N, 7], at the floor; the quaternion is NaN where only the place is known."""
+
+
+@dataclass
+class Import:
+    """Facts about an import, told in ``episode.info``."""
+
+    source: dict[str, Any]
+    """Format and name of the file."""
+    facts: dict[str, Any] = field(default_factory=dict)
+    """Rates, topics, gaps and counts."""
+    warnings: list[str] = field(default_factory=list)
+    goal: tuple[float, float] | None = None
+    """Goal of the robot (x, z) [m]."""
+
+
+def parse_goal(text: str) -> tuple[float, float]:
+    """Return the goal (x, z) in the world of a text ``x,y`` in the frame of the map [m].
+
+    Raises:
+        InputError: it is not two numbers.
+    """
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        x = y = np.nan
+    if not np.isfinite([x, y]).all():
+        raise InputError(f"--goal is x,y in metres of the map, such as 3.5,-2, got {text!r}.", code="H3-ROS-009")
+    return x, -y
+
+
+def clean_tracks(tracks: Sequence[Track], told: Import) -> list[Track]:
+    """Return the tracks in the order of their times, without unknown places, and cut where they jump.
+
+    Raises:
+        FormatError: most tracks jump, so that the unit or the rate must be wrong.
+    """
+    cleaned: list[Track] = []
+    unknown = twice = 0
+    jumping: list[str] = []
+    for track in tracks:
+        known = np.isfinite(track.poses[:, [0, 2]]).all(axis=1)
+        unknown += int((~known).sum())
+        times, first = np.unique(track.time_ns[known], return_index=True)
+        poses = track.poses[known][first]
+        twice += int(known.sum()) - len(times)
+        if not len(times):
+            continue
+        distance = np.linalg.norm(np.diff(poses[:, [0, 2]], axis=0), axis=1)
+        cuts = np.flatnonzero(distance > JUMP_M + JUMP_MPS * np.diff(times) * 1e-9) + 1
+        if len(cuts):
+            jumping.append(track.name)
+        bounds = [0, *cuts.tolist(), len(times)]
+        for number, (start, end) in enumerate(itertools.pairwise(bounds), 1):
+            name = track.name if number == 1 else f"{track.name}_{number}"
+            cleaned.append(Track(name=name, time_ns=times[start:end], poses=poses[start:end]))
+    if len(jumping) > max(TELEPORTING * len(tracks), 1) or len(cleaned) > 10 * len(tracks) + 10:
+        raise FormatError(
+            f"{len(jumping)} of {len(tracks)} tracks jump faster than {JUMP_MPS:g} m/s, {jumping[0]!r} first. Hint: say the "
+            "unit (--unit mm) or the rate of frames (--rate), or check whether ids are used twice.",
+            code="H3-ROS-010",
+        )
+    if jumping:
+        listed = ", ".join(jumping[:4]) + (", ..." if len(jumping) > 4 else "")
+        told.warnings.append(f"{len(jumping)} of {len(tracks)} tracks jump and become several agents: {listed}")
+    for count, what in (
+        (unknown, "places are unknown (no numbers, or no transform to the map) and left out"),
+        (twice, "places come twice and the later is left out"),
+    ):
+        if count:
+            told.warnings.append(f"{count} {what}")
+    return cleaned
+
+
+def rows_at(people: Sequence[Track], robot: Track | None, hz: float | None, told: Import) -> NDArray[np.int64]:
+    """Return the times of the rows [T]: with ``hz`` a fixed rate, else all at which people were observed.
+
+    Where nobody observed people for longer than `GAP_S`, rows are at times at which the robot was, no more often than
+    people are observed elsewhere. A gap in all tracks has one row without poses, so that nothing is joined across it.
+
+    Raises:
+        InputError: the rate is not sensible.
+        FormatError: there are no observations.
+    """
+    tracks = [*people, *([robot] if robot is not None else [])]
+    times = [track.time_ns for track in tracks if len(track.time_ns)]
+    if not times:
+        raise FormatError(
+            "There is no observation of anybody. Hint: check the topic or the columns.", code="H3-ROS-011"
+        )
+    if hz is not None:
+        if not 0.1 <= hz <= 1000:
+            raise InputError(f"--hz must be at least 0.1 and at most 1000, got {hz:g}.", code="H3-ROS-012")
+        start, end = min(int(t.min()) for t in times), max(int(t.max()) for t in times)
+        count = int((end - start) * 1e-9 * hz + 1e-6) + 1
+        if count > CELLS_MAX:
+            raise FormatError(
+                f"{hz:g} rows a second over {(end - start) * 1e-9:.0f} s are too many. Hint: take fewer, or check the stamps.",
+                code="H3-ROS-013",
+            )
+        told.facts |= {"rows": "fixed rate", "rate_hz": hz}
+        return start + np.round(np.arange(count) * (1e9 / hz)).astype(np.int64)
+    observed = [track.time_ns for track in people if len(track.time_ns)] or times
+    rows = np.unique(np.concatenate(observed))
+    period = int(np.median(np.diff(rows))) if len(rows) > 1 else int(GAP_S * 1e9)
+    gap = max(int(GAP_S * 1e9), 3 * period)
+    if robot is not None and len(robot.time_ns):
+        lonely = robot.time_ns[
+            np.diff(rows, prepend=rows[:1], append=rows[-1:])[np.searchsorted(rows, robot.time_ns)] > gap
+        ]
+        outside = robot.time_ns[(robot.time_ns < rows[0] - gap) | (robot.time_ns > rows[-1] + gap)]
+        more = np.unique(np.concatenate([lonely, outside]))
+        if len(more):
+            slot = (more - rows[0]) // period
+            more = more[np.unique(slot, return_index=True)[1]]
+            rows = np.unique(np.concatenate([rows, more]))
+    wide = np.flatnonzero(np.diff(rows) > gap)
+    told.facts |= {"rows": "times of observations", "rate_hz": round(1e9 / period, 3), "gaps": len(wide)}
+    middles = rows[wide] + (rows[wide + 1] - rows[wide]) // 2
+    return np.sort(np.concatenate([rows, middles]))
+
+
+def record_tracks(
+    people: Sequence[Track], robot: Track | None, told: Import, *, scene: Scene | None, hz: float | None, task: str
+) -> Recording:
+    """Return the recording of tracks: the robot first, then the people in the order of their first observation.
+
+    Columns ``agent_<i>.recorded`` hold whether a row's pose was observed, and not interpolated. Postures of people are
+    synthesized from their paths (`h3data.bodies.walk_synthesis`), headings that nobody observed are those of motion.
+
+    Raises:
+        InputError: ``hz`` is not sensible.
+        FormatError: there is nothing to record, most tracks jump, or they are too long for one recording.
+    """
+    seen = clean_tracks([*people, *([robot] if robot is not None else [])], told)
+    own = [track for track in seen if robot is not None and (track.name == robot.name)]
+    moving = own[0] if own else None
+    if robot is not None and moving is None:
+        raise FormatError(f"The robot {robot.name!r} has no known place.", code="H3-ROS-014")
+    walking = sorted((track for track in seen if track is not moving), key=lambda track: int(track.time_ns[0]))
+    rows = rows_at(walking, moving, hz, told)
+    if len(rows) * (len(walking) + 1) > CELLS_MAX:
+        raise FormatError(
+            f"{len(rows)} rows of {len(walking)} people are too many for one recording. Hint: cut the file into parts of some "
+            "minutes, or take fewer rows with --hz.",
+            code="H3-ROS-015",
+        )
+    offset = _offset([*walking, *([moving] if moving is not None else [])])
+    columns: dict[str, Any] = {"time_ns": rows - rows[0]}
+    agents: list[Agent] = []
+    synthesised: dict[str, list[str]] = {}
+    bodies, assets = _shown(scene)
+    if moving is not None:
+        base, recorded, made_up = _base(moving, rows, offset)
+        columns |= {"agent_0.base_pose": base, "agent_0.recorded": recorded}
+        columns["object_pose"] = (base + np.array([0, HEIGHT_M / 2, 0, 0, 0, 0, 0], np.float32))[:, None]
+        first = base[np.argmax(np.isfinite(base).all(axis=1))]
+        size = np.array([FOOTPRINT_M, HEIGHT_M / 2, FOOTPRINT_M], np.float32)
+        assets.append(AssetRef(name="robot", uri="primitive:cylinderSolid", color=(90, 110, 140)))
+        bodies.append(Body(name="robot", asset="robot", pose=first, scale=size, semantic_id=200, moving=0, agent=0))
+        agents.append(Agent(name=moving.name, kind="robot", semantic_id=200))
+        synthesised[moving.name] = ["shape", *(["heading"] if made_up else [])]
+    human = load_humanoid(SYNTHETIC_BODY)
+    for track in walking:
+        number = len(agents)
+        base, recorded, made_up = _base(track, rows, offset)
+        mine = {"base_pose": base, "recorded": recorded, **walk_columns(human, base, columns["time_ns"])}
+        columns |= {f"agent_{number}.{name}": values for name, values in mine.items()}
+        model = f"humanoid/{SYNTHETIC_BODY}"
+        agents.append(
+            Agent(name=track.name, kind="human", model=model, semantic_id=100, motion_names=tuple(human.motion_names))
+        )
+        synthesised[track.name] = ["posture", *(["heading"] if made_up else [])]
+    if moving is not None and walking:
+        nearest = np.full(len(rows), np.inf, np.float32)
+        for number in range(1, len(agents)):
+            gap = columns[f"agent_{number}.base_pose"][:, [0, 2]] - columns["agent_0.base_pose"][:, [0, 2]]
+            nearest = np.fmin(nearest, np.linalg.norm(gap, axis=1))
+        columns["metrics.dist_agents"] = np.where(np.isfinite(nearest), nearest, np.nan).astype(np.float32)
+    people_said = "people" if len(walking) <= 8 else f"{len(walking)} people"
+    told.facts |= {"people": len(walking), "start_ns": int(rows[0])}
+    told.facts |= {"offset_m": offset.tolist()} if offset.any() else {}
+    info: dict[str, Any] = {
+        "source": told.source,
+        "imported": told.facts,
+        "synthesised": synthesised if len(walking) <= 8 else {people_said: ["posture"]},
+        "warnings": told.warnings,
+        "t0_unix_ns": int(rows[0]),
+    }
+    if told.goal is not None:
+        info["goal"] = [float(told.goal[0] - offset[0]), float(told.goal[1] - offset[2])]
+    name = Path(str(told.source.get("file", task))).stem
+    return Recording(
+        episode=Episode(
+            uid=str(uuid.uuid5(uuid.NAMESPACE_URL, f"{told.source}{rows[0]}{len(rows)}")),
+            episode_id=name,
+            task=task,
+            scene=scene.name if scene is not None else "",
+            dt_ns=int(np.median(np.diff(rows))) if len(rows) > 1 else 100_000_000,
+            created_by="h3data",
+            info=info,
+        ),
+        assets=tuple(assets),
+        bodies=tuple(bodies),
+        agents=tuple(agents),
+        columns=columns,
+        attachments={} if scene is None else {"scene.glb": scene_bytes(scene)},
+    )
+
+
+def _base(track: Track, rows: NDArray[np.int64], offset: Array) -> tuple[NDArray[np.float32], NDArray[np.bool_], bool]:
+    """The poses [T, 7] and which are observed [T], and whether the headings are those of motion."""
+    poses, made_up = track.poses, False
+    if not np.isfinite(poses[:, 3:]).all():
+        poses = ground_pose(poses[:, [0, 2]], headings_of_motion(track.time_ns, poses[:, [0, 2]]), 0.0).astype(
+            np.float64
+        )
+        poses[:, 1], made_up = track.poses[:, 1], True
+    base = at_times(track.time_ns, poses, rows, int(GAP_S * 1e9))
+    base[:, :3] -= offset
+    return base.astype(np.float32), np.isin(rows, track.time_ns), made_up
+
+
+def headings_of_motion(time_ns: NDArray[np.int64], xz: Array) -> Array:
+    """Return headings [N] [rad] of a path [N, 2]: its direction over `HEADING_S`, that before where it stands still."""
+    seconds = (time_ns - time_ns[0]) * 1e-9
+    reach = max(HEADING_S / 2, float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0)
+    ends = [
+        np.stack(
+            [np.interp(np.clip(seconds + s * reach, seconds[0], seconds[-1]), seconds, xz[:, k]) for k in (0, 1)], 1
+        )
+        for s in (1, -1)
+    ]
+    step = ends[0] - ends[1]
+    moves = np.hypot(step[:, 0], step[:, 1]) > HEADING_M
+    if not moves.any():
+        return np.zeros(len(xz))
+    last = np.maximum.accumulate(np.where(moves, np.arange(len(xz)), -1))
+    last[last < 0] = int(np.argmax(moves))
+    return np.arctan2(-step[last, 1], step[last, 0])
+
+
+def on_floor(poses: Array) -> Array:
+    """Return upright poses [N, 7] at height 0 with the places and headings of others."""
+    return ground_pose(poses[:, [0, 2]], heading_from_quat(poses[:, 3:]).reshape(-1), 0.0).astype(np.float64)
+
+
+def _offset(tracks: Sequence[Track]) -> Array:
+    """Whole metres by which the world is moved, so that float32 tells millimetres."""
+    places = np.concatenate([track.poses[:, :3] for track in tracks])
+    middle = np.median(places[:, [0, 2]], axis=0)
+    if np.abs(middle).max() < FAR_M:
+        return np.zeros(3)
+    return np.array([np.round(middle[0]), 0.0, np.round(middle[1])])
+
+
+def _shown(scene: Scene | None) -> tuple[list[Body], list[AssetRef]]:
+    if scene is None:
+        return [], []
+    assets = [AssetRef(name=name, uri=f"scene:{name}") for name in scene.assets]
+    bodies = [
+        Body(
+            name=one.name,
+            asset=one.asset,
+            pose=one.pose.astype(np.float32),
+            scale=one.scale.astype(np.float32),
+            layer=one.layer,
+        )
+        for one in scene.instances
+    ]
+    return bodies, assets

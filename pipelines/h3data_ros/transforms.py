@@ -1,0 +1,133 @@
+"""Trees of frames over time, as messages of tf2 tell them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.geometry import pose_inverse, pose_multiply, quat_nlerp
+
+IDENTITY = np.array([0, 0, 0, 0, 0, 0, 1.0])
+
+
+@dataclass
+class _Edge:
+    parent: str
+    times: list[int] = field(default_factory=list)
+    poses: list[tuple[float, ...]] = field(default_factory=list)
+    still: bool = False
+    arrays: tuple[NDArray[np.int64], NDArray[np.float64]] | None = None
+
+    def sorted(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Times [N], all different, and poses [N, 7]."""
+        if self.arrays is None:
+            times, first = np.unique(np.array(self.times, np.int64), return_index=True)
+            poses = np.array(self.poses, np.float64).reshape(-1, 7)[first]
+            known = np.isfinite(poses).all(axis=1)
+            self.arrays = times[known], poses[known]
+        return self.arrays
+
+
+class TransformTree:
+    """Frames that hang in each other, each at the poses that it was told to have."""
+
+    def __init__(self) -> None:
+        self._edges: dict[str, _Edge] = {}
+
+    def __contains__(self, frame: str) -> bool:
+        return frame in self._edges or any(edge.parent == frame for edge in self._edges.values())
+
+    def add(self, parent: str, child: str, time_ns: int, pose: tuple[float, ...], *, still: bool = False) -> None:
+        """Add the pose [7] of a frame in its parent at a time; ``still`` ones hold for ever."""
+        edge = self._edges.get(child)
+        if edge is None or edge.parent != parent:
+            edge = self._edges[child] = _Edge(parent)
+        edge.times.append(time_ns)
+        edge.poses.append(pose)
+        edge.still, edge.arrays = still, None
+
+    def times_of(self, frame: str, root: str) -> NDArray[np.int64]:
+        """Return the stamps [N] of the transform between ``root`` and ``frame`` that is told most often."""
+        most = np.zeros(0, np.int64)
+        for child in (*self._chain(frame), *self._chain(root)):
+            edge = self._edges.get(child)
+            if edge is not None and not edge.still and len(edge.times) > len(most):
+                most = edge.sorted()[0]
+        return most
+
+    def connected(self, frame: str, root: str) -> bool:
+        """Return whether two frames hang in the same tree."""
+        return self._chain(frame)[-1] == self._chain(root)[-1]
+
+    def poses(self, frame: str, root: str, times: NDArray[np.int64], gap_ns: int) -> NDArray[np.float64]:
+        """Return the poses [T, 7] of ``frame`` in ``root`` at times [T]; both must be connected.
+
+        Between stamps poses are interpolated. The transform that is told most often must have stamps no farther apart than
+        ``gap_ns``, else the pose is NaN; slower ones, as corrections of a localization, are interpolated over any time and
+        hold before their first and after their last stamp.
+        """
+        ours, theirs = self._chain(frame), self._chain(root)
+        while ours and theirs and ours[-1] == theirs[-1]:
+            ours.pop()
+            theirs.pop()
+        counts = [len(self._edges[child].times) for child in (*ours, *theirs) if not self._edges[child].still]
+        fastest = max(counts, default=0)
+        up = self._composed(ours, times, gap_ns, fastest)
+        down = self._composed(theirs, times, gap_ns, fastest)
+        if down is None:
+            return np.tile(IDENTITY, (len(times), 1)) if up is None else up
+        return pose_inverse(down) if up is None else pose_multiply(pose_inverse(down), up)
+
+    def _chain(self, frame: str) -> list[str]:
+        """The frame and those that it hangs in, the root last."""
+        chain = [frame]
+        while chain[-1] in self._edges and self._edges[chain[-1]].parent not in chain:
+            chain.append(self._edges[chain[-1]].parent)
+        return chain
+
+    def _composed(
+        self, children: list[str], times: NDArray[np.int64], gap_ns: int, fastest: int
+    ) -> NDArray[np.float64] | None:
+        total = None
+        for child in reversed(children):
+            edge = self._edges[child]
+            stamps, poses = edge.sorted()
+            if not len(stamps):
+                return np.full((len(times), 7), np.nan)
+            if edge.still:
+                if np.array_equal(poses[-1], IDENTITY):
+                    continue  # exact: nothing is multiplied
+                here = np.tile(poses[-1], (len(times), 1))
+            else:
+                here = at_times(stamps, poses, times, gap_ns if len(edge.times) >= fastest else None)
+            total = here if total is None else pose_multiply(total, here)
+        return total
+
+
+def at_times(
+    stamps: NDArray[np.int64], poses: NDArray[np.float64], times: NDArray[np.int64], gap_ns: int | None
+) -> NDArray[np.float64]:
+    """Return poses [T, 7] at times [T] from poses [N, 7] at stamps [N], which increase.
+
+    At a stamp the pose is exactly the one given. Between stamps up to ``gap_ns`` apart it is interpolated, elsewhere NaN.
+    Without a gap every time has a pose, before the first and after the last stamp that of the nearest.
+    """
+    after = np.clip(np.searchsorted(stamps, times), 0, len(stamps) - 1)
+    exact = stamps[after] == times
+    before = np.where(exact, after, np.maximum(after - 1, 0))
+    inside = (times >= stamps[0]) & (times <= stamps[-1])
+    span = stamps[after] - stamps[before]
+    share = np.clip((times - stamps[before]) / np.maximum(span, 1), 0.0, 1.0)[:, None]
+    found = poses[after].copy()
+    between = ~exact & inside
+    a, b, w = poses[before[between]], poses[after[between]], share[between]
+    found[between, :3] = a[:, :3] + w * (b[:, :3] - a[:, :3])
+    if between.any():
+        found[between, 3:] = quat_nlerp(a[:, 3:], b[:, 3:], w[:, 0])
+    if gap_ns is None:
+        found[times > stamps[-1]] = poses[-1]
+    else:
+        found[~exact & (~inside | (span > gap_ns))] = np.nan
+    return found

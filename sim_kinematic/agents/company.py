@@ -1,0 +1,39 @@
+"""Protocol of the agents of one world as one of them sees them: `sim_kinematic.agents.giving_way.GivingWay`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from h3data.geometry import Array
+
+
+class Company(Protocol):
+    """Agents of one world, by number."""
+
+    agreed: bool
+    """All step aside for each other when they are asked."""
+    solid: bool
+    """People who are driven from outside slide along the discs of the others."""
+    actors: Sequence[Any]
+    bodies: list[Any]
+
+    def meets(self, me: Any) -> bool:
+        """Returns whether an agent touches another that it avoids and did not touch before."""
+        ...
+
+    def comes_too_near(self, me: Any) -> bool:
+        """Returns whether a person has come nearer to the discs of others than they may in this step."""
+        ...
+
+    def discs_of(self, number: int) -> Array:
+        """Discs ``(x, z, radius)`` [N, 3] of an agent."""
+        ...
+
+    def discs_beside(self, number: int) -> Array:
+        """Discs ``(x, z, radius)`` [N, 3] of everybody but one agent."""
+        ...
+
+    def frames(self) -> list[Array]:
+        """Frames of the agents: of robots' links [1, L, 4, 4], of people's joints [1, 55, 4, 4]."""
+        ...

@@ -1,0 +1,260 @@
+"""Agents of one world who heed each other: what they see of each other, who makes way for whom, who touches.
+
+They move one after the other. Agents with skills and those who wander (`sim_kinematic.policies.traffic`) use it alike.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Robot
+from h3data.geometry import Array
+from sim_kinematic.agents.person_skills import PersonActor
+from sim_kinematic.agents.robots.skills import RobotActor
+from sim_kinematic.agents.roster import AgentSpec
+from sim_kinematic.avoidance.right_of_way import RightOfWay
+from sim_kinematic.avoidance.spec import AVOIDANCE
+from sim_kinematic.avoidance.yielding import ObservedAgent
+from sim_kinematic.contact import AgentContacts
+from sim_kinematic.contact.body_capsules import PersonCapsules, RobotCapsules, may_touch
+from sim_kinematic.contact.clearance import robot_span
+from sim_kinematic.contact.frames import body_shapes, shape_frames
+from sim_kinematic.motion.spec import STEP_S
+from sim_kinematic.motion.step import APART_TOLERANCE_M, discs_at
+
+AnyActor = RobotActor | PersonActor
+TRACK_ROWS = 1024
+"""Rows that a track begins with; episodes of 750 steps never need more."""
+
+
+class GivingWay:
+    """All actors of one world, where they have been, which of them touch, and who steps aside for whom."""
+
+    def __init__(
+        self,
+        roster: Sequence[AgentSpec],
+        actors: Sequence[AnyActor],
+        right_of_way: RightOfWay | None = None,
+        *,
+        agreed: bool = False,
+        people_see_robot: bool = False,
+        person_radius_m: float = 0.0,
+        solid: bool = False,
+    ) -> None:
+        """Introduces actors to each other: from now on each of them has this as its ``company``.
+
+        Args:
+            roster: agents of the world.
+            actors: the same agents, by number.
+            right_of_way: sends agents aside; None: nobody is asked to.
+            agreed: whether all agents step aside for each other when they are asked.
+            people_see_robot: whether a person with one robot avoids it.
+            person_radius_m: radius of a person's disc.
+            solid: whether people who are driven from outside slide along the discs of the others.
+        """
+        self.actors, self.right_of_way, self.agreed, self.solid = actors, right_of_way, agreed, solid
+        self._people_see_robot, self._person_radius_m = people_see_robot, person_radius_m
+        for actor in actors:
+            actor.company = self
+        self.touching: list[tuple[int, int]] = []
+        """Pairs of agents that touched at the end of the last step."""
+        self._moments = 1
+        self._places = np.empty((len(actors), TRACK_ROWS, 2))
+        """One track for each agent, of which the first `_moments` rows are filled."""
+        for track, actor in zip(self._places, actors, strict=True):
+            track[0] = actor.xz
+        self._avoided = [[other for other in actors if self.avoids(me, other)] for me in actors]
+        self.bodies = [agent.body for agent in roster]
+        self._capsules = [
+            RobotCapsules(body) if isinstance(body, Robot) else PersonCapsules(body) for body in self.bodies
+        ]
+        longer = [robot_span(body) - AVOIDANCE.contact_span_m if isinstance(body, Robot) else 0 for body in self.bodies]
+        self._reach_m = [AVOIDANCE.contact_gate_m / 2 + max(extra, 0.0) for extra in longer]
+        self._posed: set[int] = set()
+        self._gated: set[int] = set()
+        self._acted: set[int] = set()
+        """Agents that have acted in this step."""
+        self._settled: set[int] = set()
+
+    @cached_property
+    def _contacts(self) -> AgentContacts:
+        """FCL's shapes; in most episodes nobody comes so near that they are needed."""
+        return AgentContacts(*(body_shapes(body) for body in self.bodies))
+
+    def track(self, number: int) -> NDArray[np.float64]:
+        """Returns where an agent was at the start and at the end of every step, [T + 1, 2]; a view."""
+        return self._places[number, : self._moments]
+
+    def nearest(self, number: int) -> int:
+        """Returns the agent nearest to another, -1 if it is alone."""
+        others = [actor for actor in self.actors if actor.number != number]
+        if len(others) < 2:
+            return others[0].number if others else -1
+        me = self.actors[number]
+        return min(others, key=lambda other: float(np.hypot(*(other.xz - me.xz)))).number
+
+    def avoids(self, me: AnyActor, other: AnyActor) -> bool:
+        """Returns whether an agent avoids another: all do, but a person with one robot where the rules are Habitat's."""
+        alone = (
+            len(self.actors) == 2
+            and not self._people_see_robot
+            and isinstance(me, PersonActor)
+            and isinstance(other, RobotActor)
+        )
+        return other is not me and not alone
+
+    def begin_step(self, carrying: Sequence[int] = ()) -> None:
+        """Decides who steps aside in the step that begins; ``carrying`` are the numbers of those that hold something."""
+        if self.right_of_way is not None:
+            self.right_of_way.update(carrying)
+
+    def begin_turn(self, me: AnyActor) -> None:
+        """Shows an agent the others before it moves: where they are and how they move."""
+        seen, me.hindered_by = [], frozenset()
+        for other in self._avoided[me.number]:
+            track = self.track(other.number)
+            moved = other.number in self._acted
+            now = other.xz.copy() if moved else track[-1]
+            first = max(len(track) - AVOIDANCE.velocity_steps - (not moved), 0)
+            steps = len(track) - first - (not moved)
+            velocity = (now - track[first]) / (STEP_S * max(steps, 1))
+            steps_aside = self.agreed and other.yields and other.path_start is None
+            settled = other.number in self._settled
+            seen.append(
+                ObservedAgent(
+                    other.number, now, velocity, settled, other.is_robot, other.heading, steps_aside, other.footprint
+                )
+            )
+        if len(seen) > 1:
+            seen.sort(key=lambda other: float(np.hypot(*(other.xz - me.xz))))
+        me.others = tuple(seen)
+
+    def end_turn(self, number: int) -> None:
+        """Notes that an agent has acted and is somewhere else."""
+        self._acted.add(number)
+        self._forget_posture(number)
+
+    def _forget_posture(self, number: int) -> None:
+        self._posed.discard(number)
+        self._gated.discard(number)
+
+    def meets(self, me: AnyActor) -> bool:
+        """Returns whether an agent in its present posture touches another that it avoids and did not touch before."""
+        near = [
+            other
+            for other in self._avoided[me.number]
+            if self._is_near(me, other)
+            and (min(me.number, other.number), max(me.number, other.number)) not in self.touching
+        ]
+        if not near:
+            return False
+        self._forget_posture(me.number)
+        met = [other.number for other in near if self._touch(*sorted((me.number, other.number)))]
+        self._forget_posture(me.number)
+        me.hindered_by |= frozenset(met)
+        return bool(met)
+
+    def discs_of(self, number: int) -> NDArray[np.float64]:
+        """Discs ``(x, z, radius)`` [N, 3] of an agent, as it is now; of a robot those of its empty hand."""
+        actor, offsets, radius = self.actors[number], (0.0,), self._person_radius_m
+        if isinstance(actor, RobotActor):
+            offsets, radius = actor.empty_base.disc_offsets_m, actor.empty_base.disc_radius_m
+        return discs_at(actor.xz[None], np.array([actor.heading]), offsets, radius)[0]
+
+    def discs_beside(self, number: int) -> NDArray[np.float64]:
+        """Discs ``(x, z, radius)`` [N, 3] of everybody but one agent, as they are now."""
+        discs = [self.discs_of(other.number) for other in self.actors if other.number != number]
+        return np.concatenate([np.zeros((0, 3)), *discs])
+
+    def comes_too_near(self, me: AnyActor) -> bool:
+        """Returns whether a person has come nearer to the discs of others than they may in this step."""
+        discs, was = self.discs_beside(me.number), self.track(me.number)[-1]
+        least = np.minimum(self._person_radius_m + discs[:, 2], np.hypot(*(discs[:, :2] - was).T))
+        return bool((np.hypot(*(discs[:, :2] - me.xz).T) < least - APART_TOLERANCE_M).any())
+
+    def frames(self) -> list[Array]:
+        """Frames of the agents as they are now: of robots' links [1, L, 4, 4], of people's joints [1, 55, 4, 4]."""
+        return [
+            actor.robot.link_matrices(actor.pose[None], actor.joints[None])
+            if isinstance(actor, RobotActor)
+            else actor.person.joint_matrices[None]
+            for actor in self.actors
+        ]
+
+    def end_step(self) -> None:
+        """Notes where all agents are after a step, and which of them touch."""
+        if self._moments == self._places.shape[1]:
+            self._places = np.concatenate([self._places, np.empty_like(self._places)], axis=1)
+        self._moments += 1
+        self._acted.clear()
+        for actor in self.actors:
+            track = self.track(actor.number)
+            track[-1] = actor.xz
+            (self._settled.add if _stays(track) else self._settled.discard)(actor.number)
+        pairs = combinations(self.actors, 2)
+        self.touching = [
+            (a.number, b.number) for a, b in pairs if self._is_near(a, b) and self._touch(a.number, b.number)
+        ]
+
+    def _is_near(self, a: AnyActor, b: AnyActor) -> bool:
+        """Returns whether two agents could touch with their arms stretched out."""
+        (ax, az), (bx, bz) = a.xz.tolist(), b.xz.tolist()
+        return math.hypot(ax - bx, az - bz) <= self._reach_m[a.number] + self._reach_m[b.number]
+
+    def _touch(self, a: int, b: int) -> bool:
+        """Returns whether two agents touch as they are now."""
+        self._gate(self.actors[a])
+        self._gate(self.actors[b])
+        if not may_touch(self._capsules[a], self._capsules[b]):
+            return False
+        self._pose(self.actors[a])
+        self._pose(self.actors[b])
+        return self._contacts.collides(a, b)
+
+    def _gate(self, actor: AnyActor) -> None:
+        """Moves the capsules around an agent to its present pose."""
+        if actor.number in self._gated:
+            return
+        capsules = self._capsules[actor.number]
+        if isinstance(capsules, RobotCapsules):
+            assert isinstance(actor, RobotActor)
+            capsules.pose(actor.pose, actor.joints)
+        else:
+            assert isinstance(actor, PersonActor)
+            capsules.pose(actor.person.base, actor.person.quats, actor.person.pelvis)
+        self._gated.add(actor.number)
+
+    def _pose(self, actor: AnyActor) -> None:
+        """Brings an agent's shapes to where recordings, which are float32, put them."""
+        if actor.number in self._posed:
+            return
+        body = self.bodies[actor.number]
+        if isinstance(actor, RobotActor):
+            posed = actor.robot.link_matrices(_stored(actor.pose)[None], _stored(actor.joints)[None])
+        else:
+            frame = actor.person.frame()
+            posed = actor.person.body.joint_matrices_free(_stored(frame.root)[None], _stored(frame.joints)[None])
+        self._contacts.update(actor.number, shape_frames(body, posed)[0])
+        self._posed.add(actor.number)
+
+
+def _stays(track: Array) -> bool:
+    """Returns whether an agent with these places [T, 2] has been standing for long."""
+    count = AVOIDANCE.still_steps
+    if len(track) < count:
+        return False
+    (x, z), (was_x, was_z) = track[-1].tolist(), track[-count].tolist()
+    if abs(x - was_x) >= AVOIDANCE.still_m or abs(z - was_z) >= AVOIDANCE.still_m:
+        return False  # the ends of the interval tell, mostly: the rest of it costs ten times as much
+    return float(np.ptp(track[-count:], axis=0).max()) < AVOIDANCE.still_m
+
+
+def _stored(values: Array) -> NDArray[np.float64]:
+    """Returns values as read back from float32."""
+    return values.astype(np.float32).astype(np.float64)

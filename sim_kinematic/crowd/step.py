@@ -1,0 +1,406 @@
+"""One step of all people of a crowd: what each decides, and how far their bodies follow.
+
+People walk in the direction of view and a little sideways, and set off, brake and turn no faster than `StrideSpec` says, so
+that the feet that the walk draws stay planted. Whatever they decide, nobody's radius gets into another one's.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from h3data.kernels import kernel
+from h3data.scene.freespace.free_space import sample_sdf, sdf_gradient
+from sim_kinematic.crowd.orca import half_plane, nearest_velocity
+from sim_kinematic.crowd.social_force import interaction
+from sim_kinematic.motion.step import wrap_angle
+from sim_kinematic.motion.stride import point_along, progress_along, slide_along_walls
+
+WALL_M = 0.25
+"""Radius with which people keep clear of walls and furniture, beside which their arms fold."""
+SIGHT_M = 0.05
+"""Something nearer to the line between two people than this hides them from each other."""
+CREEP_MPS = 0.25
+"""At this speed people step in any direction, whatever they look at."""
+AHEAD_M = 0.1
+"""Narrow places are sought along the path in steps of this length."""
+PROGRESS_M = 0.25
+"""Who has got on along the path by this much is not stuck."""
+SLIDES = 3
+"""Attempts to go past others whom a step would touch."""
+STRIDE_M, STRIDE_MPS = 0.2, 0.1
+"""Feet and hands of people who walk faster than this reach so much farther ahead and behind than sideways."""
+BACK_M = 1.5
+"""Distance that people in a narrow place go back along their path to let others through."""
+
+
+@kernel(error_model="numpy")
+def sees(sdf, origin, cell, ax, az, bx, bz):
+    """Returns whether the straight line between two places is free of walls and furniture."""
+    length = math.hypot(bx - ax, bz - az)
+    at = 0.0
+    while at < length:
+        share = at / length
+        clear = sample_sdf(sdf, origin, cell, ax + share * (bx - ax), az + share * (bz - az))
+        if clear < SIGHT_M:
+            return False
+        at += max(clear, 0.05)
+    return True
+
+
+@kernel(error_model="numpy")
+def reach_between(m, j, px, pz, radii, body):
+    """Least distance [m] between person ``m`` and disc ``j`` at ``(px, pz)`` from them.
+
+    It is the sum of both radii, and more along the line in which somebody walks.
+    """
+    reach, line = radii[m] + radii[j], math.atan2(-pz, px)
+    for k in (m, j):
+        if k < len(body) and body[k, 2] > STRIDE_MPS:
+            reach += STRIDE_M * math.cos(body[k, 0] - line) ** 2
+    return reach
+
+
+@kernel(error_model="numpy")
+def find_narrow(sdf, origin, cell, path, cumulative, along, narrow, within):
+    """Distance along the path [m] of the first narrow place from ``along`` on, -1 if there is none ``within`` [m]."""
+    at = along
+    while at <= min(along + within, cumulative[-1]):
+        x, z = point_along(path, cumulative, at)
+        if sample_sdf(sdf, origin, cell, x, z) < narrow:
+            return at
+        at += AHEAD_M
+    return -1.0
+
+
+@kernel(error_model="numpy")
+def claim_passages(sdf, origin, cell, xz, paths, counts, lengths, along, claims, step, rules):
+    """Notes in ``claims`` [M, 6] who is in or before a narrow place, in place.
+
+    A row holds the step in which the person came there (0: nowhere), the place (x, z) where it begins for them, the direction
+    in which they pass it, and whether they are in it.
+    """
+    narrow, wait = rules[5], rules[6]
+    for m in range(len(xz)):
+        path, cumulative = paths[m, : counts[m]], lengths[m, : counts[m]]
+        inside = sample_sdf(sdf, origin, cell, xz[m, 0], xz[m, 1]) < narrow
+        at = along[m] if inside else find_narrow(sdf, origin, cell, path, cumulative, along[m], narrow, wait)
+        if at < 0.0 or counts[m] < 2:
+            claims[m, 0] = 0.0
+            continue
+        ax, az = point_along(path, cumulative, at)
+        bx, bz = point_along(path, cumulative, at + 0.4)
+        length = max(math.hypot(bx - ax, bz - az), 1e-9)
+        if claims[m, 0] == 0.0:
+            claims[m, 0] = step + 1.0
+        claims[m, 1], claims[m, 2] = ax, az
+        claims[m, 3], claims[m, 4] = (bx - ax) / length, (bz - az) / length
+        claims[m, 5] = 1.0 if inside else 0.0
+
+
+@kernel(error_model="numpy")
+def first_through(claims, m, wait):
+    """Number of the person who passes a narrow place before person ``m`` in the opposite direction; -1: nobody does."""
+    if claims[m, 0] == 0.0:
+        return -1
+    for j in range(len(claims)):
+        if j == m or claims[j, 0] == 0.0:
+            continue
+        opposite = claims[m, 3] * claims[j, 3] + claims[m, 4] * claims[j, 4] < -0.3
+        near = math.hypot(claims[m, 1] - claims[j, 1], claims[m, 2] - claims[j, 2]) < wait + 0.4
+        earlier = claims[j, 0] < claims[m, 0] or (claims[j, 0] == claims[m, 0] and j < m)
+        # who is in the passage goes on before anybody who is still outside
+        if claims[j, 5] != claims[m, 5]:
+            earlier = claims[j, 5] > 0.0
+        if opposite and near and earlier:
+            return j
+    return -1
+
+
+@kernel(error_model="numpy")
+def wanted_velocity(sdf, origin, cell, x, z, path, cumulative, along, speed, decel):
+    """Velocity (x, z) [m/s] towards a point ahead on the path, slower before its end."""
+    room = sample_sdf(sdf, origin, cell, x, z) - WALL_M
+    ahead = min(0.3 + max(room, 0.0), 0.9)
+    tx, tz = point_along(path, cumulative, min(along + ahead, cumulative[-1]))
+    distance = math.hypot(tx - x, tz - z)
+    if distance < 1e-6:
+        return 0.0, 0.0
+    left = max(cumulative[-1] - along, distance)
+    speed = min(speed, math.sqrt(2.0 * decel * left))
+    return (tx - x) / distance * speed, (tz - z) / distance * speed
+
+
+@kernel(error_model="numpy")
+def yield_velocity(sdf, origin, cell, x, z, path, cumulative, along, theirs, their_lengths, their_along, inside, rules):
+    """Velocity (x, z) [m/s] of somebody who lets another one through: off the other's path, or back out of the passage."""
+    if inside:
+        tx, tz = point_along(path, cumulative, max(along - BACK_M, 0.0))
+        distance = math.hypot(tx - x, tz - z)
+        return (0.0, 0.0) if distance < 0.1 else ((tx - x) / distance * 0.8, (tz - z) / distance * 0.8)
+    nearest, ax, az = rules[7], 0.0, 0.0
+    for k in range(30):
+        px, pz = point_along(theirs, their_lengths, min(their_along + k * AHEAD_M, their_lengths[-1]))
+        distance = math.hypot(x - px, z - pz)
+        if distance < nearest:
+            nearest, ax, az = distance, x - px, z - pz
+    if nearest >= rules[7]:
+        return 0.0, 0.0
+    gx, gz = sdf_gradient(sdf, origin, cell, x, z)
+    if nearest < 1e-3:
+        ax, az = gx, gz
+    if sample_sdf(sdf, origin, cell, x, z) < 0.4:  # not into the wall, but along it
+        ax, az = ax + 0.5 * gx, az + 0.5 * gz
+    length = max(math.hypot(ax, az), 1e-9)
+    return ax / length * 0.6, az / length * 0.6
+
+
+@kernel(error_model="numpy")
+def choose_velocity(sdf, origin, cell, m, places, velocities, radii, body, wx, wz, traits, forces, rules):
+    """Chosen velocity (x, z) [m/s] of person ``m`` who wants ``(wx, wz)``.
+
+    Args:
+        sdf: Signed distances of the floor's grid [m].
+        origin: Position of the grid.
+        cell: Size of its cells [m].
+        m: Number of the person within the crowd.
+        places: Positions of all agents' discs (x, z) [N, 2] [m]; the first are those of the crowd's people.
+        velocities: Their velocities [N, 2] [m/s].
+        radii: Their radii [N] [m].
+        body: Motion of the crowd's people (`follow`) [M, 4].
+        wx: Wanted velocity [m/s].
+        wz: The same along z.
+        traits: `Traits` of the crowd's people [M, 6].
+        forces: True for social force, False for reciprocal avoidance.
+        rules: `CrowdSpec.numbers`.
+    """
+    x, z, tau, side = places[m, 0], places[m, 1], traits[m, 1], traits[m, 4]
+    vx, vz = velocities[m, 0], velocities[m, 1]
+    near = np.empty(len(places), np.intp)
+    count, wanted = 0, math.hypot(wx, wz)
+    keeps_side = False
+    for j in range(len(places)):
+        if j == m:
+            continue
+        px, pz = places[j, 0] - x, places[j, 1] - z
+        distance = math.hypot(px, pz)
+        if distance > rules[3] or not sees(sdf, origin, cell, x, z, places[j, 0], places[j, 1]):
+            continue
+        near[count] = j
+        count += 1
+        ahead = wx * px + wz * pz > 0.8 * wanted * distance
+        if (
+            wanted > 0.1
+            and distance < rules[8]
+            and ahead
+            and velocities[j, 0] * wx + velocities[j, 1] * wz < 0.1 * wanted
+        ):
+            keeps_side = True
+    if keeps_side:  # to the right is (-z, x) of a direction (x, z), with y up
+        angle = side * rules[9]
+        wx, wz = wx * math.cos(angle) - wz * math.sin(angle), wz * math.cos(angle) + wx * math.sin(angle)
+    clear = sample_sdf(sdf, origin, cell, x, z)
+    gx, gz = sdf_gradient(sdf, origin, cell, x, z)
+    steep = max(math.hypot(gx, gz), 1e-9)
+    gx, gz = gx / steep, gz / steep
+    horizon, most = rules[0], max(traits[m, 0], 1e-3)
+    if forces:
+        ax, az = rules[10] * (wx - vx) / tau, rules[10] * (wz - vz) / tau
+        for k in range(count):
+            j = near[k]
+            fx, fz = interaction(
+                places[j, 0] - x,
+                places[j, 1] - z,
+                vx - velocities[j, 0],
+                vz - velocities[j, 1],
+                rules[14],
+                rules[15],
+                rules[16],
+                rules[17],
+            )
+            ax, az = ax + rules[11] * fx, az + rules[11] * fz
+        push = rules[12] * math.exp(-max(clear - WALL_M, 0.0) / rules[13])
+        ax, az = ax + push * gx, az + push * gz
+        span = traits[m, 2]
+        wx, wz = vx + ax * span, vz + az * span
+        horizon = rules[2]
+    planes = np.empty((count + 1, 3))
+    planes[0, 0], planes[0, 1] = gx, gz
+    planes[0, 2] = -(clear - WALL_M) / rules[1]
+    for k in range(count):
+        j = near[k]
+        px, pz = places[j, 0] - x, places[j, 1] - z
+        share = 0.5 if j < len(body) else 1.0
+        reach = reach_between(m, j, px, pz, radii, body) + rules[4]
+        nx, nz, offset = half_plane(
+            px,
+            pz,
+            vx - velocities[j, 0],
+            vz - velocities[j, 1],
+            reach,
+            horizon,
+            0.5,
+            share,
+        )
+        planes[k + 1, 0], planes[k + 1, 1], planes[k + 1, 2] = nx, nz, offset + nx * vx + nz * vz
+    return nearest_velocity(planes, count + 1, wx, wz, most)
+
+
+@kernel(error_model="numpy")
+def follow(sdf, origin, cell, m, places, radii, body, chosen, limits, dt):
+    """Moves the body of person ``m`` as far as it can follow the chosen velocity, in place.
+
+    Args:
+        sdf: Signed distances of the floor's grid [m].
+        origin: Position of the grid.
+        cell: Size of its cells [m].
+        m: Number of the person within the crowd.
+        places: Positions of all discs [N, 2] [m]; those of people who have moved in this step are new already.
+        radii: Their radii [N] [m].
+        body: Heading [rad], turn rate [rad/s], speed [m/s] and direction of walking [rad] of each person [M, 4].
+        chosen: Chosen velocities [M, 2] [m/s].
+        limits: `StrideSpec.limits`.
+        dt: Duration of a step [s].
+    """
+    accel, decel, turn_rate, turn_accel, gain, _, sidestep, sidestep_rate, _ = limits
+    x, z = places[m, 0], places[m, 1]
+    heading, turn, v, direction = body[m, 0], body[m, 1], body[m, 2], body[m, 3]
+    most = math.hypot(chosen[m, 0], chosen[m, 1])
+    bearing, wanted = 0.0, 0.0
+    if most > 0.05:
+        bearing = wrap_angle(math.atan2(-chosen[m, 1], chosen[m, 0]) - heading)
+        wanted = min(max(gain * bearing, -turn_rate), turn_rate)
+    else:
+        most = 0.0
+    turn += min(max(wanted - turn, -turn_accel * dt), turn_accel * dt)
+    if abs(bearing) > sidestep:  # until they have turned they step aside, slowly
+        most = (
+            min(most, CREEP_MPS + (most - CREEP_MPS) * max(math.cos(bearing), 0.0) ** 2) if most > CREEP_MPS else most
+        )
+    v += min(max(most - v, -2.0 * decel * dt), accel * dt)
+    aim = bearing
+    if v > CREEP_MPS:
+        aim = min(max(bearing, -sidestep), sidestep)
+        off = wrap_angle(direction - heading)
+        aim = off + min(max(wrap_angle(aim - off), -2.0 * sidestep_rate * dt), 2.0 * sidestep_rate * dt)
+    if most > 0.0 or v > CREEP_MPS:
+        direction = heading + aim
+    heading = wrap_angle(heading + turn * dt)
+    nx, nz = x + math.cos(direction) * v * dt, z - math.sin(direction) * v * dt
+    if v > 0.0 and sample_sdf(sdf, origin, cell, nx, nz) < WALL_M:
+        sx, sz, moved, clearance = slide_along_walls(sdf, origin, cell, WALL_M, x, z, nx, nz, v * dt)
+        if clearance >= min(WALL_M, sample_sdf(sdf, origin, cell, x, z)) - 1e-3:
+            nx, nz, v = sx, sz, min(v, max(moved / dt, v - decel * dt))
+        else:
+            nx, nz, v = x, z, 0.0
+    body[m, 0], body[m, 1] = heading, turn
+    sx, sz = nx - x, nz - z
+    for attempt in range(SLIDES):
+        free = True
+        for j in range(len(places)):
+            if j == m:
+                continue
+            px, pz = places[j, 0] - x, places[j, 1] - z
+            reach, before = reach_between(m, j, px, pz, radii, body), math.hypot(px, pz)
+            if math.hypot(px - sx, pz - sz) < reach and sx * px + sz * pz > 0.0:
+                free = False
+                towards = (sx * px + sz * pz) / (before * before)
+                sx, sz = sx - towards * px, sz - towards * pz
+        if free:
+            break
+        if attempt == SLIDES - 1 or sample_sdf(sdf, origin, cell, x + sx, z + sz) < min(
+            WALL_M, sample_sdf(sdf, origin, cell, x, z)
+        ):
+            sx, sz = 0.0, 0.0
+            break
+    if sx != nx - x or sz != nz - z:
+        nx, nz, v = x + sx, z + sz, max(math.hypot(sx, sz) / dt, v - 2.0 * decel * dt) if v > 0.0 else 0.0
+    places[m, 0], places[m, 1] = nx, nz
+    body[m, 2], body[m, 3] = v, direction
+
+
+@kernel(error_model="numpy")
+def step_crowd(
+    sdf,
+    origin,
+    cell,
+    places,
+    velocities,
+    radii,
+    paths,
+    counts,
+    lengths,
+    along,
+    best,
+    claims,
+    body,
+    chosen,
+    traits,
+    forces,
+    rules,
+    limits,
+    step,
+    dt,
+):
+    """One step of all people of a crowd, in place.
+
+    Args:
+        sdf: Signed distances of the floor's grid [m].
+        origin: Position of the grid.
+        cell: Size of its cells [m].
+        places: Positions of all discs, first those of the crowd [N, 2] [m].
+        velocities: Velocities of all discs [N, 2] [m/s].
+        radii: Radii of all discs [N] [m].
+        paths: Paths of the people [M, K, 2] [m].
+        counts: Number of points of each path [M].
+        lengths: Distance along each path up to each point [M, K] [m].
+        along: Progress of each person along their path [M] [m].
+        best: Largest progress so far, and the step in which it was made [M, 2].
+        claims: Narrow places that people are in or before (`claim_passages`) [M, 6].
+        body: Motion of the bodies (`follow`) [M, 4].
+        chosen: Chosen velocities [M, 2] [m/s].
+        traits: `Traits` of the people [M, 6].
+        forces: True for social force, False for reciprocal avoidance.
+        rules: `CrowdSpec.numbers`.
+        limits: `StrideSpec.limits`.
+        step: Number of the step.
+        dt: Duration of a step [s].
+    """
+    decel = limits[1]
+    for m in range(len(counts)):
+        path, cumulative = paths[m, : counts[m]], lengths[m, : counts[m]]
+        along[m] = progress_along(path, cumulative, along[m], places[m, 0], places[m, 1])
+        if along[m] > best[m, 0] + PROGRESS_M:
+            best[m, 0], best[m, 1] = along[m], step
+    claim_passages(sdf, origin, cell, places[: len(counts)], paths, counts, lengths, along, claims, step, rules)
+    for m in range(len(counts)):
+        pause = max(int(traits[m, 2] / dt + 0.5), 1)
+        if (step + m) % pause != 0:
+            continue
+        path, cumulative = paths[m, : counts[m]], lengths[m, : counts[m]]
+        x, z = places[m, 0], places[m, 1]
+        j = first_through(claims, m, rules[6])
+        if j >= 0:
+            wx, wz = yield_velocity(
+                sdf,
+                origin,
+                cell,
+                x,
+                z,
+                path,
+                cumulative,
+                along[m],
+                paths[j, : counts[j]],
+                lengths[j, : counts[j]],
+                along[j],
+                claims[m, 5] > 0.0,
+                rules,
+            )
+        else:
+            wx, wz = wanted_velocity(sdf, origin, cell, x, z, path, cumulative, along[m], traits[m, 0], decel)
+        chosen[m, 0], chosen[m, 1] = choose_velocity(
+            sdf, origin, cell, m, places, velocities, radii, body, wx, wz, traits, forces, rules
+        )
+    for m in range(len(counts)):
+        follow(sdf, origin, cell, m, places, radii, body, chosen, limits, dt)

@@ -1,0 +1,124 @@
+"""Traits in which people of a crowd differ, and the constants that they share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from h3data.geometry import Array
+from sim_kinematic.motion.randomness import generator
+
+
+@dataclass(frozen=True, kw_only=True)
+class CrowdSpec:
+    """Constants of avoidance that all people of a crowd share, in SI units."""
+
+    horizon_s: float = 2.0
+    """Time within which `orca` avoids a collision with somebody who keeps their velocity,"""
+    wall_horizon_s: float = 0.5
+    """and with walls and furniture."""
+    guard_s: float = 0.6
+    """The same for `social_force`, whose forces alone let people touch."""
+    neighbour_m: float = 6.0
+    """People and robots farther away than this do not count."""
+    comfort_m: float = 0.08
+    """Distance between outlines that avoidance adds to both radii."""
+    narrow_m: float = 0.55
+    """Distance to the nearest wall below which a place counts as narrow: two people cannot pass each other there."""
+    wait_m: float = 1.2
+    """Distance before a narrow place at which people decide who goes first."""
+    aside_m: float = 0.9
+    """Distance that those who wait keep from the path of those who come through."""
+    approach_m: float = 6.0
+    """Distance from which people who meet head-on keep to their side,"""
+    approach_rad: float = 0.6
+    """by this angle."""
+    desired_gain: float = 2.0
+    """Social force (Moussaid et al. 2009, with the weights of HuNavSim's library lightsfm): weight of the desired velocity,"""
+    social_gain: float = 2.1
+    """of others,"""
+    wall_gain: float = 10.0
+    """and of walls,"""
+    wall_range_m: float = 0.2
+    """whose force falls by e over this distance."""
+    lambda_: float = 2.0
+    """Weight of the relative velocity in the direction of an interaction;"""
+    gamma: float = 0.35
+    """range of an interaction for each m/s,"""
+    n: float = 2.0
+    """its angular range for slowing down,"""
+    n_prime: float = 3.0
+    """and for turning aside."""
+
+    @property
+    def numbers(self) -> Array:
+        """The numbers that the kernels take, in the order of the fields."""
+        return np.array(
+            [
+                self.horizon_s,
+                self.wall_horizon_s,
+                self.guard_s,
+                self.neighbour_m,
+                self.comfort_m,
+                self.narrow_m,
+                self.wait_m,
+                self.aside_m,
+                self.approach_m,
+                self.approach_rad,
+                self.desired_gain,
+                self.social_gain,
+                self.wall_gain,
+                self.wall_range_m,
+                self.lambda_,
+                self.gamma,
+                self.n,
+                self.n_prime,
+            ]
+        )
+
+
+class Traits(NamedTuple):
+    """Traits that set one person of a crowd apart."""
+
+    speed_mps: float
+    """Free walking speed."""
+    relaxation_s: float
+    """Time constant with which `social_force` returns to the desired velocity."""
+    reaction_s: float
+    """Time between two decisions."""
+    radius_m: float
+    """Radius that nobody else's may overlap: half of the width of the body with swinging arms."""
+    side: float
+    """Side of those who meet head-on: 1 keeps to the right, -1 to the left."""
+    patience_s: float
+    """Time without progress after which a person chooses another goal."""
+
+
+SPEED_SD = 0.27
+"""Standard deviation of free speeds over their mean: 0.35 m/s of 1.3 m/s, as between pedestrians of ETH and UCY."""
+LEAST_SPEED, MOST_SPEED = 0.5, 1.5
+"""Free speeds lie within these multiples of the mean."""
+RIGHT_SHARE = 0.85
+"""Share of people who keep to the right; measured crowds pass on their majority's side in 54 to 78% of encounters."""
+
+
+def sample_traits(seed: int, number: int, mean_speed_mps: float) -> Traits:
+    """Returns the traits of agent ``number`` in the episode with a seed; the same always.
+
+    Args:
+        seed: Seed of the episode.
+        number: Number of the agent.
+        mean_speed_mps: Mean free speed of people [m/s].
+    """
+    rng = generator(seed, "crowd_traits", world=number)
+    share = float(np.clip(rng.normal(1.0, SPEED_SD), LEAST_SPEED, MOST_SPEED))
+    return Traits(
+        speed_mps=mean_speed_mps * share,
+        relaxation_s=float(rng.uniform(0.4, 0.6)),
+        reaction_s=float(rng.uniform(0.1, 0.3)),
+        radius_m=0.34,
+        side=1.0 if rng.random() < RIGHT_SHARE else -1.0,
+        patience_s=float(rng.uniform(4.0, 8.0)),
+    )

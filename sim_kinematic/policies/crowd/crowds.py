@@ -1,0 +1,86 @@
+"""The crowds of one world, which the policies of their people share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from h3data.bodies import Robot
+from h3data.scene import FreeSpace
+from sim_kinematic.crowd.crowd import NO_DISCS, Crowd, CrowdModel, Discs, FindPath, robot_discs
+from sim_kinematic.crowd.traits import Traits
+from sim_kinematic.motion.spec import WalkerSpec
+from sim_kinematic.policies.policy import PoseAction
+from sim_kinematic.world import World
+
+OTHERS_M = 0.3
+"""Radius of people who follow another policy."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CrowdMember:
+    """A person of a crowd: the model that they follow, where they walk, and how they find their goals."""
+
+    model: CrowdModel
+    free: FreeSpace
+    traits: Traits
+    walker: WalkerSpec
+    find_path: FindPath
+
+
+class Crowds:
+    """The crowds of one world: all people who follow one model make up one.
+
+    People join in their first step, in which they stand still; from the next one on, the first who is asked moves them all.
+    """
+
+    def __init__(self, world: World, row: int) -> None:
+        """Creates crowds without people for world number ``row``."""
+        self._world, self._row, self._step = world, row, -1
+        self._members: dict[CrowdModel, dict[int, CrowdMember]] = {}
+        self._crowds: dict[CrowdModel, Crowd] = {}
+        self._moved: dict[int, PoseAction] = {}
+
+    def move(self, member: CrowdMember, number: int, step: int) -> PoseAction:
+        """Place of an agent after step number ``step``."""
+        members = self._members.setdefault(member.model, {})
+        if members.get(number) is not member:
+            members[number] = member
+            self._crowds.pop(member.model, None)
+            own = self._world.state.agents[number]
+            return PoseAction(own.xz[self._row].copy(), own.heading.item(self._row))
+        if step != self._step:
+            self._step, self._moved = step, {}
+        if number not in self._moved:
+            self._move_all(member.model)
+        return self._moved[number]
+
+    def _move_all(self, model: CrowdModel) -> None:
+        w, now, before = self._row, self._world.state.agents, self._world.before.agents
+        members = self._members[model]
+        if model not in self._crowds:
+            people = list(members.values())
+            self._crowds[model] = Crowd(
+                people[0].free,
+                [person.traits for person in people],
+                [person.find_path for person in people],
+                model,
+                stride=people[0].walker.stride,
+            )
+        discs = [NO_DISCS]
+        for k, (member, base) in enumerate(zip(self._world.roster, self._world.bases, strict=True)):
+            own, was = now[k], before[k]
+            if isinstance(member.body, Robot):
+                offsets, radius = base.disc_offsets_m, base.disc_radius_m
+                discs.append(
+                    robot_discs(own.xz[w], own.heading.item(w), was.xz[w], was.heading.item(w), offsets, radius)
+                )
+            elif k not in members:
+                discs.append(Discs(own.xz[w][None], was.xz[w][None], np.array([OTHERS_M])))
+        others = Discs(*(np.concatenate(arrays) for arrays in zip(*discs, strict=True)))
+        xz, was_xz = (np.array([moment[k].xz[w] for k in members]) for moment in (now, before))
+        heading = np.array([now[k].heading[w] for k in members])
+        places, headings = self._crowds[model].step(xz, heading, was_xz, others, self._step)
+        for number, place, angle in zip(members, places, headings.tolist(), strict=True):
+            self._moved[number] = PoseAction(place, angle)

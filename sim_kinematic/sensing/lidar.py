@@ -1,0 +1,56 @@
+"""A 2-D laser scanner: walls and furniture by the map, agents as circles; the same for arrays and tensors.
+
+Robots are the discs of their bases. People are one disc, or two legs, the circles in which a plane at shin height cuts them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+LIDAR_RAYS = 360
+"""Rays of `scan`, one each degree."""
+LIDAR_M = 12.0
+"""Farthest that they measure."""
+LASERS, COLUMNS = 16, 360
+"""Shape of a 3-D scan: lasers from the lowest to the highest, directions from straight ahead to the left."""
+ELEVATION_DEG = (-15.0, 15.0)
+"""Elevation of the lowest and of the highest laser."""
+SCAN_M = 30.0
+"""Farthest that they measure."""
+
+
+def scan(m: Any, *, legs: bool) -> Any:
+    """Free distance around an agent as a laser scanner in its middle measures it, [..., LIDAR_RAYS] [m].
+
+    The first ray is straight ahead, the others follow to the LEFT. Without anything within `LIDAR_M`, a ray measures that.
+    With ``legs``, people are two circles that move as they walk, else one disc of the radius that the rules give them.
+    ``m`` is a `sim_kinematic.sensing.table.Context`.
+    """
+    xp = m.xp
+    heading = np.asarray(m.now.heading, np.float64) if xp is np else m.now.heading
+    turns = xp.arange(LIDAR_RAYS, dtype=heading.dtype, device=heading.device) * (2 * np.pi / LIDAR_RAYS)
+    headings = heading[..., None] + turns
+    reach = m.free_along(headings, LIDAR_M)
+    circles = m.circles(legs=legs)
+    if not circles.shape[-2]:
+        return reach
+    return xp.minimum(reach, to_circles(xp, m.now.xz, headings, circles).clip(None, LIDAR_M))
+
+
+def to_circles(xp: Any, xz: Any, headings: Any, circles: Any) -> Any:
+    """Distance [..., R] [m] from points [..., 2] along headings [..., R] to the first circle; inf: none, 0: inside of one.
+
+    The circles ``(x, z, radius)`` are [..., N, 3] [m].
+    """
+    gap = circles[..., None, :, :2] - xz[..., None, None, :]
+    x, z = xp.cos(headings)[..., None], -xp.sin(headings)[..., None]
+    along, across = gap[..., 0] * x + gap[..., 1] * z, gap[..., 0] * z - gap[..., 1] * x
+    radius = circles[..., None, :, 2]
+    half = radius * radius - across * across
+    near = along - xp.sqrt(half.clip(0.0, None))
+    inside = gap[..., 0] ** 2 + gap[..., 1] ** 2 <= radius * radius
+    first = xp.where((half > 0.0) & (near > 0.0), near, xp.inf)
+    first = xp.where(inside, 0.0, first)
+    return first.min(-1) if xp is np else first.amin(-1)

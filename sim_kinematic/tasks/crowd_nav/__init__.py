@@ -1,0 +1,1 @@
+"""PointGoal among people."""

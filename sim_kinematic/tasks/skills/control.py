@@ -1,0 +1,217 @@
+"""Skills as what agents are told to do: they go to things, take them, put them down, open and close."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from h3data.bodies import Robot
+from h3data.errors import InputError
+from h3data.recording import Agent, Recording
+from h3data.scene import joint_names
+from sim_kinematic.agents.driven.commands import STAND, action_of, command_from_json, command_to_json, interrupts_skill
+from sim_kinematic.agents.driven.person import DrivenPerson
+from sim_kinematic.agents.robots.skills import checked_command
+from sim_kinematic.agents.roster import AgentSpec
+from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, DRIVEN_SKILLS, OPENING_SKILLS, SKILLS, Action, sentence
+from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.policies.rearrange import (
+    planner,
+)
+from sim_kinematic.policies.recorded import (
+    RecordedCommands,
+    RecordedPolicy,
+    deciding_since,
+    is_remote,
+    recorded_choices,
+    recorded_commands,
+)
+from sim_kinematic.sensing.table import STATE_SENSES
+from sim_kinematic.tasks.control import Control
+from sim_kinematic.tasks.episode import Episode
+from sim_kinematic.tasks.rearrange.episode import (
+    RearrangeEpisode,
+)
+from sim_kinematic.tasks.resimulation import is_counterfactual
+from sim_kinematic.tasks.skills.household import Household
+from sim_kinematic.tasks.skills.kept_track import KeptTrack, follow_track
+
+SHORT_WAIT = Action("wait", steps=1)
+
+
+class SkillControl(Control):
+    """Agents have skills; one world at a time."""
+
+    has_skills: ClassVar[bool] = True
+    observations: ClassVar[tuple[str, ...]] = STATE_SENSES
+
+    def __init__(self) -> None:
+        """Creates the control."""
+        super().__init__({"robot": SKILLS, "human": SKILLS[:5]})
+
+    def check_roster(self, roster: Sequence[AgentSpec]) -> None:
+        """Raises an `InputError` if a robot of the roster has no arm."""
+        for agent in roster:
+            if isinstance(agent.body, Robot):
+                agent.body.require_arm()
+
+    def team(self, play: Any) -> Household:
+        """Agents and things of one world."""
+        return Household(play)
+
+    # --- choices from outside -----------------------------------------------------------------------------------------
+    def checked(self, play: Any, number: int, choice: Any) -> Action:
+        """Skill, robot command or person command from outside as an `Action`.
+
+        Raises:
+            InputError: the choice is malformed or names an object or skill that does not exist.
+        """
+        body = play.episode.roster[number].body
+        if not isinstance(choice, Action):
+            choice = (
+                _robot_action(choice, body) if isinstance(body, Robot) else action_of(choice, play.team.objects, number)
+            )
+        elif choice.skill in (*SKILLS, *OPENING_SKILLS) or isinstance(body, Robot):
+            play.team.objects.why_not(number, choice)
+        if choice.skill == CONTROL and isinstance(body, Robot):
+            checked_command(choice.command, body)  # type: ignore[arg-type]
+        return choice
+
+    def idle(self, play: Any, number: int, last: Any) -> Action:
+        """Choice to continue the running skill or the last velocity, otherwise to stand for a step."""
+        runner = play.team.controllers[number]
+        if runner.skill is not None:
+            return runner.action
+        if last is not None and last.skill == CONTROL:
+            return last
+        return Action(CONTROL, command=STAND) if isinstance(runner.actor, DrivenPerson) else SHORT_WAIT
+
+    def is_busy(self, play: Any, number: int) -> bool:
+        """Returns whether a skill other than ``wait`` is running."""
+        runner = play.team.controllers[number]
+        return not runner.is_free and runner.action.skill != "wait"
+
+    def interrupts(self, play: Any, number: int, choice: Any) -> bool:
+        """Returns whether the choice is a skill that interrupts, and not the one that is running already."""
+        return interrupts_skill(choice) and choice != play.team.controllers[number].action
+
+    def refusal(self, play: Any, number: int, choice: Any) -> str | None:
+        """Reason why a choice is infeasible now, as a sentence; None if it is feasible."""
+        actor = play.team.actors[number]
+        why = actor.refusal(choice) if isinstance(actor, DrivenPerson) else actor.infeasible(choice)
+        return sentence(why) if why else None
+
+    def to_json(self, choice: Any) -> Any:
+        """Skill or command as JSON types, for the recorded raw input."""
+        return command_to_json(choice)
+
+    def from_json(self, data: Any) -> Any:
+        """Skill or command that `to_json` wrote."""
+        return command_from_json(data)
+
+    # --- recordings ---------------------------------------------------------------------------------------------------
+    def recorded_agent(self, agent: Agent, episode: Episode, *, is_external: bool) -> Agent:
+        """An agent with its skills: in scenes with doors or drawers they include opening and closing."""
+        if is_external and agent.kind == "human":
+            agent = replace(agent, skill_names=DRIVEN_SKILLS, action_names=("forward", "turn_left"))
+        return replace(agent, skill_names=ALL_SKILLS) if episode.scene.articulations else agent
+
+    def needed_columns(self, recording: Recording) -> list[str]:
+        """Skill and skill target of every agent."""
+        return [f"agent_{k}.{name}" for k in range(len(recording.agents)) for name in ("skill", "skill_target")]
+
+    def decided(self, recording: Recording, names: Sequence[str]) -> set[int]:
+        """Numbers of all agents, since every skill that is chosen is recorded."""
+        del names
+        return set(range(len(recording.agents)))
+
+    def still(self, episode: Episode, number: int) -> Any:
+        """A policy that waits."""
+        del number
+        assert isinstance(episode, RearrangeEpisode)
+        return planner("still", episode.seed, len(episode.targets))
+
+    def recorded_policies(
+        self,
+        recording: Recording,
+        episode: Episode,
+        own: Sequence[AssignedPolicy],
+        *,
+        until: int,
+        changed: Sequence[bool] = (),
+    ) -> list[AssignedPolicy]:
+        """Policies that repeat the recorded skills of each agent until step ``until``, then continue with ``own``."""
+        assert isinstance(episode, RearrangeEpisode)
+        objects, joints = tuple(target.name for target in episode.targets), joint_names(episode.scene)
+        commands, policies = recorded_commands(recording, self.from_json), []
+        for k, (assigned, since) in enumerate(zip(own, deciding_since(recording), strict=True)):
+            policy: Any = assigned.policy
+            # a driven person on a recorded track is asked nothing after the commands that came before it
+            agent = recording.agents[k]
+            on_track = is_counterfactual(recording) and agent.kind == "human" and bool(agent.action_names)
+            if not on_track and (k not in commands or 0 < since < until):
+                policy = RecordedPolicy(
+                    *_checked(recording, k, objects, since if k in commands else 0, joints),
+                    until=until,
+                    since=since,
+                    joints=joints,
+                )
+                if assigned.policy is not None:
+                    begins = until if (changed and changed[k]) or is_remote(assigned.policy) else min(since, until)
+                    policy.own, policy.since = assigned.policy, begins
+            if k in commands or on_track:  # of a recording that was continued, only the steps before
+                policy = RecordedCommands(commands.get(k, []), until=min(since or until, until), own=policy)
+            policies.append(assigned._replace(policy=policy))
+        return policies
+
+    def keep_people(
+        self, play: Any, recording: Recording, since: int
+    ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
+        """People take things and put them down as recorded, except what is not there."""
+        first = min(since, _track_from(recording))
+        tracks = [KeptTrack.of(recording, person.number, play.team.bodies) for person in play.team.people]
+
+        def keep(_: int) -> None:
+            if play.step == first:
+                for actor, track in zip(play.team.people, tracks, strict=True):
+                    follow_track(play, actor, track, play.step)
+
+        keep(0)
+        return {"track_from": first}, keep
+
+
+def _robot_action(command: Any, robot: Robot) -> Action:
+    """The action by which a robot follows a velocity (forward, turn): its arm and its grip stay as they are."""
+    if np.shape(command) == (2,):
+        forward, turn = command
+    elif hasattr(command, "forward") and hasattr(command, "turn"):
+        forward, turn = command.forward, command.turn
+    else:
+        raise InputError(
+            f"Expected an Action (sim_kinematic.agents.skills), a Velocity or a pair (forward, turn), got {command!r}.",
+            code="H3-TASK-029",
+        )
+    return Action(CONTROL, command=(float(forward), float(turn), *[0.0] * (len(robot.require_arm()) + 1)))
+
+
+def _track_from(recording: Recording) -> int:
+    """The step from which people keep their tracks; the end where they react throughout."""
+    if not is_counterfactual(recording):
+        return len(recording)
+    step = recording.episode.info.get("counterfactual", {}).get("track_from")
+    if not isinstance(step, int) or not 0 <= step <= len(recording):
+        raise InputError(
+            f"Expected counterfactual.track_from in the info, a step up to {len(recording)}, got {step!r}.",
+            code="H3-TASK-022",
+        )
+    return step
+
+
+def _checked(
+    recording: Recording, k: int, objects: tuple[str, ...], since: int, joints: tuple[str, ...]
+) -> tuple[Any, tuple[str, ...], Any]:
+    spans, now = recorded_choices(recording, k, objects, since, joints=joints)
+    return spans, objects, now

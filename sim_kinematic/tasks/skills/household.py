@@ -1,0 +1,492 @@
+"""Agents who have skills, in one home: what each of them sees and does, and what has happened to things.
+
+What a step is worth and when the episode ends is for the task to say (`sim_kinematic.tasks.task.Task.judge`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Robot
+from h3data.errors import InputError
+from h3data.geometry import Array
+from h3data.kernels import kernel
+from h3data.recording import Event
+from h3data.recording.records import JOINTS
+from h3data.scene import FreeSpace, Scene
+from h3data.scene.articulation import AJAR, joint_names
+from sim_kinematic.agents.driven.object_room import ObjectRoom, grip_radii
+from sim_kinematic.agents.driven.person import DrivenPerson
+from sim_kinematic.agents.giving_way import AnyActor, GivingWay
+from sim_kinematic.agents.opening.doorways import DETOUR_M, RoomDoors
+from sim_kinematic.agents.opening.openables import ArticulatedParts
+from sim_kinematic.agents.oracle.actors import DiscContacts, OraclePerson, OracleRobot
+from sim_kinematic.agents.person import Person
+from sim_kinematic.agents.person_clearance import reach_room
+from sim_kinematic.agents.person_skills import PersonActor
+from sim_kinematic.agents.robots.arm_clearance import arm_clearance
+from sim_kinematic.agents.robots.skills import RobotActor
+from sim_kinematic.agents.roster import common_floor, kinds_of
+from sim_kinematic.agents.skills import (
+    ALL_SKILLS,
+    CONTROL,
+    PRIMITIVES,
+    Action,
+    Objects,
+)
+from sim_kinematic.agents.stands import nearest_stand
+from sim_kinematic.avoidance.right_of_way import RightOfWay
+from sim_kinematic.avoidance.robot_base import base_of, floor_of
+from sim_kinematic.avoidance.stand_offs import TaskProgress
+from sim_kinematic.controllers.skill import IDLE_SKILLS, SkillController
+from sim_kinematic.motion.state import NOBODY, HumanState
+from sim_kinematic.policies.rearrange_observations import exact
+from sim_kinematic.policies.skills.names import skills_of
+from sim_kinematic.policies.views import RearrangeView
+from sim_kinematic.sensing.table import Sensor
+from sim_kinematic.tasks.rearrange.episode import body_indices
+from sim_kinematic.tasks.skills.errands import errands_of
+from sim_kinematic.tasks.team import Columns, Team
+from sim_kinematic.world import Command
+
+DTYPES: dict[str, type] = {
+    "base_pose": np.float32,
+    "joint_pos": np.float32,
+    "root_pose": np.float32,
+    "joint_quat": np.float32,
+    "grasp_body": np.int32,
+    "action": np.float32,
+    "skill": np.int32,
+    "skill_target": np.int32,
+    "object_pose": np.float32,
+    JOINTS: np.float32,
+}
+"""dtypes of the columns of a step; those of agents without ``agent_<i>.``."""
+CONTACT = "contact"
+TRACK = 31
+"""Past positions of the other agent that a policy sees, the present one included."""
+
+
+class Household(Team):
+    """The agents of one home who have skills, and the things that they use: objects, doors, drawers, the floor between them."""
+
+    def __init__(self, play: Any) -> None:
+        super().__init__(play)
+        if play.world.worlds != 1:
+            raise InputError(
+                f"Agents with skills have one world each, got {play.world.worlds} in one rollout.", code="H3-TASK-073"
+            )
+        self._joints_moved = False
+        self._finishers: frozenset[int] = frozenset()
+        """Agents that placed an object at its goal in the last step."""
+
+    def begin(self, rows: NDArray[np.intp]) -> None:
+        """Puts agents and things where the episode begins."""
+        del rows
+        play, state = self.play, self.play.world.state
+        self.episode = episode = play.episode
+        names, joints = tuple(t.name for t in episode.targets), joint_names(episode.scene)
+        state.object_pose[0] = [t.start for t in episode.targets]
+        goals = np.array([t.goal for t in episode.targets], np.float64)
+        self.objects = Objects(names, goals, state, joints, episode.scene)
+        self.doorways = RoomDoors.of(episode.scene, episode.free)
+        self.floor = episode.free
+        """Present free floor, with doors and drawers as they stand."""
+        self.starts = state.object_pose[0, :, :3].copy()
+        self.actors = [self._actor(number) for number in range(len(episode.roster))]
+        self.people = [actor for actor in self.actors if isinstance(actor, PersonActor)]
+        self.robots = [actor for actor in self.actors if isinstance(actor, RobotActor)]
+        self.order = [actor.number for actor in (*self.people, *self.robots)]  # people first: robots see where to
+        self.controllers = [SkillController(actor.number, actor, play.spans, names, joints) for actor in self.actors]
+        self.company = self._introduced()
+        self.objects.openables = self._openables()
+        self.bodies = np.append(body_indices(episode), -1)
+        self.at_goal = self._at_goal()
+        self._places: list[list[float]] = episode.starts.tolist()
+
+    def _introduced(self) -> GivingWay:
+        """The agents, and whether they heed each other.
+
+        A robot gives way to a person by itself, and the person to nobody: as Habitat's, or as whoever drives them decides.
+        """
+        episode, spec, oracle = self.episode, self.episode.spec, self.episode.spec.oracle
+        is_pair = kinds_of(episode.roster) == ("robot", "human")
+        driven = any(isinstance(actor, DrivenPerson) for actor in self.actors)
+        alone = len(self.actors) == 1 or (is_pair and (driven or not spec.people_give_way)) or oracle is not None
+        heeds = len(self.actors) > 1 and oracle is None and (not is_pair or bool(spec.people_give_way))
+        solid = spec.solid_agents and driven
+        return (GivingWay if oracle is None else DiscContacts)(
+            episode.roster,
+            self.actors,
+            RightOfWay(episode.free, self.actors, self.errand, asks=not alone) if heeds else None,
+            agreed=not alone,
+            people_see_robot=solid or not (alone and is_pair),
+            person_radius_m=spec.agent_radius_m if oracle is None else oracle.person_radius_m,
+            solid=solid,
+        )
+
+    def _actor(self, number: int) -> RobotActor | PersonActor:
+        world, spec, body = self.episode, self.episode.spec, self.episode.roster[number].body
+        if isinstance(body, Robot):
+            base, clearance = base_of(body, spec.robot), arm_clearance(world.scene, body, world.free.floor_y)
+            floor = floor_of(body, base, world.scene, world.free)
+            if spec.oracle is not None:
+                return OracleRobot(
+                    body,
+                    floor,
+                    base,
+                    self.objects,
+                    spec.grip_m,
+                    spec.arm_rad_s,
+                    number,
+                    errands=errands_of(world, number),
+                )
+            learned = skills_of(spec.skills, robot=world.roster[number].model)
+            return RobotActor(
+                body, floor, base, self.objects, spec.grip_m, spec.arm_rad_s, number, clearance, learned=learned
+            )
+        own = self.objects.state.agents[number]
+        assert isinstance(own, HumanState)
+        x, z, heading = world.starts[number]
+        base = world.free.root_pose(np.array([x, z]), float(heading))
+        objects = dict(zip(self.objects.names, self.objects.poses, strict=True))
+        room = reach_room(world.scene, body, world.free.floor_y)
+        sizes = grip_radii(world.scene, self.objects.names)
+        person = Person(body, base, objects, spec=spec.human, free=world.free, sizes=sizes, state=own)
+        if spec.oracle is not None:
+            errands = errands_of(world, number)
+            return OraclePerson(person, world.free, spec.human, self.objects, number, errands=errands)
+        if not self.play.policies[number].takes_commands:
+            return PersonActor(person, world.free, spec.human, self.objects, number, room)
+        return DrivenPerson(
+            person,
+            world.free,
+            spec.human,
+            self.objects,
+            number,
+            room,
+            object_room=ObjectRoom(world.scene, self.objects.names, world.free.floor_y),
+            radius_m=spec.agent_radius_m,
+        )
+
+    def _openables(self) -> ArticulatedParts | None:
+        """The doors and drawers of the home at their rest positions; None if nothing opens."""
+        world = self.episode
+        if not self.objects.joints:
+            return None
+        found = ArticulatedParts(
+            world.scene,
+            self.objects,
+            world.free.floor_y,
+            self.company,
+            doors=frozenset(self.doorways.joints),
+        )
+        self.objects.state.joint_pos[0] = found.joints.rest.astype(np.float32)  # as they are recorded
+        return found
+
+    def _move_joints(self, before: NDArray[np.float64]) -> None:
+        """Reports doors and drawers that have opened or closed in this step, as events.
+
+        When all of them have come to rest, the collision shapes that bodies and arms avoid are updated.
+        """
+        openables = self.objects.openables
+        if openables is None:
+            return
+        after = openables.positions
+        for k, (was, now) in enumerate(zip(*(openables.joints.shares(q) for q in (before, after)), strict=True)):
+            if (was < AJAR) != (now < AJAR):
+                who = next(
+                    (
+                        r.number
+                        for r in (self.controllers[k] for k in self.order)
+                        if r.skill and r.action[:2] in (("open", k), ("close", k))
+                    ),
+                    -1,
+                )
+                name = openables.joints.names[k]
+                self.play.events.append(
+                    Event(step=self.play.step, agent=who, kind="open" if now >= AJAR else "close", target=name)
+                )
+        if (before != after).any():
+            self._joints_moved = True
+        elif self._joints_moved:
+            self._joints_moved = False
+            self._show_scene(openables.scene_now())
+
+    def _show_scene(self, scene: Scene) -> None:
+        world, floor_y, self.objects.scene = self.episode, self.episode.free.floor_y, scene
+        if world.spec.floor_moves:
+            self.floor = common_floor(world.roster, world.free.as_in(scene))
+            if self.company.right_of_way is not None:
+                self.company.right_of_way.walk_on(self.floor)
+        for actor in self.actors:
+            if isinstance(actor, RobotActor):
+                actor.arm_clearance = arm_clearance(scene, actor.robot, floor_y)
+                if world.spec.floor_moves:
+                    base = base_of(actor.robot, world.spec.robot)
+                    actor.walk_on(floor_of(actor.robot, base, scene, self.floor))
+            else:
+                actor.room = reach_room(scene, actor.person.body, floor_y)
+                actor.walk_on(self.floor)
+                if isinstance(actor, DrivenPerson):
+                    actor.object_room = ObjectRoom(scene, self.objects.names, floor_y)
+
+    def begin_step(self) -> None:
+        """Decides who steps aside."""
+        super().begin_step()
+        self._held, self._joints = self.objects.held_by.copy(), self.objects.state.joint_pos[0].copy()
+        self.company.begin_step([number for number in self._held.tolist() if number != NOBODY])
+
+    def begin_turn(self, number: int) -> None:
+        """Shows an agent the others; its policy may interrupt what it does."""
+        controller = self.controllers[number]
+        self.company.begin_turn(controller.actor)
+        # a command lasts one step: there is nothing to abort
+        interrupts = None if controller.is_free else getattr(self.play.policies[number].policy, "interrupts", None)
+        if interrupts is not None and (reason := interrupts(self.play.view(number))):
+            controller.interrupt(reason)
+
+    def end_turn(self, number: int) -> None:
+        """Notes that an agent has moved."""
+        self.company.end_turn(number)
+
+    def note_places(self) -> None:
+        """Writes down where everybody is now: in the next call, `World.before` says so."""
+        world = self.play.world
+        for was, place in zip(world.before.agents, self._places, strict=True):
+            was.xz[0, 0], was.xz[0, 1], was.heading[0] = place
+        self._places = [[*own.xz[0].tolist(), own.heading.item(0)] for own in world.state.agents]
+
+    def move(self, commands: Sequence[Command | None]) -> None:
+        """Completes a step in which the agents have moved one after the other."""
+        del commands
+        world = self.play.world
+        self.company.end_step()
+        self.note_places()
+        world.touching = np.array([[pair in self.company.touching for pair in world.pairs]], np.bool_).reshape(1, -1)
+        self.at_goal = self._at_goal()
+        self._move_joints(self._joints)
+        self._tell(self._held)
+        released = (self._held != NOBODY) & (self.objects.held_by == NOBODY) & self.at_goal
+        self._finishers = frozenset(self._held[released].tolist())
+
+    @property
+    def open_joints(self) -> NDArray[np.bool_]:
+        """Which doors and drawers stand open, at least ajar, [J]."""
+        if self.objects.openables is None:
+            return np.zeros(0, np.bool_)
+        return self.objects.openables.joints.shares(self.objects.openables.positions) >= AJAR
+
+    @property
+    def openables(self) -> ArticulatedParts | None:
+        """Doors and drawers; None: nothing opens."""
+        return self.objects.openables
+
+    def finish(self) -> None:
+        """Reports the skills that are still running."""
+        success = bool(self.play.outcome.success[0])
+        for number in self.order:
+            done = success and number in self._finishers
+            self.controllers[number].finish(max(self.play.step - 1, 0), completed=done)
+
+    def view(self, agent: int, world: int = 0) -> RearrangeView:
+        """The knowledge of an agent at this moment, for policies that choose skills."""
+        del world
+        runner, before = self.controllers[agent], self.play.world.before.agents[agent]
+        me, other = self.actors[runner.number], self.company.nearest(runner.number)
+        track = self.company.track(other) if other >= 0 else np.full((1, 2), np.nan)
+        other_xz = self.actors[other].xz.copy() if other >= 0 else track[-1]
+        xz, heading = me.xz.copy(), me.heading  # of a person they are computed
+        ahead, aside = _seen(xz, heading, other_xz)
+        a, b = self.episode.spec.near_m
+        return RearrangeView(
+            step=self.play.step,
+            free=self.doorways.open_floor,
+            agent=runner.number,
+            xz=xz,
+            heading=heading,
+            other_xz=other_xz,
+            other_track=track[-TRACK:].copy(),
+            close=bool((ahead / a) ** 2 + (aside / b) ** 2 < 1),
+            objects=self.objects.poses[:, :3].copy(),
+            goals=self.objects.goals,
+            held_by=self.objects.held_by.copy(),
+            at_goal=self._at_goal(),
+            action=runner.action,
+            last=runner.ending,
+            starts=self.starts,
+            hand=lambda: me.hand_pose,
+            arm=me.arm,
+            start=self.episode.starts[runner.number],
+            before=np.array([*before.xz[0], before.heading[0]]),
+            collision=bool(self.company.touching),
+            contact=isinstance(me, RobotActor) and bool(me.state.contact[0]),
+            barrier=partial(self.barrier, me),
+            observe=partial(self.play.observe, runner.number, 0),
+        )
+
+    def errand(self, number: int) -> TaskProgress:
+        """Progress of an agent with its present task."""
+        runner = self.controllers[number]
+        skill, k = runner.action[:2]
+        driven = isinstance(runner.actor, DrivenPerson) or skill in (CONTROL, *PRIMITIVES)
+        busy = runner.skill is not None and skill not in IDLE_SKILLS
+        return TaskProgress(busy, (skill, k), partial(self._left_m, runner), runner.completed, obeys=not driven)
+
+    def _left_m(self, runner: SkillController) -> float:
+        """Length of the path to the object, goal or handle to which an agent is going [m]; infinite: it goes nowhere."""
+        skill, k = runner.action[:2]
+        if runner.skill is None or not skill.startswith("nav"):
+            return math.inf
+        if skill == "nav_to_handle":
+            assert self.objects.openables is not None
+            point = self.objects.openables.handles(self.objects.openables.positions)[k]
+        else:
+            point = self.objects.goals[k] if skill == "nav_to_goal" else self.objects.poses[k, :3]
+        return float(self.floor.geodesic(runner.actor.xz, point[[0, 2]], max_snap_m=2.0))
+
+    def barrier(self, actor: AnyActor, k: int, at_goal: bool, *, detour_m: float = DETOUR_M) -> int:
+        """Returns `RearrangeView.barrier` for an agent that walks up to ``detour_m`` farther to avoid opening a door."""
+        if self.objects.openables is None:
+            return -1
+        shut, positions = self.objects.openables.barrier_of(k, at_goal=at_goal), self.objects.openables.positions
+        if not self.episode.spec.floor_moves or not self.doorways.any_closed(positions):
+            return shut
+        handles, start = self.objects.openables.handles(positions), actor.xz
+        point = self.objects.goals[k] if at_goal else self.objects.poses[k, :3]
+        if shut >= 0:
+            point = handles[shut]
+        elif at_goal and self.objects.held_by[k] == NOBODY:  # from where it lies
+            stands = actor.stands_on(self.doorways.open_floor, self.objects.poses[k, :3])
+            nearest = nearest_stand(self.doorways.open_floor, stands, start)[0]
+            start = stands[nearest, :2] if nearest >= 0 else start
+        first = partial(self.doorways.first, floor=self.floor, positions=positions, detour_m=detour_m)
+        door, nearer = shut, first(start, partial(actor.stands_on, point=point))
+        while nearer >= 0 and nearer != door:
+            door = nearer
+            nearer = first(actor.xz, partial(actor.stands_on, point=handles[door]))
+        return door
+
+    def door_before(self, actor: AnyActor, stands: Callable[[FreeSpace], Array]) -> int:
+        """Number of the first closed door between rooms that blocks all poses from which an agent could act.
+
+        Args:
+            actor: the agent.
+            stands: poses ``(x, z, heading)`` [N, 3] on a given floor from which the agent could act.
+
+        Returns:
+            The door's number; -1 if the agent can get to one of the poses, or if no door blocks them.
+        """
+        if self.objects.openables is None or not self.episode.spec.floor_moves:
+            return -1
+        positions = self.objects.openables.positions
+        if not self.doorways.any_closed(positions):
+            return -1
+        return self.doorways.first(actor.xz, stands, self.floor, positions, detour_m=np.inf)
+
+    def _at_goal(self) -> NDArray[np.bool_]:
+        """Which objects are at their goals and in nobody's hand, [K]."""
+        at_goal = np.empty(len(self.objects.goals), np.bool_)
+        _reached(self.objects.poses, self.objects.goals, self.objects.held_by, self.episode.spec.at_goal_m, at_goal)
+        return at_goal
+
+    def exact(self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor]) -> dict[str, Array]:
+        """The named observations of an agent in the only world."""
+        return {name: values[None] for name, values in exact(self.view(agent), names, sensors).items()}
+
+    def info(self, number: int, known: Sequence[Action]) -> dict[str, Any]:
+        """Facts about an agent's last skill, the objects, and which of the choices that it knows are possible now."""
+        ending = self.controllers[number].ending
+        return {
+            "outcome": ending.outcome if ending else "running",
+            "reason": ending.reason if ending else "",
+            "collision": bool(self.company.touching),
+            "at_goal": self.at_goal.copy(),
+            "held_by": self.objects.held_by.copy(),
+            "action_mask": np.array([not self.objects.why_not(number, action) for action in known], np.int8),
+        }
+
+    def scenery(self, world: int) -> dict[str, Any]:
+        """Arms and hands where they are now, objects where they lie or are held, doors and drawers where they last stood."""
+        del world
+        objects = self.objects
+        return {
+            "state": objects.state,
+            "scene": objects.scene,
+            "objects": objects.names,
+            "frames": self.company.frames(),
+        }
+
+    def snapshot(self) -> dict[str, Any]:
+        """Poses, holds and skills of everybody, and poses of things."""
+        row: dict[str, Any] = {"object_pose": self.objects.poses.copy()}
+        if self.objects.openables is not None:
+            row[JOINTS] = self.objects.openables.positions.copy()
+        for number in self.order:
+            at, runner = f"agent_{number}.", self.controllers[number]
+            actor = runner.actor
+            if isinstance(actor, RobotActor):
+                row |= {
+                    at + "base_pose": actor.pose,
+                    at + "joint_pos": actor.joints.copy(),
+                    at + "action": actor.command,
+                }
+                row[at + CONTACT] = bool(actor.state.contact[0])
+            else:
+                frame = actor.person.frame()
+                row |= {at + "base_pose": frame.base, at + "root_pose": frame.root, at + "joint_quat": frame.joints}
+                if isinstance(actor, DrivenPerson):
+                    row[at + "action"] = actor.command
+            row |= {
+                at + "grasp_body": self.bodies[self.objects.held(number)],
+                at + "skill": ALL_SKILLS.index(runner.action.skill),
+                at + "skill_target": runner.action.target,
+            }
+        return row
+
+    def columns(self, snapshots: Sequence[dict[str, Any]]) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:
+        """Columns of everybody and everything."""
+        columns = {name: np.array([row[name] for row in snapshots]) for name in snapshots[0]}
+        contact = [columns.pop(f"agent_{actor.number}.{CONTACT}") for actor in self.robots]
+        places = [columns[f"agent_{number}.base_pose"][:, [0, 2]] for number in range(len(self.actors))]
+        block = {
+            name: values.astype(DTYPES[name.partition(".")[2] if name.startswith("agent_") else name])
+            for name, values in columns.items()
+        }
+        return block, places, np.any(contact, axis=0) if contact else None
+
+    def _tell(self, held: NDArray) -> None:
+        """Returns the events of this step, of things and between agents."""
+        for k, (was, now) in enumerate(zip(held.tolist(), self.objects.held_by.tolist(), strict=True)):
+            name = self.objects.names[k]
+            if was != now and was != NOBODY and now == NOBODY:
+                where = "at its goal" if self.at_goal[k] else "elsewhere"
+                self.play.events.append(Event(step=self.play.step, agent=was, kind="place", target=name, detail=where))
+            elif was != now:
+                self.play.events.append(Event(step=self.play.step, agent=now, kind="pick", target=name))
+        for a, b in self.company.touching:
+            self.play.events.append(
+                Event(step=self.play.step, agent=a, kind="collision", target=self.episode.roster[b].name)
+            )
+
+
+@kernel(error_model="numpy")
+def _reached(poses, goals, held_by, within, at_goal):
+    """Returns whether objects with poses [K, 7] that nobody holds are ``within`` [m] of goals [K, 3], into ``at_goal`` [K]."""
+    for k in range(len(goals)):
+        dx, dy, dz = poses[k, 0] - goals[k, 0], poses[k, 1] - goals[k, 1], poses[k, 2] - goals[k, 2]
+        at_goal[k] = held_by[k] == NOBODY and math.sqrt(dx * dx + dy * dy + dz * dz) < within
+
+
+def _seen(xz: NDArray, heading: float, other: NDArray) -> tuple[float, float]:
+    """Another place in an agent's frame: ahead and to its right [m]."""
+    (x, z), (other_x, other_z) = xz.tolist(), other.tolist()
+    dx, dz = other_x - x, other_z - z
+    c, s = math.cos(heading), math.sin(heading)
+    return c * dx - s * dz, s * dx + c * dz

@@ -1,0 +1,255 @@
+"""Agents of a rollout: their controllers, in which order they act, what they see, and how their steps are recorded."""
+
+from __future__ import annotations
+
+import weakref
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Humanoid, Robot
+from h3data.geometry import Array
+from sim_kinematic.contact.frames import root_pose
+from sim_kinematic.controllers.motion import MotionController
+from sim_kinematic.motion.state import HumanState, RobotState
+from sim_kinematic.policies.crowd.crowds import Crowds
+from sim_kinematic.policies.traffic import Traffic
+from sim_kinematic.policies.views import AgentView
+from sim_kinematic.sensing.sensor import first_point
+from sim_kinematic.sensing.table import Sensor, SensorContext, sensed
+from sim_kinematic.tasks.episode import agent_floor
+from sim_kinematic.world import Command, DriveCommand
+
+Columns = dict[str, NDArray[Any]]
+
+
+class Team(ABC):
+    """Agents of a rollout. A base class: ``play`` is the `sim_kinematic.tasks.play.WorldRollout`."""
+
+    def __init__(self, play: Any) -> None:
+        # no circle of references: policies with open connections are freed with the last use of their rollout
+        self.play: Any = weakref.proxy(play)
+        self.controllers: Sequence[Any] = ()
+        """A `sim_kinematic.controllers.controller.Controller` for each agent."""
+        self.order: Sequence[int] = range(len(play.world.roster))
+        """Numbers of the agents in the order in which they act."""
+
+    @abstractmethod
+    def begin(self, rows: NDArray[np.intp]) -> None:
+        """Begins episodes in the worlds ``rows`` [n]."""
+
+    def begin_step(self) -> None:
+        """Begins a step of the only world."""
+        for controller in self.controllers:
+            controller.begin(self.play.step)
+
+    def begin_turn(self, number: int) -> None:  # noqa: B027
+        """Called before an agent is asked or moved."""
+
+    def end_turn(self, number: int) -> None:  # noqa: B027
+        """Called after an agent has made its step."""
+
+    @abstractmethod
+    def move(self, commands: Sequence[Command | None]) -> None:
+        """Completes a step by one command for each agent, None for those whose controllers have moved them."""
+
+    def finish(self) -> None:  # noqa: B027
+        """Closes what is still going on, such as running skills."""
+
+    @abstractmethod
+    def view(self, agent: int, world: int) -> Any:
+        """Observation of an agent's policy, for any task."""
+
+    @abstractmethod
+    def exact(self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor]) -> dict[str, Array]:
+        """The named observations as they are, [W, n] each."""
+
+    @abstractmethod
+    def scenery(self, world: int) -> dict[str, Any]:
+        """Arguments of `sim_kinematic.sensing.eyes.see` that say where everything is in a world."""
+
+    @abstractmethod
+    def snapshot(self) -> Any:
+        """The step just played in the first world, as `columns` takes it."""
+
+    @abstractmethod
+    def columns(self, snapshots: Sequence[Any]) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:
+        """Columns of consecutive steps, the places of each agent [T, 2], and whether a robot touched an obstacle [T]."""
+
+
+class MotionTeam(Team):
+    """Agents of W worlds who drive and walk."""
+
+    def __init__(self, play: Any) -> None:
+        super().__init__(play)
+        self.controllers = [MotionController(member.name) for member in play.world.roster]
+        self._commands: Sequence[Command | None] = ()
+        arms = [resting_arm(member.body) for member in play.world.roster]
+        self._arms = [np.tile(arm, (play.world.worlds, 1)) for arm in arms]
+        """Resting positions of the arm joints of each agent, [W, n]."""
+        self._traffic: dict[int, Traffic] = {}
+        """Traffic of the worlds for which it was requested."""
+        self._crowds: dict[int, Crowds] = {}
+        """Crowds of the worlds for which they were requested."""
+
+    def begin(self, rows: NDArray[np.intp]) -> None:
+        """Forgets who heeded whom in these worlds."""
+        for w in rows.tolist():
+            self._traffic.pop(w, None)
+            self._crowds.pop(w, None)
+
+    def move(self, commands: Sequence[Command | None]) -> None:
+        """Moves all agents of all worlds at once."""
+        self.play.world.step(commands)
+        self._commands = commands
+
+    def view(self, agent: int, world: int) -> AgentView:
+        """Observation of an agent in one world."""
+        play, w = self.play, world
+        episode = play.episodes[w]
+        places, was = (
+            np.array([[*own.xz[w], own.heading[w]] for own in state.agents])
+            for state in (play.world.state, play.world.before)
+        )
+        return AgentView(
+            int(play.steps[w]),
+            episode.seed,
+            agent,
+            tuple(member.kind for member in play.world.roster),
+            agent_floor(episode, agent),
+            places,
+            was,
+            play.world.bases,
+            play.spec.human,
+            episode.extra,
+            partial(self._traffic_of, world),
+            partial(self.crowds_of, world),
+            partial(play.observe, agent, world),
+        )
+
+    def _traffic_of(self, world: int) -> Traffic:
+        if world not in self._traffic:
+            floors = [agent_floor(self.play.episodes[world], number) for number in range(len(self.play.world.roster))]
+            self._traffic[world] = Traffic(self.play.world, world, floors)
+        return self._traffic[world]
+
+    def crowds_of(self, world: int) -> Crowds:
+        """The crowds of one world."""
+        if world not in self._crowds:
+            self._crowds[world] = Crowds(self.play.world, world)
+        return self._crowds[world]
+
+    def exact(self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor]) -> dict[str, Array]:
+        """The named observations of an agent in all worlds."""
+        if not names:
+            return {}
+        context, who = self._context(agent), (self.play.task.name, self.play.world.roster[agent].name)
+        return {name: np.asarray(sensed(name, sensors[name], context, *who), np.float64) for name in names}
+
+    def _context(self, agent: int) -> SensorContext:
+        world = self.play.world
+        kinds = [member.kind for member in world.roster]
+        other = next((n for n, kind in enumerate(kinds) if kind != kinds[agent]), (agent + 1) % len(kinds))
+        now, before = world.state.agents, world.before.agents
+        mine = [p for p, pair in enumerate(world.pairs) if agent in pair]
+        return SensorContext(
+            self.play.spec,
+            world.bases[agent],
+            self.play.memory,
+            self.play.episodes,
+            world,
+            agent,
+            now[agent],
+            before[agent],
+            world.start.agents[agent],
+            now[other],
+            before[other],
+            world.blocked[:, agent],
+            np.asarray(world.touching[:, mine].any(1)),
+            self._arms[agent],
+            partial(self._path, agent, other),
+        )
+
+    def _path(self, agent: int, other: int) -> tuple[Array, Array]:
+        """The shortest paths from an agent to another: their lengths [W] [m] and their first way points [W, 2] [m]."""
+        world = self.play.world
+        lengths = world.geodesic(agent, other)
+        xz, to, begun = world.state.agents[agent].xz, world.state.agents[other].xz, world.bases[agent].disc_radius_m / 2
+        ends = zip(world.floors, xz, to, lengths.tolist(), strict=True)
+        return lengths, np.array([first_point(free, a, b, length, beyond_m=begun) for free, a, b, length in ends])
+
+    def scenery(self, world: int) -> dict[str, Any]:
+        """The scene as it was sampled, and people in their motion clips."""
+        play = self.play
+        return {
+            "state": play.world.state.take(np.array([world])),
+            "scene": play.episodes[world].scene,
+            "floor": play.world.floors[world],
+            "speed_mps": play.spec.human.speed_mps,
+        }
+
+    def snapshot(self) -> list[float]:
+        """Place, motion, command and word of each agent, as plain numbers."""
+        numbers: list[float] = []
+        world, skills = self.play.world, self.play.task.control.skills
+        for k, (member, own) in enumerate(zip(world.roster, world.state.agents, strict=True)):
+            words = skills.get(member.kind, ())
+            (x, z), heading = own.xz[0].tolist(), own.heading.item(0)  # Python floats: half the time of NumPy's
+            if isinstance(own, RobotState):
+                command, word = self._commands[k], self.controllers[k].word
+                forward, turn = command[0][0, :2].tolist() if isinstance(command, DriveCommand) else (0.0, 0.0)
+                code = words.index(word) if word in words else -1
+                numbers += (x, z, heading, own.contact.item(0), forward, turn, code)
+            else:
+                was = world.before.agents[k]
+                assert isinstance(was, HumanState)
+                distance = own.distance.item(0)
+                walks = distance > was.distance.item(0)
+                code = words.index("walk" if walks else "turn") if words else -1
+                since = distance - own.set_off.item(0)
+                numbers += (x, z, heading, since, own.blend.item(0), *own.arms[0].tolist(), code)
+        return numbers
+
+    def columns(self, snapshots: Sequence[list[float]]) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:
+        """Columns of robots that drive and of people in motion clips."""
+        numbers, steps, floor = np.array(snapshots, np.float64), len(snapshots), self.play.episode.free
+        result: Columns = {}
+        places, contact, at = [], [], 0
+        for k, member in enumerate(self.play.world.roster):
+            agent, body = f"agent_{k}.", member.body
+            own = numbers[:, at : at + (7 if isinstance(body, Robot) else 8)].T
+            at += len(own)
+            xz = np.stack([own[0], own[1]], -1)
+            places.append(xz)
+            result[agent + "base_pose"] = root_pose(body, xz, own[2], floor).astype(np.float32)
+            if isinstance(body, Robot):
+                contact.append(own[3].astype(np.bool_))
+                result[agent + "joint_pos"] = np.tile(body.rest.astype(np.float32), (steps, 1))
+                result[agent + "action"] = np.stack([own[4], own[5]], -1).astype(np.float32)
+            else:
+                result |= {agent + name: values for name, values in self._motion_columns(k, body, own).items()}
+            result[agent + "grasp_body"] = np.full(steps, -1, np.int32)
+            if self.play.task.control.skills.get(member.kind):
+                result[agent + "skill"] = own[-1].astype(np.int32)
+        return result, places, np.any(contact, axis=0) if contact else None
+
+    def _motion_columns(self, k: int, body: Humanoid, own: Array) -> Columns:
+        clip = self.play.world.clips[k]
+        walk = body.clips[clip]
+        columns: Columns = {
+            "motion_id": np.full(own.shape[1], clip, np.int32),
+            "motion_phase": ((walk.start_phase + own[3] / walk.stride_m) % 1.0).astype(np.float32),
+            "motion_blend": own[4].astype(np.float32),
+        }
+        if self.play.spec.human.arms is not None:
+            columns["motion_arms"] = np.stack([own[5], own[6]], -1).astype(np.float32)
+        return columns
+
+
+def resting_arm(body: Humanoid | Robot) -> Array:
+    """Resting positions of a robot's arm joints, [n]; [0] of a person or of a robot without a hand."""
+    return body.rest[list(body.arm_columns)].astype(np.float64) if isinstance(body, Robot) else np.zeros(0)

@@ -1,0 +1,113 @@
+"""Half-planes of velocities, the linear program over them, and forces between people: laws that hold for any numbers."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from h3data.metrics.social.profile import social_force
+from sim_kinematic.crowd.orca import half_plane, nearest_velocity
+from sim_kinematic.crowd.social_force import interaction
+from sim_kinematic.crowd.traits import CrowdSpec, sample_traits
+
+metres = st.floats(-4.0, 4.0)
+speeds = st.floats(-1.5, 1.5)
+FORCE = CrowdSpec().numbers[14:18]
+
+
+def least_gap(p: np.ndarray, v: np.ndarray, horizon: float) -> float:
+    """Least distance of a neighbour at ``p`` [2] to somebody who moves with ``v`` [2] relative to it, within ``horizon``."""
+    at = np.clip((p @ v) / max(v @ v, 1e-12), 0.0, horizon)
+    return float(np.hypot(*(p - at * v)))
+
+
+@given(metres, metres, speeds, speeds, st.floats(0.3, 1.0), st.floats(0.5, 3.0))
+def test_who_makes_the_whole_change_does_not_touch_within_the_horizon(px, pz, vx, vz, radius, horizon):
+    p, v = np.array([px, pz]), np.array([vx, vz])
+    assume(np.hypot(px, pz) > radius + 1e-3)
+    nx, nz, offset = half_plane(px, pz, vx, vz, radius, horizon, 0.5, 1.0)
+    assert math.hypot(nx, nz) == pytest.approx(1.0)
+    n = np.array([nx, nz])
+    changed = v + n * offset  # the least change that is allowed
+    if offset > 0.0:
+        assert least_gap(p, changed, horizon) >= radius - 1e-6
+    else:
+        assert least_gap(p, v, horizon) >= radius - 1e-6, "a velocity that needs no change leads nowhere near"
+
+
+@given(st.floats(0.75, 4.0), st.floats(-math.pi, math.pi), st.floats(0.9, 2.0), st.floats(-0.1, 0.1))
+def test_two_who_share_the_change_avoid_each_other(distance, angle, haste, beside):
+    radius, horizon = 0.7, 2.0
+    p = distance * np.array([math.cos(angle), math.sin(angle)])
+    v = (haste * p + beside * np.array([-p[1], p[0]])) / horizon  # they meet within the horizon
+    (px, pz), (vx, vz) = p, v
+    nx, nz, offset = half_plane(px, pz, vx, vz, radius, horizon, 0.5, 0.5)
+    assert offset > 0.0
+    mx, mz, other = half_plane(-px, -pz, -vx, -vz, radius, horizon, 0.5, 0.5)
+    assert (mx, mz, other) == pytest.approx((-nx, -nz, offset), abs=1e-6)
+    changed = v + np.array([nx, nz]) * offset - np.array([mx, mz]) * other
+    assert least_gap(p, changed, horizon) >= radius - 1e-6
+
+
+planes = st.lists(st.tuples(st.floats(-math.pi, math.pi), st.floats(-1.0, 0.3)), max_size=5)
+
+
+@given(planes, speeds, speeds)
+def test_the_nearest_velocity_is_allowed_and_no_other_is_nearer(rows, wx, wz):
+    most = 1.4
+    table = np.array([[math.cos(a), math.sin(a), b] for a, b in rows]).reshape(-1, 3)
+    v = np.array(nearest_velocity(table, len(table), wx, wz, most))
+    assert np.hypot(*v) <= most + 1e-9
+    angles, radii = np.meshgrid(np.linspace(0, 2 * np.pi, 61), np.linspace(0, most, 15))
+    grid = np.stack([radii * np.cos(angles), radii * np.sin(angles)], -1).reshape(-1, 2)
+    allowed = grid[(grid @ table[:, :2].T >= table[:, 2] + 1e-6).all(1)]
+    if len(allowed):
+        assert (table[:, :2] @ v >= table[:, 2] - 1e-6).all()
+        wanted = np.array([wx, wz])
+        assert np.hypot(*(v - wanted)) <= np.hypot(*(allowed - wanted).T).min() + 1e-9
+
+
+@given(metres, metres, speeds, speeds, st.floats(-math.pi, math.pi))
+def test_a_force_turns_with_the_scene_and_is_mirrored_with_it(px, pz, vx, vz, angle):
+    assume(math.hypot(px, pz) > 0.1)
+    fx, fz = interaction(px, pz, vx, vz, *FORCE)
+    c, s = math.cos(angle), math.sin(angle)
+
+    def turned(x: float, z: float) -> tuple[float, float]:
+        return c * x - s * z, s * x + c * z
+
+    assert interaction(*turned(px, pz), *turned(vx, vz), *FORCE) == pytest.approx(turned(fx, fz), abs=1e-6)
+    theta = math.atan2(pz, px) - math.atan2(2.0 * vz + pz / math.hypot(px, pz), 2.0 * vx + px / math.hypot(px, pz))
+    if abs(math.sin(theta)) > 1e-6:  # in line, the side of evasion is a convention
+        assert interaction(px, -pz, vx, -vz, *FORCE) == pytest.approx((fx, -fz), abs=1e-6)
+
+
+@given(metres, metres, speeds, speeds)
+def test_a_force_has_the_size_that_metrics_report(px, pz, vx, vz):
+    assume(math.hypot(px, pz) > 0.1)
+    size = CrowdSpec().social_gain * math.hypot(*interaction(px, pz, vx, vz, *FORCE))
+    measured = float(social_force(np.array([[px, pz]]), np.array([[vx, vz]]))[0])
+    assert size == pytest.approx(measured, rel=1e-6, abs=1e-9) or abs(px * vz - pz * vx) < 1e-6
+
+
+def test_a_force_slows_down_and_turns_away_from_the_side_of_the_neighbour():
+    fx, fz = interaction(1.5, 0.2, 1.0, 0.0, *FORCE)
+    assert fx < 0.0
+    assert fz < 0.0
+    far, _ = interaction(4.0, 0.2, 1.0, 0.0, *FORCE)
+    assert abs(far) < abs(fx)
+
+
+def test_people_differ_and_are_the_same_again():
+    people = [sample_traits(7, number, 1.3) for number in range(200)]
+    assert people[3] == sample_traits(7, 3, 1.3)
+    assert people[3] != sample_traits(8, 3, 1.3)
+    speeds = np.array([person.speed_mps for person in people])
+    assert speeds.mean() == pytest.approx(1.3, abs=0.1)
+    assert 0.25 < speeds.std() < 0.4
+    assert speeds.min() >= 0.65
+    assert 0.75 < np.mean([person.side > 0 for person in people]) < 0.95

@@ -1,0 +1,128 @@
+"""Recordings read and measured for a report, by this process or by workers anywhere: what comes of them can be sent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import FormatError, InputError
+from h3data.metrics import Profile
+from h3data.metrics.batch import Part, part_recordings, sendable
+from h3data.metrics.registry import profile_for
+from h3data.recording import Recording
+from h3data.recording.storage import AnyPath
+from h3data_viewers.html_report.episode import GRID_S, TRACK_S, ReportEpisode, Track
+
+
+@dataclass(frozen=True, eq=False)
+class Read:
+    """An episode, its metrics without the functions that compute them, and what decides who measures and shows it."""
+
+    episode: ReportEpisode
+    task: str
+    info: Mapping[str, Any]
+    """``profile`` and ``partners`` of `h3data.recording.Episode.info`, where it has them."""
+
+
+@dataclass(frozen=True)
+class Unread:
+    """An episode that cannot be measured."""
+
+    name: str
+    reason: str
+
+
+Found = list[Read | Unread]
+
+
+def read_part(part: Part) -> Found:
+    """The episodes of a part, measured by the profiles of their tasks."""
+    found: Found = []
+    for index, recording in part_recordings(part):
+        if isinstance(recording, FormatError):
+            found.append(Unread(_name(part, index), str(recording)))
+            continue
+        info = recording.episode.info
+        try:
+            profile = profile_for(recording.episode.task, info)
+            episode = _episode(part.source, index, recording, profile)
+        except InputError as fault:
+            found.append(Unread(_name(part, index), _reason(fault)))
+        else:
+            some = {key: info[key] for key in ("profile", "partners") if key in info}
+            found.append(Read(episode, recording.episode.task, some))
+    return found
+
+
+def lost_part(part: Part, fault: Exception) -> Found:
+    """The episodes of a part that no worker could read."""
+    return [Unread(_name(part, index), str(fault)) for index in part.episodes or (0,)]
+
+
+def _name(part: Part, index: int) -> str:
+    return part.source.name if part.episodes is None else f"{part.source.name}#{index}"
+
+
+def _episode(source: AnyPath, index: int, recording: Recording, profile: Profile) -> ReportEpisode:
+    metrics = sendable(profile.measure(recording))
+    info = recording.episode.info
+    tracks = tuple(
+        Track(kind=agent.kind, xz=_sampled(recording.agent_column(i, "base_pose")[:, [0, 2]], metrics.dt_ns))
+        for i, agent in enumerate(recording.agents)
+    )
+    return ReportEpisode(
+        source=source,
+        index=index,
+        metrics=metrics,
+        seed=recording.episode.seed,
+        policy=_said(info, "policy"),
+        partner=_said(info, "partner") or _partner(recording),
+        population=_population(_said(info, "population")),
+        participant=_said(info, "participant"),
+        condition=_said(info, "condition"),
+        distance_m=_distances(recording),
+        tracks=tracks,
+    )
+
+
+def _said(info: Mapping[str, Any], key: str) -> str:
+    value = info.get(key, "")
+    return str(value) if isinstance(value, str | int | float) else ""
+
+
+def _partner(recording: Recording) -> str:
+    human = next((a for a in recording.agents if a.kind == "human"), None)
+    return "" if human is None else human.model.rpartition("/")[2] or human.name
+
+
+def _population(text: str) -> str:
+    return next((kind for kind in ("train", "zsc") if text.lower().startswith(kind)), "")
+
+
+def _sampled(rows: NDArray[np.float32], dt_ns: int) -> NDArray[np.float32]:
+    stride = max(1, round(TRACK_S * 1e9 / dt_ns))
+    return np.concatenate([rows[::stride], rows[-1:]]).astype(np.float32)
+
+
+def _distances(recording: Recording) -> NDArray[np.float32]:
+    kinds = [agent.kind for agent in recording.agents]
+    if not {"robot", "human"} <= set(kinds) or not len(recording):
+        return np.zeros(0, np.float32)
+    stride = max(1, round(GRID_S * 1e9 / recording.episode.dt_ns))
+    places = [recording.columns[f"agent_{i}.base_pose"][::stride, :3] for i in range(len(kinds))]
+    robot = places[kinds.index("robot")]
+    gaps = [np.linalg.norm(robot - at, axis=1) for at, kind in zip(places, kinds, strict=True) if kind == "human"]
+    return np.fmin.reduce(gaps, axis=0).astype(np.float32)
+
+
+def _reason(fault: InputError) -> str:
+    """The fault without the name of the episode, so that equal ones can be counted."""
+    needs = getattr(fault, "needs", None)
+    if needs:
+        missing = sorted({column for columns in needs.values() for column in columns})
+        return f"nothing to measure: lacks {', '.join(missing)}"
+    return "needs a robot and a human" if "need a robot and a human" in str(fault) else str(fault)
