@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-pytest.importorskip("pxr")
+pytest.importorskip("pxr", reason="needs usd-core: pip install 'h3data[usd]'")
 
 from pxr import Usd, UsdGeom, UsdPhysics, UsdSemantics, UsdValidation
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.geometry import IDENTITY_QUAT, pose_from_matrix, transform_points
+from h3data.geometry import IDENTITY_QUAT, Array, pose_from_matrix, transform_points
 from h3data.mesh.mesh import Mesh
 from h3data.scene.records import Box, Capsule, Cylinder, Hull, Shape
 from h3data.scene.shape_bounds import shape_points
@@ -70,7 +70,7 @@ def collider_shapes(
     return []  # exact triangles, which free space reads from the mesh
 
 
-def hulls_of(points: NDArray[np.float64], faces: NDArray[np.int32]) -> list[Shape]:
+def hulls_of(points: Array, faces: NDArray[np.int32]) -> list[Shape]:
     """The convex hull of each connected piece of a mesh, or one of all if there are many."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -87,19 +87,19 @@ def hulls_of(points: NDArray[np.float64], faces: NDArray[np.int32]) -> list[Shap
     return [hull_around(points[piece[vertex] == k]) for k in np.unique(piece[used])]
 
 
-def hull_around(points: NDArray[np.float64]) -> Shape:
+def hull_around(points: Array) -> Shape:
     """The convex hull of points [N, 3]; a box if they are flat."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
-        return Hull(points=points[ConvexHull(points).vertices])
+        return Hull(points=np.asarray(points[ConvexHull(points).vertices], np.float64))
     except (QhullError, ValueError):
         return box_around(points)
 
 
-def box_around(points: NDArray[np.float64]) -> Box:
+def box_around(points: Array) -> Box:
     """The box along the axes around points [N, 3]."""
-    low, high = points.min(0), points.max(0)
+    low, high = np.asarray(points.min(0), np.float64), np.asarray(points.max(0), np.float64)
     pose = np.concatenate([(low + high) / 2, IDENTITY_QUAT])
     return Box(pose=pose, half_extents=np.maximum((high - low) / 2, HALF_MIN_M))
 
@@ -110,7 +110,7 @@ def _box(matrix: NDArray[np.float64], half: NDArray[np.float64]) -> Shape:
     if frame is None:
         return hull_around(transform_points(matrix, corner))
     turn, scale = frame
-    return Box(pose=pose_from_matrix(turn), half_extents=np.maximum(half * scale, HALF_MIN_M))
+    return Box(pose=np.asarray(pose_from_matrix(turn), np.float64), half_extents=np.maximum(half * scale, HALF_MIN_M))
 
 
 def _swept(matrix: NDArray[np.float64], shape: Capsule) -> Shape:
@@ -131,7 +131,7 @@ def _cylinder(matrix: NDArray[np.float64], axis: NDArray[np.float64], radius: fl
     if frame is None or abs(frame[1][0] - frame[1][2]) > _SQUARE * frame[1].max():
         local = shape_points(Cylinder(pose=identity, radius=radius, half_height=half))
         return hull_around(transform_points(matrix, local))
-    pose, scale = pose_from_matrix(frame[0]), frame[1]
+    pose, scale = np.asarray(pose_from_matrix(frame[0]), np.float64), frame[1]
     return Cylinder(pose=pose, radius=radius * float(scale[0]), half_height=half * float(scale[1]))
 
 

@@ -100,7 +100,7 @@ class JointReader:
             if parts:
                 base = next((names[p] for p in (root, *_above(root)) if p in names), "") if root else ""
                 moved = {name for part in parts for name in part.instances}
-                pose = pose_from_matrix(self._frame(root))
+                pose = np.asarray(pose_from_matrix(self._frame(root)), np.float64)
                 name = root.rpartition("/")[2] or parts[0].name
                 out.append(Articulation(name=name, pose=pose, parts=tuple(parts), base="" if base in moved else base))
         return _named_apart(out)

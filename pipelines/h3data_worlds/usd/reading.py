@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, MissingAssetError, SceneError
-from h3data.geometry import pose_from_matrix, transform_points
+from h3data.geometry import Array, pose_from_matrix, transform_points
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.mesh_operations import joined
 from h3data.scene.kinds import KINDS
@@ -24,7 +24,7 @@ from h3data.scene.records import Articulation, Asset, Instance, Part, Scene, Sha
 from h3data.scene.scene_json import read_articulation, read_asset, read_instance, read_light, read_room
 from h3data_worlds.usd.colliders import collider_shapes, hulls_of
 from h3data_worlds.usd.joints import JointReader
-from h3data_worlds.usd.stages import OpenStage, open_stage, quiet
+from h3data_worlds.usd.stages import OpenStage, open_stage, reading
 from h3data_worlds.usd.surfaces import SurfaceReader
 from h3data_worlds.usd.things import Gprim, Thing, ThingFinder, records_of
 
@@ -54,7 +54,7 @@ def read_usd(path: Any, *, allow_missing: bool = False, strict: bool = False) ->
         SceneError: there is nothing in it, or too much; with ``strict`` also any warning.
     """
     opened = open_stage(path)
-    with quiet():
+    with reading(path):
         reader = _StageReader(opened)
         scene, warnings, missing = reader.read()
     if missing and not allow_missing:
@@ -99,6 +99,7 @@ class _StageReader:
         """The scene, what was left out or guessed, and which files are missing."""
         notes = self.surfaces.notes
         self.finder.walk()
+        notes |= self.finder.notes
         for fault in self.opened.faults:
             notes[f"a reference cannot be followed ({fault})"] = None
         instances, names, members = self._instances()
@@ -131,7 +132,7 @@ class _StageReader:
             name=str(self.head["name"]),
             assets={key: self.assets[key] for key in self.head["assets"] if key in used},
             instances=kept,
-            rooms=tuple(read_room(record) for record in self.finder.rooms),
+            rooms=tuple(read_room(dict(record)) for record in self.finder.rooms),
             lights=None if lights is None else tuple(read_light(light) for light in lights),
             source=dict(self.head["source"]) if whole else {**source, "changed": True},
             articulations=things,
@@ -225,7 +226,11 @@ class _StageReader:
         frame = _rigid_part(matrix)
         stretch = np.linalg.inv(frame) @ matrix
         free = bool(thing.body) and thing.body not in jointed and not self._is_held(thing)
-        key = (thing.shared, np.round(stretch, 6).tobytes(), bool(thing.body)) if thing.shared else thing.name
+        key = (
+            (thing.shared, thing.label, np.round(stretch, 6).tobytes(), bool(thing.body))
+            if thing.shared
+            else thing.name
+        )
         if key not in self._asset_of:
             mesh, shapes = self._content(thing, np.linalg.inv(frame), moves=bool(thing.body))
             if mesh is None and not shapes:
@@ -243,7 +248,7 @@ class _StageReader:
         return Instance(
             name=_free_name(_plain_name(thing.name.rpartition("/")[2]), used),
             asset=asset,
-            pose=pose_from_matrix(frame),
+            pose=np.asarray(pose_from_matrix(frame), np.float64),
             semantic_id=KINDS[category].semantic_id if category in KINDS else 0,
             motion="kinematic" if free else "static",
             layer="ceiling" if category == "ceiling" else "",
@@ -254,7 +259,7 @@ class _StageReader:
         prim = self.opened.stage.GetPrimAtPath(thing.body)
         return bool(prim and prim.GetAttribute("physics:kinematicEnabled").Get())
 
-    def _content(self, thing: Thing, back: NDArray[np.float64], *, moves: bool) -> tuple[Mesh | None, list[Shape]]:
+    def _content(self, thing: Thing, back: Array, *, moves: bool) -> tuple[Mesh | None, list[Shape]]:
         """Mesh and shapes of a thing in the frame to which ``back`` [4, 4] leads from the world, +Y up [m]."""
         meshes: list[Mesh] = []
         shapes: list[Shape] = []

@@ -34,18 +34,29 @@ def pxr(module: str) -> Any:
 
 
 @contextmanager
-def quiet() -> Iterator[list[str]]:
-    """Keeps USD from printing; afterwards the list holds what it would have said."""
+def quiet() -> Iterator[None]:
+    """Keeps USD from printing."""
     delegate = pxr("UsdUtils").CoalescingDiagnosticDelegate()
-    said: list[str] = []
     try:
-        yield said
+        yield
     finally:
-        said += [
-            item.sharedItem.sourceFunction + ": " + item.unsharedItems[0].commentary
-            for item in delegate.TakeCoalescedDiagnostics()
-        ]
         del delegate
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Keeps USD from printing, and names a file in which it finds damage: much of a file is only decoded when it is used.
+
+    Raises:
+        FormatError: the file, or one that it refers to, is damaged.
+    """
+    try:
+        with quiet():
+            yield
+    except (pxr("Tf").ErrorException, RuntimeError, UnicodeDecodeError) as fault:
+        raise FormatError(
+            f"Expected a USD file, this cannot be read as one ({_reason(fault)}). File: {path}", code="H3-WORLD-010"
+        ) from None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,17 +97,12 @@ def open_stage(path: Path) -> OpenStage:
         MissingExtraError: usd-core is not installed.
         FormatError: it is no USD file, its units are senseless, or a package refers to files outside itself.
     """
-    usd, geom, tf = pxr("Usd"), pxr("UsdGeom"), pxr("Tf")
+    usd, geom = pxr("Usd"), pxr("UsdGeom")
     if not path.is_file():
         raise FormatError(f"Expected a USD file, there is none at this path: {path}", code="H3-WORLD-006")
-    try:
-        with quiet():
-            stage = usd.Stage.Open(str(path))
-    except (tf.ErrorException, RuntimeError) as fault:
-        raise FormatError(
-            f"Expected a USD file, this cannot be read as one ({_first_line(fault)}). File: {path}", code="H3-WORLD-010"
-        ) from None
-    errors = [str(error).strip() for error in stage.GetCompositionErrors()]
+    with reading(path):
+        stage = usd.Stage.Open(str(path))
+        errors = [str(error).strip() for error in stage.GetCompositionErrors()]
     missing = tuple(dict.fromkeys(_asset(text) for text in errors if "Could not open asset" in text))
     faults = tuple(dict.fromkeys(" ".join(text.split())[:200] for text in errors if "Could not open asset" not in text))
     if path.suffix.lower() == ".usdz":
@@ -140,6 +146,12 @@ def _asset(text: str) -> str:
     return text.partition("@")[2].partition("@")[0] or text[:120]
 
 
-def _first_line(fault: BaseException) -> str:
-    text = " ".join(str(fault).split())
-    return text.rpartition("--")[2].strip()[:160] or type(fault).__name__
+def _reason(fault: BaseException) -> str:
+    """The first thing that USD says about a file, without the places in its own source."""
+    try:
+        text = " ".join(str(fault).split())
+    except UnicodeDecodeError as undecoded:  # USD quotes the file in its words
+        fault, text = undecoded, ""
+    if isinstance(fault, UnicodeDecodeError):
+        return "text in it is not UTF-8"
+    return text.partition(" : '")[2].partition("' Error in")[0].strip(" '")[:160] or type(fault).__name__

@@ -93,6 +93,10 @@ class SurfaceReader:
         if len(indices) and (indices.min() < 0 or indices.max() >= len(points)):
             raise ValueError(f"its indices go from {indices.min()} to {indices.max()}, it has {len(points)} points")
         corners, face_of = _fan(counts)
+        holes = _array(gprim.GetHoleIndicesAttr().Get(time), 0)
+        if len(holes):
+            solid = ~np.isin(face_of, holes)
+            corners, face_of = corners[solid], face_of[solid]
         if not len(corners):
             return None
         if gprim.GetOrientationAttr().Get(time) == geom.Tokens.leftHanded:

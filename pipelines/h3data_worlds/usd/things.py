@@ -37,7 +37,7 @@ class Gprim:
 
 @dataclass(kw_only=True, eq=False)
 class Thing:
-    """What becomes an instance: the prims at and below ``prim`` that belong to no thing further down."""
+    """A future instance: the prims at and below ``prim`` that belong to no thing further down."""
 
     prim: Any
     name: str
@@ -69,7 +69,9 @@ def records_of(prim: Any) -> Mapping[str, Any]:
         record = None
     if not isinstance(record, dict):
         raise FormatError(
-            f"Expected JSON that h3data wrote in customData of {prim.GetPath()}, got {text!r:.60}.", code="H3-WORLD-013"
+            f"Expected JSON that h3data wrote in customData of {prim.GetPath()}, got {text!r:.60}. "
+            f"File: {prim.GetStage().GetRootLayer().realPath}",
+            code="H3-WORLD-013",
         )
     return record
 
@@ -109,14 +111,14 @@ class ThingFinder:
         self.assets: dict[str, Mapping[str, Any]] = {}
         """Our records of assets, by their key."""
         self.receptacles: dict[str, list[Any]] = {}
-        self.lights = 0
+        self.notes: dict[str, None] = {}
+        """Sentences on what was left out, in order."""
         self.copies = 0
         usd, geom = pxr("Usd"), pxr("UsdGeom")
         self._time = usd.TimeCode.EarliestTime()
         self._places = geom.XformCache(self._time)
         self._imageable, self._gprim, self._instancer = geom.Imageable, geom.Gprim, geom.PointInstancer
         self._joint, self._body = pxr("UsdPhysics").Joint, pxr("UsdPhysics").RigidBodyAPI
-        self._light = pxr("UsdLux").LightAPI
         self._model = usd.ModelAPI
 
     def walk(self) -> None:
@@ -152,8 +154,6 @@ class ThingFinder:
                 self.articulated[path] = record["thing"]
             if "key" in record:
                 self.assets[str(record["key"])] = record
-            if prim.HasAPI(self._light):
-                self.lights += 1
             imageable = self._imageable(prim)
             if imageable:
                 visible = visible and imageable.GetVisibilityAttr().Get(self._time) != "invisible"
@@ -205,7 +205,10 @@ class ThingFinder:
             )
         placed = instancer.ComputeInstanceTransformsAtTime(self._time, self._time, instancer.IncludeProtoXform)
         mask = instancer.ComputeMaskAtTime(self._time)
-        if not visible or len(placed) != len(which):
+        if not visible:
+            return
+        if len(placed) != len(which):
+            self.notes[f"the point instancer {prim.GetPath()} is left out: its places do not fit its copies"] = None
             return
         here = self._world(prim)
         parts = [list(self._below(self.opened.stage.GetPrimAtPath(path))) for path in prototypes]
@@ -231,9 +234,10 @@ class ThingFinder:
             return
         back = np.linalg.pinv(self._world(prototype))
         for prim in usd.PrimRange(prototype, usd.TraverseInstanceProxies()):
-            if (
-                prim.IsA(self._gprim)
-                and self._imageable(prim).ComputePurpose() in _SHOWN
-                and prim.GetTypeName() in MAKERS
-            ):
-                yield prim, back @ self._world(prim)
+            if prim.IsA(self._instancer):
+                self.notes[f"a point instancer in a prototype is not read: {prim.GetPath()}"] = None
+            elif prim.IsA(self._gprim) and self._imageable(prim).ComputePurpose() in _SHOWN:
+                if prim.GetTypeName() in MAKERS:
+                    yield prim, back @ self._world(prim)
+                else:
+                    self.notes[f"{prim.GetTypeName()} prims are not read, such as {prim.GetPath()}"] = None

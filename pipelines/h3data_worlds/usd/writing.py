@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError, SceneError
 from h3data.files import part_file
-from h3data.geometry import pose_inverse, pose_multiply, quat_from_axis_angle, quat_multiply
+from h3data.geometry import Array, pose_inverse, pose_multiply, quat_from_axis_angle, quat_multiply
 from h3data.mesh.mesh import Mesh, Texture
 from h3data.mesh.png import png_bytes
 from h3data.scene.records import (
@@ -77,10 +77,9 @@ def write_usd(scene: Scene, path: str | os.PathLike[str]) -> list[Path]:
                 stage = pxr("Usd").Stage.CreateNew(str(inner))
                 _StageWriter(stage, scene, textures).write()
                 stage.GetRootLayer().Save()
-                if ending == ".usdz":
-                    packed = Path(folder, "packed.usdz")
-                    if not pxr("UsdUtils").CreateNewUsdzPackage(str(inner), str(packed)):
-                        raise InputError(f"usd-core cannot pack the scene. File: {path}", code="H3-WORLD-019")
+                packed = Path(folder, "packed.usdz")
+                if ending == ".usdz" and not pxr("UsdUtils").CreateNewUsdzPackage(str(inner), str(packed)):
+                    raise InputError(f"usd-core cannot pack the scene. File: {path}", code="H3-WORLD-019")
             if ending == ".usdz":
                 return [_copied(packed, path)]
             made = [_copied(file, path.parent / textures.folder / file.name) for file in textures.files]
@@ -146,7 +145,7 @@ class _StageWriter:
         self.usd, self.geom, self.shade = pxr("Usd"), pxr("UsdGeom"), pxr("UsdShade")
         self.physics, self.sdf, self.gf, self.vt = pxr("UsdPhysics"), pxr("Sdf"), pxr("Gf"), pxr("Vt")
         self.assets: dict[str, str] = {}
-        self.bodies: dict[str, str] = {}
+        self.bodies: dict[str, tuple[str, Array | None]] = {}
         """Path of the prim below which an instance lies that a joint moves, or that is the base of a thing, by its name."""
 
     def write(self) -> None:
@@ -183,7 +182,7 @@ class _StageWriter:
     def _keep(self, prim: Any, record: Mapping[str, Any]) -> None:
         prim.SetCustomDataByKey(KEY, json.dumps(record, allow_nan=False))
 
-    def _place(self, prim: Any, pose: NDArray[np.float64], scale: NDArray[np.float64] | None = None) -> None:
+    def _place(self, prim: Any, pose: Array, scale: NDArray[np.float64] | None = None) -> None:
         x, y, z, qx, qy, qz, qw = (float(v) for v in pose)
         form = self.geom.Xformable(prim)
         double = self.geom.XformOp.PrecisionDouble
@@ -389,9 +388,7 @@ class _StageWriter:
             getattr(made, f"CreateLocalRot{number}Attr")(gf.Quatf(float(qw), float(qx), float(qy), float(qz)))
         self._keep(made.GetPrim(), {"joint": part.name})
 
-    def _write_instance(
-        self, instance: Instance, above: str, frame: NDArray[np.float64] | None, *, names: _Names
-    ) -> None:
+    def _write_instance(self, instance: Instance, above: str, frame: Array | None, *, names: _Names) -> None:
         if not self.stage.GetPrimAtPath(above):
             self.geom.Scope.Define(self.stage, above)
         path = f"{above}/{names(instance.name)}"
@@ -424,7 +421,7 @@ class _StageWriter:
                 made.CreateRadiusAttr(0.05)
 
 
-def _turn_from(axis: NDArray[np.float64], to: NDArray[np.float64]) -> NDArray[np.float64]:
+def _turn_from(axis: Array, to: Array) -> Array:
     """A quaternion xyzw [4] that turns a unit vector into the direction of another; identity for a zero vector."""
     length = float(np.linalg.norm(to))
     if length == 0:
@@ -448,6 +445,6 @@ def _hull_faces(points: NDArray[np.float64]) -> NDArray[np.int64]:
         return np.array([[0, k, k + 1] for k in range(1, len(points) - 1)]).reshape(-1, 3)
     a, b, c = (np.asarray(points)[hull.simplices[:, k]] for k in range(3))
     wrong = (np.cross(b - a, c - a) * hull.equations[:, :3]).sum(1) < 0
-    faces = hull.simplices.copy()
+    faces = hull.simplices.astype(np.int64)
     faces[wrong] = faces[wrong][:, ::-1]
     return faces
