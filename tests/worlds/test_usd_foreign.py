@@ -19,6 +19,7 @@ import h3data
 from h3data.errors import H3DataError
 from h3data.scene import FreeSpace
 from h3data_pipelines.cli import main
+from h3data_worlds.usd.polygons import triangles_of
 from h3data_worlds.usd.reading import read_usd
 from tests.worlds.usd_homes import box, flat, label
 
@@ -202,3 +203,25 @@ def test_a_package_may_hold_all_it_needs_and_nothing_else(tmp_path: Path) -> Non
         code = code_of(tmp_path / "out.usdz")
         assert code in ("H3-WORLD-011", "H3-WORLD-001"), target
     assert code_of(tmp_path / "none.usda") == "H3-WORLD-006"
+
+
+@given(seed=st.integers(0, 2**31), corners=st.integers(3, 40), bent=st.booleans())
+def test_triangles_cover_concave_polygons_once(seed: int, corners: int, bent: bool) -> None:
+    rng = np.random.default_rng(seed)
+    angle = np.arange(corners) * 2 * np.pi / corners
+    radius = rng.uniform(0.2, 1, corners)
+    frame, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    flat = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(corners)], -1)
+    if bent:  # a comb, into which nobody sees from one corner
+        x = np.arange(corners, dtype=float)
+        flat = np.stack([x, np.where(x % 2, 0.2, radius), 0 * x], -1)
+        flat = np.concatenate([[[0, -1, 0]], [[corners - 1, -1, 0]], flat[::-1]])
+    flat = np.roll(flat, int(rng.integers(len(flat))), axis=0)
+    points = flat @ frame.T
+    rows, face_of = triangles_of(points, np.array([3, len(flat)]), np.array([0, 1, 2, *range(len(flat))]))
+    assert face_of.tolist() == [0] + [1] * (len(flat) - 2)
+    a, b, c = (flat[rows[1:, k] - 3][:, :2] for k in range(3))
+    areas = ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
+    assert areas.min() > -1e-9
+    x, y = flat[:, 0], flat[:, 1]
+    np.testing.assert_allclose(areas.sum(), (x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2, rtol=1e-9)

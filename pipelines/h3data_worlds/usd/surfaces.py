@@ -1,6 +1,6 @@
 """Surfaces of a stage: prims that are seen as meshes with colours and textures.
 
-Read are polygons (as fans; the control cage of subdivided ones), boxes, balls, cylinders, cones, capsules and planes;
+Read are polygons (the control cage of subdivided ones), boxes, balls, cylinders, cones, capsules and planes;
 `UsdPreviewSurface` (colour, image, vertex colours) and the base colour and image of Omniverse's materials.
 """
 
@@ -19,6 +19,7 @@ from h3data.mesh.images import image_texture
 from h3data.mesh.mesh import Mesh, Texture
 from h3data.mesh.primitives import box_mesh, capsule_mesh
 from h3data.srgb import linear_to_bytes
+from h3data_worlds.usd.polygons import triangles_of
 from h3data_worlds.usd.stages import OpenStage, is_inside, pxr
 
 MAX_TRIANGLES = 20_000_000
@@ -92,7 +93,7 @@ class SurfaceReader:
             raise ValueError(f"its faces need {counts.sum()} indices, it has {len(indices)}")
         if len(indices) and (indices.min() < 0 or indices.max() >= len(points)):
             raise ValueError(f"its indices go from {indices.min()} to {indices.max()}, it has {len(points)} points")
-        corners, face_of = _fan(counts)
+        corners, face_of = triangles_of(points, counts, indices)
         holes = _array(gprim.GetHoleIndicesAttr().Get(time), 0)
         if len(holes):
             solid = ~np.isin(face_of, holes)
@@ -386,16 +387,6 @@ def _placed(array: NDArray[Any], kind: str, points: int, faces: int, corners: in
     if len(array) != sizes.get(kind, -1):
         kind = next((k for k in ("vertex", "faceVarying", "uniform", "constant") if sizes[k] == len(array)), "")
     return (array, "vertex" if kind == "varying" else kind) if kind else None
-
-
-def _fan(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Triangles [F, 3] of polygons with ``counts`` [P] corners, as corners, and the polygon of each [F]."""
-    starts = np.cumsum(counts) - counts
-    each = np.maximum(counts - 2, 0)
-    face_of = np.repeat(np.arange(len(counts)), each)
-    step = np.arange(len(face_of)) - np.repeat(np.cumsum(each) - each, each)
-    first = starts[face_of]
-    return np.stack([first, first + step + 1, first + step + 2], -1), face_of
 
 
 def _value_of(entry: Any) -> tuple[Any, Any]:
