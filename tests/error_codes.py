@@ -35,6 +35,7 @@ AREAS = {
         "h3data/bodies pipelines/h3data_motion pipelines/h3data_pipelines/assets",
     ),
     "HABITAT": ("files of Habitat", "habitat", "pipelines/h3data_habitat"),
+    "WORLD": ("scenes of other makers", "scenes", "pipelines/h3data_worlds"),
     "RECORDING": ("recordings and datasets", "format", "h3data/recording"),
     "REPLAY": ("replay", "replay", "h3data/replay"),
     "RENDER": ("pictures", "rendering", "h3data/render pipelines/h3data_gpu pipelines/h3data_pipelines/pictures"),

@@ -112,6 +112,14 @@ class WriteCollection(Protocol):
         ...
 
 
+class WriteScene(Protocol):
+    """Writes one scene as a file of a maker."""
+
+    def __call__(self, scene: Scene, path: Path) -> Sequence[Path]:
+        """The files that were written: ``path`` first, then those beside it."""
+        ...
+
+
 class WithObjects(Protocol):
     """Puts objects in the places of movable things of scenes."""
 
@@ -139,8 +147,12 @@ class SceneReader:
     """The mesh of an object template: `object_mesh`."""
     write_collection: WriteCollection | None = None
     """Writes scenes as a new collection."""
+    write_scene: WriteScene | None = None
+    """Writes one scene as a file."""
     with_objects: WithObjects | None = None
     """Puts objects of the maker's files in the places of movable things."""
+    recognizes: Callable[[Path], bool] = lambda _: True
+    """Returns whether a file with such an ending is of this maker, for endings that others use too."""
 
 
 def _check(entry: Any) -> None:
@@ -171,9 +183,10 @@ def scene_readers() -> list[SceneReader]:
 
 
 def reader_of(path: str) -> SceneReader | None:
-    """The reader of a scene file, judged by its name; None if there is none."""
+    """The reader of a scene file, judged by its name and, where makers share an ending, its content; None if there is none."""
     text = path.lower()
-    return next((reader for reader in scene_readers() if text.endswith(tuple(reader.endings))), None)
+    fitting = (reader for reader in scene_readers() if text.endswith(tuple(reader.endings)))
+    return next((reader for reader in fitting if reader.recognizes(Path(path))), None)
 
 
 def scene_of(source: SceneSource) -> Scene:

@@ -306,6 +306,7 @@ def test_sources_name_pages_as_the_command_shows_them() -> None:
         "pipelines/h3data_homes",
         "pipelines/h3data_meshes",
         "pipelines/h3data_motion",
+        "pipelines/h3data_worlds",
         "pipelines/h3data_pipelines",
         "pipelines/h3data_training",
         "pipelines/h3data_remote",

@@ -30,6 +30,7 @@ PLACES = {
     "h3data_homes": "pipelines",
     "h3data_meshes": "pipelines",
     "h3data_motion": "pipelines",
+    "h3data_worlds": "pipelines",
     "h3data_pipelines": "pipelines",
     "h3data_training": "pipelines",
     "h3data_remote": "pipelines",

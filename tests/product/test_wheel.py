@@ -60,6 +60,7 @@ def test_the_wheel_works_outside_the_repository(script: str, says: str, tmp_path
         "h3data_homes",
         "h3data_meshes",
         "h3data_motion",
+        "h3data_worlds",
         "h3data_pipelines",
         "h3data_training",
         "h3data_remote",

@@ -56,7 +56,7 @@ _PARKED_M = 5.0
 
 _SCENE_HELP = (
     "a built-in home such as small:3, a scene set such as h3-homes/test, or the path of a scene (.scene_instance.json, "
-    ".stage_config.json, .glb)."
+    ".stage_config.json, .glb, .usd)."
 )
 
 
@@ -174,7 +174,7 @@ class ScenesShow:
 
 @dataclass(frozen=True)
 class ScenesExport:
-    """Export scenes as one Habitat scene dataset, which habitat-sim loads, or as one GLB file each.
+    """Export scenes as one Habitat scene dataset, which habitat-sim loads, or as one GLB or USD file each.
 
     The export of a scene set as a Habitat dataset includes its episodes.
 
@@ -183,6 +183,7 @@ class ScenesExport:
         h3data scenes export small:0 small:1 medium:0 -o exports/homes
         h3data scenes export small:3 --split-building -o exports/semantic
         h3data scenes export small:3 --to glb -o exports/
+        h3data scenes export small2-doors:3 --to usd -o home.usdz
         h3data scenes export small:3 --to glb --objects ycb/ -o exports/
     """
 
@@ -190,9 +191,10 @@ class ScenesExport:
     """A set (h3-homes/test, a .toml file), one of its scenes (h3-homes/test#3), built-in homes (small:3) or paths of
     scenes. Scenes of one Habitat dataset share their objects."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder to write to; that of a Habitat dataset must be new."""
-    to: Literal["habitat", "glb"] = "habitat"
-    """habitat: configs, stage, one GLB per object, receptacles, lights, regions. glb: one file that any viewer opens."""
+    """Folder to write to; that of a Habitat dataset must be new. For usd also a file: home.usda, home.usdc, home.usdz."""
+    to: Literal["habitat", "glb", "usd"] = "habitat"
+    """habitat: configs, stage, one GLB per object, receptacles, lights, regions. glb: one file that any viewer opens. usd: for
+    Isaac, Blender and Omniverse, with materials, colliders, joints and semantic labels (in a folder: .usdc)."""
     split_building: bool = False
     """For habitat: floors, walls, ceilings, windows, doors and trim as one static object each, so that habitat-sim's
     semantic sensor tells them apart. The stage then only collides."""
@@ -214,7 +216,7 @@ class ScenesExport:
             raise InputError(f"--episodes must be at least 0, got {self.episodes}.", code="H3-BODY-152")
         if self.split_building and self.to != "habitat":
             raise InputError(
-                "--split-building is for --to habitat: in a GLB every part has its semantic id already.",
+                "--split-building is for --to habitat: in a GLB or USD file every part has its semantic id already.",
                 code="H3-BODY-153",
             )
         sets = [s for text in self.scenes if "#" not in text and (s := find_scene_set(text)) is not None]
@@ -226,8 +228,10 @@ class ScenesExport:
             scenes, objects = self._with_objects(scenes)
         if self.to == "habitat":
             files, first = self._to_habitat(scenes, sets)
-        else:
+        elif self.to == "glb":
             files, first = self._to_glb(scenes)
+        else:
+            files, first = self._to_usd(scenes)
         size = sum(f.stat().st_size for f in files)
         names = ", ".join(s.name for s in scenes[:6]) + (f", ... ({len(scenes)})" if len(scenes) > 6 else "")
         episodes = [str(f) for f in files if f.parent.name == "episodes"]
@@ -289,16 +293,34 @@ class ScenesExport:
     def _to_glb(self, scenes: Sequence[Scene]) -> tuple[list[Path], str]:
         from h3data.scene import save_scene
 
-        files = [self.out / f"{re.sub(r'[^A-Za-z0-9_-]+', '_', s.name)}.glb" for s in scenes]
+        files = self._claimed(scenes, ".glb")
+        for scene, file in zip(scenes, files, strict=True):
+            save_scene(scene, file)
+        return files, str(files[0])
+
+    def _to_usd(self, scenes: Sequence[Scene]) -> tuple[list[Path], str]:
+        usd = scene_files("usd")
+        assert usd.write_scene is not None
+        if self.out.suffix.lower() not in usd.endings:
+            targets = self._claimed(scenes, ".usdc")
+        elif len(scenes) == 1:
+            targets = [claim_file(self.out, force=self.force)]
+        else:
+            raise InputError(
+                f"One USD file holds one scene, {len(scenes)} are given. Hint: name a folder. -o: {self.out}",
+                code="H3-BODY-177",
+            )
+        files = [file for scene, target in zip(scenes, targets, strict=True) for file in usd.write_scene(scene, target)]
+        return files, str(targets[0])
+
+    def _claimed(self, scenes: Sequence[Scene], ending: str) -> list[Path]:
+        """One file in the folder per scene, which may be written."""
+        files = [self.out / f"{re.sub(r'[^A-Za-z0-9_-]+', '_', s.name)}{ending}" for s in scenes]
         if len(set(files)) < len(files):
             raise InputError(
                 "Two scenes have the same name: their files would overwrite each other.", code="H3-BODY-155"
             )
-        for file in files:
-            claim_file(file, force=self.force)
-        for scene, file in zip(scenes, files, strict=True):
-            save_scene(scene, file)
-        return files, str(files[0])
+        return [claim_file(file, force=self.force) for file in files]
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ PACKAGES = (
     "h3data_homes",
     "h3data_meshes",
     "h3data_motion",
+    "h3data_worlds",
     "h3data_exporters",
     "h3data_remote",
 )

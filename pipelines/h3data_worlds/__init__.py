@@ -1,0 +1,1 @@
+"""Homes in the files of other makers: USD, in and out (`usd`)."""

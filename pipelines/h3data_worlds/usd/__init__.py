@@ -1,0 +1,1 @@
+"""Scenes as USD: `writing` makes stages that Isaac, Blender and Omniverse open, `reading` makes scenes of any stage."""
