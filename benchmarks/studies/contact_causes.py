@@ -1,8 +1,7 @@
 """Causes of contact between the robot and the person in social navigation, each changed alone.
 
-``python -m benchmarks.studies.contact_causes --scenes h3-homes/val --episodes 120 --seed 41`` plays the same episodes of the paper's
-rules once for each variant and prints S, SPS, F and CR, with what the contacts were like. It is a study and no benchmark of
-speed: `benchmarks.__main__` does not run it.
+``python -m benchmarks.studies.contact_causes --scenes h3-homes/val --episodes 96 --seed 41`` plays the same episodes of the
+paper's rules once for each variant and prints S, SPS, F and CR, with what the contacts were like.
 """
 
 from __future__ import annotations
