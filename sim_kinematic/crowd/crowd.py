@@ -150,6 +150,8 @@ class Crowd:
             if paths:  # who is stuck turns to where the others are not
                 others = np.delete(xz, m, axis=0)
                 self._set_path(m, max(paths, key=lambda path: _room_on(path, others)) if len(paths) > 1 else paths[0])
+            elif self._counts[m] < 2:  # who finds no goal at all stands where they are
+                self._set_path(m, np.array([xz[m], xz[m]], np.float64))
             self._best[m] = 0.0, step
 
     def _paths_from(self, m: int, xz: Array, most: int) -> list[NDArray[np.float64]]:

@@ -89,6 +89,16 @@ def test_who_walks_alone_walks_at_their_own_speed(floor: FreeSpace, model: Crowd
     assert np.abs(track[:, 1] - 6.0).max() < 0.05
 
 
+@pytest.mark.parametrize("model", MODELS)
+def test_who_finds_no_goal_stands_and_others_walk_round_them(floor: FreeSpace, model: CrowdModel):
+    nowhere = np.zeros((0, 2))
+    crowd = Crowd(floor, [person(), person()], [path_to((15.0, 6.0)), lambda xz: nowhere], model)
+    track = walk(crowd, [(3.0, 6.0), (9.0, 6.0)], [0.0, 0.0], 420)
+    assert np.hypot(*(track[:, 0] - [15.0, 6.0]).T).min() < 0.5
+    assert np.isfinite(track).all()
+    assert np.hypot(*(track[:, 1] - track[0, 1]).T).max() < 0.6, "at most they step aside"
+
+
 def wander(model: str, seed: int = 3, **rules: float) -> Recording:
     agents = {"human": model, "robot": "wander"}
     roster = ["robot", "human", "human", "human"]
