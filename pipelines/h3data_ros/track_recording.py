@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from h3data.bodies.walk_synthesis import SYNTHETIC_BODY, walk_columns
 from numpy.typing import NDArray
 
 from h3data.bodies import load_humanoid
+from h3data.bodies.walk_synthesis import SYNTHETIC_BODY, walk_columns
 from h3data.errors import FormatError, InputError
 from h3data.geometry import ground_pose, heading_from_quat
 from h3data.recording.records import Agent, AssetRef, Body, Episode, Recording

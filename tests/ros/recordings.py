@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from h3data.bodies.walk_synthesis import walk_columns
 
 from h3data.bodies import load_humanoid, load_robot
+from h3data.bodies.walk_synthesis import walk_columns
 from h3data.geometry import ground_pose
 from h3data.recording.records import STEP_NS, Agent, AssetRef, Body, Episode, Event, Recording
 from h3data.scene import FreeSpace
