@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from h3data.formats import BagStorage, Exported, ExportRequest
 from h3data.geometry import heading_from_quat, pose_from_matrix, pose_multiply, quat_from_axis_angle, wrap_angle
 from h3data.recording.mcap.header import log_time, start_time
 from h3data.recording.records import Recording
+from h3data.recording.scans import scans_of
 from h3data.render.camera import Camera
 from h3data.replay import Replay, camera_track
 from h3data.scene import FreeSpace, Scene, load_scene
@@ -48,6 +49,17 @@ RAYS_MAX = 4096
 JPEG_QUALITY = 90
 Pictures = Iterable[tuple[int, Sequence[NDArray[np.uint8]]]]
 """Steps in their order, each with the sRGB picture [H, W, 3] of every camera."""
+
+
+class _RobotScan(NamedTuple):
+    """Scans of one robot in each step."""
+
+    ranges: NDArray[np.floating]
+    """Distances [T, R] [m]; infinite where a ray met nothing."""
+    first_rad: float
+    """Angle of the first ray from straight ahead, positive to the left; the others follow to the left."""
+    most_m: float
+    """Greatest distance that can be measured."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -356,21 +368,21 @@ class _Export:
                 **vars(self._twist(command[0], 0.0, command[1])),
             )
         if robot.number in self._scans:
-            ranges = self._scans[robot.number][step]
-            increment = 2 * np.pi / len(ranges)
+            scan = self._scans[robot.number]
+            ranges, increment = scan.ranges[step], 2 * np.pi / scan.ranges.shape[1]
             self._put(
                 self._topic(robot, "scan"),
                 "sensor_msgs/LaserScan",
                 t,
                 best_effort=True,
                 header=self._header(t, robot.frame.removesuffix("base_footprint") + "base_scan"),
-                angle_min=-np.pi,
-                angle_max=np.pi - increment,
+                angle_min=scan.first_rad,
+                angle_max=scan.first_rad + (len(ranges) - 1) * increment,
                 angle_increment=increment,
                 time_increment=0.0,
                 scan_time=self._recording.episode.dt_ns * 1e-9,
                 range_min=RANGE_M[0],
-                range_max=RANGE_M[1],
+                range_max=scan.most_m,
                 ranges=np.asarray(ranges, np.float32),
                 intensities=np.zeros(0, np.float32),
             )
@@ -476,12 +488,19 @@ class _Export:
         forward, turn = self._recording.columns[action][step].tolist()
         return float(forward * limits[0]), float(turn * limits[1])  # type: ignore[operator]
 
-    def _find_scans(self, rays: int) -> dict[int, NDArray[np.floating]]:
-        columns, scans = self._recording.columns, {}
+    def _find_scans(self, rays: int) -> dict[int, _RobotScan]:
+        recorded = {}
+        for scan in scans_of(self._recording):  # the finest of a robot
+            best = recorded.get(scan.agent)
+            if best is None or scan.ranges.shape[1] >= best.ranges.shape[1]:
+                recorded[scan.agent] = scan
+        scans: dict[int, _RobotScan] = {}
         for robot in self._robots:
-            recorded = columns.get(f"agent_{robot.number}.scan")
-            if recorded is not None and recorded.ndim == 2:
-                scans[robot.number] = recorded
+            if robot.number in recorded:
+                scan = recorded[robot.number]
+                behind = scan.ranges.shape[1] // 2  # rays that point to the right and back come first
+                first = -behind * 2 * np.pi / scan.ranges.shape[1]
+                scans[robot.number] = _RobotScan(np.roll(scan.met(), behind, axis=1), first, scan.max_m)
             elif rays and self._free is None:
                 self.notes.append("No scan: the recording does not hold its scene.")
             elif rays:
@@ -489,7 +508,7 @@ class _Export:
                 base = self._recording.agent_column(robot.number, "base_pose").astype(np.float64)
                 others = [self._recording.agent_column(p.number, "base_pose")[:, [0, 2]] for p in self._people]
                 around = np.stack(others, axis=1).astype(np.float64) if others else np.zeros((len(base), 0, 2))
-                scans[robot.number] = cast_scans(
+                cast = cast_scans(
                     self._free,
                     base[:, [0, 2]],
                     np.asarray(heading_from_quat(base[:, 3:]), np.float64).reshape(-1),
@@ -497,6 +516,7 @@ class _Export:
                     rays=rays,
                     radius_m=PERSON_RADIUS_M,
                 )
+                scans[robot.number] = _RobotScan(cast, -np.pi, RANGE_M[1])
         return scans
 
     def _floor(self, scene: Scene) -> FreeSpace | None:

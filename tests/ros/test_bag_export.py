@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 
+import h3data
 from h3data.errors import InputError, MissingExtraError
 from h3data.geometry import heading_from_quat, quat_rotate
 from h3data.recording import Recording, read_mcap
@@ -138,6 +139,18 @@ def test_the_map_is_within_a_cell_of_the_floor(recording: Recording, bag: Path) 
     assert (distance[cells == 0] > 0).all()
     assert (distance[cells != 0] <= 0).all()
     assert (cells == 0).sum() > 1000
+
+
+def test_a_recorded_scan_is_exported_with_its_angles(tmp_path: Path) -> None:
+    recording = h3data.simulate("wander", "small:0", seed=2, max_steps=12, sensors=("lidar",))
+    write_rosbag2(recording, tmp_path / "bag")
+    scan = [m for _, m in read(tmp_path / "bag")[0]["/scan"]][-1]
+    own = recording.columns["metrics.agent_0.lidar"][-1].astype(np.float32)
+    ahead = round(-scan.angle_min / scan.angle_increment)
+    assert scan.ranges[ahead] == own[0]
+    assert scan.ranges[ahead + 90] == own[90], "a quarter turn to the left"
+    assert scan.ranges[ahead - 90] == own[-90]
+    assert scan.range_max == np.float32(12.0)
 
 
 def test_a_scan_sees_walls_and_people(recording: Recording, bag: Path) -> None:
