@@ -50,7 +50,6 @@ def colored(settings: Settings) -> Settings:
     return replace(settings, observations=("arm_rgb", "humanoid_detector", "humanoid_gps"))
 
 
-@pytest.mark.parametrize("settings", [PICTURED, colored(PICTURED)], ids=["depth", "rgb"])
 def test_runs_with_the_papers_people_touch_their_bones() -> None:
     paper, natural = (rules(Settings(walk=walk)) for walk in ("paper", "natural"))
     assert (paper.person_contact, natural.person_contact) == ("bones", "body")
@@ -58,6 +57,7 @@ def test_runs_with_the_papers_people_touch_their_bones() -> None:
     assert paper == with_options(TRAINING, rules="paper")
 
 
+@pytest.mark.parametrize("settings", [PICTURED, colored(PICTURED)], ids=["depth", "rgb"])
 def test_it_gives_what_pytorch_gives(settings: Settings) -> None:
     torch.manual_seed(1)
     net = ActorCritic(settings)
