@@ -86,12 +86,14 @@ VARIANTS = {
 
 
 def contact_of(recording: Recording) -> dict[str, float]:
-    """Returns the speeds along the line between both in the step of the contact [m/s], positive towards the other."""
+    """Returns of the step of the contact whether the robot was told to back, whether its base was against an obstacle, and the
+    speed at which the person came nearer [m/s]."""
     robot, person = (recording.agent_column(k, "base_pose")[-2:, [0, 2]].astype(np.float64) for k in (0, 1))
     towards = person[0] - robot[0]
     towards /= max(float(np.hypot(*towards)), 1e-9)
     return {
-        "robot_mps": float((robot[1] - robot[0]) @ towards) / STEP_S,
+        "backs": float(recording.columns["agent_0.action"][-1][0] < 0),
+        "at_wall": float(recording.columns["metrics.robot_contact"][-1]),
         "person_mps": -float((person[1] - person[0]) @ towards) / STEP_S,
     }
 
@@ -108,7 +110,7 @@ def play(job: Any, variant: Variant) -> dict[str, float]:
 def summary(rows: list[dict[str, float]]) -> dict[str, Any]:
     """Returns the means over episodes, with the 95% interval of CR, and shares of contacts."""
     means: dict[str, Any] = {name: float(np.nanmean([row[name] for row in rows])) for name in METRICS}
-    hits = [row for row in rows if "robot_mps" in row]
+    hits = [row for row in rows if "at_wall" in row]
     means["CR_interval"] = [float(v) for v in wilson_interval(len(hits), len(rows))]
     for name, holds in _KINDS.items():
         means[name] = sum(map(holds, hits)) / max(len(hits), 1)
@@ -116,11 +118,10 @@ def summary(rows: list[dict[str, float]]) -> dict[str, Any]:
 
 
 _KINDS: Mapping[str, Callable[[dict[str, float]], bool]] = {
-    "robot_stands": lambda hit: abs(hit["robot_mps"]) < 0.1 < hit["person_mps"],
-    "robot_backs": lambda hit: hit["robot_mps"] <= -0.1,
-    "robot_comes": lambda hit: hit["robot_mps"] >= 0.1,
+    "backs_at_wall": lambda hit: bool(hit["backs"] and hit["at_wall"]),
+    "person_comes": lambda hit: hit["person_mps"] > 0.1,
 }
-"""Kinds of contact: the person walks into a robot that stands or backs away, or the robot drives at the person."""
+"""Shares of contacts in which the robot backs away but is at a wall, and in which the person walks at it."""
 
 
 def main() -> None:
