@@ -40,7 +40,9 @@ def write_tracks(episode: Recording, folder: Path) -> None:
     cells = np.where(free.signed_distance(np.stack([x, z], -1)) > 0, 254, 0).astype(np.uint8)
     (folder / "map.pgm").write_bytes(f"P5 {columns} {rows} 255\n".encode() + cells.tobytes())
     origin = f"[{low[0]}, {-(low[1] + rows * CELL_M)}, 0.0]"
-    told = f"image: map.pgm\nresolution: {CELL_M}\norigin: {origin}\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.25\n"
+    told = (
+        f"image: map.pgm\nresolution: {CELL_M}\norigin: {origin}\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.25\n"
+    )
     (folder / "map.yaml").write_text(told)
 
 
