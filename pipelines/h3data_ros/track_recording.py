@@ -16,6 +16,7 @@ from h3data.bodies import load_humanoid
 from h3data.bodies.walk_synthesis import SYNTHETIC_BODY, walk_columns
 from h3data.errors import FormatError, InputError
 from h3data.geometry import ground_pose, heading_from_quat
+from h3data.recording.assets.scenes import scene_records
 from h3data.recording.records import Agent, AssetRef, Body, Episode, Recording
 from h3data.scene import Scene
 from h3data.scene.scene_file import scene_bytes
@@ -197,7 +198,8 @@ def record_tracks(
     columns: dict[str, Any] = {"time_ns": rows - rows[0]}
     agents: list[Agent] = []
     synthesised: dict[str, list[str]] = {}
-    bodies, assets = _shown(scene)
+    refs, things = scene_records(scene) if scene is not None else ((), ())
+    assets, bodies = list(refs), list(things)
     if moving is not None:
         base, recorded, made_up = _base(moving, rows, offset)
         columns |= {"agent_0.base_pose": base, "agent_0.recorded": recorded}
@@ -300,20 +302,3 @@ def _offset(tracks: Sequence[Track]) -> Array:
     if np.abs(middle).max() < FAR_M:
         return np.zeros(3)
     return np.array([np.round(middle[0]), 0.0, np.round(middle[1])])
-
-
-def _shown(scene: Scene | None) -> tuple[list[Body], list[AssetRef]]:
-    if scene is None:
-        return [], []
-    assets = [AssetRef(name=name, uri=f"scene:{name}") for name in scene.assets]
-    bodies = [
-        Body(
-            name=one.name,
-            asset=one.asset,
-            pose=one.pose.astype(np.float32),
-            scale=one.scale.astype(np.float32),
-            layer=one.layer,
-        )
-        for one in scene.instances
-    ]
-    return bodies, assets

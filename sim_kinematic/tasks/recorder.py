@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -20,7 +19,6 @@ from h3data.geometry import Array
 from h3data.plugins import REFERENCE, own_version, trust
 from h3data.recording import (
     Agent,
-    AssetRef,
     Body,
     Event,
     InputEvent,
@@ -30,8 +28,8 @@ from h3data.recording import (
     state_hash,
 )
 from h3data.recording import Episode as EpisodeRecord
+from h3data.recording.assets.scenes import scene_records
 from h3data.recording.scans import scan_column
-from h3data.scene import Scene
 from h3data.scene.kinds import categories_of
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
@@ -298,10 +296,11 @@ def describe(
         created_by=f"h3data {own_version()}",
         info=info,
     )
+    assets, bodies = scene_records(scene)
     return RecordingHeader(
         episode=record,
-        assets=tuple(AssetRef(name=name, uri=f"scene:{name}") for name in scene.assets),
-        bodies=_moving(scene_bodies(scene), episode.moving),
+        assets=assets,
+        bodies=_moving(bodies, episode.moving),
         agents=tuple(
             task.control.recorded_agent(_agent(task, member), episode, is_external=policy.is_external)
             for member, policy in zip(episode.roster, policies, strict=True)
@@ -341,22 +340,6 @@ def _agent(task: Task, member: AgentSpec) -> Agent:
         semantic_id=100,
         motion_names=tuple(clip.name for clip in body.clips) if not task.control.has_skills else (),
         skill_names=skills,
-    )
-
-
-@lru_cache(maxsize=4)
-def scene_bodies(scene: Scene) -> tuple[Body, ...]:
-    """Everything in a home as bodies that never move."""
-    return tuple(
-        Body(
-            name=i.name,
-            asset=i.asset,
-            pose=i.pose.astype(np.float32),
-            scale=i.scale.astype(np.float32),
-            semantic_id=i.semantic_id,
-            layer=i.layer,
-        )
-        for i in scene.instances
     )
 
 

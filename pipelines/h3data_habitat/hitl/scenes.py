@@ -11,6 +11,7 @@ import numpy as np
 from h3data.errors import H3DataError
 from h3data.recording.assets.folders import clean_path
 from h3data.recording.assets.library import AssetLibrary
+from h3data.recording.assets.scenes import scene_records
 from h3data.recording.records import AssetRef, Body
 from h3data.scene.scene_file import scene_bytes
 from h3data_habitat.scene_files import find_scene_file
@@ -41,20 +42,11 @@ def find_place(scene_id: str, library: AssetLibrary | None, *, floor_y: float) -
     if file is not None:
         try:
             scene = load_habitat_scene(file, allow_missing=True, assets=library.roots if library else None)
+            assets, bodies = scene_records(scene)
             return Place(
                 name=scene.name,
-                assets=tuple(AssetRef(name=asset, uri=f"scene:{asset}") for asset in scene.assets),
-                bodies=tuple(
-                    Body(
-                        name=i.name,
-                        asset=i.asset,
-                        pose=i.pose.astype(np.float32),
-                        scale=i.scale.astype(np.float32),
-                        semantic_id=i.semantic_id,
-                        layer=i.layer,
-                    )
-                    for i in scene.instances
-                ),
+                assets=assets,
+                bodies=bodies,
                 attachments={"scene.glb": scene_bytes(scene)},
                 warnings=tuple(scene.source.get("warnings", ())),
             )

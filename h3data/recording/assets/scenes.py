@@ -1,0 +1,28 @@
+"""A home in a recording: its assets by reference, and everything in it as bodies."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from h3data.recording.records import AssetRef, Body
+from h3data.scene import Scene
+
+
+@lru_cache(maxsize=4)
+def scene_records(scene: Scene) -> tuple[tuple[AssetRef, ...], tuple[Body, ...]]:
+    """Assets of a home, which lie in the attachment ``scene.glb``, and everything in it as bodies that never move."""
+    assets = tuple(AssetRef(name=name, uri=f"scene:{name}") for name in scene.assets)
+    bodies = tuple(
+        Body(
+            name=i.name,
+            asset=i.asset,
+            pose=i.pose.astype(np.float32),
+            scale=i.scale.astype(np.float32),
+            semantic_id=i.semantic_id,
+            layer=i.layer,
+        )
+        for i in scene.instances
+    )
+    return assets, bodies
