@@ -9,8 +9,6 @@ from h3data.scene import FreeSpace
 
 RANGE_M = (0.05, 12.0)
 """Nearest and farthest range [m]; farther ones are infinite, as REP 117 wants."""
-HIT_M = 0.005
-"""A ray ends this near to an outline."""
 _BLOCK = 64
 
 
@@ -26,7 +24,7 @@ def cast_scans(
     """Return the ranges [T, rays] [m] that a lidar at the floor points ``at`` [T, 2] measures.
 
     Rays go round to the left, the first one backwards; NaN where the lidar has no place. The outline of the floor is that
-    of things between knee and head height (`FreeSpace.signed_distance`), found by sphere tracing to `HIT_M`.
+    of things between knee and head height (`FreeSpace.free_along`).
 
     Args:
         free: The floor.
@@ -44,26 +42,13 @@ def cast_scans(
         directions = np.stack([np.cos(heading), -np.sin(heading)], axis=-1)
         known = np.isfinite(at[rows]).all(-1)
         far = np.full(heading.shape, np.nan)
-        far[known] = _outline(free, at[rows][known], directions[known])
+        far[known] = free.free_along(at[rows][known], heading[known], max_m=RANGE_M[1])
         for p in range(people.shape[1]):
             far = np.fmin(far, _disc(people[rows, p] - at[rows], directions, radius_m))
         far[~known] = np.nan
-        far[far > RANGE_M[1]] = np.inf
+        far[far >= RANGE_M[1]] = np.inf
         ranges[rows] = far
     return ranges
-
-
-def _outline(free: FreeSpace, at: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.float64]:
-    far = np.zeros(directions.shape[:2])
-    going = np.ones(far.shape, np.bool_)
-    starts = np.broadcast_to(at[:, None], directions.shape)
-    while going.any():
-        points = starts[going] + far[going, None] * directions[going]
-        gap = free.signed_distance(points)
-        far[going] += np.maximum(gap, HIT_M / 2)
-        ended = (gap < HIT_M) | (far[going] > RANGE_M[1])
-        going[going] = ~ended
-    return far
 
 
 def _disc(offset: NDArray[np.float64], directions: NDArray[np.float64], radius_m: float) -> NDArray[np.float64]:
