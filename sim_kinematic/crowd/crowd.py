@@ -85,7 +85,7 @@ class Crowd:
             stride: Limits of walking.
         """
         people = len(traits)
-        self._free, self._grid = free, (free.sdf, free.origin, free.cell_m)
+        self._grid = free.sdf, free.origin, free.cell_m
         self._traits, self._find_paths = np.array(traits, np.float64).reshape(people, 6), list(find_paths)
         self._forces, self._rules = model == "social_force", (spec or CrowdSpec()).numbers
         self._limits = (stride or StrideSpec()).limits

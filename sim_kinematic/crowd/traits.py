@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -55,28 +55,7 @@ class CrowdSpec:
     @property
     def numbers(self) -> Array:
         """The numbers that the kernels take, in the order of the fields."""
-        return np.array(
-            [
-                self.horizon_s,
-                self.wall_horizon_s,
-                self.guard_s,
-                self.neighbour_m,
-                self.comfort_m,
-                self.narrow_m,
-                self.wait_m,
-                self.aside_m,
-                self.approach_m,
-                self.approach_rad,
-                self.desired_gain,
-                self.social_gain,
-                self.wall_gain,
-                self.wall_range_m,
-                self.lambda_,
-                self.gamma,
-                self.n,
-                self.n_prime,
-            ]
-        )
+        return np.array(astuple(self))
 
 
 class Traits(NamedTuple):

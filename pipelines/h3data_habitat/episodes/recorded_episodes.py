@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import msgspec
@@ -41,7 +43,7 @@ def social_nav_of(recording: Recording) -> SocialNavEpisode:
         )
     goals, within = _goals(recording, humans[0])
     floor_y = float(recording.agent_column(robots[0], "base_pose")[0, 1])
-    try:
+    with _whole_info(name):
         nav = msgspec.convert(
             {
                 "robot_start": info.get("robot_start"),
@@ -61,12 +63,19 @@ def social_nav_of(recording: Recording) -> SocialNavEpisode:
             },
             SocialNavEpisode,
         )
+    social_nav_episodes.require_finite(nav)
+    return nav
+
+
+@contextmanager
+def _whole_info(name: str) -> Iterator[None]:
+    """Refuses the info of a recording from which no record of an episode can be made."""
+    try:
+        yield
     except (msgspec.ValidationError, TypeError, ValueError) as fault:
         raise InputError(
             f"The info of recording {name!r} lacks something: {str(fault).replace('`', '')}", code="H3-HABITAT-043"
         ) from None
-    social_nav_episodes.require_finite(nav)
-    return nav
 
 
 _POINT = re.compile(r"\((-?\d+\.?\d*), (-?\d+\.?\d*)\)")
@@ -117,7 +126,7 @@ def rearrangement_of(recording: Recording) -> StoredRearrangement:
         starts |= {kind: info["starts"][k] for kind, k in first.items()}
     models = {kind: recording.agents[k].model for kind, k in first.items()}
     floor_y = float(recording.agent_column(next(iter(first.values())), "base_pose")[0, 1])
-    try:
+    with _whole_info(name):
         record = msgspec.convert(
             {
                 "goals": info.get("goals"),
@@ -134,9 +143,5 @@ def rearrangement_of(recording: Recording) -> StoredRearrangement:
             },
             StoredRearrangement,
         )
-    except (msgspec.ValidationError, TypeError, ValueError) as fault:
-        raise InputError(
-            f"The info of recording {name!r} lacks something: {str(fault).replace('`', '')}", code="H3-HABITAT-043"
-        ) from None
     stored_rearrangements.require_finite(record)
     return record
