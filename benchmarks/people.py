@@ -1,4 +1,4 @@
-"""How people of crowds walk among each other: speeds, distances, sides and what they cost, for each model of crowds.
+"""Motion of people of crowds among each other: speeds, distances, sides and cost, for each model of crowds.
 
 24 people walk about an empty hall of 18 x 12 m, and 4 in each of three homes of ``h3-homes/val``, twice for ``MINUTES`` each.
 Measured pedestrians (ETH and UCY data sets, our own statistics) give the ranges to compare with:

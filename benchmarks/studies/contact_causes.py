@@ -49,7 +49,7 @@ def backs_at_full_speed(view: SocialNavView, spec: BaseSpec) -> Velocity:
 
 
 class Variant(NamedTuple):
-    """What differs from the rules that all variants share."""
+    """Differences from the rules that all variants share."""
 
     about: str
     rules: Mapping[str, Any]

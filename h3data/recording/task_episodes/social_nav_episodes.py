@@ -20,7 +20,7 @@ TASK = "social_nav"
 
 
 class SocialNavEpisode(msgspec.Struct, frozen=True, kw_only=True):
-    """Who begins where and where the person walks: all that a simulator needs besides the scene."""
+    """Starts of both agents and the walk of the person: all that a simulator needs besides the scene."""
 
     robot_start: Start
     human_start: Start

@@ -1,4 +1,4 @@
-"""Who took part in a HITL session: pseudonyms in place of user ids, and the condition that a client announced."""
+"""Participants of a HITL session: pseudonyms in place of user ids, and the condition that a client announced."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def draw_starts(
     any_spot: bool = False,
     rules: SkillSpec | None = None,
 ) -> list[SkillStart]:
-    """So many starts of a robot of an episode for one skill; fewer where there is no room.
+    """Starts of a robot of an episode for one skill, ``count`` of them; fewer where there is no room.
 
     Args:
         episode: Its home, objects and goals.

@@ -137,7 +137,7 @@ class SkillContext(NamedTuple):
 
     @property
     def held_by(self) -> Tensor:
-        """Who holds the object in the hand, [W, 1]."""
+        """Number of the agent that holds the object, [W, 1]."""
         return self.play.held.clamp_max(ROBOT)[:, None]  # an empty hand holds object -1, which is nobody's number
 
     def path(self) -> tuple[Tensor, Tensor]:
