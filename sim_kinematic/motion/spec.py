@@ -198,8 +198,8 @@ class SocialNavSpec:
     robot: BaseSpec = HOME_BASE
     human: WalkerSpec = NATURAL_WALKER
     rule_sets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
-        "natural": {**RULE_SETS["natural"], "person_contact": "body"},
-        "paper": {**RULE_SETS["paper"], "person_contact": "bones"},
+        "natural": {"human": NATURAL_WALKER, "robot": HOME_BASE, "person_contact": "body"},
+        "paper": {"human": WalkerSpec(), "robot": BaseSpec(), "person_contact": "bones"},
     }
     solid_agents: bool = field(default=False, repr=False)
     """True if a person under commands slides along the discs of others as along walls: the rule where people play live. Left

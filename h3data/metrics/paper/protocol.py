@@ -16,6 +16,7 @@ PROTOCOL: dict[str, dict[str, Any]] = {
         "far_m": 2.0,
         "facing_dot": 0.5,
         "end_on_collision": True,
+        "robot.disc_offsets_m": (0.0, 0.225),
         **_PACE,
     },
     "rearrange": {"max_steps": 750, "objects": 2, "at_goal_m": 0.3, "end_on_collision": True, **_PACE},
@@ -53,4 +54,5 @@ def protocol_deviations(recording: Recording) -> str:
 def _value(spec: Mapping[str, Any], name: str) -> Any:
     group, _, key = name.rpartition(".")
     of = spec.get(group) if group else spec
-    return of.get(key) if isinstance(of, Mapping) else None
+    value = of.get(key) if isinstance(of, Mapping) else None
+    return tuple(value) if isinstance(value, list) else value
