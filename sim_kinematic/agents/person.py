@@ -204,6 +204,11 @@ class Person:
         self.state.xz[0, 0], self.state.xz[0, 1] = pose[0], pose[2]
         self.state.heading[0] = heading_from_quat(pose[3:])
 
+    @property
+    def heading(self) -> float:
+        """Heading of the agent root [rad]."""
+        return self.state.heading.item(0)
+
     # --- joints -----------------------------------------------------------------------------------------------------
     def set_pose(self, quats: ArrayLike, pelvis: ArrayLike, base_pose: ArrayLike | None = None) -> None:
         """Sets the joints of the body; objects in the hands follow.
@@ -486,8 +491,7 @@ class Person:
         """
         if gait is not None:
             self.base = self.root_at(gait)
-        self.walk.step(self.base)
-        quats, pelvis = self.walk.pose()
+        quats, pelvis = self.walk.stride(self.base, self.heading)
         self.show("walk", self.with_arms(quats), pelvis)
 
     def root_at(self, gait: HumanState) -> Array:
@@ -517,23 +521,28 @@ class Person:
             fade = fade if fade.left > 0.5 / FADE_STEPS else Transition(kind)
         if kind != "walk" or fade.quats is not None:
             self.walk.plant(quats, pelvis)
-        bare = quats.copy()
-        self._attend(quats, pelvis)
-        self._assign(quats, pelvis, bare)
+        self._assign(self._attend(quats, pelvis), pelvis, quats)
         self.transition = fade
 
-    def _attend(self, quats: Array, pelvis: Array) -> None:
-        """Moves fingers, head and eyes of a pose by one step, in place."""
+    def _attend(self, quats: Array, pelvis: Array) -> Array:
+        """Moves fingers, head and eyes by one step; returns the pose with them, which is a copy if it differs."""
+        curls = self.curl.tolist()
         for k, hand in enumerate(HANDS):
             held = self.held.get(hand)
             goal = self._closing.get(hand, 0.0) if held is None else self.curl_around(held.name)
-            self.curl[k] += min(max(goal - self.curl[k], -CURL_STEP), CURL_STEP)
-        if self.curl.any():
+            if goal != curls[k]:
+                curls[k] += min(max(goal - curls[k], -CURL_STEP), CURL_STEP)
+                self.curl[k] = curls[k]
+        bends, turns = any(curls), self.look_at is not None or any(self.gaze.tolist())
+        if bends or turns:
+            quats = quats.copy()
+        if bends:
             curl_fingers(quats, self.curl)
-        if self.look_at is not None or self.gaze.any():
+        if turns:
             target = np.zeros(3) if self.look_at is None else self.seen(self.look_at)
             looks, turning = self.look_at is not None, self.walk.head_turn
             self._to_turn = turn_gaze(self._offsets, quats, pelvis, target, looks, turning, self.gaze)
+        return quats
 
     def curl_around(self, name: str) -> float:
         """Bend of each joint of a finger [rad] whose bones touch a round thing of an object's radius."""
@@ -561,12 +570,14 @@ class Person:
         """
         quats = quats.copy()
         if self.free is not None and self.spec.arms is not None:
-            self._drawn.xz[0], self._drawn.heading[0] = self.base[[0, 2]], heading_from_quat(self.base[3:])
-            draw_arms(self._drawn, self.free, self.body, self.spec.arms, busy=moving)
-            draw_in(quats[None], self._drawn.arms, shoulders_forward=True)
+            drawn, rate = self._drawn, self.spec.arms.rate
+            drawn.xz[0], drawn.heading[0] = self.state.xz[0], self.state.heading[0]
+            draw_arms(drawn, self.free, self.body, self.spec.arms, busy=moving)
+            if any(drawn.arms[0].tolist()):
+                draw_in(quats[None], drawn.arms, shoulders_forward=True)
             for hand, close in self._close.items():
-                step = self._wanted_close(hand, moving) - close
-                self._close[hand] = close + min(max(step, -self.spec.arms.rate), self.spec.arms.rate)
+                if close or hand in self.held:
+                    self._close[hand] = close + min(max(self._wanted_close(hand, moving) - close, -rate), rate)
         for hand in self.held:
             if hand != moving:
                 joints, arm = self._carry_arm(hand)
@@ -581,8 +592,7 @@ class Person:
             return 0.0
         k = HANDS.index(hand)
         ahead, _, aside = self._carry_point(hand).tolist()
-        heading = float(heading_from_quat(self.base[3:]))
-        wanted = held_close(self.free, self.base[[0, 2]], heading, (ahead, aside), self.spec, rules)
+        wanted = held_close(self.free, self.state.xz[0], self.heading, (ahead, aside), self.spec, rules)
         return max(wanted, float(self._drawn.arms[0, k]))
 
     def _take_close(self, hand: Hand) -> Generator[None, None, None]:

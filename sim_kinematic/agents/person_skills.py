@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Generator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -81,7 +81,6 @@ class PersonActor:
     """Other agents that the person gives way to, the nearest first."""
     company: Company | None = None
     """The agents that it heeds, itself among them; None: it is alone."""
-    path: NDArray[np.floating] = field(default_factory=lambda: NO_PATH)
     yields: bool = True
     aside: NDArray[np.float64] | None = None
     turned_away: bool = False
@@ -89,6 +88,7 @@ class PersonActor:
 
     def __post_init__(self) -> None:
         self._gait = HumanState.zeros(1)
+        self._announced: NDArray[np.floating] | partial[NDArray[np.floating]] = NO_PATH
         self._trail: deque[Any] = deque(maxlen=BACK_STEPS)
         """Postures before the last steps of a walk."""
         self._held_up = 0
@@ -116,9 +116,22 @@ class PersonActor:
         return AVOIDANCE.person
 
     @property
+    def path(self) -> NDArray[np.floating]:
+        """Points [N, 2] of the path that the person walks, their own place first, computed when it is read."""
+        if isinstance(self._announced, partial):
+            self._announced = self._announced()
+        return self._announced
+
+    @path.setter
+    def path(self, path: NDArray[np.floating] | partial[NDArray[np.floating]]) -> None:
+        self._announced = path
+
+    @property
     def path_start(self) -> NDArray | None:
         """First point [2] of the path that the person walks; None without a path."""
-        return self.path[0] if len(self.path) else None
+        if isinstance(self._announced, partial):
+            return self._announced.args[0]
+        return self._announced[0] if len(self._announced) else None
 
     @property
     def xz(self) -> NDArray:
@@ -314,7 +327,7 @@ class PersonActor:
                 if path is None:  # something has opened there
                     return 0
                 continue
-            self.path = np.vstack([self.xz[None], path[k:]])
+            self.path = partial(_joined, self.xz, path[k:])
             if left:
                 self._stand()
                 yield
@@ -349,7 +362,7 @@ class PersonActor:
                 strider.begin(np.vstack([self.xz[None], path]), facing=facing)
                 waited, left = 0, False
                 continue
-            self.path = np.vstack([self.xz[None], strider.ahead])
+            self.path = partial(_joined, self.xz, strider.ahead)
             if left:
                 strider.halt()
                 self._stand()
@@ -579,17 +592,16 @@ class PersonActor:
 
     def _posture(self) -> _Posture:
         person = self.person
-        objects = {name: pose.copy() for name, pose in person.objects.items()}
-        return _Posture(
-            person.base.copy(),
-            person.quats.copy(),
+        return _Posture(  # arrays that a step replaces are not copied, those that it changes are
+            person.base,
+            person.quats,
             person.pelvis.copy(),
             person.walk.state.copy(),
             person.transition,
-            person.bare.copy(),
+            person.bare,
             person.curl.copy(),
             person.gaze.copy(),
-            objects,
+            dict(person.objects),
         )
 
     def _take(self, posture: _Posture) -> None:
@@ -598,7 +610,7 @@ class PersonActor:
         self.person.transition = posture.transition
         self.person.bare = posture.bare
         self.person.curl[:], self.person.gaze[:] = posture.curl, posture.gaze
-        self.person.objects |= {name: pose.copy() for name, pose in posture.objects.items()}
+        self.person.objects |= posture.objects
 
     def _handle(self, k: int, goal: NDArray | None) -> Skill:
         """Pick, or place at a world point [3]; objects change hands in the step in which the hand is there."""
@@ -647,3 +659,7 @@ class PersonActor:
             elif self.objects.held_by[k] == self.number:
                 self.objects.held_by[k] = NOBODY
                 self.objects.poses[k] = self.person.objects[name]
+
+
+def _joined(xz: NDArray, ahead: NDArray) -> NDArray[np.floating]:
+    return np.vstack([xz[None], ahead])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
@@ -15,6 +16,8 @@ from sim_kinematic.avoidance.velocity import ObstacleDisc
 
 NO_PATH = np.zeros((0, 2))
 """The path of an agent that goes nowhere."""
+IN_THE_WAY_M = AVOIDANCE.ahead_m + 2 * (AVOIDANCE.person.radius_m + AVOIDANCE.moving_m)
+"""Nobody is in a person's way who is farther off than this and twice the size of their own body [m]."""
 
 
 class ObservedAgent(NamedTuple):
@@ -95,7 +98,11 @@ def in_the_way(xz: NDArray, towards: NDArray, others: Sequence[ObservedAgent]) -
     ahead = leg / max(length, 1e-9)
     blocker: ObservedAgent | None = None
     nearest = np.inf
+    here = xz.tolist()
     for other in others:
+        # most are too far away to be in anybody's way, whatever they do
+        if math.dist(here, other.xz.tolist()) > IN_THE_WAY_M + 2 * other.footprint.extent_m:
+            continue
         for x, z, radius in discs_of(other):
             gap = np.array([x, z]) - xz
             # who moves may turn this way in the next step

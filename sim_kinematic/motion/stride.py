@@ -9,6 +9,7 @@ that a curve never cuts into them.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 
 import numpy as np
 from numpy.typing import NDArray
@@ -254,6 +255,8 @@ class Strider:
         self.walk_on(free)
         self._rules = spec.speed_mps, spec.stride.limits, round(spec.stride.patience_s / STEP_S), STEP_S
         self._path, self._cumulative = np.zeros((2, 2)), np.zeros(2)
+        self._lengths: list[float] = [0.0, 0.0]
+        """`_cumulative`, in which a step looks up where it is."""
         self._state = np.zeros(10)
         self._halts, self._facing = halts, math.nan
         self.arrived = True
@@ -275,11 +278,11 @@ class Strider:
     @property
     def target(self) -> Array:
         """The way point [2] that they are walking to."""
-        return self.ahead[0]
+        return self._path[min(self._next, len(self._path) - 1)]
 
     @property
     def _next(self) -> int:
-        return int(np.searchsorted(self._cumulative, self._state[5] + PROGRESS_M))
+        return bisect_left(self._lengths, self._state.item(5) + PROGRESS_M)
 
     def begin(self, path: Array, *, facing: float | None = None) -> None:
         """Sets the path [K, 2] from the present position; speed and turn rate continue.
@@ -290,6 +293,7 @@ class Strider:
         path = np.asarray(path, np.float64)
         self._path = np.ascontiguousarray(path if len(path) > 1 else np.repeat(path, 2, axis=0))
         self._cumulative = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self._path, axis=0).T))])
+        self._lengths = self._cumulative.tolist()
         self._state[5] = 0.0
         self._state[7:] = 0.0
         self.arrived = False

@@ -178,6 +178,15 @@ class PlantedWalk:
 
         step_one(self.tables, self.state, *_place(base), STEP_S)
 
+    def stride(self, base: ArrayLike, heading: float) -> tuple[Array, Array]:
+        """`step` to a root [7] whose heading [rad] is known, and the `pose` there."""
+        from h3data.bodies.people.kernels.planted import stride_one
+
+        quats, pelvis = np.empty((JOINT_COUNT, 4)), np.empty(3)
+        x, _, z, *_ = np.asarray(base, np.float64).tolist()
+        stride_one(self.tables, self.state, x, z, heading, STEP_S, quats, pelvis)
+        return quats, pelvis
+
     def pose(self) -> tuple[Array, Array]:
         """Local rotations [55, 4] and the pelvis' place [3] in the agent root frame."""
         quats, pelvis = pose_planted(self.tables, self.state[None])

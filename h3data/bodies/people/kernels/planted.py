@@ -912,6 +912,13 @@ def step_one(table, state, x, z, heading, dt):
 
 
 @kernel(error_model="numpy")
+def stride_one(table, state, x, z, heading, dt, quats, pelvis):
+    """Does what `step_one` does, and writes the pose of the state after it as `pose_gaits` does, in one call."""
+    step_gait(table, state, x, z, heading, dt)
+    pose_state(table, state, quats, pelvis, np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3)))
+
+
+@kernel(error_model="numpy")
 def one_stands(table, state):
     """Returns whether a state [K] rests with both feet where a standing person's are, so that it takes no further step."""
     return state[SPEED] == 0.0 and abs(state[TURN]) < 0.1 and is_settled(table, state)
