@@ -47,7 +47,7 @@ def run(emit: Emit) -> None:
 
 
 def _rearrange(emit: Emit) -> None:
-    """Emits ``sim.rearrange_env.*``."""
+    """Emits ``sim.rearrange_env.*`` and ``sim.rearrange.w256_steps_per_cpu_s``."""
     endless = RearrangeSpec(max_steps=10**6, end_on_collision=False)
     rng = np.random.default_rng(0)
     for name, senses, size in (
@@ -78,10 +78,28 @@ def _rearrange(emit: Emit) -> None:
                 steps, choices, over = steps + info["steps"], choices + 1, terminated or truncated
         emit(f"sim.rearrange_env.high_{name}_steps_per_cpu_s", steps / seconds, "steps/s")
         emit(f"sim.rearrange_env.high_{name}_choices_per_cpu_s", choices / seconds, "choices/s")
+    emit("sim.rearrange.w256_steps_per_cpu_s", _rearranging(256, endless, rng), "steps/s")
     watched = h3data.make("rearrange", HOME, render_mode="rgb_array")
     watched.reset(seed=0)
     emit("sim.rearrange_env.render_ms", 1e3 * median(cpu_s(watched.render) for _ in range(20)), "ms")
     emit("sim.rearrange_env.reset_ms", 1e3 * median(cpu_s(watched.reset) for _ in range(20)), "ms")
+
+
+def _rearranging(worlds: int, spec: RearrangeSpec, rng: np.random.Generator) -> float:
+    """Simulated steps of all worlds per CPU second, whose robots choose skills at random beside a planner."""
+    env = h3data.make("rearrange", HOME, partner="both", observations=STATE_SENSES, spec=spec, num_envs=worlds)
+    _, info = env.reset(seed=0)
+    rates = []
+    for _ in range(3):
+        steps = seconds = 0.0
+        for _ in range(10):
+            chosen = (rng.random(info["action_mask"].shape) * info["action_mask"]).argmax(1)
+            begun = process_time()
+            *_, info = env.step(chosen)
+            seconds += process_time() - begun
+            steps += float(info["steps"].sum())
+        rates.append(steps / seconds)
+    return median(rates)
 
 
 def _vector(worlds: int, steps: int, observations: tuple[str, ...]) -> float:

@@ -382,7 +382,7 @@ class PersonActor:
     def _stride(self, strider: Strider, *, goes: bool) -> None:
         """One step along a path; where they would touch somebody they come to a stand."""
         gait, before = self._gait_here(), self._posture()
-        stopped = gait.take([0])
+        stopped = gait.copy()
         xz, heading = strider.step(self.xz, gait.heading.item(0), goes=goes)
         move_people(gait, xz[None], np.array([heading]), self.spec)
         self.person.stride(gait)
@@ -426,7 +426,7 @@ class PersonActor:
         Whoever turned on the spot first stood in the other's way for another 1.3 s.
         """
         gait, before = self._gait_here(), self._posture()
-        stopped, leg = gait.take([0]), towards - self.xz
+        stopped, leg = gait.copy(), towards - self.xz
         left, bearing = float(np.hypot(*leg)), math.remainder(math.atan2(-leg[1], leg[0]) - self.heading, math.tau)
         most = self.spec.turn_rad_s * STEP_S
         for turn in (min(max(bearing, -most), most), 0.0):
@@ -437,7 +437,7 @@ class PersonActor:
                 self._walked(before)
                 self._follow()
                 return
-            self._gait = gait = stopped.take([0])
+            self._gait = gait = stopped.copy()
             self._take(before)
         self._held_up += 1
         self._pace(None)
@@ -483,7 +483,7 @@ class PersonActor:
         moved.
         """
         gait, before = self._gait_here(), self._posture()
-        stopped, leg = gait.take([0]), towards - self.xz
+        stopped, leg = gait.copy(), towards - self.xz
         left = float(np.hypot(*leg))
         if self._held_up < BACK_AFTER_STEPS or not left > 0.0:
             return False
@@ -515,7 +515,7 @@ class PersonActor:
         A step that would touch another agent is not made.
         """
         person, gait, before = self.person, self._gait_here(), self._posture()
-        stopped, spec = gait.take([0]), self.spec if towards is None else self._setting_off(towards)
+        stopped, spec = gait.copy(), self.spec if towards is None else self._setting_off(towards)
         for target in (gait.xz[0].copy() if towards is None else towards, gait.xz[0].copy()):
             walk_humans(gait, target[None], spec)
             person.stride(gait)
@@ -524,7 +524,7 @@ class PersonActor:
                     self._walked(before)
                 break
             self._held_up += 1
-            self._gait = gait = stopped.take([0])
+            self._gait = gait = stopped.copy()
             self._take(before)
         self._follow()
 

@@ -128,7 +128,7 @@ class RightOfWay:
                 walker.aside = None
             return
         first: list[Walker] = []
-        waiting = sorted(self._walkers.values(), key=lambda walker: self._rank(walker, carrying)) if self._asks else []
+        waiting = self._ranked(carrying) if self._asks else []
         while waiting:
             me = waiting.pop(0)
             first.append(me)
@@ -145,25 +145,39 @@ class RightOfWay:
         return not any(self._may_block(other, me) for me in walkers for other in walkers if other is not me)
 
     # --- rank ----------------------------------------------------------------------------------------------------------
-    def _rank(self, walker: Walker, carrying: Sequence[int]) -> tuple[float, ...]:
-        """Sort key of an agent's priority: lower keys go first.
+    def _ranked(self, carrying: Sequence[int]) -> list[Walker]:
+        """Returns the agents in the order of their priority.
 
         Busy agents come before idle ones, people before robots, agents that carry something before others, then shorter
         paths before longer ones. An agent that steps aside comes right after the one that asked for it.
         """
-        chain: list[int] = [walker.number]
+        chains = {number: self._chain(number) for number in self._walkers}
+        alike: dict[int, tuple[bool, ...]] = {}
+        for head in {chain[-1] for chain in chains.values()}:
+            walker, request = self._walkers[head], self._requests.get(head)
+            # whoever was let out (`_exchange`) goes before everybody, or the two would exchange roles again in the
+            # next step
+            promoted = request is not None and request.by == head
+            idle = self._start(walker) is None and not walker.hindered_by
+            alike[head] = not promoted, idle, walker.is_robot, head not in carrying
+
+        def key(walker: Walker) -> tuple[float, ...]:
+            *asked, head = chains[walker.number]
+            length = 0.0
+            if list(alike.values()).count(alike[head]) > 1:  # paths cost more than all the rest
+                length = float(np.hypot(*np.diff(self._walkers[head].path, axis=0).T).sum())
+            # tuples that begin alike sort by length: who was asked comes right after who asked
+            return (*alike[head], length, head, *([1] * len(asked)))
+
+        return sorted(self._walkers.values(), key=key)
+
+    def _chain(self, number: int) -> list[int]:
+        """Returns an agent, the one that asked it to step aside, the one that asked that one, and so on."""
+        chain = [number]
         # requests may form a circle, so each agent counts once
         while chain[-1] in self._requests and self._requests[chain[-1]].by not in chain:
             chain.append(self._requests[chain[-1]].by)
-        head = self._walkers[chain[-1]]
-        # whoever was let out (`_exchange`) goes before everybody, or the two would exchange roles again in the
-        # next step
-        promoted = head.number in self._requests and self._requests[head.number].by == head.number
-        idle = not len(self.path(head)) and not head.hindered_by
-        length = float(np.hypot(*np.diff(head.path, axis=0).T).sum())
-        before = not promoted, idle, head.is_robot, head.number not in carrying, length, head.number
-        # tuples that begin alike sort by length: who was asked comes right after who asked
-        return (*before, *([1] * (len(chain) - 1)))
+        return chain
 
     def path(self, walker: Walker) -> NDArray[np.floating]:
         """Returns the path that an agent follows now, [N, 2]: aside if it was asked, else its own."""

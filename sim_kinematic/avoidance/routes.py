@@ -180,12 +180,19 @@ def _distances(points, path):
 
 def first_of_path(path: NDArray, length_m: float) -> NDArray[np.float64]:
     """Returns the beginning of a path [N, 2], of a length [m]."""
-    if len(path) < 2:
-        return path
-    legs = np.hypot(*np.diff(path, axis=0).T)
-    done = np.concatenate([[0.0], np.cumsum(legs)])
-    if done[-1] <= length_m:
-        return path
-    k = max(int(np.searchsorted(done, length_m)) - 1, 0)
-    share = (length_m - done[k]) / max(legs[k], 1e-12)
-    return np.vstack([path[: k + 1], path[k] + share * (path[k + 1] - path[k])])
+    k, share = _leg_at(np.ascontiguousarray(path, np.float64), length_m) if len(path) > 1 else (-1, 0.0)
+    return path if k < 0 else np.vstack([path[: k + 1], path[k] + share * (path[k + 1] - path[k])])
+
+
+@kernel(error_model="numpy")
+def _leg_at(path, length):
+    """Number of the leg of a path [N, 2] on which a length [m] ends, and the share of it; -1: the path is no longer."""
+    done, end, last, share = 0.0, -1, 0.0, 0.0
+    for k in range(len(path) - 1):
+        leg = math.hypot(path[k + 1, 0] - path[k, 0], path[k + 1, 1] - path[k, 1])
+        if end < 0 and (k == 0 or done < length):
+            last, share = k, (length - done) / max(leg, 1e-12)
+        elif end < 0:
+            end = last
+        done += leg
+    return (-1, 0.0) if done <= length else (int(last), share)

@@ -82,7 +82,7 @@ def avoided(others: Sequence[ObservedAgent], *, agreed: bool = False) -> list[Ob
 
 def stands(other: ObservedAgent) -> bool:
     """Returns whether an agent stands."""
-    return float(np.hypot(*other.velocity)) <= AVOIDANCE.stands_mps
+    return float(np.hypot(*other.velocity.tolist())) <= AVOIDANCE.stands_mps
 
 
 def waits(number: int, other: ObservedAgent) -> bool:

@@ -48,7 +48,9 @@ class _Arrays:
 
     def copy(self) -> Self:
         """Copy with arrays of its own."""
-        return self.take(np.arange(self.worlds))
+        other = object.__new__(type(self))  # a step copies several: checks of arguments would take most of the time
+        vars(other).update({name: array.copy() for name, array in vars(self).items()})
+        return other
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -177,6 +179,10 @@ class WorldState(_Arrays):
         """All arrays of the state, in a fixed order."""
         own = [self.object_pose, self.held_by, self.grip_pose, self.joint_pos]
         return [array for agent in self.agents for array in agent.arrays()] + own
+
+    def copy(self) -> WorldState:
+        """Copy with arrays of its own."""
+        return self.take(np.arange(self.worlds))
 
     def take(self, worlds: Worlds) -> WorldState:
         """State of some of the worlds."""

@@ -46,6 +46,9 @@ class LearnedSkillPolicy:
         scores = self.network(chooser_input(view, self.network.observations))
         return self.choices[int(np.argmax(scores))]
 
+    interrupts_only_when_close = True
+    """`interrupts` returns nothing unless ``view.close``, so that it need not be asked otherwise."""
+
     def interrupts(self, view: RearrangeView) -> str:
         """Reason to interrupt the running action and choose again; empty if there is none."""
         return "agents_close" if view.close and "interrupted" in self.network.observations else ""

@@ -94,6 +94,9 @@ class External:
             code="H3-POLICY-037",
         )
 
+    interrupts_only_when_close = True
+    """`interrupts` returns nothing unless ``view.close``, so that it need not be asked otherwise."""
+
     def interrupts(self, view: Any) -> str:
         """Reason to interrupt the running action and choose again; empty if there is none."""
         action = view.action

@@ -277,7 +277,7 @@ class WorldRollout:
     @property
     def step(self) -> int:
         """Number of steps made in the first world."""
-        return int(self.steps[0])
+        return self.steps.item(0)
 
     @property
     def reward(self) -> float:

@@ -248,7 +248,7 @@ class DrivenPerson(PersonActor):
         self._drives, self.person.look_at = True, None
         gait, before = self._gait_here(), self._posture()
         self._lead(command)
-        stopped = gait.take([0])
+        stopped = gait.copy()
         for velocity in ((command.forward, command.turn), (0.0, 0.0)):
             self.command = velocity
             others = self.company.discs_beside(self.number)[None] if self._is_solid and self.company else None
@@ -258,7 +258,7 @@ class DrivenPerson(PersonActor):
             self._show(gait)
             if others is not None or not self.meets():
                 break
-            self._gait = gait = stopped.take([0])
+            self._gait = gait = stopped.copy()
             self._take(before)
         self._follow()
 

@@ -387,12 +387,11 @@ class RobotDriver:
         state = self.state
         xz, heading, joints = state.xz.copy(), state.heading.copy(), state.joints.copy()
         drive_robots(state, self.free, np.array([self.command]), self.base)
-        most = self.arm_rad_s * STEP_S
-        missing = self.arm_goal[self._arm] - self.joints[self._arm]
+        most, arm = self.arm_rad_s * STEP_S, joints[0, self._arm]
+        missing = self.arm_goal[self._arm] - arm
         far = max(map(abs, missing.tolist()), default=0.0)
-        self.joints[self._arm] = (
-            self.arm_goal[self._arm] if far <= most else self.joints[self._arm] + missing * (most / far)
-        )
+        if far > 0.0:
+            self.joints[self._arm] = self.arm_goal[self._arm] if far <= most else arm + missing * (most / far)
         if self.meets():
             state.xz[:], state.heading[:] = xz, heading
             if self.base.maneuvers:  # it speeds up from rest

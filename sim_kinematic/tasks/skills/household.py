@@ -248,8 +248,12 @@ class Household(Team):
         controller = self.controllers[number]
         self.company.begin_turn(controller.actor)
         # a command lasts one step: there is nothing to abort
-        interrupts = None if controller.is_free else getattr(self.play.policies[number].policy, "interrupts", None)
-        if interrupts is not None and (reason := interrupts(self.play.view(number))):
+        policy = self.play.policies[number].policy
+        interrupts = None if controller.is_free else getattr(policy, "interrupts", None)
+        # most of the time nobody is close, and a view takes far longer than to find that out
+        if interrupts is None or (getattr(policy, "interrupts_only_when_close", False) and not self._is_close(number)):
+            return
+        if reason := interrupts(self.play.view(number)):
             controller.interrupt(reason)
 
     def end_turn(self, number: int) -> None:
@@ -272,9 +276,7 @@ class Household(Team):
         world.touching = np.array([[pair in self.company.touching for pair in world.pairs]], np.bool_).reshape(1, -1)
         self.at_goal = self._at_goal()
         self._move_joints(self._joints)
-        self._tell(self._held)
-        released = (self._held != NOBODY) & (self.objects.held_by == NOBODY) & self.at_goal
-        self._finishers = frozenset(self._held[released].tolist())
+        self._tell(self._held.tolist(), self.objects.held_by.tolist())
 
     @property
     def open_joints(self) -> NDArray[np.bool_]:
@@ -303,8 +305,6 @@ class Household(Team):
         track = self.company.track(other) if other >= 0 else np.full((1, 2), np.nan)
         other_xz = self.actors[other].xz.copy() if other >= 0 else track[-1]
         xz, heading = me.xz.copy(), me.heading  # of a person they are computed
-        ahead, aside = _seen(xz, heading, other_xz)
-        a, b = self.episode.spec.near_m
         return RearrangeView(
             step=self.play.step,
             free=self.doorways.open_floor,
@@ -313,7 +313,7 @@ class Household(Team):
             heading=heading,
             other_xz=other_xz,
             other_track=track[-TRACK:].copy(),
-            close=bool((ahead / a) ** 2 + (aside / b) ** 2 < 1),
+            close=self._is_close(agent),
             objects=self.objects.poses[:, :3].copy(),
             goals=self.objects.goals,
             held_by=self.objects.held_by.copy(),
@@ -330,6 +330,14 @@ class Household(Team):
             barrier=partial(self.barrier, me),
             observe=partial(self.play.observe, runner.number, 0),
         )
+
+    def _is_close(self, agent: int) -> bool:
+        """Returns whether the nearest other agent is inside the ellipse in which skills may be interrupted."""
+        me, other, (a, b) = self.actors[agent], self.company.nearest(agent), self.episode.spec.near_m
+        if other < 0:
+            return False
+        ahead, aside = _seen(me.xz, me.heading, self.actors[other].xz)
+        return (ahead / a) ** 2 + (aside / b) ** 2 < 1
 
     def errand(self, number: int) -> TaskProgress:
         """Progress of an agent with its present task."""
@@ -461,15 +469,19 @@ class Household(Team):
         }
         return block, places, np.any(contact, axis=0) if contact else None
 
-    def _tell(self, held: NDArray) -> None:
-        """Returns the events of this step, of things and between agents."""
-        for k, (was, now) in enumerate(zip(held.tolist(), self.objects.held_by.tolist(), strict=True)):
+    def _tell(self, held: Sequence[int], held_now: Sequence[int]) -> None:
+        """Reports the events of this step, of things that changed hands and between agents."""
+        finishers = set()
+        for k, (was, now) in enumerate(zip(held, held_now, strict=True)):
             name = self.objects.names[k]
             if was != now and was != NOBODY and now == NOBODY:
                 where = "at its goal" if self.at_goal[k] else "elsewhere"
+                if self.at_goal[k]:
+                    finishers.add(was)
                 self.play.events.append(Event(step=self.play.step, agent=was, kind="place", target=name, detail=where))
             elif was != now:
                 self.play.events.append(Event(step=self.play.step, agent=now, kind="pick", target=name))
+        self._finishers = frozenset(finishers)
         for a, b in self.company.touching:
             self.play.events.append(
                 Event(step=self.play.step, agent=a, kind="collision", target=self.episode.roster[b].name)
