@@ -246,6 +246,11 @@ def quat_sign_continuous(q: ArrayLike) -> Array:
 
 def quat_nlerp(a: ArrayLike, b: ArrayLike, weight: ArrayLike) -> Array:
     """Normalised linear blend of quaternions [..., 4] along the shorter arc; ``weight`` [...] 0 gives a, 1 gives b."""
+    if _is_single(a) and _is_single(b) and isinstance(weight, float):
+        (ax, ay, az, aw), (bx, by, bz, bw) = a.tolist(), b.tolist()  # type: ignore[union-attr]
+        w = -weight if ax * bx + ay * by + az * bz + aw * bw < 0 else weight
+        v = 1 - weight
+        return normalized(np.array([ax * v + bx * w, ay * v + by * w, az * v + bz * w, aw * v + bw * w]))
     a, b, w = _floating(a), _floating(b), _floating(weight)[..., None]
     b = np.where(np.sum(a * b, axis=-1, keepdims=True) < 0, -b, b)
     return normalized(a * (1 - w) + b * w)

@@ -93,16 +93,17 @@ def waits(number: int, other: ObservedAgent) -> bool:
 
 def in_the_way(xz: NDArray, towards: NDArray, others: Sequence[ObservedAgent]) -> ObservedAgent | None:
     """Returns the nearest agent in the way of a person at ``xz`` [2] who walks straight ``towards`` [2]."""
+    here = xz.tolist()
+    # most are too far away to be in anybody's way, whatever they do
+    others = [o for o in others if math.dist(here, o.xz.tolist()) <= IN_THE_WAY_M + 2 * o.footprint.extent_m]
+    if not others:
+        return None
     leg = towards - xz
     length = float(np.hypot(*leg))
     ahead = leg / max(length, 1e-9)
     blocker: ObservedAgent | None = None
     nearest = np.inf
-    here = xz.tolist()
     for other in others:
-        # most are too far away to be in anybody's way, whatever they do
-        if math.dist(here, other.xz.tolist()) > IN_THE_WAY_M + 2 * other.footprint.extent_m:
-            continue
         for x, z, radius in discs_of(other):
             gap = np.array([x, z]) - xz
             # who moves may turn this way in the next step

@@ -83,7 +83,7 @@ def in_base_frame(robot_xz: Any, heading: Any, point_xz: Any, *, xp: Any = np) -
 def _gaps(xz: ArrayLike, heading: ArrayLike, other_xz: ArrayLike) -> tuple[Floats, Floats]:
     """Vectors [..., 2] from places to others, and headings [...] of the same shape, or one for all of them."""
     gap, heading = np.asarray(other_xz, np.float64) - np.asarray(xz, np.float64), np.asarray(heading, np.float64)
-    if heading.ndim and gap.shape[:-1] != heading.shape:
+    if (heading.size > 1 or heading.ndim >= gap.ndim) and gap.shape[:-1] != heading.shape:
         shape = np.broadcast_shapes(gap.shape[:-1], heading.shape)
         gap, heading = np.broadcast_to(gap, (*shape, 2)), np.broadcast_to(heading, shape)
     return np.asarray(gap, order="C"), np.asarray(heading, order="C")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
@@ -17,9 +17,7 @@ from h3data.render.light.sources import LightMode
 from h3data.scene.articulation import joint_names
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
-from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.rearrange_observations import limits
-from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.agent_pictures import picture_names
 from sim_kinematic.sensing.table import Sensor
 from sim_kinematic.tasks.episode import Episode, StepOutcome
@@ -64,7 +62,7 @@ class Rules(Protocol):
 
 
 class WorldRollout:
-    """W worlds of one task, each in an episode of its own; `turns` plays a world of one."""
+    """W worlds of one task, each in an episode of its own; `sim_kinematic.tasks.runner.DecisionLoop` plays a world of one."""
 
     xp: ClassVar[Any] = np
     """The array namespace: `Task.begin`, `Task.judge` and sensors written with it run on a torch device too."""
@@ -292,44 +290,6 @@ class WorldRollout:
     def view(self, agent: int) -> Any:
         """Observation of an agent's policy in the first world, as the task defines it."""
         return self.task.view(self, agent, 0)
-
-    def turns(self) -> Generator[int | None, Any, None]:
-        """Plays the first world to the end of its episode.
-
-        It yields the number of an agent that must decide and is sent the agent's choice, and yields None after each step.
-        """
-        world, team, rows = self.world, self.team, self.world.rows
-        commands: list[Command | None] = [None] * len(world.roster)
-        for _ in range(self.spec.max_steps):
-            team.begin_step()
-            for number in team.order:
-                team.begin_turn(number)
-                controller, policy, own = (
-                    team.controllers[number],
-                    self.policies[number].policy,
-                    world.state.agents[number],
-                )
-                while True:
-                    if controller.status == "choosing":
-                        # scripts need no view: they are asked a hundred times more often than anything else
-                        if type(policy) is WaypointPolicy:
-                            choice = policy.move(own.xz[0], own.heading.item(0))
-                        elif type(policy) is CrowdPolicy:
-                            choice = policy.move(team.crowds_of(0), number, self.step)
-                        else:
-                            choice = yield number
-                        controller.start(world, number, rows, (choice,))
-                    commands[number] = controller.step(world, number, rows)
-                    if controller.status != "choosing":
-                        break
-                team.end_turn(number)
-            outcome = self.advance(commands)
-            self.events += [event for _, event in outcome.events]
-            if outcome.terminated[0]:
-                self.ended = outcome.ended or ("success" if outcome.success[0] else "terminated")
-                yield None
-                return
-            yield None
 
     def finish(self) -> None:
         """Closes what is still going on, such as running skills."""

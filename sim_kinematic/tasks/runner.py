@@ -6,7 +6,7 @@ that bring their own clock, such as a live server or a learning algorithm.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -18,13 +18,16 @@ from h3data.moved import refuse_renamed
 from h3data.recording import STEP_NS, Event, InputEvent, Recording, RecordingHeader, SkillSpan
 from sim_kinematic.agents.skills import Action, sentence
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, assign
+from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.recorded import COMMAND, is_remote
+from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.recorder import RecordedSensors, Recorder, Sink, describe
 from sim_kinematic.tasks.registry import reference_of
 from sim_kinematic.tasks.task import Task
+from sim_kinematic.world import Command
 
 if not TYPE_CHECKING:
     __getattr__ = refuse_renamed(__name__)
@@ -34,26 +37,70 @@ class DecisionLoop:
     """An episode's turns, one at a time: who must decide next, or that a step is over."""
 
     def __init__(self, play: WorldRollout) -> None:
-        self._play = play
-        self._turns: Generator[int | None, Any, None] = play.turns()
+        self._play, self._left = play, play.spec.max_steps
+        self._commands: list[Command | None] = [None] * len(play.world.roster)
+        self._turn = 0
+        """Number of agents that have made this step."""
+        self._begun = self._ended = False
+        """Whether the agent whose turn it is has been shown the others, and whether the rules have ended the episode."""
         self.over = False
         self.asked: int | None = None
         """The agent that must decide; None: a step is over, or nothing has begun."""
-        self._send(None)
+        self.go_on()
 
     def answer(self, choice: Any) -> None:
         """Takes the choice of the agent that was asked."""
-        self._send(choice)
+        assert self.asked is not None
+        self._start(self.asked, choice)
+        self._go_on()
 
     def go_on(self) -> None:
         """Begins the next step."""
-        self._send(None)
+        if self._ended or not self._left:
+            self.over = True
+            return
+        self._left, self._turn = self._left - 1, 0
+        self._play.team.begin_step()
+        self._go_on()
 
-    def _send(self, value: Any) -> None:
-        try:
-            self.asked = self._turns.send(value)
-        except StopIteration:
-            self.asked, self.over = None, True
+    def _go_on(self) -> None:
+        """Plays on until an agent must decide or the step is over."""
+        play, team = self._play, self._play.team
+        while self._turn < len(team.order):
+            number = team.order[self._turn]
+            if not self._begun:
+                team.begin_turn(number)
+                self._begun = True
+            if team.controllers[number].status != "choosing":
+                self._step(number)
+                continue
+            policy, own = play.policies[number].policy, play.world.state.agents[number]
+            # scripts need no view: they are asked a hundred times more often than anything else
+            if type(policy) is WaypointPolicy:
+                self._start(number, policy.move(own.xz[0], own.heading.item(0)))
+            elif type(policy) is CrowdPolicy:
+                self._start(number, policy.move(team.crowds_of(0), number, play.step))
+            else:
+                self.asked = number
+                return
+        self.asked = None
+        outcome = play.advance(self._commands)
+        play.events += [event for _, event in outcome.events]
+        if outcome.terminated[0]:
+            self._ended, play.ended = True, outcome.ended or ("success" if outcome.success[0] else "terminated")
+
+    def _start(self, number: int, choice: Any) -> None:
+        world = self._play.world
+        self._play.team.controllers[number].start(world, number, world.rows, (choice,))
+        self._step(number)
+
+    def _step(self, number: int) -> None:
+        world, team = self._play.world, self._play.team
+        controller = team.controllers[number]
+        self._commands[number] = controller.step(world, number, world.rows)
+        if controller.status != "choosing":
+            team.end_turn(number)
+            self._turn, self._begun = self._turn + 1, False
 
 
 def rollout(task: Task, episode: Episode, policies: Assigned | None = None, *, measure: bool = True) -> WorldRollout:
@@ -195,6 +242,8 @@ class StepResult:
 
 class _Inbox(External):
     """Holds the commands for one agent until it decides."""
+
+    interrupts_only_when_close = False  # commands interrupt too
 
     def __init__(self, external: External) -> None:
         super().__init__(interrupts_when_close=external.interrupts_when_close)

@@ -111,7 +111,7 @@ class Rearrange(Task):
         held, at_goal, collides = (
             play.world.state.held_by != NOBODY,
             play.team.at_goal[None],
-            play.world.touching.any(1),
+            np.logical_or.reduce(play.world.touching, axis=1),
         )
         worth = REARRANGE_REWARDS[play.spec.reward]
         reward, play.memory, done = worth.step(held, at_goal, play.memory, collides.astype(np.float64))
@@ -122,7 +122,7 @@ class Rearrange(Task):
             success=done,
             columns={"metrics.at_goal": at_goal},
             ended="success" if success else "collision",
-            events=play.events_where(done, "success"),
+            events=play.events_where(done, "success") if success else [],
         )
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
