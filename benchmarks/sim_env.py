@@ -17,8 +17,8 @@ import numpy as np
 import h3data
 from benchmarks.sim import cpu_s
 from sim_kinematic.envs.single import TaskEnv
-from sim_kinematic.envs.world_stepper import STATE_OBSERVATIONS
 from sim_kinematic.policies.rearrange_observations import PAPER_SENSES, STATE_SENSES
+from sim_kinematic.sensing.table import STATE_OBSERVATIONS
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 from sim_kinematic.tasks.social_nav import PAPER_OBSERVATIONS
 

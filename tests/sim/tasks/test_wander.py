@@ -12,7 +12,7 @@ from h3data.scene.open import named_scenes, open_scene
 from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec, WalkerSpec
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.resume import resume, verify
-from sim_kinematic.tasks.runner import rollout, simulate
+from sim_kinematic.tasks.runner import DecisionLoop, rollout, simulate
 from sim_kinematic.tasks.wander import Wander
 
 STEPS = 450
@@ -69,10 +69,12 @@ def test_the_world_makes_the_step_that_an_agent_has_tried() -> None:
     episode = Wander().episode(scene, seed=3, spec=SocialNavSpec(max_steps=60), agents="robot,human,male_1")
     play = rollout(Wander(), episode)
     assert isinstance(play, WorldRollout)
-    for turn in (turns := play.turns()):
-        while turn is not None:
-            turn = turns.send(play.policies[turn].policy.act(play.view(turn)))
+    loop = DecisionLoop(play)
+    while not loop.over:
+        while loop.asked is not None:
+            loop.answer(play.policies[loop.asked].policy.act(play.view(loop.asked)))
         traffic = play.agent_view(0).traffic()
         for actor, own in zip(traffic.actors, play.world.state.agents, strict=True):
             np.testing.assert_allclose(actor.xz, own.xz[0], rtol=0, atol=1e-6)
             assert actor.heading == pytest.approx(own.heading[0], abs=1e-6)
+        loop.go_on()
