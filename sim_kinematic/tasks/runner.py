@@ -42,7 +42,7 @@ class DecisionLoop:
         self._turn = 0
         """Number of agents that have made this step."""
         self._begun = self._ended = False
-        """Whether the agent whose turn it is has been shown the others, and whether the rules have ended the episode."""
+        """True if the agent whose turn it is has been shown the others; true if the rules have ended the episode."""
         self.over = False
         self.asked: int | None = None
         """The agent that must decide; None: a step is over, or nothing has begun."""
