@@ -38,8 +38,8 @@ def render_files(
 ) -> None:
     """Renders ``steps`` from every camera into its targets.
 
-    ``threads`` threads pose, render and prepare frames (colour maps, PNG and FFV1 encoding); each target has one more thread
-    that encodes H.264 or AV1, or writes. Few frames are in flight at a time, so memory stays constant. The files do not
+    ``threads`` threads pose, render and prepare frames (colour maps, PNG and FFV1 encoding); each H.264 or AV1 video has
+    one more thread that encodes. Few frames are in flight at a time, so memory stays constant. The files do not
     depend on the number of threads, and they get their final names only when complete.
 
     ``frame_done`` is called after each frame, in place of a bar of progress with ``description``.
@@ -51,13 +51,16 @@ def render_files(
     outputs: list[Output] = list(dict.fromkeys(target.output for _, targets in views for target in targets))
     fps = frames_per_second(replay, steps)
     with ExitStack() as stack:
-        sinks, encoders = [], []
+        sinks, encoders, writes = [], [], []
         for n, (track, targets) in enumerate(views):
             for target in targets:
                 picture = _picture(replay, track, target, steps[0], annotate=annotate)
                 sink = stack.enter_context(target.open(track.camera, fps, picture))
                 sinks.append((n, target.output, sink))
-                encoders.append(stack.enter_context(_InOrder(sink.write, queue_length)))
+                if target.colored:
+                    encoders.append(stack.enter_context(_InOrder(sink.write, queue_length)))
+                # what is encoded when it is prepared need not wake a thread, which takes 0.1 ms
+                writes.append(encoders[-1].submit if target.colored else sink.write)
 
         def prepare(step: int, pictures: list[dict[str, NDArray[Any]]]) -> list[Any]:
             return [sink.prepare(pictures[n][output], step) for n, output, sink in sinks]
@@ -73,8 +76,8 @@ def render_files(
         )
         shown = progress(frames, total=len(steps), desc=description, unit="frame") if frame_done is None else frames
         for _, prepared in shown:
-            for encoder, frame in zip(encoders, prepared, strict=True):
-                encoder.submit(frame)
+            for write, frame in zip(writes, prepared, strict=True):
+                write(frame)
             if frame_done is not None:
                 frame_done()
         for encoder in encoders:
