@@ -1,5 +1,7 @@
 """People who sit down on the seats of a home."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,8 @@ import h3data
 from h3data.bodies import load_humanoid
 from h3data.errors import InputError
 from h3data.geometry import ground_pose
+from h3data.recording import write_mcap
+from h3data.recording.records import STEP_NS, Agent, Episode, Recording
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.seats import Seat, seats_of
 from sim_kinematic.agents.person import Person, joint_steps, run
@@ -71,3 +75,25 @@ def test_shallow_seat() -> None:
     with pytest.raises(InputError) as caught:
         before(SEAT._replace(depth_m=0.1))
     assert caught.value.code == "H3-SIM-062"
+
+
+def test_frames_are_recorded(tmp_path: Path) -> None:
+    person = before(SEAT)
+    frames, _ = run(person, sit_down(person, SEAT))
+    columns = {
+        "time_ns": np.arange(len(frames), dtype=np.int64) * STEP_NS,
+        "agent_0.base_pose": np.stack([frame.base for frame in frames]).astype(np.float32),
+        "agent_0.root_pose": np.stack([frame.root for frame in frames]).astype(np.float32),
+        "agent_0.joint_quat": np.stack([frame.joints for frame in frames]).astype(np.float32),
+    }
+    recording = Recording(
+        episode=Episode(uid="sit", episode_id="sit", task="motion", scene="", created_by="test", info={}),
+        agents=(Agent(name="person", kind="human", model="humanoid/female_0"),),
+        columns=columns,
+    )
+    write_mcap(recording, tmp_path / "sit.mcap")
+    posed = h3data.load_recording(tmp_path / "sit.mcap")
+    joints = person.body.joint_matrices_free(*(posed.columns[f"agent_0.{n}"] for n in ("root_pose", "joint_quat")))
+    np.testing.assert_allclose(joints[-1], person.joint_matrices, atol=1e-4)
+    h3data.export(tmp_path / "sit.mcap", tmp_path / "sit.glb", to="gltf")
+    assert (tmp_path / "sit.glb").stat().st_size > 100_000
