@@ -1,0 +1,195 @@
+"""Sitting down on a seat of any height, by what touches what: the soles stay on the floor, the seat carries the body.
+
+The pose on the seat follows from contact alone. The shanks stand, the skin of the hips touches the seat, and the hands lie on
+the thighs. The seat's front edge is as far forward as the skin of legs and hips allows. On the path between standing and
+sitting the hips go back before they go down, and the trunk leans forward meanwhile, which keeps the weight over the feet.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.bodies.people.clips import TO_ROOT
+from h3data.bodies.people.gait import stand_posture
+from h3data.bodies.people.legs import SIDES, Posture, X, Y, Z, rotation, solve_legs
+from h3data.bodies.people.skeleton import JOINT_INDEX
+from h3data.errors import InputError
+from h3data.geometry import IDENTITY_POSE, Array, normalized, quat_from_matrix, quat_multiply, quat_nlerp, quat_rotate
+
+if TYPE_CHECKING:
+    from h3data.bodies.people.humanoid import Humanoid
+
+SINK_M = 0.005
+"""Depth by which a seat gives way under the hips; all other skin is as deep in it at most."""
+KNEE_AHEAD_M = 0.04
+"""Distance by which the knees of a seated person are ahead of the ankles."""
+BUTTOCKS_M = 0.03
+"""Skin that is further ahead of the pelvis than this does not carry: thighs that slope down would lift the body."""
+STEEPEST = 0.75
+"""Greatest slope of the thighs, as the share of their length by which hips and knees differ in height."""
+SEATED_DEG = (("pelvis", -14.0), ("spine1", 5.0), ("spine2", 4.0), ("spine3", 3.0), ("neck", 2.0), ("head", 2.0))
+"""Pitch of each joint of the trunk of a seated person, forward positive."""
+LEAN_DEG, LEAN_EARLY = 44.0, 0.8
+"""Greatest lean of the trunk between standing and sitting, and the exponent that moves it towards standing."""
+LEAN_SHARES = (("pelvis", 0.62), ("spine1", 0.14), ("spine2", 0.14), ("spine3", 0.1), ("neck", -0.25), ("head", -0.25))
+"""Parts of the joints in the lean; neck and head keep the eyes nearly ahead."""
+BACK_FIRST, DOWN_LATE = 1.7, 1.2
+"""Exponents by which the hips go back before they go down."""
+ARMS_BY = 0.6
+"""Share of the path at which the hands are on the thighs: hanging, they would go through the seat."""
+PATH_SHARES = np.linspace(0.4, 1.0, 13)
+"""Shares of the path at which the front edge is kept out of the body."""
+PATH_SINK_M = 0.012
+"""Depth by which skin may be behind the front edge on the path [m]."""
+HAND_ALONG, HAND_OVER_M, HAND_OUT_M = 0.6, 0.12, 0.02
+"""Place of a wrist along the thigh, as a share, above its axis, and outwards."""
+TWIST_DEG, WRIST_DEG = 35.0, 22.0
+"""Twist of forearm and of wrist that turns palms down, and the extension of the wrist."""
+_ARMS = [JOINT_INDEX[f"{side}_{name}"] for side, _, _ in SIDES for name in ("shoulder", "elbow", "wrist")]
+_HIPS = [JOINT_INDEX[name] for name in ("pelvis", "left_hip", "right_hip")]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sitting:
+    """Motion of one body that sits down on a seat of one height. The agent root stays where the person stands."""
+
+    body: Humanoid
+    seat_m: float
+    """Height of the seat above the floor [m]."""
+    edge_m: float
+    """Place of the seat's front edge ahead of the agent root [m]: negative, as the person faces away from the seat."""
+    back_m: float
+    """Rearmost point of the seated body ahead of the agent root [m]."""
+    seated: tuple[Array, Array]
+    """Rotations [55, 4] and pelvis [3] on the seat, in the body frame."""
+
+    def pose(self, share: ArrayLike) -> tuple[Array, Array]:
+        """Local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame.
+
+        ``share`` [T] leads from standing (0) to sitting (1).
+        """
+        share = np.atleast_1d(np.asarray(share, np.float64))
+        legs = self.body.gaits.legs
+        stand = stand_posture(legs, len(share))
+        quats, pelvis = self.seated
+        weight = np.repeat(share, quats.shape[0])
+        mixed = quat_nlerp(stand.quats.reshape(-1, 4), np.tile(quats, (len(share), 1)), weight)
+        mixed = mixed.reshape(stand.quats.shape)
+        lean = LEAN_DEG * np.sin(np.pi * share**LEAN_EARLY)
+        for name, part in LEAN_SHARES:
+            own = quat_from_matrix(rotation(X, part * lean))
+            mixed[:, JOINT_INDEX[name]] = quat_multiply(own, mixed[:, JOINT_INDEX[name]])
+        back, down = 1 - (1 - share) ** BACK_FIRST, share**DOWN_LATE
+        path = stand.pelvis + np.stack([back * 0, down, back], axis=1) * (pelvis - stand.pelvis)
+        mixed, path = _in_root(self.body, Posture(quats=mixed, pelvis=path, ankle=stand.ankle, foot=stand.foot))
+        roots = np.tile(IDENTITY_POSE, (len(share), 1))
+        laid = _hands_on_thighs(self.body, self.body.joint_matrices(roots, mixed, path))
+        early = np.repeat(np.minimum(share / ARMS_BY, 1.0), len(_ARMS))
+        hanging = mixed[:, _ARMS].reshape(-1, 4)
+        mixed[:, _ARMS] = quat_nlerp(hanging, laid.reshape(-1, 4), early * early * (3 - 2 * early)).reshape(laid.shape)
+        return mixed, path
+
+    def fits(self, depth_m: float) -> bool:
+        """Returns whether the hips are over a seat of this depth [m] and the back is before what is behind the seat."""
+        return self.edge_m - self.back_m <= depth_m + SINK_M
+
+
+@lru_cache(maxsize=256)
+def sitting_on(body: Humanoid, seat_m: float) -> Sitting:
+    """Return the motion by which a body sits down on a seat at a height above the floor [m]; about 10 ms, cached.
+
+    Raises:
+        InputError: the seat is too high or too low for the legs of this body.
+    """
+    legs = body.gaits.legs
+    stand = stand_posture(legs)
+    quats = stand.quats[0].copy()
+    for name, angle in SEATED_DEG:
+        quats[JOINT_INDEX[name]] = quat_from_matrix(rotation(X, angle))
+    hips = rotation(X, SEATED_DEG[0][1]) @ legs.hips[0]
+    ankle = stand.ankle[0, 0]
+    knee_y = ankle[1] + np.sqrt(legs.shank**2 - KNEE_AHEAD_M**2)
+    pelvis = np.array([0.0, seat_m + 0.1, 0.0])
+    seat_skin = np.isin(body.lod.joints[np.arange(len(body.lod.joints)), body.lod.weights.argmax(1)], _HIPS)
+    vertices = np.zeros((1, 3))
+    for _ in range(5):
+        drop = pelvis[1] + hips[1] - knee_y
+        # the hip joints are further apart than the feet, so the thighs go a little inwards
+        aside = abs(hips[0]) - abs(ankle[0])
+        flat = legs.thigh**2 - drop**2 - aside**2
+        if not (np.isfinite(drop) and abs(drop) <= STEEPEST * legs.thigh):
+            raise InputError(
+                f"{body.name} cannot sit with the feet on the floor on a seat at {seat_m:.2f} m. Expected about "
+                f"{knee_y - 0.2:.2f} to {knee_y + 0.15:.2f} m.",
+                code="H3-BODY-178",
+            )
+        pelvis[2] = ankle[2] + KNEE_AHEAD_M - np.sqrt(flat) - hips[2]
+        vertices = _skin(body, quats, pelvis)
+        under = seat_skin & (vertices[:, 2] < pelvis[2] + BUTTOCKS_M)
+        pelvis[1] += seat_m - SINK_M - vertices[under, 1].min()
+    draft = Sitting(body=body, seat_m=seat_m, edge_m=0.0, back_m=0.0, seated=(quats, pelvis))
+    roots = np.tile(IDENTITY_POSE, (len(PATH_SHARES), 1))
+    skin = body.skin(body.joint_matrices(roots, *draft.pose(PATH_SHARES)))
+    ahead = skin[..., 0] + np.where(PATH_SHARES < 1, PATH_SINK_M, SINK_M)[:, None]
+    edge = float(ahead[skin[..., 1] < seat_m - PATH_SINK_M].min())
+    return replace(draft, edge_m=edge, back_m=float(skin[-1, :, 0].min()))
+
+
+def _in_root(body: Humanoid, posture: Posture) -> tuple[Array, Array]:
+    quats = solve_legs(body.gaits.legs, posture).quats
+    quats[:, 0] = quat_multiply(TO_ROOT, quats[:, 0])
+    return quats, quat_rotate(TO_ROOT, posture.pelvis)
+
+
+def _skin(body: Humanoid, quats: Array, pelvis: Array) -> NDArray[np.floating]:
+    """Vertices [V, 3] of a seated pose: x to the right, y up, z forward."""
+    stand = stand_posture(body.gaits.legs)
+    posed = _in_root(body, Posture(quats=quats[None], pelvis=pelvis[None], ankle=stand.ankle, foot=stand.foot))
+    return body.skin(body.joint_matrices(IDENTITY_POSE, *posed))[0][:, ::-1]
+
+
+def _hands_on_thighs(body: Humanoid, frames: Array) -> Array:
+    """Rotations [T, 6, 4] of `_ARMS` with the hands on the thighs, for joint frames [T, 55, 4, 4] in the agent root frame.
+
+    Two-bone arms in closed form, the elbows back and out.
+    """
+    places, turns = frames[..., :3, 3], []
+    for side, sign, _ in SIDES:
+        collar, shoulder, elbow, wrist, hip, knee = (
+            JOINT_INDEX[f"{side}_{name}"] for name in ("collar", "shoulder", "elbow", "wrist", "hip", "knee")
+        )
+        upper, fore = body.joint_offsets[elbow], body.joint_offsets[wrist]
+        a, b = float(np.linalg.norm(upper)), float(np.linalg.norm(fore))
+        thigh = places[:, knee] - places[:, hip]
+        over = np.cross(thigh, np.array([0.0, 0.0, 1.0]))
+        target = places[:, hip] + HAND_ALONG * thigh - HAND_OVER_M * normalized(over)
+        target[:, 2] -= sign * HAND_OUT_M
+        way = target - places[:, shoulder]
+        reach = np.minimum(np.linalg.norm(way, axis=1), 0.98 * (a + b))[:, None]
+        ahead = normalized(way)
+        out = np.array([-0.6, -0.2, -0.55 * sign])
+        out = normalized(out - (ahead @ out)[:, None] * ahead)
+        cosine = np.clip((a * a + reach * reach - b * b) / (2 * a * reach), -1, 1)
+        bone = cosine * ahead + np.sqrt(1 - cosine * cosine) * out
+        forearm = normalized(reach * ahead - a * bone)
+        along = np.sum(bone * forearm, axis=1, keepdims=True)
+        bend = np.degrees(np.arccos(np.clip(along[:, 0], -1, 1)))
+        hinge = sign * np.cross(normalized(forearm - along * bone), bone)
+        rest = normalized(upper)
+        shoulders = _basis(bone, hinge) @ _basis(rest, normalized(Y - (Y @ rest) * rest)).T
+        hand = rotation(X, TWIST_DEG) @ rotation(Z, sign * WRIST_DEG)
+        turns += [
+            quat_from_matrix(frames[:, collar, :3, :3].swapaxes(1, 2) @ shoulders),
+            quat_from_matrix(rotation(Y, -sign * bend) @ rotation(X, TWIST_DEG)),
+            np.tile(quat_from_matrix(hand), (len(frames), 1)),
+        ]
+    return np.stack(turns, axis=1)
+
+
+def _basis(first: Array, second: Array) -> Array:
+    return np.stack([first, second, np.cross(first, second)], axis=-1)
