@@ -56,8 +56,8 @@ def lines_of(layout: Layout, kind: PlaceKind) -> Array:
 def find_frame(free: FreeSpace, layout: Layout, kind: PlaceKind, rng: np.random.Generator) -> Frame | None:
     """Returns a frame on a floor in which a layout fits; None if none of those tried does.
 
-    Everybody's straight lines must be free. In addition a corridor has walls at both sides within 1.3 m of its axis (a hallway
-    within 0.7 m); a door is narrower than the floor before and behind it; the two sides of a corner do not see each other.
+    Everybody's straight lines must be free. In addition a corridor has walls 0.7 to 1.3 m from its axis, a hallway
+    within 0.75 m; a door is narrower than the floor before and behind it; the two sides of a corner do not see each other.
     """
     if kind == "cabin":
         return None
@@ -86,7 +86,8 @@ def find_frame(free: FreeSpace, layout: Layout, kind: PlaceKind, rng: np.random.
             rows = rows[(room(points, rows) >= least).all(1)]
     if len(rows) and kind in ("corridor", "hallway"):
         line = np.stack([np.arange(-2.0, 2.1, 0.5), np.zeros(9)], 1)
-        rows = rows[(room(line, rows) <= (1.3 if kind == "corridor" else 0.75)).all(1)]
+        aside, (least, most) = room(line, rows), (0.7, 1.3) if kind == "corridor" else (0.0, 0.75)
+        rows = rows[((aside >= least) & (aside <= most)).all(1)]
     if len(rows) and kind == "door":
         probe = np.array([[0.0, 0.0], [-0.9, 0.0], [0.9, 0.0], [0.0, -0.75], [0.0, 0.75]])
         clear = room(probe, rows)
