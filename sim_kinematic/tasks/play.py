@@ -176,7 +176,7 @@ class WorldRollout:
             raise InputError(
                 f"Expected episodes with {agents} agents, as the worlds have; got one with {other}. Hint: a roster of {other} "
                 "agents.",
-                code="H3-TASK-084",
+                code="H3-TASK-080",
             )
         if not self.episodes:
             self.episodes = list(episodes)

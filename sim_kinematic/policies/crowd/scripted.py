@@ -65,7 +65,7 @@ class ScriptedPerson:
         goal = self._find_goal(xz)
         if goal is None:
             return np.zeros((0, 2))
-        path = walking_path(self.member.free, xz, goal, self.member.walker)
+        path = walking_path(self.member.free, xz, np.asarray(goal, np.float64), self.member.walker)
         return _shortened(path, BEHIND_M) if self._role == "follow" else path
 
     def _find_goal(self, xz: Array) -> Array | None:

@@ -83,7 +83,7 @@ def choose_cards(names: str) -> list[str]:
     chosen = there if names.strip() == ALL else [name.strip() for name in names.split(",")]
     for name in chosen:
         if name not in there:
-            raise InputError(f"Unknown card {name!r}.{suggest(name, [*there, ALL])}", code="H3-TASK-080")
+            raise InputError(f"Unknown card {name!r}.{suggest(name, [*there, ALL])}", code="H3-TASK-076")
     return chosen
 
 

@@ -7,6 +7,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from h3data.geometry import IDENTITY_POSE, Array
 from h3data.mesh.primitives import box_mesh
@@ -75,7 +76,7 @@ def find_frame(free: FreeSpace, layout: Layout, kind: PlaceKind, rng: np.random.
     at = np.repeat(origins, DIRECTIONS, axis=0)
     turned = np.tile(headings, len(origins))
 
-    def room(points: Array, rows: Array) -> Array:
+    def room(points: Array, rows: NDArray[np.intp]) -> Array:
         """Distance to obstacles [n, N] of points [N, 2] in the frames ``rows`` [n]."""
         placed = at[rows][:, None] + np.einsum("pk,nkx->npx", points, axes_of(turned[rows]))
         return free.signed_distance(placed)

@@ -98,9 +98,7 @@ class Scenarios(CrowdNav):
         """Codec that knows plans."""
         return ScenarioCodec(self)
 
-    def sample(
-        self, scene: Scene, free: FreeSpace, seed: int, spec: ScenarioSpec, roster: tuple[AgentSpec, ...]
-    ) -> Episode:
+    def sample(self, scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: tuple[AgentSpec, ...]) -> Episode:
         """Samples a card's numbers and finds a place for them; agents beyond those of the card are left out.
 
         Raises:
@@ -109,7 +107,7 @@ class Scenarios(CrowdNav):
         """
         names = choose_cards(spec.card or self.cards)
         if spec.where not in ("auto", "home", "plan"):
-            raise InputError(f"Expected where as auto, home or plan, got {spec.where!r}.", code="H3-TASK-081")
+            raise InputError(f"Expected where as auto, home or plan, got {spec.where!r}.", code="H3-TASK-077")
         rng = generator(seed, "scenario")
         name = names[int(rng.integers(len(names)))]
         card = load_cards()[name]
@@ -119,7 +117,7 @@ class Scenarios(CrowdNav):
             raise InputError(
                 f"The card {name} needs a robot and {len(card.people)} people, the roster has {len(robots)} and "
                 f"{len(people)}. Hint: leave out --agents, or name more.",
-                code="H3-TASK-082",
+                code="H3-TASK-078",
             )
         roster = (robots[0], *people[: len(card.people)])
         where: Literal["home", "plan"] = "home"
@@ -129,7 +127,7 @@ class Scenarios(CrowdNav):
             raise SceneError(
                 f"The card {name} does not fit {scene.name}: none of the places tried is a free {card.place} of its size. "
                 "Hint: where=auto builds a plan instead.",
-                code="H3-TASK-083",
+                code="H3-TASK-079",
             )
         if found is None:
             where, scene = "plan", build_plan(card.place)
