@@ -61,6 +61,12 @@ class ScenarioSpec(CrowdNavSpec):
     group_m: float = 0.7
     """Radius of the space within a group that belongs to it (o-space, Kendon 1990): nobody crosses it."""
 
+    def __post_init__(self) -> None:
+        if self.card:
+            choose_cards(self.card)
+        if self.where not in ("auto", "home", "plan"):
+            raise InputError(f"Expected where as auto, home or plan, got {self.where!r}.", code="H3-TASK-077")
+
 
 class ScenarioCodec(TaskCodec):
     """Builds the plans of episodes from files again."""
@@ -106,8 +112,6 @@ class Scenarios(CrowdNav):
             SceneError: The card does not fit the home (``where="home"``).
         """
         names = choose_cards(spec.card or self.cards)
-        if spec.where not in ("auto", "home", "plan"):
-            raise InputError(f"Expected where as auto, home or plan, got {spec.where!r}.", code="H3-TASK-077")
         rng = generator(seed, "scenario")
         name = names[int(rng.integers(len(names)))]
         card = load_cards()[name]
