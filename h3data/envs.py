@@ -51,6 +51,12 @@ IDS = {
     "h3data/Rearrange-v0": "rearrange",
     "h3data/Wander-v0": "wander",
     "h3data/CrowdNav-v0": "crowd_nav",
+    "h3data/Scenarios-v0": "scenarios",
+    "h3data/CrowdFollow-v0": "crowd_follow",
+    "h3data/CrowdLead-v0": "crowd_lead",
+    "h3data/CrowdAccompany-v0": "crowd_accompany",
+    "h3data/CrowdJoin-v0": "crowd_join",
+    "h3data/CrowdGiveWay-v0": "crowd_give_way",
 }
 """Name of the task by id."""
 

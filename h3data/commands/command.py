@@ -230,13 +230,15 @@ def missing_lines(replay: Replay, *, max_names: int = 8) -> list[str]:
     return lines
 
 
-def read_overrides(texts: Iterable[str]) -> tuple[tuple[str, Any], ...]:
+def read_overrides(texts: Iterable[str], **named: Any) -> tuple[tuple[str, Any], ...]:
     """Names and values of single rules of a task, from ``NAME=VALUE`` with a value as in JSON or a bare word.
+
+    ``named`` are rules that have an option of their own; None leaves one out.
 
     Raises:
         InputError: one is written in another way.
     """
-    overrides = []
+    overrides = [(name, value) for name, value in named.items() if value is not None]
     for text in texts:
         name, sign, value = text.partition("=")
         if not sign or not name:

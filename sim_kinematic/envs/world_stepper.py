@@ -277,7 +277,7 @@ class WorldStepper:
         self.play.begin(episodes, rows)
         homes = {id(home.scene): k for k, home in enumerate(self.source.homes) if home.is_ready}
         for w, episode in zip(rows.tolist(), episodes, strict=True):
-            self._home[w] = homes[id(episode.scene)]
+            self._home[w] = homes.get(id(episode.scene), id(episode.scene))  # a task may have built a scene of its own
             self._walkers[w] = [given.policy for given in assign(self.task, episode, self._policies(episode))]
         for k in self._others:
             for w in rows.tolist():

@@ -169,6 +169,13 @@ class WorldRollout:
     def begin(self, episodes: Sequence[Episode], rows: NDArray[np.intp] | None = None) -> None:
         """Begins episodes in the worlds ``rows`` [n] (default: all)."""
         rows = np.arange(self.world.worlds) if rows is None else rows
+        agents = len(self.world.roster)
+        if other := next((len(e.roster) for e in episodes if len(e.roster) != agents), 0):
+            raise InputError(
+                f"Expected episodes with {agents} agents, as the worlds have; got one with {other}. Hint: a roster of {other} "
+                "agents.",
+                code="H3-TASK-080",
+            )
         if not self.episodes:
             self.episodes = list(episodes)
         for w, episode in zip(rows.tolist(), episodes, strict=True):

@@ -62,6 +62,7 @@ def evaluate(
     partners: Policies = "all",
     unseen_partners: Policies = (),
     skills: Paths = (),
+    card: str | None = None,
     overrides: Overrides = (),
     scenes: Scenes = "h3-homes/test",
     episodes_file: FilePath | None = None,
@@ -159,6 +160,8 @@ class Evaluate:
     skills: Annotated[tuple[str, ...], OfTasks(("rearrange", "skill")), SKILLS]
     """Learned skills of robots: learned (those that come with the package), a folder of training runs, or policy files of
     h3data train skill."""
+    card: str | None
+    """Cards of the task scenarios (h3data docs scenarios): one, several with commas between, or all."""
     overrides: OverridesOption
     light: Annotated[LightMode | None, OfTasks(("social_nav", "rearrange"))]
     """Light in the colours that policies are shown: baked, from windows, sun and lamps, or flat, the same everywhere (default:
@@ -196,7 +199,7 @@ class Evaluate:
             human_speed=self.human_speed,
             max_steps=self.max_steps,
             skills=",".join(self.skills) or ("learned" if is_skill else ""),
-            overrides=read_overrides(self.overrides),
+            overrides=read_overrides(self.overrides, card=self.card),
             light=self.light,
         )
         if is_skill:

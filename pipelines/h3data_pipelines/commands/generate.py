@@ -122,6 +122,7 @@ def generate(
     human_speed: float | None = None,
     max_steps: int | None = None,
     spawn_distance: float | None = None,
+    card: str | None = None,
     overrides: Overrides = (),
     sensors: Sequence[str] = (),
     cameras: Paths = (),
@@ -223,6 +224,8 @@ class Generate:
     """Skills of the robots: learned (those that come with the package), a folder of training runs, or policy files of h3data
     train skill; or oracle: simple rules that a GPU plays too, with the paper's people, where nobody gives way to anybody
     (default: skills that know the whole state)."""
+    card: str | None
+    """Cards of the task scenarios (h3data docs scenarios): one, several with commas between, or all."""
     overrides: OverridesOption
     sensors: tuple[str, ...]
     """Sensors of robots that are recorded with every step: lidar, lidar_legs or any other of h3data docs environments; not in
@@ -413,7 +416,7 @@ class Generate:
             human_speed=self.human_speed,
             max_steps=self.max_steps,
             spawn_distance=self.spawn_distance,
-            overrides=read_overrides(self.overrides),
+            overrides=read_overrides(self.overrides, card=self.card),
             sensors=self.sensors or None,
         )
         choices = with_skills(choices, ",".join(self.skills))

@@ -299,4 +299,7 @@ def _table(
             for pattern, policies in seeds.items()
             for partner in job.partners
         }
+    if len({row.get("card") for row in rows}) > 1:  # one row for each card, below those of all
+        by_card = sorted(rows, key=lambda row: row["card"])
+        rows = rows + [{**row, "policy": f"{row['card']}: {row['policy']}"} for row in by_card]
     return policy_table(profile_for(task.name, {}, task.profile or None), rows, seeds)

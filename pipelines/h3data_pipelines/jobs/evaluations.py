@@ -81,6 +81,8 @@ def play_evaluation(job: Evaluation) -> tuple[dict[str, Any], list[Recording]]:
                         "ended": info.get("ended"),
                         "state_hash": str(recording.columns["state_hash"][-1]) if len(recording) else "",
                     }
+                    if "card" in episode.extra:
+                        played[plan]["card"] = episode.extra["card"]
                     if "solo_steps" in info:
                         played[plan] |= {"plan": plan, "solo_steps": info["solo_steps"]}
                 partners.setdefault(plan, []).extend([] if partner is None else [partner])

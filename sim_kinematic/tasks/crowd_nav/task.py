@@ -90,12 +90,13 @@ class CrowdNav(Task):
 
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> Mapping[str, Any]:
         """Remembers the goals and the paths that are left."""
-        goal = play.extra("goal")
+        goal = self.goals(play)
         return {"goal": goal, "left": self._left(play, goal), "done": play.steps < 0}
 
     def judge(self, play: WorldRollout) -> StepOutcome:
         """Rewards progress and arriving; touching a person costs and, by the rules, ends the episode."""
         xp, memory, spec, world = play.xp, play.memory, play.spec, play.world
+        memory["goal"] = self.moved_goals(play)
         left, before = self._left(play, memory["goal"]), memory["left"]
         robot, people = world.state.agents[0], world.state.people
         near, touching = play.steps < 0, play.steps < 0
@@ -105,20 +106,33 @@ class CrowdNav(Task):
         for p, (a, b) in enumerate(world.pairs):
             if a == 0 and world.roster[b].kind == "human":
                 touching = touching | world.touching[:, p]
-        straight = memory["goal"] - robot.xz
-        arrived = (xp.hypot(straight[:, 0], straight[:, 1]) < spec.arrive_m) & ~touching
+        arrived, over = self.achieved(play, touching)
         memory["left"], memory["done"] = left, memory["done"] | arrived
         reward = spec.progress_reward * (before - left) + spec.arrive_reward * arrived
         reward = reward + spec.collision_reward * touching + spec.personal_reward * near
         fails = touching & spec.end_on_collision
         return StepOutcome(
             reward=reward,
-            terminated=arrived | fails,
+            terminated=over | fails,
             success=memory["done"],
             columns={"metrics.goal_distance": left, "metrics.personal_space": near},
             events=play.events_where(arrived, "arrived", agent=0) + play.events_where(touching, "collision", agent=0),
             ended="collision" if bool(fails.any()) and not bool(arrived.any()) else "",
         )
+
+    def goals(self, play: WorldRollout) -> Any:
+        """Returns the goal of the robot of each world [W, 2] [m]."""
+        return play.extra("goal")
+
+    def moved_goals(self, play: WorldRollout) -> Any:
+        """Returns the goals after a step [W, 2] [m]; by default they stay."""
+        return play.memory["goal"]
+
+    def achieved(self, play: WorldRollout, touching: Any) -> tuple[Any, Any]:
+        """Returns whether robots have done what they should, and whether the episode is over for it, [W] each."""
+        gap = play.memory["goal"] - play.world.state.agents[0].xz
+        arrived = (play.xp.hypot(gap[:, 0], gap[:, 1]) < play.spec.arrive_m) & ~touching
+        return arrived, arrived
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
         """Every task's sensors, and for robots the distance [m] and angle [rad] of the goal, positive to the right."""

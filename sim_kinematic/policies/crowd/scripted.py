@@ -1,0 +1,98 @@
+"""Policy of the people of scenario cards: to given places, with a crowd's avoidance, at their time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.geometry import Array
+from h3data.scene import FreeSpace
+from sim_kinematic.agents.waypoint_walker import walking_path
+from sim_kinematic.crowd.traits import Traits
+from sim_kinematic.motion.spec import STEP_S, WalkerSpec
+from sim_kinematic.policies.crowd.crowds import CrowdMember
+from sim_kinematic.policies.policy import PoseAction
+from sim_kinematic.policies.views import AgentView
+
+THERE_M = 0.5
+"""A place counts as reached within this distance."""
+BEHIND_M, LOST_M = 1.3, 6.0
+"""People who follow the robot stop at the first distance, and do not follow it beyond the second."""
+PASSED_M = 1.2
+"""People who yield set off when the robot is this far beyond the origin of the card's frame, or has gone by them,"""
+YIELD_S = 15.0
+"""or after this time."""
+
+
+class ScriptedPerson:
+    """A person with a role: ``walk``, ``stand``, ``yield`` to the robot, or ``follow`` it (`docs/scenarios.md`)."""
+
+    def __init__(
+        self, free: FreeSpace, person: Mapping[str, Any], extra: Mapping[str, Any], traits: Traits, walker: WalkerSpec
+    ) -> None:
+        """Creates a person.
+
+        Args:
+            free: Floor.
+            person: ``role``, ``path`` [K, 2] [m], ``speed`` [m/s] and ``delay`` [s].
+            extra: `Episode.extra`: ``origin`` and ``goal`` of the robot.
+            traits: Traits of the person, whose speed becomes that of the card.
+            walker: Rules of walking.
+        """
+        self._role, self._delay = str(person["role"]), float(person["delay"])
+        self._path, self._next = np.array(person["path"], np.float64).reshape(-1, 2), 0
+        self._origin, self._goal = np.array(extra["origin"]), np.array(extra["goal"])
+        self._time, self._robot = 0.0, np.full(2, np.nan)
+        self.member = CrowdMember(
+            model="orca",
+            free=free,
+            traits=traits._replace(speed_mps=float(person["speed"])),
+            walker=walker,
+            find_path=self._find_path,
+        )
+
+    def act(self, view: AgentView) -> PoseAction:
+        """Place after the next step."""
+        if self._role == "stand":
+            return PoseAction(view.xz.copy(), view.heading)
+        self._time, self._robot = view.step * STEP_S, view.places[0, :2].copy()
+        return view.crowds().move(self.member, view.agent, view.step)
+
+    def _find_path(self, xz: NDArray[np.float64]) -> NDArray[np.float64]:
+        goal = self._find_goal(xz)
+        if goal is None:
+            return np.zeros((0, 2))
+        path = walking_path(self.member.free, xz, np.asarray(goal, np.float64), self.member.walker)
+        return _shortened(path, BEHIND_M) if self._role == "follow" else path
+
+    def _find_goal(self, xz: Array) -> Array | None:
+        if self._role == "follow":
+            away = float(np.hypot(*(self._robot - xz)))
+            return self._robot if BEHIND_M + 0.4 < away < LOST_M else None
+        while self._next < len(self._path) and np.hypot(*(self._path[self._next] - xz)) < THERE_M:
+            self._next += 1
+        if self._next == len(self._path) or self._time < self._delay:
+            return None
+        if self._role == "yield" and not self._has_passed():
+            return None
+        return self._path[self._next]
+
+    def _has_passed(self) -> bool:
+        out = self._goal - self._origin
+        out = out / max(float(np.hypot(*out)), 1e-9)
+        return float((self._robot - self._origin) @ out) > PASSED_M or self._time > YIELD_S
+
+
+def _shortened(path: NDArray[np.float64], by_m: float) -> NDArray[np.float64]:
+    """The path [K, 2] without its last ``by_m`` [m]."""
+    left = by_m
+    for k in range(len(path) - 1, 0, -1):
+        length = float(np.hypot(*(path[k] - path[k - 1])))
+        if length > left:
+            end = path[k] + (path[k - 1] - path[k]) * (left / length)
+            return np.vstack([path[:k], end])
+        left -= length
+    return np.zeros((0, 2))
