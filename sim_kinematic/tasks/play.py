@@ -325,6 +325,7 @@ class WorldRollout:
                 team.end_turn(number)
             outcome = self.advance(commands)
             self.events += [event for _, event in outcome.events]
+            self.events += team.told()
             if outcome.terminated[0]:
                 self.ended = outcome.ended or ("success" if outcome.success[0] else "terminated")
                 yield None

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.geometry import Array
+from h3data.recording import Event
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.controllers.motion import MotionController
 from sim_kinematic.motion.state import HumanState, RobotState
@@ -71,6 +72,10 @@ class Team(ABC):
     @abstractmethod
     def scenery(self, world: int) -> dict[str, Any]:
         """Arguments of `sim_kinematic.sensing.eyes.see` that say where everything is in a world."""
+
+    def told(self) -> Sequence[Event]:
+        """Events of agents of the first world in the last step, beyond those that the task judges."""
+        return ()
 
     @abstractmethod
     def snapshot(self) -> Any:
@@ -142,6 +147,10 @@ class MotionTeam(Team):
         if world not in self._crowds:
             self._crowds[world] = Crowds(self.play.world, world)
         return self._crowds[world]
+
+    def told(self) -> Sequence[Event]:
+        """Reactions to robots and activities that people of crowds have begun."""
+        return self._crowds[0].told if 0 in self._crowds else ()
 
     def exact(self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor]) -> dict[str, Array]:
         """The named observations of an agent in all worlds."""

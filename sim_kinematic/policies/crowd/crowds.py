@@ -7,8 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from h3data.bodies import Robot
+from h3data.recording import Event
 from h3data.scene import FreeSpace
-from sim_kinematic.crowd.crowd import NO_DISCS, Crowd, CrowdModel, Discs, FindPath, robot_discs
+from sim_kinematic.crowd.crowd import NO_DISCS, Crowd, CrowdModel, Discs, robot_discs
+from sim_kinematic.crowd.errands import Guide
+from sim_kinematic.crowd.roles import Role
 from sim_kinematic.crowd.traits import Traits
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.policies.policy import PoseAction
@@ -20,13 +23,16 @@ OTHERS_M = 0.3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CrowdMember:
-    """A person of a crowd: the model that they follow, where they walk, and how they find their goals."""
+    """A person of a crowd: the model that they follow, where they walk, who they are, and what they do next."""
 
     model: CrowdModel
     free: FreeSpace
     traits: Traits
     walker: WalkerSpec
-    find_path: FindPath
+    guide: Guide
+    role: Role
+    seed: int
+    """Seed of the episode."""
 
 
 class Crowds:
@@ -41,6 +47,8 @@ class Crowds:
         self._members: dict[CrowdModel, dict[int, CrowdMember]] = {}
         self._crowds: dict[CrowdModel, Crowd] = {}
         self._moved: dict[int, PoseAction] = {}
+        self.told: list[Event] = []
+        """Reactions to robots and activities that people of the crowds began in the last step."""
 
     def move(self, member: CrowdMember, number: int, step: int) -> PoseAction:
         """Place of an agent after step number ``step``."""
@@ -51,7 +59,7 @@ class Crowds:
             own = self._world.state.agents[number]
             return PoseAction(own.xz[self._row].copy(), own.heading.item(self._row))
         if step != self._step:
-            self._step, self._moved = step, {}
+            self._step, self._moved, self.told = step, {}, []
         if number not in self._moved:
             self._move_all(member.model)
         return self._moved[number]
@@ -64,8 +72,10 @@ class Crowds:
             self._crowds[model] = Crowd(
                 people[0].free,
                 [person.traits for person in people],
-                [person.find_path for person in people],
+                [person.guide for person in people],
                 model,
+                roles=[person.role for person in people],
+                seed=people[0].seed,
                 stride=people[0].walker.stride,
             )
         discs = [NO_DISCS]
@@ -78,9 +88,19 @@ class Crowds:
                 )
             elif k not in members:
                 discs.append(Discs(own.xz[w][None], was.xz[w][None], np.array([OTHERS_M])))
-        others = Discs(*(np.concatenate(arrays) for arrays in zip(*discs, strict=True)))
+        robots = [k for k, member in enumerate(self._world.roster) if isinstance(member.body, Robot)]
+        others = Discs(
+            *(np.concatenate(arrays) for arrays in zip(*(each[:3] for each in discs), strict=True)),
+            robots=np.array([[*now[k].xz[w], now[k].heading[w]] for k in robots]).reshape(-1, 3),
+            of_robots=sum(len(self._world.bases[k].disc_offsets_m) for k in robots),
+        )
         xz, was_xz = (np.array([moment[k].xz[w] for k in members]) for moment in (now, before))
         heading = np.array([now[k].heading[w] for k in members])
         places, headings = self._crowds[model].step(xz, heading, was_xz, others, self._step)
+        numbers = list(members)
+        self.told += [
+            Event(step=self._step, agent=numbers[m], kind=kind, target=target, detail=detail)
+            for m, kind, target, detail in self._crowds[model].told
+        ]
         for number, place, angle in zip(members, places, headings.tolist(), strict=True):
             self._moved[number] = PoseAction(place, angle)
