@@ -14,7 +14,7 @@ from sim_kinematic.crowd.company import standing_circle
 from sim_kinematic.crowd.errands import Errand, Guide
 from sim_kinematic.crowd.reactions import REACTIONS
 from sim_kinematic.crowd.roles import Role
-from sim_kinematic.crowd.step import step_crowd
+from sim_kinematic.crowd.step import step_crowd, who_decides
 from sim_kinematic.crowd.traits import CrowdSpec, Traits
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S, StrideSpec
@@ -49,14 +49,9 @@ class Discs(NamedTuple):
 NO_DISCS = Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
 
 
-def robot_discs(
-    xz: Array, heading: float, before: Array, heading_before: float, offsets: Sequence[float], radius_m: float
-) -> Discs:
-    """Discs of a robot's base at a place [2] and heading [rad], now and one step ago."""
-    now, was = (
-        discs_at(place[None], np.array([angle]), tuple(offsets), radius_m)[0]
-        for place, angle in ((xz, heading), (before, heading_before))
-    )
+def robot_discs(xz: Array, headings: Array, offsets: Sequence[float], radius_m: float) -> Discs:
+    """Discs of a robot's base at places [2, 2] and headings [2] [rad], now and one step ago."""
+    now, was = discs_at(xz, headings, tuple(offsets), radius_m)
     return Discs(now[:, :2], was[:, :2], now[:, 2])
 
 
@@ -150,7 +145,10 @@ class Crowd:
             self._began = True
         self._body[:, 0] = heading
         self.told = []
-        self._choose_goals(xz, step)
+        if who_decides(
+            xz, self._paths, self._counts, self._best, self._traits, self._until, step, STEP_S, ARRIVED_M + 1e-9
+        ):
+            self._choose_goals(xz, step)
         reacted = self._moods[:, 2].copy()
         places = np.concatenate([xz, others.xz])
         velocities = (places - np.concatenate([before, others.before])) / STEP_S
@@ -182,7 +180,7 @@ class Crowd:
             step,
             STEP_S,
         )
-        for m in np.flatnonzero(self._moods[:, 2] != reacted).tolist():
+        for m in np.flatnonzero(self._moods[:, 2] != reacted).tolist() if len(others.robots) else ():
             kind = "reacts" if self._moods[m, 2] else "reaction over"
             self.told.append((m, kind, self._roles[m].reaction, ""))
         return places[:people], self._body[:, 0].copy()

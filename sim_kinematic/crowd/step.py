@@ -67,6 +67,35 @@ def reach_between(m, j, px, pz, radii, body):
 
 
 @kernel(error_model="numpy")
+def who_decides(xz, paths, counts, best, traits, until, step, dt, arrived_m):
+    """Returns whether anybody of a crowd has arrived, is stuck, has stayed long enough or has no way to go.
+
+    Args:
+        xz: Positions of the people [M, 2] [m].
+        paths: Their paths [M, K, 2] [m].
+        counts: Number of points of each path [M].
+        best: Largest progress so far, and the step in which it was made [M, 2].
+        traits: `Traits` of the people [M, 6].
+        until: Step until which each person stays where they are, -1: they walk [M].
+        step: Number of the step.
+        dt: Duration of a step [s].
+        arrived_m: Distance to the end of the path from which on they have arrived [m].
+    """
+    for m in range(len(counts)):
+        if counts[m] < 2:
+            return True
+        if until[m] >= 0.0:
+            if until[m] <= step:
+                return True
+            continue
+        end = counts[m] - 1
+        left = math.hypot(paths[m, end, 0] - xz[m, 0], paths[m, end, 1] - xz[m, 1])
+        if left < arrived_m or (step - best[m, 1]) * dt > traits[m, 5]:
+            return True
+    return False
+
+
+@kernel(error_model="numpy")
 def find_narrow(sdf, origin, cell, path, cumulative, along, narrow, within):
     """Distance along the path [m] of the first narrow place from ``along`` on, -1 if there is none ``within`` [m]."""
     at = along

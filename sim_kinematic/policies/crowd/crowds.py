@@ -78,28 +78,30 @@ class Crowds:
                 seed=people[0].seed,
                 stride=people[0].walker.stride,
             )
-        discs = [NO_DISCS]
-        for k, (member, base) in enumerate(zip(self._world.roster, self._world.bases, strict=True)):
-            own, was = now[k], before[k]
-            if isinstance(member.body, Robot):
-                offsets, radius = base.disc_offsets_m, base.disc_radius_m
-                discs.append(
-                    robot_discs(own.xz[w], own.heading.item(w), was.xz[w], was.heading.item(w), offsets, radius)
-                )
-            elif k not in members:
-                discs.append(Discs(own.xz[w][None], was.xz[w][None], np.array([OTHERS_M])))
-        robots = [k for k, member in enumerate(self._world.roster) if isinstance(member.body, Robot)]
-        others = Discs(
-            *(np.concatenate(arrays) for arrays in zip(*(each[:3] for each in discs), strict=True)),
-            robots=np.array([[*now[k].xz[w], now[k].heading[w]] for k in robots]).reshape(-1, 3),
-            of_robots=sum(len(self._world.bases[k].disc_offsets_m) for k in robots),
+        xz, heading, was_xz, was_heading = (
+            np.array([values[w] for values in column])
+            for column in zip(
+                *((a.xz, a.heading, b.xz, b.heading) for a, b in zip(now, before, strict=True)), strict=True
+            )
         )
-        xz, was_xz = (np.array([moment[k].xz[w] for k in members]) for moment in (now, before))
-        heading = np.array([now[k].heading[w] for k in members])
+        discs, robots, count = [NO_DISCS], [], 0
+        for k, (member, base) in enumerate(zip(self._world.roster, self._world.bases, strict=True)):
+            if isinstance(member.body, Robot):
+                robots.append((*xz[k], heading[k]))
+                count += len(base.disc_offsets_m)
+                moments = np.stack([xz[k], was_xz[k]]), np.array([heading[k], was_heading[k]])
+                discs.append(robot_discs(*moments, base.disc_offsets_m, base.disc_radius_m))
+            elif k not in members:
+                discs.append(Discs(xz[k, None], was_xz[k, None], np.array([OTHERS_M])))
+        others = NO_DISCS
+        if len(discs) > 1:
+            around = (np.concatenate(arrays) for arrays in zip(*(each[:3] for each in discs), strict=True))
+            others = Discs(*around, robots=np.array(robots).reshape(-1, 3), of_robots=count)
+        own = list(members)
+        xz, heading, was_xz = xz[own], heading[own], was_xz[own]
         places, headings = self._crowds[model].step(xz, heading, was_xz, others, self._step)
-        numbers = list(members)
         self.told += [
-            Event(step=self._step, agent=numbers[m], kind=kind, target=target, detail=detail)
+            Event(step=self._step, agent=own[m], kind=kind, target=target, detail=detail)
             for m, kind, target, detail in self._crowds[model].told
         ]
         for number, place, angle in zip(members, places, headings.tolist(), strict=True):
