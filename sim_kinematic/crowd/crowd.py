@@ -181,7 +181,7 @@ class Crowd:
             STEP_S,
         )
         for m in np.flatnonzero(self._moods[:, 2] != reacted).tolist() if len(others.robots) else ():
-            kind = "reacts" if self._moods[m, 2] else "reaction over"
+            kind = "reacts" if self._moods[m, 2] else "reaction_over"
             self.told.append((m, kind, self._roles[m].reaction, ""))
         return places[:people], self._body[:, 0].copy()
 
@@ -229,6 +229,8 @@ class Crowd:
                 chosen = max(errands, key=lambda e: _room_on(e.path, others)) if len(errands) > 1 else errands[0]
                 self._errands[m] = chosen
                 self._set_path(m, chosen.path)
+                x, z = chosen.path[-1].tolist()
+                self.told.append((m, "walks_to", chosen.place, f"({x:.2f}, {z:.2f})"))
             elif self._counts[m] < 2:  # who finds no goal at all stands where they are
                 self._set_path(m, np.array([xz[m], xz[m]], np.float64))
             self._best[m] = 0.0, step

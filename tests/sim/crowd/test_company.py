@@ -50,7 +50,7 @@ def walk(crowd: Crowd, starts: list[tuple[float, float]], heading: float, steps:
         (xz, headings), before = crowd.step(xz, headings, before, others, step), xz
         track.append(xz)
         looks.append(headings)
-        told += [(step, *event) for event in crowd.told]
+        told += [(step, *event) for event in crowd.told if event[1] != "walks_to"]
     return np.array(track), np.array(looks), told
 
 
@@ -64,7 +64,7 @@ def alone(reaction: str, model: CrowdModel, steps: int, robot: Discs, start=(3.0
 def test_who_is_surprised_stops_within_4_m_for_30_s_and_only_once(model: CrowdModel):
     track, looks, told = alone("surprised", model, 1500, robot_at(9.0, 6.0))
     begins, ends = told[0][0], told[1][0]
-    assert [row[2] for row in told] == ["reacts", "reaction over"], "once"
+    assert [row[2] for row in told] == ["reacts", "reaction_over"], "once"
     assert math.hypot(9.0 - track[begins, 0], 0.0) == pytest.approx(4.0, abs=0.3)
     assert ends - begins == pytest.approx(900, abs=5)
     assert np.hypot(*(track[ends] - track[begins + 60])) < 0.1, "stands"
@@ -211,3 +211,19 @@ def test_a_recording_of_company_says_who_they_are_and_verifies(model: CrowdModel
     assert [told[f"human_{k}"]["group"] for k in (1, 2, 3, 4)] == ["walk1", "walk1", "talk1", "talk1"]
     assert told["human_1"]["reaction"] == "curious"
     assert {event.kind for event in recording.events} & {"reacts", "activity"}
+
+
+def test_added_time_is_small_for_who_passes_the_robot_and_not_for_who_is_scared():
+    from sim_kinematic.tasks.resume import added_time
+
+    def play(partner: str, policy: str = "still"):
+        chosen = {"human": partner, "robot": policy}
+        roster = ["robot", "human", "human"]
+        return h3data.simulate("wander", "medium:1", roster=roster, agents=chosen, seed=2, max_steps=1800)
+
+    calm, late = added_time(play("orca")), added_time(play("orca+scared"))
+    assert [row.person for row in calm] == ["human_1", "human_2"]
+    assert all(row.goals > 0 and row.seconds is not None for row in (*calm, *late))
+    assert sum(row.seconds or 0.0 for row in late) > sum(row.seconds or 0.0 for row in calm) + 5
+    with pytest.raises(InputError, match="H3-TASK-090"):
+        added_time(play("waypoints"))
