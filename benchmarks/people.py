@@ -1,6 +1,7 @@
 """Motion of people of crowds among each other: speeds, distances, sides and cost, for each model of crowds.
 
-24 people walk about an empty hall of 18 x 12 m, and 4 in each of three homes of ``h3-homes/val``, twice for ``MINUTES`` each.
+24 people walk about an empty hall of 18 x 12 m, and 4 in each of three homes of ``h3-homes/val``, twice for ``MINUTES`` each. In
+the same homes two people walk together beside two who talk (``company``), and four follow routines (``mornings``).
 Measured pedestrians (ETH and UCY data sets, our own statistics) give the ranges to compare with:
 
 ``speed_mps``, ``speed_sd_mps``
@@ -56,6 +57,8 @@ RATE = 30
 HALL_M = (18.0, 12.0)
 HOMES = ("h3-homes/val#0", "h3-homes/val#3", "h3-homes/val#5")
 NEAR_M, ALONE_M, AROUND_M = 3.0, 2.0, 2.5
+COMPANY = {"company": ("walk1", "walk1", "talk1", "talk1"), "mornings": ("morning",) * 4}
+"""People in company in the same homes, and people who follow a routine."""
 OPEN_M = 0.8
 GRIDLOCK_S, GETS_ON_M = 20, 0.5
 
@@ -94,7 +97,7 @@ def walk(scene: Scene, free: FreeSpace, people: int, policy: str, seed: int, ste
     task, roster = Wander(), make_roster(["human"] * people)
     spec = SocialNavSpec(max_steps=steps, spawn_distance_m=0.8)
     episode = task.sample(scene, free, seed, spec, roster)
-    return simulate(task, episode, {member.name: policy for member in roster})
+    return simulate(task, episode, {"human": policy})
 
 
 class Walks(NamedTuple):
@@ -210,6 +213,11 @@ def run(emit: Emit, *, episodes: int = 2) -> None:
                 Walks.of(walk(*home, 4, model, 100 + k, steps), home[1]) for home in homes for k in range(episodes)
             ],
         }
+        for name, words in COMPANY.items():
+            partner = ",".join(f"{model}+{word}" for word in words)
+            places[name] = [
+                Walks.of(walk(*home, 4, partner, 100 + k, steps), home[1]) for home in homes for k in range(episodes)
+            ]
         for place, walks in places.items():
             for name, (value, unit) in describe(walks).items():
                 emit(f"people.{model}.{place}.{name}", value, unit)

@@ -219,10 +219,9 @@ class Crowd:
         for m in np.flatnonzero(chooses).tolist():
             if self._company[m] not in (-1, m):
                 errands = [self._guides[m](xz[m], self.goals[self._company[m]])]
-            elif stuck[m] and self._errands[m].seconds > 0:
-                errands = [self._errands[m]._replace(path=self._guides[m](xz[m], self.goals[m]).path)]
             else:
-                errands = self._errands_from(m, xz[m], STUCK_PATHS if stuck[m] else 1)
+                compares = stuck[m] and self._errands[m].seconds == 0
+                errands = self._errands_from(m, xz[m], STUCK_PATHS if compares else 1)
             errands = [errand for errand in errands if len(errand.path) > 1]
             if errands:  # who is stuck turns to where the others are not
                 others = np.delete(xz, m, axis=0)

@@ -13,7 +13,7 @@ from sim_kinematic.motion.randomness import generator
 
 ANY = "any"
 """A reaction that is drawn from the seed of the episode, for each person."""
-ROUTINES: tuple[str, ...] = ()
+ROUTINES = ("morning",)
 """Routines by name (`sim_kinematic.crowd.routines`)."""
 _GROUP = re.compile(r"(walk|talk)\d{0,4}")
 

@@ -17,6 +17,7 @@ from h3data.plugins import Registry, come_from_data
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.crowd.crowd import CrowdModel
 from sim_kinematic.crowd.roles import check_groups, read_role
+from sim_kinematic.crowd.routines import Routine, make_morning
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies.crowd.people import CrowdPolicy
@@ -42,7 +43,10 @@ def _wander(task: Task, episode: Episode, number: int) -> Policy:
 
 def _crowd(model: CrowdModel, task: Task, episode: Episode, number: int, words: str = "") -> Policy:
     role = read_role(words, episode.seed, number)
-    return CrowdPolicy(model, episode.free, episode.seed, number, episode.spec.human, role)
+    routine = None
+    if role.routine:
+        routine = Routine(episode.scene, episode.free, make_morning(episode.scene, episode.seed, number))
+    return CrowdPolicy(model, episode.free, episode.seed, number, episode.spec.human, role, routine)
 
 
 Factory = Callable[[Task, Episode, int], Policy]

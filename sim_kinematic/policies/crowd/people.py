@@ -13,6 +13,7 @@ from sim_kinematic.agents.waypoint_walker import WaypointHuman, walking_path
 from sim_kinematic.crowd.crowd import CrowdModel
 from sim_kinematic.crowd.errands import Errand
 from sim_kinematic.crowd.roles import Role
+from sim_kinematic.crowd.routines import Routine
 from sim_kinematic.crowd.traits import sample_traits
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import WalkerSpec
@@ -28,9 +29,20 @@ class CrowdPolicy:
     """A person who walks to one random goal after another and avoids others by a model of crowds."""
 
     def __init__(
-        self, model: CrowdModel, free: FreeSpace, seed: int, number: int, walker: WalkerSpec, role: Role = ALONE
+        self,
+        model: CrowdModel,
+        free: FreeSpace,
+        seed: int,
+        number: int,
+        walker: WalkerSpec,
+        role: Role = ALONE,
+        routine: Routine | None = None,
     ) -> None:
-        """Makes agent ``number`` of the episode with a seed, with the traits that they have in it."""
+        """Makes agent ``number`` of the episode with a seed, with the traits that they have in it.
+
+        Who has a routine follows it, and others walk from one random goal to another.
+        """
+        self._routine = routine
         self._goals = WaypointHuman(free, episode_seed(seed, number), walker)
         traits = sample_traits(seed, number, walker.speed_mps)
         self.member = CrowdMember(
@@ -48,8 +60,13 @@ class CrowdPolicy:
     @property
     def facts(self) -> dict[str, Any]:
         """Facts about the person in recordings: model, traits and role."""
-        return {"model": self.member.model, **self.member.traits._asdict(), **self.member.role._asdict()}
+        facts = {"model": self.member.model, **self.member.traits._asdict(), **self.member.role._asdict()}
+        return facts | {"routine": [list(stop) for stop in self._routine.stops] if self._routine else []}
 
     def _guide(self, xz: NDArray[np.float64], goal: Array | None) -> Errand:
+        if goal is None and self._routine is not None:
+            stop = self._routine.next_stop(xz)
+            if stop is not None:
+                return stop[1]._replace(path=walking_path(self.member.free, xz, stop[0], self.member.walker))
         goal = self._goals.next_goal(xz) if goal is None else goal
         return Errand(walking_path(self.member.free, xz, goal, self.member.walker))

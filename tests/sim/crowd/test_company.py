@@ -171,7 +171,7 @@ def test_circles_of_any_size_keep_room_between_neighbours(people: int, seed: int
     assert FLOOR.signed_distance(places).min() > 0.2
 
 
-@given(st.lists(st.sampled_from([*REACTIONS, "any", "walk1", "talk12"]), max_size=4), st.integers(0, 99))
+@given(st.lists(st.sampled_from([*REACTIONS, "any", "walk1", "talk12", "morning"]), max_size=4), st.integers(0, 99))
 def test_roles_are_the_same_always(words: list[str], seed: int):
     role = read_role("+".join(words), seed, 2)
     assert role == read_role("+".join(words), seed, 2)
