@@ -1,7 +1,7 @@
 """Motion of people of crowds among each other: speeds, distances, sides and cost, for each model of crowds.
 
-24 people walk about an empty hall of 18 x 12 m, and 4 in each of three homes of ``h3-homes/val``, twice for ``MINUTES`` each. In
-the same homes two people walk together beside two who talk (``company``), and four follow routines (``mornings``).
+24 people walk about an empty hall of 18 x 12 m, and 4 in each of three homes of ``h3-homes/val``, twice for ``MINUTES`` each.
+In the same homes two people walk together beside two who talk (``company``), and four follow routines (``mornings``).
 Measured pedestrians (ETH and UCY data sets, our own statistics) give the ranges to compare with:
 
 ``speed_mps``, ``speed_sd_mps``

@@ -1,4 +1,4 @@
-"""Routines: places of a home at which a person does something for a while, one after another, as ``(place, activity, seconds)``.
+"""Routines: places of a home where a person does something for a while, one after another, as ``(place, activity, seconds)``.
 
 A place is the name of a thing in the home. An activity is the name of a posture, which a body may have (`ACTIVITIES`); whoever
 has none of that name stands. The person faces the thing meanwhile.
