@@ -17,7 +17,7 @@ from h3data.recording import Event
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.controllers.motion import MotionController
 from sim_kinematic.motion.state import HumanState, RobotState
-from sim_kinematic.policies.crowd.crowds import Crowds
+from sim_kinematic.policies.crowd.crowds import Crowds, Moment
 from sim_kinematic.policies.traffic import Traffic
 from sim_kinematic.policies.views import AgentView
 from sim_kinematic.sensing.sensor import first_point
@@ -100,16 +100,20 @@ class MotionTeam(Team):
         """Traffic of the worlds for which it was requested."""
         self._crowds: dict[int, Crowds] = {}
         """Crowds of the worlds for which they were requested."""
+        self._moment: Moment | None = None
+        """Places of all agents in this step, once they were requested."""
 
     def begin(self, rows: NDArray[np.intp]) -> None:
         """Forgets who heeded whom in these worlds."""
         for w in rows.tolist():
             self._traffic.pop(w, None)
             self._crowds.pop(w, None)
+        self._moment = None
 
     def move(self, commands: Sequence[Command | None]) -> None:
         """Moves all agents of all worlds at once."""
         self.play.world.step(commands)
+        self._moment = None
         self._commands = commands
 
     def view(self, agent: int, world: int) -> AgentView:
@@ -145,8 +149,13 @@ class MotionTeam(Team):
     def crowds_of(self, world: int) -> Crowds:
         """The crowds of one world."""
         if world not in self._crowds:
-            self._crowds[world] = Crowds(self.play.world, world)
+            self._crowds[world] = Crowds(self.play.world, world, self._where)
         return self._crowds[world]
+
+    def _where(self) -> Moment:
+        if self._moment is None:
+            self._moment = Moment.of(self.play.world)
+        return self._moment
 
     def told(self) -> Sequence[Event]:
         """Reactions to robots and activities that people of crowds have begun."""

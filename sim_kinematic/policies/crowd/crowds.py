@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from h3data.bodies import Robot
+from h3data.geometry import Array
 from h3data.recording import Event
 from h3data.scene import FreeSpace
 from sim_kinematic.crowd.crowd import NO_DISCS, Crowd, CrowdModel, Discs, robot_discs
@@ -35,15 +38,36 @@ class CrowdMember:
     """Seed of the episode."""
 
 
+class Moment(NamedTuple):
+    """Places of all agents of W worlds."""
+
+    xz: Array
+    """Positions now [W, A, 2] [m]."""
+    heading: Array
+    """Headings now [W, A] [rad]."""
+    was_xz: Array
+    """Positions one step ago [W, A, 2] [m]."""
+    was_heading: Array
+    """Headings one step ago [W, A] [rad]."""
+
+    @classmethod
+    def of(cls, world: World) -> Moment:
+        """Places in all worlds."""
+        states = world.state.agents, world.before.agents
+        return cls(
+            *(np.stack([getattr(own, name) for own in agents], 1) for agents in states for name in ("xz", "heading"))
+        )
+
+
 class Crowds:
     """The crowds of one world: all people who follow one model make up one.
 
     People join in their first step, in which they stand still; from the next one on, the first who is asked moves them all.
     """
 
-    def __init__(self, world: World, row: int) -> None:
-        """Creates crowds without people for world number ``row``."""
-        self._world, self._row, self._step = world, row, -1
+    def __init__(self, world: World, row: int, moment: Callable[[], Moment]) -> None:
+        """Creates crowds without people for world number ``row``; ``moment`` says where everybody is."""
+        self._world, self._row, self._step, self._moment = world, row, -1, moment
         self._members: dict[CrowdModel, dict[int, CrowdMember]] = {}
         self._crowds: dict[CrowdModel, Crowd] = {}
         self._moved: dict[int, PoseAction] = {}
@@ -65,8 +89,7 @@ class Crowds:
         return self._moved[number]
 
     def _move_all(self, model: CrowdModel) -> None:
-        w, now, before = self._row, self._world.state.agents, self._world.before.agents
-        members = self._members[model]
+        w, members = self._row, self._members[model]
         if model not in self._crowds:
             people = list(members.values())
             self._crowds[model] = Crowd(
@@ -78,12 +101,7 @@ class Crowds:
                 seed=people[0].seed,
                 stride=people[0].walker.stride,
             )
-        xz, heading, was_xz, was_heading = (
-            np.array([values[w] for values in column])
-            for column in zip(
-                *((a.xz, a.heading, b.xz, b.heading) for a, b in zip(now, before, strict=True)), strict=True
-            )
-        )
+        xz, heading, was_xz, was_heading = (values[w] for values in self._moment())
         discs, robots, count = [NO_DISCS], [], 0
         for k, (member, base) in enumerate(zip(self._world.roster, self._world.bases, strict=True)):
             if isinstance(member.body, Robot):
