@@ -264,7 +264,7 @@ class World:
                 if isinstance(own, HumanState):
                     draw_arms(own, free, self.roster[k].body, self.walker.arms)  # type: ignore[arg-type]
                 if not alone:
-                    everywhere.put(rows, own)
+                    everywhere.put(rows, own)  # type: ignore[arg-type]
         for k, command in enumerate(commands):
             if isinstance(command, RecordedPoseCommand):
                 self._keep(k, command)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from h3data.geometry import Array
+import numpy as np
+from numpy.typing import NDArray
 
 
 class Errand(NamedTuple):
     """A way to a place, and how long a person stays there."""
 
-    path: Array
+    path: NDArray[np.float64]
     """Way to the place [K, 2] [m]; K < 2: there is none."""
     seconds: float = 0.0
     """Time to stay there; 0: they only pass."""
@@ -23,5 +24,5 @@ class Errand(NamedTuple):
     """Name of the place."""
 
 
-Guide = Callable[[Array, Array | None], Errand]
+Guide = Callable[[NDArray[np.float64], NDArray[np.float64] | None], Errand]
 """Returns the next errand of somebody at a place [2] [m], or the way from there to the goal [2] of their group."""

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from h3data.errors import InputError, SceneError
-from h3data.geometry import Array
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.records import instance_bounds
 from sim_kinematic.crowd.errands import Errand
@@ -66,7 +66,9 @@ def posture_of(activity: str, postures: Sequence[str] = ("stand",)) -> str:
     return next((name for name in (activity, own) if name in postures), "stand")
 
 
-def place_beside(scene: Scene, free: FreeSpace, name: str, near: Array) -> tuple[Array, Array] | None:
+def place_beside(
+    scene: Scene, free: FreeSpace, name: str, near: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Place [2] beside a thing, the nearest one that can be walked to, and the point [2] of it that is faced; None: no place.
 
     Args:
@@ -133,7 +135,7 @@ class Routine:
         self.stops = tuple(stops)
         self._scene, self._free, self._next = scene, free, 0
 
-    def next_stop(self, xz: Array) -> tuple[Array, Errand] | None:
+    def next_stop(self, xz: NDArray[np.float64]) -> tuple[NDArray[np.float64], Errand] | None:
         """Place [2] of the next stop that somebody at a place [2] can walk to, and its errand, whose path is to be found."""
         for _ in self.stops:
             stop = self.stops[self._next % len(self.stops)]

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.geometry import Array
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.waypoint_walker import WaypointHuman, walking_path
 from sim_kinematic.crowd.crowd import CrowdModel
@@ -63,7 +62,7 @@ class CrowdPolicy:
         facts = {"model": self.member.model, **self.member.traits._asdict(), **self.member.role._asdict()}
         return facts | {"routine": [list(stop) for stop in self._routine.stops] if self._routine else []}
 
-    def _guide(self, xz: NDArray[np.float64], goal: Array | None) -> Errand:
+    def _guide(self, xz: NDArray[np.float64], goal: NDArray[np.float64] | None) -> Errand:
         if goal is None and self._routine is not None:
             stop = self._routine.next_stop(xz)
             if stop is not None:
