@@ -62,7 +62,7 @@ def _room_on(path: Array, others: Array) -> float:
     return float(np.hypot(*(others - at).T).min()) if len(others) else np.inf
 
 
-def _talking(guide: Guide, place: Array, centre: tuple[float, float], group: str) -> Guide:
+def _talking(guide: Guide, place: NDArray[np.float64], centre: tuple[float, float], group: str) -> Guide:
     """The guide of somebody who goes to a place [2] and stays there, facing the centre of their company."""
     return lambda xz, goal: Errand(guide(xz, place if goal is None else goal).path, np.inf, centre, "talk", group)
 
@@ -194,7 +194,7 @@ class Crowd:
                 self._free, xz[members], generator(self._seed, "conversation", world=number)
             )
             for m, place in zip(members, places, strict=True):
-                self._guides[m] = _talking(self._guides[m], place, (float(x), float(z)), word)
+                self._guides[m] = _talking(self._guides[m], np.asarray(place, np.float64), (float(x), float(z)), word)
 
     def _choose_goals(self, xz: Array, step: int) -> None:
         """Gives an errand to those who have arrived, are stuck or have been pushed off their path, and to their company."""
@@ -218,7 +218,7 @@ class Crowd:
             chooses |= self._company == first
         for m in np.flatnonzero(chooses).tolist():
             if self._company[m] not in (-1, m):
-                errands = [self._guides[m](xz[m], self.goals[self._company[m]])]
+                errands = [self._guides[m](xz[m], np.asarray(self.goals[self._company[m]], np.float64))]
             else:
                 compares = stuck[m] and self._errands[m].seconds == 0
                 errands = self._errands_from(m, xz[m], STUCK_PATHS if compares else 1)
