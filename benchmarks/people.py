@@ -1,6 +1,7 @@
 """Motion of people of crowds among each other: speeds, distances, sides and cost, for each model of crowds.
 
 24 people walk about an empty hall of 18 x 12 m, and 4 in each of three homes of ``h3-homes/val``, twice for ``MINUTES`` each.
+In the same homes two people walk together beside two who talk (``company``), and four follow routines (``mornings``).
 Measured pedestrians (ETH and UCY data sets, our own statistics) give the ranges to compare with:
 
 ``speed_mps``, ``speed_sd_mps``
@@ -8,6 +9,9 @@ Measured pedestrians (ETH and UCY data sets, our own statistics) give the ranges
     and 0.30 to 0.42 outdoors. Homes make people turn, so the hall's figure is the one to compare.
 ``speed_drop_mps``
     Loss of speed for each 0.1 person/m2 within 2.5 m: 0.02 to 0.09.
+``speed_drop_open_mps``, ``narrow_share``
+    The same of those who are 0.8 m from walls and furniture or more; share of walking nearer than 0.55 m, where two people
+    cannot pass each other.
 ``closest_p5_m``, ``below_050``, ``below_035``
     Least distance between two centres in an encounter (within 3 m): 5th percentile (0.61 to 0.79), and shares below
     0.5 m (0.004 to 0.019) and 0.35 m (0 to 0.003).
@@ -19,7 +23,8 @@ Measured pedestrians (ETH and UCY data sets, our own statistics) give the ranges
     Steps in which bodies touch, by FCL; periods of 20 s in which nobody gets on by 0.5 m. Both should be 0.
 
 ``people.<model>.p8_steps_per_cpu_s``, ``p24_steps_per_cpu_s``: steps of 8 and 24 people in a large home, with contact and
-recording. ``wander`` is the model with right of way, which is slower by design.
+recording. ``people.<model>.w16_p4_env_steps_per_cpu_s``: steps of 16 worlds of ``crowd_nav`` with 4 people each, all worlds
+counted. ``wander`` is the model with right of way, which is slower by design.
 
     python -m benchmarks people
 """
@@ -33,12 +38,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+import h3data
 from h3data.geometry import IDENTITY_POSE, Array
 from h3data.mesh.mesh import Mesh
 from h3data.recording import Recording
 from h3data.scene import Asset, Box, FreeSpace, Instance, Room, Scene
 from h3data.scene.open import named_scenes, open_free_space, open_scene
 from sim_kinematic.agents.roster import make_roster
+from sim_kinematic.crowd.traits import CrowdSpec
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.tasks.runner import simulate
 from sim_kinematic.tasks.wander import Wander
@@ -50,6 +57,9 @@ RATE = 30
 HALL_M = (18.0, 12.0)
 HOMES = ("h3-homes/val#0", "h3-homes/val#3", "h3-homes/val#5")
 NEAR_M, ALONE_M, AROUND_M = 3.0, 2.0, 2.5
+COMPANY = {"company": ("walk1", "walk1", "talk1", "talk1"), "mornings": ("morning",) * 4}
+"""People in company in the same homes, and people who follow a routine."""
+OPEN_M = 0.8
 GRIDLOCK_S, GETS_ON_M = 20, 0.5
 
 
@@ -87,7 +97,7 @@ def walk(scene: Scene, free: FreeSpace, people: int, policy: str, seed: int, ste
     task, roster = Wander(), make_roster(["human"] * people)
     spec = SocialNavSpec(max_steps=steps, spawn_distance_m=0.8)
     episode = task.sample(scene, free, seed, spec, roster)
-    return simulate(task, episode, {member.name: policy for member in roster})
+    return simulate(task, episode, {"human": policy})
 
 
 class Walks(NamedTuple):
@@ -99,22 +109,25 @@ class Walks(NamedTuple):
     """Velocities [T - 1, P, 2] [m/s]."""
     touching: Array
     """Whether anybody touches anybody [T]."""
+    room: Array
+    """Distance to walls and furniture [T, P] [m]."""
 
     @classmethod
-    def of(cls, recording: Recording) -> Walks:
+    def of(cls, recording: Recording, free: FreeSpace) -> Walks:
         """Positions and velocities of a recording's people."""
         columns, people = recording.columns, len(recording.agents)
         xz = np.stack([columns[f"agent_{k}.base_pose"][:, [0, 2]] for k in range(people)], 1).astype(np.float64)
-        return cls(xz, np.diff(xz, axis=0) * RATE, np.asarray(columns["metrics.collision"]))
+        room = free.signed_distance(xz.reshape(-1, 2)).reshape(xz.shape[:2])
+        return cls(xz, np.diff(xz, axis=0) * RATE, np.asarray(columns["metrics.collision"]), room)
 
 
 def describe(walks: Sequence[Walks]) -> dict[str, tuple[float, str]]:
     """Figures of several walks, each with its unit."""
     free_speeds, closest, sides = [], [], []
-    density, speeds, standing = [], [], []
+    density, speeds, standing, rooms = [], [], [], []
     contacts = gridlocks = 0
     hours = 0.0
-    for xz, velocity, touching in walks:
+    for xz, velocity, touching, room in walks:
         speed = np.hypot(*velocity.transpose(2, 0, 1))
         gaps = np.hypot(*(xz[:-1, :, None] - xz[:-1, None]).transpose(3, 0, 1, 2))
         gaps[:, np.arange(xz.shape[1]), np.arange(xz.shape[1])] = np.inf
@@ -124,6 +137,7 @@ def describe(walks: Sequence[Walks]) -> dict[str, tuple[float, str]]:
         ]
         density.append((((gaps < AROUND_M).sum(2) + 1) / (np.pi * AROUND_M**2))[walking])
         speeds.append(speed[walking])
+        rooms.append(room[:-1][walking])
         standing.append((speed < 0.1).ravel())
         contacts += int(touching.sum())
         hours += xz.shape[0] * xz.shape[1] / RATE / 3600
@@ -139,13 +153,16 @@ def describe(walks: Sequence[Walks]) -> dict[str, tuple[float, str]]:
                 if va @ vb < -0.7 * np.hypot(*va) * np.hypot(*vb) and min(np.hypot(*va), np.hypot(*vb)) > 0.2:
                     towards = xz[at, b] - xz[at, a]
                     sides.append(va[0] * towards[1] - va[1] * towards[0] > 0)
-    by_density = np.polyfit(np.concatenate(density), np.concatenate(speeds), 1)[0]
+    around, fast, space = (np.concatenate(parts) for parts in (density, speeds, rooms))
+    by_density, in_open = (np.polyfit(around[rows], fast[rows], 1)[0] for rows in (space > -np.inf, space > OPEN_M))
     least, right = np.array(closest), float(np.mean(sides)) if sides else np.nan
     return {
         "person_hours": (hours, "h"),
         "speed_mps": (float(np.mean(free_speeds)), "m/s"),
         "speed_sd_mps": (float(np.std(free_speeds)), "m/s"),
         "speed_drop_mps": (-0.1 * float(by_density), "m/s"),
+        "speed_drop_open_mps": (-0.1 * float(in_open), "m/s"),
+        "narrow_share": (float(np.mean(space < CrowdSpec().narrow_m)), "share"),
         "encounters": (len(least), "n"),
         "closest_p5_m": (float(np.percentile(least, 5)), "m"),
         "below_050": (float(np.mean(least < 0.5)), "share"),
@@ -163,6 +180,20 @@ def _home(name: str) -> tuple[Scene, FreeSpace]:
     return open_scene(named.source), open_free_space(named.source, spec.agent_radius_m, spec.agent_height_m)
 
 
+def _env_speed(model: str, worlds: int = 16, steps: int = 300) -> float:
+    """Steps of an environment of many worlds in a second of CPU time, all worlds counted."""
+    env = h3data.make("crowd_nav", "h3-homes/train", num_envs=worlds, partner=model, observations=["goal_gps"])
+    env.reset(seed=1)
+    still = np.zeros((worlds, 2), np.float32)
+    for _ in range(30):  # compiles
+        env.step(still)
+    began = time.process_time()
+    for _ in range(steps):
+        env.step(still)
+    env.close()
+    return worlds * steps / (time.process_time() - began)
+
+
 def run(emit: Emit, *, episodes: int = 2) -> None:
     """Measures each model of crowds in ``episodes`` runs of each place."""
     room = hall()
@@ -175,10 +206,18 @@ def run(emit: Emit, *, episodes: int = 2) -> None:
             began = time.process_time()
             walk(*large, count, model, 1, 1800)
             emit(f"people.{model}.p{count}_steps_per_cpu_s", 1800 / (time.process_time() - began), "steps/s")
+        emit(f"people.{model}.w16_p4_env_steps_per_cpu_s", _env_speed(model), "steps/s")
         places = {
-            "hall": [Walks.of(walk(room, floor, 24, model, 100 + k, steps)) for k in range(episodes)],
-            "homes": [Walks.of(walk(*home, 4, model, 100 + k, steps)) for home in homes for k in range(episodes)],
+            "hall": [Walks.of(walk(room, floor, 24, model, 100 + k, steps), floor) for k in range(episodes)],
+            "homes": [
+                Walks.of(walk(*home, 4, model, 100 + k, steps), home[1]) for home in homes for k in range(episodes)
+            ],
         }
+        for name, words in COMPANY.items():
+            partner = ",".join(f"{model}+{word}" for word in words)
+            places[name] = [
+                Walks.of(walk(*home, 4, partner, 100 + k, steps), home[1]) for home in homes for k in range(episodes)
+            ]
         for place, walks in places.items():
             for name, (value, unit) in describe(walks).items():
                 emit(f"people.{model}.{place}.{name}", value, unit)

@@ -235,34 +235,36 @@ class World:
         commands = self._checked(commands)
         for before, now in self._moments:
             before[...] = now
+        for own, command in zip(self.state.agents, commands, strict=True):
+            if isinstance(command, PoseCommand):  # wherever they walk, the map does not change it
+                assert isinstance(own, HumanState)
+                move_people(own, command.points, command.headings, self.walker)
         alone = len(self.groups) == 1
         for free, rows in self.groups:
             # one pass over the agents, in any order: what they do in a step depends on the map alone, not on the others
-            part, at = (self.state, slice(None)) if alone else (self.state.take(rows), rows)
-            for k, (own, command) in enumerate(zip(part.agents, commands, strict=True)):
+            at = slice(None) if alone else rows
+            for k, (everywhere, command) in enumerate(zip(self.state.agents, commands, strict=True)):
                 if isinstance(command, RecordedPoseCommand):
                     continue
                 if isinstance(command, GaitCommand):
-                    assert isinstance(own, HumanState)
-                    own.put(slice(None), command.gait.take(at))
+                    assert isinstance(everywhere, HumanState)
+                    everywhere.put(at, command.gait.take(at))
                     continue
-                values = command[0][at]
+                own, values = everywhere if alone else everywhere.take(rows), command[0][at]
                 if isinstance(own, RobotState):
                     drive_robots(own, self._driven_on(k, free), values, self.bases[k])
                     self.blocked[at, k] = own.contact
-                    continue
-                if isinstance(command, WaypointCommand):
+                elif isinstance(command, WaypointCommand):
                     walk_humans(own, values, self.walker)
-                elif isinstance(command, PoseCommand):
-                    move_people(own, values, command.headings[at], self.walker)
-                else:
+                elif not isinstance(command, PoseCommand):
                     others = self._discs_beside(k, self.before.agents)[at] if self._solid else None
                     self.blocked[at, k] = drive_people(
                         own, free, values, self.walker, radius_m=self._person_radius_m, others=others
                     )
-                draw_arms(own, free, self.roster[k].body, self.walker.arms)  # type: ignore[arg-type]
-            if not alone:
-                self.state.put(rows, part)
+                if isinstance(own, HumanState):
+                    draw_arms(own, free, self.roster[k].body, self.walker.arms)  # type: ignore[arg-type]
+                if not alone:
+                    everywhere.put(rows, own)  # type: ignore[arg-type]
         for k, command in enumerate(commands):
             if isinstance(command, RecordedPoseCommand):
                 self._keep(k, command)
@@ -472,19 +474,30 @@ class _PairContacts:
     def _decide(self, world: World, rows: Rows, near: NDArray[np.bool_]) -> None:
         """Asks FCL about the near pairs that are not a robot and a person, in place; only who is in one of them is posed."""
         assert self._contacts is not None
-        for k in np.flatnonzero(near[:, self._others].any(1)).tolist():
-            w, asked = rows[k], self._others[near[k, self._others]]
-            alike: dict[int, list[int]] = {}
-            for number in np.unique(self._numbers[asked]).tolist():
-                alike.setdefault(id(self._roster[number].body), []).append(number)
-            for numbers in alike.values():  # agents with the same body are posed together
-                body, agents = self._roster[numbers[0]].body, [world.state.agents[n] for n in numbers]
-                together = stack_agents(agents, w)
-                frames = body_frames(body, together, world.floors[w], speed_mps=world.walker.speed_mps)
-                for number, own in zip(numbers, shape_frames(body, frames, self._person_contact), strict=True):
-                    self._contacts.update(number, own)
-            for p in asked.tolist():
+        asked = {k: self._others[near[k, self._others]] for k in np.flatnonzero(near[:, self._others].any(1)).tolist()}
+        who = [(k, number) for k, pairs in asked.items() for number in np.unique(self._numbers[pairs]).tolist()]
+        frames = self._posed(world, [(int(rows[k]), number) for k, number in who])
+        for k, pairs in asked.items():
+            for number in np.unique(self._numbers[pairs]).tolist():
+                self._contacts.update(number, frames[int(rows[k]), number])
+            for p in pairs.tolist():
                 near[k, p] = self._contacts.collides(*self._pairs[p])
+
+    def _posed(self, world: World, who: Sequence[tuple[int, int]]) -> dict[tuple[int, int], Array]:
+        """Frames of the shapes of agents, each given by world and number; those with one body and floor are posed together."""
+        uneven = {int(w): free for free, group in world._uneven for w in group}
+        alike: dict[tuple[int, int], list[tuple[int, int]]] = {}
+        for w, number in who:
+            alike.setdefault((id(self._roster[number].body), id(uneven.get(w))), []).append((w, number))
+        frames: dict[tuple[int, int], Array] = {}
+        for those in alike.values():
+            w, number = those[0]
+            body = self._roster[number].body
+            together = stack_agents([(world.state.agents[n], row) for row, n in those])
+            floor = uneven.get(w, world.floor_y[[row for row, _ in those]])
+            posed = body_frames(body, together, floor, speed_mps=world.walker.speed_mps)
+            frames |= dict(zip(those, shape_frames(body, posed, self._person_contact), strict=True))
+        return frames
 
 
 def _recorded(values: Array) -> Array:

@@ -34,8 +34,8 @@ def require_bodies(state: WorldState, bodies: tuple[Body, ...]) -> None:
         )
 
 
-Floor = FreeSpace | float
-"""A map, or the height of a level floor [m]."""
+Floor = FreeSpace | float | Array
+"""A map, or the height of a level floor [m], one or [W]."""
 
 
 def root_pose(body: Body, xz: Array, heading: ArrayLike, floor: Floor = 0.0) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -10,20 +10,25 @@ from numpy.typing import NDArray
 
 from h3data.geometry import Array
 from h3data.scene import FreeSpace
-from sim_kinematic.crowd.step import step_crowd
+from sim_kinematic.crowd.company import standing_circle
+from sim_kinematic.crowd.errands import Errand, Guide
+from sim_kinematic.crowd.reactions import REACTIONS
+from sim_kinematic.crowd.roles import Role
+from sim_kinematic.crowd.step import step_crowd, who_decides
 from sim_kinematic.crowd.traits import CrowdSpec, Traits
+from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S, StrideSpec
 from sim_kinematic.motion.step import discs_at
 
 CrowdModel = Literal["social_force", "orca"]
-FindPath = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-"""Returns the path [K, 2] to a person's next goal from a place [2]; K < 2: there is none."""
 ARRIVED_M = 0.4
 """A goal counts as reached within this distance."""
 ATTEMPTS = 8
 """Goals that are tried in one step, some of which may be reached already."""
 STUCK_PATHS, AWAY_M = 4, 1.0
 """People who are stuck compare so many goals by how near others are to the path at this distance."""
+CLOSE_M = 1.5
+"""Who is stuck within this distance of where they want to stay stays where they are: somebody else is there."""
 
 
 class Discs(NamedTuple):
@@ -35,19 +40,18 @@ class Discs(NamedTuple):
     """and one step ago [N, 2] [m]."""
     radius: Array
     """Radii [N] [m]."""
+    robots: Array = np.zeros((0, 3))
+    """Places and headings of robots (x, z, heading) [R, 3],"""
+    of_robots: int = 0
+    """whose discs come first; their number."""
 
 
 NO_DISCS = Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
 
 
-def robot_discs(
-    xz: Array, heading: float, before: Array, heading_before: float, offsets: Sequence[float], radius_m: float
-) -> Discs:
-    """Discs of a robot's base at a place [2] and heading [rad], now and one step ago."""
-    now, was = (
-        discs_at(place[None], np.array([angle]), tuple(offsets), radius_m)[0]
-        for place, angle in ((xz, heading), (before, heading_before))
-    )
+def robot_discs(xz: Array, headings: Array, offsets: Sequence[float], radius_m: float) -> Discs:
+    """Discs of a robot's base at places [2, 2] and headings [2] [rad], now and one step ago."""
+    now, was = discs_at(xz, headings, tuple(offsets), radius_m)
     return Discs(now[:, :2], was[:, :2], now[:, 2])
 
 
@@ -56,6 +60,11 @@ def _room_on(path: Array, others: Array) -> float:
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
     at = np.array([np.interp(AWAY_M, along, path[:, k]) for k in range(2)])
     return float(np.hypot(*(others - at).T).min()) if len(others) else np.inf
+
+
+def _talking(guide: Guide, place: NDArray[np.float64], centre: tuple[float, float], group: str) -> Guide:
+    """The guide of somebody who goes to a place [2] and stays there, facing the centre of their company."""
+    return lambda xz, goal: Errand(guide(xz, place if goal is None else goal).path, np.inf, centre, "talk", group)
 
 
 class Crowd:
@@ -68,9 +77,11 @@ class Crowd:
         self,
         free: FreeSpace,
         traits: Sequence[Traits],
-        find_paths: Sequence[FindPath],
+        guides: Sequence[Guide],
         model: CrowdModel,
         *,
+        roles: Sequence[Role] | None = None,
+        seed: int = 0,
         spec: CrowdSpec | None = None,
         stride: StrideSpec | None = None,
     ) -> None:
@@ -79,14 +90,17 @@ class Crowd:
         Args:
             free: Floor on which all of them walk.
             traits: Traits of each person [M].
-            find_paths: Function of each person that finds the path to their next goal [M].
+            guides: Function of each person that says where they go next [M].
             model: ``orca`` (reciprocal avoidance) or ``social_force``.
+            roles: Reaction, company and routine of each person [M].
+            seed: Seed of the episode, from which conversations have their places.
             spec: Constants of avoidance.
             stride: Limits of walking.
         """
         people = len(traits)
+        self._free, self._seed = free, seed
         self._grid = free.sdf, free.origin, free.cell_m
-        self._traits, self._find_paths = np.array(traits, np.float64).reshape(people, 6), list(find_paths)
+        self._traits, self._guides = np.array(traits, np.float64).reshape(people, 6), list(guides)
         self._forces, self._rules = model == "social_force", (spec or CrowdSpec()).numbers
         self._limits = (stride or StrideSpec()).limits
         self._paths, self._lengths = np.zeros((people, 2, 2)), np.zeros((people, 2))
@@ -94,6 +108,20 @@ class Crowd:
         self._along, self._best = np.zeros(people), np.zeros((people, 2))
         self._claims, self._body = np.zeros((people, 6)), np.zeros((people, 4))
         self._chosen, self._began = np.zeros((people, 2)), False
+        self._roles = list(roles or [Role()] * people)
+        self._errands = [Errand(np.zeros((0, 2)))] * people
+        self._until = np.full(people, -1.0)
+        """Step until which each person stays where they are, -1: they walk."""
+        self._stays, self._looks, self._moods = (np.zeros((people, 3)) for _ in range(3))
+        self._moods[:, 0] = [list(REACTIONS).index(role.reaction) for role in self._roles]
+        self._moods[:, 1] = -1.0
+        words = [role.group for role in self._roles]
+        self._company = np.array([words.index(w) if w.startswith("walk") else -1 for w in words], np.int64)
+        self._pace = self._traits[:, 0].copy()
+        for first in set(self._company.tolist()) - {-1}:
+            self._pace[self._company == first] = self._pace[self._company == first].min()
+        self.new_events: list[tuple[int, str, str, str]] = []
+        """Events of the last step: number of the person, kind, target and detail of an event."""
 
     @property
     def goals(self) -> Array:
@@ -113,9 +141,15 @@ class Crowd:
         people = len(xz)
         if not self._began:
             self._body[:, 0] = self._body[:, 3] = heading
+            self._meet(xz)
             self._began = True
         self._body[:, 0] = heading
-        self._choose_goals(xz, step)
+        self.new_events = []
+        if who_decides(
+            xz, self._paths, self._counts, self._best, self._traits, self._until, step, STEP_S, ARRIVED_M + 1e-9
+        ):
+            self._choose_goals(xz, step)
+        reacted = self._moods[:, 2].copy()
         places = np.concatenate([xz, others.xz])
         velocities = (places - np.concatenate([before, others.before])) / STEP_S
         radii = np.concatenate([self._traits[:, 3], others.radius])
@@ -132,6 +166,13 @@ class Crowd:
             self._claims,
             self._body,
             self._chosen,
+            self._stays,
+            self._company,
+            self._moods,
+            self._looks,
+            others.robots,
+            others.of_robots,
+            self._pace,
             self._traits,
             self._forces,
             self._rules,
@@ -139,31 +180,71 @@ class Crowd:
             step,
             STEP_S,
         )
+        for m in np.flatnonzero(self._moods[:, 2] != reacted).tolist() if len(others.robots) else ():
+            kind = "reacts" if self._moods[m, 2] else "reaction_over"
+            self.new_events.append((m, kind, self._roles[m].reaction, ""))
         return places[:people], self._body[:, 0].copy()
 
+    def _meet(self, xz: Array) -> None:
+        """Finds the places of those who stand and talk."""
+        for word in sorted({role.group for role in self._roles if role.group.startswith("talk")}):
+            members = [m for m, role in enumerate(self._roles) if role.group == word]
+            number = int(word.removeprefix("talk") or 0)
+            places, (x, z) = standing_circle(
+                self._free, xz[members], generator(self._seed, "conversation", world=number)
+            )
+            for m, place in zip(members, places, strict=True):
+                self._guides[m] = _talking(self._guides[m], np.asarray(place, np.float64), (float(x), float(z)), word)
+
     def _choose_goals(self, xz: Array, step: int) -> None:
-        """Gives a path to those who have arrived, are stuck or have been pushed off theirs."""
-        arrived = np.hypot(*(self.goals - xz).T) < ARRIVED_M
-        stuck = (step - self._best[:, 1]) * STEP_S > self._traits[:, 5]
-        for m in np.flatnonzero(arrived | stuck | (self._counts < 2)).tolist():
-            paths = self._paths_from(m, xz[m], STUCK_PATHS if stuck[m] else 1)
-            if paths:  # who is stuck turns to where the others are not
+        """Gives an errand to those who have arrived, are stuck or have been pushed off their path, and to their company."""
+        left = np.hypot(*(self.goals - xz).T)
+        stays = self._until >= 0
+        arrived = ~stays & (left < ARRIVED_M)
+        stuck = ~stays & ((step - self._best[:, 1]) * STEP_S > self._traits[:, 5])
+        for m in np.flatnonzero((arrived | stuck & (left < CLOSE_M)) & (self._counts > 1)).tolist():
+            errand = self._errands[m]
+            if errand.seconds > 0:
+                if not arrived[m]:
+                    self._set_path(m, np.array([xz[m], xz[m]], np.float64))
+                self._until[m] = step + errand.seconds / STEP_S
+                self._stays[m] = (*errand.look, 2.0) if errand.look is not None else (0.0, 0.0, 1.0)
+                self.new_events.append((m, "activity", errand.activity, errand.place))
+                arrived[m] = stuck[m] = False
+        done = stays & (self._until <= step)
+        self._until[done], self._stays[done, 2] = -1.0, 0.0
+        chooses = arrived | stuck | done | (self._counts < 2)
+        for first in set(self._company[chooses].tolist()) - {-1}:
+            chooses |= self._company == first
+        for m in np.flatnonzero(chooses).tolist():
+            if self._company[m] not in (-1, m):
+                errands = [self._guides[m](xz[m], np.asarray(self.goals[self._company[m]], np.float64))]
+            else:
+                compares = stuck[m] and self._errands[m].seconds == 0
+                errands = self._errands_from(m, xz[m], STUCK_PATHS if compares else 1)
+            errands = [errand for errand in errands if len(errand.path) > 1]
+            if errands:  # who is stuck turns to where the others are not
                 others = np.delete(xz, m, axis=0)
-                self._set_path(m, max(paths, key=lambda path: _room_on(path, others)) if len(paths) > 1 else paths[0])
+                chosen = max(errands, key=lambda e: _room_on(e.path, others)) if len(errands) > 1 else errands[0]
+                self._errands[m] = chosen
+                self._set_path(m, chosen.path)
+                x, z = chosen.path[-1].tolist()
+                self.new_events.append((m, "walks_to", chosen.place, f"({x:.2f}, {z:.2f})"))
             elif self._counts[m] < 2:  # who finds no goal at all stands where they are
                 self._set_path(m, np.array([xz[m], xz[m]], np.float64))
             self._best[m] = 0.0, step
 
-    def _paths_from(self, m: int, xz: Array, most: int) -> list[NDArray[np.float64]]:
-        """Up to ``most`` paths of a person to goals that they have not reached already."""
-        paths: list[NDArray[np.float64]] = []
+    def _errands_from(self, m: int, xz: Array, most: int) -> list[Errand]:
+        """Up to ``most`` errands of a person to goals that they have not reached already."""
+        errands: list[Errand] = []
         for _ in range(ATTEMPTS):
-            path = np.asarray(self._find_paths[m](np.asarray(xz, np.float64)), np.float64)
-            if len(path) > 1 and np.hypot(*(path[-1] - xz)) >= ARRIVED_M:
-                paths.append(path)
-            if len(paths) == most:
+            errand = self._guides[m](np.asarray(xz, np.float64), None)
+            path = errand.path
+            if len(path) > 1 and (errand.seconds > 0 or np.hypot(*(path[-1] - xz)) >= ARRIVED_M):
+                errands.append(errand)
+            if len(errands) == most:
                 break
-        return paths
+        return errands
 
     def _set_path(self, m: int, path: NDArray[np.float64]) -> None:
         if len(path) > self._paths.shape[1]:

@@ -12,15 +12,15 @@ import numpy as np
 
 from h3data.kernels import kernel
 from h3data.scene.freespace.free_space import sample_sdf, sdf_gradient
+from sim_kinematic.crowd.company import keep_company, walk_beside
 from sim_kinematic.crowd.orca import half_plane, nearest_velocity
+from sim_kinematic.crowd.reactions import IMPASSIVE, SIGHT_M, TABLE, notice, reacting_velocity
 from sim_kinematic.crowd.social_force import interaction
 from sim_kinematic.motion.step import wrap_angle
 from sim_kinematic.motion.stride import point_along, progress_along, slide_along_walls
 
 WALL_M = 0.25
 """Radius with which people keep clear of walls and furniture, beside which their arms fold."""
-SIGHT_M = 0.05
-"""Something nearer to the line between two people than this hides them from each other."""
 CREEP_MPS = 0.25
 """At this speed people step in any direction, whatever they look at."""
 AHEAD_M = 0.1
@@ -31,6 +31,10 @@ SLIDES = 3
 """Attempts to go past others whom a step would touch."""
 STRIDE_M, STRIDE_MPS = 0.2, 0.1
 """Feet and hands of people who walk faster than this reach so much farther ahead and behind than sideways."""
+NEAR_END_M = 0.1
+"""People who stand somewhere do not step back to it from within this distance."""
+GROUP_S = 0.5
+"""Time in which forces of a group become velocities: the time constant of Moussaid et al."""
 BACK_M = 1.5
 """Distance that people in a narrow place go back along their path to let others through."""
 
@@ -60,6 +64,35 @@ def reach_between(m, j, px, pz, radii, body):
         if k < len(body) and body[k, 2] > STRIDE_MPS:
             reach += STRIDE_M * math.cos(body[k, 0] - line) ** 2
     return reach
+
+
+@kernel(error_model="numpy")
+def who_decides(xz, paths, counts, best, traits, until, step, dt, arrived_m):
+    """Returns whether anybody of a crowd has arrived, is stuck, has stayed long enough or has no way to go.
+
+    Args:
+        xz: Positions of the people [M, 2] [m].
+        paths: Their paths [M, K, 2] [m].
+        counts: Number of points of each path [M].
+        best: Largest progress so far, and the step in which it was made [M, 2].
+        traits: `Traits` of the people [M, 6].
+        until: Step until which each person stays where they are, -1: they walk [M].
+        step: Number of the step.
+        dt: Duration of a step [s].
+        arrived_m: Distance to the end of the path from which on they have arrived [m].
+    """
+    for m in range(len(counts)):
+        if counts[m] < 2:
+            return True
+        if until[m] >= 0.0:
+            if until[m] <= step:
+                return True
+            continue
+        end = counts[m] - 1
+        left = math.hypot(paths[m, end, 0] - xz[m, 0], paths[m, end, 1] - xz[m, 1])
+        if left < arrived_m or (step - best[m, 1]) * dt > traits[m, 5]:
+            return True
+    return False
 
 
 @kernel(error_model="numpy")
@@ -100,12 +133,12 @@ def claim_passages(sdf, origin, cell, xz, paths, counts, lengths, along, claims,
 
 
 @kernel(error_model="numpy")
-def first_through(claims, m, wait):
+def first_through(claims, company, m, wait):
     """Number of the person who passes a narrow place before person ``m`` in the opposite direction; -1: nobody does."""
     if claims[m, 0] == 0.0:
         return -1
     for j in range(len(claims)):
-        if j == m or claims[j, 0] == 0.0:
+        if j == m or claims[j, 0] == 0.0 or (company[m] >= 0 and company[j] == company[m]):
             continue
         opposite = claims[m, 3] * claims[j, 3] + claims[m, 4] * claims[j, 4] < -0.3
         near = math.hypot(claims[m, 1] - claims[j, 1], claims[m, 2] - claims[j, 2]) < wait + 0.4
@@ -157,7 +190,9 @@ def yield_velocity(sdf, origin, cell, x, z, path, cumulative, along, theirs, the
 
 
 @kernel(error_model="numpy")
-def choose_velocity(sdf, origin, cell, m, places, velocities, radii, body, wx, wz, traits, forces, rules):
+def choose_velocity(
+    sdf, origin, cell, m, places, velocities, radii, body, wx, wz, most, furniture, traits, forces, rules
+):
     """Chosen velocity (x, z) [m/s] of person ``m`` who wants ``(wx, wz)``.
 
     Args:
@@ -171,6 +206,9 @@ def choose_velocity(sdf, origin, cell, m, places, velocities, radii, body, wx, w
         body: Motion of the crowd's people (`follow`) [M, 4].
         wx: Wanted velocity [m/s].
         wz: The same along z.
+        most: Greatest speed [m/s].
+        furniture: Number of discs behind those of the crowd that the person takes for furniture or walks up to: those of
+            robots, or none.
         traits: `Traits` of the crowd's people [M, 6].
         forces: True for social force, False for reciprocal avoidance.
         rules: `CrowdSpec.numbers`.
@@ -192,6 +230,7 @@ def choose_velocity(sdf, origin, cell, m, places, velocities, radii, body, wx, w
         ahead = wx * px + wz * pz > 0.8 * wanted * distance
         if (
             wanted > 0.1
+            and not len(body) <= j < len(body) + furniture
             and distance < rules[8]
             and ahead
             and velocities[j, 0] * wx + velocities[j, 1] * wz < 0.1 * wanted
@@ -204,11 +243,17 @@ def choose_velocity(sdf, origin, cell, m, places, velocities, radii, body, wx, w
     gx, gz = sdf_gradient(sdf, origin, cell, x, z)
     steep = max(math.hypot(gx, gz), 1e-9)
     gx, gz = gx / steep, gz / steep
-    horizon, most = rules[0], max(traits[m, 0], 1e-3)
+    horizon, most = rules[0], max(most, 1e-3)
     if forces:
         ax, az = rules[10] * (wx - vx) / tau, rules[10] * (wz - vz) / tau
         for k in range(count):
             j = near[k]
+            if len(body) <= j < len(body) + furniture:
+                px, pz = x - places[j, 0], z - places[j, 1]
+                distance = max(math.hypot(px, pz), 1e-6)
+                push = rules[12] * math.exp(-max(distance - radii[m] - radii[j], 0.0) / rules[13])
+                ax, az = ax + push * px / distance, az + push * pz / distance
+                continue
             fx, fz = interaction(
                 places[j, 0] - x,
                 places[j, 1] - z,
@@ -232,23 +277,18 @@ def choose_velocity(sdf, origin, cell, m, places, velocities, radii, body, wx, w
         j = near[k]
         px, pz = places[j, 0] - x, places[j, 1] - z
         share = 0.5 if j < len(body) else 1.0
-        reach = reach_between(m, j, px, pz, radii, body) + rules[4]
-        nx, nz, offset = half_plane(
-            px,
-            pz,
-            vx - velocities[j, 0],
-            vz - velocities[j, 1],
-            reach,
-            horizon,
-            0.5,
-            share,
-        )
+        reach, ahead_s, jx, jz = reach_between(m, j, px, pz, radii, body), horizon, velocities[j, 0], velocities[j, 1]
+        if len(body) <= j < len(body) + furniture:
+            ahead_s, jx, jz = rules[1], 0.0, 0.0
+        else:
+            reach += rules[4]
+        nx, nz, offset = half_plane(px, pz, vx - jx, vz - jz, reach, ahead_s, 0.5, share)
         planes[k + 1, 0], planes[k + 1, 1], planes[k + 1, 2] = nx, nz, offset + nx * vx + nz * vz
     return nearest_velocity(planes, count + 1, wx, wz, most)
 
 
 @kernel(error_model="numpy")
-def follow(sdf, origin, cell, m, places, radii, body, chosen, limits, dt):
+def follow(sdf, origin, cell, m, places, radii, body, chosen, looks, limits, dt):
     """Moves the body of person ``m`` as far as it can follow the chosen velocity, in place.
 
     Args:
@@ -260,6 +300,7 @@ def follow(sdf, origin, cell, m, places, radii, body, chosen, limits, dt):
         radii: Their radii [N] [m].
         body: Heading [rad], turn rate [rad/s], speed [m/s] and direction of walking [rad] of each person [M, 4].
         chosen: Chosen velocities [M, 2] [m/s].
+        looks: Place that each person faces while they stand or step (x, z), and 1 if there is one [M, 3].
         limits: `StrideSpec.limits`.
         dt: Duration of a step [s].
     """
@@ -273,6 +314,9 @@ def follow(sdf, origin, cell, m, places, radii, body, chosen, limits, dt):
         wanted = min(max(gain * bearing, -turn_rate), turn_rate)
     else:
         most = 0.0
+    if looks[m, 2] > 0.0 and most <= CREEP_MPS:
+        wanted = gain * wrap_angle(math.atan2(z - looks[m, 1], looks[m, 0] - x) - heading)
+        wanted = min(max(wanted, -turn_rate), turn_rate)
     turn += min(max(wanted - turn, -turn_accel * dt), turn_accel * dt)
     if abs(bearing) > sidestep:  # until they have turned they step aside, slowly
         most = (
@@ -336,6 +380,13 @@ def step_crowd(
     claims,
     body,
     chosen,
+    stays,
+    company,
+    moods,
+    looks,
+    robots,
+    of_robots,
+    pace,
     traits,
     forces,
     rules,
@@ -360,6 +411,13 @@ def step_crowd(
         claims: Narrow places that people are in or before (`claim_passages`) [M, 6].
         body: Motion of the bodies (`follow`) [M, 4].
         chosen: Chosen velocities [M, 2] [m/s].
+        stays: Place that a person who stands faces (x, z), and 0: walks, 1: stands as they come, 2: stands and faces it [M, 3].
+        company: Number of the group with which each person walks, -1: none [M].
+        moods: Number of each person's reaction, the step in which it began, and 1 while they react (`notice`) [M, 3].
+        looks: Place that each person faces (x, z), and 1 if there is one [M, 3].
+        robots: Places and headings of the robots (x, z, heading) [R, 3].
+        of_robots: Number of discs of robots, which come first after those of the crowd.
+        pace: Speed at which each person wants to walk, that of their group [M] [m/s].
         traits: `Traits` of the people [M, 6].
         forces: True for social force, False for reciprocal avoidance.
         rules: `CrowdSpec.numbers`.
@@ -375,12 +433,16 @@ def step_crowd(
             best[m, 0], best[m, 1] = along[m], step
     claim_passages(sdf, origin, cell, places[: len(counts)], paths, counts, lengths, along, claims, step, rules)
     for m in range(len(counts)):
+        if stays[m, 2] > 0.0 or (moods[m, 2] > 0.0 and TABLE[int(moods[m, 0]), 8] == 0.0):
+            claims[m, 0] = 0.0  # who stands does not go through
+            best[m, 1] = step
+    for m in range(len(counts)):
         pause = max(int(traits[m, 2] / dt + 0.5), 1)
         if (step + m) % pause != 0:
             continue
         path, cumulative = paths[m, : counts[m]], lengths[m, : counts[m]]
-        x, z = places[m, 0], places[m, 1]
-        j = first_through(claims, m, rules[6])
+        x, z, most = places[m, 0], places[m, 1], traits[m, 0]
+        j = first_through(claims, company, m, rules[6])
         if j >= 0:
             wx, wz = yield_velocity(
                 sdf,
@@ -398,9 +460,39 @@ def step_crowd(
                 rules,
             )
         else:
-            wx, wz = wanted_velocity(sdf, origin, cell, x, z, path, cumulative, along[m], traits[m, 0], decel)
+            wx, wz = wanted_velocity(sdf, origin, cell, x, z, path, cumulative, along[m], pace[m], decel)
+            if stays[m, 2] > 0.0 and math.hypot(path[-1, 0] - x, path[-1, 1] - z) < NEAR_END_M:
+                wx, wz = 0.0, 0.0
+            elif company[m] >= 0:
+                wx, wz = walk_beside(sdf, origin, cell, x, z, path, cumulative, along[m], wx, wz)
+                wx, wz = keep_company(m, company, places, wx, wz, GROUP_S)
+        looks[m, 0], looks[m, 1], looks[m, 2] = stays[m, 0], stays[m, 1], stays[m, 2] - 1.0
+        reaction, nearest, r = TABLE[int(moods[m, 0])], np.inf, -1
+        if reaction[0] > 0.0:
+            for k in range(len(robots)):
+                distance = math.hypot(robots[k, 0] - x, robots[k, 1] - z)
+                if distance < nearest:
+                    nearest, r = distance, k
+        if r >= 0 and notice(
+            reaction,
+            moods[m, 1:],
+            x,
+            z,
+            body[m, 0],
+            robots[r],
+            nearest <= reaction[0] and sees(sdf, origin, cell, x, z, robots[r, 0], robots[r, 1]),
+            step,
+            dt,
+        ):
+            radius = radii[len(counts)] if of_robots > 0 else 0.0
+            wx, wz = reacting_velocity(reaction, x, z, robots[r], radius, wx, wz, traits[m, 1])
+            most = max(reaction[3], 0.0 if reaction[8] > 0.0 else most)
+            if reaction[8] == 0.0:
+                looks[m, 0], looks[m, 1], looks[m, 2] = robots[r, 0], robots[r, 1], 1.0
+        walks_up = moods[m, 2] > 0.0 and reaction[5] > 0.0
+        furniture = of_robots if walks_up or int(moods[m, 0]) == IMPASSIVE else 0
         chosen[m, 0], chosen[m, 1] = choose_velocity(
-            sdf, origin, cell, m, places, velocities, radii, body, wx, wz, traits, forces, rules
+            sdf, origin, cell, m, places, velocities, radii, body, wx, wz, most, furniture, traits, forces, rules
         )
     for m in range(len(counts)):
-        follow(sdf, origin, cell, m, places, radii, body, chosen, limits, dt)
+        follow(sdf, origin, cell, m, places, radii, body, chosen, looks, limits, dt)

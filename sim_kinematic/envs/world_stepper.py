@@ -24,6 +24,7 @@ from sim_kinematic.agents.skills import CONTROL, Action, choices
 from sim_kinematic.controllers.motion import command_of
 from sim_kinematic.envs.stepper import DEFAULTS, Info, Options, checked_actions, gymnasium
 from sim_kinematic.policies.assignment import assign, policy_names, resolve_policy, unknown_policy
+from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.rearrange_observations import limits
 from sim_kinematic.policies.waypoints import WaypointPolicy
@@ -361,6 +362,10 @@ class WorldStepper:
                 self._targets[k][w] = self._walkers[w][k].target(own.xz[w])
             return WaypointCommand(self._targets[k])
         walkers = [self._walkers[w][k] for w in range(self.worlds)]
+        if all(type(who) is CrowdPolicy for who in walkers):  # they need no view
+            team, steps = self.play.team, self.play.steps.tolist()
+            moved = [who.move(team.crowds_of(w), k, steps[w]) for w, who in enumerate(walkers)]
+            return command_of(moved, self.source.roster[k].name)
         views = [self.task.view(self.play, k, w) for w in range(self.worlds)]
         together = getattr(walkers[0], "act_together", None)  # policies of one server, which may answer for all at once
         chosen = (

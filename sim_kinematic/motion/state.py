@@ -108,10 +108,10 @@ class HumanState(_Arrays):
 AgentState = RobotState | HumanState
 
 
-def stack_agents(agents: Sequence[AgentState], world: int) -> AgentState:
-    """States of several agents of one kind in one world, as if each were in a world of its own."""
-    rows = [vars(own) for own in agents]
-    return type(agents[0])(**{name: np.stack([row[name][world] for row in rows]) for name in rows[0]})
+def stack_agents(agents: Sequence[tuple[AgentState, int]]) -> AgentState:
+    """States of several agents of one kind, each in the world with a number, as if each were in a world of its own."""
+    rows = [(vars(own), world) for own, world in agents]
+    return type(agents[0][0])(**{name: np.array([row[name][world] for row, world in rows]) for name in rows[0][0]})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

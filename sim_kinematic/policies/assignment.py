@@ -16,7 +16,8 @@ from h3data.errors import InputError, UntrustedNameError, suggest
 from h3data.plugins import Registry, come_from_data
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.crowd.crowd import CrowdModel
-from sim_kinematic.crowd.traits import sample_traits
+from sim_kinematic.crowd.roles import check_groups, read_role
+from sim_kinematic.crowd.routines import Routine, make_morning
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies.crowd.people import CrowdPolicy
@@ -40,9 +41,12 @@ def _wander(task: Task, episode: Episode, number: int) -> Policy:
     return WanderPolicy(episode.free, episode_seed(episode.seed, number), episode.spec.human)
 
 
-def _crowd(model: CrowdModel, task: Task, episode: Episode, number: int) -> Policy:
-    walker, seed = episode.spec.human, episode_seed(episode.seed, number)
-    return CrowdPolicy(model, episode.free, seed, sample_traits(episode.seed, number, walker.speed_mps), walker)
+def _crowd(model: CrowdModel, task: Task, episode: Episode, number: int, words: str = "") -> Policy:
+    role = read_role(words, episode.seed, number)
+    routine = None
+    if role.routine:
+        routine = Routine(episode.scene, episode.free, make_morning(episode.scene, episode.seed, number))
+    return CrowdPolicy(model, episode.free, episode.seed, number, episode.spec.human, role, routine)
 
 
 Factory = Callable[[Task, Episode, int], Policy]
@@ -143,10 +147,12 @@ def assign(task: Task, episode: Episode, chosen: Assigned | None = None) -> list
         numbers = [k for k, member in enumerate(members) if member.kind == kind]
         for number, one in zip(numbers, each_of(choice, len(numbers), kind), strict=True):
             picked[number] = one
-    return [
+    made = [
         make_policy(task, episode, k, task.defaults[member.kind] if choice is None else choice)
         for k, (member, choice) in enumerate(zip(members, picked, strict=True))
     ]
+    check_groups(one.policy.member.role.group for one in made if isinstance(one.policy, CrowdPolicy))
+    return made
 
 
 def _alias(key: str, names: Sequence[str]) -> str:
@@ -242,8 +248,12 @@ def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
         {**COMMON[kind], **task.policies.get(kind, {})} if not task.control.has_skills else task.policies.get(kind, {})
     )
     plugins = plugin_policies()
+    model, plus, words = name.partition("+")
     if name in own:
         found = own[name]
+    elif plus and model in own and getattr(own[model], "func", None) is _crowd:
+        read_role(words)
+        found = partial(own[model], words=words)
     elif not name.startswith(PREFIX) and (":" in name or name in plugins.names()):
         found = plugins.get(name)
     else:

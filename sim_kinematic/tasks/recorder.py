@@ -33,6 +33,7 @@ from h3data.recording.scans import scan_column
 from h3data.scene.kinds import categories_of
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.tasks.codec import scene_attachment
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import AgentSensors, Columns, WorldRollout
@@ -284,6 +285,12 @@ def describe(
         from h3data.bodies.names import walk_attachments, walk_facts
 
         walks, info["motions"] = walk_attachments(people), walk_facts(people)
+    if crowd := {
+        member.name: policy.policy.facts
+        for member, policy in zip(episode.roster, policies, strict=True)
+        if isinstance(policy.policy, CrowdPolicy)
+    }:
+        info["people"] = crowd
     external = [k for k, policy in enumerate(policies) if policy.is_external]
     if external:
         info["external"] = external

@@ -10,7 +10,8 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from itertools import takewhile
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -20,6 +21,7 @@ from h3data.plugins import names_from_data
 from h3data.recording import Event, InputEvent, Recording, SkillSpan, state_hash
 from h3data.replay.recorded_robots import check_recorded_robots
 from sim_kinematic.policies.assignment import KINDS, AssignedPolicy, assign, make_policy
+from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.recorded import NotRecorded
 from sim_kinematic.tasks.codec import POLICY_ENTRIES
 from sim_kinematic.tasks.episode import Episode
@@ -41,10 +43,13 @@ from sim_kinematic.tasks.resimulation import (
 )
 from sim_kinematic.tasks.runner import run
 from sim_kinematic.tasks.task import Task
+from sim_kinematic.tasks.wander import Wander
 
 __all__ = [
+    "AddedTime",
     "Difference",
     "Verification",
+    "added_time",
     "counterfactual",
     "first_difference",
     "resume",
@@ -180,6 +185,49 @@ def counterfactual(recording: Recording, policy: Any, *, step: int = 0) -> Recor
             code="H3-TASK-036",
         )
     return _continued(recording, step, _by_kind(policy, None), keeps_people=True)
+
+
+class AddedTime(NamedTuple):
+    """Time by which robots make a person later."""
+
+    person: str
+    goals: int
+    """Number of goals that the person leaves in the recording as well as without robots, one after another."""
+    seconds: float | None
+    """Time at which they leave the last of them, minus that without robots [s]; None without such a goal."""
+
+
+def added_time(recording: Recording) -> list[AddedTime]:
+    """Added time of each person of a crowd: the same seed and starts are simulated once more without robots.
+
+    What differs is what the robots cause. People compare by the goals that they go to in both; who goes elsewhere because of
+    a robot is compared up to there.
+
+    Raises:
+        InputError: as `verify`; or people are of no crowd, or there is no robot.
+    """
+    task, episode = _restored(recording)
+    robots, people = _numbers(recording, "robot"), _numbers(recording, "human")
+    policies = _assigned(task, episode, recording, {}, strict=False, recorded=robots)
+    alone = [policies[k] for k in people]
+    if not robots or not alone or not all(isinstance(one.policy, CrowdPolicy) for one in alone):
+        raise InputError(
+            "Expected a recording of robots among people of a crowd, whose partner is orca or social_force, got "
+            f"{', '.join(one.name for one in policies)}.",
+            code="H3-TASK-081",
+        )
+    play = WorldRollout.of(Wander(), episode.only(*people), alone, measure=False)
+    run(play, steps=len(recording))
+    rows = []
+    for p, k in enumerate(people):
+        here, there = (
+            [(event.step, event.detail) for event in events if event.kind == "walks_to" and event.agent == number]
+            for events, number in ((recording.events, k), (play.events, p))
+        )
+        pairs = list(takewhile(lambda pair: pair[0][1] == pair[1][1], zip(here, there, strict=False)))
+        late = (pairs[-1][0][0] - pairs[-1][1][0]) * recording.episode.dt_ns * 1e-9 if len(pairs) > 1 else None
+        rows.append(AddedTime(recording.agents[k].name, max(len(pairs) - 1, 0), late))
+    return rows
 
 
 # --- one continued run ------------------------------------------------------------------------------------------------

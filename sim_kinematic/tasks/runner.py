@@ -86,6 +86,7 @@ class DecisionLoop:
         self.asked = None
         outcome = play.advance(self._commands)
         play.events += [event for _, event in outcome.events]
+        play.events += team.new_events()
         if outcome.terminated[0]:
             self._ended, play.ended = True, outcome.ended or ("success" if outcome.success[0] else "terminated")
 

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.geometry import Array
+from h3data.recording import Event
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.controllers.motion import MotionController
 from sim_kinematic.motion.state import HumanState, RobotState
-from sim_kinematic.policies.crowd.crowds import Crowds
+from sim_kinematic.policies.crowd.crowds import Crowds, Moment
 from sim_kinematic.policies.traffic import Traffic
 from sim_kinematic.policies.views import AgentView
 from sim_kinematic.sensing.sensor import first_point
@@ -72,6 +73,10 @@ class Team(ABC):
     def scenery(self, world: int) -> dict[str, Any]:
         """Arguments of `sim_kinematic.sensing.eyes.see` that say where everything is in a world."""
 
+    def new_events(self) -> Sequence[Event]:
+        """Events of agents of the first world in the last step, beyond those that the task judges."""
+        return ()
+
     @abstractmethod
     def snapshot(self) -> Any:
         """The step just played in the first world, as `columns` takes it."""
@@ -95,16 +100,20 @@ class MotionTeam(Team):
         """Traffic of the worlds for which it was requested."""
         self._crowds: dict[int, Crowds] = {}
         """Crowds of the worlds for which they were requested."""
+        self._moment: Moment | None = None
+        """Places of all agents in this step, once they were requested."""
 
     def begin(self, rows: NDArray[np.intp]) -> None:
         """Forgets who heeded whom in these worlds."""
         for w in rows.tolist():
             self._traffic.pop(w, None)
             self._crowds.pop(w, None)
+        self._moment = None
 
     def move(self, commands: Sequence[Command | None]) -> None:
         """Moves all agents of all worlds at once."""
         self.play.world.step(commands)
+        self._moment = None
         self._commands = commands
 
     def view(self, agent: int, world: int) -> AgentView:
@@ -140,8 +149,17 @@ class MotionTeam(Team):
     def crowds_of(self, world: int) -> Crowds:
         """The crowds of one world."""
         if world not in self._crowds:
-            self._crowds[world] = Crowds(self.play.world, world)
+            self._crowds[world] = Crowds(self.play.world, world, self._where)
         return self._crowds[world]
+
+    def _where(self) -> Moment:
+        if self._moment is None:
+            self._moment = Moment.of(self.play.world)
+        return self._moment
+
+    def new_events(self) -> Sequence[Event]:
+        """Reactions to robots and activities that people of crowds have begun."""
+        return self._crowds[0].new_events if 0 in self._crowds else ()
 
     def exact(self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor]) -> dict[str, Array]:
         """The named observations of an agent in all worlds."""

@@ -294,7 +294,9 @@ def test_the_order_of_people_and_those_far_away_change_nothing(places, random):
     order = list(range(len(people)))
     here = values(order)
     shuffled, away = values(random.sample(order, len(order))), values(order, away=True)
-    assert {name for name, value in here.items() if math.isnan(value)} <= {"T", "TO", "TTC_min", "CD_min", "CD_mean"}
+    groups = {"GCR", "G_o", "G_p", "IG_intimate", "IG_personal", "IG_social"}
+    unknown = {name for name, value in here.items() if math.isnan(value)}
+    assert unknown <= {"T", "TO", "TTC_min", "CD_min", "CD_mean"} | groups
     for name, value in here.items():
         if name != "V_nearest":  # of two who are equally near it is that of one
             np.testing.assert_allclose(shuffled[name], value, rtol=1e-9, err_msg=name)
@@ -446,3 +448,25 @@ def test_a_robot_and_a_person_are_needed_and_everything_is_explained():
     series = series_of(recording, "social")
     assert named <= set(series)
     assert {len(each) for each in series.values()} == {3}
+
+
+def test_spaces_of_groups_by_hand():
+    # Two people 1.2 m apart: their o-space has a radius of 0.6 m. The robot crosses it.
+    robot = [(-3, 0), (-1.0, 0), (-0.5, 0), (0.2, 0), (1.0, 0), (4, 0)]
+    info = {"people": {"person_0": {"group": "talk1"}, "person_1": {"group": "talk1"}, "person_2": {"group": ""}}}
+    people = still(0, 0.6, 6), still(0, -0.6, 6), still(9, 9, 6)
+    recording = crowd(robot, *people, info=info)
+    assert_values(recording, GCR=1, G_o=2 / 6, G_p=2 / 6, IG_intimate=1 / 6, IG_personal=3 / 6, IG_social=1 / 6)
+    assert series_of(recording, "social")["o_space"].tolist() == [False, False, True, True, False, False]
+    before_they_meet = crowd(robot, still(0, 3, 6), still(0, -3, 6), still(9, 9, 6), info=info)
+    assert_values(before_they_meet, GCR=0, G_o=0, G_p=0, IG_social=0)
+    nobody = crowd(robot, *people)
+    assert_values(nobody, GCR=math.nan, G_o=math.nan)
+    assert not series_of(nobody, "social")["o_space"].any()
+
+
+@pytest.mark.parametrize(
+    "people", [3, [1], {"person_0": 4, "stranger": {"group": "walk1"}, "person_1": {"group": [2]}}]
+)
+def test_hostile_facts_about_people_are_no_groups(people):
+    assert_values(crowd(still(0, 0, 3), still(1, 0, 3), still(2, 0, 3), info={"people": people}), GCR=math.nan)

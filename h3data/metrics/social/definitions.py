@@ -14,6 +14,8 @@ PROGRESS_M, PROGRESS_S = 0.1, 5.0
 """A robot fails to progress if it comes less than this nearer to the goal within this time."""
 TARGET_M = 1.2
 """Distance from the target within which SEAN calls an episode completed."""
+MET_M, P_SPACE_M = 2.0, 0.5
+"""A group has met whose members are this near its centre; its p-space is so wide."""
 FORCE, LAMBDA, GAMMA, N_PRIME, N = 2.1, 2.0, 0.35, 3.0, 2.0
 """Parameters of HuNavSim's social force (lightsfm, after Moussaid et al. 2009)."""
 
@@ -103,6 +105,18 @@ _space = partial(_metric, "space", columns=_PAIR, undefined=_NO_PAIR)
 _share = partial(_space, high=1.0, direction="neither")
 _zone = partial(_share, source=_HALL)
 _crossing = partial(_space, unit="times", columns=("time_ns", *_PAIR), reading=_CLOSES)
+_group = partial(
+    _metric,
+    "groups",
+    source=HUNAVSIM + ", zones to the nearest group's centre; spaces of Kendon 1990",
+    columns=(_ROBOT, _HUMAN),
+    optional=("info:people",),
+    undefined="No group of two or more people is recorded in info people.",
+    high=1.0,
+    direction="neither",
+    reading="g is the distance of the robot to the mean position of a group's members, q their mean distance to it. A group "
+    "counts in rows in which nobody is more than 2 m from that: they have met.",
+)
 _OUTLINE = "From the robot's outline to the person's centre, as HuNavSim's code; its description has centres."
 
 SOCIAL_METRICS: tuple[Metric, ...] = (
@@ -542,5 +556,28 @@ SOCIAL_METRICS: tuple[Metric, ...] = (
         "D = 2 (v_robot - v_k) + e, e the direction to the person, a the angle between D and e. It is the same on the robot "
         "and on the person; HuNavSim sums it over its messages.",
     ),
+    _group(
+        "GCR",
+        "Group crossing rate",
+        "1 if a row has g < q for a group, else 0",
+        source="TAGA (group-aware navigation); o-space of Kendon 1990",
+        direction="lower",
+        binary=True,
+        series=("o_space",),
+    ),
+    _group(
+        "G_o", "In the o-space of a group", "rows with g < q for a group / rows", direction="lower", series=("o_space",)
+    ),
+    _group(
+        "G_p",
+        "In the p-space of a group",
+        "rows with q <= g < q + 0.5 m for a group, and in no o-space / rows",
+        direction="lower",
+    ),
+    _group("IG_intimate", "In the intimate zone of a group", "rows with g < 0.45 m for the nearest group / rows"),
+    _group(
+        "IG_personal", "In the personal zone of a group", "rows with 0.45 <= g < 1.2 m for the nearest group / rows"
+    ),
+    _group("IG_social", "In the social zone of a group", "rows with 1.2 <= g < 3.6 m for the nearest group / rows"),
 )
 """Metrics of the profile, in the order of tables; `NOTATION` explains the symbols."""

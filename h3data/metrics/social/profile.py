@@ -34,7 +34,9 @@ from h3data.metrics.social.definitions import (
     FORCE,
     GAMMA,
     LAMBDA,
+    MET_M,
     N_PRIME,
+    P_SPACE_M,
     PROGRESS_M,
     PROGRESS_S,
     RATE_HZ,
@@ -76,7 +78,7 @@ def compute_social(recordings: Sequence[Recording], notes: Sequence[Notes]) -> l
         goal, contacts = crowd.goals[e], crowd.contacts[e]
         own = {name: float(each[e]) for name, each in values.items()}
         _note(goal, contacts, note)
-        own |= _of_contacts(contacts)
+        own |= _of_contacts(contacts) | _of_groups(recording, robot)
         own |= _of_goal(goal, contacts, own, recording, moved[crowd.rows.starts[e] : crowd.rows.ends[e]])
         for metric in SOCIAL_METRICS:
             if np.isnan(own.get(metric.name, NAN)) and metric.name not in note.lines:
@@ -105,6 +107,8 @@ def social_series(recording: Recording) -> Series:
         "goal": crowd.goals[0].reached,
     }
     contacts = crowd.contacts[0]
+    gaps, radii = _group_gaps(recording, find_others(recording)[0])
+    series["o_space"] = (gaps < radii).any(axis=1)
     flags = {"collision": contacts.touched, "wall_contact": _rows_of(contacts.walls)}
     return series | {name: held for name, held in flags.items() if held is not None}
 
@@ -385,6 +389,42 @@ def _note(goal: Goal, contacts: _Contacts, notes: Notes) -> None:
         notes.add(("S", "C", "AC"), f"there are other robots, and no column {ROBOTS}")
 
 
+def _group_gaps(recording: Recording, robot: int) -> tuple[Array, Array]:
+    """Distances of the robot to each group's centre, inf before they have met, and the groups' radii, each [T, G] [m]."""
+    told, names = recording.episode.info.get("people"), [agent.name for agent in recording.agents]
+    groups: dict[str, list[int]] = {}
+    for name, facts in told.items() if isinstance(told, dict) else ():
+        word = facts.get("group") if isinstance(facts, dict) else None
+        if isinstance(word, str) and word and name in names:
+            groups.setdefault(word, []).append(names.index(name))
+    at = recording.agent_column(robot, "base_pose")[:, [0, 2]].astype(np.float64)
+    gaps, radii = [np.zeros((0, len(at)))], [np.zeros((0, len(at)))]
+    for members in groups.values():
+        if len(members) > 1:
+            places = np.stack([recording.agent_column(k, "base_pose")[:, [0, 2]] for k in members], 1).astype(
+                np.float64
+            )
+            centre = places.mean(1)
+            out = np.linalg.norm(places - centre[:, None], axis=2)
+            met = out.max(1) <= MET_M
+            gaps.append(np.where(met, np.linalg.norm(at - centre, axis=1), np.inf)[None])
+            radii.append(out.mean(1)[None])
+    return np.concatenate(gaps).T, np.concatenate(radii).T
+
+
+def _of_groups(recording: Recording, robot: int) -> dict[str, float]:
+    """Metrics of groups; none where nobody walks or talks in one."""
+    gaps, radii = _group_gaps(recording, robot)
+    seen = ~np.isnan(gaps).all(axis=1)
+    if not gaps.shape[1] or not seen.any():
+        return {}
+    inside = (gaps < radii).any(axis=1)
+    ring = ((gaps >= radii) & (gaps < radii + P_SPACE_M)).any(axis=1) & ~inside
+    flags = {"G_o": inside, "G_p": ring}
+    flags |= {f"IG_{zone}": held for zone, held in zones(np.fmin.reduce(gaps, axis=1)).items() if zone != "public"}
+    return {"GCR": float(inside.any())} | {name: float(held[seen].mean()) for name, held in flags.items()}
+
+
 def _of_contacts(contacts: _Contacts) -> dict[str, float]:
     """Counts of contacts, NaN where nobody recorded them."""
 
@@ -461,6 +501,7 @@ PROFILE = Profile(
             "RP_personal",
             "PR_personal",
             "Z_intimate",
+            "GCR",
             "V_mean",
             "A_mean",
             "J_mean",

@@ -20,11 +20,13 @@ class ReplayCommand:
 
     --verify names the first step, column and values that differ. --resume-from K keeps the first K steps and simulates the
     rest, under the episode's own policy or another. --counterfactual keeps people on their recorded tracks, where they do
-    not react, and lets another policy drive the robots. For recordings of social_nav, rearrange and wander.
+    not react, and lets another policy drive the robots. --added-time leaves the robots out.
+    For recordings of social_nav, rearrange and wander.
 
     Examples:
         h3data replay out/demo/episode.mcap --verify
         h3data replay ds/ --verify --json
+        h3data replay ds/ --added-time
         h3data replay ds#3 --resume-from 200 -o again.mcap
         h3data replay episode.mcap --resume-from 200 --policy stand_still -o other.mcap
         h3data replay episode.mcap --counterfactual --policy random -o what_if.mcap
@@ -32,13 +34,16 @@ class ReplayCommand:
     """
 
     recording: tyro.conf.Positional[Path]
-    """An .mcap file or one episode of a dataset (ds#3); with --verify also a dataset or a folder of .mcap files."""
+    """An .mcap file or one episode of a dataset (ds#3); with --verify and --added-time also a dataset or a folder of .mcap
+    files."""
     verify: bool = False
     """Compare the simulation with the recording, bit for bit."""
     resume_from: int | None = None
     """Keep this many steps and simulate the rest."""
     counterfactual: bool = False
     """Keep people on their recorded tracks; robots follow --policy, from --resume-from or from the start."""
+    added_time: bool = False
+    """Simulate people of crowds once more without robots: by how many seconds do the robots make each of them later?"""
     policies: tuple[str, ...] = ()
     """Policy of the robot, or of each robot in turn, as for h3data generate, or weights:FILE (default: the recording's own).
     social_nav: rollout_expert, heuristic_expert, sampling_expert, future_oracle, learned_follower, end_to_end,
@@ -54,17 +59,18 @@ class ReplayCommand:
     def run(self) -> Outcome:
         """Verifies the recording, or writes its continuation or counterfactual."""
         continues = self.resume_from is not None or self.counterfactual
-        if self.verify == continues:
+        if self.verify + self.added_time + continues != 1:
             raise InputError(
-                "Choose what to do: --verify, or --resume-from K or --counterfactual or both.", code="H3-OPTION-049"
+                "Choose what to do: --verify, --added-time, or --resume-from K or --counterfactual or both.",
+                code="H3-OPTION-049",
             )
-        if self.verify:
+        if self.verify or self.added_time:
             if self.policies or self.partners or self.out is not None:
                 raise InputError(
-                    "--verify repeats the recording and writes nothing: leave out --policy, --partner and -o.",
+                    "--verify and --added-time repeat the recording and write nothing: leave out --policy, --partner and -o.",
                     code="H3-OPTION-053",
                 )
-            return self._verify()
+            return self._verify() if self.verify else self._added_time()
         return self._continue()
 
     def _verify(self) -> Outcome:
@@ -92,6 +98,25 @@ class ReplayCommand:
             lines.append(f"{equal} of {len(rows)} recordings were reproduced bit for bit")
         data = {"recordings": len(rows), "equal": equal, "episodes": rows}
         return Outcome(text="\n".join(lines), data=data, exit_code=0 if equal == len(rows) else 1)
+
+    def _added_time(self) -> Outcome:
+        from sim_kinematic.tasks.resume import added_time
+
+        rows = [
+            {"recording": source.name, **person._asdict()}
+            for source in progress(find_episodes([self.recording]), desc="without robots", unit="episode")
+            for person in added_time(source.read())
+        ]
+        known = [row["seconds"] for row in rows if row["seconds"] is not None]
+        lines = [
+            f"{row['recording']} {row['person']}: "
+            + ("no goal to compare" if row["seconds"] is None else f"{row['seconds']:+.2f} s over {row['goals']} goals")
+            for row in rows
+        ]
+        mean = sum(known) / len(known) if known else None
+        if mean is not None:
+            lines.append(f"added time of people: {mean:.2f} s on average of {len(known)} people")
+        return Outcome(text="\n".join(lines), data={"people": rows, "mean_s": mean})
 
     def _continue(self) -> Outcome:
         from h3data.recording import write_mcap

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from h3data.bodies import Robot
+from h3data.geometry import Array
+from h3data.recording import Event
 from h3data.scene import FreeSpace
-from sim_kinematic.crowd.crowd import NO_DISCS, Crowd, CrowdModel, Discs, FindPath, robot_discs
+from sim_kinematic.crowd.crowd import NO_DISCS, Crowd, CrowdModel, Discs, robot_discs
+from sim_kinematic.crowd.errands import Guide
+from sim_kinematic.crowd.roles import Role
 from sim_kinematic.crowd.traits import Traits
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.policies.policy import PoseAction
@@ -20,13 +26,37 @@ OTHERS_M = 0.3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CrowdMember:
-    """A person of a crowd: the model that they follow, where they walk, and how they find their goals."""
+    """A person of a crowd: the model that they follow, where they walk, who they are, and what they do next."""
 
     model: CrowdModel
     free: FreeSpace
     traits: Traits
     walker: WalkerSpec
-    find_path: FindPath
+    guide: Guide
+    role: Role
+    seed: int
+    """Seed of the episode."""
+
+
+class Moment(NamedTuple):
+    """Places of all agents of W worlds."""
+
+    xz: Array
+    """Positions now [W, A, 2] [m]."""
+    heading: Array
+    """Headings now [W, A] [rad]."""
+    was_xz: Array
+    """Positions one step ago [W, A, 2] [m]."""
+    was_heading: Array
+    """Headings one step ago [W, A] [rad]."""
+
+    @classmethod
+    def of(cls, world: World) -> Moment:
+        """Places in all worlds."""
+        states = world.state.agents, world.before.agents
+        return cls(
+            *(np.stack([getattr(own, name) for own in agents], 1) for agents in states for name in ("xz", "heading"))
+        )
 
 
 class Crowds:
@@ -35,12 +65,14 @@ class Crowds:
     People join in their first step, in which they stand still; from the next one on, the first who is asked moves them all.
     """
 
-    def __init__(self, world: World, row: int) -> None:
-        """Creates crowds without people for world number ``row``."""
-        self._world, self._row, self._step = world, row, -1
+    def __init__(self, world: World, row: int, moment: Callable[[], Moment]) -> None:
+        """Creates crowds without people for world number ``row``; ``moment`` says where everybody is."""
+        self._world, self._row, self._step, self._moment = world, row, -1, moment
         self._members: dict[CrowdModel, dict[int, CrowdMember]] = {}
         self._crowds: dict[CrowdModel, Crowd] = {}
         self._moved: dict[int, PoseAction] = {}
+        self.new_events: list[Event] = []
+        """Reactions to robots and activities that people of the crowds began in the last step."""
 
     def move(self, member: CrowdMember, number: int, step: int) -> PoseAction:
         """Place of an agent after step number ``step``."""
@@ -51,36 +83,44 @@ class Crowds:
             own = self._world.state.agents[number]
             return PoseAction(own.xz[self._row].copy(), own.heading.item(self._row))
         if step != self._step:
-            self._step, self._moved = step, {}
+            self._step, self._moved, self.new_events = step, {}, []
         if number not in self._moved:
             self._move_all(member.model)
         return self._moved[number]
 
     def _move_all(self, model: CrowdModel) -> None:
-        w, now, before = self._row, self._world.state.agents, self._world.before.agents
-        members = self._members[model]
+        w, members = self._row, self._members[model]
         if model not in self._crowds:
             people = list(members.values())
             self._crowds[model] = Crowd(
                 people[0].free,
                 [person.traits for person in people],
-                [person.find_path for person in people],
+                [person.guide for person in people],
                 model,
+                roles=[person.role for person in people],
+                seed=people[0].seed,
                 stride=people[0].walker.stride,
             )
-        discs = [NO_DISCS]
+        xz, heading, was_xz, was_heading = (values[w] for values in self._moment())
+        discs, robots, count = [NO_DISCS], [], 0
         for k, (member, base) in enumerate(zip(self._world.roster, self._world.bases, strict=True)):
-            own, was = now[k], before[k]
             if isinstance(member.body, Robot):
-                offsets, radius = base.disc_offsets_m, base.disc_radius_m
-                discs.append(
-                    robot_discs(own.xz[w], own.heading.item(w), was.xz[w], was.heading.item(w), offsets, radius)
-                )
+                robots.append((*xz[k], heading[k]))
+                count += len(base.disc_offsets_m)
+                moments = np.stack([xz[k], was_xz[k]]), np.array([heading[k], was_heading[k]])
+                discs.append(robot_discs(*moments, base.disc_offsets_m, base.disc_radius_m))
             elif k not in members:
-                discs.append(Discs(own.xz[w][None], was.xz[w][None], np.array([OTHERS_M])))
-        others = Discs(*(np.concatenate(arrays) for arrays in zip(*discs, strict=True)))
-        xz, was_xz = (np.array([moment[k].xz[w] for k in members]) for moment in (now, before))
-        heading = np.array([now[k].heading[w] for k in members])
+                discs.append(Discs(xz[k, None], was_xz[k, None], np.array([OTHERS_M])))
+        others = NO_DISCS
+        if len(discs) > 1:
+            around = (np.concatenate(arrays) for arrays in zip(*(each[:3] for each in discs), strict=True))
+            others = Discs(*around, robots=np.array(robots).reshape(-1, 3), of_robots=count)
+        own = list(members)
+        xz, heading, was_xz = xz[own], heading[own], was_xz[own]
         places, headings = self._crowds[model].step(xz, heading, was_xz, others, self._step)
+        self.new_events += [
+            Event(step=self._step, agent=own[m], kind=kind, target=target, detail=detail)
+            for m, kind, target, detail in self._crowds[model].new_events
+        ]
         for number, place, angle in zip(members, places, headings.tolist(), strict=True):
             self._moved[number] = PoseAction(place, angle)

@@ -2,25 +2,51 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.waypoint_walker import WaypointHuman, walking_path
 from sim_kinematic.crowd.crowd import CrowdModel
-from sim_kinematic.crowd.traits import Traits
+from sim_kinematic.crowd.errands import Errand
+from sim_kinematic.crowd.roles import Role
+from sim_kinematic.crowd.routines import Routine
+from sim_kinematic.crowd.traits import sample_traits
+from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.policies.crowd.crowds import CrowdMember, Crowds
 from sim_kinematic.policies.policy import PoseAction
 from sim_kinematic.policies.views import AgentView
 
+ALONE = Role()
+"""Somebody without company, who takes robots for people."""
+
 
 class CrowdPolicy:
     """A person who walks to one random goal after another and avoids others by a model of crowds."""
 
-    def __init__(self, model: CrowdModel, free: FreeSpace, seed: int, traits: Traits, walker: WalkerSpec) -> None:
-        self._goals = WaypointHuman(free, seed, walker)
-        self.member = CrowdMember(model=model, free=free, traits=traits, walker=walker, find_path=self._find_path)
+    def __init__(
+        self,
+        model: CrowdModel,
+        free: FreeSpace,
+        seed: int,
+        number: int,
+        walker: WalkerSpec,
+        role: Role = ALONE,
+        routine: Routine | None = None,
+    ) -> None:
+        """Makes agent ``number`` of the episode with a seed, with the traits that they have in it.
+
+        Who has a routine follows it, and others walk from one random goal to another.
+        """
+        self._routine = routine
+        self._goals = WaypointHuman(free, episode_seed(seed, number), walker)
+        traits = sample_traits(seed, number, walker.speed_mps)
+        self.member = CrowdMember(
+            model=model, free=free, traits=traits, walker=walker, guide=self._guide, role=role, seed=seed
+        )
 
     def act(self, view: AgentView) -> PoseAction:
         """Place after the next step."""
@@ -30,5 +56,16 @@ class CrowdPolicy:
         """Place after step number ``step``, which the crowds of the person's world know: all that this policy needs."""
         return crowds.move(self.member, agent, step)
 
-    def _find_path(self, xz: NDArray[np.float64]) -> NDArray[np.float64]:
-        return walking_path(self.member.free, xz, self._goals.next_goal(xz), self.member.walker)
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Facts about the person in recordings: model, traits and role."""
+        facts = {"model": self.member.model, **self.member.traits._asdict(), **self.member.role._asdict()}
+        return facts | {"routine": [list(stop) for stop in self._routine.stops] if self._routine else []}
+
+    def _guide(self, xz: NDArray[np.float64], goal: NDArray[np.float64] | None) -> Errand:
+        if goal is None and self._routine is not None:
+            stop = self._routine.next_stop(xz)
+            if stop is not None:
+                return stop[1]._replace(path=walking_path(self.member.free, xz, stop[0], self.member.walker))
+        goal = self._goals.next_goal(xz) if goal is None else goal
+        return Errand(walking_path(self.member.free, xz, goal, self.member.walker))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -13,6 +11,7 @@ from h3data.errors import InputError
 from h3data.recording import Recording
 from h3data.scene import FreeSpace
 from sim_kinematic.crowd.crowd import NO_DISCS, Crowd, CrowdModel, Discs
+from sim_kinematic.crowd.errands import Errand, Guide
 from sim_kinematic.crowd.traits import Traits
 from sim_kinematic.tasks.resume import verify
 
@@ -28,8 +27,8 @@ def person(speed: float = 1.3, side: float = 1.0, patience_s: float = 6.0) -> Tr
     return Traits(speed, 0.5, 0.1, 0.34, side, patience_s)
 
 
-def path_to(goal: tuple[float, float]) -> Callable[[np.ndarray], np.ndarray]:
-    return lambda xz: np.array([xz, goal])
+def path_to(goal: tuple[float, float]) -> Guide:
+    return lambda xz, given: Errand(np.array([xz, goal if given is None else given]))
 
 
 def walk(crowd: Crowd, starts: list[tuple[float, float]], headings: list[float], steps: int, others: Discs = NO_DISCS):
@@ -91,8 +90,8 @@ def test_who_walks_alone_walks_at_their_own_speed(floor: FreeSpace, model: Crowd
 
 @pytest.mark.parametrize("model", MODELS)
 def test_who_finds_no_goal_stands_and_others_walk_round_them(floor: FreeSpace, model: CrowdModel):
-    nowhere = np.zeros((0, 2))
-    crowd = Crowd(floor, [person(), person()], [path_to((15.0, 6.0)), lambda xz: nowhere], model)
+    nowhere = Errand(np.zeros((0, 2)))
+    crowd = Crowd(floor, [person(), person()], [path_to((15.0, 6.0)), lambda xz, given: nowhere], model)
     track = walk(crowd, [(3.0, 6.0), (9.0, 6.0)], [0.0, 0.0], 420)
     assert np.hypot(*(track[:, 0] - [15.0, 6.0]).T).min() < 0.5
     assert np.isfinite(track).all()

@@ -18,6 +18,12 @@ CONTACT_LANES = {"collision": "robot and person", "robot_contact": "robot slides
 """Flags of contact and the names of their lanes. A robot that slides along furniture and walls is no event and no
 collision: it happens all the time, and CR counts contacts of robot and person."""
 VERBS = {"pick": "picks up", "place": "puts down", "new_goal": "heads for a new goal", "found": "finds"}
+VERBS |= {
+    "reacts": "sees the robot and is",
+    "reaction_over": "is no longer",
+    "walks_to": "walks to",
+    "activity": "begins to",
+}
 """Kinds of events as parts of a sentence; others are shown as they are."""
 LEVELS = 4000
 """Number of levels of a curve, from its least to its greatest value."""

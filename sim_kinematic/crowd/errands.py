@@ -1,0 +1,28 @@
+"""Errands of people of a crowd: a way, and an activity at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Errand(NamedTuple):
+    """A way to a place, and how long a person stays there."""
+
+    path: NDArray[np.float64]
+    """Way to the place [K, 2] [m]; K < 2: there is none."""
+    seconds: float = 0.0
+    """Time to stay there; 0: they only pass."""
+    look: tuple[float, float] | None = None
+    """Point (x, z) that they face meanwhile [m]."""
+    activity: str = "walk"
+    """Activity there, which is a posture that they may have; those without it stand."""
+    place: str = ""
+    """Name of the place."""
+
+
+Guide = Callable[[NDArray[np.float64], NDArray[np.float64] | None], Errand]
+"""Returns the next errand of somebody at a place [2] [m], or the way from there to the goal [2] of their group."""

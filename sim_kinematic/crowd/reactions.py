@@ -1,0 +1,122 @@
+"""Reactions of people to a robot that they see: the six reactions of HuNavSim with their published numbers.
+
+Each is a distance, a time, and what the person does while the robot is in sight within that distance and the time since the
+first sight has not run out (Perez-Higueras et al. 2023, behaviour trees of hunav_sim). Otherwise the person walks on.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from h3data.kernels import kernel
+from sim_kinematic.motion.step import wrap_angle
+
+
+class Reaction(NamedTuple):
+    """Numbers of one reaction."""
+
+    within_m: float
+    """Distance at which the robot is noticed; 0: never, the robot is avoided like anything else."""
+    lasts_s: float = 0.0
+    """Time from the first sight after which the reaction is over."""
+    again: float = 0.0
+    """1 if it begins anew at the next sight after that."""
+    speed_mps: float = 0.0
+    """Speed meanwhile,"""
+    by_distance: float = 0.0
+    """multiplied by the distance over ``within_m`` if 1."""
+    approach: float = 0.0
+    """1 if the person walks up to the robot,"""
+    before_m: float = 0.0
+    """to a place so far before its front,"""
+    stand_m: float = 0.0
+    """and stands and looks at it from this distance on."""
+    repulsion_m2_s2: float = 0.0
+    """Repulsion by the robot: this over the distance to its outline gives an acceleration [m/s2]."""
+
+
+REACTIONS: dict[str, Reaction] = {
+    "regular": Reaction(0.0),
+    "impassive": Reaction(0.0),
+    "surprised": Reaction(4.0, 30.0, stand_m=4.0),
+    "curious": Reaction(10.0, 30.0, speed_mps=1.8, by_distance=1.0, approach=1.0, stand_m=1.5),
+    "scared": Reaction(3.0, 40.0, 1.0, speed_mps=0.6, repulsion_m2_s2=20.0 * 0.2),
+    "threatening": Reaction(4.0, 40.0, speed_mps=2.0, approach=1.0, before_m=1.1, stand_m=1.2),
+}
+"""Reactions by name. ``regular`` takes the robot for another person, ``impassive`` for furniture."""
+IMPASSIVE = list(REACTIONS).index("impassive")
+TABLE = np.array(list(REACTIONS.values()))
+"""The numbers that the kernels take, [6, 9], by number of the reaction."""
+VIEW_RAD = math.radians(100.0)
+"""People see robots up to this angle from where they look."""
+SIGHT_M = 0.05
+"""Something nearer to the line between two places than this hides them from each other."""
+
+
+@kernel(error_model="numpy")
+def notice(reaction, mood, x, z, heading, robot, in_sight, step, dt):
+    """Returns whether a person reacts to a robot in this step; ``mood`` [2] holds when it began (-1: not yet).
+
+    Args:
+        reaction: Row of `TABLE`.
+        mood: Step of the first sight, -1 before it; 1 while the person reacts. Changed in place.
+        x: Position of the person [m].
+        z: The same along z.
+        heading: Their heading [rad].
+        robot: Place and heading of the robot (x, z, heading).
+        in_sight: True if nothing hides it.
+        step: Number of the step.
+        dt: Duration of a step [s].
+    """
+    px, pz = robot[0] - x, robot[1] - z
+    angle = wrap_angle(math.atan2(-pz, px) - heading)
+    mood[1] = 0.0
+    if not in_sight or math.hypot(px, pz) > reaction[0] or abs(angle) > VIEW_RAD:
+        return False
+    if mood[0] < 0.0:
+        mood[0] = step
+    if (step - mood[0]) * dt >= reaction[1]:
+        if reaction[2] > 0.0:
+            mood[0] = -1.0
+        return False
+    mood[1] = 1.0
+    return True
+
+
+@kernel(error_model="numpy")
+def reacting_velocity(reaction, x, z, robot, radius, wx, wz, tau):
+    """Velocity (x, z) [m/s] that a person who reacts wants, who otherwise wants ``(wx, wz)``.
+
+    Args:
+        reaction: Row of `TABLE`.
+        x: Position of the person [m].
+        z: The same along z.
+        robot: Place and heading of the robot (x, z, heading).
+        radius: Radius of the robot [m].
+        wx: Wanted velocity otherwise [m/s].
+        wz: The same along z.
+        tau: Time in which a repulsion becomes a velocity [s].
+    """
+    px, pz = robot[0] - x, robot[1] - z
+    distance = max(math.hypot(px, pz), 1e-6)
+    if distance <= reaction[7]:
+        return 0.0, 0.0
+    speed = reaction[3]
+    if reaction[5] > 0.0:
+        gx = px + reaction[6] * math.cos(robot[2])
+        gz = pz - reaction[6] * math.sin(robot[2])
+        left = max(math.hypot(gx, gz), 1e-6)
+        if reaction[4] > 0.0:
+            speed *= distance / reaction[0]
+        speed = min(speed, left / tau)
+        return gx / left * speed, gz / left * speed
+    wanted = math.hypot(wx, wz)
+    if wanted > speed:
+        wx, wz = wx / wanted * speed, wz / wanted * speed
+    push = tau * reaction[8] / max(distance - radius, 0.05)
+    wx, wz = wx - px / distance * push, wz - pz / distance * push
+    wanted = max(math.hypot(wx, wz), 1e-9)
+    return wx / wanted * min(wanted, speed), wz / wanted * min(wanted, speed)

@@ -1,0 +1,147 @@
+"""Routines: places of a home where a person does something for a while, one after another, as ``(place, activity, seconds)``.
+
+A place is the name of a thing in the home. An activity is the name of a posture, which a body may have (`ACTIVITIES`); whoever
+has none of that name stands. The person faces the thing meanwhile.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError, SceneError
+from h3data.scene import FreeSpace, Scene
+from h3data.scene.records import instance_bounds
+from sim_kinematic.crowd.errands import Errand
+from sim_kinematic.motion.randomness import generator
+
+
+class Stop(NamedTuple):
+    """One entry of a routine."""
+
+    place: str
+    """Name of a thing in the home."""
+    activity: str
+    seconds: float
+
+
+class Activity(NamedTuple):
+    """An activity that routines may have."""
+
+    categories: tuple[str, ...]
+    """Things at which it takes place."""
+    least_s: float
+    most_s: float
+    """Its duration is drawn between these [s]."""
+    posture: str = "stand"
+    """Posture for it."""
+
+
+ACTIVITIES: dict[str, Activity] = {
+    "wash": Activity(("bathroom_sink",), 20.0, 60.0),
+    "dress": Activity(("wardrobe", "chest_of_drawers"), 15.0, 40.0),
+    "fetch": Activity(("fridge",), 5.0, 12.0),
+    "cook": Activity(("kitchen_counter", "stove"), 30.0, 90.0),
+    "eat": Activity(("dining_table",), 40.0, 120.0, "sit"),
+    "read": Activity(("shelf", "sofa", "armchair"), 20.0, 60.0, "sit"),
+    "work": Activity(("desk",), 40.0, 120.0, "sit"),
+    "look_out": Activity(("window",), 5.0, 20.0),
+}
+"""Activities by name."""
+MORNING = ("wash", "dress", "fetch", "cook", "eat", "look_out", "read", "work")
+"""Order of a morning, of which each person leaves out some."""
+KEPT = 0.7
+"""Share of activities that a person does not leave out."""
+BESIDE_M, ROOM_M, BEARINGS = 0.9, 0.27, 48
+"""People stand at most so far from a thing, with so much room; directions that are tried."""
+
+
+def posture_of(activity: str, postures: Sequence[str] = ("stand",)) -> str:
+    """Posture for an activity of somebody who has ``postures``: its own, the one that it stands for, or ``stand``."""
+    own = ACTIVITIES[activity].posture if activity in ACTIVITIES else activity
+    return next((name for name in (activity, own) if name in postures), "stand")
+
+
+def place_beside(
+    scene: Scene, free: FreeSpace, name: str, near: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Place [2] beside a thing, the nearest one that can be walked to, and the point [2] of it that is faced; None: no place.
+
+    Args:
+        scene: The home.
+        free: Its floor.
+        name: Name of the thing.
+        near: A place [2] from which the person comes.
+    """
+    thing = next(instance for instance in scene.instances if instance.name == name)
+    low, high = instance_bounds(scene, thing)[:, [0, 2]]
+    angles = 2 * np.pi * np.arange(BEARINGS) / BEARINGS
+    away = np.stack([np.cos(angles), np.sin(angles)], 1)
+    edge = np.clip((low + high) / 2 + away * np.hypot(*(high - low)), low, high)
+    at = np.concatenate([edge + gap * away for gap in (0.3, 0.45, 0.6, BESIDE_M)])
+    faced = np.tile(edge, (4, 1))
+    far = free.geodesic(np.broadcast_to(near, at.shape), at)
+    fits = np.flatnonzero(np.isfinite(far) & (free.signed_distance(at) >= ROOM_M))
+    if not len(fits):
+        return None
+    best = fits[np.argmin(np.hypot(*(at[fits] - faced[fits]).T) + 1e-3 * far[fits])]
+    return at[best], faced[best]
+
+
+def make_morning(scene: Scene, seed: int, number: int) -> tuple[Stop, ...]:
+    """A morning of agent ``number`` in the episode with a seed: the same always, and what the home has things for.
+
+    Raises:
+        SceneError: the home has nothing for any activity.
+    """
+    rng = generator(seed, "morning", world=number)
+    things: dict[str, list[str]] = {}
+    for instance in scene.instances:
+        things.setdefault(scene.assets[instance.asset].category, []).append(instance.name)
+    stops = []
+    for name in MORNING:
+        activity = ACTIVITIES[name]
+        places = [place for category in activity.categories for place in things.get(category, ())]
+        place, seconds = int(rng.integers(1 << 30)), float(rng.uniform(activity.least_s, activity.most_s))
+        if places and rng.random() < KEPT:
+            stops.append(Stop(places[place % len(places)], name, round(seconds, 1)))
+    if not stops:
+        kinds = ", ".join(sorted({category for a in ACTIVITIES.values() for category in a.categories}))
+        raise SceneError(f"Nobody can spend a morning in {scene.name}: it has none of {kinds}.", code="H3-SIM-065")
+    return tuple(stops)
+
+
+class Routine:
+    """A routine under way: the next errand, and after the last one the first again."""
+
+    def __init__(self, scene: Scene, free: FreeSpace, stops: Sequence[Stop]) -> None:
+        """Checks the stops.
+
+        Raises:
+            InputError: there is none, or one names no thing of the home or lasts no finite time.
+        """
+        names = {instance.name for instance in scene.instances}
+        wrong = [stop for stop in stops if stop.place not in names or not 0 < stop.seconds < math.inf]
+        if wrong or not stops:
+            raise InputError(
+                f"Expected stops (place, activity, seconds) at things of {scene.name}, of more than 0 s, got "
+                f"{tuple(wrong[0]) if wrong else 'none'}.",
+                code="H3-SIM-066",
+            )
+        self.stops = tuple(stops)
+        self._scene, self._free, self._next = scene, free, 0
+
+    def next_stop(self, xz: NDArray[np.float64]) -> tuple[NDArray[np.float64], Errand] | None:
+        """Place [2] of the next stop that somebody at a place [2] can walk to, and its errand, whose path is to be found."""
+        for _ in self.stops:
+            stop = self.stops[self._next % len(self.stops)]
+            self._next += 1
+            beside = place_beside(self._scene, self._free, stop.place, xz)
+            if beside is not None:
+                at, (x, z) = beside
+                return at, Errand(np.zeros((0, 2)), stop.seconds, (float(x), float(z)), stop.activity, stop.place)
+        return None

@@ -1,0 +1,229 @@
+"""Reactions to a robot with their published numbers, groups who walk abreast, and conversations."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import h3data
+from benchmarks.people import hall
+from h3data.errors import InputError
+from h3data.scene import FreeSpace
+from sim_kinematic.crowd.company import circle_radius, standing_circle
+from sim_kinematic.crowd.crowd import Crowd, CrowdModel, Discs
+from sim_kinematic.crowd.errands import Errand, Guide
+from sim_kinematic.crowd.reactions import REACTIONS
+from sim_kinematic.crowd.roles import Role, check_groups, read_role
+from sim_kinematic.crowd.traits import Traits
+from sim_kinematic.motion.randomness import generator
+from sim_kinematic.tasks.resume import verify
+
+MODELS: tuple[CrowdModel, ...] = ("orca", "social_force")
+FLOOR = FreeSpace.from_scene(hall(), cache=False)
+
+
+def person(speed: float = 1.3) -> Traits:
+    return Traits(speed, 0.5, 0.1, 0.34, 1.0, 6.0)
+
+
+def path_to(*goals: tuple[float, float]) -> Guide:
+    left = list(goals)
+    return lambda xz, given: Errand(
+        np.array([xz, given if given is not None else left.pop(0) if len(left) > 1 else left[0]])
+    )
+
+
+def robot_at(x: float, z: float, heading: float = 0.0) -> Discs:
+    here = np.array([[x, z]])
+    return Discs(here, here, np.array([0.25]), np.array([[x, z, heading]]), 1)
+
+
+def walk(crowd: Crowd, starts: list[tuple[float, float]], heading: float, steps: int, others: Discs):
+    """Positions [steps + 1, M, 2], headings [steps + 1, M] and what people told."""
+    xz, headings = np.array(starts), np.full(len(starts), heading)
+    before, track, looks, told = xz.copy(), [xz], [headings], []
+    for step in range(steps):
+        (xz, headings), before = crowd.step(xz, headings, before, others, step), xz
+        track.append(xz)
+        looks.append(headings)
+        told += [(step, *event) for event in crowd.told if event[1] != "walks_to"]
+    return np.array(track), np.array(looks), told
+
+
+def alone(reaction: str, model: CrowdModel, steps: int, robot: Discs, start=(3.0, 6.0), heading: float = 0.0):
+    crowd = Crowd(FLOOR, [person()], [path_to((16.0, 6.0))], model, roles=[Role(reaction)])
+    track, looks, told = walk(crowd, [start], heading, steps, robot)
+    return track[:, 0], looks[:, 0], told
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_who_is_surprised_stops_within_4_m_for_30_s_and_only_once(model: CrowdModel):
+    track, looks, told = alone("surprised", model, 1500, robot_at(9.0, 6.0))
+    begins, ends = told[0][0], told[1][0]
+    assert [row[2] for row in told] == ["reacts", "reaction_over"], "once"
+    assert math.hypot(9.0 - track[begins, 0], 0.0) == pytest.approx(4.0, abs=0.3)
+    assert ends - begins == pytest.approx(900, abs=5)
+    assert np.hypot(*(track[ends] - track[begins + 60])) < 0.1, "stands"
+    assert looks[ends] == pytest.approx(math.atan2(track[ends, 1] - 6.0, 9.0 - track[ends, 0]), abs=0.05)
+    assert np.hypot(*(track - [16.0, 6.0]).T).min() < 0.6, "walks on after that"
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_nobody_reacts_to_a_robot_behind_them(model: CrowdModel):
+    for reaction in REACTIONS:
+        crowd = Crowd(FLOOR, [person()], [path_to((16.0, 6.0))], model, roles=[Role(reaction)])
+        assert not walk(crowd, [(3.0, 6.0)], 0.0, 90, robot_at(1.5, 6.0))[2], reaction
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_who_is_curious_comes_to_1_5_m_at_1_8_d_over_10(model: CrowdModel):
+    track, looks, told = alone("curious", model, 700, robot_at(9.0, 9.0))
+    assert told[0][0] < 10, "from 10 m on"
+    gap = np.hypot(*(track - [9.0, 9.0]).T)
+    assert gap[600] == pytest.approx(1.5, abs=0.15)
+    speed = np.hypot(*np.diff(track, axis=0).T) * 30
+    rows = np.flatnonzero((gap[:-1] > 2.0) & (gap[:-1] < 5.0))
+    np.testing.assert_allclose(speed[rows], 0.18 * gap[rows], atol=0.1)
+    towards = math.atan2(-(9.0 - track[600, 1]), 9.0 - track[600, 0])
+    assert looks[600] == pytest.approx(towards, abs=0.1)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_who_is_scared_is_slow_and_keeps_away_again_and_again(model: CrowdModel):
+    track, _, told = alone("scared", model, 600, robot_at(9.0, 6.3))
+    gap = np.hypot(*(track - [9.0, 6.3]).T)
+    begins = told[0][0]
+    assert gap[begins] == pytest.approx(3.0, abs=0.3)
+    speed = np.hypot(*np.diff(track, axis=0).T) * 30
+    near = [row for row in range(begins + 45, len(speed)) if gap[row] < 3.0]
+    assert speed[near].max() < 0.75
+    calm = alone("regular", model, 600, robot_at(9.0, 6.3))[0]
+    assert gap.min() > np.hypot(*(calm - [9.0, 6.3]).T).min() + 0.2
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_who_threatens_stands_before_the_robot(model: CrowdModel):
+    track, looks, told = alone("threatening", model, 600, robot_at(9.0, 6.0, math.pi))
+    speed = np.hypot(*np.diff(track, axis=0).T) * 30
+    assert speed[told[0][0] :].max() > 1.5, "2 m/s, faster than they walk"
+    assert np.hypot(*(track[400] - [9.0 - 1.1, 6.0])) < 0.3
+    assert looks[400] == pytest.approx(math.atan2(track[400, 1] - 6.0, 9.0 - track[400, 0]), abs=0.1)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_who_is_impassive_goes_aside_later_than_for_a_person(model: CrowdModel):
+    bent = {}
+    for reaction in ("regular", "impassive"):
+        track, _, told = alone(reaction, model, 500, robot_at(9.0, 6.1))
+        gap = np.hypot(*(track - [9.0, 6.1]).T)
+        assert not told
+        assert gap.min() >= 0.59 - 1e-9
+        bent[reaction] = int((np.abs(track[:, 1] - 6.0) > 0.1).sum())
+    assert bent["impassive"] < 0.8 * bent["regular"], "goes aside later"
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("size", [2, 3])
+def test_a_walking_group_stays_together_and_abreast(model: CrowdModel, size: int):
+    goals = [(15.0, 6.0), (3.0, 6.0)] * 3
+    speeds = (1.1, 1.3, 1.5)
+    roles = [Role(group="walk1")] * size
+    crowd = Crowd(
+        FLOOR, [person(speeds[k]) for k in range(size)], [path_to(*goals) for _ in range(size)], model, roles=roles
+    )
+    starts = [(3.0 - 0.9 * k, 6.0 + 0.3 * k) for k in range(size)]
+    track = walk(crowd, starts, 0.0, 330, Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)))[0]
+    while_walking = track[120:300]
+    gaps = np.hypot(*(while_walking[:, :, None] - while_walking[:, None]).transpose(3, 0, 1, 2))
+    gaps[:, np.eye(size, dtype=bool)] = np.inf
+    assert 0.6 < np.median(gaps.min(2)) < 1.1, "as far from each other as measured groups"
+    assert np.ptp(while_walking[90:, :, 0], axis=1).max() < 0.8, "abreast"
+    assert 0.7 < np.median(np.hypot(*np.diff(while_walking, axis=0).transpose(2, 0, 1)) * 30) < 1.2, "as the slowest"
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("size", [2, 3, 5])
+def test_people_who_talk_stand_in_a_circle_and_face_its_centre(model: CrowdModel, size: int):
+    roles = [Role(group="talk1")] * size
+    crowd = Crowd(FLOOR, [person()] * size, [path_to((9.0, 3.0))] * size, model, roles=roles)
+    starts = [(3.0 + 1.5 * k, 6.0) for k in range(size)]
+    track, looks, told = walk(crowd, starts, 0.0, 600, Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)))
+    centre = track[-1].mean(0)
+    np.testing.assert_allclose(np.hypot(*(track[-1] - centre).T), circle_radius(size), atol=0.15)
+    towards = np.arctan2(-(centre - track[-1])[:, 1], (centre - track[-1])[:, 0])
+    assert np.cos(looks[-1] - towards).min() > math.cos(0.2)
+    assert np.ptp(track[-60:], axis=0).max() < 0.05, "they stand"
+    assert sorted(row[1] for row in told) == list(range(size))
+    assert {row[3] for row in told} == {"talk"}
+
+
+@given(st.integers(2, 8), st.integers(0, 2**32))
+def test_circles_of_any_size_keep_room_between_neighbours(people: int, seed: int):
+    rng = generator(seed, "test")
+    places, centre = standing_circle(FLOOR, FLOOR.sample(rng, people), rng)
+    gaps = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1)) + 9 * np.eye(people)
+    assert gaps.min() >= 1.0 - 1e-6
+    np.testing.assert_allclose(np.hypot(*(places - centre).T), circle_radius(people), atol=1e-9)
+    assert FLOOR.signed_distance(places).min() > 0.2
+
+
+@given(st.lists(st.sampled_from([*REACTIONS, "any", "walk1", "talk12", "morning"]), max_size=4), st.integers(0, 99))
+def test_roles_are_the_same_always(words: list[str], seed: int):
+    role = read_role("+".join(words), seed, 2)
+    assert role == read_role("+".join(words), seed, 2)
+    assert role.reaction in REACTIONS
+
+
+def test_any_draws_each_reaction():
+    assert {read_role("any", 5, number).reaction for number in range(60)} == set(REACTIONS)
+
+
+def test_a_reaction_that_nobody_has_and_a_group_of_one_are_refused():
+    with pytest.raises(InputError, match="H3-SIM-063"):
+        read_role("bored")
+    with pytest.raises(InputError, match="H3-SIM-064"):
+        check_groups(["", "walk1", "walk2", "walk1"])
+    for partner in ("orca+bored", "orca+walk1,orca"):
+        with pytest.raises(InputError, match="H3-SIM-09"):
+            h3data.simulate("wander", "small:0", roster=["robot", "human", "human"], agents={"human": partner})
+    with pytest.raises(InputError, match="H3-SIM-063"):
+        h3data.make("wander", "small:0", agents="robot", roster=["robot", "human"], partner="orca+bored")
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_recording_of_company_says_who_they_are_and_verifies(model: CrowdModel):
+    people = [f"{model}+{words}" for words in ("curious+walk1", "any+walk1", "talk1+surprised", "talk1")]
+    recording = h3data.simulate(
+        "wander",
+        "small:0",
+        roster=["robot", *["human"] * 4],
+        agents={"human": people, "robot": "wander"},
+        seed=3,
+        spawn_distance_m=1.0,
+        max_steps=300,
+    )
+    assert verify(recording).difference is None
+    told = recording.episode.info["people"]
+    assert [told[f"human_{k}"]["group"] for k in (1, 2, 3, 4)] == ["walk1", "walk1", "talk1", "talk1"]
+    assert told["human_1"]["reaction"] == "curious"
+    assert {event.kind for event in recording.events} & {"reacts", "activity"}
+
+
+def test_added_time_is_small_for_who_passes_the_robot_and_not_for_who_is_scared():
+    from sim_kinematic.tasks.resume import added_time
+
+    def play(partner: str, policy: str = "still"):
+        chosen = {"human": partner, "robot": policy}
+        roster = ["robot", "human", "human"]
+        return h3data.simulate("wander", "medium:1", roster=roster, agents=chosen, seed=2, max_steps=1800)
+
+    calm, late = added_time(play("orca")), added_time(play("orca+scared"))
+    assert [row.person for row in calm] == ["human_1", "human_2"]
+    assert all(row.goals > 0 and row.seconds is not None for row in (*calm, *late))
+    assert sum(row.seconds or 0.0 for row in late) > sum(row.seconds or 0.0 for row in calm) + 5
+    with pytest.raises(InputError, match="H3-TASK-081"):
+        added_time(play("waypoints"))
