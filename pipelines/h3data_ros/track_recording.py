@@ -234,6 +234,7 @@ def record_tracks(
     told.facts |= {"offset_m": offset.tolist()} if offset.any() else {}
     info: dict[str, Any] = {
         "source": told.source,
+        "profile": "social",
         "imported": told.facts,
         "synthesised": synthesised if len(walking) <= 8 else {people_said: ["posture"]},
         "warnings": told.warnings,
