@@ -357,7 +357,7 @@ def _scene(bag: _Bag, tracks: ImportRequest, told: Import) -> Scene | None:
     if tracks.map is not None:
         return scene_of_map(read_map(tracks.map), Path(tracks.map).stem)
     own = bag.path / FILES / "scene.glb"
-    if own.is_file():
+    if own.is_file() and not own.is_symlink():
         return load_scene(own.read_bytes())
     for topic in bag.topics(GRID):
         if "costmap" in topic or (grid := bag.last(topic)) is None:
@@ -416,7 +416,7 @@ def _read_own(bag: _Bag) -> Recording:
     folder = bag.path / FILES
     for file in sorted(folder.rglob("*")) if folder.is_dir() else ():
         name = path_inside(file.relative_to(folder).as_posix())
-        if file.is_file() and name:
+        if file.is_file() and not file.is_symlink() and name:  # a link may point at any file of whoever imports the bag
             attachments[name] = file.read_bytes()
     records = {name: values[name] for name in RECORDS}
     return Recording(episode=values["episode"], columns=columns, attachments=attachments, **records)

@@ -28,6 +28,8 @@ JUMP_MPS, JUMP_M = 8.0, 1.0
 """Nobody is faster, noise aside: a track that jumps becomes two people."""
 TELEPORTING = 0.5
 """If so many of the tracks jump, unit or rate is wrong."""
+PLACE_MAX_M = 1e8
+"""Greatest coordinate of a place [m]; UTM has 1e7. Those beyond count as unknown, as squares of far greater ones overflow."""
 FAR_M = 1000.0
 """World coordinates are float32: origins farther away are moved by whole metres."""
 CELLS_MAX = 20_000_000
@@ -88,7 +90,7 @@ def clean_tracks(tracks: Sequence[Track], told: Import) -> list[Track]:
     unknown = twice = 0
     jumping: list[str] = []
     for track in tracks:
-        known = np.isfinite(track.poses[:, [0, 2]]).all(axis=1)
+        known = (np.abs(track.poses[:, [0, 2]]) < PLACE_MAX_M).all(axis=1)  # False of NaN
         unknown += int((~known).sum())
         times, first = np.unique(track.time_ns[known], return_index=True)
         poses = track.poses[known][first]
@@ -232,6 +234,7 @@ def record_tracks(
     told.facts |= {"offset_m": offset.tolist()} if offset.any() else {}
     info: dict[str, Any] = {
         "source": told.source,
+        "profile": "social",
         "imported": told.facts,
         "synthesised": synthesised if len(walking) <= 8 else {people_said: ["posture"]},
         "warnings": told.warnings,

@@ -58,6 +58,21 @@ metrics = ["SR", "RE"]
 rank = "SR"
 """
 
+CROWD = """
+format = 1
+name = "short-crowd"
+version = 1
+about = "One short episode with four people."
+task = "crowd_nav"
+scenes = ["medium"]
+episodes = 1
+seed = 3
+partners = ["orca"]
+overrides = { max_steps = 60 }
+metrics = ["S", "HC", "SPL", "PSC"]
+rank = "S"
+"""
+
 
 def definition(folder: Path, text: str) -> Path:
     folder.mkdir()
@@ -124,7 +139,9 @@ def test_shipped_benchmarks_are_whole() -> None:
     assert find_benchmark("h3-social-nav").label == "h3-social-nav@1"
     assert find_benchmark("h3-social-nav-paper@1").jobs()[0].base.spec.person_contact == "body"  # as it was published
     assert find_benchmark("h3-social-nav-paper").jobs()[0].base.spec.person_contact == "bones"
-    assert {"h3-social-nav@1", "h3-rearrange@1"} <= {path.name for path in (builtin_root() / "benchmarks").iterdir()}
+    assert {"h3-social-nav@1", "h3-rearrange@1", "h3-crowd@1"} <= {
+        path.name for path in (builtin_root() / "benchmarks").iterdir()
+    }
 
 
 def test_a_true_result_is_true_and_stands_in_the_leaderboard(
@@ -248,6 +265,15 @@ def test_people_decide_again(tmp_path: Path) -> None:
         for recording in recordings:
             writer.add(recording)
     renew_digests(out)
+    assert "takes another course" in faults(out, folder)
+
+
+def test_a_crowd_decides_again(tmp_path: Path) -> None:
+    folder = definition(tmp_path / "short-crowd", CROWD)
+    out = tmp_path / "result"
+    run_benchmark(read_benchmark(folder), ["shortest_path"], out)
+    assert verify_result(out, benchmark=str(folder)).is_true
+    rewrite(out, 0, changed_column("agent_4.base_pose", 0.125))
     assert "takes another course" in faults(out, folder)
 
 

@@ -189,6 +189,8 @@ def test_an_import_is_measured_and_validated_like_any_recording(
     capsys.readouterr()
     assert main(["metrics", one, "--profile", "social", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)
+    assert main(["metrics", one, "--json"]) == 0  # the robot among people, although no task tells what to measure
+    assert "PSC" in capsys.readouterr().out
     assert main(["validate", one]) == 0, capsys.readouterr().out
     assert read_mcap(one).episode.info["source"]["format"] == "rosbag2"
     shutil.rmtree(tmp_path / "bags")

@@ -177,7 +177,9 @@ def trajectory_figures(runs: Sequence[Run], plans: Plans) -> tuple[list[str], st
         _scale_bar(svg, plan)
         drawn = sum(map(len, chosen))
         what = counted(count, "episode") if drawn == count else f"{drawn} of {counted(count, 'episode')}"
-        figures.append(f"<figure><figcaption>{escape(scene)}: {what}</figcaption>{svg.to_html()}</figure>")
+        figures.append(
+            f"<figure><figcaption>{escape(scene or 'No scene')}: {what}</figcaption>{svg.to_html()}</figure>"
+        )
     return figures, f"The {len(figures)} scenes with most episodes, of {len(counts)}." if len(figures) < len(
         counts
     ) else ""

@@ -91,7 +91,8 @@ def _findings(data: ReportData) -> list[str]:
                 beside = f" (paper: {_in_words(metrics[name], published[name][0])})" if name in published else ""
                 share = " of episodes" if metrics[name].binary else ""
                 said.append(f"{phrase} {_in_words(metrics[name], summary[name].mean)}{share}{beside}")
-        lines.append(f"{run.name} ({run.size}) {', '.join(said)}.")
+        if said:
+            lines.append(f"{run.name} ({run.size}) {', '.join(said)}.")
     return lines
 
 
