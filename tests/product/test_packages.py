@@ -34,6 +34,7 @@ PLACES = {
     "h3data_pipelines": "pipelines",
     "h3data_training": "pipelines",
     "h3data_remote": "pipelines",
+    "h3data_language": "pipelines",
     "h3data_ros": "pipelines",
     "h3data_play": "viewers",
     "h3data_studies": "viewers",
