@@ -99,7 +99,7 @@ class Rows:
 
 
 def pairs_of(p: Proposition, rows: Rows) -> Flags:
-    """Find the things of the first list that are, by a proposition, at things of the second [T, A, B]; B = 1 without a second list.
+    """Find the things of the first list that are at things of the second by a proposition, [T, A, B]; B = 1 without a second.
 
     Raises:
         InputError: a thing, a piece of furniture or a room does not exist.
