@@ -63,9 +63,9 @@ class LanguageSpec(RearrangeSpec):
             )
 
     def templates(self, kind: str = "") -> list[Template]:
-        """The templates that these rules allow."""
-        kind = self.kind or kind
-        return [t for t in TEMPLATES if self.template in ("", t.name) and (self.template or kind in ("", t.kind))]
+        """The templates that these rules allow; without a type among them, those of ``kind``."""
+        kind = self.kind or ("" if self.template else kind)
+        return [t for t in TEMPLATES if self.template in ("", t.name) and kind in ("", t.kind)]
 
 
 class Errand(msgspec.Struct, frozen=True):
@@ -204,7 +204,7 @@ class _Draw:
     def _starts(
         self, chosen: Mapping[str, str], spots: Mapping[str, Place], rooms: set[str]
     ) -> dict[str, tuple[Array, str]] | None:
-        """Where each thing lies at the start: away from all goals, except for those that stay, and alone of its kind."""
+        """Spots of the things at the start: away from all goals, except for those that stay, and alone of their kind."""
         asked = {name for place in spots.values() for name in place.names}
         began: dict[str, tuple[Array, str]] = {}
         fixed = {

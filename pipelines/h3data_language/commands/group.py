@@ -38,7 +38,7 @@ class LanguageTemplates:
 class LanguageVerify:
     """Sample tasks in words and play each: a person alone, then a robot and a person. Lists what could not be done.
 
-    Tasks are the same as those of `h3data generate language` with this seed and these scenes.
+    Tasks are sampled as by `h3data.session("language", scenes, seed=seed)`: episode 0, 1, ... of the run with this seed.
 
     Examples:
         h3data language verify --scenes h3-homes/val --episodes 20
@@ -59,7 +59,7 @@ class LanguageVerify:
         from sim_kinematic.tasks.sources import EpisodeSource
 
         if self.episodes < 1:
-            raise InputError(f"Expected --episodes of at least 1, got {self.episodes}.")
+            raise InputError(f"Expected --episodes of at least 1, got {self.episodes}.", code="H3-LANGUAGE-016")
         task = Language()
         source = EpisodeSource(task, list(self.scenes))
         played, failed = [], []
