@@ -61,6 +61,12 @@ def spoken(name: str) -> str:
     return _ROOMS.get(name, name.replace("_", " "))
 
 
+def room_words(room: str) -> str:
+    """Words for one room: "the kitchen", "bedroom 1"."""
+    words = spoken(room)
+    return words if words[-1].isdigit() else f"the {words}"
+
+
 @lru_cache(maxsize=8)
 def home_of(scene: Scene, open_m: float) -> Home:
     """Describe a home; surfaces with less than ``open_m`` [m] above them, and those behind doors, take nothing."""
@@ -83,7 +89,7 @@ def home_of(scene: Scene, open_m: float) -> Home:
     for (kind, room), names in groups.items():
         words = spoken(kind)
         article = "the" if len(names) == 1 else "an" if words[0] in "aeiou" else "a"
-        where = f" in the {spoken(room)}" if kinds[kind] > 1 else ""
+        where = f" in {room_words(room)}" if kinds[kind] > 1 else ""
         places[f"{article} {words}{where}"] = Place(tuple(names), f"{article} {words}{where}", room)
     poses = np.array([by_name[t].pose for t in things], np.float64).reshape(1, -1, 7)
     rows = Rows(layout, poses, np.zeros((1, len(things)), np.bool_))
@@ -97,7 +103,7 @@ def home_of(scene: Scene, open_m: float) -> Home:
         scene=scene,
         layout=layout,
         places=places,
-        rooms={f"the {spoken(room)}": room for room in layout.rooms if {p.room for p in places.values()} & {room}},
+        rooms={room_words(room): room for room in layout.rooms if {p.room for p in places.values()} & {room}},
         surfaces=surfaces,
         lies_on=lies_on,
         categories={t: category[t] for t in things},

@@ -66,7 +66,7 @@ TEMPLATES: tuple[Template, ...] = (
     _free(
         "any_two", ("2 on a,b,c p",), "Put any two of {a}, {b} and {c} on {p}.", "Two of {a}, {b} and {c} go on {p}."
     ),
-    _free("either_thing", ("1 on a,b p",), "Put {a} or {b} on {p}.", "Put one of {a} and {b} on {p}."),
+    _free("either_thing", ("1 on a,b p",), "Put {a} or {b} on {p}.", "Either {a} or {b} should be on {p}."),
     _free("either_place", ("on a p|q",), "Put {a} on {p} or on {q}.", "Move {a} to {p} or to {q}."),
     _free(
         "same_place",

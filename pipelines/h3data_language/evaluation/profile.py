@@ -82,6 +82,8 @@ PARTNR: tuple[Metric, ...] = (
         direction="lower",
         source=_SOURCE + "table 3, sim steps",
         columns=(_FOUND,),
+        undefined="Propositions were not evaluated.",
+        series=("satisfied_share",),
     ),
     Metric(
         id="partnr/any/exploration@1",
@@ -94,6 +96,7 @@ PARTNR: tuple[Metric, ...] = (
         source=_SOURCE + "table 3, exploration efficiency",
         columns=(_FOUND, "events:pick"),
         undefined="Nobody took anything.",
+        series=("progress",),
     ),
     Metric(
         id="partnr/any/offloading@1",
