@@ -20,12 +20,16 @@ from sim_kinematic.policies.rearrange import errand as next_action
 from sim_kinematic.policies.rearrange import persons_object
 
 EXPERTS = ("language_expert", "language_greedy", "language_still")
+HANDLING_M = 1.4
+"""Distance from which a person handles a thing [m]; somewhat less than the task allows."""
 HANDLING_WAIT = 15
 """Steps for which a person handles a thing; somewhat more than it takes."""
 PAUSE = 8
 """Steps after which an agent without an errand asks again."""
 AVOID = 90
 """Steps for which an errand is left after failures."""
+LATE = 600
+"""Steps after which another agent without an errand takes over one whose thing nobody has taken yet."""
 TRIES = 3
 MOST_ORDERS = 720
 """So many orders of the errands are compared; of more errands than fit, the nearest comes first."""
@@ -45,9 +49,12 @@ class Plan:
         self.handled: set[int] = set()
         self.doing: dict[int, int] = {}
         """Errand of each agent."""
+        self.begun: dict[int, int] = {}
+        """Step at which each agent began its errand."""
         self.avoided: dict[tuple[int, int], int] = {}
         """Step until which an agent leaves an errand."""
-        self.members: set[int] = set()
+        self.asked_at: dict[int, int] = {}
+        """Step at which each agent who follows the plan was last asked."""
         self.places: dict[int, Any] = {}
         """Last known place of each agent who follows the plan."""
 
@@ -76,6 +83,16 @@ class Plan:
             and self.avoided.get((agent, n), 0) <= view.step
         ]
 
+    def rescue(self, view: RearrangeView, agent: int) -> int:
+        """The errand of somebody who has been on the way to its thing for long, for an agent without one; -1: none."""
+        for other, n in self.doing.items():
+            thing = self.errands[n].thing
+            late = view.step - self.begun[other] > LATE and view.held_by[thing] == NOBODY
+            if other != agent and late and (self.kinds[agent] == "human" or not self.errands[n].handle):
+                del self.doing[other]
+                return n
+        return -1
+
     def length(self, view: RearrangeView, here: Any, n: int) -> tuple[float, Any]:
         """Path of an errand from somewhere, its work included [m], and where it ends."""
         errand = self.errands[n]
@@ -94,7 +111,7 @@ class Plan:
         held = [n for n in mine if view.held_by[self.errands[n].thing] == agent]
         if held:
             return min(held, key=lambda n: not self.errands[n].handle)
-        partners = [a for a in self.members if a != agent]
+        partners = [a for a in range(len(self.kinds)) if a != agent and (a in self.asked_at or not view.step)]
         done = self.done(view)
         left = [n for n in range(len(self.errands)) if n not in done and n not in self.doing.values()]
         if not partners or len(left) > 6:
@@ -127,28 +144,54 @@ class Plan:
 class Expert:
     """One agent who follows a plan."""
 
-    def __init__(self, plan: Plan, number: int, *, greedy: bool) -> None:
-        self.plan, self.number, self.greedy = plan, number, greedy
-        self.failures = 0
-        plan.members.add(number)
+    def __init__(self, episode: Any, number: int, kinds: Sequence[str], *, greedy: bool) -> None:
+        self.plan, self.number, self.greedy = Plan(episode, kinds), number, greedy
+        self.episode, self.failures, self.begun = episode, 0, False
+
+    def _begin(self, view: RearrangeView) -> None:
+        """Joins the plan of those who play this episode now; one of an earlier play has been asked for later steps."""
+        shared, self.begun = vars(self.episode).get("_language_plan"), True
+        stale = shared is None or self.number in shared.asked_at or max(shared.asked_at.values()) > view.step
+        if stale:
+            vars(self.episode)["_language_plan"] = self.plan
+        else:
+            self.plan = shared
 
     def act(self, view: RearrangeView) -> Action:
         """The next skill of the present errand, or of the one that it takes up."""
+        if not self.greedy and not self.begun:
+            self._begin(view)
         plan = self.plan
-        plan.places[self.number] = view.xz
+        plan.places[self.number], plan.asked_at[self.number] = view.xz, view.step
         self._note(view)
         now = plan.doing.get(self.number, -1)
         if now < 0 or now not in plan.open(view, self.number):
             plan.doing.pop(self.number, None)
             now = self._nearest(view) if self.greedy else plan.choose(view, self.number)
+            now = now if now >= 0 else plan.rescue(view, self.number)
             if now < 0:
                 return Action("wait", steps=PAUSE)
-            plan.doing[self.number] = now
+            plan.doing[self.number], plan.begun[self.number] = now, view.step
         errand = plan.errands[now]
         action = next_action(view, errand.thing)
         if errand.handle and action.skill in ("pick", "place", "nav_to_goal"):
-            return Action("wait", errand.thing, HANDLING_WAIT)
+            near = self._is_near(view, errand.thing)
+            return Action("wait", errand.thing, HANDLING_WAIT) if near else Action("nav_to_object", errand.thing)
         return action
+
+    def interrupts(self, view: RearrangeView) -> str:
+        """Reason to stop: somebody else has taken the thing to which the agent is going; empty if there is none."""
+        action = view.action
+        if action is None or action.skill not in ("nav_to_object", "pick"):
+            return ""
+        if self.number not in self.plan.doing:
+            return "errand_taken"
+        return "object_taken" if view.held_by[action.target] not in (NOBODY, self.number) else ""
+
+    @staticmethod
+    def _is_near(view: RearrangeView, thing: int) -> bool:
+        far = np.hypot(*(view.objects[thing, [0, 2]] - view.xz)) > HANDLING_M
+        return view.held_by[thing] == view.agent or (view.held_by[thing] == NOBODY and not far)
 
     def _note(self, view: RearrangeView) -> None:
         """Takes in how the last skill ended."""
@@ -163,7 +206,8 @@ class Expert:
                 self.failures = 0
         elif view.last.outcome == "done":
             self.failures = 0
-            if view.action.skill == "wait" and view.action.target == self.plan.errands[now].thing:
+            thing = self.plan.errands[now].thing
+            if view.action[:2] == ("wait", thing) and self._is_near(view, thing):
                 self.plan.handled.add(now)
 
     def _nearest(self, view: RearrangeView) -> int:
@@ -186,9 +230,4 @@ def expert(name: str, episode: Any, number: int, kinds: Sequence[str]) -> Any:
     """A fresh expert for one agent of an episode; those of ``language_expert`` share a plan."""
     if name == "language_still":
         return Idle()
-    if name == "language_greedy":
-        return Expert(Plan(episode, kinds), number, greedy=True)
-    shared = vars(episode).get("_language_plan")
-    if shared is None or number in shared.members:  # another play of the same episode
-        shared = vars(episode)["_language_plan"] = Plan(episode, kinds)
-    return Expert(shared, number, greedy=False)
+    return Expert(episode, number, kinds, greedy=name == "language_greedy")
