@@ -63,6 +63,7 @@ AREAS = {
     "HUB": ("copies on hubs and in object stores", "sharing", "pipelines/h3data_pipelines/hub"),
     "TRAIN": ("training", "training", "pipelines/h3data_training"),
     "REMOTE": ("policy servers", "remote-policies", "pipelines/h3data_remote"),
+    "LANGUAGE": ("tasks in words", "language", "pipelines/h3data_language"),
     "VIEW": ("viewers and reports", "view", "viewers/h3data_viewers"),
     "PLAY": ("live play", "play", "viewers/h3data_play"),
     "STUDY": ("studies with people", "study", "viewers/h3data_studies"),

@@ -27,6 +27,7 @@ PACKAGES = {
     "h3data_training": ROOT / "pipelines" / "h3data_training",
     "h3data_remote": ROOT / "pipelines" / "h3data_remote",
     "h3data_ros": ROOT / "pipelines" / "h3data_ros",
+    "h3data_language": ROOT / "pipelines" / "h3data_language",
     "h3data_pipelines": ROOT / "pipelines" / "h3data_pipelines",
     "h3data_kernels": ROOT / "pipelines" / "h3data_kernels",
     "bake": ROOT / "pipelines" / "bake",
@@ -47,6 +48,7 @@ LAYERS = (
     "h3data_studies",
     "h3data_training",
     "h3data_remote",
+    "h3data_language",
     "h3data_pipelines",
 )
 """Packages from the lowest to the highest."""

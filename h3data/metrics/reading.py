@@ -86,7 +86,8 @@ def _stored(dataset: Dataset, chunk: range, profile: str | None) -> Iterator[Rec
     wanted = set(stored_columns(metrics, agents))
     columns = [name for name in declared if name in wanted]
     events = any(name.startswith("events:") for m in metrics for name in (*m.columns, *m.optional))
-    return dataset.recordings(chunk, columns=columns, records=("agents", "events") if events else ("agents",))
+    poses = ("bodies", "assets") if "object_pose" in columns else ()  # poses of bodies that were not read fit no body
+    return dataset.recordings(chunk, columns=columns, records=("agents", *(("events",) if events else ()), *poses))
 
 
 def _profiles(dataset: Dataset, chunk: range, profile: str | None) -> Iterable[Profile]:

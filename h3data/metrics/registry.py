@@ -38,7 +38,8 @@ PROFILES: Registry[Profile | tuple[Profile, ...]] = Registry(
         "habitat@0.3.0": "",
         "field": "h3data.metrics.field.profile:PROFILE",
         "social": "h3data.metrics.social.profile:PROFILE",
-        "partnr": "",
+        "partnr": "",  # of h3data_language
+        "partnr@habitat": "",
         ANY_TASK: "h3data.metrics.any_task:PROFILE",
     },
     what="metrics profile",

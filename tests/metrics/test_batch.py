@@ -355,7 +355,9 @@ def test_the_command_measures_in_every_profile(dataset, tmp_path, capsys):
     assert json.loads(run(capsys, dataset, "--json", *files))["summary"]["S"]["count"] == 70
     assert (tmp_path / "s.parquet").exists()
     assert "exists" in run(capsys, dataset, "-o", tmp_path / "t.csv", code=2)
-    assert "PC needs info:satisfied_at" in run(capsys, dataset, "--profile", "partnr", code=2)
+    assert "PC needs info:evaluation_propositions or info:satisfied_at" in run(
+        capsys, dataset, "--profile", "partnr", code=2
+    )
 
 
 def test_the_command_compares(dataset, tmp_path, capsys):

@@ -291,7 +291,8 @@ def partnr(satisfied, events=(), **info) -> Recording:
 def test_partnr_by_hand():
     acts = [(1, 0, "progress"), (1, 0, "place"), (2, 1, "progress"), (2, 1, "place"), (3, 1, "place"), (4, 0, "place")]
     values = measure(partnr([1, 2], acts), "partnr").values
-    assert values == {"PC": 1, "state_success": 1, "offloading": 0.5, "extraneous_effort": 0.5}
+    assert math.isnan(values.pop("exploration"))  # nobody took anything
+    assert values == {"PC": 1, "state_success": 1, "steps": 6, "offloading": 0.5, "extraneous_effort": 0.5}
     part = measure(partnr([1, -1], acts, constraints=[[True, True]]), "partnr")
     assert part.values["PC"] == 0.5
     assert math.isnan(part.values["extraneous_effort"])
@@ -302,7 +303,9 @@ def test_partnr_by_hand():
 
 
 def test_partnr_refusals():
-    with pytest.raises(MissingColumnsError, match=r"(?s)PC needs info:satisfied_at.*H3-METRIC-026"):
+    with pytest.raises(
+        MissingColumnsError, match=r"(?s)PC needs info:evaluation_propositions or info:satisfied_at.*H3-METRIC-026"
+    ):
         measure(tidy([[0, 0]]), "partnr")
     assert math.isnan(measure(partnr([1]), "partnr").values["offloading"])
     for info in ({"constraints": [[True]]}, {"constraints": "all"}):

@@ -34,6 +34,7 @@ PLACES = {
     "h3data_pipelines": "pipelines",
     "h3data_training": "pipelines",
     "h3data_remote": "pipelines",
+    "h3data_language": "pipelines",
     "h3data_ros": "pipelines",
     "h3data_play": "viewers",
     "h3data_studies": "viewers",
@@ -92,6 +93,7 @@ def run_without(package: str, tree: Path, commands: list[list[str]]) -> dict[str
         ("h3data_training", {"train"}),
         ("h3data_motion", {"motion"}),
         ("h3data_remote", {"serve"}),
+        ("h3data_language", {"language"}),
     ],
 )
 def test_a_package_that_is_not_there_costs_only_its_commands(package: str, lost: set[str], tmp_path: Path) -> None:
@@ -100,7 +102,7 @@ def test_a_package_that_is_not_there_costs_only_its_commands(package: str, lost:
     said = run_without(package, tmp_path, asked)
     assert all(said[f"{word} --help"][0] == 0 for word in others)
     listed = said["--help"][1]
-    for word in ("view", "report", "play", "study", "train", "motion", "serve"):
+    for word in ("view", "report", "play", "study", "train", "motion", "serve", "language"):
         assert (f"\n  {word} " in listed) is (word not in lost)
     for word in lost:
         assert said[word][0] == 2

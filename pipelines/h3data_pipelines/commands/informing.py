@@ -120,7 +120,9 @@ def _of_episode_file(path: Path) -> tuple[str, dict[str, Any]]:
 def _outcome(recording: Recording) -> list[str]:
     """Lines about how the episode and its skills ended, as far as they are recorded."""
     ended, skills = recording.episode.info.get("ended"), Counter(span.outcome for span in recording.skills)
-    lines = [f"  ended    {ended}"] if ended else []
+    told = recording.episode.info.get("instruction")
+    lines = [f"  told     {told}"] if told else []
+    lines += [f"  ended    {ended}"] if ended else []
     lines += [f"  skills   {', '.join(f'{count} {name}' for name, count in skills.items())}"] if skills else []
     return lines + _joints(recording) + _walks(recording) + _players(recording)
 

@@ -41,6 +41,7 @@ TABLE: dict[str, type[Command] | Group | None] = {
     "train": None,
     "play": None,
     "serve": None,
+    "language": None,
     "import": Import,
     "export": Export,
     "rerender": Rerender,

@@ -292,9 +292,10 @@ def highlight_card(
     episode, link = highlight.episode, ""
     tag = highlight.kind if len(highlight.run.episodes) > 1 else "only one"
     rows = key_rows(episode, highlight.run.profile.report.milestones)
-    scene, frames, missing = None, [], ""
+    scene, frames, missing, told = None, [], "", ""
     try:
         recording = read_whole(episode)
+        told = str(recording.episode.info.get("instruction") or "")
         replay = posed(recording, light=light)
         scene = replay.scene
         if replays is not None:
@@ -340,6 +341,7 @@ def highlight_card(
         f'<span class="chip {series_class(highlight.place)}"></span>{escape(highlight.run.name)}: episode '
         f"{escape(episode.metrics.episode_id)}</h3><p class=quiet>{escape(episode.metrics.scene)}, "
         f"{episode.metrics.rows} steps, {episode.seconds(episode.metrics.rows - 1):.1f} s</p>"
+        f"{f'<p>{escape(told)}</p>' if told else ''}"
         f'<ul class="values">{values}</ul><div class="card-body"><div class="card-plan">{svg.to_html()}'
         f"{_sparkline(episode, series_class(highlight.place))}</div>"
         f'<div class="frames">{pictures}{missing}</div></div>'

@@ -1,0 +1,233 @@
+"""Experts for tasks in words: they know the errands of a task, and share them out, or each takes what is nearest.
+
+``language_expert`` is one plan for all agents who follow it: alone, or in a pair. ``language_greedy`` decides for itself,
+and leaves to others what they hold or head for. Both see everything.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from h3data.policies import Action, RearrangeView
+from h3data_language.episode import Errand
+from sim_kinematic.motion.state import NOBODY
+from sim_kinematic.policies.rearrange import errand as next_action
+from sim_kinematic.policies.rearrange import persons_object
+
+EXPERTS = ("language_expert", "language_greedy", "language_still")
+HANDLING_M = 1.4
+"""Distance from which a person handles a thing [m]; somewhat less than the task allows."""
+HANDLING_WAIT = 15
+"""Steps for which a person handles a thing; somewhat more than it takes."""
+PAUSE = 8
+"""Steps after which an agent without an errand asks again."""
+AVOID = 90
+"""Steps for which an errand is left after failures."""
+LATE = 600
+"""Steps after which another agent without an errand takes over one whose thing nobody has taken yet."""
+TRIES = 3
+MOST_ORDERS = 720
+"""So many orders of the errands are compared; of more errands than fit, the nearest comes first."""
+DETOUR = 1.4
+"""Length of a path over the straight line, about."""
+WORK_M = 4.0
+"""Time that an errand takes at its places, as the path that one could walk in it [m]."""
+
+
+class Plan:
+    """The errands of one episode: who does which."""
+
+    def __init__(self, episode: Any, kinds: Sequence[str]) -> None:
+        self.errands = msgspec.convert(episode.extra["errands"], list[Errand])
+        self.goals = [[t.goal, *map(np.array, episode.extra["later_goals"].get(t.name, ()))] for t in episode.targets]
+        self.kinds = kinds
+        self.handled: set[int] = set()
+        self.doing: dict[int, int] = {}
+        """Errand of each agent."""
+        self.begun: dict[int, int] = {}
+        """Step at which each agent began its errand."""
+        self.avoided: dict[tuple[int, int], int] = {}
+        """Step until which an agent leaves an errand."""
+        self.asked_at: dict[int, int] = {}
+        """Step at which each agent who follows the plan was last asked."""
+        self.places: dict[int, Any] = {}
+        """Last known place of each agent who follows the plan."""
+
+    def done(self, view: RearrangeView) -> set[int]:
+        """Errands that are done, from what an agent sees."""
+        found = set(self.handled)
+        for n, errand in enumerate(self.errands):
+            if not errand.handle:
+                goals = self.goals[errand.thing]
+                now = next((s for s, g in enumerate(goals) if np.allclose(g, view.goals[errand.thing])), 0)
+                if now > errand.stage or (now == errand.stage and view.at_goal[errand.thing]):
+                    found.add(n)
+        return found
+
+    def open(self, view: RearrangeView, agent: int) -> list[int]:
+        """Errands that an agent can begin now."""
+        done, others = self.done(view), {self.errands[n].thing for a, n in self.doing.items() if a != agent}
+        return [
+            n
+            for n, errand in enumerate(self.errands)
+            if n not in done
+            and set(errand.after) <= done
+            and errand.thing not in others
+            and view.held_by[errand.thing] in (NOBODY, agent)
+            and (self.kinds[agent] == "human" or not errand.handle)
+            and self.avoided.get((agent, n), 0) <= view.step
+        ]
+
+    def rescue(self, view: RearrangeView, agent: int) -> int:
+        """The errand of somebody who has been on the way to its thing for long, for an agent without one; -1: none."""
+        for other, n in self.doing.items():
+            thing = self.errands[n].thing
+            late = view.step - self.begun[other] > LATE and view.held_by[thing] == NOBODY
+            if other != agent and late and (self.kinds[agent] == "human" or not self.errands[n].handle):
+                del self.doing[other]
+                return n
+        return -1
+
+    def length(self, view: RearrangeView, here: Any, n: int) -> tuple[float, Any]:
+        """Path of an errand from somewhere, its work included [m], and where it ends."""
+        errand = self.errands[n]
+        start = view.objects[errand.thing, [0, 2]]
+        length = float(np.hypot(*(start - here))) * DETOUR + WORK_M
+        if errand.handle:
+            return length, start
+        goal = self.goals[errand.thing][errand.stage][[0, 2]]
+        return length + float(np.hypot(*(goal - start))) * DETOUR, goal
+
+    def choose(self, view: RearrangeView, agent: int) -> int:
+        """The errand that an agent does next; -1: none."""
+        mine = self.open(view, agent)
+        if not mine:
+            return -1
+        held = [n for n in mine if view.held_by[self.errands[n].thing] == agent]
+        if held:
+            return min(held, key=lambda n: not self.errands[n].handle)
+        partners = [a for a in range(len(self.kinds)) if a != agent and (a in self.asked_at or not view.step)]
+        done = self.done(view)
+        left = [n for n in range(len(self.errands)) if n not in done and n not in self.doing.values()]
+        if not partners or len(left) > 6:
+            return min(mine, key=lambda n: self.length(view, view.xz, n)[0])
+        best, chosen = np.inf, -1
+        for order in itertools.islice(itertools.permutations(left), MOST_ORDERS):
+            for cut in range(len(order) + 1):
+                if not cut or order[0] not in mine:
+                    continue
+                parts = ((agent, order[:cut]), (partners[0], order[cut:]))
+                if any(self.errands[n].handle and self.kinds[a] != "human" for a, part in parts for n in part):
+                    continue
+                cost = max(self._duration(view, a, part) for a, part in parts)
+                total = sum(self._duration(view, a, part) for a, part in parts)
+                if cost + 0.01 * total < best:
+                    best, chosen = cost + 0.01 * total, order[0]
+        alone = self._duration(view, partners[0], tuple(left)) if self.kinds[partners[0]] == "human" else np.inf
+        return -1 if chosen < 0 or alone < best else chosen
+
+    def _duration(self, view: RearrangeView, agent: int, part: Sequence[int]) -> float:
+        here, total = (view.xz if agent == view.agent else self.places.get(agent, view.other_xz)), 0.0
+        if agent != view.agent and agent in self.doing:
+            part = (self.doing[agent], *part)
+        for n in part:
+            length, here = self.length(view, here, n)
+            total += length
+        return total
+
+
+class Expert:
+    """One agent who follows a plan."""
+
+    def __init__(self, episode: Any, number: int, kinds: Sequence[str], *, greedy: bool) -> None:
+        self.plan, self.number, self.greedy = Plan(episode, kinds), number, greedy
+        self.episode, self.failures, self.begun = episode, 0, False
+
+    def _begin(self, view: RearrangeView) -> None:
+        """Joins the plan of those who play this episode now; one of an earlier play has been asked for later steps."""
+        shared, self.begun = vars(self.episode).get("_language_plan"), True
+        stale = shared is None or self.number in shared.asked_at or max(shared.asked_at.values()) > view.step
+        if stale:
+            vars(self.episode)["_language_plan"] = self.plan
+        else:
+            self.plan = shared
+
+    def act(self, view: RearrangeView) -> Action:
+        """The next skill of the present errand, or of the one that it takes up."""
+        if not self.greedy and not self.begun:
+            self._begin(view)
+        plan = self.plan
+        plan.places[self.number], plan.asked_at[self.number] = view.xz, view.step
+        self._note(view)
+        now = plan.doing.get(self.number, -1)
+        if now < 0 or now not in plan.open(view, self.number):
+            plan.doing.pop(self.number, None)
+            now = self._nearest(view) if self.greedy else plan.choose(view, self.number)
+            now = now if now >= 0 else plan.rescue(view, self.number)
+            if now < 0:
+                return Action("wait", steps=PAUSE)
+            plan.doing[self.number], plan.begun[self.number] = now, view.step
+        errand = plan.errands[now]
+        action = next_action(view, errand.thing)
+        if errand.handle and action.skill in ("pick", "place", "nav_to_goal"):
+            near = self._is_near(view, errand.thing)
+            return Action("wait", errand.thing, HANDLING_WAIT) if near else Action("nav_to_object", errand.thing)
+        return action
+
+    def interrupts(self, view: RearrangeView) -> str:
+        """Reason to stop: somebody else has taken the thing to which the agent is going; empty if there is none."""
+        action = view.action
+        if action is None or action.skill not in ("nav_to_object", "pick"):
+            return ""
+        if self.number not in self.plan.doing:
+            return "errand_taken"
+        return "object_taken" if view.held_by[action.target] not in (NOBODY, self.number) else ""
+
+    @staticmethod
+    def _is_near(view: RearrangeView, thing: int) -> bool:
+        far = np.hypot(*(view.objects[thing, [0, 2]] - view.xz)) > HANDLING_M
+        return view.held_by[thing] == view.agent or (view.held_by[thing] == NOBODY and not far)
+
+    def _note(self, view: RearrangeView) -> None:
+        """Takes in how the last skill ended."""
+        now = self.plan.doing.get(self.number, -1)
+        if now < 0 or view.last is None or view.action is None:
+            return
+        if view.last.outcome == "failed":
+            self.failures += 1
+            if self.failures >= TRIES:
+                self.plan.avoided[self.number, now] = view.step + AVOID
+                self.plan.doing.pop(self.number)
+                self.failures = 0
+        elif view.last.outcome == "done":
+            self.failures = 0
+            thing = self.plan.errands[now].thing
+            if view.action[:2] == ("wait", thing) and self._is_near(view, thing):
+                self.plan.handled.add(now)
+
+    def _nearest(self, view: RearrangeView) -> int:
+        theirs = persons_object(view) if np.isfinite(view.other_xz).all() else -1
+        mine = self.plan.open(view, self.number)
+        free = [n for n in mine if self.plan.errands[n].thing != theirs] or (mine if len(mine) == 1 else [])
+        return min(free, key=lambda n: self.plan.length(view, view.xz, n)[0], default=-1)
+
+
+class Idle:
+    """Stands still."""
+
+    def act(self, view: RearrangeView) -> Action:
+        """Waits."""
+        del view
+        return Action("wait")
+
+
+def expert(name: str, episode: Any, number: int, kinds: Sequence[str]) -> Any:
+    """A fresh expert for one agent of an episode; those of ``language_expert`` share a plan."""
+    if name == "language_still":
+        return Idle()
+    return Expert(episode, number, kinds, greedy=name == "language_greedy")

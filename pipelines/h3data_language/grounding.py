@@ -1,0 +1,219 @@
+"""Words for the things, furniture and rooms of a home, and which of them they mean."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from h3data.errors import InputError
+from h3data.scene import Instance, Receptacle, Scene
+from h3data.scene.articulation import joints_of
+from h3data_language.evaluation.layout import FurnitureBox, Layout
+from h3data_language.evaluation.predicates import Rows, truth_of
+from h3data_language.evaluation.records import Evaluation, Proposition
+from h3data_language.templates import HANDLING, PREDICATES, TEMPLATES, Template
+
+_UNNAMED = ("toilet", "bathroom_sink", "wine_rack", "washer", "dryer")
+"""Furniture on which nobody is asked to put something."""
+_ROOMS = {"living": "living room", "child": "child's room", "dining": "dining room", "laundry": "laundry room"}
+
+
+class Place(NamedTuple):
+    """Furniture of one kind in one room."""
+
+    names: tuple[str, ...]
+    words: str
+    room: str
+
+
+@dataclass(frozen=True, eq=False)
+class Home:
+    """A home with words for what is in it."""
+
+    scene: Scene
+    layout: Layout
+    """With all things that can be moved."""
+    places: Mapping[str, Place]
+    """Places on which things can be put, by words."""
+    rooms: Mapping[str, str]
+    """Rooms by words."""
+    surfaces: Mapping[str, list[tuple[Instance, Receptacle]]]
+    """Open surfaces by the name of their furniture."""
+    lies_on: Mapping[str, str]
+    """Furniture on which each thing lies in the scene."""
+    categories: Mapping[str, str]
+    """Kind of each thing."""
+    place_of: Mapping[str, Place] = field(default_factory=dict)
+    """The place that a piece of furniture belongs to."""
+
+
+def spoken(name: str) -> str:
+    """Words for a kind or a room: ``bedroom_1`` is "bedroom 1"."""
+    head, _, number = name.rpartition("_")
+    if number.isdigit():
+        return f"{_ROOMS.get(head, head.replace('_', ' '))} {number}"
+    return _ROOMS.get(name, name.replace("_", " "))
+
+
+def room_words(room: str) -> str:
+    """Words for one room: "the kitchen", "bedroom 1"."""
+    words = spoken(room)
+    return words if words[-1].isdigit() else f"the {words}"
+
+
+@lru_cache(maxsize=8)
+def home_of(scene: Scene, open_m: float) -> Home:
+    """Describe a home; surfaces with less than ``open_m`` [m] above them, and those behind doors, take nothing."""
+    things = [i.name for i in scene.instances if i.motion == "kinematic" and len(scene.assets[i.asset].mesh.vertices)]
+    layout, enclosed = Layout.of_scene(scene, things), joints_of(scene).enclosing
+    by_name = {i.name: i for i in scene.instances}
+    category = {name: scene.assets[i.asset].category for name, i in by_name.items()}
+    surfaces: dict[str, list[tuple[Instance, Receptacle]]] = {}
+    for instance, receptacle in scene.receptacles():
+        usual = instance.name in layout.furniture and category[instance.name] not in _UNNAMED
+        if usual and receptacle.clearance_m >= open_m and f"{instance.name}|{receptacle.name}" not in enclosed:
+            surfaces.setdefault(instance.name, []).append((instance, receptacle))
+    groups: dict[tuple[str, str], list[str]] = {}
+    for name in surfaces:
+        room = room_at(layout, layout.furniture[name])
+        if room:
+            groups.setdefault((category[name], room), []).append(name)
+    kinds = Counter(kind for kind, _ in groups)
+    places = {}
+    for (kind, room), names in groups.items():
+        words = spoken(kind)
+        article = "the" if len(names) == 1 else "an" if words[0] in "aeiou" else "a"
+        where = f" in {room_words(room)}" if kinds[kind] > 1 else ""
+        places[f"{article} {words}{where}"] = Place(tuple(names), f"{article} {words}{where}", room)
+    poses = np.array([by_name[t].pose for t in things], np.float64).reshape(1, -1, 7)
+    rows = Rows(layout, poses, np.zeros((1, len(things)), np.bool_))
+    lies_on = {}
+    for thing in things:
+        for furniture in layout.furniture:
+            asked = {"object_handles": [thing], "receptacle_handles": [furniture]}
+            if any(truth_of(Proposition(name, asked), rows)[0][0] for name in ("is_on_top", "is_inside")):
+                lies_on[thing] = furniture
+    return Home(
+        scene=scene,
+        layout=layout,
+        places=places,
+        rooms={room_words(room): room for room in layout.rooms if {p.room for p in places.values()} & {room}},
+        surfaces=surfaces,
+        lies_on=lies_on,
+        categories={t: category[t] for t in things},
+        place_of={name: place for place in places.values() for name in place.names},
+    )
+
+
+def room_at(layout: Layout, furniture: FurnitureBox) -> str:
+    """Name of the room in which a piece of furniture stands; empty if it stands in none."""
+    x, _, z = furniture.center
+    inside = (r for r, parts in layout.rooms.items() if any(a <= x <= c and b <= z <= d for a, b, c, d in parts))
+    return next(inside, "")
+
+
+def thing_words(home: Home, thing: str, start: Place | None, *, stays: bool = False) -> str:
+    """Words for a thing: its kind if there is no other of it in the home, else also where it is."""
+    kind = home.categories[thing]
+    if sum(other == kind for other in home.categories.values()) == 1 or start is None:
+        return f"the {spoken(kind)}"
+    return f"the {spoken(kind)} {'on' if stays else 'from'} {start.words}"
+
+
+# --- propositions -----------------------------------------------------------------------------------------------------
+def clause_parts(clause: str) -> tuple[int, str, list[list[str]]]:
+    """Count (0: all), verb and lists of slots of a clause."""
+    first, *rest = clause.split()
+    number = int(first) if first.isdigit() else 0
+    verb, *slots = rest if number else (first, *rest)
+    return number, verb, [re.split(r"[,|]", each) for each in slots]
+
+
+def proposition_of(clause: str, slots: Mapping[str, tuple[str, ...]]) -> Proposition | None:
+    """The proposition of a clause whose slots mean these names; None for one that asks for nothing."""
+    number, verb, lists = clause_parts(clause)
+    first, *rest = ([name for slot in each for name in slots[slot]] for each in lists)
+    if verb == "at":
+        return None
+    if verb == "near":
+        return Proposition("is_clustered", {"*args": [[name] for name in first], "number": [1] * len(first)})
+    if verb in HANDLING:
+        return Proposition(PREDICATES[verb], {"object_handles": first, "number": number or len(first)})
+    if verb == "next":
+        return Proposition("is_next_to", {"entity_handles_a": first, "entity_handles_b": rest[0], "number": len(first)})
+    name, second = ("is_in_room", "room_ids") if verb == "in" else ("is_on_top", "receptacle_handles")
+    return Proposition(name, {"object_handles": first, second: rest[0], "number": number or len(first)})
+
+
+def evaluation_of(template: Template, slots: Mapping[str, tuple[str, ...]]) -> dict[str, object]:
+    """Propositions, dependencies and constraints of a template whose slots mean these names, in PARTNR's JSON."""
+    found = [(k, p) for k, c in enumerate(template.clauses) if (p := proposition_of(c, slots)) is not None]
+    count, numbers = len(found), [k for k, _ in found]
+    constraints: list[dict[str, object]] = []
+    if template.order:
+        edges = [[numbers.index(a), numbers.index(b)] for a, b in template.order]
+        constraints.append({"type": "TemporalConstraint", "args": {"dag_edges": edges, "n_propositions": count}})
+    if template.relation in ("same", "different"):
+        names = {"proposition_indices": [0, 1], "arg_names": ["receptacle_handles"] * 2, "n_propositions": count}
+        constraints.append({"type": f"{template.relation.title()}ArgConstraint", "args": names})
+    lasting = [k for k in range(count) if not (template.moves_twice and k == 0)]
+    constraints.append(
+        {"type": "TerminalSatisfactionConstraint", "args": {"proposition_indices": lasting, "n_propositions": count}}
+    )
+    after = {
+        "proposition_indices": [1],
+        "depends_on": [0],
+        "relation_type": "after_satisfied",
+        "dependency_mode": "all",
+    }
+    return {
+        "evaluation_propositions": [{"function_name": p.function_name, "args": p.args} for _, p in found],
+        "evaluation_proposition_dependencies": [after] if template.moves_twice else [],
+        "evaluation_constraints": constraints,
+    }
+
+
+Words = Mapping[str, Mapping[str, tuple[str, ...]]]
+"""Names that phrases mean, by the slots in which they stand: ``abc`` things, ``pq`` places, ``rs`` rooms."""
+
+
+def parse(instruction: str, words: Words) -> list[Evaluation]:
+    """Find all evaluations that an instruction can mean: one, unless it is ambiguous.
+
+    Raises:
+        InputError: it means nothing: no wording fits, or something in it is not in the home.
+    """
+    text = instruction[:1].lower() + instruction[1:]
+    found: list[Evaluation] = []
+    for template in TEMPLATES:
+        for wording in template.wordings:
+            for slots in _bindings(wording[:1].lower() + wording[1:], text, words):
+                evaluation = Evaluation.of(evaluation_of(template, slots))
+                if evaluation not in found:
+                    found.append(evaluation)
+    if not found:
+        raise InputError(
+            f"Expected an instruction about what is in this home, got {instruction[:200]!r}.", code="H3-LANGUAGE-014"
+        )
+    return found
+
+
+def _bindings(wording: str, text: str, words: Words) -> list[Mapping[str, tuple[str, ...]]]:
+    """Meanings of the slots of a wording by which it becomes a text."""
+    head, slot, rest = re.match(r"([^{]*)(?:\{(\w)\})?(.*)", wording).groups()  # type: ignore[union-attr]
+    if not text.startswith(head):
+        return []
+    text = text[len(head) :]
+    if slot is None:
+        return [{}] if not text else []
+    found = []
+    for phrase, names in next(phrases for slots, phrases in words.items() if slot in slots).items():
+        if text.startswith(phrase):
+            found += [{slot: names, **more} for more in _bindings(rest, text[len(phrase) :], words)]
+    return found

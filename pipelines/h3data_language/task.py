@@ -1,0 +1,288 @@
+"""The task ``language``: agents carry out an instruction in words, and propositions say how far they have come."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import load_humanoid, load_robot
+from h3data.errors import InputError
+from h3data.policies import Action, AssignedPolicy, PolicyMaker
+from h3data.recording import Event, Recording
+from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode as FileEntry
+from h3data.recording.task_episodes.stored_episodes import info_block, plain, read_info_block
+from h3data.recording.task_episodes.stored_rearrangements import StoredRearrangement
+from h3data.scene import FreeSpace, Scene
+from h3data.tasks import Control, Episode, Rearrange, RearrangeCodec, SkillControl, StepOutcome, TaskUsage, WorldRollout
+from h3data_language.episode import STATES, LanguageSpec, sample_task
+from h3data_language.evaluation.engine import STATE_COLUMNS, evaluate
+from h3data_language.evaluation.layout import LAYOUT, Layout
+from h3data_language.evaluation.predicates import Rows, check_names
+from h3data_language.evaluation.records import CONSTRAINTS, DEPENDENCIES, PROPOSITIONS, Evaluation
+from h3data_language.experts import EXPERTS, expert
+from sim_kinematic.agents.roster import AgentSpec, common_floor, kinds_of
+from sim_kinematic.motion.state import NOBODY
+from sim_kinematic.tasks.codec import EpisodePlace, SceneAndMap, malformed_info, require_info
+from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, pair_of, rules_in, starts_of
+
+HANDLING_STEPS = 12
+"""Steps that a person takes to clean, fill, pour out or switch something [1/30 s]."""
+HANDLING_M = 1.5
+"""Distance on the floor from a person to what they handle, at most [m]."""
+_STORED = (PROPOSITIONS, DEPENDENCIES, CONSTRAINTS, LAYOUT)
+
+
+class StoredLanguage(StoredRearrangement, frozen=True, kw_only=True):
+    """A task in words in an episode file."""
+
+    extra: Mapping[str, Any]
+    """`Episode.extra`: propositions, layout, states, errands."""
+
+
+class LanguageCodec(RearrangeCodec):
+    """Writes tasks in words as rearrangement, with their propositions in PARTNR's JSON."""
+
+    def record(self, episode: Episode) -> StoredLanguage:
+        """Record of an episode: that of rearrangement, and what was sampled besides."""
+        record = super().record(episode)
+        return StoredLanguage(**{f: getattr(record, f) for f in record.__struct_fields__}, extra=plain(episode.extra))
+
+    def entry(
+        self, record: StoredRearrangement, *, episode_id: str, scene_id: str, scene_dataset_config: str = "default"
+    ) -> FileEntry:
+        """Entry of an episode file that holds the record in its info."""
+        return FileEntry(
+            episode_id=episode_id,
+            scene_id=scene_id,
+            scene_dataset_config=scene_dataset_config,
+            info=info_block(self.task.name, record),
+        )
+
+    def read(self, entry: FileEntry, *, seed: int) -> StoredLanguage | None:
+        """Record in an entry of a file; None if the entry belongs to another task.
+
+        Raises:
+            InputError: its propositions are malformed or name what is not in the home.
+        """
+        del seed
+        record = read_info_block(entry, self.task.name, StoredLanguage)
+        if record is not None:
+            check_extra(record.extra, len(record.goals))
+        return record
+
+    def episode(self, record: StoredRearrangement, place: EpisodePlace) -> RearrangeEpisode:
+        """Episode of a record in an opened scene."""
+        assert isinstance(record, StoredLanguage)
+        return replace(super().episode(record, place), extra=record.extra)
+
+    def restore(self, recording: Recording, scene: SceneAndMap) -> RearrangeEpisode:
+        """Episode of a recording, from the rules, starts, goals and propositions in its info.
+
+        Raises:
+            InputError: the recording lacks one of them, or it is malformed.
+        """
+        require_info(recording, "extra", *_STORED)
+        info, episode = recording.episode.info, super().restore(recording, scene)
+        try:
+            extra = msgspec.convert({**info["extra"], **{name: info[name] for name in _STORED}}, dict[str, Any])
+        except (msgspec.ValidationError, TypeError) as fault:
+            raise malformed_info(fault) from None
+        check_extra(extra, len(episode.targets))
+        return replace(episode, extra=extra)
+
+    def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """As of rearrangement, with propositions, dependencies, constraints and the layout of the home."""
+        extra = dict(episode.extra)
+        stored = {name: extra.pop(name) for name in _STORED}
+        return {**super().info(episode, policies), **stored, "extra": extra}
+
+    def final_info(self, episode: Episode, play: WorldRollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """The reason why the episode ended."""
+        del episode, policies
+        return {"ended": play.ended}
+
+    def precompute(self, episode: Episode) -> dict[str, Any]:
+        """Nothing takes long."""
+        del episode
+        return {}
+
+
+def check_extra(extra: Mapping[str, Any], things: int) -> None:
+    """Check the propositions of an episode, and what is known of its things.
+
+    Raises:
+        InputError: they are malformed, or name what is not in the home.
+    """
+    check_names(Evaluation.of(extra).propositions, Layout.of_info(extra))
+    try:
+        uses = msgspec.convert(extra.get("uses"), list[tuple[str, bool]])
+        states = msgspec.convert(extra.get("states"), dict[str, list[bool]])
+    except msgspec.ValidationError as fault:
+        raise malformed_info(fault) from None
+    fits = len(uses) == things and set(states) == set(STATES) and all(len(flags) == things for flags in states.values())
+    if not fits or {name for name, _ in uses} - {"", *STATES} or len(extra[LAYOUT]["things"]) != things:
+        raise InputError(
+            f"Expected states and uses of {things} things in a task in words, got {states} and {uses}.",
+            code="H3-LANGUAGE-015",
+        )
+
+
+class LanguageControl(SkillControl):
+    """Skills; people also handle things: they ``wait`` with a thing as the target, in their hand or beside it."""
+
+    def refusal(self, play: Any, number: int, choice: Any) -> str | None:
+        """Reason why a choice is infeasible now, as a sentence; None if it is feasible."""
+        if isinstance(choice, Action) and choice.skill == "wait" and choice.target >= 0:
+            return why_not(play, number, choice.target)
+        return super().refusal(play, number, choice)
+
+
+def why_not(play: Any, number: int, thing: int) -> str | None:
+    """Why an agent cannot handle a thing now, as a sentence; None if it can."""
+    state = play.world.state
+    if play.episode.roster[number].kind != "human":
+        return "It has no hand for water and switches."
+    if not play.episode.extra["uses"][thing][0]:
+        return "There is nothing to do to it in this task."
+    if state.held_by[0, thing] not in (NOBODY, number):
+        return "Somebody else holds it."
+    far = np.hypot(*(state.object_pose[0, thing, [0, 2]] - state.agents[number].xz[0])) > HANDLING_M
+    return "It is too far away to reach from here." if far else None
+
+
+class Language(Rearrange):
+    """Carry out an instruction in words."""
+
+    name = "language"
+    Spec: ClassVar[type[Any]] = LanguageSpec
+    profile = "partnr"
+    usage: ClassVar[TaskUsage] = TaskUsage(can_be_solo=True)
+    control: ClassVar[Control] = LanguageControl()
+    columns: ClassVar[Mapping[str, Any]] = {
+        "metrics.at_goal": np.bool_,
+        "metrics.percent_complete": np.float32,
+        **dict.fromkeys(STATE_COLUMNS.values(), np.bool_),
+    }
+    policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {kind: dict.fromkeys(EXPERTS) for kind in ("robot", "human")}
+    defaults: ClassVar[Mapping[str, str]] = {"robot": "language_expert", "human": "language_expert"}
+
+    @property
+    def codec(self) -> LanguageCodec:
+        """Codec of episodes with propositions."""
+        return LanguageCodec(self)
+
+    def sample(
+        self, scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: tuple[AgentSpec, ...]
+    ) -> RearrangeEpisode:
+        """Samples an episode for the first robot and the first person of the roster, as in rearrangement."""
+        self.control.check_roster(roster)
+        pair, free = pair_of(roster), common_floor(roster, free)
+        spec = rules_in(scene, spec)
+        task = sample_task(scene, free, seed, spec, load_robot(pair[0]), load_humanoid(pair[1]))
+        return RearrangeEpisode(
+            scene=scene,
+            free=free,
+            seed=seed,
+            spec=spec,
+            roster=roster,
+            starts=starts_of(scene, free, seed, spec, task.starts, roster),
+            targets=task.targets,
+            pair=pair,
+            pair_starts=task.starts,
+            wording=task.instruction,
+            extra=task.extra,
+        )
+
+    def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
+        """Maker of an expert, or of a policy that stands still; None for other names."""
+        del spec
+        if name not in EXPERTS:
+            return None
+
+        def make(episode: Episode, number: int) -> AssignedPolicy:
+            return AssignedPolicy(expert(name, episode, number, kinds_of(episode.roster)), name, kind)
+
+        return make
+
+    # --- rules --------------------------------------------------------------------------------------------------------
+    def begin(self, play: Any, rows: NDArray[np.intp]) -> None:
+        """Remembers states, the rows in which something changed, and how far each thing has been handled."""
+        extra = play.episode.extra
+        play.memory = {
+            "evaluation": Evaluation.of(extra),
+            "layout": msgspec.convert(extra[LAYOUT], Layout),
+            "states": np.array([extra["states"][name] for name in STATES], np.bool_),
+            "later": [list(extra["later_goals"].get(t.name, ())) for t in play.episode.targets],
+            "handled": np.zeros(len(play.episode.targets), np.int64),
+            "rows": [],
+            "quiet": 0,
+            "complete": 0.0,
+        }
+
+    def judge(self, play: Any) -> StepOutcome:
+        """Pays for each share of the task that is completed for the first time; ends with all of it."""
+        memory, state, events = play.memory, play.world.state, []
+        self._handle(play, events)
+        held, at_goal = state.held_by[0] != NOBODY, play.team.at_goal.copy()
+        row = state.object_pose[0].astype(np.float32), held.copy(), memory["states"].copy()
+        for k, later in enumerate(memory["later"]):
+            if later and at_goal[k]:
+                play.team.objects.goals[k] = later.pop(0)
+        before = memory["complete"]
+        if self._is_new(memory, row):
+            memory["rows"].append(row)
+            poses, hands, states = (np.stack(part) for part in zip(*memory["rows"], strict=True))
+            known = {name: states[:, n] for n, name in enumerate(STATES)}
+            verdict = evaluate(memory["evaluation"], Rows(memory["layout"], poses, hands, known))
+            memory["complete"] = verdict.percent_complete
+        success = memory["complete"] == 1.0
+        collides = play.world.touching.any(1)
+        return StepOutcome(
+            reward=np.array([memory["complete"] - before + 10.0 * success]),
+            terminated=np.array([success]) | (collides & play.spec.end_on_collision),
+            success=np.array([success]),
+            columns={
+                "metrics.at_goal": at_goal[None],
+                "metrics.percent_complete": np.array([memory["complete"]]),
+                **{column: memory["states"][None, n].copy() for n, column in enumerate(STATE_COLUMNS.values())},
+            },
+            ended="success" if success else "collision",
+            events=[*events, *play.events_where(np.array([success]), "success")],
+        )
+
+    @staticmethod
+    def _is_new(memory: dict[str, Any], row: tuple[NDArray, ...]) -> bool:
+        """Return whether a row may change the evaluation, which looks a few rows back where things depend on each other."""
+        if memory["rows"]:
+            poses, held, states = memory["rows"][-1]
+            loose = ~row[1]
+            same = np.array_equal(held, row[1]) and np.array_equal(states, row[2])
+            if same and np.array_equal(poses[loose], row[0][loose]):
+                memory["quiet"] += 1
+                return memory["quiet"] <= len(memory["evaluation"].propositions)
+        memory["quiet"] = 0
+        return True
+
+    @staticmethod
+    def _handle(play: Any, events: list[tuple[int, Event]]) -> None:
+        """Cleans, fills, pours out and switches what people have handled long enough."""
+        handled, now = play.memory["handled"], set()
+        for number, controller in enumerate(play.team.controllers):
+            skill, thing = controller.action[:2]
+            busy = controller.skill is not None and skill == "wait" and 0 <= thing < len(handled)
+            if busy and why_not(play, number, thing) is None:
+                now.add(thing)
+                handled[thing] += 1
+                name, value = play.episode.extra["uses"][thing]
+                flags = play.memory["states"][STATES.index(name)]
+                if handled[thing] >= HANDLING_STEPS and flags[thing] != value:
+                    flags[thing] = value
+                    detail = name if value else f"not {name}"
+                    target = play.episode.targets[thing].name
+                    events.append((0, Event(step=play.step, agent=number, kind="state", target=target, detail=detail)))
+        handled[[k for k in range(len(handled)) if k not in now]] = 0

@@ -1,0 +1,239 @@
+"""Tasks in words: sampled, told, carried out, judged, recorded and read again."""
+
+from __future__ import annotations
+
+import json
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+import h3data
+from h3data.errors import InputError
+from h3data.policies import Action
+from h3data.recording.task_episodes.stored_episodes import info_block
+from h3data.scene import FreeSpace
+from h3data_language.episode import LanguageSpec, can_be_done
+from h3data_language.evaluation.profile import verdict_of
+from h3data_language.evaluation.records import Evaluation
+from h3data_language.grounding import home_of, parse
+from h3data_language.task import HANDLING_STEPS, Language, check_extra
+from h3data_language.templates import KINDS, TEMPLATES, affords
+from h3data_language.verification import rows_of_kinds, verify_task
+from h3data_pipelines.cli import main
+
+HOME = "h3-homes/val#3"
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object, code: int = 0) -> str:
+    """Everything that a command prints."""
+    capsys.readouterr()
+    assert main([str(word) for word in words]) == code
+    said = capsys.readouterr()
+    return said.out + said.err
+
+
+@lru_cache(maxsize=1)
+def place() -> tuple[Any, FreeSpace]:
+    scene = h3data.load_scene(HOME)
+    return scene, FreeSpace.from_scene(scene, radius_m=0.25, height_m=1.41)
+
+
+@lru_cache(maxsize=64)
+def episode(template: str, seed: int = 0, **rules: Any) -> Any:
+    scene, free = place()
+    return Language().episode(scene, free=free, seed=seed, spec=LanguageSpec(template=template, **rules))
+
+
+NOTHING_TO_SWITCH = [t.name for t in TEMPLATES if t.name.startswith("switch")]
+
+
+@pytest.mark.parametrize("template", [t.name for t in TEMPLATES if t.name not in NOTHING_TO_SWITCH])
+def test_each_template_gives_a_task_that_can_be_done_and_is_not_done(template: str) -> None:
+    """Sampling checks each task itself; here the checks are made again from what is recorded."""
+    sampled = episode(template)
+    assert sampled.extra["template"] == template
+    assert len(sampled.targets) == 3
+    evaluation = Evaluation.of(json.loads(json.dumps(sampled.extra, default=list)))
+    assert evaluation.propositions
+    check_extra(sampled.extra, 3)
+    named = {name for p in evaluation.propositions for names in p.things for name in names}
+    assert named & {t.name for t in sampled.targets}
+    assert can_be_done(sampled_task(sampled))
+
+
+def sampled_task(sampled: Any) -> Any:
+    from h3data_language.episode import LanguageTask
+
+    return LanguageTask(
+        instruction=sampled.wording, targets=sampled.targets, starts=sampled.pair_starts, extra=sampled.extra
+    )
+
+
+def test_a_task_that_is_done_from_the_start_or_voids_itself_does_not_pass_the_check() -> None:
+    sampled = episode("two_on")
+    done = sampled_task(sampled)
+    first = done.targets[0]
+    lies = first._replace(start=np.append(first.goal, first.start[3:]))
+    from dataclasses import replace
+
+    assert not can_be_done(replace(done, targets=(lies, *done.targets[1:])))
+    circle = {"type": "TemporalConstraint", "args": {"dag_edges": [[1, 0]]}}
+    wrong = {**done.extra, "evaluation_constraints": [circle]}
+    assert not can_be_done(replace(done, extra=wrong))
+
+
+def test_a_home_without_what_a_template_needs_says_so() -> None:
+    home = home_of(place()[0], 0.35)
+    assert not any(affords(kind, "power") for kind in home.categories.values())
+    with pytest.raises(h3data.errors.SceneError, match="Found no things") as refused:
+        episode("switch_on")
+    assert refused.value.code.startswith("H3-LANGUAGE-")
+
+
+def test_an_instruction_means_its_propositions_and_one_about_nothing_is_refused() -> None:
+    words = {
+        "abc": {"the mug": ("mug_0",), "the apple": ("apple_0",)},
+        "pq": {"the desk": ("desk_0",), "a nightstand": ("nightstand_0", "nightstand_1")},
+        "rs": {"the kitchen": ("kitchen",)},
+    }
+    (meant,) = parse("First put the mug on the desk, then put the apple on a nightstand.", words)
+    assert [p.things for p in meant.propositions] == [
+        (("mug_0",), ("desk_0",)),
+        (("apple_0",), ("nightstand_0", "nightstand_1")),
+    ]
+    assert meant.constraints[0].edges == [[0, 1]]
+    for text in (
+        "Put the spoon on the desk.",
+        "Put the mug on the moon.",
+        "Sing.",
+        "",
+        "<script>",
+        "Put the mug on the desk",
+    ):
+        with pytest.raises(InputError, match="about what is in this home") as refused:
+            parse(text, words)
+        assert refused.value.code.startswith("H3-LANGUAGE-")
+
+
+def test_wordings_name_all_slots_once() -> None:
+    import re
+
+    assert len({t.name for t in TEMPLATES}) == len(TEMPLATES)
+    for template in TEMPLATES:
+        asked = {slot for clause in template.clauses for slot in re.findall(r"\b[a-cp-s]\b", clause)}
+        for wording in template.wordings:
+            assert sorted(re.findall(r"\{(\w)\}", wording)) == sorted(asked), template.name
+    assert {t.kind for t in TEMPLATES} == set(KINDS)
+
+
+@pytest.mark.parametrize("template", ["next_to_there", "wash_then_put", "twice"])
+def test_the_expert_does_a_task_alone_and_in_a_pair(template: str) -> None:
+    alone, pair = verify_task(Language(), episode(template))
+    assert alone.success
+    assert pair.success
+    rows = rows_of_kinds([("free", alone, pair)])
+    assert rows[1][2] == rows[1][4] == "1.00"
+
+
+def test_greedy_agents_do_a_task_without_a_common_plan() -> None:
+    from h3data_language.verification import play_task
+
+    assert play_task(Language(), episode("two_places"), "language_greedy").success
+    still = play_task(Language(), episode("two_places", max_steps=30), "language_still")
+    assert (still.success, still.complete, still.steps) == (False, 0.0, 30)
+
+
+@lru_cache(maxsize=4)
+def recorded(template: str) -> Any:
+    return h3data.simulate(Language(), scenes=HOME, seed=1, spec=LanguageSpec(template=template))
+
+
+def test_a_recording_tells_the_task_and_its_evaluation_agrees_with_the_episode() -> None:
+    recording = recorded("put_then_fill")
+    info = recording.episode.info
+    assert info["instruction"].endswith("it there.")
+    assert info["ended"] == "success"
+    verdict = verdict_of(recording)
+    assert verdict.percent_complete == 1
+    assert verdict.explanation == ""
+    assert verdict.satisfied_at.max() == len(recording) - 1  # it ends with the last of them
+    assert recording.columns["object_state.filled"][-1].sum() == 1
+    assert not recording.columns["object_state.filled"][0].any()
+    assert [e.detail for e in recording.events if e.kind == "state"] == ["filled"]
+    assert recording.columns["metrics.percent_complete"][-1] == 1
+    values = h3data.measure(recording).values
+    assert (values["PC"], values["state_success"]) == (1, 1)
+
+
+def test_generated_tasks_are_reproduced_from_recordings_and_from_episode_files(
+    tmp_path: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    where = ("--scenes", HOME, "--episodes", 1, "--seed", 4)
+    file, first, second = tmp_path / "e.json", tmp_path / "a", tmp_path / "b"
+    run(capsys, "generate", "language", *where, "--save-episodes", file, "-o", first)
+    run(capsys, "generate", "language", "--episodes-file", file, "-o", second)
+    said = run(capsys, "replay", first, "--verify")
+    assert "equal" in said
+    a, b = h3data.open(first)[0], h3data.open(second)[0]
+    assert a.episode.info["instruction"] == b.episode.info["instruction"]
+    assert (a.columns["object_pose"] == b.columns["object_pose"]).all()
+    assert a.episode.info["instruction"] in run(capsys, "info", f"{first}#0")
+    assert "PC" in run(capsys, "metrics", first)
+
+
+def test_the_commands_list_templates_and_verify_tasks(capsys: pytest.CaptureFixture[str]) -> None:
+    assert f"{len(TEMPLATES)} templates" in run(capsys, "language", "templates")
+    assert "faster" in run(capsys, "language", "verify", "--scenes", HOME, "--episodes", 1)
+    assert "H3-LANGUAGE-" in run(capsys, "language", "verify", "--episodes", 0, code=2)
+
+
+def test_only_people_beside_a_thing_can_handle_it() -> None:
+    task = Language()
+    session = h3data.session(task, scenes=HOME, seed=1, spec=LanguageSpec(template="wash"), roster=("robot", "human"))
+    play = session.play
+    thing = next(k for k, (state, _) in enumerate(play.episode.extra["uses"]) if state)
+    other = next(k for k, (state, _) in enumerate(play.episode.extra["uses"]) if not state)
+    wait = Action("wait", thing, HANDLING_STEPS)
+    assert "no hand" in str(task.control.refusal(play, 0, wait))
+    pose, person = play.world.state.object_pose[0, thing], play.world.state.agents[1].xz[0]
+    pose[[0, 2]] = person + 2.0
+    assert "too far away" in str(task.control.refusal(play, 1, wait))
+    pose[[0, 2]] = person + 0.5
+    assert task.control.refusal(play, 1, wait) is None
+    play.world.state.held_by[0, thing] = 0
+    assert "Somebody else" in str(task.control.refusal(play, 1, wait))
+    assert "nothing to do" in str(task.control.refusal(play, 1, Action("wait", other)))
+    assert task.control.refusal(play, 1, Action("wait")) is None
+
+
+@pytest.mark.parametrize(
+    "rules", [{"kind": "easy"}, {"template": "one"}, {"kind": "free", "template": "wash"}, {"max_steps": 0}]
+)
+def test_rules_that_mean_nothing_are_refused(rules: dict[str, Any]) -> None:
+    with pytest.raises(InputError):
+        LanguageSpec(**rules)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"uses": None},
+        {"uses": [["wet", True]] * 3},
+        {"states": {"clean": [True]}},
+        {"evaluation_propositions": [{"function_name": "is_clean", "args": {"object_handles": ["spoon_0"]}}]},
+        {"evaluation_layout": {}},
+    ],
+)
+def test_episode_files_that_were_tampered_with_are_refused(change: dict[str, Any]) -> None:
+    task = Language()
+    record = task.codec.record(episode("wash"))
+    entry = task.codec.entry(record, episode_id="0", scene_id="x")
+    assert task.codec.read(entry, seed=0) is not None
+    import msgspec
+
+    broken = msgspec.structs.replace(record, extra={**record.extra, **change})
+    entry = msgspec.structs.replace(entry, info=info_block("language", broken))
+    with pytest.raises(InputError):
+        task.codec.read(entry, seed=0)
