@@ -10,6 +10,8 @@ from types import ModuleType
 from typing import Any
 
 MOVED = {
+    "h3data.metrics.field": "h3data_social.field",
+    "h3data.metrics.social": "h3data_social.people",
     "sim_kinematic.agents.contact_tracker": "sim_kinematic.agents.giving_way",
     "sim_kinematic.envs.skill_stepper": "sim_kinematic.envs.world_stepper",
     "sim_kinematic.tasks.rearrange.control": "sim_kinematic.tasks.skills.control",

@@ -125,7 +125,7 @@ def test_a_stored_episode_plays_like_the_drawn_one() -> None:
 
 
 def test_the_person_goes_where_the_episode_says() -> None:
-    """Not where its seed would have sent her; after the last stored goal she goes on by herself."""
+    """Not where its seed would have sent them; after the last stored goal the person goes on by themselves."""
     episode = sampled_episode(HOME, seed=5, spec=SocialNavSpec(max_steps=400))
     told = msgspec.structs.replace(episode, human_goals=episode.human_goals[2:0:-1], goals_complete=False)
     world = episode_from(told, open_scene(HOME), spec=SocialNavSpec(max_steps=400, end_on_collision=False))
