@@ -10,6 +10,9 @@ from types import ModuleType
 from typing import Any
 
 MOVED = {
+    "h3data.mesh.glb_write": "h3data_exporters.glb_write",
+    "h3data.bodies.walk_synthesis": "h3data_motion.walk_synthesis",
+    "h3data.bodies.robots.mjcf": "h3data_worlds.mjcf",
     "h3data.metrics.field": "h3data_social.field",
     "h3data.metrics.social": "h3data_social.people",
     "sim_kinematic.agents.contact_tracker": "sim_kinematic.agents.giving_way",

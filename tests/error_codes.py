@@ -32,7 +32,7 @@ AREAS = {
     "BODY": (
         "people, robots and motion",
         "bodies",
-        "h3data/bodies pipelines/h3data_motion pipelines/h3data_pipelines/assets",
+        "h3data/bodies pipelines/h3data_motion pipelines/h3data_worlds/mjcf.py pipelines/h3data_pipelines/assets",
     ),
     "HABITAT": ("files of Habitat", "habitat", "pipelines/h3data_habitat"),
     "WORLD": ("scenes of other makers", "scenes", "pipelines/h3data_worlds"),

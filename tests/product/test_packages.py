@@ -114,7 +114,7 @@ CALLS = {
     "h3data_social": "from h3data.metrics.registry import find_profile; find_profile('social')",
     "h3data_gpu": "from h3data.replay.stage import chosen_backend; chosen_backend('auto'); chosen_backend('gpu')",
 }
-"""What is refused in Python without each package: learning on a device, Habitat's sliding, metrics among people, pictures of a GPU."""
+"""What is refused in Python without each package."""
 
 
 @pytest.mark.parametrize("package", CALLS)
