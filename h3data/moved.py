@@ -10,6 +10,8 @@ from types import ModuleType
 from typing import Any
 
 MOVED = {
+    "sim_kinematic.envs.dataset_env": "h3data_training.envs.dataset_env",
+    "h3data.render.id_png": "h3data_pipelines.pictures.id_png",
     "h3data.mesh.glb_write": "h3data_exporters.glb_write",
     "h3data.bodies.walk_synthesis": "h3data_motion.walk_synthesis",
     "h3data.bodies.robots.mjcf": "h3data_worlds.mjcf",

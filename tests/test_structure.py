@@ -63,7 +63,7 @@ AGAINST_THE_LAYERS = {
         "sim_kinematic.tasks.sessions",
     ],
     "h3data.envs": [
-        "sim_kinematic.envs.dataset_env",
+        "h3data_training.envs.dataset_env",
         "sim_kinematic.envs.make",
         "sim_kinematic.envs.parallel",
         "sim_kinematic.envs.single",
@@ -74,6 +74,7 @@ AGAINST_THE_LAYERS = {
         "h3data_gpu",
         "h3data_habitat",
         "h3data_meshes",
+        "h3data_pipelines",
         "sim_kinematic",
     ],  # whose kernels are ours
     "h3data.metrics.table_files": ["h3data.metrics"],  # no module: a key in the metadata of Parquet files
