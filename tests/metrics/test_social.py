@@ -435,7 +435,7 @@ GOLDEN: dict[str, float] = {
 
 
 def test_a_robot_and_a_person_are_needed_and_everything_is_explained():
-    with pytest.raises(InputError, match="need a robot and a human"):
+    with pytest.raises(InputError, match="H3-METRIC-027"):
         measure(replace(crowd([(0, 0)], [(1, 0)]), agents=(ROBOT, STRANGER)), "social")
     text = explain(find_metric("DH_min"))
     for part in ("min c", "Francis", "unit       m", "c that to the nearest person", "social/space/DH_min@1"):
