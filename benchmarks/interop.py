@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from h3data.mesh.glb_write import glb_bytes
 from h3data.scene import Mesh, Texture
+from h3data_exporters.glb_write import glb_bytes
 
 TRIANGLES = 1_000_000
 PARTS = 4

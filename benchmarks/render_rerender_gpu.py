@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from benchmarks.render_rerender import OUTPUTS, Emit, scene_of
 from h3data.render import VideoWriter
-from h3data.render.id_png import id_png_bytes
 from h3data.render.image_files import depth_to_mm, stored_ids
 from h3data.replay import CameraTrack, Replay
 from h3data.replay.stage import WORLDS
 from h3data_gpu import gpu_problem
 from h3data_pipelines.outputs import Target
+from h3data_pipelines.pictures.id_png import id_png_bytes
 from h3data_pipelines.pictures.rendering import render_files
 
 LIMITS = {"depth": 1e-4, "instance": 1e-4, "rgb": 0.008}

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 from h3data.errors import MissingExtraError
 
 if TYPE_CHECKING:
-    from sim_kinematic.envs.dataset_env import DatasetEnv
+    from h3data_training.envs.dataset_env import DatasetEnv
     from sim_kinematic.envs.make import make
     from sim_kinematic.envs.parallel import TaskParallelEnv
     from sim_kinematic.envs.single import TaskEnv
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from sim_kinematic.envs.vector import TaskVectorEnv
 
 _HOMES = {
-    "DatasetEnv": "sim_kinematic.envs.dataset_env",
+    "DatasetEnv": "h3data_training.envs.dataset_env",
     "Options": "sim_kinematic.envs.stepper",
     "Stepper": "sim_kinematic.envs.stepper",
     "TaskEnv": "sim_kinematic.envs.single",

@@ -311,6 +311,27 @@ def transform_points(matrix: ArrayLike, points: ArrayLike) -> Array:
     return p @ np.swapaxes(m[..., :3, :3], -1, -2) + m[..., None, :3, 3]
 
 
+def distance_to_circles(points: Any, headings: Any, circles: Any, *, xp: Any = np) -> Any:
+    """Returns the distance [..., R] [m] from floor points along headings to the first circle; inf: none, 0: inside of one.
+
+    Args:
+        points: Points (x, z) [..., 2] [m].
+        headings: Headings of the rays [..., R] [rad].
+        circles: Circles (x, z, radius) [..., N, 3] [m], N > 0; no ray meets one with NaN.
+        xp: The namespace of all three: ``numpy`` or ``torch``.
+    """
+    gap = circles[..., None, :, :2] - points[..., None, None, :]
+    x, z = xp.cos(headings)[..., None], -xp.sin(headings)[..., None]
+    along, across = gap[..., 0] * x + gap[..., 1] * z, gap[..., 0] * z - gap[..., 1] * x
+    radius = circles[..., None, :, 2]
+    half = radius * radius - across * across
+    near = along - xp.sqrt(half.clip(0.0, None))
+    inside = gap[..., 0] ** 2 + gap[..., 1] ** 2 <= radius * radius
+    first = xp.where((half > 0.0) & (near > 0.0), near, xp.inf)
+    first = xp.where(inside, 0.0, first)
+    return first.min(-1) if xp is np else first.amin(-1)
+
+
 def ground_pose(xz: ArrayLike, heading_rad: ArrayLike, floor_y: ArrayLike = 0.0) -> Array:
     """pose7 [..., 7] of agent roots standing at floor points ``(x, z)`` [..., 2] with headings [...]."""
     if _is_single(xz) and isinstance(heading_rad, float) and isinstance(floor_y, float):

@@ -10,6 +10,13 @@ from types import ModuleType
 from typing import Any
 
 MOVED = {
+    "sim_kinematic.envs.dataset_env": "h3data_training.envs.dataset_env",
+    "h3data.render.id_png": "h3data_pipelines.pictures.id_png",
+    "h3data.mesh.glb_write": "h3data_exporters.glb_write",
+    "h3data.bodies.walk_synthesis": "h3data_motion.walk_synthesis",
+    "h3data.bodies.robots.mjcf": "h3data_worlds.mjcf",
+    "h3data.metrics.field": "h3data_social.field",
+    "h3data.metrics.social": "h3data_social.people",
     "sim_kinematic.agents.contact_tracker": "sim_kinematic.agents.giving_way",
     "sim_kinematic.envs.skill_stepper": "sim_kinematic.envs.world_stepper",
     "sim_kinematic.tasks.rearrange.control": "sim_kinematic.tasks.skills.control",

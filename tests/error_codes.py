@@ -32,7 +32,7 @@ AREAS = {
     "BODY": (
         "people, robots and motion",
         "bodies",
-        "h3data/bodies pipelines/h3data_motion pipelines/h3data_pipelines/assets",
+        "h3data/bodies pipelines/h3data_motion pipelines/h3data_worlds/mjcf.py pipelines/h3data_pipelines/assets",
     ),
     "HABITAT": ("files of Habitat", "habitat", "pipelines/h3data_habitat"),
     "WORLD": ("scenes of other makers", "scenes", "pipelines/h3data_worlds"),
@@ -41,7 +41,7 @@ AREAS = {
     "RENDER": ("pictures", "rendering", "h3data/render pipelines/h3data_gpu pipelines/h3data_pipelines/pictures"),
     "EXPORT": ("exports", "export", "pipelines/h3data_exporters pipelines/lerobot_env_h3data"),
     "ROS": ("bags of ROS 2, tracks and maps", "ros", "pipelines/h3data_ros"),
-    "METRIC": ("metrics", "metrics", "h3data/metrics"),
+    "METRIC": ("metrics", "metrics", "h3data/metrics pipelines/h3data_social"),
     "STATS": ("statistics", "statistics", "h3data/stats"),
     "FORMAT": ("file formats", "format", "h3data/formats"),
     "FILE": ("files, folders and plug-ins", "extending", "h3data"),

@@ -28,6 +28,7 @@ PACKAGES = {
     "h3data_remote": ROOT / "pipelines" / "h3data_remote",
     "h3data_ros": ROOT / "pipelines" / "h3data_ros",
     "h3data_language": ROOT / "pipelines" / "h3data_language",
+    "h3data_social": ROOT / "pipelines" / "h3data_social",
     "h3data_pipelines": ROOT / "pipelines" / "h3data_pipelines",
     "h3data_kernels": ROOT / "pipelines" / "h3data_kernels",
     "bake": ROOT / "pipelines" / "bake",
@@ -41,6 +42,7 @@ LAYERS = (
     "h3data_habitat",
     "h3data_meshes",
     "h3data_motion",
+    "h3data_social",
     "h3data_worlds",
     "h3data_ros",
     "h3data_viewers",
@@ -63,7 +65,7 @@ AGAINST_THE_LAYERS = {
         "sim_kinematic.tasks.sessions",
     ],
     "h3data.envs": [
-        "sim_kinematic.envs.dataset_env",
+        "h3data_training.envs.dataset_env",
         "sim_kinematic.envs.make",
         "sim_kinematic.envs.parallel",
         "sim_kinematic.envs.single",
@@ -74,6 +76,7 @@ AGAINST_THE_LAYERS = {
         "h3data_gpu",
         "h3data_habitat",
         "h3data_meshes",
+        "h3data_pipelines",
         "sim_kinematic",
     ],  # whose kernels are ours
     "h3data.metrics.table_files": ["h3data.metrics"],  # no module: a key in the metadata of Parquet files

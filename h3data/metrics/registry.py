@@ -1,6 +1,6 @@
 """Metric profiles by name, and the profile that measures a recording.
 
-Built in are `paper` (as published), `habitat` and `habitat@0.3.0` (as that code computes them), `field` (what papers on
+Included are `paper` (as published), `habitat` and `habitat@0.3.0` (as that code computes them), `field` (what papers on
 social navigation report), `social` (the same among any number of people, as four sources define it), `partnr`, and `task`
 (success, reward and time of any task). Installed packages add profiles by
 entry points of the group ``h3data.profiles``; ``module:name`` needs no entry point. A name can stand for several profiles,
@@ -34,10 +34,10 @@ PROFILES: Registry[Profile | tuple[Profile, ...]] = Registry(
     "h3data.profiles",
     {
         "paper": "h3data.metrics.paper.profiles:PROFILES",
-        "habitat": "",  # of h3data_habitat
+        "habitat": "",  # empty: of another of our packages
         "habitat@0.3.0": "",
-        "field": "h3data.metrics.field.profile:PROFILE",
-        "social": "h3data.metrics.social.profile:PROFILE",
+        "field": "",
+        "social": "",
         "partnr": "",  # of h3data_language
         "partnr@habitat": "",
         ANY_TASK: "h3data.metrics.any_task:PROFILE",

@@ -9,8 +9,8 @@ import numpy as np
 
 from h3data.geometry import Array, pose_from_matrix, pose_to_matrix
 from h3data.mesh.glb import FLOAT32, GlbChunk, gltf_document, pack_glb, placement
-from h3data.mesh.glb_write import mesh_lists
 from h3data.mesh.mesh import Mesh
+from h3data_exporters.glb_write import mesh_lists
 from h3data_exporters.posed_parts import Skeleton
 
 Node = dict[str, Any]

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.geometry import Array
-from h3data.mesh.glb_write import Influences
 from h3data.mesh.mesh import Mesh
 from h3data.recording.records import Body
+from h3data_exporters.glb_write import Influences
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

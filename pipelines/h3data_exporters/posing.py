@@ -19,13 +19,13 @@ from h3data.geometry import (
     quat_from_heading,
     quat_sign_continuous,
 )
-from h3data.mesh.glb_write import Influences
 from h3data.recording import Body
 from h3data.recording.assets.skinned_meshes import SkinnedMesh
 from h3data.render import OPENGL_TO_OPENCV
 from h3data.replay.cameras import THIRD_PERSON, camera_names, camera_track
 from h3data.replay.records import JointTrack, LinkTrack, PersonTrack, RigTrack
 from h3data.replay.replay import Replay
+from h3data_exporters.glb_write import Influences
 from h3data_exporters.posed_parts import PosedCamera, PosedPart, Skeleton
 
 _ROOT_OF_PERSON = np.array([0, HUMAN_ROOT_HEIGHT_M, 0, *quat_from_heading(np.pi / 2)])

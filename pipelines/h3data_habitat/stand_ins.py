@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Robot, humanoid_names, load_humanoid, load_robot, robot_names
 from h3data.bodies.people.skeleton import JOINT_NAMES, PARENTS
-from h3data.bodies.walk_synthesis import SYNTHETIC_BODY, fitting_body, floor_below, walk_columns
 from h3data.geometry import (
     Array,
     pose_inverse,
@@ -34,6 +33,7 @@ from h3data.mesh.primitives import box_mesh
 from h3data.recording.assets.library import AssetLibrary
 from h3data.recording.assets.placeholders import PlaceholderKind, placeholder_kind, placeholder_mesh
 from h3data.recording.records import Agent, Body, Recording
+from h3data_motion.walk_synthesis import SYNTHETIC_BODY, fitting_body, floor_below, walk_columns
 
 BOX_COLORS: dict[PlaceholderKind, tuple[int, int, int]] = {
     "stage": (186, 182, 176),

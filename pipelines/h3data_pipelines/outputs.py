@@ -109,8 +109,8 @@ class _FolderSink:
     ids: bool
 
     def prepare(self, image: NDArray[Any], step: int) -> None:
-        from h3data.render.id_png import id_png_bytes
         from h3data.render.image_files import png_bytes
+        from h3data_pipelines.pictures.id_png import id_png_bytes
 
         encoded = (id_png_bytes if self.ids else png_bytes)(self.picture(image, step))
         # under its name at once: the folder has its own name only when it is complete

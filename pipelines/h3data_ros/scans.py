@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.geometry import distance_to_circles
 from h3data.scene import FreeSpace
 
 RANGE_M = (0.05, 12.0)
@@ -36,25 +37,16 @@ def cast_scans(
     """
     angles = -np.pi + np.arange(rays) * (2 * np.pi / rays)
     ranges = np.full((len(at), rays), np.nan, np.float32)
+    discs = np.concatenate([people, np.full((*people.shape[:2], 1), radius_m)], axis=-1)
     for start in range(0, len(at), _BLOCK):
         rows = slice(start, start + _BLOCK)
         heading = headings[rows, None] + angles
-        directions = np.stack([np.cos(heading), -np.sin(heading)], axis=-1)
         known = np.isfinite(at[rows]).all(-1)
         far = np.full(heading.shape, np.nan)
         far[known] = free.free_along(at[rows][known], heading[known], max_m=RANGE_M[1])
-        for p in range(people.shape[1]):
-            far = np.fmin(far, _disc(people[rows, p] - at[rows], directions, radius_m))
+        if people.shape[1]:
+            far = np.fmin(far, distance_to_circles(at[rows], heading, discs[rows]))
         far[~known] = np.nan
         far[far >= RANGE_M[1]] = np.inf
         ranges[rows] = far
     return ranges
-
-
-def _disc(offset: NDArray[np.float64], directions: NDArray[np.float64], radius_m: float) -> NDArray[np.float64]:
-    """Distances [T, R] along rays to discs at offsets [T, 2]; NaN where a ray misses."""
-    along = np.einsum("trk,tk->tr", directions, offset)
-    aside = (offset**2).sum(-1)[:, None] - along**2
-    with np.errstate(invalid="ignore"):
-        hit = (aside < radius_m**2) & (along > 0)
-        return np.where(hit, np.maximum(along - np.sqrt(np.maximum(radius_m**2 - aside, 0)), 0), np.nan)

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import load_humanoid
-from h3data.bodies.walk_synthesis import SYNTHETIC_BODY, walk_columns
 from h3data.errors import FormatError, InputError
 from h3data.geometry import ground_pose, heading_from_quat
 from h3data.recording.assets.scenes import scene_records
 from h3data.recording.records import Agent, AssetRef, Body, Episode, Recording
 from h3data.scene import Scene
 from h3data.scene.scene_file import scene_bytes
+from h3data_motion.walk_synthesis import SYNTHETIC_BODY, walk_columns
 from h3data_ros.transforms import at_times
 
 GAP_S = 0.5
@@ -177,7 +177,7 @@ def record_tracks(
     """Return the recording of tracks: the robot first, then the people in the order of their first observation.
 
     Columns ``agent_<i>.recorded`` hold whether a row's pose was observed, and not interpolated. Postures of people are
-    synthesized from their paths (`h3data.bodies.walk_synthesis`), headings that nobody observed are those of motion.
+    synthesized from their paths (`h3data_motion.walk_synthesis`), headings that nobody observed are those of motion.
 
     Raises:
         InputError: ``hz`` is not sensible.

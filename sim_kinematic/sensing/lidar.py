@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from h3data.geometry import distance_to_circles
+
 LIDAR_RAYS = 360
 """Rays of `scan`, one each degree."""
 LIDAR_M = 12.0
@@ -36,21 +38,4 @@ def scan(m: Any, *, legs: bool) -> Any:
     circles = m.circles(legs=legs)
     if not circles.shape[-2]:
         return reach
-    return xp.minimum(reach, to_circles(xp, m.now.xz, headings, circles).clip(None, LIDAR_M))
-
-
-def to_circles(xp: Any, xz: Any, headings: Any, circles: Any) -> Any:
-    """Distance [..., R] [m] from points [..., 2] along headings [..., R] to the first circle; inf: none, 0: inside of one.
-
-    The circles ``(x, z, radius)`` are [..., N, 3] [m].
-    """
-    gap = circles[..., None, :, :2] - xz[..., None, None, :]
-    x, z = xp.cos(headings)[..., None], -xp.sin(headings)[..., None]
-    along, across = gap[..., 0] * x + gap[..., 1] * z, gap[..., 0] * z - gap[..., 1] * x
-    radius = circles[..., None, :, 2]
-    half = radius * radius - across * across
-    near = along - xp.sqrt(half.clip(0.0, None))
-    inside = gap[..., 0] ** 2 + gap[..., 1] ** 2 <= radius * radius
-    first = xp.where((half > 0.0) & (near > 0.0), near, xp.inf)
-    first = xp.where(inside, 0.0, first)
-    return first.min(-1) if xp is np else first.amin(-1)
+    return xp.minimum(reach, distance_to_circles(m.now.xz, headings, circles, xp=xp).clip(None, LIDAR_M))

@@ -14,7 +14,6 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from h3data.errors import InputError, SceneError
 from h3data.geometry import quat_from_axis_angle, transform_points
-from h3data.mesh.glb_write import glb_bytes
 from h3data.mesh.loading import load_mesh
 from h3data.render import Renderer, look_at, pinhole
 from h3data.render.sheets.scene_map import render_scene
@@ -34,6 +33,7 @@ from h3data.scene import (
     instance_matrix,
 )
 from h3data.scene.articulation import joints_of, posed
+from h3data_exporters.glb_write import glb_bytes
 from h3data_habitat.exporters import scenes as export_module
 from h3data_habitat.exporters.scenes import NAVMESH_SETTINGS, export_habitat, export_habitat_dataset
 from h3data_habitat.navmesh.file import read_navmesh

@@ -20,12 +20,12 @@ from hypothesis import strategies as st
 
 from h3data.errors import FormatError, H3DataError
 from h3data.formats import detect
-from h3data.mesh.glb_write import glb_bytes
 from h3data.mesh.loading import load_mesh
 from h3data.mesh.primitives import primitive_mesh
 from h3data.recording import AssetRef, read_mcap, write_mcap
 from h3data.recording.assets.library import AssetLibrary
 from h3data.replay import Replay
+from h3data_exporters.glb_write import glb_bytes
 from h3data_habitat.episodes.files import read_episodes
 from h3data_habitat.gfx.keyframes import KEYFRAME_BYTES
 from h3data_habitat.gfx.replay import read_gfx_replay

@@ -200,7 +200,7 @@ def test_commands_take_the_option_and_say_so(tmp_path: Path, capsys: pytest.Capt
     assert b"front_left_shank" in (tmp_path / "a.glb").read_bytes()
     assert main(["view", log, "--stand-ins", "-o", str(tmp_path / "a.html")]) == 0
     assert main(["view", log, "--stand-ins", "-o", str(tmp_path / "a.rrd")]) == 0
-    with pytest.raises(InputError, match="stand_ins=True is not for gfx-replay"):
+    with pytest.raises(InputError, match="H3-OPTION-035"):
         h3data.export(log, tmp_path / "b.gfx_replay.json", to="gfx-replay", stand_ins=True)
 
 

@@ -11,11 +11,11 @@ import pytest
 import trimesh
 
 from h3data.errors import SceneError
-from h3data.mesh.glb_write import MAX_LOOKS, GlbNode, glb_bytes
 from h3data.mesh.loading import load_mesh
 from h3data.mesh.mesh_operations import face_texture_indices, joined
 from h3data.scene import Mesh, Texture
 from h3data.srgb import bytes_to_linear, linear_to_bytes
+from h3data_exporters.glb_write import MAX_LOOKS, GlbNode, glb_bytes
 from h3data_homes import HomeSpec, build_home
 
 RNG = np.random.default_rng(4)

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from h3data.geometry import ground_pose
 from h3data.metrics import measure, metrics_of, series_of
-from h3data.metrics.field import with_clearance
-from h3data.metrics.field.profile import GOAL, field_series, time_to_collision
 from h3data.recording.records import Agent, Episode, Recording
+from h3data_social.field import with_clearance
+from h3data_social.field.profile import GOAL, field_series, time_to_collision
 
 SECOND = 1_000_000_000
 
@@ -37,7 +37,7 @@ def floor(robot, human, heading=None, *, step_ns=SECOND, **columns) -> Recording
 
 
 def test_a_straight_approach_by_hand():
-    # 1 m a second towards a person 5 m ahead, from row 3 on standing 2 m away and facing her.
+    # 1 m a second towards a person 5 m ahead, from row 3 on standing 2 m away and facing them.
     robot = [(0, 0), (1, 0), (2, 0), (3, 0), (3, 0)]
     values = measure(floor(robot, [(5, 0)] * 5), "field").values
     expected = {

@@ -142,7 +142,7 @@ def test_the_files_hold_every_case():
 
 # --- what no golden file holds ----------------------------------------------------------------------------------------
 def still(steps: int, gap: float = 1.5, *, info: dict | None = None, **columns) -> Recording:
-    """A robot that stands ``gap`` metres from a human and faces her."""
+    """A robot that stands ``gap`` metres from a human and faces them."""
     robot = ground_pose(np.zeros((steps, 2)), np.zeros(steps)).astype(np.float32)
     human = ground_pose(np.full((steps, 2), [gap, 0.0]), np.zeros(steps)).astype(np.float32)
     return Recording(

@@ -54,24 +54,24 @@ def social(robot, human, *, heading=0.0, oracle=3, limit=20, hits=(), reach=None
 
 # name: recording; S, SPS, F, CR, BYR, TD, FD. l = 3 and E = 20 unless said.
 CASES = {
-    # Stands 1.75 m away and looks at her: found at once, w = 4 of 20 - 3; never nearer than 1.5 m.
+    # Stands 1.75 m away and looks at the person: found at once, w = 4 of 20 - 3; never nearer than 1.5 m.
     "found at once": (social([0] * 4, [1.75] * 4), 1, 1, 4 / 17, 0, 0, 1.75, 1.75),
     # 4, 3, 2, 2 m: found in row 2, p = 3 = l.
     "found in time": (social([0, 1, 2, 2], [4] * 4), 1, 1, 2 / 17, 0, 0, 11 / 4, 2),
     # 4, 4, 3, 3, 2 m: p = 5.
     "found late": (social([0, 0, 1, 1, 2], [4] * 5), 1, 3 / 5, 1 / 17, 0, 0, 16 / 5, 2),
     "never found": (social([0, 0, 0], [5, 6, 7]), 0, 0, 0, 0, 0, 6, NAN),
-    # In reach all the time, but with its back to her; at 1.6 m nothing counts as yielding.
+    # In reach all the time, but with its back to the person; at 1.6 m nothing counts as yielding.
     "faces away": (social([0] * 3, [1.6] * 3, heading=AWAY), 0, 0, 0, 0, 0, 1.6, NAN),
     # 1.25 m ahead, standing: every row but the first is a yield.
     "yields": (social([0] * 4, [1.25] * 4), 1, 1, 4 / 17, 0, 3 / 4, 1.25, 1.25),
     # Backs up by 0.125 m a step (3.75 m/s) from 1 m: rows 1 to 3 back up, row 4 ends at 1.5 m, which is not below.
     "backs up": (social(np.arange(5) * -0.125, [1.0] * 5), 1, 1, 5 / 17, 0, 3 / 5, 1.25, 1.25),
     # 3, 2, 0.5 m and contact in the last row; found in row 1 (p = 2 < l). Driving in fast is no yield.
-    "drives into her": (social([0, 1, 2.5], [3] * 3, hits=(2,)), 1, 1, 1 / 17, 1, 0, 5.5 / 3, 2.5 / 2),
+    "drives into the person": (social([0, 1, 2.5], [3] * 3, hits=(2,)), 1, 1, 1 / 17, 1, 0, 5.5 / 3, 2.5 / 2),
     # 1.5 m through a wall that takes 6 m to walk around, then 1.5 m of way too.
     "behind a wall": (social([0] * 3, [1.5] * 3, reach=[6, 6, 1.5]), 1, 1, 1 / 17, 0, 0, 1.5, 1.5),
-    # Follows longer than E - l = 2 steps: F = w / w = 1; without yields as she is 2 m away.
+    # Follows longer than E - l = 2 steps: F = w / w = 1; without yields as the person is 2 m away.
     "follows to the end": (social([0] * 6, [2] * 6, oracle=4, limit=6), 1, 1, 1, 0, 0, 2, 2),
 }
 
@@ -135,7 +135,7 @@ def test_distances_of_joined_episodes_are_weighted_means(one, two):
 def test_one_more_found_row_never_lowers_s_sps_f(walk, k):
     before = measure(floor(walk)).values
     better = list(walk)
-    better[k % len(walk)] = (-1.5, 0.0, 0.0)  # within reach, facing her
+    better[k % len(walk)] = (-1.5, 0.0, 0.0)  # within reach, facing the person
     after = measure(floor(better)).values
     for name in ("S", "SPS", "F"):
         assert after[name] >= before[name]

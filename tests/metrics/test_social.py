@@ -15,8 +15,8 @@ from h3data.errors import InputError
 from h3data.geometry import ground_pose
 from h3data.metrics import explain, find_metric, measure, metrics_of, series_of
 from h3data.metrics.registry import find_profile
-from h3data.metrics.social.profile import social_force
 from h3data.recording.records import STEP_NS, Agent, Episode, Recording
+from h3data_social.people.profile import social_force
 
 SECOND = 1_000_000_000
 ROBOT, STRANGER = Agent(name="robot", kind="robot"), Agent(name="other", kind="robot")
@@ -437,7 +437,7 @@ GOLDEN: dict[str, float] = {
 
 
 def test_a_robot_and_a_person_are_needed_and_everything_is_explained():
-    with pytest.raises(InputError, match="need a robot and a human"):
+    with pytest.raises(InputError, match="H3-METRIC-027"):
         measure(replace(crowd([(0, 0)], [(1, 0)]), agents=(ROBOT, STRANGER)), "social")
     text = explain(find_metric("DH_min"))
     for part in ("min c", "Francis", "unit       m", "c that to the nearest person", "social/space/DH_min@1"):

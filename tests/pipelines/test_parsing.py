@@ -180,11 +180,11 @@ def test_old_names_of_options_are_refused_with_the_new_one(old: str, tmp_path: P
         flags = [flag for option in options_of(command) for flag in option.flags]
         if now not in flags or old in flags:
             continue
-        with pytest.raises(InputError, match=f"{old} is {now} now"):
+        with pytest.raises(InputError, match="H3-OPTION-078"):
             parse([*words, old, "x"], COMMANDS, about="")
         job = tmp_path / "job.toml"
         job.write_text(f'{old.lstrip("-")} = "x"')
-        with pytest.raises(InputError, match=f"{old.lstrip('-')} is {now.lstrip('-')} now"):
+        with pytest.raises(InputError, match="H3-OPTION-077"):
             parse([*words, "--config", str(job)], COMMANDS, about="")
         tried += 1
     assert tried

@@ -36,6 +36,7 @@ PLACES = {
     "h3data_remote": "pipelines",
     "h3data_language": "pipelines",
     "h3data_ros": "pipelines",
+    "h3data_social": "pipelines",
     "h3data_play": "viewers",
     "h3data_studies": "viewers",
     "h3data_viewers": "viewers",
@@ -112,9 +113,10 @@ def test_a_package_that_is_not_there_costs_only_its_commands(package: str, lost:
 CALLS = {
     "h3data_training": "import h3data; h3data.make('social_nav', scenes='small:1', device='cpu')",
     "h3data_habitat": "from sim_kinematic.motion.step import SLIDES; SLIDES.get('habitat')",
+    "h3data_social": "from h3data.metrics.registry import find_profile; find_profile('social')",
     "h3data_gpu": "from h3data.replay.stage import chosen_backend; chosen_backend('auto'); chosen_backend('gpu')",
 }
-"""What is refused in Python without each package: learning on a device, Habitat's sliding, pictures of a GPU."""
+"""What is refused in Python without each package."""
 
 
 @pytest.mark.parametrize("package", CALLS)

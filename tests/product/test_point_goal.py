@@ -136,7 +136,7 @@ def test_a_faulty_task_is_named_with_the_field(task: PointGoal, says: str) -> No
     ],
 )
 def test_members_of_earlier_tasks_are_refused_with_their_new_place(member: str, place: str) -> None:
-    with pytest.raises(H3DataError, match=rf"EarlierTask\.{member} of a task is {place} now"):
+    with pytest.raises(H3DataError, match="H3-TASK-070"):
         type("EarlierTask", (PointGoal,), {member: lambda *_: {}})
 
 

@@ -231,7 +231,7 @@ def test_open_takes_what_commands_take(generated: Any, tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=r"(?s)(Scene|Recording|Dataset).*H3-FILE-002"):
             load(other)
-    with pytest.raises(InputError, match=re.escape("several scenes. Expected one, such as small:0")):
+    with pytest.raises(InputError, match="H3-FILE-005"):
         h3data.open("small")
     with pytest.raises(InputError, match=r"(?s)Dataset.*Recording.*H3-FILE-002"):
         h3data.open(tmp_path / "a.mcap", h3data.Dataset)
@@ -249,7 +249,7 @@ def test_slices_filters_and_splits_choose_episodes(generated: Any) -> None:
     scene = dataset.rows[0]["scene"]
     assert len(dataset.filter(scene=scene)) == 2
     assert len(dataset.filter(lambda facts: facts["length"] > 20)) == 0
-    with pytest.raises(InputError, match=re.escape("No episode has a 'scen'. Did you mean 'scene'?")):
+    with pytest.raises(InputError, match="H3-RECORDING-003"):
         dataset.filter(scen=scene)
     train, test = dataset.split(0.5, by="scene")
     assert {f["scene"] for f in train.facts}.isdisjoint(f["scene"] for f in test.facts)
@@ -345,9 +345,9 @@ def test_the_specification_makes_the_environment_again() -> None:
 
 
 def test_wrong_options_of_make_say_what_was_meant() -> None:
-    with pytest.raises(InputError, match=re.escape("Unknown option 'nenvs' of social_nav. Did you mean 'num_envs'?")):
+    with pytest.raises(InputError, match="H3-ENV-020"):
         h3data.make("social_nav", "small:1", nenvs=3)
-    with pytest.raises(InputError, match="person of wander walks by 'waypoints'"):
+    with pytest.raises(InputError, match="H3-ENV-036"):
         h3data.make("wander", "small:1", device="cpu")
 
 

@@ -14,7 +14,7 @@ from h3data.recording import SCHEMA_VERSION, Dataset, DatasetWriter, open_steps,
 from h3data.recording.records import OLDEST_VERSION
 from tests.recording.golden_recordings import FOLDER, recording
 
-TOO_OLD = r"schema version 1\.3 before h3data 0\.2; this h3data reads 1\.6 and later\. Hint: h3data 0\.2\.0 .*: .*"
+TOO_OLD = "H3-RECORDING-129"
 
 
 @pytest.fixture
@@ -72,5 +72,5 @@ def test_a_newer_major_version_is_refused(tmp_path: Path) -> None:
     text = json.loads(info.read_text())
     for version in ("2.0", "10.3"):
         info.write_text(json.dumps({**text, "h3data": {**text["h3data"], "schema_version": version}}))
-        with pytest.raises(FormatError, match=rf"schema version {version}.*newer h3data"):
+        with pytest.raises(FormatError, match="H3-RECORDING-110"):
             Dataset(tmp_path / "ds")

@@ -147,10 +147,10 @@ def test_a_shared_scene_that_is_missing_or_damaged_is_named(tmp_path):
     write_mcap(rec, tmp_path / "a.mcap", share_in=tmp_path)
     (file,) = (tmp_path / "h3" / "files").glob("*.glb")
     file.write_bytes(b"damaged")
-    with pytest.raises(FormatError, match=rf"damaged: expected the SHA-256 {file.stem}.*h3data recover.*{file}"):
+    with pytest.raises(FormatError, match="H3-RECORDING-005"):
         open_recording(tmp_path / "a.mcap")
     file.unlink()
-    with pytest.raises(FormatError, match=rf"scene.glb of the recording a.mcap is missing.*{file.name}.*copy"):
+    with pytest.raises(FormatError, match="H3-RECORDING-037"):
         open_recording(tmp_path / "a.mcap")
     with open_steps(tmp_path / "a.mcap") as steps:
         assert len(steps.rows(0, 60)["time_ns"]) == 60, "numbers need no scene"

@@ -114,8 +114,8 @@ def test_browsers_are_refused_and_health_is_told() -> None:
     ("name", "options", "words"),
     [
         ("nobody", {}, "nobody"),
-        ("ws://127.0.0.1:1", {}, "of this machine"),
-        ("complement", {"task": "rearrange"}, "robots drive"),
+        ("ws://127.0.0.1:1", {}, "H3-REMOTE-045"),
+        ("complement", {"task": "rearrange"}, "H3-REMOTE-046"),
     ],
 )
 def test_what_cannot_be_served_is_refused(name: str, options: dict[str, Any], words: str) -> None:

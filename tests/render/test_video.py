@@ -16,8 +16,8 @@ from PIL import Image
 
 from h3data.errors import InputError
 from h3data.render import VideoWriter, write_depth_png, write_png
-from h3data.render.id_png import id_png_bytes
 from h3data.render.image_files import depth_to_mm, png_bytes, stored_ids
+from h3data_pipelines.pictures.id_png import id_png_bytes
 
 
 def frame(k: int, width: int, height: int) -> np.ndarray:

@@ -7,13 +7,13 @@ from functools import cache
 import numpy as np
 
 from h3data.bodies import load_humanoid, load_robot
-from h3data.bodies.walk_synthesis import walk_columns
 from h3data.geometry import ground_pose
 from h3data.recording.records import STEP_NS, Agent, AssetRef, Body, Episode, Event, Recording
 from h3data.scene import FreeSpace
 from h3data.scene.scene_file import scene_bytes
 from h3data_homes.build import build_home
 from h3data_homes.spec import HomeSpec
+from h3data_motion.walk_synthesis import walk_columns
 
 
 @cache

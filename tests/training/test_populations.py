@@ -158,11 +158,11 @@ def test_episodes_come_back_from_their_file(pool: Path, tmp_path: Path) -> None:
             np.testing.assert_array_equal(a.start, b.start)
     assert [entry.walk for entry in read.entries] == ["paper", "natural"]
     assert [episode.spec.max_steps for episode in episodes_of(read, DRAWN)] == [750, 1500]
-    with pytest.raises(InputError, match="drawn with walk='both', not 'paper'"):
+    with pytest.raises(InputError, match="H3-TRAIN-026"):
         pool_of(replace(DRAWN, walk="paper"), pool)
     for content in (pool.read_bytes()[:40], b"what", b""):
         (tmp_path / "bad").write_bytes(content)
-        with pytest.raises(FormatError, match="Expected a file of episodes"):
+        with pytest.raises(FormatError, match="H3-TRAIN-029"):
             pool_of(DRAWN, tmp_path / "bad")
 
 

@@ -167,7 +167,7 @@ def test_a_run_that_sees_colours_resumes_exactly_and_plays(bank: EpisodeBank, tm
     assert isinstance(first, VisualPolicy)
     assert first.card.picture_size == (16, 12)
     assert first.card.light == "baked"
-    with pytest.raises(InputError, match="observations="):
+    with pytest.raises(InputError, match="H3-TRAIN-021"):
         train(tmp_path, SMALL, bank=bank, init=first)
 
 
@@ -280,7 +280,7 @@ def test_a_trained_policy_is_where_a_run_begins(whole: Path, bank: EpisodeBank, 
     card = network_of(f"weights:{folder / POLICY}").card  # type: ignore[union-attr]
     assert card.training["parent"]["updates"] == 3
     assert card.training["parent"]["recipe"] == "small"
-    with pytest.raises(InputError, match="observations="):
+    with pytest.raises(InputError, match="H3-TRAIN-021"):
         train(tmp_path, small(observations=BLIND), init=policy, bank=bank)
     assert main(["train", "social_nav", "--warm-start", "plain_expert", "-o", str(tmp_path / "n")]) == 2
 

@@ -3,18 +3,33 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from h3data.bodies.robots.robot_settings import decode_settings
+from h3data.bodies.robots.urdf import Urdf
 from h3data.builtin import builtin_path
 from h3data.errors import InputError, suggest
 from h3data.plugins import REFERENCE, Registry
 
 SETTINGS_NAME = "robot.toml"
+
+
+class RobotReader(NamedTuple):
+    """A reader of robots in files other than URDF."""
+
+    read: Callable[[Path], Urdf]
+    """Reads the robot of a file."""
+    files: Callable[[Path], Sequence[Path]]
+    """All files that the robot consists of, the given one first."""
+
+
+READERS: Registry[RobotReader] = Registry("h3data.robot_files", {}, what="reader of robots")
+"""Readers of files other than URDF by suffix without its dot."""
 DESCRIPTIONS = (".urdf", ".xml", ".mjcf")
-"""Endings of descriptions of robots: URDF and MJCF."""
+"""Endings of descriptions of robots: URDF, and MJCF, which h3data_worlds reads."""
 
 
 def _check(loaded: Any) -> None:

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from h3data.bodies.robots.extents import resting_hull
 from h3data.bodies.robots.guess import guess_settings
-from h3data.bodies.robots.mjcf import is_mjcf, mjcf_files, read_mjcf
 from h3data.bodies.robots.robot import Robot, RobotCamera, RobotLeg, RobotLink
-from h3data.bodies.robots.robot_files import RobotFiles, find_robot, is_built_in
+from h3data.bodies.robots.robot_files import DESCRIPTIONS, READERS, RobotFiles, RobotReader, find_robot, is_built_in
 from h3data.bodies.robots.robot_settings import CameraSettings, RobotSettings, read_settings
 from h3data.bodies.robots.stand_ins import with_stand_ins
 from h3data.bodies.robots.urdf import Urdf, UrdfJoint, UrdfLink, UrdfPart, mesh_files, read_urdf
@@ -87,8 +86,9 @@ def robot_digest(name_or_path: str | Path) -> str:
 @lru_cache(maxsize=32)
 def _meshes_of(urdf: Path, version: tuple[int, int]) -> tuple[Path, ...]:
     del version  # only part of the key: a changed file is read again
-    if is_mjcf(urdf):
-        return tuple(mjcf_files(urdf)[1:])
+    reader = _reader(urdf)
+    if reader is not None:
+        return tuple(reader.files(urdf)[1:])
     return tuple(mesh_files(read_urdf(urdf, allow_missing=True, warn=False).links))
 
 
@@ -152,8 +152,15 @@ def _version(path: Path | None) -> tuple[int, int]:
 
 
 def _read(path: Path, *, allow_missing: bool = True) -> Urdf:
-    """The description of a robot, URDF or MJCF."""
-    return read_mjcf(path) if is_mjcf(path) else read_urdf(path, allow_missing=allow_missing)
+    """The description of a robot, in URDF or in a format of `READERS`."""
+    reader = _reader(path)
+    return read_urdf(path, allow_missing=allow_missing) if reader is None else reader.read(path)
+
+
+def _reader(path: Path) -> RobotReader | None:
+    """Reader of a file by its suffix; None for URDF."""
+    suffix = path.suffix.lower()
+    return READERS.get(suffix[1:]) if suffix in DESCRIPTIONS[1:] else None
 
 
 # --- building ---------------------------------------------------------------------------------------------------------

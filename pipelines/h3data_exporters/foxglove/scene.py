@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.geometry import IDENTITY_POSE, Array
-from h3data.mesh.glb_write import glb_bytes
 from h3data.mesh.mesh import Mesh
 from h3data.recording.records import Recording
 from h3data_exporters.foxglove import messages as messages
 from h3data_exporters.foxglove.frames import WORLD, FrameTree
 from h3data_exporters.foxglove.rigid_pieces import rigid_pieces
+from h3data_exporters.glb_write import glb_bytes
 from h3data_exporters.posed_parts import PosedPart
 
 TOPIC = "/scene_update"

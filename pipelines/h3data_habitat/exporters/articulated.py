@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.geometry import Array, normalized, pose_from_matrix, pose_to_matrix
-from h3data.mesh.glb_write import glb_bytes
 from h3data.mesh.mesh import Mesh
 from h3data.scene.articulation import joints_of, posed
 from h3data.scene.records import Articulation, Box, Instance, Part, Receptacle, Scene, Shape, instance_matrix
+from h3data_exporters.glb_write import glb_bytes
 from h3data_habitat.scenes.colliders import part_mesh
 
 _MASS = '<inertial><origin xyz="0 0 0"/><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'

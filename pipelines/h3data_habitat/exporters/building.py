@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.geometry import transform_points
-from h3data.mesh.glb_write import GlbNode
 from h3data.mesh.mesh import Mesh
 from h3data.scene.records import Instance, Scene, instance_matrix
+from h3data_exporters.glb_write import GlbNode
 
 _CEILING_SLACK_M = 0.01
 

@@ -22,13 +22,13 @@ from h3data.errors import InputError
 from h3data.files import part_file, size_text
 from h3data.formats import Exported, ExportRequest
 from h3data.geometry import Array
-from h3data.mesh.glb_write import glb_bytes
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.primitives import is_primitive
 from h3data.recording.assets.handles import HANDLE
 from h3data.recording.assets.library import EMPTY_URI
 from h3data.recording.records import AssetRef, Recording
 from h3data.replay import Replay
+from h3data_exporters.glb_write import glb_bytes
 from h3data_exporters.gltf_skin import skinned_glb_bytes
 from h3data_exporters.posed_parts import PosedCamera, PosedPart, spans
 from h3data_exporters.posing import missing_note, posed_cameras, posed_parts

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from h3data.errors import H3DataError, InputError, SceneError
 from h3data.geometry import IDENTITY_POSE, normalized
-from h3data.mesh.glb_write import GlbNode, glb_bytes
 from h3data.mesh.mesh import Mesh
 from h3data.scene.freespace.free_space import FreeSpace
 from h3data.scene.records import Asset, Instance, Receptacle, Room, Scene, instance_matrix
 from h3data.scene.scene_json import asset_record
+from h3data_exporters.glb_write import GlbNode, glb_bytes
 from h3data_habitat.exporters.articulated import ArticulatedExport, articulated_instance
 from h3data_habitat.exporters.building import building_parts, parts_by_class, speck
 from h3data_habitat.exporters.lights import SHADER, light_setup

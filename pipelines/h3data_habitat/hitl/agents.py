@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 
 from h3data.bodies import load_humanoid, load_robot
 from h3data.bodies.people.skeleton import HUMAN_ROOT_HEIGHT_M, JOINT_NAMES
-from h3data.bodies.walk_synthesis import (
+from h3data.geometry import Array, ground_pose, quat_rotate, quat_sign_continuous
+from h3data.recording.records import Agent
+from h3data_habitat.motion.habitat_humanoid import HABITAT_JOINTS
+from h3data_motion.walk_synthesis import (
     SYNTHETIC_BODY,
     fitting_body,
     floor_below,
     walk_columns,
 )
-from h3data.geometry import Array, ground_pose, quat_rotate, quat_sign_continuous
-from h3data.recording.records import Agent
-from h3data_habitat.motion.habitat_humanoid import HABITAT_JOINTS
 
 AgentKind = Literal["robot", "human"]
 JointOrder = Literal["habitat", "smplx"]

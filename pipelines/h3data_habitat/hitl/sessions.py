@@ -110,7 +110,7 @@ def read_hitl_episode(
       nobody was active is ``{}``: it repeats the state before it, its time lies between its neighbours', and the column
       ``recorded`` is False there.
     - Robots are shown by a built-in model at rest; people get a synthesised walk along their path
-      (`h3data.bodies.walk_synthesis`); ``info["synthesised"]`` says so. ``agent_<i>.root_pose`` keeps the root of
+      (`h3data_motion.walk_synthesis`); ``info["synthesised"]`` says so. ``agent_<i>.root_pose`` keeps the root of
       people as logged.
     - ``user.user_<u>_camera`` [T, 7] is the view of user ``u`` in Habitat's camera frame (looks along -z), NaN where
       absent; ``input.user_<u>.held_object`` (``hovered_``, ``selected_``) the object ids, -1 = none; ``info["object_ids"]``

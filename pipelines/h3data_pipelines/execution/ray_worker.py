@@ -30,6 +30,7 @@ PACKAGES = (
     "h3data_worlds",
     "h3data_exporters",
     "h3data_language",
+    "h3data_social",
     "h3data_remote",
 )
 _DECIDES = ("numpy", "scipy", "numba")

@@ -130,8 +130,8 @@ def _pictures() -> None:
     from h3data.mesh.mesh import Mesh, Texture
     from h3data.render import Renderer, RenderInstance, RenderScene, VideoWriter, look_at, orthographic, pinhole
     from h3data.render.colors import depth_to_rgb, instance_to_rgb
-    from h3data.render.id_png import id_png_bytes
     from h3data.render.image_files import depth_to_mm, stored_ids
+    from h3data_pipelines.pictures.id_png import id_png_bytes
 
     texture = Texture(pixels=np.full((2, 2, 4), 255, np.uint8))
     triangle = Mesh(

@@ -163,7 +163,7 @@ def test_a_fault_far_inside_is_placed(tmp_path: Path) -> None:
     text = json.dumps(replay(4000)).encode()
     at = text.rindex(b"[1, 0, 0, 0]")
     path.write_bytes(text[:at] + b"[1, 0, NaN, 0]" + text[at + 12 :])
-    with pytest.raises(FormatError, match=rf"NaN under 'rotation' \(byte {at + 7}\)"):
+    with pytest.raises(FormatError, match="H3-FORMAT-012"):
         read_gfx_replay(path)
     path.write_bytes(text[:at] + b"[1, 0, 0]" + text[at + 12 :])
     with pytest.raises(FormatError, match=r"(?s)keyframe 3999, stateUpdates, instance 2.*H3-HABITAT-059"):

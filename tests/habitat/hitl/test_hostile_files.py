@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 
 from h3data.bodies import load_humanoid
 from h3data.bodies.people.skeleton import JOINT_NAMES
-from h3data.bodies.walk_synthesis import walk_columns
 from h3data.errors import FormatError, H3DataError
 from h3data.geometry import quat_from_axis_angle, quat_from_heading
 from h3data.recording import read_mcap, write_mcap
@@ -25,6 +24,7 @@ from h3data_habitat.hitl.agents import infer_joint_order
 from h3data_habitat.hitl.paper_logs import read_hitl_log
 from h3data_habitat.hitl.sessions import read_hitl_episode
 from h3data_habitat.motion.habitat_humanoid import HABITAT_JOINTS
+from h3data_motion.walk_synthesis import walk_columns
 from h3data_pipelines.cli import main
 
 LEVEL = [0.0, 0.0, 0.0, 1.0]

@@ -11,11 +11,11 @@ import pytest
 
 from h3data.formats import detect
 from h3data.geometry import transform_points
-from h3data.mesh.glb_write import glb_bytes
 from h3data.mesh.primitives import box_mesh
 from h3data.recording import AssetRef
 from h3data.recording.assets.library import AssetLibrary
 from h3data.replay import Replay
+from h3data_exporters.glb_write import glb_bytes
 from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_habitat.hitl.episode import object_bodies
 from h3data_habitat.hitl.sessions import read_hitl_episode

@@ -56,7 +56,7 @@ def test_arms_in_are_narrower_and_leave_the_rest_alone(name: str) -> None:
     wide, narrow = (_half_width(body, *pose) for pose in (out, inside))
     assert (narrow < wide).all()
     assert (wide - narrow).max() > 0.03
-    assert narrow.max() < width_m(body) + 0.02  # what the rules take for her width
+    assert narrow.max() < width_m(body) + 0.02  # what the rules take for the width of a body
 
 
 def _half_width(body, quats, pelvis) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""A person reaches only where her body has room: not through walls, not with her head in a shelf."""
+"""A person reaches only where their body has room: not through walls, not with the head in a shelf."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def world(home: Scene) -> RearrangeEpisode:
 
 
 def parts_inside(recording: Recording, scene: Scene, *, deeper_than_m: float) -> set[tuple[str, str]]:
-    """Capsules of the person that are deeper than this in something while she picks or places, and in what."""
+    """Capsules of the person that are deeper than this in something while they pick or place, and in what."""
     person = len(recording.agents) - 1
     body, scenery = load_humanoid("female_0"), FclScene(scene)
     at = f"agent_{person}."
@@ -155,7 +155,7 @@ def test_without_room_the_skill_fails_and_says_so(world: RearrangeEpisode) -> No
 
 
 def test_the_left_hand_takes_what_the_right_cannot(world: RearrangeEpisode) -> None:
-    """Where only her left side has room she walks to a stand of the left hand, takes it and puts it down with that hand."""
+    """Where only the left side has room, a person walks to a stand of the left hand, takes and puts down with that hand."""
 
     class OnlyLeft(BodyClearance):
         def __init__(self) -> None: ...

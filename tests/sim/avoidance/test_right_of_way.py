@@ -370,7 +370,7 @@ def test_nobody_touches_anybody(home: Scene, free: FreeSpace, agents: str, seed:
 @pytest.mark.slow  # quick: tasks/test_giving_way.py
 def test_who_has_finished_clears_a_doorway(home: Scene, free: FreeSpace) -> None:
     """Somebody who does nothing stands in the narrowest place of the other's way, and somebody else looks on."""
-    spec = RearrangeSpec(max_steps=1000)  # with nobody in her way she needs 870
+    spec = RearrangeSpec(max_steps=1000)  # with nobody in the way the person needs 870
     world = rearrange_episode(home, seed=3, free=free, agents="human,male_1,female_2", spec=spec)
     points = [point[[0, 2]] for target in world.targets for point in (target.start, target.goal)]
     paths = [free.path(world.starts[0, :2], point, max_snap_m=2.0) for point in points]
@@ -384,7 +384,7 @@ def test_who_has_finished_clears_a_doorway(home: Scene, free: FreeSpace) -> None
     play = rollout(REARRANGE, world, {"human": "both,still,still"})
     assert run(play) == "success"
     idle = play.team.company.track(1)
-    assert np.hypot(*(idle[-1] - narrow)) > 0.3  # she went out of the way
+    assert np.hypot(*(idle[-1] - narrow)) > 0.3  # the person went out of the way
 
 
 @pytest.mark.slow

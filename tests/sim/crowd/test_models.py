@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from h3data.metrics.social.profile import social_force
+from h3data_social.people.profile import social_force
 from sim_kinematic.crowd.orca import half_plane, nearest_velocity
 from sim_kinematic.crowd.social_force import interaction
 from sim_kinematic.crowd.traits import CrowdSpec, sample_traits

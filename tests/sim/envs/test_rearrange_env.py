@@ -161,7 +161,7 @@ def test_time_runs_out() -> None:
     steps = [env.step(WAIT) for _ in range(300)]
     assert [s[3] for s in steps] == [False] * 299 + [True]
     assert steps[-1][4]["step"] == 1500
-    with pytest.raises(InputError, match="reset"):
+    with pytest.raises(InputError, match="H3-ENV-027"):
         env.step(WAIT)
     assert env.reset()[1]["step"] == 0
 

@@ -254,7 +254,7 @@ def test_observations_are_of_the_state() -> None:
     s = env.stepper.play.world.state
     free = env.stepper.play.episodes[0].free
     rng = np.random.default_rng(2)
-    while True:  # a person 2.5 m ahead in plain sight, about to stand there: the camera sees her
+    while True:  # a person 2.5 m ahead in plain sight, about to stand there: the camera sees them
         a, b = free.sample(rng, 2)
         if 2.4 < np.hypot(*(a - b)) < 2.6 and free.geodesic(a, b) < np.hypot(*(a - b)) + 1e-9:
             break

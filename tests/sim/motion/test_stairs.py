@@ -171,7 +171,7 @@ def test_devices_refuse_stairs_in_one_line() -> None:
     from sim_kinematic.tasks.social_nav import TRAINING
 
     bank = EpisodeBank.draw("small2-storeys:3", 1, seed=0, spec=TRAINING)
-    with pytest.raises(InputError, match="stairs"):
+    with pytest.raises(InputError, match="H3-TRAIN-076"):
         SocialNavTensors(bank, device="cpu", spec=TRAINING)
 
 

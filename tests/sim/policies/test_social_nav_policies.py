@@ -142,7 +142,7 @@ def test_who_walks_stops_at_the_wall(free: FreeSpace) -> None:
 
 @pytest.mark.slow
 def test_she_comes_and_the_expert_gives_way(free: FreeSpace) -> None:
-    """The only difference is what she did in the last step: then it backs away at full speed."""
+    """The only difference is what the person did in the last step: then it backs away at full speed."""
     rng = np.random.default_rng(5)
     while True:
         xz, human = free.sample(rng, 2)

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 import h3data
 from h3data.errors import InputError
-from h3data.geometry import ground_pose
+from h3data.geometry import distance_to_circles, ground_pose
 from h3data.scene import FreeSpace
 from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.contact.outlines import LEG_RADIUS_M
-from sim_kinematic.sensing.lidar import LIDAR_M, LIDAR_RAYS, to_circles
+from sim_kinematic.sensing.lidar import LIDAR_M, LIDAR_RAYS
 from sim_kinematic.sensing.table import LIDARS, SENSORS
 from sim_kinematic.world import DriveCommand, WaypointCommand, World
 
@@ -59,7 +59,7 @@ def test_rays_from_walls_and_from_outside_are_short(free: FreeSpace) -> None:
 def test_a_circle_is_hit_where_it_is(distance: float, bearing: float, radius: float, heading: float, x: float) -> None:
     xz = np.array([x, 2.0])
     circle = np.append(xz + distance * np.array([np.cos(bearing), -np.sin(bearing)]), radius)
-    seen = to_circles(np, xz, heading + TURNS, circle[None])
+    seen = distance_to_circles(xz, heading + TURNS, circle[None])
     hit = np.isfinite(seen)
     ends = xz + seen[hit, None] * np.stack([np.cos(heading + TURNS[hit]), -np.sin(heading + TURNS[hit])], -1)
     np.testing.assert_allclose(np.hypot(*(ends - circle[:2]).T), radius, atol=1e-6)
@@ -79,7 +79,7 @@ def test_a_person_at_2_m_is_met_within_5_mm(free: FreeSpace) -> None:
     world.place(starts, [free] * 2)
     discs = world.circles(0)
     assert discs.shape == (2, 1, 3)
-    seen = to_circles(np, np.array(robots), np.array(headings)[:, None] + TURNS, discs)
+    seen = distance_to_circles(np.array(robots), np.array(headings)[:, None] + TURNS, discs)
     np.testing.assert_allclose(seen[:, 0], np.array(gaps) - 0.25, atol=1e-9)
     assert world.circles(1).shape[1] == len(world.bases[0].disc_offsets_m)
 

@@ -316,4 +316,4 @@ def test_the_base_gives_way(free: FreeSpace) -> None:
     coming = ObstacleDisc(ahead, np.array([-2.5, 0.0]))
     assert keep_clear(free, base, at, 0.0, go, ahead, [ObstacleDisc(far, np.zeros(2)), coming]) != go
     command = keep_clear(free, base, at, 0.0, (0.0, 0.0), at, [coming])
-    assert command != (0.0, 0.0)  # who stands in her way steps aside
+    assert command != (0.0, 0.0)  # whoever stands in the way steps aside

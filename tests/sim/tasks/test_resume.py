@@ -197,7 +197,7 @@ def test_the_person_keeps_her_track_and_it_says_so(episode: Recording) -> None:
 
 
 def test_a_track_from_elsewhere_is_kept_too(episode: Recording) -> None:
-    """Somebody who walks where no script sends her: the recorded track is all that counts."""
+    """Somebody who walks where no script sends them: the recorded track is all that counts."""
     base = episode.columns["agent_1.base_pose"].copy()
     base[:, 0] += 0.05 * np.sin(np.arange(len(base)) / 10).astype(np.float32)
     elsewhere = replace(episode, columns={**episode.columns, "agent_1.base_pose": base})

@@ -240,7 +240,7 @@ def test_nothing_follows_steps_that_do_not_come_out_again(episode: Recording, wa
     for recording in (episode, wandering):
         broken = changed(recording, "agent_0.base_pose", 10, 0.0)
         resume(broken, 10)
-        with pytest.raises(InputError, match=r"step 10, agent_0\.base_pose"):
+        with pytest.raises(InputError, match="H3-TASK-034"):
             resume(broken, 11)
 
 
@@ -279,7 +279,7 @@ def test_the_person_keeps_her_track_and_it_says_so(episode: Recording, step: int
 
 @pytest.mark.slow
 def test_she_takes_only_what_is_there(world: RearrangeEpisode) -> None:
-    """A robot that is at her object first keeps it; nobody is at two places, nothing is held twice."""
+    """A robot that is at the person's object first keeps it; nobody is at two places, nothing is held twice."""
     alone = simulate_rearrange(world, policy="still", partner="object_1", solo_steps=500)
     picked = next(e.step for e in alone.events if e.kind == "pick")
     apart = counterfactual(alone, "still")

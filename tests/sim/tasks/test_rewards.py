@@ -97,7 +97,7 @@ def test_the_papers_reward_by_hand() -> None:
     assert not reward.reset(meeting(4.0)).reward.any()
     assert reward.step(meeting(3.5)).reward[0] == pytest.approx(0.5 - 0.1)  # nearer
     assert reward.step(meeting(3.6)).reward[0] == pytest.approx(-0.1 - 0.1)  # farther
-    assert reward.step(meeting(3.0)).reward[0] == pytest.approx(0.6 + 3 - 0.1)  # 3 m away, and facing her
+    assert reward.step(meeting(3.0)).reward[0] == pytest.approx(0.6 + 3 - 0.1)  # 3 m away, and facing the person
     assert reward.step(meeting(2.0)).reward[0] == pytest.approx(2 + 3 - 0.1)
     assert reward.step(meeting(2.0, turned=np.pi)).reward[0] == pytest.approx(2 - 3 - 0.1)
     assert reward.step(meeting(1.0)).reward[0] == pytest.approx(-1 + 3 - 0.1)  # too near

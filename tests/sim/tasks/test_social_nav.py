@@ -113,7 +113,7 @@ def test_the_person_walks_where_one_can_and_never_too_fast(free: FreeSpace) -> N
 
 
 def test_the_person_walks_without_stutter(free: FreeSpace) -> None:
-    """She turns on the spot at corners (paper section 3.1), not before each of the 5 cm legs that round one."""
+    """The person turns on the spot at corners (paper section 3.1), not before each of the 5 cm legs that round one."""
     start = free.sample(np.random.default_rng(0), 1)[0]
     walks = np.hypot(*np.diff(human_plan(free, start, 0.3, 11, WalkerSpec(), 1500).xz, axis=0).T) > 0
     changes = np.flatnonzero(np.diff(walks.astype(int)))
@@ -265,7 +265,7 @@ def test_the_expert_approaches_waits_and_backs_away(free: FreeSpace, lane: tuple
     assert back.forward < 0
     assert back.skill == "back_up"
     away = rollout_expert(view(free, near, towards + np.pi, b), spec)
-    assert away.forward == 0  # she is behind: turn first
+    assert away.forward == 0  # the person is behind: turn first
     assert abs(away.turn) == pytest.approx(1.0)
 
 
@@ -317,7 +317,7 @@ def test_the_oracle_meets_one_who_stands_and_not_one_out_of_time(
 
 
 def test_no_policy_is_faster_than_the_oracle(home: Scene, free: FreeSpace) -> None:
-    """``l`` is a minimum: whoever finds her in step p had ``r_p <= p``, so ``l <= p + 1``."""
+    """``l`` is a minimum: whoever finds the person in step p had ``r_p <= p``, so ``l <= p + 1``."""
     for seed in range(examples(6)):
         recording = simulate_social_nav(world(home, free, seed=seed, max_steps=400))
         found = next(e.step for e in recording.events if e.kind == "found") + 1

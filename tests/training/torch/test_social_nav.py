@@ -60,7 +60,7 @@ def doubles(array: Any) -> Any:
 
 
 def chase(gps: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Actions that follow the person, by her distance and angle [W, 2]."""
+    """Actions that follow the person, by their distance and angle [W, 2]."""
     ahead = np.where(gps[:, 0] > 1.3, 0.9, 0.0) + rng.normal(0, 0.2, len(gps))
     return np.stack([ahead, -gps[:, 1]], -1).clip(-1, 1)
 

@@ -214,14 +214,14 @@ class WantsObjects(PointGoal):
         (AsksForValues(), r"asks_for_values: the function judge must compute with play\.xp"),
         (MixesBoth(), r"mixes_both: the function begin must compute with play\.xp"),
         (KeepsItself(), r"keeps_itself: the function begin .*it sets play\.memory, and must return it"),
-        (WantsPrize(), r"Episodes of wants_prize have no 'prize' in Episode\.extra .* there are: goal"),
-        (Crowded(), r"one robot and one person, crowded has: robot, human, human"),
+        (WantsPrize(), "H3-ENV-039"),
+        (Crowded(), "H3-ENV-038"),
         (
             WantsObjects(),
-            r"The sensor 'obj_gps_compass' of robot needs 'objects', which worlds of wants_objects do not",
+            "H3-SIM-055",
         ),
-        (Fetch(), r"those of fetch choose skills; of tasks with skills only rearrange"),
-        ("wander", r"the person of wander walks by 'waypoints', not 'wander'"),
+        (Fetch(), "H3-ENV-035"),
+        ("wander", "H3-ENV-036"),
     ],
     ids=lambda case: type(case).__name__ if not isinstance(case, str) else "",
 )
@@ -234,7 +234,7 @@ def test_a_task_that_does_not_fit_a_device_is_named(task: Any, says: str, bank: 
 
 def test_a_sensor_that_needs_what_a_world_lacks_is_named_on_the_cpu_too() -> None:
     env = h3data.make(WantsObjects(), "small:1", observations=("obj_gps_compass",))
-    with pytest.raises(InputError, match=r"'obj_gps_compass' of robot needs 'objects', which worlds of wants_objects"):
+    with pytest.raises(InputError, match="H3-SIM-055"):
         env.reset(seed=0)
 
 
@@ -243,6 +243,6 @@ def test_rules_and_options_that_no_device_has_are_named(bank: EpisodeBank) -> No
         with pytest.raises(InputError, match=says):
             h3data.make(PointGoal(), **{"device": "cpu", "episodes": bank, "spec": RULES, **options})
 
-    wrong("slide of BaseSpec", spec=replace(RULES, robot=replace(RULES.robot, slide="habitat")))
-    wrong("only the robot acts in point_goal", agents=("robot", "human"))
-    wrong("There is no memory on cpu for 10000000000000 worlds of point_goal", num_envs=10**13)
+    wrong("H3-ENV-034", spec=replace(RULES, robot=replace(RULES.robot, slide="habitat")))
+    wrong("H3-ENV-001", agents=("robot", "human"))
+    wrong("H3-ENV-037", num_envs=10**13)

@@ -494,7 +494,7 @@ SOCIAL_METRICS: tuple[Metric, ...] = (
         direction="higher",
         columns=(_CLEAR,),
         undefined="No column metrics.robot_clearance.",
-        reading="h3data.metrics.field.with_clearance adds the column from a map.",
+        reading="h3data_social.field.with_clearance adds the column from a map.",
     ),
     _space(
         "CD_mean",

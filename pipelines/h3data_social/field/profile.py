@@ -1,6 +1,6 @@
 """The profile ``field``: proxemics, efficiency and smoothness of a robot near people.
 
-Definitions and sources: `h3data.metrics.field.definitions`. Distances are centre to centre on the floor unless stated
+Definitions and sources: `h3data_social.field.definitions`. Distances are centre to centre on the floor unless stated
 otherwise, to the nearest of all people; rows without a pose are left out.
 """
 
@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 
 from h3data.geometry import heading_from_quat, wrap_angle
 from h3data.metrics.episode import Notes
-from h3data.metrics.field.definitions import (
+from h3data.metrics.metric import INF, NAN, Series
+from h3data.metrics.profile import Computed, Profile
+from h3data.metrics.report_layout import Milestone, ReportLayout
+from h3data.metrics.requirements import find_others, note_missing
+from h3data.recording.records import Recording
+from h3data_social.field.definitions import (
     COMPLIANT_M,
     FIELD_METRICS,
     FULL_SPEED_M_S,
@@ -26,12 +31,7 @@ from h3data.metrics.field.definitions import (
     STALLED_M_S,
     STALLED_RAD_S,
 )
-from h3data.metrics.field.goal import Goal, find_goal
-from h3data.metrics.metric import INF, NAN, Series
-from h3data.metrics.profile import Computed, Profile
-from h3data.metrics.report_layout import Milestone, ReportLayout
-from h3data.metrics.requirements import find_others, note_missing
-from h3data.recording.records import Recording
+from h3data_social.field.goal import Goal, find_goal
 
 if TYPE_CHECKING:
     from h3data.scene import FreeSpace

@@ -1,6 +1,6 @@
 """The profile ``social``: metrics of social navigation over every person of an episode, of many episodes at once.
 
-Definitions and sources: `h3data.metrics.social.definitions`. Rows without a pose are left out, and what a recording cannot
+Definitions and sources: `h3data_social.people.definitions`. Rows without a pose are left out, and what a recording cannot
 tell is NaN, with a note.
 """
 
@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 
 from h3data.geometry import heading_from_quat, wrap_angle
 from h3data.metrics.episode import Notes
-from h3data.metrics.field.definitions import (
+from h3data.metrics.metric import NAN, Series
+from h3data.metrics.profile import Computed, Profile
+from h3data.metrics.report_layout import Milestone, ReportLayout
+from h3data.metrics.requirements import find_agents, find_others, note_missing
+from h3data.recording.records import Recording
+from h3data_social.field.definitions import (
     COMPLIANT_M,
     FULL_SPEED_M_S,
     HUMAN_RADIUS_M,
@@ -24,13 +29,9 @@ from h3data.metrics.field.definitions import (
     STALLED_M_S,
     STALLED_RAD_S,
 )
-from h3data.metrics.field.goal import Goal, find_goal
-from h3data.metrics.field.profile import CLEARANCE, nearest_of, time_to_collision, weighted, zones
-from h3data.metrics.metric import NAN, Series
-from h3data.metrics.profile import Computed, Profile
-from h3data.metrics.report_layout import Milestone, ReportLayout
-from h3data.metrics.requirements import find_agents, find_others, note_missing
-from h3data.metrics.social.definitions import (
+from h3data_social.field.goal import Goal, find_goal
+from h3data_social.field.profile import CLEARANCE, nearest_of, time_to_collision, weighted, zones
+from h3data_social.people.definitions import (
     FORCE,
     GAMMA,
     LAMBDA,
@@ -45,8 +46,7 @@ from h3data.metrics.social.definitions import (
     TARGET_M,
     N,
 )
-from h3data.metrics.social.rows import Array, Rows
-from h3data.recording.records import Recording
+from h3data_social.people.rows import Array, Rows
 
 PEOPLE, ROBOTS, ANYBODY = "metrics.collision_people", "metrics.collision_robots", "metrics.collision"
 SLIDING = "metrics.robot_contact"

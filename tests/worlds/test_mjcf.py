@@ -14,12 +14,12 @@ mujoco: Any = pytest.importorskip("mujoco")
 
 import h3data  # noqa: E402
 from h3data.bodies import load_robot  # noqa: E402
-from h3data.bodies.robots import mjcf  # noqa: E402
-from h3data.bodies.robots.mjcf import read_mjcf  # noqa: E402
 from h3data.bodies.robots.robot_loading import robot_digest  # noqa: E402
 from h3data.errors import H3DataError, MissingAssetError  # noqa: E402
 from h3data.geometry import IDENTITY_POSE  # noqa: E402
 from h3data.scene.records import Box, Capsule, Cylinder, Hull  # noqa: E402
+from h3data_worlds import mjcf  # noqa: E402
+from h3data_worlds.mjcf import read_mjcf  # noqa: E402
 from tests.paths import ROOT  # noqa: E402
 
 BARROW = ROOT / "tests" / "data" / "mjcf" / "barrow.xml"

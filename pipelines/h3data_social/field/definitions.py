@@ -234,7 +234,7 @@ FIELD_METRICS: tuple[Metric, ...] = (
         "C_min",
         "Minimum clearing distance",
         "min distance from the robot's centre to an obstacle",
-        reading="h3data.metrics.field.with_clearance adds the column from a map.",
+        reading="h3data_social.field.with_clearance adds the column from a map.",
     ),
     _clearance("C_mean", "Mean clearing distance", "mean of the same"),
 )

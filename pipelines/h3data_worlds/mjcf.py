@@ -27,6 +27,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.bodies.robots.robot_files import RobotReader
 from h3data.bodies.robots.urdf import MAX_BYTES, MAX_LINKS, Urdf, UrdfJoint, UrdfLink, UrdfMimic
 from h3data.bodies.robots.urdf_parts import UrdfGeometry, UrdfPart
 from h3data.errors import FormatError, InputError, MissingAssetError, MissingExtraError
@@ -38,8 +39,6 @@ from h3data.mesh.thinning import thin_mesh
 
 _log = logging.getLogger(__name__)
 
-SUFFIXES = (".xml", ".mjcf")
-"""Endings of MJCF files."""
 MAX_TRIANGLES = 20_000
 """Triangles of all meshes that are shown together; above it, all are thinned alike."""
 LEAST_VERTICES = 40
@@ -55,11 +54,6 @@ _MAKERS = ("replicate", "composite", "flexcomp", "plugin")
 _FORMAT = 2
 _DRAWN_GROUPS = 3
 """Groups 0 to 2 are those that MuJoCo's viewer draws; many robots have their collision shapes in group 3."""
-
-
-def is_mjcf(path: str | Path) -> bool:
-    """Returns whether a path is that of an MJCF file by its name."""
-    return Path(path).suffix.lower() in SUFFIXES
 
 
 def read_mjcf(path: str | Path, *, warn: bool = True) -> Urdf:
@@ -556,3 +550,7 @@ def _matrix(position: Array, quaternion: Array) -> Array:
     """4x4 of a position and a quaternion wxyz, as MuJoCo has them."""
     w, x, y, z = np.asarray(quaternion, np.float64) / max(float(np.linalg.norm(quaternion)), 1e-12)
     return np.asarray(pose_to_matrix(np.array([*position, x, y, z, w], np.float64)), np.float64)
+
+
+READER = RobotReader(read=read_mjcf, files=mjcf_files)
+"""MJCF among the files of robots: an entry point of the group ``h3data.robot_files``."""
