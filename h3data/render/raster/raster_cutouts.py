@@ -45,7 +45,7 @@ def draw_cutouts(geometry, cutouts, view, target, order):
     screen = screen_words(view)
     table = np.empty((SETUP_ROWS, 8), np.float32)
     boxes = table.view(np.int32)
-    screen_at, table_at = np.uintp(screen.ctypes.data), np.uintp(table.ctypes.data)
+    table_at = np.uintp(table.ctypes.data)
     corners = np.empty(9)
     bounds, stale = target.tile_inv_z, target.tile_stale
     for draw in order:
@@ -67,10 +67,11 @@ def draw_cutouts(geometry, cutouts, view, target, order):
         soup_at, matrix_at = np.uintp(soup.ctypes.data), matrices_at + np.uintp(instance * 48)
         for packet in range(first, end):
             packet_at = soup_at + np.uintp(packet * PACKET_BYTES)
+            # the address is taken here, so that numba keeps the array until the last packet
             if view.parallel:
-                masks = setup_parallel_triangles(packet_at, matrix_at, screen_at, table_at)
+                masks = setup_parallel_triangles(packet_at, matrix_at, np.uintp(screen.ctypes.data), table_at)
             else:
-                masks = setup_triangles(packet_at, matrix_at, screen_at, table_at)
+                masks = setup_triangles(packet_at, matrix_at, np.uintp(screen.ctypes.data), table_at)
             # holes are looked up per pixel, so small, medium and large triangles take the same filler here
             left = (masks | masks >> 8 | masks >> 16) & 255
             while left:

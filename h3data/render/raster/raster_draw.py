@@ -78,7 +78,7 @@ def draw_clusters(geometry, cut_first, view, target, order):
     screen = screen_words(view)
     table = np.empty((SETUP_ROWS, 8), np.float32)
     boxes = table.view(np.int32)
-    screen_at, table_at = np.uintp(screen.ctypes.data), np.uintp(table.ctypes.data)
+    table_at = np.uintp(table.ctypes.data)
     corners = np.empty(9)
     cuts, cuts_out = has_near_plane(view), len(cut_first) > 0
     bounds, stale = target.tile_inv_z, target.tile_stale
@@ -102,10 +102,11 @@ def draw_clusters(geometry, cut_first, view, target, order):
         matrix_at = matrices_at + np.uintp(instance * 48)
         word = np.int32(draw * 128)
         for packet in range(end - first):
+            # the address is taken here, so that numba keeps the array until the last packet
             if view.parallel:
-                masks = setup_parallel_triangles(packet_at, matrix_at, screen_at, table_at)
+                masks = setup_parallel_triangles(packet_at, matrix_at, np.uintp(screen.ctypes.data), table_at)
             else:
-                masks = setup_triangles(packet_at, matrix_at, screen_at, table_at)
+                masks = setup_triangles(packet_at, matrix_at, np.uintp(screen.ctypes.data), table_at)
             small, large, medium = masks & 255, (masks >> 8) & 255, masks >> 16
             while small:
                 lane = count_trailing_zeros(small)

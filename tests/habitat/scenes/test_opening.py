@@ -185,7 +185,7 @@ def test_wrong_configs_name_key_and_file(dataset: Dataset, file: str, content: A
 @pytest.mark.parametrize("value", ["NaN", "-Infinity"])
 def test_numbers_that_are_none_name_their_key(dataset: Dataset, value: str) -> None:
     content = '{"object_instances": [{"template_name": "brick", "translation": [0, VALUE, 0]}]}'.replace("VALUE", value)
-    path = dataset.write("scenes/one.scene_instance.json", content)
+    dataset.write("scenes/one.scene_instance.json", content)
     with pytest.raises(FormatError, match="H3-FORMAT-012"):
         load_habitat_scene(dataset.config, "one")
 
@@ -290,7 +290,7 @@ def test_open_says_what_to_do_with_other_files_of_habitat(dataset: Dataset, tmp_
         dataset.json("lighting/l.lighting_config.json", {"lights": {}}): "open a scene that names it",
         tmp_path / "flat.navmesh": "read_navmesh",
     }.items():
-        with pytest.raises(FormatError, match="H3-RECORDING-048"):
+        with pytest.raises(FormatError, match=f"(?s){hint}.*H3-RECORDING-048"):
             h3data.open(path)
 
 
