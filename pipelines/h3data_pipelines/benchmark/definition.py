@@ -72,11 +72,6 @@ class Benchmark:
     def request(self, policies: tuple[str, ...]) -> EvaluationRequest:
         """The evaluation of some policies under the rules of this benchmark."""
         of = self.file
-        overrides = dict(of.overrides)
-        if (
-            of.task == "social_nav" and of.rules == "paper"
-        ):  # as before the paper's rules knew of bones: no version changes
-            overrides.setdefault("person_contact", "body")
         return EvaluationRequest(
             task=of.task,
             policies=policies,
@@ -85,7 +80,7 @@ class Benchmark:
             episodes=of.episodes,
             seed=of.seed,
             rules=of.rules,
-            overrides=tuple(overrides.items()),
+            overrides=tuple(of.overrides.items()),
         )
 
     def jobs(self) -> list[Evaluation]:
