@@ -145,14 +145,16 @@ class Expert:
     """One agent who follows a plan."""
 
     def __init__(self, episode: Any, number: int, kinds: Sequence[str], *, greedy: bool) -> None:
-        self.plan, self.number, self.greedy = Plan(episode, kinds), number, greedy
+        self.plan: Plan = Plan(episode, kinds)
+        self.number, self.greedy = number, greedy
         self.episode, self.failures, self.begun = episode, 0, False
 
     def _begin(self, view: RearrangeView) -> None:
         """Joins the plan of those who play this episode now; one of an earlier play has been asked for later steps."""
-        shared, self.begun = vars(self.episode).get("_language_plan"), True
+        shared: Plan | None = vars(self.episode).get("_language_plan")
+        self.begun = True
         stale = shared is None or self.number in shared.asked_at or max(shared.asked_at.values()) > view.step
-        if stale:
+        if shared is None or stale:
             vars(self.episode)["_language_plan"] = self.plan
         else:
             self.plan = shared

@@ -40,10 +40,11 @@ def rows_of_kinds(played: Sequence[tuple[str, PlayedTask, PlayedTask]]) -> list[
     rows = [["type", "tasks", "alone", "steps", "pair", "steps", "faster"]]
     kinds = dict.fromkeys(kind for kind, *_ in played)
     for name, some in [(k, [p for p in played if p[0] == k]) for k in kinds] + [("all", list(played))]:
-        means = [
-            (sum(p[who].success for p in some) / len(some), sum(p[who].steps for p in some) / len(some))
-            for who in (1, 2)
-        ]
-        (a, n), (b, m) = means
+        (a, n), (b, m) = _means([alone for _, alone, _ in some]), _means([pair for *_, pair in some])
         rows.append([name, str(len(some)), f"{a:.2f}", f"{n:.0f}", f"{b:.2f}", f"{m:.0f}", f"{n / m:.2f}"])
     return rows
+
+
+def _means(played: Sequence[PlayedTask]) -> tuple[float, float]:
+    """Share of successes, and mean number of steps."""
+    return sum(p.success for p in played) / len(played), sum(p.steps for p in played) / len(played)

@@ -29,6 +29,10 @@ class Role(NamedTuple):
     """Activities one after another; empty: they walk about."""
 
 
+ALONE = Role()
+"""Somebody without company, who takes robots for people."""
+
+
 def read_role(words: str, seed: int = 0, number: int = 0) -> Role:
     """Returns the role that words with ``+`` between them say; ``any`` is a reaction drawn for agent ``number``.
 

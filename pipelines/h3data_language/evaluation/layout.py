@@ -130,7 +130,9 @@ class Layout(msgspec.Struct, frozen=True):
             instance = scene.instances[names.index(thing)]
             low, high = np.asarray(scene.assets[instance.asset].mesh.bounds, np.float64) * instance.scale
             boxes[thing] = ThingBox(names.index(thing), _rounded((low + high) / 2), _rounded((high - low) / 2))
-        rooms = {r.name: tuple(tuple(map(float, q)) for q in r.rectangles) for r in scene.rooms}
+        rooms = {
+            r.name: tuple((float(a), float(b), float(c), float(d)) for a, b, c, d in r.rectangles) for r in scene.rooms
+        }
         return cls(boxes, furniture, rooms, float(floor_y))
 
     def require(self, name: str, *kinds: str) -> None:

@@ -196,7 +196,7 @@ def clustered(p: Proposition, rows: Rows) -> Flags:
         reach |= reach[:, :, k, None] & reach[:, None, k, :]
     members = np.array([[name in group for name in names] for group in groups], np.int64)
     enough = reach.astype(np.int64) @ members.T >= np.array(counts)
-    return enough.all(-1).any(-1)
+    return np.asarray(enough.all(-1).any(-1))
 
 
 def truth_of(p: Proposition, rows: Rows) -> tuple[Flags, Flags | None]:

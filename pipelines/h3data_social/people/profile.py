@@ -108,7 +108,7 @@ def social_series(recording: Recording) -> Series:
     }
     contacts = crowd.contacts[0]
     gaps, radii = _group_gaps(recording, find_others(recording)[0])
-    series["o_space"] = (gaps < radii).any(axis=1)
+    series["o_space"] = np.asarray((gaps < radii).any(axis=1))
     flags = {"collision": contacts.touched, "wall_contact": _rows_of(contacts.walls)}
     return series | {name: held for name, held in flags.items() if held is not None}
 
@@ -415,10 +415,10 @@ def _group_gaps(recording: Recording, robot: int) -> tuple[Array, Array]:
 def _of_groups(recording: Recording, robot: int) -> dict[str, float]:
     """Metrics of groups; none where nobody walks or talks in one."""
     gaps, radii = _group_gaps(recording, robot)
-    seen = ~np.isnan(gaps).all(axis=1)
+    seen = np.asarray(~np.isnan(gaps).all(axis=1))
     if not gaps.shape[1] or not seen.any():
         return {}
-    inside = (gaps < radii).any(axis=1)
+    inside = np.asarray((gaps < radii).any(axis=1))
     ring = ((gaps >= radii) & (gaps < radii + P_SPACE_M)).any(axis=1) & ~inside
     flags = {"G_o": inside, "G_p": ring}
     flags |= {f"IG_{zone}": held for zone, held in zones(np.fmin.reduce(gaps, axis=1)).items() if zone != "public"}

@@ -11,7 +11,7 @@ from h3data.scene import FreeSpace
 from sim_kinematic.agents.waypoint_walker import WaypointHuman, walking_path
 from sim_kinematic.crowd.crowd import CrowdModel
 from sim_kinematic.crowd.errands import Errand
-from sim_kinematic.crowd.roles import Role
+from sim_kinematic.crowd.roles import ALONE, Role
 from sim_kinematic.crowd.routines import Routine
 from sim_kinematic.crowd.traits import sample_traits
 from sim_kinematic.motion.randomness import episode_seed
@@ -19,9 +19,6 @@ from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.policies.crowd.crowds import CrowdMember, Crowds
 from sim_kinematic.policies.policy import PoseAction
 from sim_kinematic.policies.views import AgentView
-
-ALONE = Role()
-"""Somebody without company, who takes robots for people."""
 
 
 class CrowdPolicy:

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from h3data.geometry import Array
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.waypoint_walker import walking_path
+from sim_kinematic.crowd.errands import Errand
+from sim_kinematic.crowd.roles import ALONE
 from sim_kinematic.crowd.traits import Traits
 from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 from sim_kinematic.policies.crowd.crowds import CrowdMember
@@ -51,7 +53,9 @@ class ScriptedPerson:
             free=free,
             traits=traits._replace(speed_mps=float(person["speed"])),
             walker=walker,
-            find_path=self._find_path,
+            guide=self._guide,
+            role=ALONE,
+            seed=0,  # conversations alone depend on it
         )
 
     def act(self, view: AgentView) -> PoseAction:
@@ -61,12 +65,12 @@ class ScriptedPerson:
         self._time, self._robot = view.step * STEP_S, view.places[0, :2].copy()
         return view.crowds().move(self.member, view.agent, view.step)
 
-    def _find_path(self, xz: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _guide(self, xz: NDArray[np.float64], _group_goal: NDArray[np.float64] | None) -> Errand:
         goal = self._find_goal(xz)
         if goal is None:
-            return np.zeros((0, 2))
+            return Errand(np.zeros((0, 2)))
         path = walking_path(self.member.free, xz, np.asarray(goal, np.float64), self.member.walker)
-        return _shortened(path, BEHIND_M) if self._role == "follow" else path
+        return Errand(_shortened(path, BEHIND_M) if self._role == "follow" else path)
 
     def _find_goal(self, xz: Array) -> Array | None:
         if self._role == "follow":
