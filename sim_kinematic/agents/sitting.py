@@ -92,7 +92,7 @@ def _sitting(person: Person, seat: Seat) -> Sitting:
         raise InputError(
             f"{person.body.name} needs {sitting.edge_m - sitting.back_m:.2f} m of depth to sit, {seat.name} has "
             f"{seat.depth_m:.2f} m. Hint: choose a deeper seat.",
-            code="H3-SIM-062",
+            code="H3-SIM-059",
         )
     return sitting
 

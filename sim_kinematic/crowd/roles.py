@@ -57,7 +57,7 @@ def read_role(words: str, seed: int = 0, number: int = 0) -> Role:
             raise InputError(
                 f"Nobody in a crowd is {word!r}.{suggest(word, known)} Hint: people of a group have the same word, such as "
                 "orca+walk1,orca+walk1.",
-                code="H3-SIM-063",
+                code="H3-SIM-060",
             )
     return role
 
@@ -73,5 +73,5 @@ def check_groups(groups: Iterable[str]) -> None:
             raise InputError(
                 f"The group {name!r} has one person, and groups have two or more. Hint: name it behind the partner of others "
                 f"too: orca+{name},orca+{name}.",
-                code="H3-SIM-064",
+                code="H3-SIM-061",
             )

@@ -111,7 +111,7 @@ def make_morning(scene: Scene, seed: int, number: int) -> tuple[Stop, ...]:
             stops.append(Stop(places[place % len(places)], name, round(seconds, 1)))
     if not stops:
         kinds = ", ".join(sorted({category for a in ACTIVITIES.values() for category in a.categories}))
-        raise SceneError(f"Nobody can spend a morning in {scene.name}: it has none of {kinds}.", code="H3-SIM-065")
+        raise SceneError(f"Nobody can spend a morning in {scene.name}: it has none of {kinds}.", code="H3-SIM-062")
     return tuple(stops)
 
 
@@ -130,7 +130,7 @@ class Routine:
             raise InputError(
                 f"Expected stops (place, activity, seconds) at things of {scene.name}, of more than 0 s, got "
                 f"{tuple(wrong[0]) if wrong else 'none'}.",
-                code="H3-SIM-066",
+                code="H3-SIM-063",
             )
         self.stops = tuple(stops)
         self._scene, self._free, self._next = scene, free, 0

@@ -43,7 +43,7 @@ _BROWSERS = ("chromium", "chromium-browser", "google-chrome", "microsoft-edge", 
 
 @dataclass(frozen=True)
 class Doctor:
-    """Show what works on this machine, and the files that h3data stores on it.
+    """Show what works on this machine, and the files of h3data on it.
 
     Renderers, video codecs, collision, browsers, the GPU, the Hugging Face Hub; versions of packages, free disk space, caches.
 

@@ -120,7 +120,7 @@ class Scenarios(CrowdNav):
         if not robots or len(people) < len(card.people):
             raise InputError(
                 f"The card {name} needs a robot and {len(card.people)} people, the roster has {len(robots)} and "
-                f"{len(people)}. Hint: leave out --agents, or name more.",
+                f"{len(people)}. Hint: name more agents, or none: a card has its own.",
                 code="H3-TASK-078",
             )
         roster = (robots[0], *people[: len(card.people)])

@@ -74,7 +74,7 @@ def test_sits_only_before_the_seat() -> None:
 def test_shallow_seat() -> None:
     with pytest.raises(InputError) as caught:
         before(SEAT._replace(depth_m=0.1))
-    assert caught.value.code == "H3-SIM-062"
+    assert caught.value.code == "H3-SIM-059"
 
 
 def test_frames_are_recorded(tmp_path: Path) -> None:

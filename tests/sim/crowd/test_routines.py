@@ -65,12 +65,12 @@ def test_an_activity_is_a_posture_that_a_person_has_or_standing():
     "stops", [[], [Stop("nowhere", "cook", 3.0)], [Stop("fridge_0", "cook", 0.0)], [Stop("fridge_0", "cook", math.inf)]]
 )
 def test_stops_that_nobody_can_make_are_refused(stops: list[Stop]):
-    with pytest.raises(InputError, match="H3-SIM-066"):
+    with pytest.raises(InputError, match="H3-SIM-063"):
         Routine(SCENE, FREE, stops)
 
 
 def test_nobody_spends_a_morning_in_an_empty_hall():
-    with pytest.raises(SceneError, match="H3-SIM-065"):
+    with pytest.raises(SceneError, match="H3-SIM-062"):
         make_morning(hall(), 1, 1)
     assert FreeSpace.from_scene(hall(), cache=False) is not None
 
