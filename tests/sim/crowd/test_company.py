@@ -188,7 +188,7 @@ def test_a_reaction_that_nobody_has_and_a_group_of_one_are_refused():
     with pytest.raises(InputError, match="H3-SIM-061"):
         check_groups(["", "walk1", "walk2", "walk1"])
     for partner in ("orca+bored", "orca+walk1,orca"):
-        with pytest.raises(InputError, match="H3-SIM-06[01]"):
+        with pytest.raises(InputError, match=r"H3-SIM-06[01]"):
             h3data.simulate("wander", "small:0", roster=["robot", "human", "human"], agents={"human": partner})
     with pytest.raises(InputError, match="H3-SIM-060"):
         h3data.make("wander", "small:0", agents="robot", roster=["robot", "human"], partner="orca+bored")
