@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import msgspec
 import numpy as np
@@ -141,6 +142,10 @@ class Plan:
         return total
 
 
+_SHARED: WeakKeyDictionary[Any, Plan] = WeakKeyDictionary()
+"""The plan of each episode that is played, which its experts share."""
+
+
 class Expert:
     """One agent who follows a plan."""
 
@@ -151,11 +156,10 @@ class Expert:
 
     def _begin(self, view: RearrangeView) -> None:
         """Joins the plan of those who play this episode now; one of an earlier play has been asked for later steps."""
-        shared: Plan | None = vars(self.episode).get("_language_plan")
-        self.begun = True
+        shared, self.begun = _SHARED.get(self.episode), True
         stale = shared is None or self.number in shared.asked_at or max(shared.asked_at.values()) > view.step
         if shared is None or stale:
-            vars(self.episode)["_language_plan"] = self.plan
+            _SHARED[self.episode] = self.plan
         else:
             self.plan = shared
 

@@ -10,25 +10,36 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import load_humanoid, load_robot
+from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
 from h3data.policies import Action, AssignedPolicy, PolicyMaker
 from h3data.recording import Event, Recording
 from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode as FileEntry
-from h3data.recording.task_episodes.stored_episodes import info_block, plain, read_info_block
+from h3data.recording.task_episodes.stored_episodes import plain, read_info_block
 from h3data.recording.task_episodes.stored_rearrangements import StoredRearrangement
 from h3data.scene import FreeSpace, Scene
-from h3data.tasks import Control, Episode, Rearrange, RearrangeCodec, SkillControl, StepOutcome, TaskUsage, WorldRollout
+from h3data.tasks import (
+    Control,
+    Episode,
+    EpisodeCodec,
+    Rearrange,
+    RearrangeCodec,
+    SkillControl,
+    StepOutcome,
+    TaskUsage,
+    WorldRollout,
+)
 from h3data_language.episode import STATES, LanguageSpec, sample_task
 from h3data_language.evaluation.engine import STATE_COLUMNS, evaluate
 from h3data_language.evaluation.layout import LAYOUT, Layout
 from h3data_language.evaluation.predicates import Rows, check_names
 from h3data_language.evaluation.records import CONSTRAINTS, DEPENDENCIES, PROPOSITIONS, Evaluation
 from h3data_language.experts import EXPERTS, expert
-from sim_kinematic.agents.roster import AgentSpec, common_floor, kinds_of
+from sim_kinematic.agents.roster import kinds_of
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.tasks.codec import EpisodePlace, SceneAndMap, malformed_info, require_info
-from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, pair_of, rules_in, starts_of
+from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
+from sim_kinematic.tasks.social_nav.episode import Starts
 
 HANDLING_STEPS = 12
 """Steps that a person takes to clean, fill, pour out or switch something [1/30 s]."""
@@ -52,16 +63,7 @@ class LanguageCodec(RearrangeCodec):
         record = super().record(episode)
         return StoredLanguage(**{f: getattr(record, f) for f in record.__struct_fields__}, extra=plain(episode.extra))
 
-    def entry(
-        self, record: StoredRearrangement, *, episode_id: str, scene_id: str, scene_dataset_config: str = "default"
-    ) -> FileEntry:
-        """Entry of an episode file that holds the record in its info."""
-        return FileEntry(
-            episode_id=episode_id,
-            scene_id=scene_id,
-            scene_dataset_config=scene_dataset_config,
-            info=info_block(self.task.name, record),
-        )
+    entry = EpisodeCodec[StoredRearrangement].entry  # not in the form of Habitat's rearrangement episodes
 
     def read(self, entry: FileEntry, *, seed: int) -> StoredLanguage | None:
         """Record in an entry of a file; None if the entry belongs to another task.
@@ -96,7 +98,7 @@ class LanguageCodec(RearrangeCodec):
         return replace(episode, extra=extra)
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """As of rearrangement, with propositions, dependencies, constraints and the layout of the home."""
+        """Info of rearrangement, with propositions, dependencies, constraints and the layout of the home."""
         extra = dict(episode.extra)
         stored = {name: extra.pop(name) for name in _STORED}
         return {**super().info(episode, policies), **stored, "extra": extra}
@@ -176,27 +178,12 @@ class Language(Rearrange):
         """Codec of episodes with propositions."""
         return LanguageCodec(self)
 
-    def sample(
-        self, scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: tuple[AgentSpec, ...]
-    ) -> RearrangeEpisode:
-        """Samples an episode for the first robot and the first person of the roster, as in rearrangement."""
-        self.control.check_roster(roster)
-        pair, free = pair_of(roster), common_floor(roster, free)
-        spec = rules_in(scene, spec)
-        task = sample_task(scene, free, seed, spec, load_robot(pair[0]), load_humanoid(pair[1]))
-        return RearrangeEpisode(
-            scene=scene,
-            free=free,
-            seed=seed,
-            spec=spec,
-            roster=roster,
-            starts=starts_of(scene, free, seed, spec, task.starts, roster),
-            targets=task.targets,
-            pair=pair,
-            pair_starts=task.starts,
-            wording=task.instruction,
-            extra=task.extra,
-        )
+    def draw(
+        self, scene: Scene, free: FreeSpace, seed: int, spec: Any, robot: Robot, person: Humanoid
+    ) -> tuple[Starts, dict[str, Any]]:
+        """Starts of robot and person; targets, instruction, and propositions with all that belongs to them."""
+        task = sample_task(scene, free, seed, spec, robot, person)
+        return task.starts, {"targets": task.targets, "wording": task.instruction, "extra": task.extra}
 
     def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
         """Maker of an expert, or of a policy that stands still; None for other names."""

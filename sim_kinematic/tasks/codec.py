@@ -81,8 +81,13 @@ class EpisodeCodec(Generic[R]):
         raise NotImplementedError
 
     def entry(self, record: R, *, episode_id: str, scene_id: str, scene_dataset_config: str = "default") -> FileEntry:
-        """The entry of an episode file that carries a record."""
-        raise NotImplementedError
+        """The entry of an episode file that carries a record: in its info, unless the task has a form of its own."""
+        return FileEntry(
+            episode_id=episode_id,
+            scene_id=scene_id,
+            scene_dataset_config=scene_dataset_config,
+            info=info_block(self.task.name, record),
+        )
 
     def read(self, entry: FileEntry, *, seed: int) -> R | None:
         """The record that an entry carries; None if it says nothing about this task.
@@ -205,17 +210,6 @@ class TaskCodec(EpisodeCodec[TaskRecord]):
             scene_sha256=scene_digest(episode.scene),
             scene_source=plain(dict(episode.scene.source)),
             rules=plain(rules_dict(episode.spec)),
-        )
-
-    def entry(
-        self, record: TaskRecord, *, episode_id: str, scene_id: str, scene_dataset_config: str = "default"
-    ) -> FileEntry:
-        """Entry of an episode file that holds the record in its info."""
-        return FileEntry(
-            episode_id=episode_id,
-            scene_id=scene_id,
-            scene_dataset_config=scene_dataset_config,
-            info=info_block(self.task.name, record),
         )
 
     def read(self, entry: FileEntry, *, seed: int) -> TaskRecord | None:

@@ -48,7 +48,7 @@ def start_fields(start: Start, floor_y: float) -> dict[str, Any]:
     return {"start_position": (x, floor_y, z), "start_rotation": tuple(float(part) for part in rotation)}
 
 
-def info_block(task: str, record: msgspec.Struct) -> dict[str, Any]:
+def info_block(task: str, record: StoredEpisode) -> dict[str, Any]:
     """``info`` of a Habitat episode that carries a record of a task."""
     return {KEY: {"task": task, "version": VERSION, **plain(msgspec.to_builtins(record))}}
 

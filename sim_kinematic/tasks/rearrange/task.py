@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import load_humanoid, load_robot
+from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.errors import InputError
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec, common_floor, kinds_of
@@ -45,6 +45,7 @@ from sim_kinematic.tasks.rearrange.episode import (
 )
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
 from sim_kinematic.tasks.skills.control import SkillControl
+from sim_kinematic.tasks.social_nav.episode import Starts
 from sim_kinematic.tasks.task import Task, TaskUsage
 
 
@@ -84,10 +85,9 @@ class Rearrange(Task):
         are the same whoever else plays the episode.
         """
         self.control.check_roster(roster)
-        robot, human = pair_of(roster)
-        free = common_floor(roster, free)
+        pair, free = pair_of(roster), common_floor(roster, free)
         spec = rules_in(scene, spec)
-        starts, targets = draw_episode(scene, free, seed, spec, load_robot(robot), load_humanoid(human))
+        starts, sampled = self.draw(scene, free, seed, spec, load_robot(pair[0]), load_humanoid(pair[1]))
         return RearrangeEpisode(
             scene=scene,
             free=free,
@@ -95,10 +95,17 @@ class Rearrange(Task):
             spec=spec,
             roster=roster,
             starts=starts_of(scene, free, seed, spec, starts, roster),
-            targets=targets,
-            pair=(robot, human),
+            pair=pair,
             pair_starts=starts,
+            **sampled,
         )
+
+    def draw(
+        self, scene: Scene, free: FreeSpace, seed: int, spec: Any, robot: Robot, person: Humanoid
+    ) -> tuple[Starts, dict[str, Any]]:
+        """Starts of robot and person, and the fields of the episode that are sampled besides."""
+        starts, targets = draw_episode(scene, free, seed, spec, robot, person)
+        return starts, {"targets": targets}
 
     # --- rules --------------------------------------------------------------------------------------------------------
     def begin(self, play: Any, rows: NDArray[np.intp]) -> None:
