@@ -13,7 +13,7 @@ from h3data.scene import FreeSpace
 from sim_kinematic.crowd.company import standing_circle
 from sim_kinematic.crowd.errands import Errand, Guide
 from sim_kinematic.crowd.reactions import REACTIONS
-from sim_kinematic.crowd.roles import Role
+from sim_kinematic.crowd.roles import ALONE, Role
 from sim_kinematic.crowd.step import step_crowd, who_decides
 from sim_kinematic.crowd.traits import CrowdSpec, Traits
 from sim_kinematic.motion.randomness import generator
@@ -108,7 +108,7 @@ class Crowd:
         self._along, self._best = np.zeros(people), np.zeros((people, 2))
         self._claims, self._body = np.zeros((people, 6)), np.zeros((people, 4))
         self._chosen, self._began = np.zeros((people, 2)), False
-        self._roles = list(roles or [Role()] * people)
+        self._roles = list(roles or [ALONE] * people)
         self._errands = [Errand(np.zeros((0, 2)))] * people
         self._until = np.full(people, -1.0)
         """Step until which each person stays where they are, -1: they walk."""

@@ -19,7 +19,7 @@ _GROUP = re.compile(r"(walk|talk)\d{0,4}")
 
 
 class Role(NamedTuple):
-    """Who a person of a crowd is beside their traits."""
+    """Reaction, company and routine of a person of a crowd."""
 
     reaction: str = "regular"
     """Reaction to a robot that they see: one of `REACTIONS`."""

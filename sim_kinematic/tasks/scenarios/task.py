@@ -242,7 +242,7 @@ class Scenarios(CrowdNav):
         return view._replace(extra={**view.extra, "goal": play.memory["goal"][world].tolist()}) if agent == 0 else view
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Those of `CrowdNav`, and for robots ``gesture``: 1 if a person signs them to wait, 2 to proceed, otherwise 0."""
+        """Sensors of `CrowdNav`, and for robots ``gesture``: 1 if a person signs them to wait, 2 to proceed, otherwise 0."""
         more = {"gesture": Sensor(_gesture, [0.0], [2.0])} if kind == "robot" else {}
         return {**super().sensors(kind), **more}
 

@@ -246,11 +246,11 @@ configurations = st.fixed_dictionaries(
 
 def make(c: dict[str, Any]) -> TaskParallelEnv | TaskEnv:
     common: dict[str, Any] = {"interrupts_when_close": c["close"], **SIZES}
-    robots, hers = (names if c["pictures"] else [n for n in names if n in SENSES] for names in (OF_ROBOT, OF_PERSON))
+    robots, persons = (names if c["pictures"] else [n for n in names if n in SENSES] for names in (OF_ROBOT, OF_PERSON))
     if c["agents"] == "both":
-        return make_env(c["scene"], agents=PAIR, level=c["level"], observations=[*robots, *hers], **common)
+        return make_env(c["scene"], agents=PAIR, level=c["level"], observations=[*robots, *persons], **common)
     level = c["level"] if c["agents"] == "robot" else "high"
-    names = robots if c["agents"] == "robot" else hers
+    names = robots if c["agents"] == "robot" else persons
     return make_env(c["scene"], agent=c["agents"], level=level, observations=names, **common)
 
 
