@@ -22,10 +22,10 @@ from h3data_training.populations import run as run_module  # noqa: E402
 from h3data_training.populations import worlds as populations  # noqa: E402
 from h3data_training.populations.learner import ChooserLearner  # noqa: E402
 from h3data_training.populations.playing import Decisions, Job, discounted  # noqa: E402
-from h3data_training.populations.pool import bank_of, draw_pool, drawn_by, episodes_of  # noqa: E402
+from h3data_training.populations.pool import bank_of, draw_pool, drawn_by, episodes_of, with_scenes  # noqa: E402
 from h3data_training.populations.run import CHECKPOINT, POLICY, train  # noqa: E402
 from h3data_training.populations.settings import ROBOT, PopulationSettings  # noqa: E402
-from h3data_training.populations.tensor_choosers import arrays_of, encode, scored  # noqa: E402
+from h3data_training.populations.tensor_choosers import arrays_of, encode, features, scored  # noqa: E402
 from h3data_training.populations.worlds import TensorPlayers  # noqa: E402
 from h3data_training.torch.rearrange.bank import RearrangeBank  # noqa: E402
 from h3data_training.torch.rearrange.bank_file import load_bank, save_bank  # noqa: E402
@@ -83,32 +83,41 @@ def jobs_of(count: int, networks: dict[str, SkillPolicyNetwork], partner: str = 
 
 
 # --- the network --------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(("agent", "without"), [(ROBOT, ()), (ROBOT, ("humanoid_gps",)), ("human", ())])
-def test_inputs_and_scores_are_those_of_one_agent(agent: str, without: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(
+    ("agent", "without", "pixels"),
+    [(ROBOT, (), False), (ROBOT, ("humanoid_gps",), False), ("human", (), False), (ROBOT, (), True)],
+)
+def test_inputs_and_scores_are_those_of_one_agent(agent: str, without: tuple[str, ...], pixels: bool) -> None:
     rng = np.random.default_rng(0)
-    settings = replace(SMALL, population="learn_single", without=without)
+    settings = replace(SMALL, population="learn_single", without=without, pixels=pixels)
     policy = network("partner_0" if agent == "human" else ROBOT, settings=settings)
     names = settings.observations_of(agent)
     known = limits(objects=2, arm=7 if agent == ROBOT else 0)
     rows = [
         {
             n: rng.uniform(np.maximum(known[n].low, -40), np.minimum(known[n].high, 40)).astype(np.float32)
-            for n in OBSERVATIONS
+            for n in {*OBSERVATIONS, *names} & set(known)
         }
         for _ in range(9)
     ]
     for row in rows:
         row["held_by_other"] = np.round(row["held_by_other"])
+        row["arm_depth"] = rng.uniform(0, 1, (48, 64, 1)).astype(np.float32)
+        row["humanoid_detector"] = rng.integers(0, 2, 1).astype(np.float32)
     seen = {n: torch.tensor(np.array([r[n] for r in rows])) for n in names}
     each, rest = encode(seen, agent, 2, observations=names)
     states = rng.normal(size=(9, 8)).astype(np.float32)
     arrays = arrays_of([policy], torch.device("cpu"))
-    (scores,), (after,) = scored(arrays, each[None], rest[None], torch.tensor(states)[None])
+    given = rest
+    if pixels:
+        roots = seen["arm_depth"][..., 0].sqrt().half().float()
+        given = torch.cat([features(arrays, roots), rest], 1)
+    (scores,), (after,) = scored(arrays, each[None], given[None], torch.tensor(states)[None])
     for n, row in enumerate(rows):
         one, other = encoded(row, agent=agent, objects=2, observations=names)
         np.testing.assert_allclose(each[n], one, rtol=0, atol=1e-5)
         np.testing.assert_allclose(rest[n], other, rtol=0, atol=1e-5)
-        wanted, state = policy(one, other, states[n])
+        wanted, state = policy(one, other, states[n], row)
         np.testing.assert_allclose(scores[n], wanted, rtol=0, atol=1e-4)
         np.testing.assert_allclose(after[n], state, rtol=0, atol=1e-5)
 
@@ -127,22 +136,28 @@ class _Best(RecurrentSkillPolicy):
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
         self.rows: list[tuple[int, tuple[bool, ...], int]] = []
+        self.depth = np.zeros(0)
+        """What it saw first."""
 
     def choose(self, view: Any, each: Any, rest: Any, scores: Any) -> int:
+        if not self.rows and self.network.sees:
+            self.depth = self.shown["arm_depth"][..., 0]
         self.rows.append((view.step, tuple(np.isfinite(scores).tolist()), int(np.argmax(scores))))
         return self.rows[-1][2]
 
 
 @pytest.mark.slow  # quick: sim/torch/test_rearrange.py
-@pytest.mark.parametrize("without", [(), pytest.param(("humanoid_gps", "primitives"), marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("without", "pixels"), [((), False), (("humanoid_gps", "primitives"), False), ((), True)])
 def test_decisions_are_those_of_the_cpu(
-    episodes: Sequence[RearrangeEpisode], monkeypatch: pytest.MonkeyPatch, without: tuple[str, ...]
+    episodes: Sequence[RearrangeEpisode], monkeypatch: pytest.MonkeyPatch, without: tuple[str, ...], pixels: bool
 ) -> None:
     rules = replace(SHORT, max_steps=110)
     monkeypatch.setattr(run_module, "ORACLE_RULES", rules)
     monkeypatch.setattr(torch, "rand", lambda shape, **_: torch.full(shape, 0.5))  # the best has the best chance
-    policy = network(seed=5, settings=replace(SMALL, without=without))
-    played, decisions = players_of(episodes).play(jobs_of(4, {ROBOT: policy}))
+    settings = replace(SMALL, without=without, pixels=pixels)
+    policy = network(seed=5, settings=settings)
+    options = {"picture_size": settings.picture_size} if pixels else {}
+    played, decisions = players_of(episodes, **options).play(jobs_of(4, {ROBOT: policy}))
     agree, equal = [], 0
     for job, own, mine in zip(jobs_of(4, {}), played, by_episode(decisions[ROBOT]), strict=True):
         episode = replace(episodes[job.entry], spec=rules)
@@ -154,6 +169,11 @@ def test_decisions_are_those_of_the_cpu(
         run(play, progress=lambda _, rewards=rewards, play=play: rewards.append(play.reward))
         first, chosen = chooser.rows[:4], mine["chosen"]
         assert len(chosen) > 4
+        assert mine["pictures"].shape[1:] == ((48, 64) if pixels else (0, 0))
+        if pixels:  # objects stay where they were
+            gap = np.abs(mine["pictures"][0].astype(np.float32) ** 2 - chooser.depth)
+            assert (gap > 0.01).mean() < 0.02
+            assert np.ptp(chooser.depth) > 0
         assert not (chosen >= 9).any() or not without
         agree += [
             best == int(chosen[k]) and may == tuple(mine["allowed"][k].tolist())
@@ -225,6 +245,10 @@ def test_a_bank_is_drawn_home_by_home(episodes: Sequence[RearrangeEpisode], tmp_
     np.testing.assert_array_equal(bank.seeds, whole.seeds)
     np.testing.assert_array_equal(bank.first, whole.first)
     assert len(bank.floors) == len(whole.floors)
+    drawn = with_scenes(load_bank(tmp_path / "bank.npz")[0], tmp_path / "bank.npz")
+    assert [len(scene.instances) for scene in drawn.scenes] == [len(scene.instances) for scene in whole.scenes]
+    with pytest.raises(InputError, match="H3-TRAIN-016"):
+        with_scenes(replace(bank, names=()), tmp_path / "bank.npz")
 
 
 def test_a_bank_comes_back_from_its_file(episodes: Sequence[RearrangeEpisode], tmp_path: Path, short: None) -> None:
@@ -335,7 +359,6 @@ def test_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) ->
     assert '"chunks_per_minibatch": 48' in said
     assert "10 updates with 1 worker" in said
     for words, message in (
-        (("--device", "cuda"), "Without --worlds rearrange plays our full rules"),
         (("--worlds", "0"), "at least 1 world"),
         (("--worlds", "8", "--workers", "0"), "at least 1 worker"),
         (("--worlds", "8", "--gpus", "2"), "no options of rearrange: --gpus"),

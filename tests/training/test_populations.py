@@ -406,7 +406,7 @@ def test_a_robot_that_sees_is_told_no_state(episodes: Sequence[RearrangeEpisode]
 
     plan = planner("both", 3, 2)
     policies = [AssignedPolicy(Watching(robot), ROBOT, ROBOT), AssignedPolicy(plan, "both", "human", "both")]
-    rollout(Rearrange(), replace(episodes[0], spec=replace(episodes[0].spec, max_steps=200)), policies)
+    run(WorldRollout.of(Rearrange(), replace(episodes[0], spec=replace(episodes[0].spec, max_steps=200)), policies))
     assert any(seen)
 
 
@@ -793,7 +793,6 @@ def test_trained_policies_come_with_the_package() -> None:
         ({"episodes": 0}, r"(?s)episodes.*1.*H3-TRAIN-039"),
         ({"horizon": 1.0}, "H3-TRAIN-037"),
         ({"minutes": 0.0}, "H3-TRAIN-038"),
-        ({"pixels": True, "oracle": True}, "H3-TRAIN-016"),
         ({"picture_size": (63, 48)}, "H3-TRAIN-080"),
     ],
 )
@@ -818,7 +817,6 @@ def test_the_command_plans_and_refuses(tmp_path: Path, whole: Path, capsys: pyte
         (["rearrange", "--population", "plan_pop"], "Did you mean"),
         (["rearrange", "--workers", "0"], "at least 1 worker"),
         (["rearrange", "--episodes-per-update", "0"], "H3-TRAIN-079"),
-        (["rearrange", "--pixels", "--worlds", "8"], "H3-TRAIN-016"),
         (["social_nav", "--population", "learn_pop"], "--population"),
         (["skill", "nav", "--ablate", "primitives"], "no options of skill: --ablate (of rearrange)"),
         (["rearrange", "--ablate", "legs"], "humanoid_gps"),

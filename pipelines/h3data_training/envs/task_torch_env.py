@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -45,6 +45,35 @@ EPISODES = 512
 def arm_cameras(observations: Sequence[str]) -> tuple[str, ...]:
     """Cameras of a robot's arm that observations need: that of depth and detector, then that of colours, where there is one."""
     return (*[ARM] * bool(set(OUTPUTS) & set(observations)), *[ARM_RGB] * ("arm_rgb" in observations))
+
+
+def arm_pictures(cameras: TensorCameras, names: Collection[str]) -> Tensors:
+    """The named observations `PICTURED` of all worlds as last posed, [W, ...]."""
+    by_arm: list[Output] = [OUTPUTS[name] for name in names if name in OUTPUTS]
+    seen, shown = cameras.picture(cameras.views[0], by_arm) if by_arm else {}, {}
+    if "depth" in seen:
+        shown["arm_depth"] = scaled_depth(seen["depth"])[..., None]
+    if "semantic" in seen:
+        pixels = (seen["semantic"] == HUMAN_ID).sum((-2, -1))
+        shown["humanoid_detector"] = (pixels > int(DETECTED_PIXELS * cameras.share)).float()[:, None]
+    if "arm_rgb" in names:
+        shown["arm_rgb"] = cameras.picture(cameras.views[-1], ("rgb",))["rgb"]
+    return shown
+
+
+def common_height(floors: Sequence[Any]) -> float:
+    """Height of all floors of a bank [m].
+
+    Raises:
+        InputError: they are at several heights.
+    """
+    heights = sorted({floor.floor_y for floor in floors})
+    if len(heights) != 1:
+        raise InputError(
+            f"Pictures on a device need floors at one height, the scenes have {heights} m. Hint: name one scene.",
+            code="H3-ENV-012",
+        )
+    return heights[0]
 
 
 class TaskTorchEnv(TorchEnv[Play]):
@@ -191,19 +220,13 @@ class TaskTorchEnv(TorchEnv[Play]):
             log.warning(
                 "arm_rgb on a device is in flat light, that of environments on the CPU in baked light. %s", ASKED
             )
-        heights = sorted({floor.floor_y for floor in self.bank.floors})
-        if len(heights) != 1:
-            raise InputError(
-                f"Pictures on a device need floors at one height, the scenes have {heights} m. Hint: name one scene.",
-                code="H3-ENV-012",
-            )
         return TensorCameras(
             self.bank.scenes,
             load_robot(robot),
             load_humanoid(human),
             self.sim.spec.human,
             worlds=self.num_envs,
-            floor_y=heights[0],
+            floor_y=common_height(self.bank.floors),
             views=arm_cameras(self._names),
             size=size,
             device=self.device,
@@ -213,16 +236,7 @@ class TaskTorchEnv(TorchEnv[Play]):
     def _pictures(self, cameras: TensorCameras) -> Tensors:
         place = self.sim.place_of(self.play) if len(self.bank.scenes) > 1 else None
         cameras.pose(self.play.robot, self.play.human, place=place)
-        by_arm: list[Output] = [OUTPUTS[name] for name in self._names if name in OUTPUTS]
-        seen, shown = cameras.picture(cameras.views[0], by_arm) if by_arm else {}, {}
-        if "depth" in seen:
-            shown["arm_depth"] = scaled_depth(seen["depth"])[..., None]
-        if "semantic" in seen:
-            pixels = (seen["semantic"] == HUMAN_ID).sum((-2, -1))
-            shown["humanoid_detector"] = (pixels > int(DETECTED_PIXELS * cameras.share)).float()[:, None]
-        if "arm_rgb" in self._names:
-            shown["arm_rgb"] = cameras.picture(cameras.views[-1], ("rgb",))["rgb"]
-        return shown
+        return arm_pictures(cameras, self._names)
 
     def _forget_actions(self) -> None:
         self._action.zero_()

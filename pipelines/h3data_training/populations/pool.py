@@ -17,7 +17,7 @@ from h3data.errors import FormatError, InputError, SceneError
 from h3data.files import part_file
 from h3data.progress import progress
 from h3data.recording.task_episodes.stored_rearrangements import StoredGoal
-from h3data.scene.open import named_scenes
+from h3data.scene.open import named_scenes, open_scene
 from h3data_training.checkpoints import differences
 from h3data_training.episodes import by_home, listed_scenes
 from h3data_training.populations.settings import LONGEST, PopulationSettings, rules_of
@@ -234,4 +234,24 @@ def _home_bank(task: HomeTask) -> list[RearrangeBank]:
     home, roster = _home(name), make_roster(Rearrange.agents, robot=settings.robot, human=settings.human)
     entries = _entries(settings, name, home, number)
     episodes = [replace(_episode(entry, home, settings, roster), spec=ORACLE_RULES) for entry in entries]
-    return [replace(RearrangeBank.of(episodes), scenes=())] if episodes else []
+    return [replace(RearrangeBank.of(episodes), scenes=(), names=(name,))] if episodes else []
+
+
+def with_scenes(bank: RearrangeBank, file: Path) -> RearrangeBank:
+    """The same bank with its homes opened, for pictures.
+
+    Raises:
+        InputError: the file does not name the homes, as one of before 0.3.
+    """
+    if len(bank.names) != len(bank.floors):
+        raise InputError(
+            f"This bank of episodes does not name its homes, so they cannot be drawn. Hint: another file. File: {file}",
+            code="H3-TRAIN-016",
+        )
+    with progress(desc="homes", total=len(bank.names), unit="home", delay=1.0, leave=False) as done:
+        scenes = []
+        for name in bank.names:
+            (named,) = named_scenes(name)
+            scenes.append(open_scene(named.source))
+            done.update()
+    return replace(bank, scenes=tuple(scenes))

@@ -23,7 +23,7 @@ from h3data_training.envs.torch_env import checked_device
 from h3data_training.launch import StopRequest
 from h3data_training.populations.learner import ChooserLearner, plan_at
 from h3data_training.populations.playing import Job, Played, Players
-from h3data_training.populations.pool import bank_of, default_workers, episodes_of, pool_of, pool_order
+from h3data_training.populations.pool import bank_of, default_workers, episodes_of, pool_of, pool_order, with_scenes
 from h3data_training.populations.settings import ROBOT, PopulationSettings
 from h3data_training.running import SPARE_S, RunResult, Say, one_thread, share_of, stop_asked
 from sim_kinematic.policies.network import RUN_POLICY
@@ -111,9 +111,16 @@ def _players(
 
     if episodes is None:
         bank = bank_of(settings, file or folder / BANK, workers=workers)
+        if settings.pixels:
+            bank = with_scenes(bank, file or folder / BANK)
     else:
         bank = RearrangeBank.of([replace(one, spec=ORACLE_RULES) for one in episodes])
-    return TensorPlayers(bank, device, moves_starts=settings.moves_starts)
+    return TensorPlayers(
+        bank,
+        device,
+        moves_starts=settings.moves_starts,
+        picture_size=settings.picture_size if settings.pixels else None,
+    )
 
 
 class _Run:

@@ -119,12 +119,6 @@ class PopulationSettings:
                 code="H3-TRAIN-036",
             )
         object.__setattr__(self, "without", tuple(name for name in ABLATIONS if name in self.without))
-        if self.pixels and self.oracle:
-            raise InputError(
-                "A robot that sees learns by our full rules, on CPU cores: worlds on a device take no pictures of "
-                "rearrangement. Hint: --pixels without --worlds.",
-                code="H3-TRAIN-016",
-            )
         if fault := VisualPolicy.size_fault(self.picture_size):
             raise InputError(f"Expected pictures with sides in {fault}, got {self.picture_size}.", code="H3-TRAIN-080")
         whole = (

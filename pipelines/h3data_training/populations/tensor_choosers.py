@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from h3data_training.populations.playing import Decisions, Job
 from h3data_training.torch.graph import keep_row
@@ -23,10 +24,13 @@ from sim_kinematic.policies.choosers.chooser_network import (
     SKILLS_WITH_OBJECT,
     SkillPolicyNetwork,
     hides,
+    numbers_of,
     rest_count,
 )
 from sim_kinematic.policies.choosers.recurrent_chooser import ALERT_M, ALERT_STEPS
-from sim_kinematic.sensing.encodings import OF_CHOICES
+from sim_kinematic.policies.visual_policy import PATCH, STRIDES
+from sim_kinematic.sensing.encodings import DETECTOR, OF_CHOICES
+from sim_kinematic.sensing.table import SENSES
 
 Arrays = Mapping[str, Tensor]
 
@@ -36,6 +40,8 @@ class Row(NamedTuple):
 
     each: Tensor
     rest: Tensor
+    pictures: Tensor
+    told: Tensor
     state: Tensor
     allowed: Tensor
     chosen: Tensor
@@ -71,7 +77,8 @@ class TensorSkillPolicy:
         """New episodes of so many steps at most, with the networks of today in the worlds whose ``names`` they have."""
         device = self._sim.device
         first = jobs[0].networks[names[0]]  # learners of one agent differ in their weights only
-        self._hold, self._observations = first.card.hold, first.card.observations
+        self._hold, self._observations, self._sees = first.card.hold, first.card.observations, bool(first.sees)
+        assert len(self._names) == 1 or not self._sees, "the robot alone sees"
         shape = steps, len(names), len(self._sim.choices(self._agent))
         noise = torch.rand(shape, generator=generator, device=device)
         if not self._arrays:
@@ -90,25 +97,39 @@ class TensorSkillPolicy:
         self._state.zero_()
         self._thought.zero_()
 
-    def choose(self, xz: Tensor, lengths: Tensor, ahead: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
-        """Choices [W] by `Paths` and ``noise`` [W, C], -1 of those that are not asked, and the parts of a `Row`."""
+    def choose(
+        self, xz: Tensor, lengths: Tensor, ahead: Tensor, noise: Tensor, depth: Tensor, found: Tensor
+    ) -> tuple[Tensor, ...]:
+        """Choices [W] by `Paths` and ``noise`` [W, C], -1 of those that are not asked, and the parts of a `Row`.
+
+        ``depth`` [W, H, W'] and whether the arm's camera has ``found`` a person [W, 1] are for networks that see.
+        """
         play = self._play
         view = View.of(self._sim, play, self._agent, Paths(xz, lengths, ahead))
         asked, view = self._asked(view)
-        names = self._observations
-        each, rest = encode(observed(view, names), self._agent, self._sim.bank.objects, observations=names)
+        names, objects = self._observations, self._sim.bank.objects
+        shown = observed(view, tuple(name for name in names if name in SENSES))
+        pictures, told = depth[:, :0, :0].half(), depth[:, :0, 0]
+        if self._sees:
+            pictures = depth.float().sqrt().half()
+            shown = shown | {DETECTOR: found.float()}
+            state_of = encode(observed(view, OBSERVATIONS), self._agent, objects)
+            told = torch.cat([inputs.flatten(1) for inputs in state_of], 1)
+        each, rest = encode(shown, self._agent, objects, observations=names)
+        seen = features(self._arrays, pictures.float()) if self._sees else pictures.flatten(1)
         rows, scores = self._rows.flatten(), torch.zeros(len(each), len(view.choices), device=each.device)
-        own, after = scored(self._arrays, each[self._rows], rest[self._rows], self._state[self._rows])
+        known = torch.cat([seen, rest], 1)
+        own, after = scored(self._arrays, each[self._rows], known[self._rows], self._state[self._rows])
         scores = scores.index_copy(0, rows, own.flatten(0, 1))
         state = self._state.index_copy(0, rows, after.flatten(0, 1))
-        may = allowed(view) & self._offered
+        may = allowed(view, informed=not self._sees) & self._offered
         log_probs = scores.masked_fill(~may, -torch.inf).log_softmax(-1)
         chosen = (log_probs - (-noise.log()).log()).argmax(-1)
         log_prob = log_probs.gather(1, chosen[:, None])[:, 0]
         before = self._state.clone()
         self._state.copy_(torch.where(asked[:, None], state, self._state))
         self._thought.copy_(torch.where(asked, play.steps, self._thought))
-        return torch.where(asked, chosen, FREE), each, rest, before, may, chosen, log_prob, asked
+        return torch.where(asked, chosen, FREE), each, rest, pictures, told, before, may, chosen, log_prob, asked
 
     def noise(self, step: Tensor) -> Tensor:
         """Random numbers of the step with this number [1], uniform in 0..1, [W, C]."""
@@ -125,7 +146,7 @@ class TensorSkillPolicy:
         kind, holder = view.choices.kind[running], of_object(play.held_by, view.choices.target[running])
         busy, since = does.skill != FREE, play.steps - self._thought
         walks = busy & ((kind == NAV_OBJECT) | (kind == NAV_GOAL))
-        taken = (kind == NAV_OBJECT) & (holder != NOBODY) & (holder != view.agent)
+        taken = (kind == NAV_OBJECT) & (holder != NOBODY) & (holder != view.agent) & (not self._sees)
         gap = view.other.xz - view.now.xz
         alert = torch.hypot(gap[:, 0], gap[:, 1]) < ALERT_M
         stops = walks & (taken | (alert & (since >= ALERT_STEPS)) | (since >= self._hold))
@@ -153,10 +174,7 @@ class TensorSkillPolicy:
             rows = all_rows.unique()
             own = torch.isin(world, rows)
             at = when[own], world[own]
-            nothing = torch.zeros(int(own.sum()), 0, device=rewards.device)
             found[name] = Decisions(
-                pictures=nothing[..., None],
-                told=nothing,
                 **{column: t[at] for column, t in self._kept.items() if column != "asked"},
                 gain=gain[own].float(),
                 discount=discount[own].float(),
@@ -178,7 +196,7 @@ def encode(
 ) -> tuple[Tensor, Tensor]:
     """Inputs of each object [W, K, F] and the rest [W, R] (`sim_kinematic.policies.choosers.chooser_network.encoded`)."""
     each, rest, own = [], [], SKILLS_WITH_OBJECT * objects
-    for name in observations:
+    for name in numbers_of(observations):
         encoding, seen = OF_CHOICES.get(name), shown[name]
         if encoding is None:
             each.append(seen[:, :own].reshape(-1, SKILLS_WITH_OBJECT, objects).transpose(1, 2))
@@ -191,6 +209,17 @@ def encode(
             rest.append(encoding.of(torch, seen))
     assert rest[-1].shape[1] == rest_count(agent)
     return torch.cat(each, -1), torch.cat(rest, -1)
+
+
+def features(arrays: Arrays, roots: Tensor) -> Tensor:
+    """Features [W, F] of the roots of depth [W, H, W'], by the only network of P.
+
+    They are those of `sim_kinematic.policies.visual_policy.picture_features`.
+    """
+    x = functional.pixel_unshuffle(roots[:, None], PATCH)
+    for k, stride in enumerate(STRIDES):
+        x = functional.conv2d(x, arrays[f"conv_{k}.weight"][0], arrays[f"conv_{k}.bias"][0], stride, 1).relu()
+    return functional.linear(x.flatten(1), arrays["picture.weight"][0], arrays["picture.bias"][0]).relu()
 
 
 def scored(arrays: Arrays, each: Tensor, rest: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
@@ -219,12 +248,13 @@ def scored(arrays: Arrays, each: Tensor, rest: Tensor, state: Tensor) -> tuple[T
     return scores + arrays["persist"][..., None] * interrupted, state
 
 
-def allowed(view: View) -> Tensor:
+def allowed(view: View, *, informed: bool = True) -> Tensor:
     """Which choices make sense to try, bool [W, C] (`sim_kinematic.policies.choosers.recurrent_chooser.allowed`)."""
     numbers = every_choice(view.choices, len(view.now.xz))
     kind, k, objects = view.choices.kind[numbers], view.choices.target[numbers], view.sim.bank.objects
     held = view.play.held_by
-    lies = ((held == NOBODY) & ~view.sim.at_goal(view.hands, view.places)).gather(1, k)
+    free = (held == NOBODY) & ~view.sim.at_goal(view.hands, view.places) if informed else held != view.agent
+    lies = free.gather(1, k)
     empty, mine = ~(held == view.agent).any(1, keepdim=True), (held == view.agent).gather(1, k)
     fetches = (kind == NAV_OBJECT) | (kind == PICK)
     handles = (kind == PICK) | (kind == PLACE)

@@ -8,10 +8,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from h3data_training.cpu_cameras import CpuCameras
+from h3data_training.envs.task_torch_env import arm_cameras, arm_pictures, common_height
 from h3data_training.populations.playing import Batch, Decisions, Job, Played
 from h3data_training.populations.settings import ROBOT
 from h3data_training.populations.tensor_choosers import Row, TensorSkillPolicy
@@ -25,6 +28,8 @@ from sim_kinematic.policies.rearrange import planner
 
 APART_M = 2.0
 """Agents begin at least this far from each other."""
+SEEN = ("arm_depth", "humanoid_detector")
+"""Observations that come from pictures."""
 LOOKS_EVERY = 25
 """Steps after which it is looked whether all episodes are over: that waits for the device."""
 
@@ -41,6 +46,7 @@ class TensorPlayers:
         *,
         compile: bool | None = None,
         moves_starts: bool = False,
+        picture_size: tuple[int, int] | None = None,
     ) -> None:
         """Copies a bank of episodes to the device.
 
@@ -49,7 +55,10 @@ class TensorPlayers:
             device: device of the worlds.
             compile: whether the operations of a step are fused; by default on a GPU, if Triton is installed.
             moves_starts: whether agents begin at starts of any episodes of the same home.
+            picture_size: width and height of what the robot sees [px]; None: it sees nothing. Objects are drawn where they
+                are in the home, also while somebody holds them.
         """
+        self._size = picture_size
         self._bank, self.device, self._moves_starts = bank, torch.device(device), moves_starts
         self._compiles = self.device.type == "cuda" and can_fuse() if compile is None else compile
         self._worlds: _Worlds | None = None
@@ -76,7 +85,12 @@ class TensorPlayers:
             if self._worlds is None or self._worlds.casts != casts:
                 self._worlds = None  # their memory first
                 self._worlds = _Worlds(
-                    self._bank, casts, self.device, compiles=self._compiles, moves_starts=self._moves_starts
+                    self._bank,
+                    casts,
+                    self.device,
+                    compiles=self._compiles,
+                    moves_starts=self._moves_starts,
+                    picture_size=self._size,
                 )
             return self._worlds.played(jobs)
 
@@ -98,7 +112,14 @@ class _Worlds:
     """Worlds in which one update after the other is played, in the same places in memory: on a GPU a step is one CUDA graph."""
 
     def __init__(
-        self, bank: RearrangeBank, casts: Casts, device: torch.device, *, compiles: bool, moves_starts: bool
+        self,
+        bank: RearrangeBank,
+        casts: Casts,
+        device: torch.device,
+        *,
+        compiles: bool,
+        moves_starts: bool,
+        picture_size: tuple[int, int] | None,
     ) -> None:
         self._moves_starts = moves_starts
         self.casts = casts
@@ -110,6 +131,7 @@ class _Worlds:
             TensorSkillPolicy(self._sim, self._play, cast, agent)
             for cast, agent in zip(casts, (ROBOT, "human"), strict=False)
         ]
+        self._cameras = None if picture_size is None else _cameras(bank, count, picture_size, device, compiles)
         self._nothing = torch.full((count,), FREE, dtype=torch.int64, device=device)
         self._step = torch.zeros(1, dtype=torch.int64, device=device)
         self._rewards = torch.zeros(self._longest, count, dtype=self._sim.dtype, device=device)
@@ -166,13 +188,23 @@ class _Worlds:
     def _eager(self) -> None:
         """One step of all worlds, in place."""
         paths, chosen = self._find(), []
+        seen = self._seen()
         for chooser, choose in zip(self._choosers, self._choose, strict=True):
-            choice, *row = choose(*paths, chooser.noise(self._step))
+            choice, *row = choose(*paths, chooser.noise(self._step), *seen)
             chooser.keep(Row(*row), self._step)
             chosen.append(choice)
         self._move(chosen[0], chosen[1] if len(chosen) > 1 else self._nothing)
         self._rewards.index_copy_(0, self._step, self._play.reward[None])
         self._step.add_(1)
+
+    def _seen(self) -> tuple[Tensor, Tensor]:
+        """Depth that robots see [W, H, W'] and whether they see a person [W, 1]; empty without cameras."""
+        if self._cameras is None:
+            nothing = self._rewards[0, :, None, None]
+            return nothing[:, :0], nothing[:, 0, :0]
+        self._cameras.pose(self._play.robot, self._play.human, place=self._sim.tables.at(self._play.episode).place)
+        seen = arm_pictures(self._cameras, SEEN)
+        return seen["arm_depth"][..., 0], seen["humanoid_detector"]
 
     def _paths(self) -> tuple[Tensor, Tensor, Tensor]:
         paths = Paths.of(self._sim, self._play, self._sim.tables.at(self._play.episode))
@@ -180,6 +212,31 @@ class _Worlds:
 
     def _moved(self, robot: Tensor, human: Tensor) -> None:
         overwrite(self._play.tensors(), self._sim.step(self._play, robot, human).tensors())
+
+
+def _cameras(bank: RearrangeBank, worlds: int, size: tuple[int, int], device: torch.device, compiles: bool) -> Any:
+    """Cameras on the robots' arms; on a CPU those that are slow."""
+    views = arm_cameras(SEEN)
+    if device.type != "cuda":
+        floors = [floor.floor_y for floor in bank.floors]
+        return CpuCameras(
+            bank.scenes, bank.robot.name, bank.human.name, bank.spec.human, floors=floors, views=views, size=size
+        )
+    from h3data_training.torch.cameras import TensorCameras
+
+    height = common_height(bank.floors)
+    return TensorCameras(
+        bank.scenes,
+        bank.robot,
+        bank.human,
+        bank.spec.human,
+        worlds=worlds,
+        floor_y=height,
+        views=views,
+        size=size,
+        device=device,
+        compile=compiles,
+    )
 
 
 def _orders(jobs: Sequence[Job], objects: int, device: torch.device) -> Tensor:

@@ -83,6 +83,8 @@ class RearrangeBank:
     """Lower corner of the first cell of each home, [R, 2] [m]."""
     shapes: NDArray[np.int64]
     """Its cells along x and z, [R, 2]."""
+    names: tuple[str, ...] = ()
+    """Names by which the homes can be opened, where they are known."""
 
     @classmethod
     def draw(
@@ -183,6 +185,7 @@ class RearrangeBank:
             banks[0],
             floors=tuple(floor for bank in banks for floor in bank.floors),
             scenes=tuple(scene for bank in banks for scene in bank.scenes),
+            names=tuple(name for bank in banks for name in bank.names),
             place=np.concatenate([bank.place + n for bank, n in zip(banks, homes, strict=False)]),
             ends=np.concatenate([wide(bank.ends) for bank in banks]),
             first=first,

@@ -23,7 +23,7 @@ from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeSpec
 from sim_kinematic.tasks.rearrange.task import Rearrange
 
 FORMAT = "h3data.rearrange_bank/1"
-BESIDE = ("spec", "robot", "human", "floors", "scenes")
+BESIDE = ("spec", "robot", "human", "floors", "scenes", "names")
 """Fields of a bank that are no arrays."""
 ARRAYS = tuple(f.name for f in fields(RearrangeBank) if f.name not in BESIDE)
 
@@ -46,6 +46,7 @@ def save_bank(bank: RearrangeBank, path: str | Path, *, drawn_by: Mapping[str, A
         "drawn_by": dict(drawn_by),
         "rules": _rules(bank.spec),
         "bodies": [bank.robot.name, bank.human.name],
+        "homes": bank.names,
         "floors": [[*map(float, f.origin), float(f.cell_m), float(f.floor_y)] for f in bank.floors],
     }
     arrays = {name: getattr(bank, name) for name in ARRAYS}
@@ -66,6 +67,7 @@ def load_bank(path: str | Path, *, spec: RearrangeSpec = ORACLE_RULES) -> tuple[
             arrays = {name: file[name] for name in (*ARRAYS, *(n for n in file.files if n.startswith("sdf_")))}
             about = json.loads(str(file["about"]))
         robot_name, human_name = about["bodies"]
+        names = tuple(map(str, about.get("homes", ())))
         floors = tuple(
             KeptFloor(sdf=arrays.pop(f"sdf_{k}"), origin=np.array([x, z]), cell_m=cell, floor_y=y)
             for k, (x, z, cell, y) in enumerate(about["floors"])
@@ -90,7 +92,7 @@ def load_bank(path: str | Path, *, spec: RearrangeSpec = ORACLE_RULES) -> tuple[
         robot, human = (m.body for m in make_roster(Rearrange.agents, robot=robot_name, human=human_name))
     assert isinstance(robot, Robot)
     assert isinstance(human, Humanoid)
-    return RearrangeBank(spec=spec, robot=robot, human=human, floors=floors, scenes=(), **arrays), drawn_by
+    return RearrangeBank(spec=spec, robot=robot, human=human, floors=floors, scenes=(), names=names, **arrays), drawn_by
 
 
 def _rules(spec: RearrangeSpec) -> str:
