@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.statements import by_package, count_statements
+
 ROOT = Path(__file__).parent.parent
 PACKAGES = {
     "h3data": ROOT / "h3data",
@@ -335,3 +337,9 @@ def test_a_task_is_a_short_list() -> None:
 
     members = [name for name in vars(Task) if not name.startswith("_")]
     assert len(members) <= MEMBERS_OF_TASK, sorted(members)
+
+
+def test_statements_are_counted_without_lone_strings() -> None:
+    source = '"""Module."""\nA = 1\n"""Field."""\ndef f():\n    """Does it."""\n    if A:\n        return 2\n'
+    assert count_statements(source) == 4
+    assert {"h3data", "sim_kinematic", "h3data_viewers", "h3data_pipelines"} <= {*by_package(ROOT)}
