@@ -10,6 +10,14 @@ from types import ModuleType
 from typing import Any
 
 MOVED = {
+    "sim_kinematic.tasks.crowd_nav": "h3data_crowds",
+    "sim_kinematic.tasks.crowd_nav.task": "h3data_crowds.crowd_nav",
+    "sim_kinematic.tasks.scenarios": "h3data_crowds",
+    "sim_kinematic.tasks.scenarios.task": "h3data_crowds.scenarios",
+    "sim_kinematic.tasks.scenarios.cards": "h3data_crowds.cards",
+    "sim_kinematic.tasks.scenarios.places": "h3data_crowds.places",
+    "sim_kinematic.policies.crowd.robots": "h3data_crowds.robots",
+    "sim_kinematic.policies.crowd.scripted": "h3data_crowds.scripted",
     "sim_kinematic.envs.dataset_env": "h3data_training.envs.dataset_env",
     "h3data.render.id_png": "h3data_pipelines.pictures.id_png",
     "h3data.mesh.glb_write": "h3data_exporters.glb_write",

@@ -46,7 +46,7 @@ AREAS = {
     "FORMAT": ("file formats", "format", "h3data/formats"),
     "FILE": ("files, folders and plug-ins", "extending", "h3data"),
     "SIM": ("agents and their world", "simulation", "sim_kinematic"),
-    "TASK": ("tasks and episodes", "simulation", "sim_kinematic/tasks"),
+    "TASK": ("tasks and episodes", "simulation", "sim_kinematic/tasks pipelines/h3data_crowds"),
     "POLICY": ("policies", "learned-policies", "sim_kinematic/policies"),
     "ENV": (
         "environments",

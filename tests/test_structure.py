@@ -19,6 +19,7 @@ PACKAGES = {
     "h3data_viewers": ROOT / "viewers" / "h3data_viewers",
     "h3data_play": ROOT / "viewers" / "h3data_play",
     "h3data_studies": ROOT / "viewers" / "h3data_studies",
+    "h3data_crowds": ROOT / "pipelines" / "h3data_crowds",
     "h3data_exporters": ROOT / "pipelines" / "h3data_exporters",
     "h3data_gpu": ROOT / "pipelines" / "h3data_gpu",
     "h3data_homes": ROOT / "pipelines" / "h3data_homes",
@@ -52,6 +53,7 @@ LAYERS = (
     "h3data_studies",
     "h3data_training",
     "h3data_remote",
+    "h3data_crowds",
     "h3data_language",
     "h3data_pipelines",
 )
@@ -75,6 +77,7 @@ AGAINST_THE_LAYERS = {
         "sim_kinematic.envs.vector",
     ],
     "h3data.kernels.digests": [
+        "h3data_crowds",
         "h3data_gpu",
         "h3data_habitat",
         "h3data_meshes",

@@ -310,6 +310,7 @@ def test_sources_name_pages_as_the_command_shows_them() -> None:
         "pipelines/h3data_pipelines",
         "pipelines/h3data_training",
         "pipelines/h3data_remote",
+        "pipelines/h3data_crowds",
         "pipelines/h3data_language",
         "pipelines/h3data_ros",
         "pipelines/h3data_social",

@@ -34,6 +34,7 @@ PLACES = {
     "h3data_pipelines": "pipelines",
     "h3data_training": "pipelines",
     "h3data_remote": "pipelines",
+    "h3data_crowds": "pipelines",
     "h3data_language": "pipelines",
     "h3data_ros": "pipelines",
     "h3data_social": "pipelines",
@@ -113,6 +114,7 @@ def test_a_package_that_is_not_there_costs_only_its_commands(package: str, lost:
 CALLS = {
     "h3data_training": "import h3data; h3data.make('social_nav', scenes='small:1', device='cpu')",
     "h3data_habitat": "from sim_kinematic.motion.step import SLIDES; SLIDES.get('habitat')",
+    "h3data_crowds": "import h3data; h3data.make('crowd_nav', scenes='small:1')",
     "h3data_social": "from h3data.metrics.registry import find_profile; find_profile('social')",
     "h3data_gpu": "from h3data.replay.stage import chosen_backend; chosen_backend('auto'); chosen_backend('gpu')",
 }

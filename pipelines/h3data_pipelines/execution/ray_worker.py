@@ -29,6 +29,7 @@ PACKAGES = (
     "h3data_motion",
     "h3data_worlds",
     "h3data_exporters",
+    "h3data_crowds",
     "h3data_language",
     "h3data_social",
     "h3data_remote",

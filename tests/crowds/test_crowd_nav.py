@@ -13,9 +13,9 @@ from benchmarks.people import hall
 from h3data.errors import SceneError
 from h3data.metrics import measure
 from h3data.scene import FreeSpace
+from h3data_crowds.crowd_nav import CrowdNav, CrowdNavSpec
+from h3data_crowds.robots import ROBOTS
 from sim_kinematic.agents.roster import make_roster
-from sim_kinematic.policies.crowd.robots import ROBOTS
-from sim_kinematic.tasks.crowd_nav.task import CrowdNav, CrowdNavSpec
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.resume import verify
 from sim_kinematic.tasks.runner import simulate

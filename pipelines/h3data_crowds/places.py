@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from h3data.geometry import IDENTITY_POSE, Array
 from h3data.mesh.primitives import box_mesh
 from h3data.scene import Asset, Box, FreeSpace, Instance, Room, Scene
-from sim_kinematic.tasks.scenarios.cards import Layout, PlaceKind
+from h3data_crowds.cards import Layout, PlaceKind
 
 POINTS, DIRECTIONS = 4000, 8
 """Places and directions of the floor that are tried as frames."""

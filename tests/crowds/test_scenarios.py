@@ -12,13 +12,13 @@ import h3data
 from h3data.errors import InputError, SceneError
 from h3data.recording import Recording
 from h3data.scene import FreeSpace
+from h3data_crowds.cards import choose_cards, load_cards
+from h3data_crowds.places import build_plan
+from h3data_crowds.scenarios import Scenarios, ScenarioSpec
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.resume import verify
 from sim_kinematic.tasks.runner import simulate
-from sim_kinematic.tasks.scenarios.cards import choose_cards, load_cards
-from sim_kinematic.tasks.scenarios.places import build_plan
-from sim_kinematic.tasks.scenarios.task import Scenarios, ScenarioSpec
 
 CARDS = sorted(load_cards())
 

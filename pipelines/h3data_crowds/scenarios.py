@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array
 from h3data.scene import FreeSpace, Scene
+from h3data_crowds.cards import ALL, Card, Layout, PlaceKind, choose_cards, load_cards, sample_layout
+from h3data_crowds.crowd_nav import CrowdNav, CrowdNavSpec
+from h3data_crowds.places import Frame, axes_of, build_plan, find_frame
+from h3data_crowds.scripted import ScriptedPerson
 from sim_kinematic.agents.roster import AgentSpec, common_floor
 from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.crowd.traits import sample_traits
 from sim_kinematic.motion.randomness import generator
-from sim_kinematic.policies.crowd.scripted import ScriptedPerson
 from sim_kinematic.sensing.table import Sensor
 from sim_kinematic.tasks.codec import EpisodePlace, TaskCodec, TaskRecord
-from sim_kinematic.tasks.crowd_nav.task import CrowdNav, CrowdNavSpec
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import WorldRollout
-from sim_kinematic.tasks.scenarios.cards import ALL, Card, Layout, PlaceKind, choose_cards, load_cards, sample_layout
-from sim_kinematic.tasks.scenarios.places import Frame, axes_of, build_plan, find_frame
 from sim_kinematic.tasks.task import TaskUsage
 
 LAYOUTS = 6

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from h3data.errors import SceneError
 from h3data.scene import FreeSpace, Scene
+from h3data_crowds.robots import ROBOTS, SKILLS
 from sim_kinematic.agents.roster import AgentSpec, common_floor
 from sim_kinematic.motion.randomness import generator
-from sim_kinematic.policies.crowd.robots import ROBOTS, SKILLS
 from sim_kinematic.sensing.sensor import gps_compass
 from sim_kinematic.sensing.table import Sensor
 from sim_kinematic.tasks.control import Control, VelocityControl
