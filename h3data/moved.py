@@ -10,6 +10,8 @@ from types import ModuleType
 from typing import Any
 
 MOVED = {
+    "h3data.bodies.robots.guess": "h3data_worlds.robot_guess",
+    "h3data.bodies.robots.resting": "h3data_worlds.robot_posture",
     "sim_kinematic.tasks.crowd_nav": "h3data_crowds",
     "sim_kinematic.tasks.crowd_nav.task": "h3data_crowds.crowd_nav",
     "sim_kinematic.tasks.scenarios": "h3data_crowds",
