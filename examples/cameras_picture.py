@@ -16,16 +16,15 @@ from h3data.render import (
     depth_to_rgb,
     equirectangular,
     fisheye,
-    flow_to_rgb,
     instance_to_rgb,
-    optical_flow,
     overlay,
-    visible_boxes,
     write_png,
 )
 from h3data.render.image_files import write_jpg
 from h3data.replay import camera_track
 from h3data.replay.stage import Stage
+from h3data_pipelines.pictures.boxes import visible_boxes
+from h3data_pipelines.pictures.flow import flow_to_rgb, optical_flow
 
 NAMES = ("third_person", "robot_arm", "human_head", "orbit", "top_down", "top_down_orthographic")
 OUTPUTS = ("rgb", "depth", "instance", "semantic", "normal", "triangle")

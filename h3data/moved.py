@@ -10,6 +10,13 @@ from types import ModuleType
 from typing import Any
 
 MOVED = {
+    "sim_kinematic.tasks.skills.skill_judging": "h3data_pipelines.skill_judging",
+    "h3data.metrics.explain": "h3data_pipelines.metric_texts",
+    "h3data.recording.windows": "h3data_training.samples.windows",
+    "h3data.recording.parquet.cache": "h3data_training.samples.cache",
+    "h3data.render.flow": "h3data_pipelines.pictures.flow",
+    "h3data.render.boxes": "h3data_pipelines.pictures.boxes",
+    "h3data.metrics.table_files": "h3data_pipelines.metric_files",
     "h3data.bodies.robots.guess": "h3data_worlds.robot_guess",
     "h3data.bodies.robots.resting": "h3data_worlds.robot_posture",
     "sim_kinematic.tasks.crowd_nav": "h3data_crowds",
@@ -32,7 +39,7 @@ MOVED = {
     "sim_kinematic.tasks.rearrange.control": "sim_kinematic.tasks.skills.control",
     "sim_kinematic.tasks.rearrange.kept_track": "sim_kinematic.tasks.skills.kept_track",
     "sim_kinematic.tasks.rearrange.oracle": "sim_kinematic.tasks.skills.errands",
-    "sim_kinematic.tasks.rearrange.skill_judging": "sim_kinematic.tasks.skills.skill_judging",
+    "sim_kinematic.tasks.rearrange.skill_judging": "h3data_pipelines.skill_judging",
     "sim_kinematic.tasks.rearrange.skill_starts": "sim_kinematic.tasks.skills.skill_starts",
     "sim_kinematic.tasks.rearrange.play": "sim_kinematic.tasks.skills.household",
     "h3data_habitat.episodes.episode_files": "h3data_habitat.episodes.files",
@@ -165,6 +172,19 @@ MOVED = {
 """New name of each module that was renamed; modules in a package that has moved as a whole follow its name."""
 
 RENAMED = {
+    "h3data.metrics.events_of": "h3data_pipelines.metric_files.events_of",
+    "h3data.metrics.explain": "h3data_pipelines.metric_texts.explain",
+    "h3data.metrics.explain_episode": "h3data_pipelines.metric_texts.explain_episode",
+    "h3data.metrics.list_metrics": "h3data_pipelines.metric_texts.list_metrics",
+    "h3data.metrics.write_events": "h3data_pipelines.metric_files.write_events",
+    "h3data.metrics.write_series": "h3data_pipelines.metric_files.write_series",
+    "h3data.metrics.write_table": "h3data_pipelines.metric_files.write_table",
+    "h3data.recording.WindowDataset": "h3data_training.samples.WindowDataset",
+    "h3data.render.Boxes": "h3data_pipelines.pictures.boxes.Boxes",
+    "h3data.render.flow_to_rgb": "h3data_pipelines.pictures.flow.flow_to_rgb",
+    "h3data.render.optical_flow": "h3data_pipelines.pictures.flow.optical_flow",
+    "h3data.render.visible_boxes": "h3data_pipelines.pictures.boxes.visible_boxes",
+    "h3data.render.visible_masks": "h3data_pipelines.pictures.boxes.visible_masks",
     "h3data.metrics.Block": "h3data_studies.analysis.Block",
     "h3data.metrics.Estimate": "h3data_studies.analysis.Estimate",
     "h3data.metrics.FittedMeans": "h3data_studies.analysis.FittedMeans",

@@ -84,7 +84,6 @@ AGAINST_THE_LAYERS = {
         "h3data_pipelines",
         "sim_kinematic",
     ],  # whose kernels are ours
-    "h3data.metrics.table_files": ["h3data.metrics"],  # no module: a key in the metadata of Parquet files
     "h3data.plugins": ["h3data_pipelines"],  # whether a command runs
     "h3data.scene.scene_file": ["h3data.scene"],  # no module: the name of the file format
     "h3data.scenes": ["h3data_homes"],

@@ -154,7 +154,7 @@ def _check(image: NDArray[np.uint8], camera: Camera) -> None:
 def draw_boxes(
     image: NDArray[np.uint8], boxes: ArrayLike, labels: Sequence[str], colors: ArrayLike, *, thickness: int = 2
 ) -> None:
-    """Draws boxes [B, 4] (see `h3data.render.visible_boxes`) with labels, in colours [B, 3]."""
+    """Draws boxes [B, 4] (see `h3data_pipelines.pictures.boxes.visible_boxes`) with labels, in colours [B, 3]."""
     import cv2
 
     rows, paints = np.asarray(boxes).reshape(-1, 4), np.asarray(colors).reshape(-1, 3)

@@ -160,7 +160,7 @@ class Renderer:
         self._engine.set_blockers(self._world(world), blockers)
 
     def poses(self, world: int = 0) -> Poses:
-        """A copy of the state of a world, e.g. for `h3data.render.optical_flow`."""
+        """A copy of the state of a world, e.g. for `h3data_pipelines.pictures.flow.optical_flow`."""
         return self._engine.poses(self._world(world))
 
     def _world(self, world: int) -> int:

@@ -11,8 +11,9 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.recording.parquet import cache, tables
+from h3data.recording.parquet import tables
 from h3data.recording.parquet.dataset import Dataset
+from h3data_training.samples import cache
 
 Border = Literal["drop", "pad"]
 CACHE_BYTES = 256 << 20
@@ -33,7 +34,7 @@ class WindowDataset:
 
     Reads ``columns`` from the row group of one episode at a time and keeps the most recent ones, up to ``cache_bytes`` in
     each worker. For shuffled windows of a larger dataset, ``disk_cache`` keeps the columns in memory-mapped files
-    (`h3data.recording.parquet.cache`) that all workers share. Workers may be forked or spawned; spawn them if the dataset
+    (`h3data_training.samples.cache`) that all workers share. Workers may be forked or spawned; spawn them if the dataset
     is in an object store.
     """
 

@@ -6,19 +6,9 @@ import numpy as np
 import pytest
 
 from h3data.errors import InputError
-from h3data.render import (
-    Renderer,
-    RenderInstance,
-    RenderScene,
-    equirectangular,
-    flow_to_rgb,
-    look_at,
-    optical_flow,
-    orthographic,
-    pinhole,
-    visible_boxes,
-    visible_masks,
-)
+from h3data.render import Renderer, RenderInstance, RenderScene, equirectangular, look_at, orthographic, pinhole
+from h3data_pipelines.pictures.boxes import visible_boxes, visible_masks
+from h3data_pipelines.pictures.flow import flow_to_rgb, optical_flow
 from tests.render.test_renderer import at, bumpy, views
 
 NEEDED = ("depth", "instance", "triangle")

@@ -15,11 +15,11 @@ import pyarrow.parquet as pq
 
 from h3data.errors import InputError
 from h3data.files import part_file, spreadsheet_cell
-from h3data.metrics.explain import runs
 from h3data.metrics.registry import series_of
 from h3data.metrics.requirements import UnmeasurableError
 from h3data.metrics.table import MetricsTable
 from h3data.recording.records import Recording
+from h3data_pipelines.metric_texts import runs
 
 _TEXTS = ("episode_id", "uid", "scene")
 _PLAYERS = ("participant", "condition", "policy", "partner")

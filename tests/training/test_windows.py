@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from torch.utils.data import DataLoader
 
 from h3data.errors import InputError
-from h3data.recording import Dataset, DatasetWriter, WindowDataset
+from h3data.recording import Dataset, DatasetWriter
+from h3data_training.samples import WindowDataset
 from tests.recording.strategies import simple_recording
 
 LENGTHS = (7, 0, 12, 1, 9)
@@ -167,7 +168,7 @@ def test_mapped_files_give_the_same_windows(
     files[0].unlink()
     (tmp_path / "arrow" / "gone.arrow").symlink_to(tmp_path / "nowhere")  # as one that another worker evicts meanwhile
     with monkeypatch.context() as patch:
-        patch.setattr("h3data.recording.parquet.cache.log.info", pytest.fail)  # says that nothing is cached
+        patch.setattr("h3data_training.samples.cache.log.info", pytest.fail)  # says that nothing is cached
         assert same(all_windows(dataset, disk_cache=True), plain)
     (tmp_path / "arrow" / "gone.arrow").unlink()
     files[0].write_bytes(b"ARROW1 and then something else")
