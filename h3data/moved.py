@@ -10,6 +10,9 @@ from types import ModuleType
 from typing import Any
 
 MOVED = {
+    "h3data.render.rays": "h3data_rays.rays",
+    "h3data.render.ray_cameras": "h3data_rays.cameras",
+    "h3data.render.hybrid": "h3data_rays.engine",
     "sim_kinematic.tasks.skills.skill_judging": "h3data_pipelines.skill_judging",
     "h3data.metrics.explain": "h3data_pipelines.metric_texts",
     "h3data.recording.windows": "h3data_training.samples.windows",
@@ -172,6 +175,8 @@ MOVED = {
 """New name of each module that was renamed; modules in a package that has moved as a whole follow its name."""
 
 RENAMED = {
+    "h3data.render.RayCaster": "h3data_rays.RayCaster",
+    "h3data.render.lidar": "h3data_rays.lidar",
     "h3data.metrics.events_of": "h3data_pipelines.metric_files.events_of",
     "h3data.metrics.explain": "h3data_pipelines.metric_texts.explain",
     "h3data.metrics.explain_episode": "h3data_pipelines.metric_texts.explain_episode",

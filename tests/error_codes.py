@@ -38,7 +38,11 @@ AREAS = {
     "WORLD": ("scenes of other makers", "scenes", "pipelines/h3data_worlds"),
     "RECORDING": ("recordings and datasets", "format", "h3data/recording"),
     "REPLAY": ("replay", "replay", "h3data/replay"),
-    "RENDER": ("pictures", "rendering", "h3data/render pipelines/h3data_gpu pipelines/h3data_pipelines/pictures"),
+    "RENDER": (
+        "pictures",
+        "rendering",
+        "h3data/render pipelines/h3data_gpu pipelines/h3data_rays pipelines/h3data_pipelines/pictures",
+    ),
     "EXPORT": ("exports", "export", "pipelines/h3data_exporters pipelines/lerobot_env_h3data"),
     "ROS": ("bags of ROS 2, tracks and maps", "ros", "pipelines/h3data_ros"),
     "METRIC": ("metrics", "metrics", "h3data/metrics pipelines/h3data_social"),

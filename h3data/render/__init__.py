@@ -1,8 +1,7 @@
 """Rendering: depth, ids, normals and RGB of a scene from any camera.
 
 - `camera`, `scene`: what to render; `renderer`: `Renderer`, one interface to all back ends; `outputs`: their outputs
-- back ends: `raster/` with `shade/` (CPU), `rays` (Embree) and `hybrid` (CPU rasteriser plus rays); those for GPUs are
-  entry points of the group `h3data.renderers`
+- back ends: `raster/` with `shade/` (CPU); entry points of the group `h3data.renderers`: rays and GPUs
 - from images: `colors`, `overlay`; to files: `image_files`, `video`
 - `sheets/`: contact sheets of bodies, robots and motions, and plans of scenes
 
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
     from h3data.render.colors import depth_to_rgb, instance_to_rgb, normalize_depth
     from h3data.render.image_files import write_depth_png, write_png
     from h3data.render.outputs import Output, Poses
-    from h3data.render.rays import RayCaster, lidar
     from h3data.render.renderer import Renderer
     from h3data.render.scene import RenderInstance, RenderScene
     from h3data.render.shade.shading import Light
@@ -45,7 +43,6 @@ __all__ = [
     "Light",
     "Output",
     "Poses",
-    "RayCaster",
     "RenderInstance",
     "RenderScene",
     "Renderer",
@@ -55,7 +52,6 @@ __all__ = [
     "equirectangular",
     "fisheye",
     "instance_to_rgb",
-    "lidar",
     "look_at",
     "normalize_depth",
     "orthographic",
@@ -69,7 +65,6 @@ _MODULES = {
     "colors": "depth_to_rgb instance_to_rgb normalize_depth",
     "image_files": "write_depth_png write_png",
     "outputs": "Output Poses",
-    "rays": "RayCaster lidar",
     "renderer": "Renderer",
     "scene": "RenderInstance RenderScene",
     "shade.shading": "Light",

@@ -18,8 +18,11 @@ from h3data.render.shade.blockers_simd import BLOCKER_WORDS
 from h3data.render.shade.shading import Light
 
 Backend = Literal["auto", "cpu", "gpu", "rays"]
-DEVICE_ENGINES: Registry[Callable[..., Engine]] = Registry("h3data.renderers", {}, what="back end")
-"""The back ends ``gpu`` and ``auto``: made of a scene, a light and the numbers of worlds and threads."""
+ENGINES: Registry[Callable[..., Engine]] = Registry("h3data.renderers", {}, what="back end")
+"""The back ends ``gpu``, ``auto`` and ``rays``: made of a scene, a light and the numbers of worlds and threads.
+
+``rays`` takes ``only_rays`` in addition: False makes the rasteriser with rays for what it cannot do.
+"""
 
 
 class Engine(Protocol):
@@ -240,7 +243,7 @@ class Renderer:
 
 def gpu_fault() -> str:
     """Why the back end ``gpu`` cannot be used here; empty if it can."""
-    missing = DEVICE_ENGINES.missing().get("gpu")
+    missing = ENGINES.missing().get("gpu")
     if missing:
         return f"it needs the package {missing}, which this installation does not have"
     import torch
@@ -256,13 +259,15 @@ def _engine(scene: RenderScene, light: Light, backend: str, worlds: int, threads
     if backend in ("auto", "gpu"):
         fault = gpu_fault()
         if not fault:
-            return "gpu", DEVICE_ENGINES.get(backend)(scene, light=light, worlds=worlds, threads=threads)
+            return "gpu", ENGINES.get(backend)(scene, light=light, worlds=worlds, threads=threads)
         if backend == "gpu":
             raise MissingExtraError(
                 f"The back end 'gpu' cannot be used: {fault}. Hint: backend='cpu'.", code="H3-RENDER-064"
             )
-    from h3data.render.hybrid import HybridEngine
-
     only_rays = backend == "rays"
-    engine = HybridEngine(scene, light=light, worlds=worlds, threads=threads, only_rays=only_rays)
+    if "rays" in ENGINES.missing() and not only_rays and not light.shadow_rays:
+        from h3data.render.raster.cpu import CpuEngine
+
+        return "cpu", CpuEngine(scene, light=light, worlds=worlds, threads=threads)
+    engine = ENGINES.get("rays")(scene, light=light, worlds=worlds, threads=threads, only_rays=only_rays)
     return "rays" if only_rays else "cpu", engine

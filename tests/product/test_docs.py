@@ -309,6 +309,7 @@ def test_sources_name_pages_as_the_command_shows_them() -> None:
         "pipelines/h3data_worlds",
         "pipelines/h3data_pipelines",
         "pipelines/h3data_training",
+        "pipelines/h3data_rays",
         "pipelines/h3data_remote",
         "pipelines/h3data_crowds",
         "pipelines/h3data_language",

@@ -33,6 +33,7 @@ PLACES = {
     "h3data_worlds": "pipelines",
     "h3data_pipelines": "pipelines",
     "h3data_training": "pipelines",
+    "h3data_rays": "pipelines",
     "h3data_remote": "pipelines",
     "h3data_crowds": "pipelines",
     "h3data_language": "pipelines",
@@ -116,6 +117,7 @@ CALLS = {
     "h3data_habitat": "from sim_kinematic.motion.step import SLIDES; SLIDES.get('habitat')",
     "h3data_crowds": "import h3data; h3data.make('crowd_nav', scenes='small:1')",
     "h3data_worlds": "import h3data.bodies as b; b.guess_robot_settings(b.load_robot('quad_arm').file)",
+    "h3data_rays": "from h3data.render.renderer import ENGINES; ENGINES.get('rays')",
     "h3data_social": "from h3data.metrics.registry import find_profile; find_profile('social')",
     "h3data_gpu": "from h3data.replay.stage import chosen_backend; chosen_backend('auto'); chosen_backend('gpu')",
 }

@@ -63,6 +63,7 @@ def test_the_wheel_works_outside_the_repository(script: str, says: str, tmp_path
         "h3data_worlds",
         "h3data_pipelines",
         "h3data_training",
+        "h3data_rays",
         "h3data_remote",
         "h3data_crowds",
         "h3data_language",

@@ -7,18 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from h3data.render import (
-    Light,
-    RayCaster,
-    Renderer,
-    RenderInstance,
-    RenderScene,
-    equirectangular,
-    fisheye,
-    lidar,
-    look_at,
-    pinhole,
-)
+from h3data.render import Light, Renderer, RenderInstance, RenderScene, equirectangular, fisheye, look_at, pinhole
+from h3data_rays import RayCaster, lidar
 from tests.render.raster.test_raster import cast, mesh_of, random_view, soup
 from tests.render.test_renderer import at, bumpy, scene, views
 

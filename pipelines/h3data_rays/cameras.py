@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.render.camera import Camera, pinhole
-from h3data.render.rays import RayCaster
+from h3data_rays.rays import RayCaster
 
 _MARGIN_PX = 2
 """Margin around the faces of the cube, for interpolation."""

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from h3data.render.camera import Camera
 from h3data.render.raster.cpu import CpuEngine, World
 from h3data.render.raster.drawings import Drawings
-from h3data.render.ray_cameras import cast_picture, picture_from_cube
-from h3data.render.rays import Part, RayCaster
 from h3data.render.scene import RenderScene
 from h3data.render.shade.shading import Light
 from h3data.srgb import bytes_to_linear, linear_to_bytes
+from h3data_rays.cameras import cast_picture, picture_from_cube
+from h3data_rays.rays import Part, RayCaster
 
 _KEPT_CASTERS = 8
 

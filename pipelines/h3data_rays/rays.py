@@ -266,6 +266,30 @@ def lidar(
     return LidarScan(hits.distance, hits.instance, points)
 
 
+class LidarScanner:
+    """Distances of lidars in a scene of which most never moves."""
+
+    def __init__(self, scene: RenderScene, poses: Poses, still: NDArray[np.bool_]) -> None:
+        """Prepares the instances [I] that are ``still``, once for all scans."""
+        self._scene, self._still = scene, Part(scene, poses, np.flatnonzero(still))
+
+    def scan(
+        self, poses: Poses, shown: NDArray[np.bool_], pose: ArrayLike, *, max_m: float, **options: Any
+    ) -> NDArray[np.float32]:
+        """Distances [L, C] [m], the range where nothing is nearer; of other instances, those that are ``shown`` [I] count.
+
+        Args:
+            poses: Poses of all instances.
+            shown: Instances besides those that are still [I].
+            pose: Pose of the lidar as for `lidar`.
+            max_m: Range [m].
+            options: Other options of `lidar`.
+        """
+        parts = [self._still, Part(self._scene, poses, np.flatnonzero(shown))]
+        found = lidar(RayCaster(self._scene, poses, parts=parts), pose, max_m=max_m, **options)
+        return np.where(found.instance >= 0, found.distance, np.float32(max_m))
+
+
 def _rays(
     origins: ArrayLike, directions: ArrayLike, max_m: ArrayLike
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], tuple[int, ...]]:
