@@ -10,6 +10,9 @@ from types import ModuleType
 from typing import Any
 
 MOVED = {
+    "sim_kinematic.agents.arm_contact": "h3data_pipelines.machine.arm_contact",
+    "sim_kinematic.tasks.social_nav.sets": "h3data_pipelines.assets.set_episodes",
+    "h3data.replay.follow": "h3data_motion.pictures",
     "h3data.render.rays": "h3data_rays.rays",
     "h3data.render.ray_cameras": "h3data_rays.cameras",
     "h3data.render.hybrid": "h3data_rays.engine",
@@ -175,6 +178,9 @@ MOVED = {
 """New name of each module that was renamed; modules in a package that has moved as a whole follow its name."""
 
 RENAMED = {
+    "h3data.formats.export_format": "h3data_pipelines.format_names.export_format",
+    "h3data.formats.import_suffixes": "h3data_pipelines.format_names.import_suffixes",
+    "h3data.replay.follow_camera": "h3data_motion.pictures.follow_camera",
     "h3data.render.RayCaster": "h3data_rays.RayCaster",
     "h3data.render.lidar": "h3data_rays.lidar",
     "h3data.metrics.events_of": "h3data_pipelines.metric_files.events_of",

@@ -17,8 +17,8 @@ from h3data.bodies.robots.robot import Robot
 from h3data.bodies.robots.robot_settings import CameraSettings, RobotSettings
 from h3data.geometry import IDENTITY_POSE, Array, normalized
 from h3data.scene.records import Shape
-from h3data.scene.shape_bounds import shape_points
 from h3data_worlds.robot_posture import compact_posture
+from h3data_worlds.shape_points import shape_points
 
 HANDS = (r"gripper|hand|palm", r"tool|tcp|eef?\b|end_?effector|grasp")
 """Names of links that grasp, the most telling first."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -59,3 +60,22 @@ def _grouped(ids: ArrayLike, groups: ArrayLike | None) -> NDArray[np.integer]:
             f"The groups cover the ids 0 to {len(table) - 2}, but the image has id {i.max()}.", code="H3-RENDER-002"
         )
     return table[np.maximum(i, -1)]
+
+
+def draw_boxes(
+    image: NDArray[np.uint8], boxes: ArrayLike, labels: Sequence[str], colors: ArrayLike, *, thickness: int = 2
+) -> None:
+    """Draws boxes [B, 4] (see `visible_boxes`) with labels, in colours [B, 3]."""
+    import cv2
+
+    rows, paints = np.asarray(boxes).reshape(-1, 4), np.asarray(colors).reshape(-1, 3)
+    if not len(rows) == len(labels) == len(paints):
+        raise InputError(
+            f"Expected a label and a colour for each of {len(rows)} boxes, got {len(labels)}, {len(paints)}.",
+            code="H3-RENDER-050",
+        )
+    for (x0, y0, x1, y1), label, paint in zip(rows.tolist(), labels, paints.tolist(), strict=True):
+        cv2.rectangle(image, (x0, y0), (x1 - 1, y1 - 1), paint, thickness)
+        for width, color in ((3, (20, 20, 20)), (1, paint)):
+            place = (x0 + 3, max(y0 - 5, 12))
+            cv2.putText(image, label, place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, color, width, cv2.LINE_AA)

@@ -12,6 +12,7 @@ from h3data.bodies import Robot
 from h3data.geometry import pose_to_matrix
 from h3data.recording import Event
 from h3data.scene import Scene, Shape
+from sim_kinematic.agents.robots.arm_clearance import arm_links
 from sim_kinematic.contact import FclScene, MovingShapes, contacts
 
 TOUCH_M = 1e-3
@@ -95,13 +96,3 @@ def touch_events(touches: Sequence[ArmTouch], before: Sequence[ArmTouch], *, ste
         for t in touches
         if (t.part, t.thing) not in known
     ]
-
-
-def arm_links(robot: Robot) -> list[int]:
-    """The links that an arm joint moves, and what hangs on them."""
-    moved = {int(robot.joint_links[c]) for c in robot.require_arm()}
-    links: list[int] = []
-    for k, link in enumerate(robot.links):
-        if k in moved or link.parent in links:
-            links.append(k)
-    return links
