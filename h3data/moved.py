@@ -10,6 +10,15 @@ from types import ModuleType
 from typing import Any
 
 MOVED = {
+    "h3data.render.light.bake": "h3data_light.bake",
+    "h3data.render.light.direct": "h3data_light.direct",
+    "h3data.render.light.exposure": "h3data_light.exposure",
+    "h3data.render.light.field": "h3data_light.field",
+    "h3data.render.light.outdoors": "h3data_light.outdoors",
+    "h3data.render.light.probes": "h3data_light.probes",
+    "h3data.render.light.refine": "h3data_light.refine",
+    "h3data.render.light.store": "h3data_light.store",
+    "h3data.render.light.voxels": "h3data_light.voxels",
     "sim_kinematic.agents.arm_contact": "h3data_pipelines.machine.arm_contact",
     "sim_kinematic.tasks.social_nav.sets": "h3data_pipelines.assets.set_episodes",
     "h3data.replay.follow": "h3data_motion.pictures",

@@ -41,7 +41,7 @@ AREAS = {
     "RENDER": (
         "pictures",
         "rendering",
-        "h3data/render pipelines/h3data_gpu pipelines/h3data_rays pipelines/h3data_pipelines/pictures",
+        "h3data/render pipelines/h3data_gpu pipelines/h3data_light pipelines/h3data_rays pipelines/h3data_pipelines/pictures",
     ),
     "EXPORT": ("exports", "export", "pipelines/h3data_exporters pipelines/lerobot_env_h3data"),
     "ROS": ("bags of ROS 2, tracks and maps", "ros", "pipelines/h3data_ros"),

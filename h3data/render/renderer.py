@@ -143,7 +143,7 @@ class Renderer:
     def set_blockers(self, blockers: Blockers | None, *, world: int = 0) -> None:
         """Sets the capsules that cast soft shadows in ``rgb``, and the light on what moves; None = neither.
 
-        `h3data.render.light.field.LightField.blockers` makes them from the poses of agents and things; they stay until
+        `h3data_light.field.LightField.blockers` makes them from the poses of agents and things; they stay until
         they are set again.
         """
         if blockers is not None:

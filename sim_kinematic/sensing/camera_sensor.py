@@ -24,8 +24,7 @@ from h3data.errors import InputError
 from h3data.geometry import Array, pose_to_matrix
 from h3data.plugins import Registry
 from h3data.render import Camera, Light, Output, Renderer, RenderInstance, RenderScene, equirectangular, pinhole
-from h3data.render.light.bake import lit_scene
-from h3data.render.light.sources import LightMode, sources_of
+from h3data.render.light.sources import BAKERS, LightMode, sources_of
 from h3data.render.raster.hulls import may_see
 from h3data.render.renderer import Backend
 from h3data.replay.cameras import HEAD_NEAR_M, HEAD_POSE, HUMAN_HEAD
@@ -151,7 +150,7 @@ class StateRenderer:
             there = {i.name: recorded_matrix(i) for i in other.instances}
             for k in static:
                 instances[k] = replace(instances[k], matrix=there[instances[k].name])
-        lit = lit_scene(self._meshes, as_lit, static, sources_of(lit_as), name=scene.name)
+        lit = BAKERS.get("baked")(self._meshes, as_lit, static, sources_of(lit_as), name=scene.name)
         pairs = zip(self._instances, lit.instances, strict=True)
         self._instances = [replace(own, mesh=each.mesh) for own, each in pairs]
         self._meshes, self._light, self._mirrors = lit.meshes, lit.light, lit.mirrors

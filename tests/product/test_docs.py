@@ -304,6 +304,7 @@ def test_sources_name_pages_as_the_command_shows_them() -> None:
         "pipelines/h3data_exporters",
         "pipelines/h3data_gpu",
         "pipelines/h3data_homes",
+        "pipelines/h3data_light",
         "pipelines/h3data_meshes",
         "pipelines/h3data_motion",
         "pipelines/h3data_worlds",

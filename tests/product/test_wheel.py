@@ -58,6 +58,7 @@ def test_the_wheel_works_outside_the_repository(script: str, says: str, tmp_path
         "h3data_exporters",
         "h3data_gpu",
         "h3data_homes",
+        "h3data_light",
         "h3data_meshes",
         "h3data_motion",
         "h3data_worlds",

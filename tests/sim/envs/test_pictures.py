@@ -15,10 +15,10 @@ import h3data
 from h3data.errors import InputError
 from h3data.progress import progress
 from h3data.render import Light, look_at, pinhole
-from h3data.render.light.bake import LitScene
 from h3data.replay import Replay, camera_track
 from h3data.scene.articulation import opened
 from h3data_homes import HomeSpec, build_home
+from h3data_light.bake import LitScene
 from sim_kinematic.envs import world_stepper
 from sim_kinematic.envs.single import TaskEnv
 from sim_kinematic.motion.spec import SocialNavSpec

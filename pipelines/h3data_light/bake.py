@@ -19,18 +19,18 @@ from h3data.geometry import normalized, transform_points
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.mesh_operations import face_texture_indices
 from h3data.progress import is_quiet
-from h3data.render.light import probes as pr
-from h3data.render.light.direct import EMITTER_WORDS, LAMP, LAMP_RADIUS, SUN, SUN_SPREAD, WINDOW
-from h3data.render.light.exposure import flat_light, shown_light
-from h3data.render.light.field import FACE_NORMALS, LightField, light_field, mirrored
-from h3data.render.light.outdoors import with_view
-from h3data.render.light.refine import Heap, hashes, heap_of, refine
 from h3data.render.light.sources import LightSources
-from h3data.render.light.store import Baked, cached
-from h3data.render.light.voxels import PROBE_VOXELS, Voxels, voxelise
 from h3data.render.scene import RenderInstance
 from h3data.render.shade.shading import Light
 from h3data.srgb import bytes_to_linear, linear_to_bytes
+from h3data_light import probes as pr
+from h3data_light.direct import EMITTER_WORDS, LAMP, LAMP_RADIUS, SUN, SUN_SPREAD, WINDOW
+from h3data_light.exposure import flat_light, shown_light
+from h3data_light.field import FACE_NORMALS, LightField, light_field, mirrored
+from h3data_light.outdoors import with_view
+from h3data_light.refine import Heap, hashes, heap_of, refine
+from h3data_light.store import Baked, cached
+from h3data_light.voxels import PROBE_VOXELS, Voxels, voxelise
 
 log = logging.getLogger(__name__)
 

@@ -7,18 +7,17 @@ most light comes from, and its length over the sum of all light says how much of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.geometry import normalized
-from h3data.render.light import probes as pr
-from h3data.render.light.exposure import shown_light
-from h3data.render.light.voxels import GLASS, Voxels
 from h3data.render.shade.blockers import Blockers, blocker_rows
 from h3data.render.shade.blockers_simd import SPREAD
+from h3data_light import probes as pr
+from h3data_light.exposure import shown_light
+from h3data_light.voxels import GLASS, Voxels
 
 SPACING_VOXELS = 10
 """Voxels between two points of the grid."""
@@ -236,16 +235,3 @@ def free_path(
         going[k] = inside & (room > 0) & (t[k] < longest)
         t[k] += np.where(going[k], np.maximum(room - 1, 0.5), 0)
     return np.minimum(t, longest)
-
-
-def capsule_of_box(low: Sequence[float], high: Sequence[float]) -> NDArray[np.float64]:
-    """A capsule along the longest side of a box, as thick as its cross-section is large, shape [7]; NaN for an empty box."""
-    size, middle = np.subtract(high, low), np.add(low, high) / 2
-    if not np.isfinite(size).all() or size.max() <= 0:
-        return np.full(7, np.nan)
-    axis = int(size.argmax())
-    others = np.delete(size, axis)
-    radius = max(float(np.sqrt(others.prod() / np.pi)), 0.005)
-    half = np.zeros(3)
-    half[axis] = max(size[axis] / 2 - radius, 0)
-    return np.concatenate([middle - half, middle + half, [radius]])

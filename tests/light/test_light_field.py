@@ -7,10 +7,11 @@ import pytest
 
 from h3data.mesh.primitives import box_mesh
 from h3data.render import RenderInstance
-from h3data.render.light.bake import LitScene, lit_scene
-from h3data.render.light.field import LightField, capsule_of_box, free_path
 from h3data.render.light.sources import Lamp, LightSources
 from h3data.render.shade.blockers_simd import GROUP, LIGHT, REACH, SHARE
+from h3data.replay.shadow_casters import capsule_of_box
+from h3data_light.bake import LitScene, lit_scene
+from h3data_light.field import LightField, free_path
 
 LAMP_AT = np.array([1.0, 2.2, 1.5])
 

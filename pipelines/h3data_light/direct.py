@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from h3data.kernels import kernel_part
-from h3data.render.light.voxels import march
+from h3data_light.voxels import march
 
 EMITTER_WORDS = 17
 """Values of an emitter: kind, centre, two half sides, normal into the room, power, linear colour.

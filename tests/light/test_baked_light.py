@@ -17,14 +17,14 @@ from h3data.geometry import IDENTITY_POSE
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.primitives import box_mesh
 from h3data.render import Renderer, RenderInstance, RenderScene, look_at, pinhole
-from h3data.render.light.bake import LitScene, lit_scene
-from h3data.render.light.outdoors import EYE_M, outdoors, with_view
 from h3data.render.light.sources import Lamp, LightSources, sources_of
 from h3data.scene import Asset, Instance, LightSource, Scene
 from h3data.scene.records import instance_matrix
 from h3data_habitat.scenes.config_keys import KeyNotes
 from h3data_habitat.scenes.lights import read_lights
 from h3data_homes import HomeSpec, build_home
+from h3data_light.bake import LitScene, lit_scene
+from h3data_light.outdoors import EYE_M, outdoors, with_view
 
 
 @pytest.fixture(autouse=True)
@@ -213,7 +213,7 @@ def test_the_light_is_cached_and_a_broken_file_is_replaced(
     first = _lit(LAMP)
     (file,) = (tmp_path / "light").iterdir()
     written = file.read_bytes()
-    monkeypatch.setattr("h3data.render.light.bake.bake", lambda *_: pytest.fail("computed again"))
+    monkeypatch.setattr("h3data_light.bake.bake", lambda *_: pytest.fail("computed again"))
     again = _lit(LAMP)
     for one, other in zip(first.meshes, again.meshes, strict=True):
         np.testing.assert_array_equal(one.colors, other.colors)

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.kernels import kernel, kernel_part
-from h3data.render.light.direct import MARKED, SUN, WINDOW, direct_light, sky_radiance
-from h3data.render.light.voxels import GLASS, PROBE_VOXELS, march, sees
+from h3data_light.direct import MARKED, SUN, WINDOW, direct_light, sky_radiance
+from h3data_light.voxels import GLASS, PROBE_VOXELS, march, sees
 
 RAYS = (96, 64)
 """Rays of a probe for the first bounce of light and for the second."""

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from h3data.errors import SceneError
 from h3data.files import cache_folder, evict, part_file
 from h3data.mesh.mesh import Mesh
-from h3data.render.light.field import LightField
 from h3data.render.light.sources import LightSources
 from h3data.render.shade.shading import Light
+from h3data_light.field import LightField
 
 log = logging.getLogger(__name__)
 
