@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.statements import by_package, count_statements
+from tests.statements import CORE, LIMIT, by_package, count_statements
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = {
@@ -350,3 +350,9 @@ def test_statements_are_counted_without_lone_strings() -> None:
     source = '"""Module."""\nA = 1\n"""Field."""\ndef f():\n    """Does it."""\n    if A:\n        return 2\n'
     assert count_statements(source) == 4
     assert {"h3data", "sim_kinematic", "h3data_viewers", "h3data_pipelines"} <= {*by_package(ROOT)}
+
+
+def test_what_a_newcomer_reads_does_not_grow() -> None:
+    """What only one other package uses, a format of others or a task beside the paper's belongs above the core."""
+    counts = by_package(ROOT)
+    assert sum(counts[name] for name in CORE) <= LIMIT, "see `python -m tests.statements`"
