@@ -33,8 +33,7 @@ from h3data.replay import Replay
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.open import named_scenes, open_free_space, open_scene
 from h3data_pipelines.validation.penetration import Penetration, penetrations, unintended_depth
-from sim_kinematic.agents.arm_contact import arm_links
-from sim_kinematic.agents.robots.arm_clearance import APPROACH_M, LINE_RADIUS_M
+from sim_kinematic.agents.robots.arm_clearance import APPROACH_M, LINE_RADIUS_M, arm_links
 from sim_kinematic.contact import FclScene, MovingShapes, capsule_transforms, contacts, shapes_from_capsules
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.tasks.rearrange.task import Rearrange

@@ -15,8 +15,9 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.recording import STEPS, synthetic_episode
-from h3data.recording import Dataset, DatasetWriter, WindowDataset
+from h3data.recording import Dataset, DatasetWriter
 from h3data_pipelines.commands.sql import connect, select
+from h3data_training.samples import WindowDataset
 
 EPISODES = 20
 COLUMNS = ["agent_0.base_pose", "agent_1.base_pose", "object_pose", "agent_0.action"]

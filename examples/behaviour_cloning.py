@@ -9,7 +9,8 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from h3data.recording import Dataset, WindowDataset
+from h3data.recording import Dataset
+from h3data_training.samples import WindowDataset
 
 HISTORY, HORIZON = 4, 8
 

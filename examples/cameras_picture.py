@@ -16,16 +16,14 @@ from h3data.render import (
     depth_to_rgb,
     equirectangular,
     fisheye,
-    flow_to_rgb,
     instance_to_rgb,
-    optical_flow,
-    overlay,
-    visible_boxes,
     write_png,
 )
 from h3data.render.image_files import write_jpg
 from h3data.replay import camera_track
 from h3data.replay.stage import Stage
+from h3data_pipelines.pictures.boxes import draw_boxes, visible_boxes
+from h3data_pipelines.pictures.flow import flow_to_rgb, optical_flow
 
 NAMES = ("third_person", "robot_arm", "human_head", "orbit", "top_down", "top_down_orthographic")
 OUTPUTS = ("rgb", "depth", "instance", "semantic", "normal", "triangle")
@@ -63,7 +61,7 @@ def row(camera: Camera, camera_after: Camera) -> list[np.ndarray]:
     flow = optical_flow(stage.scene, seen, camera, renderer.poses(), camera_after, poses_after)
     boxed = seen["rgb"].copy()
     found = visible_boxes(seen["instance"], groups=body_of_id)
-    overlay.draw_boxes(boxed, found.boxes, [agents[k] for k in found.ids], instance_to_rgb(found.ids + 3))
+    draw_boxes(boxed, found.boxes, [agents[k] for k in found.ids], instance_to_rgb(found.ids + 3))
     normals = np.where(seen["depth"][..., None] > 0, 127.5 * (seen["normal"] + 1), 18).astype(np.uint8)
     depth = depth_to_rgb(seen["depth"], near, max(far, near + 0.1))
     semantic = instance_to_rgb(seen["semantic"])

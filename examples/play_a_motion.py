@@ -7,8 +7,9 @@ import sys
 
 from h3data.bodies import load_humanoid
 from h3data.render import VideoWriter
-from h3data.replay import Replay, follow_camera
+from h3data.replay import Replay
 from h3data_motion.files import read_motion
+from h3data_motion.pictures import follow_camera
 from h3data_motion.recording import motion_recording
 from h3data_motion.retarget import foot_report, retarget
 

@@ -120,11 +120,13 @@ if (
 
 
 def __getattr__(name: str) -> Any:
+    from h3data.plugins import import_name, own_version
+
     if name == "__version__":
-        return importlib.import_module("h3data.plugins").own_version()
+        return own_version()
     if name not in _HOMES:
         raise AttributeError(f"module 'h3data' has no attribute {name!r}; it has {', '.join(__all__)}")
-    return getattr(importlib.import_module(_HOMES[name]), name)
+    return import_name(_HOMES[name], name)
 
 
 def __dir__() -> list[str]:

@@ -15,10 +15,10 @@ its environments when it is imported; `h3data` itself does not, because ``import
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING, Any
 
 from h3data.errors import MissingExtraError
+from h3data.plugins import import_name
 
 if TYPE_CHECKING:
     from h3data_training.envs.dataset_env import DatasetEnv
@@ -68,4 +68,4 @@ for _id, _task in IDS.items():
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'h3data.envs' has no attribute {name!r}; it has {', '.join(__all__)}")
-    return getattr(importlib.import_module(_HOMES[name]), name)
+    return import_name(_HOMES[name], name)

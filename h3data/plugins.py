@@ -163,6 +163,27 @@ def missing_part(fault: ModuleNotFoundError) -> str:
     return package if package.startswith("h3data_") and not _is_there(package) else ""
 
 
+def import_name(module: str, name: str) -> Any:
+    """The object of a name in a module that may be of a package which is not there.
+
+    Raises:
+        InputError: a package of h3data is missing; the message names it.
+    """
+    try:
+        return getattr(importlib.import_module(module), name)
+    except ModuleNotFoundError as fault:
+        if missing := missing_part(fault):
+            raise _without(name, missing) from fault
+        raise
+
+
+def _without(what: str, package: str) -> InputError:
+    return InputError(
+        f"{what} needs the package {package}, which this installation does not have. Hint: install h3data as a whole.",
+        code="H3-FILE-010",
+    )
+
+
 def load_reference(reference: str) -> Any:
     """The object that ``module:name`` refers to; raises whatever importing its module raises."""
     return EntryPoint("", reference, "").load()
@@ -231,11 +252,7 @@ class Registry(Generic[T]):
                 missing = missing_part(fault)
                 if not missing:
                     raise
-        raise InputError(
-            f"The {self.what} {name!r} needs the package {missing}, which this installation does not have. "
-            "Hint: install h3data as a whole.",
-            code="H3-FILE-010",
-        )
+        raise _without(f"The {self.what} {name!r}", missing)
 
     def names(self) -> tuple[str, ...]:
         """Names that `get` accepts: built-in ones in the order of their table, then third-party ones from A to Z."""

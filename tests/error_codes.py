@@ -38,7 +38,11 @@ AREAS = {
     "WORLD": ("scenes of other makers", "scenes", "pipelines/h3data_worlds"),
     "RECORDING": ("recordings and datasets", "format", "h3data/recording"),
     "REPLAY": ("replay", "replay", "h3data/replay"),
-    "RENDER": ("pictures", "rendering", "h3data/render pipelines/h3data_gpu pipelines/h3data_pipelines/pictures"),
+    "RENDER": (
+        "pictures",
+        "rendering",
+        "h3data/render pipelines/h3data_gpu pipelines/h3data_light pipelines/h3data_rays pipelines/h3data_pipelines/pictures",
+    ),
     "EXPORT": ("exports", "export", "pipelines/h3data_exporters pipelines/lerobot_env_h3data"),
     "ROS": ("bags of ROS 2, tracks and maps", "ros", "pipelines/h3data_ros"),
     "METRIC": ("metrics", "metrics", "h3data/metrics pipelines/h3data_social"),
@@ -46,7 +50,7 @@ AREAS = {
     "FORMAT": ("file formats", "format", "h3data/formats"),
     "FILE": ("files, folders and plug-ins", "extending", "h3data"),
     "SIM": ("agents and their world", "simulation", "sim_kinematic"),
-    "TASK": ("tasks and episodes", "simulation", "sim_kinematic/tasks"),
+    "TASK": ("tasks and episodes", "simulation", "sim_kinematic/tasks pipelines/h3data_crowds"),
     "POLICY": ("policies", "learned-policies", "sim_kinematic/policies"),
     "ENV": (
         "environments",

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.statements import CORE, LIMIT, by_package, count_statements
+
 ROOT = Path(__file__).parent.parent
 PACKAGES = {
     "h3data": ROOT / "h3data",
@@ -17,14 +19,17 @@ PACKAGES = {
     "h3data_viewers": ROOT / "viewers" / "h3data_viewers",
     "h3data_play": ROOT / "viewers" / "h3data_play",
     "h3data_studies": ROOT / "viewers" / "h3data_studies",
+    "h3data_crowds": ROOT / "pipelines" / "h3data_crowds",
     "h3data_exporters": ROOT / "pipelines" / "h3data_exporters",
     "h3data_gpu": ROOT / "pipelines" / "h3data_gpu",
     "h3data_homes": ROOT / "pipelines" / "h3data_homes",
     "h3data_habitat": ROOT / "pipelines" / "h3data_habitat",
+    "h3data_light": ROOT / "pipelines" / "h3data_light",
     "h3data_meshes": ROOT / "pipelines" / "h3data_meshes",
     "h3data_motion": ROOT / "pipelines" / "h3data_motion",
     "h3data_worlds": ROOT / "pipelines" / "h3data_worlds",
     "h3data_training": ROOT / "pipelines" / "h3data_training",
+    "h3data_rays": ROOT / "pipelines" / "h3data_rays",
     "h3data_remote": ROOT / "pipelines" / "h3data_remote",
     "h3data_ros": ROOT / "pipelines" / "h3data_ros",
     "h3data_language": ROOT / "pipelines" / "h3data_language",
@@ -40,8 +45,10 @@ LAYERS = (
     "h3data_gpu",
     "h3data_homes",
     "h3data_habitat",
+    "h3data_light",
     "h3data_meshes",
     "h3data_motion",
+    "h3data_rays",
     "h3data_social",
     "h3data_worlds",
     "h3data_ros",
@@ -50,6 +57,7 @@ LAYERS = (
     "h3data_studies",
     "h3data_training",
     "h3data_remote",
+    "h3data_crowds",
     "h3data_language",
     "h3data_pipelines",
 )
@@ -73,13 +81,14 @@ AGAINST_THE_LAYERS = {
         "sim_kinematic.envs.vector",
     ],
     "h3data.kernels.digests": [
+        "h3data_crowds",
         "h3data_gpu",
         "h3data_habitat",
+        "h3data_light",
         "h3data_meshes",
         "h3data_pipelines",
         "sim_kinematic",
     ],  # whose kernels are ours
-    "h3data.metrics.table_files": ["h3data.metrics"],  # no module: a key in the metadata of Parquet files
     "h3data.plugins": ["h3data_pipelines"],  # whether a command runs
     "h3data.scene.scene_file": ["h3data.scene"],  # no module: the name of the file format
     "h3data.scenes": ["h3data_homes"],
@@ -335,3 +344,15 @@ def test_a_task_is_a_short_list() -> None:
 
     members = [name for name in vars(Task) if not name.startswith("_")]
     assert len(members) <= MEMBERS_OF_TASK, sorted(members)
+
+
+def test_statements_are_counted_without_lone_strings() -> None:
+    source = '"""Module."""\nA = 1\n"""Field."""\ndef f():\n    """Does it."""\n    if A:\n        return 2\n'
+    assert count_statements(source) == 4
+    assert {"h3data", "sim_kinematic", "h3data_viewers", "h3data_pipelines"} <= {*by_package(ROOT)}
+
+
+def test_what_a_newcomer_reads_does_not_grow() -> None:
+    """What only one other package uses, a format of others or a task beside the paper's belongs above the core."""
+    counts = by_package(ROOT)
+    assert sum(counts[name] for name in CORE) <= LIMIT, "see `python -m tests.statements`"

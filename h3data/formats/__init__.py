@@ -6,18 +6,19 @@ the group ``h3data.formats``, each of which is a `Format` (h3data docs import). 
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from h3data.formats.detection import (
     FORMATS,
     detect,
-    export_format,
     export_options,
     format_by_beginning,
-    import_suffixes,
     json_format,
     load,
 )
 from h3data.formats.format import BagStorage, Exported, ExportRequest, Format, ImportRequest, LengthUnit, PersonDetail
 from h3data.formats.source_file import SourceFile
+from h3data.moved import refuse_renamed
 
 __all__ = [
     "FORMATS",
@@ -30,10 +31,11 @@ __all__ = [
     "PersonDetail",
     "SourceFile",
     "detect",
-    "export_format",
     "export_options",
     "format_by_beginning",
-    "import_suffixes",
     "json_format",
     "load",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = refuse_renamed(__name__)

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from h3data.errors import FormatError, H3DataError, InputError, PluginError, suggest
+from h3data.errors import FormatError, H3DataError, InputError, PluginError
 from h3data.formats.builtin_formats import BUILT_IN, JSON, TABLES, UNKNOWN
 from h3data.formats.format import Format
 from h3data.formats.source_file import BYTE_ORDER_MARK, SourceFile, decode_json
@@ -169,40 +169,8 @@ def _third_party_formats(file: SourceFile) -> Iterator[Format]:
 
 
 # --- lists ------------------------------------------------------------------------------------------------------------
-def import_suffixes() -> tuple[str, ...]:
-    """Endings of the files that `h3data import` collects from a folder."""
-    readable = (one for one in FORMATS.load_all().values() if one.read is not None)
-    return tuple(dict.fromkeys(suffix for one in readable for suffix in one.suffixes))
 
 
 def export_options() -> Mapping[str, Format]:
     """Formats that recordings can be exported to, by their names on the command line."""
     return {one.option: one for one in FORMATS.load_all().values() if one.write is not None}
-
-
-def export_format(name: str) -> Format:
-    """The format to export to, by its name or as ``module:name``.
-
-    Raises:
-        InputError: nothing can be exported to it.
-        PluginError: it comes from a plug-in that cannot be used.
-    """
-    key = name if ":" in name else name.replace("-", "_")
-    if key in FORMATS.missing():
-        return FORMATS.get(key)  # fails, and says which package has it
-    try:
-        chosen = FORMATS.get(key)
-    except InputError:
-        chosen = None
-    if chosen is not None and chosen.write is not None:
-        return chosen
-    options = export_options()
-    if name.lower() in ("habitat", "scene", "scenes"):
-        raise InputError(
-            f"Cannot export to {name!r}. Hint: `h3data scenes export` writes scenes for Habitat; --to habitat-episodes writes "
-            "the episodes of recordings, --to gfx-replay one recording.",
-            code="H3-FORMAT-004",
-        )
-    raise InputError(
-        f"Cannot export to {name!r}.{suggest(name, options, more='; or module:name')}", code="H3-FORMAT-001"
-    )

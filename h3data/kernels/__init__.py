@@ -4,6 +4,6 @@ Many kernels come compiled, as files of the package ``h3data_kernels`` (`h3data.
 at first use and kept by numba, in ``NUMBA_CACHE_DIR`` or beside the package (`h3data.kernels.decorators`).
 """
 
-from h3data.kernels.decorators import compiled_count, compiled_files, kept_files, kernel, kernel_part
+from h3data.kernels.decorators import compiled_count, compiled_files, kernel, kernel_part
 
-__all__ = ["compiled_count", "compiled_files", "kept_files", "kernel", "kernel_part"]
+__all__ = ["compiled_count", "compiled_files", "kernel", "kernel_part"]

@@ -14,7 +14,6 @@ from __future__ import annotations
 import errno
 import functools
 import gc
-import importlib.util
 import logging
 import os
 import socket
@@ -27,15 +26,13 @@ from pathlib import Path
 from typing import Any
 
 from numba import njit
-from numba.core import config, sigutils
-from numba.core.caching import _CacheLocator
+from numba.core import sigutils
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
-from numba.misc.appdirs import AppDirs
 
 from h3data.kernels import shipped
 from h3data.kernels.borrowing import BorrowingCompiler, borrowing_type
-from h3data.kernels.digests import OURS, source_digest
+from h3data.kernels.digests import source_digest
 from h3data.kernels.parts import PartCompiler, part_type
 from h3data.progress import has_begun, is_quiet
 
@@ -112,23 +109,6 @@ def compiled_files() -> dict[str, int]:
     files = [kernel._cache._cache_file for kernel in _kernels if hasattr(kernel._cache, "_cache_file")]
     paths = [Path(file._data_path(name)) for file in files for name in _index_of(file).values()]
     return {str(path): path.stat().st_size for path in paths}
-
-
-def kept_files() -> list[Path]:
-    """Returns all files of numba's cache of our kernels, from every folder where numba may keep it.
-
-    Those of earlier versions and other settings are included."""
-    places: set[str] = set()
-    for name in OURS:
-        spec = importlib.util.find_spec(name)
-        for root in (spec.submodule_search_locations or ()) if spec else ():
-            for folder, _, files in os.walk(root):
-                if source := next((file for file in files if file.endswith(".py")), None):
-                    apart = _CacheLocator.get_suitable_cache_subpath(os.path.join(folder, source))
-                    wide = (vars(config)["CACHE_DIR"], AppDirs(appname="numba", appauthor=False).user_cache_dir)
-                    places |= {os.path.join(folder, "__pycache__"), *(os.path.join(w, apart) for w in wide if w)}
-    found = (path for place in places for path in Path(place).glob("*.nb[ci]*"))
-    return sorted(path for path in found if path.suffix in (".nbi", ".nbc", ".lock"))
 
 
 def _compile(dispatcher: Any, signature: Any) -> Any:

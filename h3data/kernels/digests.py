@@ -21,7 +21,16 @@ from numba import types
 from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
 
-OURS = ("h3data", "h3data_gpu", "h3data_habitat", "h3data_meshes", "h3data_pipelines", "sim_kinematic")
+OURS = (
+    "h3data",
+    "h3data_crowds",
+    "h3data_gpu",
+    "h3data_habitat",
+    "h3data_light",
+    "h3data_meshes",
+    "h3data_pipelines",
+    "sim_kinematic",
+)
 """Packages whose sources are part of the digests."""
 _IMPORT = re.compile(r"^(?:from|import)\s+([\w.]+)", re.MULTILINE)
 """Top-level imports; indented ones are for type checkers or run too late to reach a kernel."""

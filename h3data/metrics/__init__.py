@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from h3data.metrics.batch import measure_files, measure_tables
 from h3data.metrics.differences import Differences, compare_runs, compare_tables
 from h3data.metrics.episode import EpisodeMetrics
-from h3data.metrics.explain import explain, explain_episode, list_metrics
 from h3data.metrics.metric import Metric
 from h3data.metrics.profile import Computed, Profile
 from h3data.metrics.registry import (
@@ -22,7 +21,6 @@ from h3data.metrics.registry import (
 from h3data.metrics.report_layout import Milestone, PublishedRow, PublishedTable, ReportLayout
 from h3data.metrics.requirements import MissingColumnsError, UnmeasurableError, find_agents
 from h3data.metrics.table import MetricsTable, Summary, measure_many, tabulate
-from h3data.metrics.table_files import events_of, write_events, write_series, write_table
 from h3data.moved import refuse_renamed
 from h3data.pseudonyms import anonymous_id
 
@@ -46,13 +44,9 @@ __all__ = [
     "anonymous_id",
     "compare_runs",
     "compare_tables",
-    "events_of",
-    "explain",
-    "explain_episode",
     "find_agents",
     "find_metric",
     "find_profile",
-    "list_metrics",
     "measure",
     "measure_files",
     "measure_many",
@@ -61,9 +55,6 @@ __all__ = [
     "profiles_named",
     "series_of",
     "tabulate",
-    "write_events",
-    "write_series",
-    "write_table",
 ]
 
 if not TYPE_CHECKING:

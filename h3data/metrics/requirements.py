@@ -90,17 +90,6 @@ def find_pair(recording: Recording) -> tuple[int, int]:
     return 0, 1
 
 
-def find_others(recording: Recording) -> tuple[int, tuple[int, ...]]:
-    """Returns the agent that is measured, and all agents that it is measured near: the first robot, and every person.
-
-    Without a robot and a person: the first agent, and all others. An `UnmeasurableError` says that there are fewer than two.
-    """
-    robot, first = find_pair(recording)
-    kinds = [agent.kind for agent in recording.agents]
-    mixed = kinds[robot] != kinds[first]
-    return robot, tuple(n for n, kind in enumerate(kinds) if n != robot and (kind == "human" or not mixed))
-
-
 def missing_columns(metric: Metric, recording: Recording) -> tuple[str, ...]:
     """Returns the entries of ``metric.columns`` that a recording lacks."""
     return tuple(name for name in metric.columns if not _has(recording, name))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from h3data.moved import refuse_renamed
 from h3data.recording.records import (
     SCHEMA_VERSION,
     STEP_NS,
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from h3data.recording.parquet.lerobot import rebuild_meta
     from h3data.recording.parquet.writer import DatasetWriter
     from h3data.recording.steps import Steps
-    from h3data.recording.windows import WindowDataset
 
 _HOMES = {
     "recordings_equal": "compare",
@@ -48,7 +48,6 @@ _HOMES = {
     "Episodes": "episodes",
     "Steps": "steps",
     "open_steps": "opening",
-    "WindowDataset": "windows",
 }
 
 __all__ = [
@@ -69,7 +68,6 @@ __all__ = [
     "Recovery",
     "SkillSpan",
     "Steps",
-    "WindowDataset",
     "open_recording",
     "open_steps",
     "pack_mcap",
@@ -84,5 +82,5 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return refuse_renamed(__name__)(name)
     return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -1,9 +1,8 @@
 """Rendering: depth, ids, normals and RGB of a scene from any camera.
 
 - `camera`, `scene`: what to render; `renderer`: `Renderer`, one interface to all back ends; `outputs`: their outputs
-- back ends: `raster/` with `shade/` (CPU), `rays` (Embree) and `hybrid` (CPU rasteriser plus rays); those for GPUs are
-  entry points of the group `h3data.renderers`
-- from images: `colors`, `flow`, `boxes`, `overlay`; to files: `image_files`, `video`
+- back ends: `raster/` with `shade/` (CPU); entry points of the group `h3data.renderers`: rays and GPUs
+- from images: `colors`, `overlay`; to files: `image_files`, `video`
 - `sheets/`: contact sheets of bodies, robots and motions, and plans of scenes
 
 `Camera` and its helpers are cheap; all other names are imported at first use (numba, OpenCV, PyAV).
@@ -14,6 +13,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from h3data.moved import refuse_renamed
 from h3data.render.camera import (
     CONVENTIONS,
     OPENGL_TO_OPENCV,
@@ -28,12 +28,9 @@ from h3data.render.camera import (
 
 if TYPE_CHECKING:
     from h3data.render import overlay
-    from h3data.render.boxes import Boxes, visible_boxes, visible_masks
     from h3data.render.colors import depth_to_rgb, instance_to_rgb, normalize_depth
-    from h3data.render.flow import flow_to_rgb, optical_flow
     from h3data.render.image_files import write_depth_png, write_png
     from h3data.render.outputs import Output, Poses
-    from h3data.render.rays import RayCaster, lidar
     from h3data.render.renderer import Renderer
     from h3data.render.scene import RenderInstance, RenderScene
     from h3data.render.shade.shading import Light
@@ -42,12 +39,10 @@ if TYPE_CHECKING:
 __all__ = [
     "CONVENTIONS",
     "OPENGL_TO_OPENCV",
-    "Boxes",
     "Camera",
     "Light",
     "Output",
     "Poses",
-    "RayCaster",
     "RenderInstance",
     "RenderScene",
     "Renderer",
@@ -56,28 +51,20 @@ __all__ = [
     "depth_to_rgb",
     "equirectangular",
     "fisheye",
-    "flow_to_rgb",
     "instance_to_rgb",
-    "lidar",
     "look_at",
     "normalize_depth",
-    "optical_flow",
     "orthographic",
     "overlay",
     "pinhole",
-    "visible_boxes",
-    "visible_masks",
     "write_depth_png",
     "write_png",
 ]
 
 _MODULES = {
-    "boxes": "Boxes visible_boxes visible_masks",
     "colors": "depth_to_rgb instance_to_rgb normalize_depth",
-    "flow": "flow_to_rgb optical_flow",
     "image_files": "write_depth_png write_png",
     "outputs": "Output Poses",
-    "rays": "RayCaster lidar",
     "renderer": "Renderer",
     "scene": "RenderInstance RenderScene",
     "shade.shading": "Light",
@@ -90,5 +77,5 @@ def __getattr__(name: str) -> Any:
     if name == "overlay":
         return import_module("h3data.render.overlay")
     if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return refuse_renamed(__name__)(name)
     return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
 from h3data.render.camera import Camera
-from h3data.render.colors import depth_to_rgb
 
 Color = tuple[int, int, int]
 
@@ -70,32 +68,6 @@ def draw_label(
         cv2.putText(image, text, origin, cv2.FONT_HERSHEY_SIMPLEX, scale, paint, rim, cv2.LINE_AA)
 
 
-def draw_depth_scale(image: NDArray[np.uint8], near: float, far: float) -> None:
-    """Draws a scale of depth colours into the lower left corner of a depth picture [H, W, 3].
-
-    It has the colours of `h3data.render.depth_to_rgb` from ``near`` to ``far`` [m], with both numbers. Pictures smaller
-    than 96 x 64 are not changed.
-    """
-    import cv2
-
-    height, width = image.shape[:2]
-    if width < 96 or height < 64:
-        return
-    # On a dark plate, in letters of at least 10 pixels: smaller ones, or white ones on the picture, do not survive H.264.
-    scale = max(height / 900, 0.45)
-    texts = [f"{value:.3g} m" for value in (near, far)]
-    sizes = [cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)[0] for text in texts]
-    tall = sizes[0][1]
-    long, thick, margin = max(width // 4, sizes[0][0] + sizes[1][0] + 12), max(height // 40, 7), max(height // 40, 4)
-    top, left = height - margin - thick, margin
-    image[top - tall - 10 : top + thick + 3, left - 3 : left + long + 3] = 20
-    bar = depth_to_rgb(np.broadcast_to(np.linspace(max(near, 1e-3), far, long), (thick, long)), near, far)
-    image[top : top + thick, left : left + long] = bar
-    for text, at in zip(texts, (left, left + long - sizes[1][0]), strict=True):
-        place = (at, top - 5)
-        cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, (255, 255, 255), 1, cv2.LINE_AA)
-
-
 def _clip_to_front(point: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
     """``point``, moved along the line to ``other`` until it is in front of the camera."""
     if point[2] >= _NEAR_M:
@@ -149,22 +121,3 @@ def _check(image: NDArray[np.uint8], camera: Camera) -> None:
             f"got {image.dtype} {list(image.shape)}.",
             code="H3-RENDER-049",
         )
-
-
-def draw_boxes(
-    image: NDArray[np.uint8], boxes: ArrayLike, labels: Sequence[str], colors: ArrayLike, *, thickness: int = 2
-) -> None:
-    """Draws boxes [B, 4] (see `h3data.render.visible_boxes`) with labels, in colours [B, 3]."""
-    import cv2
-
-    rows, paints = np.asarray(boxes).reshape(-1, 4), np.asarray(colors).reshape(-1, 3)
-    if not len(rows) == len(labels) == len(paints):
-        raise InputError(
-            f"Expected a label and a colour for each of {len(rows)} boxes, got {len(labels)}, {len(paints)}.",
-            code="H3-RENDER-050",
-        )
-    for (x0, y0, x1, y1), label, paint in zip(rows.tolist(), labels, paints.tolist(), strict=True):
-        cv2.rectangle(image, (x0, y0), (x1 - 1, y1 - 1), paint, thickness)
-        for width, color in ((3, (20, 20, 20)), (1, paint)):
-            place = (x0 + 3, max(y0 - 5, 12))
-            cv2.putText(image, label, place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, color, width, cv2.LINE_AA)

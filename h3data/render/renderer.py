@@ -18,8 +18,11 @@ from h3data.render.shade.blockers_simd import BLOCKER_WORDS
 from h3data.render.shade.shading import Light
 
 Backend = Literal["auto", "cpu", "gpu", "rays"]
-DEVICE_ENGINES: Registry[Callable[..., Engine]] = Registry("h3data.renderers", {}, what="back end")
-"""The back ends ``gpu`` and ``auto``: made of a scene, a light and the numbers of worlds and threads."""
+ENGINES: Registry[Callable[..., Engine]] = Registry("h3data.renderers", {}, what="back end")
+"""The back ends ``gpu``, ``auto`` and ``rays``: made of a scene, a light and the numbers of worlds and threads.
+
+``rays`` takes ``only_rays`` in addition: False makes the rasteriser with rays for what it cannot do.
+"""
 
 
 class Engine(Protocol):
@@ -140,7 +143,7 @@ class Renderer:
     def set_blockers(self, blockers: Blockers | None, *, world: int = 0) -> None:
         """Sets the capsules that cast soft shadows in ``rgb``, and the light on what moves; None = neither.
 
-        `h3data.render.light.field.LightField.blockers` makes them from the poses of agents and things; they stay until
+        `h3data_light.field.LightField.blockers` makes them from the poses of agents and things; they stay until
         they are set again.
         """
         if blockers is not None:
@@ -160,7 +163,7 @@ class Renderer:
         self._engine.set_blockers(self._world(world), blockers)
 
     def poses(self, world: int = 0) -> Poses:
-        """A copy of the state of a world, e.g. for `h3data.render.optical_flow`."""
+        """A copy of the state of a world, e.g. for `h3data_pipelines.pictures.flow.optical_flow`."""
         return self._engine.poses(self._world(world))
 
     def _world(self, world: int) -> int:
@@ -240,7 +243,7 @@ class Renderer:
 
 def gpu_fault() -> str:
     """Why the back end ``gpu`` cannot be used here; empty if it can."""
-    missing = DEVICE_ENGINES.missing().get("gpu")
+    missing = ENGINES.missing().get("gpu")
     if missing:
         return f"it needs the package {missing}, which this installation does not have"
     import torch
@@ -256,13 +259,15 @@ def _engine(scene: RenderScene, light: Light, backend: str, worlds: int, threads
     if backend in ("auto", "gpu"):
         fault = gpu_fault()
         if not fault:
-            return "gpu", DEVICE_ENGINES.get(backend)(scene, light=light, worlds=worlds, threads=threads)
+            return "gpu", ENGINES.get(backend)(scene, light=light, worlds=worlds, threads=threads)
         if backend == "gpu":
             raise MissingExtraError(
                 f"The back end 'gpu' cannot be used: {fault}. Hint: backend='cpu'.", code="H3-RENDER-064"
             )
-    from h3data.render.hybrid import HybridEngine
-
     only_rays = backend == "rays"
-    engine = HybridEngine(scene, light=light, worlds=worlds, threads=threads, only_rays=only_rays)
+    if "rays" in ENGINES.missing() and not only_rays and not light.shadow_rays:
+        from h3data.render.raster.cpu import CpuEngine
+
+        return "cpu", CpuEngine(scene, light=light, worlds=worlds, threads=threads)
+    engine = ENGINES.get("rays")(scene, light=light, worlds=worlds, threads=threads, only_rays=only_rays)
     return "rays" if only_rays else "cpu", engine

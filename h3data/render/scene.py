@@ -65,7 +65,7 @@ class RenderScene:
             instances: their instances.
             deformable: meshes whose vertices will be replaced, such as skinned bodies.
             mirrors: glossy meshes, and the light that their vertices mirror from -x, +x, +y, -z and +z, each [V, 5]
-                (`h3data.render.light.bake.LitScene.mirrors`).
+                (`h3data_light.bake.LitScene.mirrors`).
         """
         self.meshes = tuple(meshes)
         self.instances = tuple(instances)

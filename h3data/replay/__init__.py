@@ -1,14 +1,18 @@
 """Recordings brought back: poses at any step, cameras, and images.
 
 - `replay`: `Replay`; `posed_recording`: its poses, with `link_poses` for robots; `stage`: its images; `records`: its data
-- `cameras`: cameras by name, among them `third_person` (with `sight`); `camera_files`: cameras from TOML and JSON files;
-  `follow`: a camera for recordings without a home
+- `cameras`: cameras by name, among them `third_person` (with `sight`); `camera_files`: cameras from TOML and JSON files
 - `recorded_robots`: whether the robots of a recording have changed since
 """
 
+from typing import TYPE_CHECKING
+
+from h3data.moved import refuse_renamed
 from h3data.replay.cameras import camera_at, camera_names, camera_track
-from h3data.replay.follow import follow_camera
 from h3data.replay.records import CameraTrack, Drawable, State
 from h3data.replay.replay import Replay
 
-__all__ = ["CameraTrack", "Drawable", "Replay", "State", "camera_at", "camera_names", "camera_track", "follow_camera"]
+__all__ = ["CameraTrack", "Drawable", "Replay", "State", "camera_at", "camera_names", "camera_track"]
+
+if not TYPE_CHECKING:
+    __getattr__ = refuse_renamed(__name__)

@@ -4,15 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.geometry import Array
-from h3data.render.light.field import LightField, capsule_of_box
 from h3data.render.scene import RenderInstance
 from h3data.render.shade.blockers import Blockers
 from h3data.scene import Mesh
+
+
+class LightField(Protocol):
+    """Light anywhere in a home, such as `h3data_light.field.LightField`."""
+
+    def blockers(
+        self, capsules: NDArray[np.floating], groups: NDArray[np.integer], *, members: NDArray[np.integer]
+    ) -> Blockers:
+        """Light that capsules [N, 7] of groups [N] block, where ``members`` [I] are the groups of all instances."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,3 +75,16 @@ def moved(capsules: NDArray[np.float64], matrices: NDArray[np.float64]) -> NDArr
     ends = [(linear @ capsules[:, k : k + 3, None])[..., 0] + origin for k in (0, 3)]
     size = np.cbrt(np.abs(np.linalg.det(np.nan_to_num(linear))))  # of bodies that are absent the ends are NaN
     return np.column_stack([*ends, capsules[:, 6] * size])
+
+
+def capsule_of_box(low: Sequence[float], high: Sequence[float]) -> NDArray[np.float64]:
+    """A capsule along the longest side of a box, as thick as its cross-section is large, shape [7]; NaN for an empty box."""
+    size, middle = np.subtract(high, low), np.add(low, high) / 2
+    if not np.isfinite(size).all() or size.max() <= 0:
+        return np.full(7, np.nan)
+    axis = int(size.argmax())
+    others = np.delete(size, axis)
+    radius = max(float(np.sqrt(others.prod() / np.pi)), 0.005)
+    half = np.zeros(3)
+    half[axis] = max(size[axis] / 2 - radius, 0)
+    return np.concatenate([middle - half, middle + half, [radius]])

@@ -18,13 +18,11 @@ from h3data.bodies import Humanoid
 from h3data.errors import InputError
 from h3data.geometry import Array, pose_to_matrix
 from h3data.render import Camera, Light, Output, Renderer, RenderInstance, RenderScene
-from h3data.render.light.bake import lit_scene
-from h3data.render.light.field import capsule_of_box
-from h3data.render.light.sources import sources_of
+from h3data.render.light.sources import BAKERS, sources_of
 from h3data.render.renderer import Backend, gpu_fault
 from h3data.replay.posed_recording import PosedRecording
 from h3data.replay.records import BodyTrack, CameraTrack, JointTrack, LinkTrack, PersonTrack
-from h3data.replay.shadow_casters import ShadowCasters, shadow_casters
+from h3data.replay.shadow_casters import ShadowCasters, capsule_of_box, shadow_casters
 from h3data.scene import Mesh
 
 FrameBackend = Literal["auto", "cpu", "gpu"]
@@ -123,7 +121,7 @@ class Stage:
         ]  # doors carry the light that they have where the home has them, which is closed
         scene = self.replay.scene
         name = scene.name if scene is not None else "this recording's scene"
-        lit = lit_scene(self._meshes, self._instances, static, sources_of(scene), name=name)
+        lit = BAKERS.get("baked")(self._meshes, self._instances, static, sources_of(scene), name=name)
         self._meshes, self._instances, self._light = lit.meshes, lit.instances, lit.light
         self._mirrors = lit.mirrors
         if lit.field is not None:

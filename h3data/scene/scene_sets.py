@@ -2,7 +2,7 @@
 
 The file refers to scenes and never contains them: homes as specs, other scenes as paths (h3data docs scene-sets). Episodes are
 not stored either: episode ``i`` of a scene is sampled from `SceneSet.episode_seed`
-(`sim_kinematic.tasks.social_nav.sets`).
+(`h3data_pipelines.assets.set_episodes`).
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.geometry import Array, pose_to_matrix, transform_points
+from h3data.geometry import pose_to_matrix, transform_points
 from h3data.scene.records import Box, Capsule, Cylinder, Hull, Shape
 
 PRISM_SIDES = 32
@@ -82,19 +82,3 @@ def shape_corners(shape: Box | Cylinder) -> NDArray[np.float64]:
         half = np.array([0.0, shape.half_height, 0.0])
         local = np.concatenate([ring - half, ring + half])
     return transform_points(pose_to_matrix(np.asarray(shape.pose, np.float64)), local).astype(np.float64)
-
-
-def shape_points(shape: Shape) -> Array:
-    """Returns points [N, 3] on a shape, in its own frame: all corners, or points all around its round parts."""
-    if isinstance(shape, Hull):
-        return np.asarray(shape.points, np.float64)
-    if isinstance(shape, Box):
-        return shape_corners(shape)
-    angle = np.arange(PRISM_SIDES) * (2 * np.pi / PRISM_SIDES)
-    ring = np.stack([np.cos(angle), np.zeros(PRISM_SIDES), np.sin(angle)], -1)
-    if isinstance(shape, Cylinder):
-        half = np.array([0.0, shape.half_height, 0.0])
-        matrix = pose_to_matrix(np.asarray(shape.pose, np.float64))
-        return transform_points(matrix, np.concatenate([shape.radius * ring - half, shape.radius * ring + half]))
-    ball = shape.radius * np.concatenate([np.roll(ring, k, axis=1) for k in range(3)])
-    return np.concatenate([ball + end for end in (shape.start, shape.end)])

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING, Any
 
+from h3data.plugins import import_name
 from h3data.scene import FreeSpace, Scene, save_scene
 from h3data.scene.scene_sets import SceneFile, SceneSet, find_scene_set
 
@@ -26,4 +26,4 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in ("HomeSpec", "build_home"):
         raise AttributeError(f"module 'h3data.scenes' has no attribute {name!r}; it has {', '.join(__all__)}")
-    return getattr(importlib.import_module("h3data_homes"), name)
+    return import_name("h3data_homes", name)

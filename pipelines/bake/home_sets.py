@@ -26,8 +26,8 @@ from h3data.scene.scene_sets import SceneEntry, SceneSet, SocialNavRules, read_s
 from h3data_homes import HomeSpec
 from h3data_homes.spec import MAX_BATHROOMS, MAX_BEDROOMS, Preset, min_area_m2
 from h3data_pipelines.assets.scene_reports import AGENT_HEIGHT_M, AGENT_RADIUS_M, scene_size, validate_scene
+from h3data_pipelines.assets.set_episodes import set_episode
 from sim_kinematic.tasks.rearrange.task import Rearrange
-from sim_kinematic.tasks.social_nav.sets import set_episode
 
 log = logging.getLogger(__name__)
 

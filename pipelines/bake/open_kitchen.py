@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from h3data.render import Camera, Renderer, RenderInstance, RenderScene, look_at, pinhole
 from h3data.render.image_files import write_jpg
-from h3data.render.light.bake import lit_scene
 from h3data.render.light.sources import sources_of
 from h3data.scene import Scene, instance_matrix
 from h3data.scene.articulation import opened
 from h3data_homes import HomeSpec, build_home
+from h3data_light.bake import lit_scene
 
 SEEDS, WIDTH, HEIGHT, GAP = (0, 2), 640, 560, 6
 EYE_M, BACK_M, ASIDE_M = 1.75, 2.4, 0.9

@@ -16,10 +16,10 @@ from PIL import Image, ImageDraw, ImageFont
 from h3data.recording import Recording
 from h3data.scene import FreeSpace
 from h3data.scene.open import named_scenes, open_free_space, open_scene
+from h3data_crowds.cards import load_cards
+from h3data_crowds.scenarios import Scenarios, ScenarioSpec
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.tasks.runner import simulate
-from sim_kinematic.tasks.scenarios.cards import load_cards
-from sim_kinematic.tasks.scenarios.task import Scenarios, ScenarioSpec
 
 SCENE, SEED, COLUMNS = "medium:1", 1, 5
 HALF_M, RADIUS_M, EVERY = 4.2, 0.25, 30

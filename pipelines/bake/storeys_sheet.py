@@ -20,12 +20,12 @@ from h3data.recording import Recording
 from h3data.render import Renderer, RenderScene, pinhole
 from h3data.render.camera import Camera, look_at
 from h3data.render.image_files import write_jpg
-from h3data.render.light.bake import lit_scene
 from h3data.render.light.sources import sources_of
 from h3data.render.sheets.scene_map import render_scene
 from h3data.replay import Replay
 from h3data.scene import FreeSpace, Room, Scene
 from h3data_homes import HomeSpec, build_home
+from h3data_light.bake import lit_scene
 from h3data_pipelines.assets.scene_plan import scene_map
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.runner import simulate

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.render.camera import Camera
-from h3data.render.hybrid import HybridEngine
+from h3data.render.renderer import ENGINES, Engine
 from h3data.render.scene import RenderScene
 from h3data.render.shade.blockers import Blockers
 from h3data.render.shade.shading import Light
@@ -31,7 +31,7 @@ class AutoEngine(GpuEngine):
     def __init__(self, scene: RenderScene, *, light: Light, worlds: int = 1, threads: int = 1) -> None:
         super().__init__(scene, light=replace(light, shadow_rays=0), worlds=worlds)
         self._cpu_light, self._threads = light, threads
-        self._cpu: HybridEngine | None = None
+        self._cpu: Engine | None = None
 
     def set_transforms(self, world: int, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
         """Sets transforms of instances on both back ends."""
@@ -77,10 +77,10 @@ class AutoEngine(GpuEngine):
     def _device(self) -> torch.device:
         return resolve_device(None)
 
-    def _cpu_engine(self) -> HybridEngine:
+    def _cpu_engine(self) -> Engine:
         """A CPU engine in the current state of all worlds."""
         scene, count = self.scene, self.world_count
-        engine = HybridEngine(scene, light=self._cpu_light, worlds=count, threads=self._threads)
+        engine = ENGINES.get("rays")(scene, light=self._cpu_light, worlds=count, threads=self._threads)
         for world in range(count):
             poses = self.poses(world)
             engine.set_blockers(world, self._blockers[world])

@@ -311,7 +311,8 @@ def write_video(motion: Motion, body: Humanoid, name: str, target: Path) -> int:
     ``name`` is that of a built-in body or the path of the body's .npz file.
     """
     from h3data.render import VideoWriter
-    from h3data.replay import Replay, follow_camera
+    from h3data.replay import Replay
+    from h3data_motion.pictures import follow_camera
     from h3data_motion.recording import motion_recording
 
     replay = Replay(motion_recording(motion, body, model=f"humanoid/{name}"))

@@ -1,4 +1,4 @@
-"""Contact sheets of motions: poses of one person side by side."""
+"""Contact sheets of motions, poses of one person side by side, and a camera that follows a moving agent."""
 
 from __future__ import annotations
 
@@ -7,7 +7,11 @@ from numpy.typing import NDArray
 
 from h3data.bodies.people.clips import Clip
 from h3data.bodies.people.humanoid import Humanoid
+from h3data.geometry import quat_from_heading, quat_rotate
+from h3data.render import look_at, pinhole
 from h3data.render.sheets.people_sheet import STRIDE_SPACING_M, lined_up
+from h3data.replay.records import CameraTrack, forward_fill
+from h3data.replay.replay import Replay
 from h3data_motion.clip import Motion
 from h3data_motion.retarget import retarget
 
@@ -35,3 +39,24 @@ def clip_picture(
 def _strip(body: Humanoid, quats: NDArray, pelvis: NDArray, lod: bool, width: int) -> NDArray[np.uint8]:
     poses = [(body, quats[k : k + 1], pelvis[k : k + 1]) for k in range(len(quats))]
     return lined_up(poses, 0.0, lod, len(poses), width, spacing=STRIDE_SPACING_M)
+
+
+EYE_M = (2.2, 0.5, 2.6)
+"""Offset of the eye from the target: ahead of the agent, up, to its right."""
+TARGET_HEIGHT_M = 0.85
+SMOOTH_S = 1.0
+
+
+def follow_camera(replay: Replay, agent: int = 0, *, width: int = 960, height: int = 540) -> CameraTrack:
+    """A camera ahead and to the right of an agent, relative to its overall displacement; moves smoothly, never turns."""
+    position = forward_fill(replay.recording.agent_column(agent, "base_pose").astype(np.float64))[:, :3]
+    displacement = position[-1] - position[0]
+    reach = max(1, min(round(SMOOTH_S * len(position) / max(replay.recording.duration_s, 1e-3)), len(position) - 1))
+    window = np.hanning(2 * reach + 3)[1:-1]
+    padded = np.pad(position, ((reach, reach), (0, 0)), mode="edge")
+    smooth = np.stack([np.convolve(padded[:, k], window / window.sum(), mode="valid") for k in range(3)], axis=1)
+    target = smooth + np.array([0.0, TARGET_HEIGHT_M, 0.0])
+    heading = np.arctan2(-displacement[2], displacement[0])
+    eye = target + quat_rotate(quat_from_heading(heading), np.array(EYE_M))
+    poses = np.stack([look_at(e, t) for e, t in zip(eye, target, strict=True)])
+    return CameraTrack(camera=pinhole(width, height, hfov_deg=55.0, pose=poses[0], name="follow"), poses=poses)

@@ -1,1 +1,1 @@
-"""Homes and robots in the files of other makers: USD, in and out (`usd`), and robots in MJCF (`mjcf`)."""
+"""Homes in the files of other makers (`usd`, `procthor`), robots in MJCF (`mjcf`) or without settings (`robot_guess`)."""

@@ -23,7 +23,6 @@ from sim_kinematic.policies.learned import (
     naming,
     navigation_of,
     network_of,
-    stamped,
 )
 from sim_kinematic.policies.network import load_network
 from sim_kinematic.policies.policy import Velocity
@@ -284,8 +283,3 @@ def policy_by_name(name: str) -> Policy:
             f"Unknown policy {name!r}.{suggest(name, there, more=', or weights:FILE')}", code="H3-POLICY-038"
         )
     return POLICIES[name]
-
-
-def policy_name(policy: str | Policy) -> str:
-    """The name under which a policy is recorded; that of a file of weights says which weights (`stamped`)."""
-    return stamped(policy) if isinstance(policy, str) else getattr(policy, "__name__", type(policy).__name__)

@@ -22,11 +22,10 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
 from h3data.geometry import Array, pose_to_matrix
+from h3data.plugins import Registry
 from h3data.render import Camera, Light, Output, Renderer, RenderInstance, RenderScene, equirectangular, pinhole
-from h3data.render.light.bake import lit_scene
-from h3data.render.light.sources import LightMode, sources_of
+from h3data.render.light.sources import BAKERS, LightMode, sources_of
 from h3data.render.raster.hulls import may_see
-from h3data.render.rays import Part, RayCaster, lidar
 from h3data.render.renderer import Backend
 from h3data.replay.cameras import HEAD_NEAR_M, HEAD_POSE, HUMAN_HEAD
 from h3data.replay.shadow_casters import ShadowCasters, shadow_casters
@@ -37,6 +36,8 @@ from sim_kinematic.motion.state import WorldState
 from sim_kinematic.sensing.lidar import COLUMNS, ELEVATION_DEG, LASERS, SCAN_M
 from sim_kinematic.sensing.sensor import HUMAN_ID, scaled_depth
 
+LIDARS: Registry[Any] = Registry("h3data.lidars", {}, what="lidar")
+"""Makers of laser scanners for a scene, such as `h3data_rays.LidarScanner`."""
 ROBOT_ID = 200
 """Semantic id of robots in our recordings."""
 HEAD_SIZE, HEAD_HFOV_DEG = (640, 480), 90.0
@@ -120,8 +121,8 @@ class StateRenderer:
         """Agent, world and mesh of those who are skinned as last posed."""
         self._rigid: list[tuple[list[int], Array]] = []
         """Instances [n] of objects and of each robot, and their matrices [W, n, 4, 4], as last posed."""
-        self._still: Part | None = None
-        """Everything that never moves, for `scans`; built once."""
+        self._lidar: Any = None
+        """Scanner of everything that never moves, for `scans`; built once."""
         self._is_shaded = False
         """True if shadows are those of what was last posed."""
 
@@ -149,7 +150,7 @@ class StateRenderer:
             there = {i.name: recorded_matrix(i) for i in other.instances}
             for k in static:
                 instances[k] = replace(instances[k], matrix=there[instances[k].name])
-        lit = lit_scene(self._meshes, as_lit, static, sources_of(lit_as), name=scene.name)
+        lit = BAKERS.get("baked")(self._meshes, as_lit, static, sources_of(lit_as), name=scene.name)
         pairs = zip(self._instances, lit.instances, strict=True)
         self._instances = [replace(own, mesh=each.mesh) for own, each in pairs]
         self._meshes, self._light, self._mirrors = lit.meshes, lit.light, lit.mirrors
@@ -283,14 +284,13 @@ class StateRenderer:
         elevations, found = np.linspace(*ELEVATION_DEG, LASERS), []
         for w, place in enumerate(places):
             poses = self.renderer.poses(w)
-            if self._still is None:
-                self._still = Part(self.scene, poses, np.flatnonzero(~moving))
+            if self._lidar is None:
+                self._lidar = LIDARS.get("embree")(self.scene, poses, ~moving)
             shown = moving & poses.visible
             shown[self._agents[agent].instances] = False
-            parts = [self._still, Part(self.scene, poses, np.flatnonzero(shown))]
-            caster = RayCaster(self.scene, poses, parts=parts)
-            scan = lidar(caster, place, elevations_deg=elevations, columns=COLUMNS, max_m=SCAN_M)
-            found.append(np.where(scan.instance >= 0, scan.distance, SCAN_M))
+            found.append(
+                self._lidar.scan(poses, shown, place, elevations_deg=elevations, columns=COLUMNS, max_m=SCAN_M)
+            )
         return np.array(found, np.float64)
 
     def _shade(self, casters: ShadowCasters) -> None:

@@ -13,13 +13,6 @@ BUILT_IN = {
     "social_nav": "sim_kinematic.tasks.social_nav:SocialNav",
     "rearrange": "sim_kinematic.tasks.rearrange.task:Rearrange",
     "wander": "sim_kinematic.tasks.wander:Wander",
-    "crowd_nav": "sim_kinematic.tasks.crowd_nav.task:CrowdNav",
-    "scenarios": "sim_kinematic.tasks.scenarios.task:Scenarios",
-    "crowd_follow": "sim_kinematic.tasks.scenarios.task:CrowdFollow",
-    "crowd_lead": "sim_kinematic.tasks.scenarios.task:CrowdLead",
-    "crowd_accompany": "sim_kinematic.tasks.scenarios.task:CrowdAccompany",
-    "crowd_join": "sim_kinematic.tasks.scenarios.task:CrowdJoin",
-    "crowd_give_way": "sim_kinematic.tasks.scenarios.task:CrowdGiveWay",
 }
 
 

@@ -15,7 +15,6 @@ from h3data.bodies.people.humanoid_file import load_humanoid
 from h3data.errors import InputError
 from h3data.mesh.mesh import Mesh, Texture
 from h3data.render import Camera, Light, Renderer, RenderInstance, RenderScene, look_at, pinhole
-from h3data.render.light.bake import lit_scene
 from h3data.render.light.sources import Lamp, LightSources
 from h3data.render.shade.blockers import Blockers, blocker_rows
 from h3data.render.sheets.scene_map import render_scene
@@ -24,6 +23,7 @@ from h3data_gpu.meshlets import CLUSTER_TRIANGLES, CLUSTER_VERTICES, GROUP_CLUST
 from h3data_gpu.packing import pack_scenes
 from h3data_gpu.views import choose_variant
 from h3data_homes import HomeSpec, build_home
+from h3data_light.bake import lit_scene
 from tests.gpu.emulator import COMPILER, EmulatedRenderer
 
 OUTPUTS: Any = ("depth", "instance", "semantic", "triangle", "normal", "rgb")

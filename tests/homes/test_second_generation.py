@@ -135,8 +135,8 @@ def test_the_set_has_as_many_homes_as_the_first():
 @pytest.mark.parametrize("split", ["train", "val", "test"])
 def test_episodes_of_both_tasks_can_be_sampled_in_every_home(split: str):
     from h3data_pipelines.assets.scene_reports import validate_scene
+    from h3data_pipelines.assets.set_episodes import set_episode
     from sim_kinematic.tasks.rearrange.task import Rearrange
-    from sim_kinematic.tasks.social_nav.sets import set_episode
     from sim_kinematic.tasks.sources import EpisodeSource
 
     scenes = find_scene_set(f"h3-homes-v2/{split}")

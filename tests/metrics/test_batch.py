@@ -14,22 +14,12 @@ import pytest
 
 from h3data.errors import InputError
 from h3data.geometry import ground_pose
-from h3data.metrics import (
-    compare_tables,
-    events_of,
-    measure,
-    measure_files,
-    measure_many,
-    measure_tables,
-    series_of,
-    write_events,
-    write_series,
-    write_table,
-)
+from h3data.metrics import compare_tables, measure, measure_files, measure_many, measure_tables, series_of
 from h3data.metrics.reading import chunks_of, recordings
 from h3data.metrics.registry import profile_for
 from h3data.recording import STEP_NS, Agent, AssetRef, Body, Dataset, DatasetWriter, Episode, Recording, write_mcap
 from h3data_pipelines.cli import main
+from h3data_pipelines.metric_files import events_of, write_events, write_series, write_table
 
 
 def episode(number: int, *, run: str = "a", near: float = 1.0, drop: tuple[str, ...] = ()) -> Recording:

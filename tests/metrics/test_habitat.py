@@ -12,10 +12,11 @@ import pytest
 from h3data.errors import InputError
 from h3data.geometry import ground_pose
 from h3data.metrics import MissingColumnsError, measure, series_of
-from h3data.metrics.habitat_settings import HabitatConfig, StatsConfig
+from h3data.metrics.habitat_settings import StatsConfig
 from h3data.recording.records import STEP_NS, Agent, Episode, Recording
 from h3data_habitat.metrics.profile import STILL_M
 from h3data_habitat.metrics.reward import goal_errors
+from h3data_habitat.metrics.settings import config_of
 from h3data_habitat.metrics.stats import HabitatTrack, _found_step, social_nav_stats
 from tests.paths import REFERENCE
 
@@ -226,7 +227,7 @@ def test_settings_that_are_none_are_refused(config):
 
 
 def test_settings_are_read_by_their_own_names():
-    config = HabitatConfig.from_info({"habitat_config": {"social_nav_stats": {"max_dis_human": 3, "type": "X"}}})
+    config = config_of({"habitat_config": {"social_nav_stats": {"max_dis_human": 3, "type": "X"}}})
     assert config.stats.max_dis_human == 3.0
     assert config.reward.facing_human_reward == 3.0
     assert measure(still(3, 2.5), "habitat").values["has_found_human"] == 0

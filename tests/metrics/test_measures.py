@@ -18,7 +18,6 @@ from h3data.metrics import (
     EpisodeMetrics,
     all_metrics,
     all_profiles,
-    explain,
     find_metric,
     measure,
     measure_many,
@@ -29,6 +28,7 @@ from h3data.metrics.episode import NEVER
 from h3data.metrics.paper.encounter import PAPER, encounter_series
 from h3data.metrics.paper.social_nav import following_rows
 from h3data.recording.records import STEP_NS, Agent, Episode, Recording
+from h3data_pipelines.metric_texts import explain
 from tests.examples import examples
 from tests.paths import ROOT
 

@@ -15,10 +15,11 @@ from hypothesis import strategies as st
 
 from h3data.errors import InputError
 from h3data.geometry import ground_pose
-from h3data.metrics import MissingColumnsError, explain_episode, find_metric, measure, measure_many, series_of, tabulate
+from h3data.metrics import MissingColumnsError, find_metric, measure, measure_many, series_of, tabulate
 from h3data.metrics.paper import encounter
 from h3data.metrics.paper.encounter_kernel import _BLOCK, fill_series
 from h3data.recording.records import STEP_NS, Agent, Episode, Event, Recording
+from h3data_pipelines.metric_texts import explain_episode
 
 ROBOT, HUMAN = Agent(name="spot", kind="robot"), Agent(name="alex", kind="human")
 NAN = float("nan")

@@ -12,13 +12,14 @@ import pytest
 
 from h3data.errors import InputError, PluginError
 from h3data.geometry import ground_pose
-from h3data.metrics import Computed, Metric, Profile, explain_episode, find_metric, measure, measure_files, measure_many
+from h3data.metrics import Computed, Metric, Profile, find_metric, measure, measure_files, measure_many
 from h3data.metrics import registry as registry_module
 from h3data.metrics.registry import profile_for
 from h3data.metrics.requirements import UnmeasurableError
 from h3data.plugins import TRUST_VARIABLE
 from h3data.recording import STEP_NS, Agent, DatasetWriter, Episode, Recording
 from h3data_pipelines.cli import main
+from h3data_pipelines.metric_texts import explain_episode
 
 THIRD_PARTY = """
 from h3data.metrics import Metric, Profile

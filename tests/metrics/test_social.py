@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 
 from h3data.errors import InputError
 from h3data.geometry import ground_pose
-from h3data.metrics import explain, find_metric, measure, metrics_of, series_of
+from h3data.metrics import find_metric, measure, metrics_of, series_of
 from h3data.metrics.registry import find_profile
 from h3data.recording.records import STEP_NS, Agent, Episode, Recording
+from h3data_pipelines.metric_texts import explain
 from h3data_social.people.profile import social_force
 
 SECOND = 1_000_000_000

@@ -17,7 +17,9 @@ from h3data_pipelines.machine.caches import KINDS
 def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Caches with a file each, and a file of somebody else in each folder."""
     monkeypatch.setenv("H3DATA_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr("h3data.kernels.kept_files", lambda: sorted((tmp_path / "numba").rglob("*.nb?")))
+    monkeypatch.setattr(
+        "h3data_pipelines.machine.caches.kept_files", lambda: sorted((tmp_path / "numba").rglob("*.nb?"))
+    )
     for name, (_, endings) in KINDS.items():
         folder = tmp_path / ("numba/a_1/x" if name == "kernels" else f"cache/{name}")
         folder.mkdir(parents=True)
@@ -54,7 +56,7 @@ def test_without_a_cache_there_is_nothing_to_clear(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("H3DATA_CACHE", "off")
-    monkeypatch.setattr("h3data.kernels.kept_files", list)
+    monkeypatch.setattr("h3data_pipelines.machine.caches.kept_files", list)
     assert {row["folder"] for row in run(capsys, "cache", "list").values()} == {None}
     assert sum(run(capsys, "cache", "clear")["bytes"].values()) == 0
 
@@ -98,7 +100,7 @@ def test_kept_kernels_are_those_of_our_packages(tmp_path: Path, monkeypatch: pyt
     from numba.core import config
 
     import h3data.bodies
-    from h3data.kernels import kept_files, kernel
+    from h3data.kernels import kernel
 
     monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
 
@@ -109,7 +111,7 @@ def test_kept_kernels_are_those_of_our_packages(tmp_path: Path, monkeypatch: pyt
     kernel()(ours)(1)
     (tmp_path / "other_0123").mkdir()
     (tmp_path / "other_0123" / "theirs.py311.nbi").touch()
-    names = {path.suffix for path in kept_files() if tmp_path in path.parents}
+    names = {path.suffix for path in caches.kept_files() if tmp_path in path.parents}
     assert names == {".nbi", ".nbc", ".lock"}
-    assert not any(path.name == "theirs.py311.nbi" for path in kept_files())
+    assert not any(path.name == "theirs.py311.nbi" for path in caches.kept_files())
     assert caches.find_caches()[0].name == "kernels"

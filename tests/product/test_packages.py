@@ -28,12 +28,15 @@ PLACES = {
     "h3data_exporters": "pipelines",
     "h3data_gpu": "pipelines",
     "h3data_homes": "pipelines",
+    "h3data_light": "pipelines",
     "h3data_meshes": "pipelines",
     "h3data_motion": "pipelines",
     "h3data_worlds": "pipelines",
     "h3data_pipelines": "pipelines",
     "h3data_training": "pipelines",
+    "h3data_rays": "pipelines",
     "h3data_remote": "pipelines",
+    "h3data_crowds": "pipelines",
     "h3data_language": "pipelines",
     "h3data_ros": "pipelines",
     "h3data_social": "pipelines",
@@ -110,22 +113,30 @@ def test_a_package_that_is_not_there_costs_only_its_commands(package: str, lost:
         assert package in said[word][1]
 
 
-CALLS = {
-    "h3data_training": "import h3data; h3data.make('social_nav', scenes='small:1', device='cpu')",
-    "h3data_habitat": "from sim_kinematic.motion.step import SLIDES; SLIDES.get('habitat')",
-    "h3data_social": "from h3data.metrics.registry import find_profile; find_profile('social')",
-    "h3data_gpu": "from h3data.replay.stage import chosen_backend; chosen_backend('auto'); chosen_backend('gpu')",
-}
-"""What is refused in Python without each package."""
+CALLS = [
+    ("h3data_training", "import h3data; h3data.make('social_nav', scenes='small:1', device='cpu')"),
+    ("h3data_habitat", "from sim_kinematic.motion.step import SLIDES; SLIDES.get('habitat')"),
+    ("h3data_crowds", "import h3data; h3data.make('crowd_nav', scenes='small:1')"),
+    ("h3data_worlds", "import h3data.bodies as b; b.guess_robot_settings(b.load_robot('quad_arm').file)"),
+    ("h3data_rays", "from h3data.render.renderer import ENGINES; ENGINES.get('rays')"),
+    ("h3data_social", "from h3data.metrics.registry import find_profile; find_profile('social')"),
+    ("h3data_gpu", "from h3data.replay.stage import chosen_backend; chosen_backend('auto'); chosen_backend('gpu')"),
+    ("h3data_light", "from h3data.render.light.sources import BAKERS; BAKERS.get('baked')"),
+    ("h3data_training", "from h3data.envs import DatasetEnv"),
+    ("h3data_homes", "from h3data.scenes import HomeSpec"),
+    ("h3data_homes", "from h3data import HomeSpec"),
+    ("h3data_viewers", "import h3data; h3data.report"),
+]
+"""Packages, and what is refused in Python without them."""
 
 
-@pytest.mark.parametrize("package", CALLS)
-def test_a_call_names_the_package_that_it_needs(package: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("package", "call"), CALLS)
+def test_a_call_names_the_package_that_it_needs(package: str, call: str, tmp_path: Path) -> None:
     script = SCRIPT.replace(
         "for words in commands:",
         "from h3data.errors import H3DataError\n"
-        f"try:\n    {CALLS[package]}\n"
-        "except H3DataError as error:\n    said['call'] = [2, str(error)]\nfor words in commands:",
+        f"try:\n    {call}\n"
+        "except H3DataError as error:\n    said['call'] = [error.code, str(error)]\nfor words in commands:",
     )
     install_without(package, tmp_path)
     done = subprocess.run(
@@ -135,7 +146,9 @@ def test_a_call_names_the_package_that_it_needs(package: str, tmp_path: Path) ->
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert package in json.loads(done.stdout.splitlines()[-1])["call"][1]
+    code, text = json.loads(done.stdout.splitlines()[-1])["call"]
+    assert code
+    assert package in text
 
 
 def test_what_makes_homes_names_their_package_and_leaves_no_folder(tmp_path: Path) -> None:

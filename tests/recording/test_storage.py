@@ -15,7 +15,6 @@ from h3data.recording import (
     DatasetWriter,
     Recording,
     RecordingWriter,
-    WindowDataset,
     open_recording,
     read_mcap,
     rebuild_meta,
@@ -25,6 +24,7 @@ from h3data.recording import (
 )
 from h3data.recording.storage import RemotePath, masked, place
 from h3data_pipelines.cli import main
+from h3data_training.samples import WindowDataset
 from tests.object_store import bucket, read_only
 from tests.recording.strategies import simple_recording
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from h3data.render.colors import depth_to_rgb
-from h3data.render.overlay import draw_depth_scale
+from h3data_pipelines.pictures.depth_scale import draw_depth_scale
 
 
 def test_a_depth_picture_gets_a_bar_of_its_colours_from_near_to_far() -> None:

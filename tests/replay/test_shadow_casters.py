@@ -9,10 +9,9 @@ import pytest
 
 from h3data.geometry import pose_to_matrix
 from h3data.recording import Recording
-from h3data.render.light.field import capsule_of_box
 from h3data.render.shade.blockers_simd import ALONG, GROUP, RADIUS, START
 from h3data.replay import Replay, camera_track
-from h3data.replay.shadow_casters import moved
+from h3data.replay.shadow_casters import capsule_of_box, moved
 from h3data.replay.stage import Stage
 from h3data_homes import HomeSpec, build_home
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
@@ -100,7 +99,7 @@ def test_a_home_without_light_is_rendered_flat(recording: Recording, monkeypatch
 
     monkeypatch.setenv("H3DATA_CACHE", "off")
     monkeypatch.setattr("h3data.replay.stage.sources_of", lambda _: LightSources())
-    monkeypatch.setattr("h3data.render.light.bake._indirect", lambda *_: None)
+    monkeypatch.setattr("h3data_light.bake._indirect", lambda *_: None)
     dark, flat = Replay(recording, light="baked"), Replay(recording)
     camera = camera_track(flat, "third_person").resized(160, 120).at(STEP)
     pictures = [

@@ -13,6 +13,7 @@ import torch
 
 from h3data.errors import InputError
 from h3data_pipelines.cli import main
+from h3data_pipelines.skill_judging import judge
 from h3data_training import run as runs
 from h3data_training.curve import curve_of
 from h3data_training.networks import ActorCritic, actor_numbers
@@ -34,7 +35,6 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.resume import verify
 from sim_kinematic.tasks.runner import simulate
-from sim_kinematic.tasks.skills.skill_judging import judge
 from sim_kinematic.tasks.skills.skill_starts import SKILL_NAMES, draw_starts
 from sim_kinematic.tasks.sources import EpisodeSource
 from tests.training.torch.capturable import CapturableOnly

@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from h3data.bodies.robots.robot_settings import decode_settings
+from h3data.bodies.robots.robot_settings import RobotSettings, decode_settings
 from h3data.bodies.robots.urdf import Urdf
 from h3data.builtin import builtin_path
 from h3data.errors import InputError, suggest
@@ -28,6 +28,8 @@ class RobotReader(NamedTuple):
 
 READERS: Registry[RobotReader] = Registry("h3data.robot_files", {}, what="reader of robots")
 """Readers of files other than URDF by suffix without its dot."""
+GUESSES: Registry[Callable[..., RobotSettings]] = Registry("h3data.robot_guesses", {}, what="guess at a robot's")
+"""Makers of the settings of robots that come without any, from the robot as loaded and the names of links with true shapes."""
 DESCRIPTIONS = (".urdf", ".xml", ".mjcf")
 """Endings of descriptions of robots: URDF, and MJCF, which h3data_worlds reads."""
 

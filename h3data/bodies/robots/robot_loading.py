@@ -12,9 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies.robots.extents import resting_hull
-from h3data.bodies.robots.guess import guess_settings
 from h3data.bodies.robots.robot import Robot, RobotCamera, RobotLeg, RobotLink
-from h3data.bodies.robots.robot_files import DESCRIPTIONS, READERS, RobotFiles, RobotReader, find_robot, is_built_in
+from h3data.bodies.robots.robot_files import (
+    DESCRIPTIONS,
+    GUESSES,
+    READERS,
+    RobotFiles,
+    RobotReader,
+    find_robot,
+    is_built_in,
+)
 from h3data.bodies.robots.robot_settings import CameraSettings, RobotSettings, read_settings
 from h3data.bodies.robots.stand_ins import with_stand_ins
 from h3data.bodies.robots.urdf import Urdf, UrdfJoint, UrdfLink, UrdfPart, mesh_files, read_urdf
@@ -36,7 +43,7 @@ def load_robot(name_or_path: str | Path, *, up: Literal["z", "y"] = "z", fill_in
     Args:
         name_or_path: A name (`robot_names`), or the path of a URDF, of a ``robot.toml``, or of the folder of either.
         up: The axis of the URDF base frame that points up: ``z`` by URDF's rule; Habitat's own robots have ``y``.
-        fill_in: True guesses settings where there is no ``robot.toml`` (`h3data.bodies.robots.guess`) and lets boxes
+        fill_in: True guesses settings where there is no ``robot.toml`` (the group `h3data.robot_guesses`) and lets boxes
             stand in for missing meshes, with a warning. False uses the defaults; missing meshes are an error.
 
     Raises:
@@ -63,7 +70,7 @@ def guess_robot_settings(urdf: str | Path, *, up: Literal["z", "y"] = "z") -> Ro
         FormatError: It is not a usable URDF.
     """
     read, sure = with_stand_ins(_read(Path(urdf)))
-    return guess_settings(_robot(read, RobotSettings(), up), sure)
+    return GUESSES.get("settings")(_robot(read, RobotSettings(), up), sure)
 
 
 def robot_digest(name_or_path: str | Path) -> str:
@@ -136,7 +143,7 @@ def _loaded(files: RobotFiles, up: Literal["z", "y"], fill_in: bool, *versions: 
     else:
         urdf, sure = with_stand_ins(urdf)
         if files.settings is None:
-            settings = guess_settings(_robot(urdf, RobotSettings(), up), sure)
+            settings = GUESSES.get("settings")(_robot(urdf, RobotSettings(), up), sure)
         else:
             settings = read_settings(files.settings, urdf)
         robot = _robot(urdf, settings, up)

@@ -1,1 +1,1 @@
-"""Light of windows, sun and lamps, baked into the colours of the vertices of static surfaces (`h3data.render.light.bake`)."""
+"""Light sources of a scene. Their light is baked by what the group ``h3data.lights`` offers (`h3data_light`)."""

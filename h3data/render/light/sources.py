@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
+from h3data.plugins import Registry
 from h3data.scene.records import LightSource, Scene, instance_bounds
 
 log = logging.getLogger(__name__)
 
+BAKERS: Registry[Callable[..., Any]] = Registry("h3data.lights", {}, what="light")
+"""Functions that light a scene: meshes, instances, numbers of those that never move, and `LightSources` to a lit scene."""
 LightMode = Literal["baked", "flat"]
 """``baked``: windows, sun and lamps light the home (`h3data.render.light`). ``flat``: the same light everywhere."""
 

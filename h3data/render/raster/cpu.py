@@ -10,6 +10,7 @@ from queue import SimpleQueue
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.errors import InputError
 from h3data.render.camera import Camera
 from h3data.render.outputs import Poses, picture_arrays
 from h3data.render.raster.clusters import enclosing_box, fill_boxes, fill_packets, smooth_normals
@@ -100,6 +101,12 @@ class CpuEngine:
     def _rasterise(
         self, camera: Camera, world: World, drawings: Drawings, results: Mapping[str, NDArray], samples: int
     ) -> None:
+        if not camera.is_planar:
+            raise InputError(
+                f"Cameras of the projection {camera.projection} need the package h3data_rays, which this installation does not "
+                "have. Hint: install h3data as a whole.",
+                code="H3-RENDER-099",
+            )
         at_centres = [name for name in results if name != "rgb"]
         if at_centres or (samples == 1 and "rgb" in results):
             view, drawing, again = self._draw(camera, world, drawings)
@@ -240,7 +247,7 @@ class World:
     def set_transforms(self, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
         """Sets transforms [n, 4, 4] of instances."""
         self.matrix[instances] = matrices
-        # for ever: what has never moved is prepared once for rays (`h3data.render.hybrid`), so what moves must
+        # for ever: what has never moved is prepared once for rays (`h3data_rays`), so what moves must
         # stay out of it
         self.moved[instances] = True
         self.version += 1

@@ -13,7 +13,7 @@ A capsule takes two kinds of light from a point with normal n:
   Lighting"), times the share of the disc that the capsule can cover at most. Shadows are sharp where a foot stands on the
   floor and dissolve with distance.
 
-Each group of capsules, one person or robot or thing, has one direction and share of the light (`h3data.render.light.field`);
+Each group of capsules, one person or robot or thing, has one direction and share of the light (`h3data_light.field`);
 Iwanicki 2013 ("Lighting Technology of The Last of Us") splits light in this way. The point loses ``f`` of what is blocked of
 the direction and ``1 - f`` of the rest, ``f = share (n . l) / (share (n . l) + (1 - share) / 4)``: a share of 1 - s of the
 light from everywhere alike gives a surface a quarter of it. A group does not darken itself.

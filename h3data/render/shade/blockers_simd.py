@@ -36,9 +36,9 @@ BLOCKER_WORDS = 21
 SPREAD = 0.30
 """Tangent of the angular radius of the light: that of a window 1.2 m wide, 2 m away."""
 FADE_M, KEPT_M = 0.25, 0.1
-"""A shadow is whole up to this far beyond its reach, and gone so much later: walls stop it (`h3data.render.light.field`)."""
+"""A shadow is whole up to this far beyond its reach, and gone so much later: walls stop it (`h3data_light.field`)."""
 DARKEST = 0.22
-"""Share of its light that a surface keeps when all of it is blocked; see `h3data.render.light.bake`."""
+"""Share of its light that a surface keeps when all of it is blocked; see `h3data_light.bake`."""
 _THINNEST_M = 0.01
 """Smallest radius of the light's disc at a capsule."""
 _ROUNDED_UP = 1.0001

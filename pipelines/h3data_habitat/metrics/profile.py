@@ -30,6 +30,7 @@ from h3data_habitat.metrics.reward import (
     social_nav_reward,
     total_reward,
 )
+from h3data_habitat.metrics.settings import config_of
 from h3data_habitat.metrics.stats import HabitatTrack, backup_and_yield, social_nav_stats
 
 STILL_M = 1e-3 / 30
@@ -56,7 +57,7 @@ def habitat_series(recording: Recording, *, variant: str) -> Series:
     """Computes every key of ``SocialNavStats`` as emitted at every row [T], the rewards, and the flags behind them."""
     robot, human = find_agents(recording)
     columns = recording.columns
-    config = HabitatConfig.from_info(recording.episode.info)
+    config = config_of(recording.episode.info)
     track = _track(recording, robot, human)
     dead_zone = 0.0 if TRANSFORM in columns else STILL_M
     backs_up, yields = backup_and_yield(track, config.stats, dead_zone_m=dead_zone)

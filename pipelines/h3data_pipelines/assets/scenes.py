@@ -469,7 +469,7 @@ def _episodes(scenes: SceneSet, max_count: int | None, folder: Path, config: str
     as with its own ``data/...``.
     """
     from h3data.recording.task_episodes.social_nav_episodes import social_nav_episode
-    from sim_kinematic.tasks.social_nav.sets import set_episode
+    from h3data_pipelines.assets.set_episodes import set_episode
 
     count = scenes.episodes if max_count is None else min(max_count, scenes.episodes)
     episodes = []

@@ -26,7 +26,7 @@ from h3data.commands.command import (
 )
 from h3data.commands.options import command_line, command_of
 from h3data.errors import InputError, suggest_keywords
-from h3data.formats import BagStorage, ExportRequest, Format, PersonDetail, export_format, export_options, load
+from h3data.formats import BagStorage, ExportRequest, Format, PersonDetail, export_options, load
 from h3data.progress import progress
 from h3data.recording import Recording
 from h3data.recording.episodes import StoredEpisode, common_cameras
@@ -34,6 +34,7 @@ from h3data.recording.finding import find_episodes
 from h3data.recording.storage import place
 from h3data_pipelines.dataset_folders import remove_dataset
 from h3data_pipelines.execution.processes import core_count
+from h3data_pipelines.format_names import export_format
 from h3data_pipelines.hub.provenance import read_commands, write_commands
 
 if TYPE_CHECKING:

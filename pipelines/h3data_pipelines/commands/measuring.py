@@ -79,8 +79,8 @@ class Metrics:
     def _measure(self) -> Outcome:
         from h3data.metrics.batch import measure_tables
         from h3data.metrics.reading import recordings
-        from h3data.metrics.table_files import write_events, write_series, write_table
         from h3data.recording.finding import find_sources
+        from h3data_pipelines.metric_files import write_events, write_series, write_table
 
         with self._by() as who:
             tables = measure_tables(self.recordings, self.profile, **who)
@@ -143,13 +143,15 @@ class Metrics:
 
 
 def _list() -> Outcome:
-    from h3data.metrics import all_metrics, list_metrics
+    from h3data.metrics import all_metrics
+    from h3data_pipelines.metric_texts import list_metrics
 
     return Outcome(text=list_metrics(), data={"metrics": [_described(m) for m in all_metrics()]})
 
 
 def _explain(name: str, path: Path | None, profile: str | None) -> Outcome:
-    from h3data.metrics import explain, explain_episode, find_metric, measure, profiles_named
+    from h3data.metrics import find_metric, measure, profiles_named
+    from h3data_pipelines.metric_texts import explain, explain_episode
 
     metric = find_metric(name, profile=profile)
     if profile is None or all(metric not in p.metrics for p in profiles_named(profile)):

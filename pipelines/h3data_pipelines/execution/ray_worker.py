@@ -29,8 +29,11 @@ PACKAGES = (
     "h3data_motion",
     "h3data_worlds",
     "h3data_exporters",
+    "h3data_crowds",
     "h3data_language",
+    "h3data_light",
     "h3data_social",
+    "h3data_rays",
     "h3data_remote",
 )
 _DECIDES = ("numpy", "scipy", "numba")

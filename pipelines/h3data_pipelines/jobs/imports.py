@@ -9,12 +9,13 @@ from typing import Any, Literal
 
 from h3data.commands.command import claim_file, keeping, recording_stem
 from h3data.errors import FormatError, H3DataError, InputError
-from h3data.formats import FORMATS, Format, ImportRequest, SourceFile, detect, import_suffixes, load
+from h3data.formats import FORMATS, Format, ImportRequest, SourceFile, detect, load
 from h3data.progress import progress
 from h3data.recording import Recording
 from h3data.recording.assets.library import AssetLibrary
 from h3data.replay import Replay
 from h3data.terminal import counted
+from h3data_pipelines.format_names import import_suffixes
 from h3data_pipelines.session_manifest import SessionManifest, read_manifest
 
 

@@ -93,10 +93,10 @@ class SkillEvaluationResult:
 
 def judge_episode(job: SkillJob) -> dict[str, Any]:
     """The outcome of every learned skill in one episode; an episode that raises is listed as failed."""
+    from h3data_pipelines.skill_judging import action_of, judge
     from sim_kinematic.motion.randomness import generator
     from sim_kinematic.policies.skills.names import skills_of
     from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-    from sim_kinematic.tasks.skills.skill_judging import action_of, judge
     from sim_kinematic.tasks.skills.skill_starts import SKILL_NAMES, draw_starts
 
     rows = []

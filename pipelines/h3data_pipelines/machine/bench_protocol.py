@@ -17,8 +17,8 @@ from h3data.errors import InputError
 from h3data.render import pinhole
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.open import named_scenes, open_scene
+from h3data_pipelines.machine.arm_contact import ArmContact
 from h3data_pipelines.machine.bench_agents import Action, Agent, HumanAgent, RobotAgent
-from sim_kinematic.agents.arm_contact import ArmContact
 from sim_kinematic.contact import AgentContacts
 from sim_kinematic.contact.clearance import clear_of_furniture
 from sim_kinematic.contact.frames import body_shapes, shape_frames

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -61,8 +62,6 @@ def cache_lines(caches: list[Cache]) -> list[str]:
 def _find(name: str) -> Cache:
     holds, endings = KINDS[name]
     if name == "kernels":
-        from h3data.kernels import kept_files
-
         files = kept_files()
         folders = {path.parent for path in files}
         return Cache(name, holds, Path(os.path.commonpath(folders)) if folders else None, tuple(files))
@@ -126,3 +125,26 @@ def _delete(path: Path) -> None:
 
 
 CACHE = Group("List and clear the caches of h3data.", {"list": CacheList, "clear": CacheClear})
+
+
+def kept_files() -> list[Path]:
+    """Returns all files of numba's cache of our kernels, from every folder where numba may keep it.
+
+    Those of earlier versions and other settings are included."""
+    from numba.core import config
+    from numba.core.caching import _CacheLocator
+    from numba.misc.appdirs import AppDirs
+
+    from h3data.kernels.digests import OURS
+
+    places: set[str] = set()
+    for name in OURS:
+        spec = importlib.util.find_spec(name)
+        for root in (spec.submodule_search_locations or ()) if spec else ():
+            for folder, _, files in os.walk(root):
+                if source := next((file for file in files if file.endswith(".py")), None):
+                    apart = _CacheLocator.get_suitable_cache_subpath(os.path.join(folder, source))
+                    wide = (vars(config)["CACHE_DIR"], AppDirs(appname="numba", appauthor=False).user_cache_dir)
+                    places |= {os.path.join(folder, "__pycache__"), *(os.path.join(w, apart) for w in wide if w)}
+    found = (path for place in places for path in Path(place).glob("*.nb[ci]*"))
+    return sorted(path for path in found if path.suffix in (".nbi", ".nbc", ".lock"))

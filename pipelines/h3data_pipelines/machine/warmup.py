@@ -160,12 +160,11 @@ def _pictures() -> None:
 def _light() -> None:
     from h3data.mesh.primitives import box_mesh
     from h3data.render import Renderer, RenderInstance, RenderScene, look_at, pinhole
-    from h3data.render.light.bake import lit_scene
-    from h3data.render.light.sources import LightSources
+    from h3data.render.light.sources import BAKERS, LightSources
     from h3data.render.shade.blockers import Blockers, blocker_rows
 
     box = box_mesh((1, 1, 1))
-    lit_scene([box], [RenderInstance(0, np.eye(4))], [0], LightSources())
+    BAKERS.get("baked")([box], [RenderInstance(0, np.eye(4))], [0], LightSources())
     up, ball = np.array([[0.0, 1, 0]]), np.array([[0.0, 1.2, 0, 0, 1.2, 0, 0.2]])
     rows = blocker_rows(ball, np.zeros(1, np.int64), up, np.ones(1), np.ones(1))
     renderer = Renderer(RenderScene([box], [RenderInstance(0, np.eye(4))]))

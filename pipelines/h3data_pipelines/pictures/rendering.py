@@ -120,7 +120,7 @@ def _picture(replay: Replay, track: CameraTrack, target: Target, first: int, *, 
     """Returns the conversion from a rendered image to the stored one."""
     from h3data.render import depth_to_rgb, instance_to_rgb
     from h3data.render.image_files import depth_to_mm, stored_ids
-    from h3data.render.overlay import draw_depth_scale
+    from h3data_pipelines.pictures.depth_scale import draw_depth_scale
 
     if target.output == "rgb" and annotate and track.camera.name == "top_down":
 

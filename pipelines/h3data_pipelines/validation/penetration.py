@@ -25,7 +25,7 @@ from h3data.scene import Scene, Shape
 from h3data.scene.records import Capsule, instance_matrix
 from h3data.scene.shape_bounds import shape_bounds
 from h3data_pipelines.validation.recordings import Finding
-from sim_kinematic.agents.arm_contact import arm_links
+from sim_kinematic.agents.robots.arm_clearance import arm_links
 from sim_kinematic.contact import FclScene, MovingShapes, contacts
 from sim_kinematic.contact.clearance import FLOOR_M, supports
 from sim_kinematic.contact.frames import body_shapes, shape_frames

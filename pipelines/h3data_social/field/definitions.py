@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from functools import partial
 
-from h3data.metrics.metric import INF, Direction, Metric
+from h3data.metrics.metric import Metric
+from h3data_social.definition import HUMAN_POSE, ROBOT_POSE, define_metric
 
 ROBOT_RADIUS_M = HUMAN_RADIUS_M = 0.25
 """Radii for times to collision: those of Habitat's navmesh agent."""
@@ -17,8 +18,7 @@ STALLED_M_S, STALLED_RAD_S = 0.01, 0.02
 FULL_SPEED_M_S = 2.5
 """Speed of STL's ideal robot: the paper's robot."""
 
-_ROBOT, _HUMAN = "agent_<robot>.base_pose", "agent_<human>.base_pose"
-_PAIR, _TIMED = (_ROBOT, _HUMAN), ("time_ns", _ROBOT)
+_PAIR, _TIMED = (ROBOT_POSE, HUMAN_POSE), ("time_ns", ROBOT_POSE)
 _NO_PAIR = "No row has a pose of the robot and of a person."
 _UNREACHABLE = "No goal is recorded, or it cannot be reached in row 0, or no row has a pose of the robot and its goal."
 _TWO, _THREE, _FOUR = (f"Fewer than {n} rows with a pose." for n in ("two", "three consecutive", "four consecutive"))
@@ -33,40 +33,7 @@ _GOAL = (
 _ALL = "Over all people; version 1 was of one person, and with one person both are equal."
 
 
-def _metric(
-    group: str,
-    name: str,
-    title: str,
-    formula: str,
-    *,
-    columns: tuple[str, ...],
-    undefined: str,
-    unit: str = "1",
-    high: float = INF,
-    direction: Direction = "lower",
-    source: str = _FRANCIS,
-    series: tuple[str, ...] = (),
-    optional: tuple[str, ...] = (),
-    reading: str = "",
-    version: int = 1,
-) -> Metric:
-    return Metric(
-        id=f"field/{group}/{name}@{version}",
-        name=name,
-        title=title,
-        formula=formula,
-        unit=unit,
-        range=(0.0, high),
-        direction=direction,
-        source=source,
-        columns=columns,
-        optional=optional,
-        undefined=undefined,
-        series=series,
-        reading=reading,
-    )
-
-
+_metric = partial(define_metric, "field", source=_FRANCIS)
 _near = partial(_metric, "proxemics", columns=_PAIR, undefined=_NO_PAIR, version=2, reading=_ALL)
 _share = partial(_near, high=1.0, direction="neither", source=_HALL)
 _motion = partial(_metric, "navigation", columns=_TIMED, undefined=_TWO)
@@ -140,7 +107,7 @@ FIELD_METRICS: tuple[Metric, ...] = (
         "Path length",
         "sum of |change of the robot's position| on the floor",
         unit="m",
-        columns=(_ROBOT,),
+        columns=(ROBOT_POSE,),
         undefined="No row has a pose of the robot.",
         series=("speed_m_s",),
         reading="Changes from or to a row without a pose do not count.",
@@ -151,7 +118,7 @@ FIELD_METRICS: tuple[Metric, ...] = (
         "|last - first position| / PL",
         high=1.0,
         direction="higher",
-        columns=(_ROBOT,),
+        columns=(ROBOT_POSE,),
         undefined="PL = 0: a robot that did not move has none.",
         series=("speed_m_s",),
     ),
@@ -228,7 +195,7 @@ FIELD_METRICS: tuple[Metric, ...] = (
         "sum of |change of heading|",
         unit="rad",
         source="HuNavSim, cumulative heading changes",
-        columns=(_ROBOT,),
+        columns=(ROBOT_POSE,),
     ),
     _clearance(
         "C_min",

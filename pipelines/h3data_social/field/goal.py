@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from h3data.metrics.any_task import SUCCESS
 from h3data.metrics.paper.encounter import PAPER, found_series
-from h3data.metrics.requirements import find_others
 from h3data.recording.records import Recording
+from h3data_social.others import find_others
 
 GEODESIC, GOAL_DISTANCE = "metrics.geodesic_agents", "metrics.goal_distance"
 REACHED_M = 0.5

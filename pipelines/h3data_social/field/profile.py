@@ -17,7 +17,7 @@ from h3data.metrics.episode import Notes
 from h3data.metrics.metric import INF, NAN, Series
 from h3data.metrics.profile import Computed, Profile
 from h3data.metrics.report_layout import Milestone, ReportLayout
-from h3data.metrics.requirements import find_others, note_missing
+from h3data.metrics.requirements import note_missing
 from h3data.recording.records import Recording
 from h3data_social.field.definitions import (
     COMPLIANT_M,
@@ -32,6 +32,7 @@ from h3data_social.field.definitions import (
     STALLED_RAD_S,
 )
 from h3data_social.field.goal import Goal, find_goal
+from h3data_social.others import find_others
 
 if TYPE_CHECKING:
     from h3data.scene import FreeSpace

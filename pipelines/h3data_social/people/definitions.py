@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from functools import partial
 
-from h3data.metrics.metric import INF, Direction, Metric
+from h3data.metrics.metric import Metric
+from h3data_social.definition import HUMAN_POSE, ROBOT_POSE, define_metric
 
 RATE_HZ = 10
 """Rate of speeds, accelerations, jerks and forces: those of differences depend on it."""
@@ -25,8 +26,7 @@ FALCON = "Falcon, Social-HM3D (Gong et al., ICRA 2025)"
 SEAN = "SEAN 2.0 (Tsoi et al. 2022)"
 _HALL = "E. T. Hall 1966; as share of time in " + HUNAVSIM
 
-_ROBOT, _HUMAN = "agent_<robot>.base_pose", "agent_<human>.base_pose"
-_PAIR, _TIMED = (_ROBOT, _HUMAN), ("time_ns", _ROBOT)
+_PAIR, _TIMED = (ROBOT_POSE, HUMAN_POSE), ("time_ns", ROBOT_POSE)
 _TOUCHED = ("metrics.collision_people or metrics.collision",)
 _SLID, _CLEAR = "metrics.robot_contact", "metrics.robot_clearance"
 _NO_PAIR = "No row has a pose of the robot and of a person."
@@ -55,41 +55,7 @@ _CLOSES = (
 )
 
 
-def _metric(
-    group: str,
-    name: str,
-    title: str,
-    formula: str,
-    *,
-    source: str,
-    columns: tuple[str, ...],
-    undefined: str,
-    unit: str = "1",
-    high: float = INF,
-    direction: Direction = "lower",
-    series: tuple[str, ...] = (),
-    optional: tuple[str, ...] = (),
-    reading: str = "",
-    binary: bool = False,
-) -> Metric:
-    return Metric(
-        id=f"social/{group}/{name}@1",
-        name=name,
-        title=title,
-        formula=formula,
-        unit=unit,
-        range=(0.0, 1.0 if binary else high),
-        direction=direction,
-        source=source,
-        columns=columns,
-        optional=optional,
-        undefined=undefined,
-        series=series,
-        reading=(NOTATION + reading).rstrip() if group == "space" and _HUMAN in columns else reading,
-        binary=binary,
-    )
-
-
+_metric = partial(define_metric, "social")
 _goal = partial(
     _metric,
     "task",
@@ -101,7 +67,7 @@ _goal = partial(
 )
 _contact = partial(_metric, "task", columns=_TOUCHED, undefined=_UNKNOWN, series=("collision",), reading=_WHO)
 _motion = partial(_metric, "motion", columns=_TIMED, source=FRANCIS)
-_space = partial(_metric, "space", columns=_PAIR, undefined=_NO_PAIR)
+_space = partial(_metric, "space", notation=NOTATION, columns=_PAIR, undefined=_NO_PAIR)
 _share = partial(_space, high=1.0, direction="neither")
 _zone = partial(_share, source=_HALL)
 _crossing = partial(_space, unit="times", columns=("time_ns", *_PAIR), reading=_CLOSES)
@@ -109,7 +75,7 @@ _group = partial(
     _metric,
     "groups",
     source=HUNAVSIM + ", zones to the nearest group's centre; spaces of Kendon 1990",
-    columns=(_ROBOT, _HUMAN),
+    columns=(ROBOT_POSE, HUMAN_POSE),
     optional=("info:people",),
     undefined="No group of two or more people is recorded in info people.",
     high=1.0,
@@ -229,7 +195,7 @@ SOCIAL_METRICS: tuple[Metric, ...] = (
         "Path length",
         "sum of |change of the robot's position| on the floor",
         source=FRANCIS + "; L_p of HuNavSim",
-        columns=(_ROBOT,),
+        columns=(ROBOT_POSE,),
         undefined=_NO_POSE,
         unit="m",
         series=("speed_m_s",),
@@ -332,7 +298,7 @@ SOCIAL_METRICS: tuple[Metric, ...] = (
         "sum of |change of heading|",
         unit="rad",
         source=HUNAVSIM,
-        columns=(_ROBOT,),
+        columns=(ROBOT_POSE,),
         undefined="Fewer than two rows with a pose.",
         reading="Of rows.",
     ),
@@ -524,7 +490,7 @@ SOCIAL_METRICS: tuple[Metric, ...] = (
         "Mean speed of people",
         "mean over samples and people of their speed",
         source="SocNavBench and Katyal et al. 2022, in " + HUNAVSIM,
-        columns=("time_ns", _HUMAN),
+        columns=("time_ns", HUMAN_POSE),
         undefined=_TWO,
         unit="m/s",
         direction="neither",

@@ -17,7 +17,7 @@ from h3data.metrics.episode import Notes
 from h3data.metrics.metric import NAN, Series
 from h3data.metrics.profile import Computed, Profile
 from h3data.metrics.report_layout import Milestone, ReportLayout
-from h3data.metrics.requirements import find_agents, find_others, note_missing
+from h3data.metrics.requirements import find_agents, note_missing
 from h3data.recording.records import Recording
 from h3data_social.field.definitions import (
     COMPLIANT_M,
@@ -31,6 +31,7 @@ from h3data_social.field.definitions import (
 )
 from h3data_social.field.goal import Goal, find_goal
 from h3data_social.field.profile import CLEARANCE, nearest_of, time_to_collision, weighted, zones
+from h3data_social.others import find_others
 from h3data_social.people.definitions import (
     FORCE,
     GAMMA,

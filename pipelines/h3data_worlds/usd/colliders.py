@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from h3data.geometry import IDENTITY_QUAT, Array, pose_from_matrix, transform_points
 from h3data.mesh.mesh import Mesh
 from h3data.scene.records import Box, Capsule, Cylinder, Hull, Shape
-from h3data.scene.shape_bounds import shape_points
+from h3data_worlds.shape_points import shape_points
 from h3data_worlds.usd.stages import OpenStage, pxr
 from h3data_worlds.usd.surfaces import prim_axis, prim_size
 

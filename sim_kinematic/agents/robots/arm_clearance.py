@@ -18,7 +18,6 @@ from h3data.scene import Scene
 from h3data.scene.articulation import joints_of
 from h3data.scene.floor_heights import floor_heights, room_heights
 from h3data.scene.records import Capsule
-from sim_kinematic.agents.arm_contact import arm_links
 from sim_kinematic.agents.robots.hand_reach import hand_target, is_beyond_reach, reach_posture
 from sim_kinematic.contact import MovingShapes, capsule_transforms, collide, shapes_from_capsules
 from sim_kinematic.contact.clearance import scenery_of, supports
@@ -177,3 +176,13 @@ def _arm_ways(robot: Robot) -> dict[tuple[float, float], tuple[Array, Array] | N
 def arm_clearance(scene: Scene, robot: Robot, floor_y: float) -> ArmClearance:
     """Made once for each scene and robot."""
     return ArmClearance(scene, robot, floor_y)
+
+
+def arm_links(robot: Robot) -> list[int]:
+    """The links that an arm joint moves, and what hangs on them."""
+    moved = {int(robot.joint_links[c]) for c in robot.require_arm()}
+    links: list[int] = []
+    for k, link in enumerate(robot.links):
+        if k in moved or link.parent in links:
+            links.append(k)
+    return links

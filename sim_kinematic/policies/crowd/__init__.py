@@ -1,1 +1,1 @@
-"""Policies among several people: people of crowds, and robots that drive to a goal among them."""
+"""Policies of the people of crowds, who are moved together."""

@@ -10,8 +10,8 @@ import pytest
 from h3data.bodies import Robot, load_robot
 from h3data.bodies.robots.extents import row_radius
 from h3data.geometry import IDENTITY_POSE
-from h3data.scene.shape_bounds import shape_points
 from h3data_pipelines.cli import main
+from h3data_worlds.shape_points import shape_points
 from tests.bodies.robots.cart_robot import write_cart
 
 SHARED = Path(__file__).parents[4] / "shared" / "robots"

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from h3data.mesh.mesh import Mesh, Texture
-from h3data.render import Camera, Light, RayCaster, Renderer, RenderInstance, RenderScene, look_at, pinhole
+from h3data.render import Camera, Light, Renderer, RenderInstance, RenderScene, look_at, pinhole
 from h3data.render.shade.cutouts import cut_out_faces, pack_opacity, solid_points
+from h3data_rays import RayCaster
 from tests.examples import examples
 from tests.render.raster.test_raster import random_view, soup
 

@@ -11,7 +11,7 @@ from h3data.bodies import load_robot
 from h3data.errors import FormatError, InputError
 from h3data.scene import FreeSpace
 from h3data_homes import HomeSpec, build_home
-from sim_kinematic.agents.arm_contact import arm_links
+from sim_kinematic.agents.robots.arm_clearance import arm_links
 from sim_kinematic.agents.robots.skills import RobotActor, checked_command
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.agents.skills import Objects

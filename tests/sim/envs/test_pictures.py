@@ -15,10 +15,10 @@ import h3data
 from h3data.errors import InputError
 from h3data.progress import progress
 from h3data.render import Light, look_at, pinhole
-from h3data.render.light.bake import LitScene
 from h3data.replay import Replay, camera_track
 from h3data.scene.articulation import opened
 from h3data_homes import HomeSpec, build_home
+from h3data_light.bake import LitScene
 from sim_kinematic.envs import world_stepper
 from sim_kinematic.envs.single import TaskEnv
 from sim_kinematic.motion.spec import SocialNavSpec
@@ -422,7 +422,7 @@ def test_environments_are_lit_by_default_and_say_which_lights_there_are() -> Non
 
 
 def test_no_light_is_baked_for_depth(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(camera_sensor, "lit_scene", None)  # calling it fails
+    monkeypatch.setattr("h3data_light.bake.lit_scene", None)  # calling it fails
     for env in (social_nav_env(HOME, observations=("arm_depth",)), rearrange_env(HOME, observations=("arm_depth",))):
         assert env.reset(seed=4)[0]["arm_depth"].max() > 0
 
@@ -437,7 +437,7 @@ def test_doors_that_move_take_the_light_of_the_home_with_them(monkeypatch: pytes
         lit.append([instances[k].matrix for k in static])
         return LitScene(list(meshes), list(instances), Light(), {}, None)
 
-    monkeypatch.setattr(camera_sensor, "lit_scene", bake)
+    monkeypatch.setattr("h3data_light.bake.lit_scene", bake)
     plain = camera_sensor.StateRenderer(closed, [], light="baked").scene
     turned = camera_sensor.StateRenderer(ajar, [], light="baked", lit_as=closed).scene
     np.testing.assert_array_equal(*lit)

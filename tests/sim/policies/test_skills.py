@@ -12,6 +12,7 @@ import pytest
 from h3data.errors import FormatError, InputError
 from h3data.recording import Recording
 from h3data_pipelines.cli import main
+from h3data_pipelines.skill_judging import judge, play_of
 from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.skills import REASONS
 from sim_kinematic.motion.spec import SkillSpec
@@ -22,7 +23,6 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpe
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.resume import verify
 from sim_kinematic.tasks.runner import simulate
-from sim_kinematic.tasks.skills.skill_judging import judge, play_of
 from sim_kinematic.tasks.skills.skill_starts import SkillStart, draw_starts
 from sim_kinematic.tasks.sources import EpisodeSource
 

@@ -10,6 +10,7 @@ import pytest
 
 from h3data.errors import InputError
 from h3data.metrics.habitat_settings import HabitatConfig
+from h3data_habitat.metrics.settings import config_of as read_config
 from sim_kinematic.tasks.rules.rewards import (
     REARRANGE_REWARDS,
     Encounter,
@@ -33,7 +34,7 @@ def config_of(path: Path) -> HabitatConfig:
     }
     told = {name: {k: v for k, v in section.items() if k != "type"} for name, section in sections.items()}
     told |= {"slack_reward": said["slack_reward"], "success_reward": said["success_reward"]}
-    return HabitatConfig.from_info({"habitat_config": told})
+    return read_config({"habitat_config": told})
 
 
 @needs_real

@@ -23,11 +23,11 @@ from h3data.scene.sources import SceneFile
 from h3data_habitat.episodes.files import read_episodes
 from h3data_habitat.episodes.scenes import scene_of_episode
 from h3data_homes import HomeSpec
+from h3data_pipelines.assets.set_episodes import sampled_episode, set_episode
 from h3data_pipelines.cli import main
 from sim_kinematic.agents.waypoint_walker import human_plan
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.tasks.social_nav.episode import episode_from, goals_of, rules_of, stored_episode
-from sim_kinematic.tasks.social_nav.sets import sampled_episode, set_episode
 from tests.simulated import simulate_social_nav, social_nav_episode
 
 HOME = HomeSpec(seed=1)

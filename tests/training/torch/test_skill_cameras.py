@@ -14,6 +14,7 @@ from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
 from torch.utils._pytree import tree_leaves  # noqa: E402
 
 from h3data.geometry import quat_from_heading  # noqa: E402
+from h3data_pipelines.skill_judging import play_of  # noqa: E402
 from h3data_training.skills.cpu_cameras import CpuSkillCameras  # noqa: E402
 from h3data_training.skills.settings import skill_recipe  # noqa: E402
 from h3data_training.torch.skills.bank import SkillBank  # noqa: E402
@@ -25,7 +26,6 @@ from sim_kinematic.sensing.camera_sensor import ROBOT_ID, CameraSensor, StateRen
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode  # noqa: E402
 from sim_kinematic.tasks.rearrange.task import Rearrange  # noqa: E402
 from sim_kinematic.tasks.runner import DecisionLoop  # noqa: E402
-from sim_kinematic.tasks.skills.skill_judging import play_of  # noqa: E402
 from sim_kinematic.tasks.skills.skill_starts import SKILL_NAMES, Skill, draw_starts  # noqa: E402
 from sim_kinematic.tasks.sources import EpisodeSource  # noqa: E402
 from tests.training.torch.test_cameras import device  # noqa: E402, F401

@@ -11,6 +11,7 @@ import torch
 from h3data.bodies import load_robot
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, quat_to_matrix
+from h3data_pipelines.skill_judging import play_of
 from h3data_training.torch.skills.arm import Arm, place_hand, seen_by
 from h3data_training.torch.skills.bank import SkillBank
 from h3data_training.torch.skills.worlds import SkillPlay, SkillTensors
@@ -22,7 +23,6 @@ from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.runner import DecisionLoop
-from sim_kinematic.tasks.skills.skill_judging import play_of
 from sim_kinematic.tasks.skills.skill_starts import Skill, SkillStart, draw_starts
 from sim_kinematic.tasks.sources import EpisodeSource
 

@@ -1,0 +1,149 @@
+"""PointGoal among people: a robot drives to a place in a home in which several people walk about."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import SceneError
+from h3data.scene import FreeSpace, Scene
+from h3data_crowds.robots import ROBOTS, SKILLS
+from sim_kinematic.agents.roster import AgentSpec, common_floor
+from sim_kinematic.motion.randomness import generator
+from sim_kinematic.sensing.sensor import gps_compass
+from sim_kinematic.sensing.table import Sensor
+from sim_kinematic.tasks.control import Control, VelocityControl
+from sim_kinematic.tasks.episode import Episode, StepOutcome, TaskSpec, sample_starts
+from sim_kinematic.tasks.play import WorldRollout
+from sim_kinematic.tasks.task import Task
+
+CANDIDATES = 400
+"""Goals that are sampled for an episode, of which the first that fits is taken."""
+FAR_M = 100.0
+"""Distances beyond this are shown as this."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CrowdNavSpec(TaskSpec):
+    """Rules in addition to those of every task."""
+
+    max_steps: int = 1800
+    spawn_distance_m: float = 1.5
+    goal_path_m: float = 5.0
+    """Least length of the robot's shortest path to the goal."""
+    goal_room_m: float = 0.4
+    """Free space around the goal."""
+    arrive_m: float = 0.5
+    """Distance to the goal at which the robot has arrived."""
+    personal_m: float = 1.0
+    """Centre distance to a person below which the robot is in their personal space (PSC)."""
+    end_on_collision: bool = True
+    """True if contact with a person ends the episode, as a failure."""
+    progress_reward: float = 1.0
+    """Reward for each metre of progress along the shortest path,"""
+    arrive_reward: float = 10.0
+    """for arriving,"""
+    collision_reward: float = -5.0
+    """for touching a person,"""
+    personal_reward: float = -0.02
+    """and for a step in somebody's personal space."""
+
+
+class CrowdNav(Task):
+    """Reach the goal without touching anybody, and go near people as seldom as possible."""
+
+    Spec = CrowdNavSpec
+    agents: ClassVar[tuple[str, ...]] = ("robot", "human", "human", "human", "human")
+    profile: ClassVar[str] = "social"
+    columns: ClassVar[Mapping[str, Any]] = {"metrics.goal_distance": np.float32, "metrics.personal_space": np.bool_}
+    control: ClassVar[Control] = VelocityControl({"robot": SKILLS})
+    policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": ROBOTS}
+    defaults: ClassVar[Mapping[str, str]] = {"robot": "dwa", "human": "orca"}
+
+    def sample(
+        self, scene: Scene, free: FreeSpace, seed: int, spec: CrowdNavSpec, roster: tuple[AgentSpec, ...]
+    ) -> Episode:
+        """Samples starts, and a goal with room around it that is at least ``goal_path_m`` away.
+
+        Raises:
+            SceneError: the home has no such place.
+        """
+        free = common_floor(roster, free)
+        starts = sample_starts(scene, free, seed, spec, roster)
+        goals = free.sample(generator(seed, "crowd_goal"), CANDIDATES)
+        far = free.geodesic(np.broadcast_to(starts[0, :2], goals.shape), goals)
+        fits = np.flatnonzero(
+            np.isfinite(far) & (far >= spec.goal_path_m) & (free.signed_distance(goals) >= spec.goal_room_m)
+        )
+        if not len(fits):
+            raise SceneError(
+                f"No free place in {scene.name} is {spec.goal_path_m} m from the robot's start by the shortest path, with "
+                f"{spec.goal_room_m} m of room. Hint: a larger home, or a smaller goal_path_m.",
+                code="H3-TASK-074",
+            )
+        extra = {"goal": goals[fits[0]].tolist()}
+        return Episode(scene=scene, free=free, seed=seed, spec=spec, roster=roster, starts=starts, extra=extra)
+
+    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> Mapping[str, Any]:
+        """Remembers the goals and the paths that are left."""
+        goal = self.goals(play)
+        return {"goal": goal, "left": self._left(play, goal), "done": play.steps < 0}
+
+    def judge(self, play: WorldRollout) -> StepOutcome:
+        """Rewards progress and arriving; touching a person costs and, by the rules, ends the episode."""
+        xp, memory, spec, world = play.xp, play.memory, play.spec, play.world
+        memory["goal"] = self.moved_goals(play)
+        left, before = self._left(play, memory["goal"]), memory["left"]
+        robot, people = world.state.agents[0], world.state.people
+        near, touching = play.steps < 0, play.steps < 0
+        for person in people:
+            gap = person.xz - robot.xz
+            near = near | (xp.hypot(gap[:, 0], gap[:, 1]) < spec.personal_m)
+        for p, (a, b) in enumerate(world.pairs):
+            if a == 0 and world.roster[b].kind == "human":
+                touching = touching | world.touching[:, p]
+        arrived, over = self.achieved(play, touching)
+        memory["left"], memory["done"] = left, memory["done"] | arrived
+        reward = spec.progress_reward * (before - left) + spec.arrive_reward * arrived
+        reward = reward + spec.collision_reward * touching + spec.personal_reward * near
+        fails = touching & spec.end_on_collision
+        return StepOutcome(
+            reward=reward,
+            terminated=over | fails,
+            success=memory["done"],
+            columns={"metrics.goal_distance": left, "metrics.personal_space": near},
+            events=play.events_where(arrived, "arrived", agent=0) + play.events_where(touching, "collision", agent=0),
+            ended="collision" if bool(fails.any()) and not bool(arrived.any()) else "",
+        )
+
+    def goals(self, play: WorldRollout) -> Any:
+        """Returns the goal of the robot of each world [W, 2] [m]."""
+        return play.extra("goal")
+
+    def moved_goals(self, play: WorldRollout) -> Any:
+        """Returns the goals after a step [W, 2] [m]; by default they stay."""
+        return play.memory["goal"]
+
+    def achieved(self, play: WorldRollout, touching: Any) -> tuple[Any, Any]:
+        """Returns whether robots have done what they should, and whether the episode is over for it, [W] each."""
+        gap = play.memory["goal"] - play.world.state.agents[0].xz
+        arrived = (play.xp.hypot(gap[:, 0], gap[:, 1]) < play.spec.arrive_m) & ~touching
+        return arrived, arrived
+
+    def sensors(self, kind: str) -> Mapping[str, Sensor]:
+        """Every task's sensors, and for robots the distance [m] and angle [rad] of the goal, positive to the right."""
+        goal = Sensor(_goal_gps, [0.0, -np.pi], [FAR_M, np.pi])
+        return {**super().sensors(kind), "goal_gps": goal} if kind == "robot" else super().sensors(kind)
+
+    def _left(self, play: WorldRollout, goal: Any) -> Any:
+        """Length of the shortest path to the goal [m], [W]; the straight line where there is none."""
+        far, gap = play.path_length(0, goal), goal - play.world.state.agents[0].xz
+        return play.xp.where(play.xp.isfinite(far), far, play.xp.hypot(gap[:, 0], gap[:, 1]))
+
+
+def _goal_gps(moment: Any) -> Any:
+    return gps_compass(moment.now.xz, moment.now.heading, moment.memory["goal"], xp=moment.xp)

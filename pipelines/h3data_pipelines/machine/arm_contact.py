@@ -1,0 +1,98 @@
+"""Contacts of a robot's arm and the things in its hand with the home, by FCL; they are counted but stop nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.bodies import Robot
+from h3data.geometry import pose_to_matrix
+from h3data.recording import Event
+from h3data.scene import Scene, Shape
+from sim_kinematic.agents.robots.arm_clearance import arm_links
+from sim_kinematic.contact import FclScene, MovingShapes, contacts
+
+TOUCH_M = 1e-3
+"""Contacts less deep than this are rest, not collision: what is taken from a table lies on it."""
+
+
+class ArmTouch(NamedTuple):
+    """A part that reaches into a thing."""
+
+    part: str
+    """A link of the robot, or the name of the held object."""
+    thing: str
+    """The instance of the scene."""
+    depth_m: float
+    """Depth [m] of the deepest contact between the two (`h3data`'s `Contact.depth_m` says how exact that is)."""
+    point: NDArray[np.float64]
+    """A point in the overlap, world, shape [3] [m]."""
+
+
+class ArmContact:
+    """Contact between the moving part of one robot's arm, what it holds, and the static things of one scene."""
+
+    def __init__(self, scene: Scene, robot: Robot, *, scenery: FclScene | None = None) -> None:
+        """``scenery`` saves building the collision world of the scene again."""
+        self._robot = robot
+        self._scenery = scenery or FclScene(scene)
+        self._links = arm_links(robot)
+        self._arm = MovingShapes([shape for k in self._links for shape in robot.links[k].shapes])
+        self._link_of = [k for k in self._links for _ in robot.links[k].shapes]
+        self._held: dict[tuple[int, ...], MovingShapes] = {}
+
+    def touches(
+        self,
+        base_pose: ArrayLike,
+        joints: ArrayLike,
+        *,
+        held: str = "",
+        shapes: Sequence[Shape] = (),
+        held_pose: ArrayLike | None = None,
+    ) -> list[ArmTouch]:
+        """Present contacts, deepest first, at most one for each part and thing.
+
+        Args:
+            base_pose: The robot's root, pose7 [7].
+            joints: All its joint positions [J].
+            held: Name of the object in its hand.
+            shapes: Collision shapes of that object; empty if nothing is held.
+            held_pose: Pose7 of that object [7].
+        """
+        frames = self._robot.link_matrices(np.asarray(base_pose)[None], np.asarray(joints)[None])[0]
+        self._arm.set_transforms(frames[self._link_of])
+        found = [
+            ArmTouch(
+                self._robot.links[self._link_of[c.index_b]].name, self._scenery.names[c.index_a], c.depth_m, c.point
+            )
+            for c in contacts(self._scenery, self._arm)
+        ]
+        if len(shapes) and held_pose is not None:
+            key = tuple(map(id, shapes))
+            if key not in self._held:
+                self._held[key] = MovingShapes(shapes)  # keeps the shapes, so that the ids stay theirs
+            object_shapes = self._held[key]
+            matrix = pose_to_matrix(np.asarray(held_pose, np.float64))
+            object_shapes.set_transforms(np.tile(matrix, (len(shapes), 1, 1)))
+            found += [
+                ArmTouch(held, self._scenery.names[c.index_a], c.depth_m, c.point)
+                for c in contacts(self._scenery, object_shapes)
+            ]
+        deepest: dict[tuple[str, str], ArmTouch] = {}
+        for touch in sorted(found, key=lambda t: -t.depth_m):
+            if touch.depth_m > TOUCH_M:
+                deepest.setdefault((touch.part, touch.thing), touch)
+        return list(deepest.values())
+
+
+def touch_events(touches: Sequence[ArmTouch], before: Sequence[ArmTouch], *, step: int, agent: int) -> list[Event]:
+    """An event ``contact`` for each pair that touches now and did not in the step ``before``, with its depth."""
+    known = {(t.part, t.thing) for t in before}
+    return [
+        Event(step=step, agent=agent, kind="contact", target=t.thing, detail=f"{t.part}, {t.depth_m:.3f} m")
+        for t in touches
+        if (t.part, t.thing) not in known
+    ]

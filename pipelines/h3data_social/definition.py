@@ -1,0 +1,49 @@
+"""Definitions of metrics from what most of them have in common."""
+
+from __future__ import annotations
+
+from h3data.metrics.metric import INF, Direction, Metric
+
+ROBOT_POSE, HUMAN_POSE = "agent_<robot>.base_pose", "agent_<human>.base_pose"
+
+
+def define_metric(
+    profile: str,
+    group: str,
+    name: str,
+    title: str,
+    formula: str,
+    *,
+    source: str,
+    columns: tuple[str, ...],
+    undefined: str,
+    unit: str = "1",
+    high: float = INF,
+    direction: Direction = "lower",
+    series: tuple[str, ...] = (),
+    optional: tuple[str, ...] = (),
+    reading: str = "",
+    notation: str = "",
+    binary: bool = False,
+    version: int = 1,
+) -> Metric:
+    """Returns a metric that is 0 or more, up to 1 if it is ``binary``.
+
+    ``notation`` is put before the reading of a metric that reads the poses of people.
+    """
+    return Metric(
+        id=f"{profile}/{group}/{name}@{version}",
+        name=name,
+        title=title,
+        formula=formula,
+        unit=unit,
+        range=(0.0, 1.0 if binary else high),
+        direction=direction,
+        source=source,
+        columns=columns,
+        optional=optional,
+        undefined=undefined,
+        series=series,
+        reading=(notation + reading).rstrip() if notation and HUMAN_POSE in columns else reading,
+        binary=binary,
+    )

@@ -1,1 +1,0 @@
-"""PointGoal among people."""

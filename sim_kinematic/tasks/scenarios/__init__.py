@@ -1,1 +1,0 @@
-"""Scenarios: the situations in which social navigation is evaluated, as cards that episodes are sampled from."""
