@@ -239,7 +239,7 @@ def new_name(module: str) -> str | None:
 
 
 class MovedFinder(MetaPathFinder):
-    """Asked last, for modules that nothing else has found."""
+    """Finder of last resort for modules that nothing else has found."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None

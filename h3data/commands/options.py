@@ -79,7 +79,7 @@ class TaskNotes:
 
 @dataclass(frozen=True)
 class Option:
-    """One field of a command."""
+    """Option of a command: one of its fields."""
 
     field: str
     flags: tuple[str, ...]

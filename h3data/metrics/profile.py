@@ -37,7 +37,7 @@ def _no_series(_recording: Recording) -> Series:
 
 @dataclass(frozen=True, kw_only=True)
 class Profile:
-    """One definition of the metrics of some tasks.
+    """Profile: a set of definitions of metrics for some tasks.
 
     Example::
 
@@ -65,11 +65,11 @@ class Profile:
     name: str
     """First part of the ids of its metrics: ``paper``."""
     title: str
-    """One line for lists."""
+    """Title of the profile, one line for lists."""
     metrics: tuple[Metric, ...]
     """Metrics of the profile, in the order of tables."""
     tasks: tuple[str, ...] = ()
-    """Values of `Episode.task` that it measures, its own name of the task first; empty = any task."""
+    """Values of `Episode.task` that the profile measures, its own name of the task first; empty = any task."""
     compute: Callable[[Recording, Notes], Computed] | None = None
     """Computes all metrics of a recording together and adds notes; None: each by its `Metric.value`."""
     compute_many: Callable[[Sequence[Recording], Sequence[Notes]], Sequence[Computed]] | None = None

@@ -42,7 +42,7 @@ def only(source: AnyPath) -> Recording:
 
 
 def read_log(source: AnyPath) -> Recording | FormatError:
-    """The recording in a log; if it is damaged, why."""
+    """Return the recording in a log, or the reason if it is damaged."""
     try:
         return only(source)
     except FormatError as error:

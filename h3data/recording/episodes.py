@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class StoredEpisode:
-    """One episode that can be read."""
+    """Episode that can be read from a file or a dataset."""
 
     name: str
     """Path of the file, or ``ds#3``."""
@@ -66,7 +66,7 @@ def common_cameras(stored: Iterable[StoredEpisode]) -> list[str]:
 
 
 class HasEpisodes(Protocol):
-    """A dataset, or `Episodes`."""
+    """Protocol of what holds episodes: a dataset, or `Episodes`."""
 
     def all(self) -> Episodes:
         """All episodes, in the order in which they are stored."""

@@ -33,7 +33,7 @@ LATE = 600
 """Steps after which another agent without an errand takes over one whose thing nobody has taken yet."""
 TRIES = 3
 MOST_ORDERS = 720
-"""So many orders of the errands are compared; of more errands than fit, the nearest comes first."""
+"""Largest number of orders of the errands that are compared; of more errands, the nearest comes first."""
 DETOUR = 1.4
 """Length of a path over the straight line, about."""
 WORK_M = 4.0
@@ -147,7 +147,7 @@ _SHARED: WeakKeyDictionary[Any, Plan] = WeakKeyDictionary()
 
 
 class Expert:
-    """One agent who follows a plan."""
+    """Agent that follows a plan."""
 
     def __init__(self, episode: Any, number: int, kinds: Sequence[str], *, greedy: bool) -> None:
         self.plan: Plan = Plan(episode, kinds)
@@ -224,10 +224,10 @@ class Expert:
 
 
 class Idle:
-    """Stands still."""
+    """Agent that stands still."""
 
     def act(self, view: RearrangeView) -> Action:
-        """Waits."""
+        """Return the skill ``wait``."""
         del view
         return Action("wait")
 

@@ -38,7 +38,7 @@ class Home:
 
     scene: Scene
     layout: Layout
-    """With all things that can be moved."""
+    """Layout of the home with all things that can be moved."""
     places: Mapping[str, Place]
     """Places on which things can be put, by words."""
     rooms: Mapping[str, str]

@@ -109,7 +109,7 @@ class LanguageCodec(RearrangeCodec):
         return {"ended": play.ended}
 
     def precompute(self, episode: Episode) -> dict[str, Any]:
-        """Nothing takes long."""
+        """Return nothing, as no value takes long to compute."""
         del episode
         return {}
 
@@ -145,7 +145,7 @@ class LanguageControl(SkillControl):
 
 
 def why_not(play: Any, number: int, thing: int) -> str | None:
-    """Why an agent cannot handle a thing now, as a sentence; None if it can."""
+    """Reason why an agent cannot handle a thing now, as a sentence; None if it can."""
     state = play.world.state
     if play.episode.roster[number].kind != "human":
         return "It has no hand for water and switches."

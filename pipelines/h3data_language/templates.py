@@ -16,7 +16,7 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
 class Template(NamedTuple):
-    """One way to ask for something."""
+    """Template of an instruction."""
 
     name: str
     kind: Kind
@@ -29,7 +29,7 @@ class Template(NamedTuple):
 
     @property
     def moves_twice(self) -> bool:
-        """True if the second clause is about where the first one's thing goes after that."""
+        """True if the second clause says where the object of the first one goes afterwards."""
         return self.relation == "twice"
 
 

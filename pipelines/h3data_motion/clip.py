@@ -92,7 +92,7 @@ class Motion:
         return replace(self, fps=float(fps), quats=quats, pelvis=pelvis)
 
     def part(self, start_s: float, end_s: float) -> Motion:
-        """From ``start_s`` to ``end_s``, in a start frame of its own."""
+        """Return the motion from ``start_s`` to ``end_s``, in a start frame of its own."""
         first, last = (round(float(np.clip(t, 0, self.duration_s)) * self.fps) for t in (start_s, end_s))
         if last <= first:
             raise InputError(

@@ -50,7 +50,7 @@ class Contacts:
 
 
 def find_contacts(points: Array, fps: float) -> Contacts:
-    """Which soles touch the floor, from `sole_points` [T, 2, 3, 3] at ``fps`` frames/s."""
+    """Return which soles touch the floor, from `sole_points` [T, 2, 3, 3] at ``fps`` frames/s."""
     span = max(1, min(round(SPEED_S * fps), len(points) - 1))
     way = np.linalg.norm(points[span:] - points[:-span], axis=-1)
     ends = np.full((span, *way.shape[1:]), np.inf)

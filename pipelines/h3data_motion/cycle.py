@@ -1,4 +1,4 @@
-"""From free-form motion to a clip that goes round: the best loop is found, straightened, closed, and its feet planted."""
+"""Clip that goes round from a free motion: the best loop is found, straightened, closed, and its feet planted."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Loop:
     gap_m: float
     """Root mean square distance of the joints at the seam, velocities included (0.15 s of them) [m]."""
     spread_m: float = 0.0
-    """The same from all poses to their mean."""
+    """Mean distance from all poses to their mean [m]."""
 
 
 def find_loop(motion: Motion, body: Humanoid, *, min_s: float = 0.5, max_s: float = 2.5) -> Loop:
@@ -97,7 +97,7 @@ def _features(motion: Motion, body: Humanoid) -> Array:
 
 
 def trim_to_cycle(motion: Motion, body: Humanoid, *, min_s: float = 0.5, max_s: float = 2.5) -> Clip:
-    """One cycle of a motion as a clip that goes round without a seam and that ``body`` can play.
+    """Return one cycle of a motion as a clip that goes round without a seam and that ``body`` can play.
 
     The best loop (`find_loop`) is straightened (its net turn is taken out evenly), what is left between its end and its
     start is spread over the cycle, and feet are planted round the seam. A cycle that gets anywhere is played by distance:

@@ -1,4 +1,4 @@
-"""From a capture to the few seconds of it that become a walk; `h3data.bodies.names` asks for it by the group `h3data.walks`."""
+"""Choice of the few seconds of a capture that become a walk; `h3data.bodies.names` asks for it by the group `h3data.walks`."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from h3data_training.settings import Settings
 from h3data_training.torch.graph import captured, keep_row, overwrite
 
 RANK_SEED = 1_000_003
-"""Between the seeds of two processes' exploration noise."""
+"""Difference between the seeds of two processes' exploration noise."""
 BEYOND = 1.2
 """Mean actions beyond this are pulled back: past its limits a command changes nothing, so nothing else would."""
 
@@ -67,11 +67,11 @@ class Worlds(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """Everything that is carried from one decision to the next, for W worlds; written in place."""
+    """State that is carried from one decision to the next, for W worlds; written in place."""
 
     shown: dict[str, Tensor]
     state: Tensor
-    """Recurrent state, [W, S]."""
+    """Recurrent state of the network, [W, S]."""
     last: Tensor
     """Last action, clipped, [W, A]; 0 where an episode has begun since."""
     over: Tensor
@@ -95,7 +95,7 @@ class Schedule(NamedTuple):
 
 
 def schedule(settings: Settings, share: float, update: int) -> Schedule:
-    """At a share of the run, 0..1, before update number ``update``."""
+    """Return the schedule at a share of the run, 0..1, before update number ``update``."""
     s = settings
     acting = update - s.critic_updates
     warm = min(1.0, (acting + 1) / max(s.warmup_updates, 1)) if acting >= 0 else 1.0
@@ -136,7 +136,7 @@ class Learner:
         self._decide = {taught: self._decision(taught) for taught in {False, settings.teacher > 0}}
 
     def update(self, plan: Schedule) -> dict[str, float]:
-        """One rollout and what is learned from it; returns a row of the learning curve."""
+        """Collect one rollout and learn from it; returns a row of the learning curve."""
         for group in self.optimizer.param_groups:
             group["lr"] = plan.rate
         self.worlds.totals.zero_()

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import torch
 
 SPARE_S = 10.0
-"""Kept at the end of a run of so many minutes, for the last update and the files."""
+"""Time at the end of a run of limited duration for the last update and the files [s]."""
 
 Say = Callable[[str], None]
 

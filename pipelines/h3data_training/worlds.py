@@ -109,5 +109,5 @@ class ActionRepeatEnv(ActionRepeat, SocialNavTorchEnv):
         }
 
     def taught(self) -> Tensor:
-        """Nobody teaches social navigation."""
+        """Return None, because nobody teaches social navigation."""
         raise InputError("There is no teacher of social navigation. Hint: teacher=0.", code="H3-TRAIN-078")

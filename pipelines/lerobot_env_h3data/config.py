@@ -72,5 +72,5 @@ class H3DataEnvConfig(EnvConfig):
 
     @property
     def gym_kwargs(self) -> dict[str, Any]:
-        """Arguments of `LeRobotEnv`."""
+        """Return the arguments of `LeRobotEnv`."""
         return {"dataset": self.dataset, "render_mode": self.render_mode, **self._options()}

@@ -18,7 +18,7 @@ PREFIX = "observation.images."
 
 
 class LeRobotEnv(gymnasium.Env[Any, Any]):
-    """One world in which a policy acts that LeRobot has trained.
+    """Environment of one world in which a policy acts that LeRobot has trained.
 
     Observations are ``agent_pos`` [S] float32 and, where there are cameras, ``pixels`` {CAMERA: uint8 [H, W, 3]}.
     """

@@ -24,12 +24,12 @@ from sim_kinematic.contact.clearance import scenery_of, supports
 TOLERANCE_M = 0.02
 """Depth to which a capsule may enter an obstacle [m]: bodies are softer, and a little thinner, than capsules."""
 EVERY = 4
-"""Each so many-th frame of the hand's way is looked at, and the last one."""
+"""Spacing of the frames of the hand's path that are checked; the last one always is."""
 REACHING_PARTS: dict[Hand, tuple[str, str]] = {
     "right": ("right_forearm", "right_hand"),
     "left": ("left_forearm", "left_hand"),
 }
-"""They may be in the thing on which the point lies: what is taken from a shelf is taken from inside it."""
+"""Parts of the body that may be inside the thing on which the point lies, as an object on a shelf is taken from inside it."""
 WAYS_KEPT = 1000
 """Paths of a body's hand that are remembered, 30 kB each. A home has about 500: one for each height of its surfaces and
 each distance of a stand. With 200, half of the time of `is_clear` went into computing them again."""

@@ -34,7 +34,7 @@ class Walker(Body, Protocol):
 
     number: int
     yields: bool
-    """True if it can step aside now."""
+    """True if the agent can step aside now."""
     aside: NDArray[np.float64] | None
     """Floor points [N, 2] [m] left of its path aside; empty if it has arrived there, None if nobody has asked it to step
     aside."""
@@ -50,7 +50,8 @@ class Walker(Body, Protocol):
         ...
 
     turned_away: bool
-    """Somebody driven from outside shuts its way: it is to choose anew what to do, and where to stand for it."""
+    """True if an agent driven from outside blocks the path, so that the walker has to choose anew what to do, and where to
+    stand."""
     hindered_by: frozenset[int]
     """Agents that it would have touched in its last step, had it not stopped."""
 
@@ -75,7 +76,7 @@ class _Request:
 
 
 class RightOfWay:
-    """Tells every agent in each step whether, and by which path, to step aside."""
+    """Rules by which agents step aside for each other, and the paths that they take."""
 
     def __init__(
         self,

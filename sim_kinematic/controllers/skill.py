@@ -17,14 +17,14 @@ from sim_kinematic.controllers.controller import Status
 from sim_kinematic.world import World
 
 IDLE_SKILLS = ("wait", CONTROL, *PRIMITIVES)
-"""Skills by whose end an agent has completed nothing."""
+"""Skills whose end does not count as a completed task."""
 CHOICES = 9
 """Number of skills ending at once that an agent may choose in one step, after which it does nothing."""
 
 
 @dataclass(eq=False)
 class SkillController:
-    """One agent of the only world: its running skill, and what comes next."""
+    """Controller of one agent of the only world, with its running skill and what follows."""
 
     number: int
     """Number of the agent, as in the state and in the recording."""
@@ -116,7 +116,7 @@ class SkillController:
         self._write(step, "done", "")
 
     def follow(self, skill: Skill, step: int) -> None:
-        """From ``step`` on, the agent does nothing but go on with a skill that nobody has chosen."""
+        """Let the agent, from ``step`` on, only continue a skill that no policy has chosen."""
         self.action, self.skill, self.ending, self.begun = Action("wait"), skill, None, step
 
     def finish(self, step: int, *, completed: bool) -> None:

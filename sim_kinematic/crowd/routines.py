@@ -21,7 +21,7 @@ from sim_kinematic.motion.randomness import generator
 
 
 class Stop(NamedTuple):
-    """One entry of a routine."""
+    """Entry of a routine."""
 
     place: str
     """Name of a thing in the home."""
@@ -36,7 +36,7 @@ class Activity(NamedTuple):
     """Things at which it takes place."""
     least_s: float
     most_s: float
-    """Its duration is drawn between these [s]."""
+    """Longest duration [s]; the shortest is ``least_s``, and one between is sampled."""
     posture: str = "stand"
     """Posture for it."""
 

@@ -96,7 +96,7 @@ class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
         return None if self.render_mode is None else self.stepper.picture(self.possible_agents[0], self._watcher)
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Do nothing, as no resource is held open."""
 
     def _observed(self) -> dict[str, Observations]:
         return {agent: first(self.stepper.observe(agent)) for agent in self.agents}

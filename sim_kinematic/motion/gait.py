@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @kernel(error_model="numpy")
 def walk_towards(x, z, heading, goal_x, goal_z, speed, turn, dt, turn_before_walk, arrive):
-    """One step of a way-point walker: ``(x, z, heading, walked)``. Turns on the spot first, never overshoots."""
+    """Move a way-point walker by one step: ``(x, z, heading, walked)``. It turns on the spot first and never overshoots."""
     dx, dz = goal_x - x, goal_z - z
     distance = math.hypot(dx, dz)
     if distance <= arrive:

@@ -1,4 +1,4 @@
-"""One step of a robot's base: the scalar definition in numba, readable with ``NUMBA_DISABLE_JIT=1``, looped over worlds.
+"""Step of a robot's base: the scalar definition in numba, readable with ``NUMBA_DISABLE_JIT=1``, looped over worlds.
 
 Robot base: the velocity command moves the base first along its old heading, then turns it, as Habitat integrates
 (spec/habitat.md 0). The base is a row of discs; each must keep its radius from every obstacle of the signed distance
@@ -97,7 +97,7 @@ def integrate(x, z, heading, speed, lateral, turn, dt):
 def drive_base(
     sdf, origin, cell, x, z, heading, speed, lateral, turn, dt, offsets, radius, iterations, tolerance, touch, most
 ):
-    """One strict step of a robot base: ``(x, z, heading, touched)``; the velocities are those of `integrate`.
+    """Return one strict step of a robot base: ``(x, z, heading, touched)``; the velocities are those of `integrate`.
 
     ``most`` is the farthest that the base may get [m].
     """

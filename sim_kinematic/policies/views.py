@@ -37,12 +37,12 @@ class AgentView(NamedTuple):
     places: Array
     """``(x, z, heading)`` of each agent, [A, 3]."""
     before: Array
-    """The same one step ago."""
+    """View of the same agent one step ago."""
     bases: tuple[BaseSpec, ...]
     """Discs and limits of each robot."""
     walker: WalkerSpec
     extra: Mapping[str, Any]
-    """`Episode.extra`."""
+    """Further data of the task, `Episode.extra`."""
     traffic: Callable[[], Traffic]
     """Returns how the agents of this world heed each other, which those that wander share."""
     crowds: Callable[[], Crowds]

@@ -57,7 +57,7 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     hold: int
     """Steps of 1/30 s for which an action is held."""
     network: str = "cnn_gru"
-    """Which layers there are: ``cnn_gru``, ``resnet18_lstm``, the paper's, or ``gru_chooser`` of rearrangement."""
+    """Type of the network: ``cnn_gru``, ``resnet18_lstm``, the paper's, or ``gru_chooser`` of rearrangement."""
     actions: int = BASE_ACTIONS
     """Numbers of an action: base [2], of skills that move the arm also its joints [n] and grip [1]."""
     agent: str = "robot"
@@ -110,7 +110,7 @@ class VisualPolicy:
 
     @property
     def sees(self) -> str | None:
-        """Which of `PICTURES` it is shown."""
+        """Return which of `PICTURES` the policy observes."""
         return picture_in(self.card.observations)
 
     @property
@@ -130,7 +130,7 @@ class VisualPolicy:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of all that decides what it does."""
+        """SHA-256 of everything that determines its behaviour."""
         card = self.card
         about: tuple[Any, ...] = (card.task, card.observations, card.picture_size, card.hold)
         if card.network != "cnn_gru":
@@ -278,7 +278,7 @@ def affine(x: Floats, columns: Floats, bias: Floats) -> Floats:
 
 
 def picture_in(observations: tuple[str, ...]) -> str | None:
-    """Which of `PICTURES` is among observations, if one is."""
+    """Return which of `PICTURES` is among observations, if one is."""
     return next((name for name in observations if name in PICTURES), None)
 
 

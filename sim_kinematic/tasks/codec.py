@@ -50,13 +50,13 @@ class EpisodePlace:
     scene: Scene
     free: FreeSpace
     spec: Any
-    """The rules."""
+    """Rules of the episode."""
     agents: tuple[str, ...] | None = None
-    """Another roster."""
+    """Roster that replaces the usual one."""
     robot: str | None = None
-    """Another body of robots named by their kind."""
+    """Body that replaces the usual one of robots that are named by their kind."""
     human: str | None = None
-    """Another body of people named by their kind."""
+    """Body that replaces the usual one of people who are named by their kind."""
     assets: tuple[str, ...] = ()
     """Asset folders for objects that the episode adds."""
 
@@ -190,7 +190,7 @@ class TaskRecord(msgspec.Struct, frozen=True, kw_only=True):
     agents: tuple[str, ...]
     """The roster, as ``robot:quad_arm``."""
     extra: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    """`Episode.extra`."""
+    """Further data of the task, `Episode.extra`."""
     seed: int = 0
     scene_sha256: str = ""
     scene_source: Mapping[str, Any] = msgspec.field(default_factory=dict)

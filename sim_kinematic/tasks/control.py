@@ -71,7 +71,7 @@ class Control:
         return True
 
     def refusal(self, play: Any, number: int, choice: Any) -> str | None:
-        """Why a command, as `checked` returned it, would be refused now, as a sentence; None: it would not."""
+        """Reason why a command, as `checked` returned it, would be refused now, as a sentence; None: it would not."""
         del play, number, choice
         return None
 
@@ -113,7 +113,7 @@ class Control:
         until: int,
         changed: Sequence[bool] = (),
     ) -> list[AssignedPolicy]:
-        """For each agent a policy that repeats its first ``until`` recorded decisions, then hands over to ``own``.
+        """Return for each agent a policy that repeats its first ``until`` recorded decisions, then hands over to ``own``.
 
         ``changed`` says of each agent whether its own policy is another than the recorded one.
         """
@@ -152,7 +152,7 @@ class VelocityControl(Control):
         return choice
 
     def idle(self, play: Any, number: int, last: Any) -> Any:
-        """To go on as before."""
+        """Return the choice that keeps the agent as it is."""
         del play, number
         return Velocity(0.0, 0.0) if last is None else last
 

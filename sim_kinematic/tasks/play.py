@@ -391,7 +391,7 @@ class AgentSensors(NamedTuple):
     agent: str
     sensors: Mapping[str, Sensor]
     limits: Mapping[str, tuple[Array, Array]]
-    """Least and greatest values of each."""
+    """Return the least and the largest values of each sensor."""
     pictures: frozenset[str]
 
     @classmethod

@@ -105,7 +105,7 @@ class DecisionLoop:
 
 
 def rollout(task: Task, episode: Episode, policies: Assigned | None = None, *, measure: bool = True) -> WorldRollout:
-    """One episode of a task under policies, by agent or kind, ready for `run`.
+    """Return one episode of a task under policies, by agent or kind, ready for `run`.
 
     ``measure=False`` leaves out what only rewards need.
 
@@ -264,7 +264,7 @@ class _Inbox(External):
 
 
 class Session:
-    """One episode, one step at a time. Agents whose policy is `External` are told what to do by `act`.
+    """Episode that advances one step at a time. Agents whose policy is `External` act as `act` says.
 
     ```python
     session = h3data.session("rearrange", scenes="small:3", agents={"person": External(), "robot": "complement"})

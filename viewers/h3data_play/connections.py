@@ -100,7 +100,7 @@ class Failed(Exception):
 
 
 class Stuck(Failed):
-    """A game cannot begin now, but it will as soon as it can; the text is for players."""
+    """Error for a game that cannot begin now but will as soon as it can; the text is for players."""
 
 
 def runner_of(app: web.Application) -> web.AppRunner:

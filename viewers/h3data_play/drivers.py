@@ -44,7 +44,7 @@ CANCEL = Action("wait", steps=1)
 """Interrupts a running skill and does nothing itself."""
 DOOR_SHUT = "A closed door is in the way."
 GOAL_M = 0.02
-"""A place this near to an object's goal means the goal."""
+"""Distance from an object's goal within which a chosen place means the goal [m]."""
 
 
 class Driver:
@@ -131,7 +131,7 @@ class Driver:
         return self.guide is not None
 
     def can_place(self, point: Any) -> str:
-        """Why what is held could not be placed at a point now; empty: it could."""
+        """Return the reason why the held object could not be placed at a point now; empty if it could."""
         del point
         return "There is nothing to place here."
 
@@ -148,7 +148,7 @@ class Driver:
 
     @property
     def floor(self) -> FreeSpace:
-        """The floor on which paths are found."""
+        """Floor on which paths are found."""
         return agent_floor(self.session.episode, self.number)
 
     @property
@@ -158,7 +158,7 @@ class Driver:
 
 
 class SkillDriver(Driver):
-    """Also picks, places, hands over, opens and closes: skills that run for several steps, one after the other."""
+    """Driver of an agent that also picks, places, hands over, opens and closes by skills, one after the other."""
 
     def __init__(self, session: Session, number: int) -> None:
         super().__init__(session, number)
@@ -220,7 +220,7 @@ class SkillDriver(Driver):
         return self.do([Action("nav_to_handle", message.j), skill] if message.lead else [skill])
 
     def barred(self, k: int, lead: bool, *, at_goal: bool = False) -> str:
-        """Why object ``k`` cannot be taken, or put at its goal, before something is opened; empty: it can."""
+        """Reason why object ``k`` cannot be taken, or put at its goal, before something is opened; empty: it can."""
         openables = self.session.play.team.openables  # type: ignore[attr-defined]
         if openables is not None and openables.barrier_of(k, at_goal=at_goal) >= 0:
             return sentence("closed")
@@ -380,7 +380,7 @@ class RobotDriver(SkillDriver):
 
     @property
     def base(self) -> BaseSpec:
-        """Its own, which covers what the hand carries, too."""
+        """Discs and limits of the robot's own base, which also cover what the hand carries."""
         return self.session.play.team.actors[self.number].base  # type: ignore[attr-defined]
 
 

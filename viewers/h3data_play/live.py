@@ -220,7 +220,7 @@ def _read(path: Path) -> Recording | None:
 
 
 class LiveGame:
-    """One episode under way."""
+    """Episode that is being played live."""
 
     def __init__(
         self, table: EpisodeFactory, index: int, path: Path | None = None, order: GameOrder | None = None
@@ -281,7 +281,7 @@ class LiveGame:
     # --- the disk -----------------------------------------------------------------------------------------------------
     @property
     def fault(self) -> str:
-        """Why the disk does not take what has been played; empty while it does."""
+        """Reason why the disk does not take what has been played; empty while it does."""
         return "" if self.sink is None else self.sink.fault
 
     def retry(self) -> None:
@@ -322,7 +322,7 @@ class LiveGame:
         return why
 
     def connected(self, number: int, here: bool) -> None:
-        """A player came, or went: then their keys go up."""
+        """Note that a player came or left, whose keys then count as released."""
         if not here:
             self.drivers[number].release()
         self._record(CONNECTED if here else DISCONNECTED, number)

@@ -11,7 +11,7 @@ from msgspec import Meta
 PERIOD_S = 1 / 30
 """Time between two steps of a live world [s]."""
 MOST_BYTES = 4096
-"""Longest message that a socket takes."""
+"""Length of the longest message that a socket takes."""
 
 Count = Annotated[int, Meta(ge=0, le=2**31 - 1)]
 Share = Annotated[float, Meta(ge=-1, le=1)]
@@ -22,11 +22,11 @@ Index = Annotated[int, Meta(ge=0, le=65535)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 """Point in the world [m]."""
 Rotation = tuple[Component, Component, Component, Component]
-"""Quaternion xyzw."""
+"""Rotation as a quaternion xyzw."""
 
 
 class Message(msgspec.Struct, frozen=True, tag_field="k", kw_only=True):
-    """Something that a player wants. ``ct`` and ``rtt`` are the client's time and its measured round trip [ms]."""
+    """Message of a player's input. ``ct`` and ``rtt`` are the client's time and its measured round trip [ms]."""
 
     seq: Count | None = None
     """Number of the message within its page; states tell which one has acted."""

@@ -25,7 +25,7 @@ create table if not exists games (key text primary key, place integer not null, 
 
 @dataclass(eq=False)
 class Seat:
-    """One browser's place."""
+    """Place for one browser."""
 
     sid: str
     token: str
@@ -33,9 +33,9 @@ class Seat:
     place: int
     """Number of the table."""
     number: int
-    """Which of `PlayPlan.seats` it is."""
+    """Index into `PlayPlan.seats`."""
     game: str
-    """Key of the game that it was last given."""
+    """Key of the game that the seat was last given."""
 
 
 @dataclass(eq=False)
@@ -46,7 +46,7 @@ class Game:
     place: int
     episode: int
     over: str = ""
-    """Cause of its end; empty while it goes on."""
+    """Reason why the game has ended; empty while it continues."""
 
 
 _BOOT = getattr(time, "CLOCK_BOOTTIME", None)
@@ -58,7 +58,7 @@ def uptime() -> float:
 
 
 def new_token() -> str:
-    """192 random bits."""
+    """Return a new secret of 192 random bits."""
     return secrets.token_urlsafe(24)
 
 

@@ -78,11 +78,11 @@ class PackedStep:
     moved: NDArray[Any]
     """Objects whose pose or holder has changed."""
     objects: NDArray[Any]
-    """All of them."""
+    """Poses of all objects."""
     turned: NDArray[Any]
     """Doors and drawers whose position has changed."""
     joints: NDArray[Any]
-    """All of them."""
+    """Positions of all joints."""
 
     def state(self, flags: int, step: int, ack: int, clock_ms: float, *, whole: bool) -> bytes:
         """The state for one player, with all objects and joints where it is ``whole``."""

@@ -54,11 +54,11 @@ MOST_WAITING = 200
 FARTHEST_STEPS = 15
 """A message that is meant for a later step than this acts as soon as that many steps are over."""
 WHOLE_EVERY = 30
-"""Every so many steps a state has all objects, not just those that have moved."""
+"""Number of steps between states with all objects; those between have only objects that have moved."""
 PLAN_STEPS = 6
-"""To be led to a thing may take 50 ms of everybody's worker: who asks again sooner is not heard."""
+"""Number of steps between two searches for a path to a thing, as one may take 50 ms of the worker that all players share."""
 BEGIN_S = 2.0
-"""A game begins after so long even if others are late."""
+"""Time after which a game begins even if some players are late [s]."""
 MOST_AHEAD = 12
 """Homes of so many episodes are made before somebody plays in them."""
 REPORT_S = 1.0
@@ -91,7 +91,7 @@ class Running:
     whole: bool = True
     over: bool = False
     seconds: float = 0.0
-    """CPU time of its steps."""
+    """CPU time of the game's steps [s]."""
     latest_s: deque[float] = field(default_factory=lambda: deque(maxlen=MEASURED_STEPS))
     """CPU time of the latest steps, with packing and sending."""
     huds: dict[int, Any] = field(default_factory=dict)
@@ -100,9 +100,9 @@ class Running:
     floors: dict[int, Any] = field(default_factory=dict)
     """The floor of which each player was last told, if it has ever changed; None: the page may have any."""
     is_stuck: bool = False
-    """True if it waits for space on the disk, and the front knows."""
+    """True if the game waits for space on the disk, and the front knows."""
     recording: Recording | None = None
-    """Once it is over; the disk may still have to take its end."""
+    """Recording of the game once it is over; its end may still have to be written."""
     planned: dict[int, int] = field(default_factory=dict)
     """Step in which each player last asked to be led to a thing."""
 
@@ -118,12 +118,12 @@ class Running:
 
     @property
     def is_left(self) -> bool:
-        """Returns whether it has stood still for `LEFT_S`, because its players have closed their pages."""
+        """Return whether the game has stood still for `LEFT_S`, because its players have closed their pages."""
         return not self.runs and time.monotonic() - self.stepped > LEFT_S
 
 
 class Worker:
-    """All games of this process. A fault in one ends that one."""
+    """Games of one process. A fault in one ends only that one."""
 
     def __init__(self, channel: Channel, plans: Sequence[PlayPlan]) -> None:
         self.channel = channel
@@ -358,7 +358,7 @@ class Worker:
         self._tell_pause(running, goes_on=True)
 
     def here(self, key: str, body: dict[str, Any]) -> None:
-        """Somebody came or went. The world stands still until all who play are there."""
+        """Take note that somebody came or went. The world stands still until all players are there."""
         running = self.games.get(key)
         if running is None or running.over:
             return
@@ -399,7 +399,7 @@ class Worker:
         running.waiting.append((number, step, message, text, arrived))
 
     def can(self, key: str, body: list[Any]) -> None:
-        """A preview: nothing happens, nothing is recorded."""
+        """Preview an action: nothing happens and nothing is recorded."""
         running = self.games.get(key)
         number, point = body
         if running is None or running.over or number not in running.game.drivers:

@@ -21,9 +21,9 @@ MOST_UNSENT = 1 << 20
 EXPECTED_SHARE = 0.06
 """Share of a core that a game takes before one has been measured."""
 MOST_FILES, MOST_EPISODES = 160, 512
-"""Kept by the front of what has been prepared."""
+"""Largest numbers of files and of prepared episodes that the front keeps."""
 PREPARE_S = 60.0
-"""After this time the worker that plays prepares an episode itself."""
+"""Time after which the worker that plays prepares an episode itself [s]."""
 READY_S = 600.0
 """A worker may compile kernels for minutes, once per machine."""
 
@@ -42,7 +42,7 @@ class Refused(Exception):
 
 
 class WorkerProcess:
-    """One process, and the games that it plays."""
+    """Process of a worker, and the games that it plays."""
 
     def __init__(self, plans: Sequence[PlayPlan], heard: Heard, lost: Callable[[WorkerProcess], None]) -> None:
         self._plans, self._heard, self._lost = plans, heard, lost
@@ -104,7 +104,7 @@ class WorkerProcess:
 
     @property
     def is_stuck(self) -> bool:
-        """Returns whether it has not read for a while."""
+        """Return whether the worker has not read for a while."""
         return self._writer is not None and self._writer.transport.get_write_buffer_size() > MOST_UNSENT
 
     async def stop(self, seconds: float, *, finish: bool = True) -> None:

@@ -29,7 +29,7 @@ Viewer = Literal["rerun", "video"]
 STRIP = 5
 """Pictures in the strip of a recording."""
 STRIP_WIDTH = 200
-"""Width of one of them [px]."""
+"""Width of one picture of the strip [px]."""
 VIDEO_WIDTH = 480
 NAME_WIDTH = 20
 """Characters of a scene's name or a seed in a table."""

@@ -20,9 +20,9 @@ from h3data.bodies.people.skeleton import FINGERS, JOINT_COUNT, JOINT_INDEX
 from h3data.geometry import Array, quat_from_axis_angle, quat_from_matrix
 
 STAND_ANKLE_Z_M = -0.03
-"""A standing person's ankles are this far behind the pelvis' place."""
+"""Distance of a standing person's ankles behind the place of the pelvis [m]."""
 TURN_PER_CYCLE_RAD = np.pi / 4
-"""A stepping turn sets each foot anew every 45 degrees."""
+"""Angle of a turn on the spot per cycle, in which each foot is placed anew every 45 degrees [rad]."""
 _TURN_STANCE, _TURN_LIFT_M = 0.56, 0.05
 
 
@@ -117,7 +117,7 @@ def walk_stride(legs: Legs, speed_mps: ArrayLike) -> Array:
 
 
 def jog_stride(height_m: float, speed_mps: ArrayLike) -> Array:
-    """Way per cycle [...] [m]: 160 steps a minute at 1.72 m; shorter people step faster."""
+    """Return the distance per cycle [...] [m]: 160 steps a minute at 1.72 m; shorter people step faster."""
     return 2 * np.asarray(speed_mps, np.float64) / (160 / 60 * float(np.sqrt(1.72 / height_m)))
 
 

@@ -39,7 +39,7 @@ HANDS: tuple[Hand, Hand] = ("right", "left")
 STATUSES: tuple[ReachStatus, ...] = ("reached", "outside_box", "invalid_posture", "too_far")
 """Results of reaching, in the order of the kernel's codes."""
 TABLE_FILE, TABLE_FORMAT = "bodies/reach/table.npz", "h3data.reach/1"
-"""In a folder of its own: beside the bodies it would count as one."""
+"""Name and format of the table's file, which has a folder of its own so that it does not count as a body."""
 ROOT_OF_BODY = quat_from_axis_angle(np.array([0.0, 1.0, 0.0]), np.pi / 2)
 """The kernel's body frame (+Z forward, +X left) as the agent root sees it."""
 PALM_SHARE, PALM_DROP = 0.9, 0.018
@@ -47,7 +47,7 @@ PALM_SHARE, PALM_DROP = 0.9, 0.018
 ARM_RADIUS = 0.026
 """Radius of forearm and hand for the clearance, as a share of the shoulder's height."""
 INSET = 0.02
-"""Advice stays this share of the way inside the valid volume."""
+"""Share of the path inside the valid volume by which advice keeps away from its border."""
 _TRIED = 24
 """Nearest table points from which the nearest valid one is sought."""
 _OBSTACLES = {
@@ -92,7 +92,7 @@ class ReachResult:
     nearest_valid: Array
     """The target itself when reached, else a valid point near it, shape [3] [m]: exact to about 2 cm."""
     base_motion: BaseMotion | None
-    """Motion of the base after which the target is reached; zero when it is reached already, None when nothing helps (too
+    """Motion of the base after which the target is reached; zero when it is reached already, None when no motion helps (too
     high, below the floor)."""
 
     @property
@@ -105,9 +105,9 @@ class ReachPoses(NamedTuple):
     """Poses for many points, without advice."""
 
     quats: Array
-    """Shape [T, 55, 4]."""
+    """Rotations of the joints as quaternions, shape [T, 55, 4]."""
     pelvis: Array
-    """Shape [T, 3] [m]."""
+    """Position of the pelvis, shape [T, 3] [m]."""
     status: NDArray[np.int8]
     """Index into `STATUSES`, shape [T]."""
     measures: Array

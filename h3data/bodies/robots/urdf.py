@@ -48,7 +48,7 @@ MAX_LINKS = 10_000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class UrdfLink:
-    """A rigid body."""
+    """Rigid body in a URDF."""
 
     name: str
     visuals: tuple[UrdfPart, ...]
@@ -81,7 +81,7 @@ class UrdfJoint:
     axis: Array
     """Unit vector in the joint frame, shape [3]."""
     lower: float
-    """Least position [rad or m]; -inf if the file gives none."""
+    """Lower limit of the position [rad or m]; -inf if the file gives none."""
     upper: float
     mimic: UrdfMimic | None = None
     """The joint that this one follows, if it has no position of its own."""

@@ -33,7 +33,7 @@ def to_arrow(rows: NDArray[Any]) -> pa.Array:
 
 
 def to_numpy(stored: pa.ChunkedArray | None, column: Column, declared: Column, steps: int) -> NDArray[Any]:
-    """One column in its own shape [steps, ...]: a writable copy without the padding.
+    """Return a column in its own shape [steps, ...], as a writable copy without the padding.
 
     ``declared`` is the column of the dataset; ``stored`` is None if the column has no width.
 

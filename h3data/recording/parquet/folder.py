@@ -134,7 +134,7 @@ class DatasetFolder:
 
     @cached_property
     def rows(self) -> Sequence[dict[str, Any]]:
-        """`episodes` as Python values, ``info`` with the names of today."""
+        """Return `episodes` as Python values, with today's names in ``info``."""
         return EpisodeRows(self.episodes)
 
     def __len__(self) -> int:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 """Quantiles by the names that LeRobot gives them."""
 STATISTICS = ("min", "max", "mean", "std", *QUANTILES)
-"""Numbers of a feature beside its count."""
+"""Statistics of a feature besides its count."""
 
 
 @dataclass
@@ -110,7 +110,7 @@ def merge_into(total: dict[str, Moments], more: Mapping[str, Moments]) -> None:
 
 
 def lerobot_stats(m: Moments, frames: int, shape: tuple[int, ...]) -> dict[str, list[Any]]:
-    """min, max, mean, std, count and quantiles as LeRobot stores them; 0 for a value that was never finite: JSON has no NaN."""
+    """Return min, max, mean, std, count and quantiles as LeRobot stores them; 0 for a value that was never finite."""
     any_finite = m.count > 0
     named = {"min": m.low, "max": m.high, "mean": m.mean, "std": m.std}
     if m.quantiles is not None:

@@ -48,7 +48,7 @@ class VideoFeature:
         return FEATURE + self.camera
 
     def lerobot(self, fps: int) -> dict[str, Any]:
-        """Its entry in ``features`` of info.json."""
+        """Return the entry of the video in ``features`` of info.json."""
         return {
             "dtype": "video",
             "shape": [self.height, self.width, 3],
@@ -68,7 +68,7 @@ class VideoFeature:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EpisodeVideo:
-    """One episode seen by one camera: a stretch of a video file."""
+    """Video of one episode by one camera: a stretch of a video file."""
 
     feature: VideoFeature
     path: AnyPath
@@ -197,7 +197,7 @@ class VideoAppender:
             os.fsync(stream.fileno())
 
     def discard(self) -> None:
-        """Closes the file; nothing of it is wanted."""
+        """Close the file and discard its content."""
         with suppress(Exception):  # the disk may be full
             self._stack.close()
 

@@ -55,7 +55,7 @@ class Articulated:
     robot: Robot
     links: tuple[Link, ...]
     assets: tuple[str, ...]
-    """Assets of each of these links."""
+    """Assets of each of the links."""
     attributes: Mapping[str, Any]
 
 
@@ -96,7 +96,7 @@ class TemplateReader:
         return read if isinstance(read, Rigid) else None
 
     def articulated(self, template: Template) -> Articulated | None:
-        """The same for an articulated object."""
+        """Read the template of an articulated object."""
         read = self._once(template)
         return read if isinstance(read, Articulated) else None
 

@@ -51,7 +51,7 @@ _FROM_ANYWHERE = (
 
 @dataclass(frozen=True, kw_only=True)
 class Member:
-    """One piece of a group, in the group's frame."""
+    """Piece of a group, in the group's frame."""
 
     piece: Furniture
     x: float = 0.0
@@ -64,7 +64,7 @@ class Member:
 
 @dataclass(frozen=True, kw_only=True)
 class Placed:
-    """One piece at its place in the world."""
+    """Piece of furniture at its place in the world."""
 
     piece: Furniture
     room: str

@@ -36,9 +36,9 @@ class Rows:
 
     layout: Layout
     poses: NDArray[np.floating]
-    """pose7 of each thing [T, K, 7]."""
+    """Pose (pose7) of each thing [T, K, 7]."""
     held: Flags
-    """True if somebody holds it [T, K]."""
+    """True if somebody holds the thing [T, K]."""
     states: Mapping[str, Flags] = field(default_factory=dict)
     """``clean``, ``filled`` and ``powered`` of each thing [T, K]; those left out are false throughout."""
     bugs: bool = False

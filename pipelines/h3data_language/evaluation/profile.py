@@ -137,7 +137,7 @@ class Progress(NamedTuple):
     admitted: NDArray[np.bool_]
     """Propositions that each constraint admits, [C, P]."""
     events: list[Event]
-    """Events ``progress``."""
+    """Return the events ``progress``."""
     explanation: str = ""
     """A sentence on each proposition that is not completed, where they were evaluated here."""
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 FOLDER = "benchmarks"
-"""Below the folder of the shipped data."""
+"""Name of the folder of benchmarks below that of the shipped data."""
 DEFINITION, EPISODES, BASELINES = "benchmark.toml", "episodes.json", "baselines.json"
 
 

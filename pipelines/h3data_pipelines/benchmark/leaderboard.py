@@ -26,7 +26,7 @@ VERDICT = "verification.json"
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """One row of a leaderboard."""
+    """Row of a leaderboard."""
 
     row: ResultRow
     result: BenchmarkResult

@@ -32,14 +32,14 @@ MANIFEST = "benchmark.json"
 
 
 class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One policy in the table of a result."""
+    """Policy in the table of a result."""
 
     policy: str
     played: int
     """Episodes with each of the partners that were played to their end."""
     expected: int
     metrics: dict[str, dict[str, float | None]]
-    """By metric: ``mean``, ``low`` and ``high`` of the 95% interval, and ``episodes`` in which it is defined."""
+    """Values by metric: ``mean``, ``low`` and ``high`` of the 95% interval, and ``episodes`` in which it is defined."""
 
 
 class BenchmarkResult(msgspec.Struct, frozen=True, kw_only=True):
@@ -162,7 +162,7 @@ def summarized(metrics: Iterable[Metric], rows: Sequence[Mapping[str, Any]], exp
 
 
 def result_table(metrics: Iterable[Metric], rows: Iterable[ResultRow]) -> str:
-    """The table as text: a line for each policy."""
+    """Return the table as text: a line for each policy."""
     columns = list(metrics)
     lines = [["Mean [95% interval]", *(metric.name for metric in columns)]]
     lines += [[row_label(row), *(cell_text(row, metric.name) for metric in columns)] for row in rows]

@@ -22,7 +22,7 @@ _LONGEST = 48
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """Least, mean and greatest of some numbers."""
+    """Least, mean and largest of some numbers."""
 
     least: float
     mean: float

@@ -20,7 +20,7 @@ from h3data_pipelines.session_manifest import SessionManifest, read_manifest
 
 @dataclass(frozen=True)
 class ImportJob:
-    """One file and the recording that it becomes."""
+    """File to import and the recording that it becomes."""
 
     source: Path
     target: Path
@@ -34,12 +34,12 @@ class ImportedFile:
 
     source: Path
     status: Literal["imported", "kept", "skipped", "failed"]
-    """Kept: an earlier import has written this very recording."""
+    """Result for one file; "kept" means that an earlier import has written this very recording."""
     kind: str = "unknown"
     """Name of its format."""
     recording: Path | None = None
     reason: str = ""
-    """Why it was not imported."""
+    """Reason why it was not imported."""
     code: str = ""
     """The code of the error, where there was one."""
     summary: dict[str, Any] = field(default_factory=dict)

@@ -46,7 +46,7 @@ CLIMB_M = 0.2
 FURNITURE_MAX_M2 = 6.0
 """Static instances with a larger footprint are whole rooms, not furniture."""
 TOUCH_M = 0.05
-"""Objects this close to the rim of an agent's disc are taken to be what stops it."""
+"""Distance from the rim of an agent's disc within which an object counts as what stops it [m]."""
 _SLACK_M = 0.004
 """Rounding of buffered polygons."""
 _HULL_SHARE = 0.9
@@ -54,7 +54,7 @@ _HULL_SHARE = 0.9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Problem:
-    """One fault of a scene."""
+    """Fault of a scene."""
 
     kind: Kind
     subject: str

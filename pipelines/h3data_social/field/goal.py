@@ -18,7 +18,7 @@ GEODESIC, GOAL_DISTANCE = "metrics.geodesic_agents", "metrics.goal_distance"
 REACHED_M = 0.5
 """A point is reached from this distance or less, where the recording has no column `metrics.success`."""
 PERSON_IS_GOAL = "social_nav"
-"""The task whose goal is the person."""
+"""Task whose goal is the person."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,7 @@ class Goal:
     within_m: float = 0.0
     """The goal is reached from this far away, so much of a path to it need not be driven [m]."""
     missing: str = ""
-    """Why there is none; then nothing is reached, and all distances are NaN."""
+    """Reason why there is no goal; then nothing is reached, and all distances are NaN."""
     notes: tuple[str, ...] = ()
     """Notes that say what replaced missing data."""
 

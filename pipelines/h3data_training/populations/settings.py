@@ -17,7 +17,7 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 ROBOT = "robot"
 """The learner that every population has."""
 LEARNED = {"learn_single": 1, "learn_pop": 8}
-"""Populations whose partners learn, and how many there are (paper section 4.2)."""
+"""Populations whose partners learn, with the number of partners (paper section 4.2)."""
 NAMES = ("learn_single", *POPULATIONS, "learn_pop")
 """The paper's populations."""
 LONGEST = {"paper": 750, "natural": 1500}
@@ -28,7 +28,7 @@ navigation."""
 LEAST_CHUNKS = 12
 """Chunks of a minibatch of a partner: with fewer its gradient is noise."""
 BOTH = "both"
-"""People walk like this in one half of the episodes and like that in the other."""
+"""Value of ``walk`` for ``natural`` walking in one half of the episodes and ``paper`` in the other."""
 
 
 def rules_of(walk: str) -> RearrangeSpec:
@@ -42,9 +42,9 @@ class PopulationSettings:
 
     population: str = "plan_pop_3"
     scenes: str = "h3-homes/train"
-    """One name or several, separated by commas (`h3data_training.episodes.listed_scenes`)."""
+    """Name of a scene or several names, separated by commas (`h3data_training.episodes.listed_scenes`)."""
     episodes_per_home: int = 32
-    """Episodes are drawn once and played again and again, beside other partners."""
+    """Number of episodes per home, which are sampled once and played again and again with other partners."""
     robot: str = "quad_arm"
     human: str = "female_0"
     walk: str = BOTH
@@ -59,7 +59,7 @@ class PopulationSettings:
     without: tuple[str, ...] = ()
     """Some of `ABLATIONS`, of the robot alone."""
     think_steps: int = 30
-    """A learner on its way thinks again after so many steps."""
+    """Number of steps after which a learner chooses again while it walks."""
 
     episodes: int = 32
     """Episodes of an update."""
@@ -68,13 +68,14 @@ class PopulationSettings:
     width: int = 64
     """Width of the other layers."""
     chunk: int = 16
-    """Decisions through which a gradient goes back."""
+    """Number of decisions through which a gradient is propagated."""
     critic_updates: int = 2
-    """At first only the critic learns: as long as it knows nothing, what it calls an advantage is noise."""
+    """Number of updates at the start in which only the critic learns, because its advantages are noise as long as it knows
+    nothing."""
     epochs: int = 8
     chunks_per_minibatch: int = 12
     kl_most: float = 0.02
-    """No further epoch once the policy has moved this far from the one that played."""
+    """Distance (KL) of the policy from the one that played after which no further epoch runs."""
     rate: float = 1e-3
     rate_end: float = 0.1
     """Share of the learning rate that is left at the end."""
@@ -82,7 +83,7 @@ class PopulationSettings:
     entropy_end: float = 0.2
     """Share of the weight of the entropy that is left at the end."""
     horizon: float = 500.0
-    """Steps that the value looks ahead; a decision that takes d steps is discounted by (1 - 1 / horizon)^d."""
+    """Number of steps that the value looks ahead; a decision that takes d steps is discounted by (1 - 1 / horizon)^d."""
     gae_lambda: float = 0.98
     clip: float = 0.2
     gradient_norm: float = 0.5
@@ -174,12 +175,12 @@ class PopulationSettings:
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def in_worlds(self, worlds: int) -> PopulationSettings:
-        """The same with oracle skills in so many worlds; an update has as many minibatches as before."""
+        """Return the settings with oracle skills in this number of worlds; an update has as many minibatches as before."""
         per_episode = self.chunks_per_minibatch / self.episodes
         return replace(self, oracle=True, episodes=worlds, chunks_per_minibatch=max(1, round(worlds * per_episode)))
 
     def changed(self, **changes: Any) -> PopulationSettings:
-        """The same with some settings changed; None changes nothing."""
+        """Return the settings with some of them changed; None changes nothing."""
         return replace(self, **{k: v for k, v in changes.items() if v is not None})
 
 

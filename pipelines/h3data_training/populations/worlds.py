@@ -81,7 +81,7 @@ class TensorPlayers:
             return self._worlds.played(jobs)
 
     def close(self) -> None:
-        """Nothing needs closing."""
+        """Do nothing, as nothing needs closing."""
 
 
 Casts = tuple[tuple[tuple[str, int], ...], ...]

@@ -27,7 +27,7 @@ class SkillSettings(Settings):
 
     skill: Skill = "nav"
     episodes_per_home: int = 3
-    """Episodes of rearrangement, each with as many objects and goals to get to."""
+    """Number of episodes of rearrangement per home; each has several objects and goals to get to."""
     starts: int = 32
     """Starts of the robot in each of them."""
     path_m: tuple[float, float] = (0.0, 1000.0)

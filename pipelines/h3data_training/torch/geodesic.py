@@ -28,7 +28,7 @@ LOOKS = 32
 LOOK_APART_M = 0.4
 """Farthest that these may be apart: nothing that keeps an agent out is thinner than twice its radius."""
 DETOUR_M = 0.02
-"""A node over which the way is so much longer counts 1 / e as much for its direction."""
+"""Additional length of a path over a node at which the node's weight in the direction falls to 1 / e [m]."""
 
 
 _PER_FLOOR = ("shift", "scale", "top", "stride", "first", "table_first", "size", "step", "clearance")
@@ -44,7 +44,7 @@ class Lattices:
     table: Tensor
     """Shortest distances of all floors [m], inf between islands, float32 [N]."""
     shift: Tensor
-    """[R, 2] and ``scale`` [R, 1]: the place in cells of a point p is ``shift + scale p``."""
+    """Offset of the cells [R, 2], with ``scale`` [R, 1]: the place in cells of a point p is ``shift + scale p``."""
     scale: Tensor
     top: Tensor
     """Largest first row and column of the nodes around a point, [R, 2]."""
@@ -57,7 +57,7 @@ class Lattices:
     size: Tensor
     """Rows of the table, int64 [R]."""
     step: Tensor
-    """Spacing [m], [R]."""
+    """Spacing of the nodes [m], [R]."""
     clearance: Tensor
     """Clearance that a straight path must keep from obstacles [m], [R]."""
 
@@ -101,9 +101,9 @@ class ShortestPath(NamedTuple):
     """Shortest ways of W worlds."""
 
     length: Tensor
-    """[W] [m]; inf where the table joins no nodes around the ends."""
+    """Length of the path [W] [m]; inf where the table joins no nodes around the ends."""
     towards: Tensor
-    """In which direction (x, z) they begin, of any length, [W, 2]."""
+    """Direction (x, z) in which the paths begin, of any length, [W, 2]."""
 
 
 def shortest_path(grids: Grids, lattices: Lattices, a: Tensor, b: Tensor) -> ShortestPath:

@@ -65,7 +65,7 @@ class OpenStage:
 
     path: Path
     stage: Any
-    """The `Usd.Stage`."""
+    """Stage of OpenUSD, a `Usd.Stage`."""
     metres: float
     """Length of one unit of the stage [m]."""
     turn: NDArray[np.float64]

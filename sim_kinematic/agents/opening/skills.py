@@ -15,15 +15,15 @@ from sim_kinematic.agents.opening.openables import ArticulatedParts, stands_clea
 from sim_kinematic.agents.skills import Action
 
 PATIENCE_STEPS = 45
-"""Steps for which a part waits for an agent to leave its way."""
+"""Number of steps for which a part waits until an agent no longer blocks its movement."""
 FRONT_M = 0.05
-"""Whoever opens stands at least so far before the handle, on the side to which it comes."""
+"""Least distance in front of a handle from which an agent opens its part, on the side to which the part comes [m]."""
 AT_END = 0.02
-"""A part is at an end of its range within this share of it."""
+"""Share of its range within which a part counts as being at an end."""
 
 
 def why_not(openables: ArticulatedParts | None, agent: int, action: Action) -> str:
-    """Why a part cannot be opened or closed now, whoever does it; empty: it can. Reach is asked separately."""
+    """Reason why a part cannot be opened or closed now, whoever does it; empty: it can. Reach is asked separately."""
     if openables is None or not 0 <= action.target < len(openables):
         return "no_joint"
     k, opens = action.target, action.skill == "open"
@@ -54,7 +54,7 @@ def full_way(openables: ArticulatedParts, k: int) -> NDArray[np.float64]:
 def stands_before(
     openables: ArticulatedParts, k: int, stands: Array, offsets: Sequence[float], radius_m: float
 ) -> NDArray[np.bool_]:
-    """Which poses ``(x, z, heading)`` [N, 3] at a handle are suitable for moving its part.
+    """Return which poses ``(x, z, heading)`` [N, 3] at a handle are suitable for moving its part.
 
     Suitable poses are in front of the part, on either side of a door, and out of the sweep of this part and of other
     parts that are open.
@@ -71,7 +71,7 @@ def stands_before(
 
 
 class Leading:
-    """A joint that moves along its way while a hand leads it, step by step; it waits for agents in its way."""
+    """Joint that a hand moves along its range step by step; it waits for agents in its path."""
 
     def __init__(self, openables: ArticulatedParts, k: int, *, opens: bool) -> None:
         self.openables, self.k = openables, k

@@ -35,7 +35,7 @@ class SubGoal(NamedTuple):
     ways: Ways
     """Shortest paths to the places from which the agent reaches the object."""
     point: Array
-    """[3] [m]."""
+    """Place of the sub-goal [3] [m]."""
 
 
 @dataclass(eq=False)
@@ -47,7 +47,7 @@ class SubGoals:
     """Paths to the initial place of each object; ``to_goal`` has those to its goal."""
     to_goal: Sequence[Ways]
     starts: Array
-    """[K, 3] [m]."""
+    """Starts of the objects [K, 3] [m]."""
     goals: Array
 
     def of(self, action: Action, poses: Array) -> SubGoal:
@@ -145,7 +145,7 @@ class OracleRobot(RobotActor):
 
 @dataclass(eq=False)
 class OraclePerson(PersonActor):
-    """A person with oracle skills; what they hold is before their chest."""
+    """Person with oracle skills, who holds objects in front of their chest."""
 
     errands: SubGoals = field(kw_only=True)
 
@@ -194,7 +194,7 @@ class OraclePerson(PersonActor):
         self._follow()
 
     def take(self, k: int) -> None:
-        """The object is before their chest, turned as it was, and their right arm as if it held it."""
+        """Put the object in front of their chest, turned as it was, and their right arm as if it held it."""
         name, pose = self.objects.names[k], self.objects.poses[k]
         stood = pose_multiply(pose_inverse(self.person.base), pose)[3:]
         self._carry[3:] = stood
@@ -203,7 +203,7 @@ class OraclePerson(PersonActor):
         self._follow()
 
     def release(self) -> None:
-        """Their hand is empty."""
+        """Let go of the object in the person's hand."""
         self.person.held = {}
 
     def _follow(self) -> None:
@@ -213,7 +213,7 @@ class OraclePerson(PersonActor):
 
 
 def _refusal(actor: OracleRobot | OraclePerson, action: Action) -> str:
-    """Why a skill cannot start now; empty: it can."""
+    """Reason why a skill cannot start now; empty: it can."""
     why = actor.objects.why_not(actor.number, action)
     if why or action.target < 0:
         return why
@@ -259,10 +259,10 @@ def _hand_over(actor: OracleRobot | OraclePerson, action: Action, errand: SubGoa
 
 
 class DiscContacts(GivingWay):
-    """Agents that heed nobody, and touch where their discs do."""
+    """Contact rule of agents that give way to nobody and touch where their discs do."""
 
     def avoids(self, me: AnyActor, other: AnyActor) -> bool:
-        """False: with oracle skills no agent gives way to another."""
+        """Constant False: with oracle skills no agent gives way to another."""
         del me, other
         return False
 

@@ -1,4 +1,4 @@
-"""Ways for a robot's arm: whether its hand gets from a stand to a point without a wall or furniture between them.
+"""Paths of a robot's arm: checks that its hand gets from a stand to a point without a wall or furniture between them.
 
 Two questions, both of FCL against the static scene. `ArmClearance.is_open`: nothing stands between the shoulder and the
 point, seen at the height of the hand. `ArmClearance.is_clear`: the arm itself touches nothing on its way there and back.
@@ -24,12 +24,12 @@ from sim_kinematic.contact import MovingShapes, capsule_transforms, collide, sha
 from sim_kinematic.contact.clearance import scenery_of, supports
 
 APPROACH_M = 0.1
-"""A robot's hand comes to an object from so far above it and lifts it as high."""
+"""Height above an object from which a robot's hand approaches it, and to which it lifts it [m]."""
 LINE_RADIUS_M = 0.01
 FRAMES = 8
 """Postures that are looked at between the resting one and the one over the point."""
 HELD_M = 0.05
-"""Radius of the ball that stands for the object in the hand [m]."""
+"""Radius of the ball that represents the object in the hand [m]."""
 WAYS_KEPT = 1000
 """Paths of a robot's arm that are remembered, 12 kB each; a home has about 450."""
 ANSWERS_KEPT = 10_000

@@ -50,8 +50,7 @@ class RobotDriver:
     free: FreeSpace
     """The floor for a base of its size."""
     base: BaseSpec
-    """Its own discs and limits (`sim_kinematic.avoidance.robot_base.base_of`), which cover what it carries while it carries
-    something."""
+    """Discs and limits of the base (`sim_kinematic.avoidance.robot_base.base_of`), which also cover what the robot carries."""
     objects: Objects
     grip_m: float
     arm_rad_s: float
@@ -60,7 +59,7 @@ class RobotDriver:
     arm_clearance: ArmClearance | None = None
     """Tests where its arm has room; None: it has room everywhere."""
     avoids: bool = True
-    """True if its base keeps clear of other agents (`keep_clear`), in every skill."""
+    """True if the robot's base keeps clear of other agents (`keep_clear`) in every skill."""
     others: tuple[ObservedAgent, ...] = ()
     """Other agents, the nearest first."""
     company: Company | None = None
@@ -97,7 +96,7 @@ class RobotDriver:
 
     @property
     def is_robot(self) -> bool:
-        """True."""
+        """Constant True."""
         return True
 
     @property
@@ -111,7 +110,7 @@ class RobotDriver:
 
     @property
     def openables(self) -> ArticulatedParts | None:
-        """Doors and drawers; None: nothing opens."""
+        """Doors and drawers of the home; None: nothing opens."""
         return self.objects.openables
 
     @property
@@ -121,7 +120,7 @@ class RobotDriver:
 
     @property
     def heading(self) -> float:
-        """Heading [rad]."""
+        """Heading of the base [rad]."""
         return float(self.state.heading[0])
 
     @property
@@ -151,7 +150,7 @@ class RobotDriver:
 
     @property
     def joints(self) -> NDArray:
-        """Joint positions [J]."""
+        """Positions of the joints [J]."""
         return self.state.joints[0]
 
     @property
@@ -161,7 +160,7 @@ class RobotDriver:
 
     @property
     def pose(self) -> Array:
-        """pose7 of the agent root."""
+        """Pose (pose7) of the agent root."""
         return root_pose(self.robot, self.xz, self.heading, self.free)
 
     @property

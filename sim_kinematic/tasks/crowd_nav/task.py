@@ -44,13 +44,13 @@ class CrowdNavSpec(TaskSpec):
     end_on_collision: bool = True
     """True if contact with a person ends the episode, as a failure."""
     progress_reward: float = 1.0
-    """Reward for each metre of progress along the shortest path,"""
+    """Reward for each metre of progress along the shortest path."""
     arrive_reward: float = 10.0
-    """for arriving,"""
+    """Reward for arriving."""
     collision_reward: float = -5.0
-    """for touching a person,"""
+    """Reward for touching a person."""
     personal_reward: float = -0.02
-    """and for a step in somebody's personal space."""
+    """Reward for a step in somebody's personal space."""
 
 
 class CrowdNav(Task):
@@ -135,7 +135,7 @@ class CrowdNav(Task):
         return arrived, arrived
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Every task's sensors, and for robots the distance [m] and angle [rad] of the goal, positive to the right."""
+        """Return the sensors of every task, and for robots distance [m] and angle [rad] of the goal, positive to the right."""
         goal = Sensor(_goal_gps, [0.0, -np.pi], [FAR_M, np.pi])
         return {**super().sensors(kind), "goal_gps": goal} if kind == "robot" else super().sensors(kind)
 

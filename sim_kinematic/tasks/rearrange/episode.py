@@ -59,7 +59,7 @@ ATTEMPTS, THOROUGH_ATTEMPTS = 200, 150
 THOROUGH_SPOTS = 20
 """Attempts of which each tries one spot on a surface, then ones that try so many: where little is free, few spots are."""
 REDRAW = 10
-"""After so many attempts the starts are drawn anew as well."""
+"""Number of attempts after which the starts are sampled anew as well."""
 SPOT_ATTEMPTS = 20
 """Rounds over at most twelve surfaces in search of a free spot."""
 LIFT_M = 0.001
@@ -163,12 +163,12 @@ def rules_in(scene: Scene, spec: RearrangeSpec) -> RearrangeSpec:
 
 
 class Target(NamedTuple):
-    """One object and where it is to go."""
+    """Object with its start and its goal."""
 
     name: str
     """Name of the object's instance in the scene."""
     start: Array
-    """pose7 in the world at the beginning."""
+    """Pose (pose7) in the world at the beginning."""
     goal: Array
     """Goal position of the object's origin, shape [3] [m]."""
     source: str

@@ -30,7 +30,7 @@ class PersonCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     start: Point
     path: tuple[Point, ...] = ()
     speed: Number = (0.9, 1.4)
-    """Free speed [m/s]."""
+    """Preferred speed of the person [m/s]."""
     delay: Number = 0.0
     """Time at which the person sets off [s]."""
 

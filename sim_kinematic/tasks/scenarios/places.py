@@ -22,10 +22,10 @@ WALL_M, WALL_HEIGHT_M = 0.15, 2.5
 
 
 class Frame(NamedTuple):
-    """Frame (along, right) on the floor in which a layout lies."""
+    """Frame (along, right) on the floor in which a layout is placed."""
 
     origin: Array
-    """(x, z) [2] [m]."""
+    """Origin of the frame (x, z) [2] [m]."""
     heading: float
     """Direction of the axis [rad]."""
 

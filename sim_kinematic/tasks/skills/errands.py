@@ -104,6 +104,6 @@ def _nearest(floor: FreeSpace, tried: list[Stands], start: Array) -> Array | Non
 
 
 def floor_ways(episode: RearrangeEpisode) -> list[Ways]:
-    """The shortest paths to the floor nearest to where each object lies at the beginning, then to each goal."""
+    """Return the shortest paths to the floor nearest to the start of each object, then to each goal."""
     points = [target.start[:3] for target in episode.targets] + [target.goal for target in episode.targets]
     return [ways_to(episode.free, episode.free.snap(point[[0, 2]])) for point in points]

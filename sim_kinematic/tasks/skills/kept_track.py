@@ -17,7 +17,7 @@ from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.tasks.play import WorldRollout
 
 THERE_M = 0.01
-"""The person takes an object that lies this near to where it lay in the recording [m]."""
+"""Distance from its recorded place up to which the person takes an object [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -25,7 +25,7 @@ class KeptTrack:
     """Recorded track of one person."""
 
     base: Array
-    """pose7 [T, 7] of the agent root."""
+    """Pose (pose7) of the agent root in each step [T, 7]."""
     root: Array
     """Pelvis in the world, pose7 [T, 7]."""
     joints: Array
@@ -33,7 +33,7 @@ class KeptTrack:
     held: NDArray[np.integer]
     """Index of the object in the hand, -1 = nothing, [T]."""
     objects: Array
-    """pose7 of the task's objects, [T, K, 7]."""
+    """Pose (pose7) of each object of the task in each step, [T, K, 7]."""
     led: dict[int, list[tuple[int, float]]] = field(default_factory=dict)
     """Doors and drawers that the person opened or closed: number and position of each, by step."""
 
@@ -87,7 +87,7 @@ def _led(recording: Recording, number: int) -> dict[int, list[tuple[int, float]]
 
 
 def follow_track(play: WorldRollout, actor: PersonActor, track: KeptTrack, step: int) -> None:
-    """From ``step`` on, a person does nothing but follow a track to its end; no policy is asked."""
+    """Let a person, from ``step`` on, follow a track to its end; no policy is asked."""
     if len(play.team.actors) == 2:  # the person reacts to nobody any more, so there is nothing to agree on
         play.team.company.right_of_way, play.team.company.agreed = None, False
         for other in play.team.actors:

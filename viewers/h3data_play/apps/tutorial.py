@@ -20,7 +20,7 @@ from sim_kinematic.tasks.runner import Session, StepResult
 MARK_AHEAD_M = 2.5
 """Distance from the start to the mark along the path to the thing or its place; less where that path is short."""
 SNAP_M = 5.0
-"""Things stand on furniture: their paths end on the nearest floor."""
+"""Distance within which the path to a thing on furniture ends on the nearest floor [m]."""
 AT_MARK_M = 0.5
 LOOKS_RAD = 0.35
 LOOK_STEPS = 15

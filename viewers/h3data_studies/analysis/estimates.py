@@ -73,7 +73,7 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FittedMeans:
-    """One model of the compared metric, with its means and their pairwise differences."""
+    """Model of the compared metric, with its means and their pairwise differences."""
 
     label: str
     """``Poisson``, ``Poisson with an observation effect``, ``binomial``."""

@@ -41,7 +41,7 @@ SETTLE_LIFT = 0.3
 
 
 class LegMeasures(NamedTuple):
-    """`h3data.bodies.people.legs.Legs` for kernels."""
+    """Lengths and limits of legs (`h3data.bodies.people.legs.Legs`) as arrays for kernels."""
 
     hips: Array
     thigh: float
@@ -53,7 +53,7 @@ class LegMeasures(NamedTuple):
 
 @kernel_part()
 def solve_leg(thigh, shank, knee_out, pelvis_turn, hip, ankle, pitch, yaw):
-    """One leg from its hip to its ankle; the knee points where the foot does and ``knee_out`` to the body's left.
+    """Solve one leg from its hip to its ankle; the knee points where the foot does and ``knee_out`` to the body's left.
 
     Returns flexion of the knee, the thigh's direction and turn, local rotations of hip, knee and ankle, and how far the ankle
     is from the hip.

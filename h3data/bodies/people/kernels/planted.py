@@ -1,4 +1,4 @@
-"""Planted walking, compiled: what a person's feet do while the root moves in any way, and the pose of any moment of it.
+"""Compiled kernels of planted walking: the motion of the feet while the root moves in any direction, and the pose at any time.
 
 `step_gait` is a phase machine. A foot is either planted, at one place of the floor in the world, or it swings from there to
 where it will be needed: as far ahead as the gait at this speed has it, plus half of what the root moves and turns beyond that
@@ -50,7 +50,8 @@ PLANT, LEFT_AT, LANDS_AT = 3, 6, 9
 """Columns of a foot: its planted place in the world [3], its distance from the gait when it left the floor [3], and that
 distance when it lands [3]."""
 SHAPE_OFF = 12
-"""By how much its pitch, bend [deg], ankle forward and up [m] differ from the gait's since it left the floor or landed [4]."""
+"""Columns of a foot: differences of pitch, bend [deg], ankle forward and up [m] from the gait since it left the floor or landed
+[4]."""
 FOOT_COLUMNS = 16
 STATE_COLUMNS = FOOT + 2 * FOOT_COLUMNS
 
@@ -63,19 +64,19 @@ STYLE_ACCELERATION = 3.0
 TURN_SHARE = 0.35
 """Share of a change of the turning rate that a step takes over."""
 CYCLES_PER_RAD = 0.7
-"""Turning on the spot takes so many cycles of two steps per radian: a foot is set anew every 41 degrees."""
+"""Number of cycles of two steps per radian of a turn on the spot: a foot is placed anew every 41 degrees."""
 SETTLE_HZ = 1.5
 """Cadence at which feet that stand wrong are set right."""
 SETTLED_M, SETTLED_RAD = 0.02, 0.10
-"""A foot this near to its place stands right."""
+"""Distance and angle within which a foot counts as being at its place."""
 TWIST_RAD = 0.6
 """A foot lands turned from the body by no more than this."""
 OFF_M = 0.45
-"""A foot lands no further than this from where the steady gait has it."""
+"""Largest distance at which a foot lands from where the steady gait has it [m]."""
 LANDING_M, LANDING_RAD = 0.06, 0.20
 """The place where a swinging foot will land moves by no more than this in a step."""
 FIRST_SHARE = 0.25
-"""Share of its stance at which a foot is that stays while the other one makes the first step."""
+"""Share of its stance that the standing foot has reached while the other one makes the first step."""
 JUMP_M = 0.5
 """A root that moves further in one step has been put there: the person stands."""
 MOST_STEPS, LEAST_S = 30, 1e-3
@@ -90,22 +91,22 @@ LIFT, LIFT_MOST_M = 0.18, 0.06
 SHAPE_LEFT = 0.78
 """Share of `SHAPE_OFF` that is left after a step."""
 STRETCHED = 0.994
-"""A leg is stretched to this share of its length: straighter knees would snap."""
+"""Largest share of its length to which a leg is stretched: straighter knees would snap."""
 LETS_GO = 0.4
-"""Over this share of its swing the pelvis stops minding whether a foot is within reach."""
+"""Share of a foot's swing after which the pelvis no longer keeps that foot within reach."""
 CROUCH_M, CROUCH_MPS = 0.06, 0.2
-"""On stairs the pelvis is lower by this much, for the foot below; it gets there at this speed."""
+"""Distance by which the pelvis is lower on stairs, for the foot below, and the speed at which it gets there."""
 OVER_BY = 0.8
-"""By this share of a swing between treads the foot is over its place."""
+"""Share of a swing between treads by which the foot is above its place."""
 DRAWS = 0.3
-"""On stairs the pelvis sinks for a swinging foot that comes down on a lower tread from this share of its swing on."""
+"""Share of a swing from which on the pelvis sinks for a foot that comes down on a lower tread."""
 EARLY_M, EARLY_SHARE = 0.04, 0.5
 """A foot behind the body that the pelvis would have to sink for by more than this leaves early, if the other one stands, in
 this part of its stance or later."""
 AHEAD_ACCELERATION = 25.0
 """The place where feet land follows the root's speed no faster than this [m/s^2]."""
 CLEARANCE_M = 0.012
-"""A swinging foot keeps so far off the floor."""
+"""Least distance of a swinging foot from the floor [m]."""
 FOOT_ROOM_M = 0.03
 """A swinging foot keeps heel and toe tip so far from walls and furniture. Those that belong below a person whose root is 25 cm
 from a wall have more room (5 cm on the largest body): with 6 cm such people never stopped setting their feet right."""
@@ -115,7 +116,7 @@ lines with so many looks at the map each. Pushed out along the gradient instead,
 IDLE_IN, IDLE_OUT = 0.6, 3.0
 """Rates [1/s] at which standing sway begins and ends."""
 LOOK_S, LOOK_RAD = 0.30, 0.6
-"""The head looks where the root will be turned so much later, by no more than that."""
+"""Time by which the head looks ahead of the turn of the root, and the largest angle of that look."""
 LOOK_GAIN, LOOK_RAD_S, LOOK_ACCELERATION = 7.0, 1.9, 18.0
 """The head gets there at this rate [1/s], no faster than 110 degrees a second, and its speed changes no faster than that
 [rad/s^2], as where it turns to things (`h3data.bodies.people.kernels.attention`). Without these limits the end of a turn on the
@@ -136,7 +137,7 @@ class GaitTables(NamedTuple):
     half_width: float
     ankle_height: float
     speeds: Array
-    """Rising from 0, [R] [m/s]."""
+    """Walking speeds of the rows, rising from 0, [R] [m/s]."""
     travel: Array
     """Length of a cycle, [R] [m]; 0 at rest."""
     cadence: Array
@@ -150,9 +151,9 @@ class GaitTables(NamedTuple):
     middle: Array
     """Position of the feet while the body does not travel, [R] [m]."""
     quats: Array
-    """[R, P, 55, 4] in the body frame; those of legs are not used."""
+    """Rotations of the joints in the body frame by speed and phase, [R, P, 55, 4]; those of legs are not used."""
     pelvis: Array
-    """[R, P, 3] [m]."""
+    """Position of the pelvis by speed and phase, [R, P, 3] [m]."""
     stand_foot: Array
     """Pitch and bend of a foot on the floor, [R, S, 2] [deg]."""
     swing_foot: Array
@@ -164,9 +165,9 @@ class GaitTables(NamedTuple):
     sdf: Array
     """Distances to walls and furniture [X, Z] [m] (`h3data.scene.FreeSpace.sdf`); [0, 0]: nothing stands anywhere."""
     origin: Array
-    """Lower corner of its grid, [2] [m]."""
+    """Lower corner of the grid of ``sdf``, [2] [m]."""
     cell_m: float
-    """Side of its cells."""
+    """Side of the cells of ``sdf`` [m]."""
     heights: Array
     """Table of floor heights (`h3data.scene.floor_heights`), [K, 10]; [0, 10] if the floor is level."""
 
@@ -571,7 +572,7 @@ def _change_speed(table, state, velocity, most):
 
 @kernel_part(borrows=True)
 def step_gait(table, state, x, z, heading, dt):
-    """Brings a state on by one step in which the root gets to (x, z, heading)."""
+    """Advance a state by one step in which the root gets to (x, z, heading)."""
     dx, dz = x - state[X], z - state[Z]
     way = math.hypot(dx, dz)
     if not way <= JUMP_M:
@@ -907,7 +908,7 @@ def stand_one(table, state, x, z, heading):
 
 @kernel(error_model="numpy")
 def step_one(table, state, x, z, heading, dt):
-    """Brings one state [K] on by one step in which the root gets to (x, z, heading)."""
+    """Advance one state [K] by one step in which the root gets to (x, z, heading)."""
     step_gait(table, state, x, z, heading, dt)
 
 

@@ -12,20 +12,20 @@ from h3data.kernels import kernel_part
 from h3data.scene.floor_heights import AXIS, END, START, STEPS, nose_at, step_at, tread_at
 
 RISER_M = 0.025
-"""A foot keeps so far from the riser in front of or behind it."""
+"""Least distance of a foot from the riser in front of it or behind it [m]."""
 OVERHANG_M = 0.03
 """Heel or toe stand out over the edge of a tread by no more than this: many feet are nearly as long as a tread."""
 USUAL = 0.62
 """People go on two treads further with each foot, also where the middle of the foot would be nearer to another, by this share
 of a tread at most."""
 DOWN_NEARER = 0.3
-"""On the way down feet land nearer to the body by this share of a tread: a foot far ahead and below is out of reach."""
+"""Share of a tread by which feet land nearer to the body on the way down, as a foot far ahead and below is out of reach."""
 BESIDE_M = 0.2
-"""People climb from this far before the first riser on."""
+"""Distance before the first riser from which people climb [m]."""
 UP_SHARE, DOWN_SHARE = 0.2, 0.25
 """Shares of a swing within which the foot gets over the noses, and comes down from there."""
 EDGE_M = 0.015
-"""A swinging foot minds what is so far beyond its heel and toe tip: pitch and bend move them by some millimetres."""
+"""Distance beyond heel and toe tip that a swinging foot keeps clear [m], as pitch and bend move them by some millimetres."""
 CLEAR_M = 0.02
 """Heel and toe tip pass over the noses at this height."""
 
@@ -64,14 +64,14 @@ def _middle(x, z, heading, heel, toe):
 
 @kernel_part()
 def tread_of(heights, x, z, heading, heel, toe):
-    """Number of the tread on which a foot stands whose ankle is at (x, z)."""
+    """Return the number of the tread on which a foot with its ankle at (x, z) stands."""
     middle_x, middle_z = _middle(x, z, heading, heel, toe)
     return step_at(heights, middle_x, middle_z)[1]
 
 
 @kernel_part()
 def under_foot(heights, x, z, heading, heel, toe):
-    """Height [m] of the tread or floor on which a foot stands whose ankle is at (x, z)."""
+    """Return the height [m] of the tread or floor on which a foot with its ankle at (x, z) stands."""
     middle_x, middle_z = _middle(x, z, heading, heel, toe)
     return tread_at(heights, 0.0, middle_x, middle_z)
 

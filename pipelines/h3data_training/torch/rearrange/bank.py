@@ -28,7 +28,7 @@ from sim_kinematic.tasks.skills.errands import errands_of, floor_ways
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 
 ROBOT, HUMAN, FLOOR = 0, 1, 2
-"""Whose paths a table is of: the two agents', to where they stand, and anybody's to the floor below an object."""
+"""Index of tables by their paths: the two agents', to where they stand, and anybody's to the floor below an object."""
 
 
 class BankFloor(Floor, Protocol):
@@ -70,19 +70,19 @@ class RearrangeBank:
     first_of: NDArray[np.int64]
     """First entries of each episode, [N]."""
     after: NDArray[np.int16]
-    """Point to go to from each corner, F tables for each episode,"""
+    """Next point from each corner: F tables for each episode."""
     after_of: NDArray[np.int64]
     left: NDArray[np.float32]
-    """and how far it is from there [m], 2 K tables: of the paths to the floor below objects and goals."""
+    """Distance from there to the floor below objects and goals [m], 2 K tables."""
     left_of: NDArray[np.int64]
     corners: Array
-    """Corners of all homes, one after the other [m], and"""
+    """Corners of all homes, one home after the other [m]."""
     corners_of: NDArray[np.int64]
-    """where those of a home begin, [R + 1]."""
+    """First row of each home in ``corners``, [R + 1]."""
     origins: Array
     """Lower corner of the first cell of each home, [R, 2] [m]."""
     shapes: NDArray[np.int64]
-    """Its cells along x and z, [R, 2]."""
+    """Number of cells along x and z, [R, 2]."""
 
     @classmethod
     def draw(
@@ -201,7 +201,7 @@ class RearrangeBank:
 
     @property
     def objects(self) -> int:
-        """K."""
+        """Number K of objects."""
         return self.spec.objects
 
     def orders(self, partner: str) -> NDArray[np.int64]:

@@ -58,7 +58,7 @@ class Paths(NamedTuple):
 
 
 class View(NamedTuple):
-    """Everything that one agent of each world may know, as sensors read it (`sim_kinematic.sensing.table`)."""
+    """View of one agent in each world, from which sensors read (`sim_kinematic.sensing.table`)."""
 
     sim: RearrangeTensors
     play: Play
@@ -148,7 +148,7 @@ class View(NamedTuple):
 
     @property
     def at_goal(self) -> Tensor:
-        """Which objects are at their goals, bool [W, K]."""
+        """True for objects that are at their goals, bool [W, K]."""
         return self.sim.at_goal(self.hands, self.places)
 
     @property
@@ -185,12 +185,12 @@ class View(NamedTuple):
         return self.known_paths.ahead[:, 1 - self.agent if other else self.agent]
 
     def ended(self, outcome: Ending) -> Tensor:
-        """One of the choices is 1: the last one, if it ended so, [W, C]."""
+        """Number for each choice: 1 for the last one, if it ended in this way, [W, C]."""
         code = {"done": DONE, "failed": FAILED, "aborted": ABORTED}[outcome]
         return one_of(self.does.last, len(self.choices)) & (self.does.outcome == code)[:, None]
 
     def allowed(self) -> Tensor:
-        """Which choices the agent's hand allows, bool [W, C] (`sim_kinematic.agents.skills.Objects.why_not`)."""
+        """Return which choices the agent's hand allows, bool [W, C] (`sim_kinematic.agents.skills.Objects.why_not`)."""
         return precondition(self.choices, every_choice(self.choices, len(self.now.xz)), self.hands)
 
 

@@ -23,14 +23,14 @@ class Tables:
     """The arrays of a `RearrangeBank` as tensors."""
 
     objects: int
-    """K."""
+    """Number K of objects."""
     fields: int
-    """F."""
+    """Number F of distance fields."""
     place: Tensor
     starts: Tensor
     spots: Tensor
     ends: Tensor
-    """Up to S end points of each distance field, [N * F, S, 2] [m]; unused rows are infinity."""
+    """End points of each distance field, up to S of them, [N * F, S, 2] [m]; unused rows are infinity."""
     first: Tensor
     """Points are int16: a GPU reads half as much."""
     first_of: Tensor
@@ -49,7 +49,7 @@ class Tables:
 
     @classmethod
     def of(cls, bank: RearrangeBank, device: torch.device, dtype: torch.dtype) -> Tables:
-        """On a device."""
+        """Return the tables on a device."""
 
         def moved(array: NDArray) -> Tensor:
             kind = dtype if array.dtype == np.float64 else None

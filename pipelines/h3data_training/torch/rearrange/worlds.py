@@ -233,7 +233,7 @@ class RearrangeTensors:
 
     # --- what holds now -----------------------------------------------------------------------------------------------
     def at_goal(self, hands: Hands, places: Places) -> Tensor:
-        """Which objects are at their goals and in nobody's hand, bool [W, K]."""
+        """Return which objects are at their goals and in nobody's hand, bool [W, K]."""
         goals = self.tables.spots[places.episode, self.bank.objects :]
         return (hands.held_by == NOBODY) & is_object_at(hands.objects, goals, distance_m=self.spec.at_goal_m, xp=torch)
 

@@ -47,7 +47,7 @@ class SkillPlay(NamedTuple):
     joints: Tensor
     """Joints of the arm, [W, n]."""
     objects: Tensor
-    """[W, K, 3] [m]."""
+    """Places of the objects [W, K, 3] [m]."""
     turned: Tensor
     """Axes of the objects as columns, [W, K, 3, 3]."""
     grip: Tensor
@@ -62,13 +62,13 @@ class SkillPlay(NamedTuple):
     ended: Tensor
     """The episode is over: the next step begins another, bool [W]."""
     way: Tensor
-    """Length of the path to the stand [W] [m],"""
+    """Length of the path to the stand [W] [m]."""
     towards: Tensor
-    """and the direction (x, z) in which it begins, of any length, [W, 2]."""
+    """Direction (x, z) in which that path begins, of any length, [W, 2]."""
     apart: Tensor
-    """From the hand to the target [W] [m],"""
+    """Distance from the hand to the target [W] [m]."""
     folded: Tensor
-    """and to where it is at rest."""
+    """Distance from the hand to its resting place [W] [m]."""
     paid: Tensor
     """The object has been at its goal, bool [W]."""
     before_xz: Tensor
@@ -80,7 +80,7 @@ class SkillPlay(NamedTuple):
     terminated: Tensor
     """True if the skill has succeeded or can no longer succeed, bool [W]."""
     truncated: Tensor
-    """It had all its steps, bool [W]."""
+    """True if the skill had all its steps, bool [W]."""
 
     def tensors(self) -> Iterator[Tensor]:
         """All of it, in a fixed order."""
@@ -106,9 +106,9 @@ class SkillContext(NamedTuple):
     """Grids of the worlds' floors."""
     hand: Hand
     target: Tensor
-    """[W, 3] [m]."""
+    """Place of the target [W, 3] [m]."""
     resting: Tensor
-    """[W, 3] [m]."""
+    """Resting place of the hand [W, 3] [m]."""
 
     @property
     def xp(self) -> ModuleType:
@@ -122,7 +122,7 @@ class SkillContext(NamedTuple):
 
     @property
     def now(self) -> RobotTensors:
-        """Robots."""
+        """State of the robots now."""
         return self.play.robot
 
     @property
