@@ -97,6 +97,7 @@ def walk_humans(state: HumanState, goal_xz: Array, spec: WalkerSpec, *, dt: floa
 
 def move_people(state: HumanState, xz: Array, heading: Array, spec: WalkerSpec) -> None:
     """Put a person in all their worlds where they get in a step, ``xz`` [W, 2] and ``heading`` [W], in place."""
+    # the cycle goes on by the distance covered, which is known only after the move
     before = state.xz.copy()
     state.xz[:], state.heading[:] = xz, heading
     backwards = np.zeros(len(before), np.bool_)

@@ -56,6 +56,7 @@ def moments_of(values: NDArray[Any]) -> Moments:
         # the usual case, without masks and the copies that they make
         if len(x) and finite.all():
             mean = x.mean(0, dtype=np.float64)
+            # two passes: sums of squares would lose what a position far from the origin varies by
             deviation = x - mean
             m2 = np.einsum("ij,ij->j", deviation, deviation)
             count = np.full(x.shape[1], float(len(x)))
@@ -78,6 +79,7 @@ def _quantiles(x: NDArray[np.floating], count: NDArray[np.float64]) -> NDArray[n
     """
     if not len(x):
         return np.zeros((len(QUANTILES), x.shape[1]))
+    # values that occur, and no interpolation: a quantile of a flag is 0 or 1
     shares = np.array(list(QUANTILES.values()))
     rank = np.maximum(np.ceil(shares[:, None] * count) - 1, 0).astype(np.intp)
     return np.nan_to_num(np.take_along_axis(np.sort(x, axis=0), rank, axis=0).astype(np.float64))  # NaN are sorted last
@@ -121,6 +123,7 @@ def lerobot_stats(m: Moments, frames: int, shape: tuple[int, ...]) -> dict[str, 
 
 def pack_moments(moments: Mapping[str, Moments]) -> str:
     """Moments as text for Parquet metadata: base64 of deflated JSON, a third of its size."""
+    # JSON and no pickle: metadata of a foreign file are data, and never run
     text = json.dumps({name: m.to_lists() for name, m in moments.items()})
     return base64.b64encode(zlib.compress(text.encode())).decode()
 
