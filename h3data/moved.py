@@ -189,6 +189,7 @@ RENAMED = {
     "h3data.stats.marginal_means": "h3data_studies.statistics.marginal_means",
     "h3data.stats.rank_agreement": "h3data_studies.statistics.rank_agreement",
     "h3data.stats.relative_efficiency": "h3data_studies.statistics.relative_efficiency",
+    "h3data_viewers.ShownRecording": "ViewedRecording",
     "sim_kinematic.agents.skills.Ending": "SkillResult",
     "sim_kinematic.policies.policy.KeptMoment": "RecordedPose",
     "sim_kinematic.policies.policy.PaceTo": "GaitAction",

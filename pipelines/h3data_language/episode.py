@@ -31,7 +31,7 @@ ATTEMPTS = 60
 """Choices of a template, things and places that are tried."""
 NEXT_TO_TRIES = 10
 BESIDE_M = 0.8 * NEXT_TO_M
-"""Distance at which things are put next to each other [m], so that nobody has to measure."""
+"""Distance between things that are placed next to each other [m], well within the limit of the proposition."""
 STATES = ("clean", "filled", "powered")
 
 

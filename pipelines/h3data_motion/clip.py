@@ -43,7 +43,7 @@ class Motion:
     pelvis: Array
     """Pelvis joint in the start frame, shape [T, 3] [m]."""
     leg_m: float | None = None
-    """Thigh and shank of who performed it [m]; None: the file does not say."""
+    """Lengths of thigh and shank of the person who performed the motion [m]; None: the file does not say."""
     body: str = ""
     """Body that it was fitted to; empty: as recorded."""
     source: str = ""
@@ -63,7 +63,7 @@ class Motion:
         return (len(self) - 1) / self.fps
 
     @property
-    def way_m(self) -> float:
+    def path_m(self) -> float:
         """Length of the pelvis' way along the floor, shaking below 0.1 s left out [m]."""
         step = max(1, round(0.1 * self.fps))
         return float(np.linalg.norm(np.diff(self.pelvis[::step, ::2], axis=0), axis=1).sum())
@@ -103,7 +103,7 @@ class Motion:
 
     def __repr__(self) -> str:
         fitted = f", fitted to {self.body}" if self.body else ""
-        return f"Motion({self.name!r}, {len(self)} frames at {self.fps:g}/s, way {self.way_m:.2f} m{fitted})"
+        return f"Motion({self.name!r}, {len(self)} frames at {self.fps:g}/s, way {self.path_m:.2f} m{fitted})"
 
 
 def _faults(motion: Motion) -> list[str]:

@@ -178,7 +178,7 @@ class Settings:
 
     @property
     def actions(self) -> int:
-        """Numbers of an action."""
+        """Number of components of an action."""
         return len(self.first_action)
 
     @property

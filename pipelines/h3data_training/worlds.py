@@ -21,7 +21,7 @@ COUNTS = ("reward", "follows", "collided", "ended", "steps", "contact", "met", "
 
 
 class ActionRepeatEnv(ActionRepeat, SocialNavTorchEnv):
-    """`SocialNavTorchEnv` in which an action moves all worlds ``hold`` steps."""
+    """Version of `SocialNavTorchEnv` in which an action moves all worlds ``hold`` steps."""
 
     counts = COUNTS
 

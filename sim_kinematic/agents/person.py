@@ -343,7 +343,7 @@ class Person:
         if not answer.reached:
             return _unreached(answer)
         yield from self._look(self.objects[name][:3])
-        for share in self._move(hand, self._way_out(hand, target), ends=(0.0, 1.0)):
+        for share in self._move(hand, self._path_out(hand, target), ends=(0.0, 1.0)):
             self._closing[hand] = OPEN_CURL if share < CLOSES_FROM else self.curl_around(name)
             yield
         self._closing.pop(hand, None)
@@ -351,7 +351,7 @@ class Person:
         error = float(np.linalg.norm(palm[:3] - self.objects[name][:3]))
         if error > SNAP_M:
             self.look_at = None
-            yield from self._move(hand, self._way_out(hand, target)[::-1], ends=(1.0, 0.0))
+            yield from self._move(hand, self._path_out(hand, target)[::-1], ends=(1.0, 0.0))
             return MotionResult(success=False, reason="missed", hand_error_m=error)
         heading = quat_from_heading(-heading_from_quat(self.base[3:]))
         self.held = {other: held for other, held in self.held.items() if held.name != name}  # from the other hand
@@ -378,7 +378,7 @@ class Person:
         del self.held[hand]
         self.look_at = None
         error = float(np.linalg.norm(self.objects[held.name][:3] - np.asarray(position, np.float64)))
-        yield from self._move(hand, self._way_out(hand, target)[::-1], ends=(1.0, 0.0))
+        yield from self._move(hand, self._path_out(hand, target)[::-1], ends=(1.0, 0.0))
         return MotionResult(success=error < SNAP_M, reason="" if error < SNAP_M else "missed", hand_error_m=error)
 
     def lead(self, points: ArrayLike, advance: Callable[[int], bool], hand: Hand = "right") -> Skill:
@@ -395,7 +395,7 @@ class Person:
         if not answer.reached:
             return _unreached(answer)
         yield from self._look(np.asarray(points, np.float64)[0])
-        for share in self._move(hand, self._way_out(hand, local[0]), ends=(0.0, 1.0)):
+        for share in self._move(hand, self._path_out(hand, local[0]), ends=(0.0, 1.0)):
             self._closing[hand] = OPEN_CURL if share < CLOSES_FROM else HANDLE_CURL
             yield
         out = np.flatnonzero(~reacher(self.body, hand).reachable(local))
@@ -413,7 +413,7 @@ class Person:
                 yield
         self._closing.pop(hand, None)
         self.look_at = None
-        yield from self._move(hand, self._way_out(hand, local[held - 1])[::-1], ends=(1.0, 0.0))
+        yield from self._move(hand, self._path_out(hand, local[held - 1])[::-1], ends=(1.0, 0.0))
         return MotionResult(success=True)
 
     # --- how ---------------------------------------------------------------------------------------------------------
@@ -422,7 +422,7 @@ class Person:
         inverse = pose_inverse(self.base)
         return inverse[:3] + quat_rotate(inverse[3:], np.asarray(position, np.float64))
 
-    def hand_way(self, position: ArrayLike, hand: Hand = "right", *, full: bool = False) -> ReachPoses:
+    def hand_path(self, position: ArrayLike, hand: Hand = "right", *, full: bool = False) -> ReachPoses:
         """Poses of the body while a hand moves to a world position [3], in the agent root frame.
 
         An empty hand moves as in `pick`, one that holds something as in `place`. The person is not moved.
@@ -430,13 +430,13 @@ class Person:
         target = self.seen(position)
         if full:
             return self._line(hand, np.stack([self._carry_point(hand), target]), (0.0, 1.0), (1.0, 1.0))[0]
-        return self._line(hand, self._way_out(hand, target), (0.0, 1.0), (0.0, 1.0))[0]
+        return self._line(hand, self._path_out(hand, target), (0.0, 1.0), (0.0, 1.0))[0]
 
     def _carry_point(self, hand: Hand) -> Array:
         side = 1.0 if hand == "right" else -1.0
         return np.array(CARRY) * (1, 1, side) * reacher(self.body, hand).body.scale
 
-    def _way_out(self, hand: Hand, target: Array) -> Array:
+    def _path_out(self, hand: Hand, target: Array) -> Array:
         """Corners of the hand's way from hanging to a target: in front of the chest first, unless the target is low."""
         rest = reacher(self.body, hand).rest
         return np.stack([rest, target] if target[1] < rest[1] else [rest, self._carry_point(hand), target])

@@ -17,7 +17,7 @@ from h3data.geometry import Array
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.company import Company
 from sim_kinematic.agents.opening.openables import ArticulatedParts, stands_clear
-from sim_kinematic.agents.opening.skills import Leading, full_way, handle_way, stands_before, why_not
+from sim_kinematic.agents.opening.skills import Leading, full_travel, handle_path, stands_before, why_not
 from sim_kinematic.agents.person import MotionResult, Person, Transition
 from sim_kinematic.agents.person import Skill as Motion
 from sim_kinematic.agents.person_clearance import BodyClearance
@@ -244,7 +244,7 @@ class PersonActor:
         return np.concatenate([self.stands(point, hand, free) for hand in HANDS])
 
     def walk_on(self, free: FreeSpace) -> None:
-        """The floor is another one from now on: something of the home has opened or closed."""
+        """Use another floor from now on, because something of the home has opened or closed."""
         self.free = self.person.free = free
 
     def _clear_of_open(self, stands: Array) -> Array:
@@ -256,7 +256,7 @@ class PersonActor:
     def _navigate_to_handle(self, k: int) -> Skill:
         """Walk to where a hand reaches a handle, if possible along its whole way, and turn to it."""
         assert self.openables is not None
-        way = handle_way(self.openables, k, full_way(self.openables, k))
+        way = handle_path(self.openables, k, full_travel(self.openables, k))
         for hand in HANDS:
             stands = self.stands(way[0], hand)
             stands = stands[stands_before(self.openables, k, stands, (0.0,), AVOIDANCE.person.radius_m)]

@@ -98,7 +98,7 @@ class RightOfWay:
         self._place = {number: _place(walker) for number, walker in self._walkers.items()}
 
     def walk_on(self, free: FreeSpace) -> None:
-        """The floor is another one from now on."""
+        """Use another floor from now on, because a door or a drawer has moved."""
         self._free, self._routes = free, FloorRoutes.of(free)
 
     def update(self, carrying: Sequence[int] = ()) -> None:

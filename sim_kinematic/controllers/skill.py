@@ -39,7 +39,7 @@ class SkillController:
     skill: Skill | None = None
     begun: int = 0
     completed: int = 0
-    """Skills that it has completed, but for waiting and commands."""
+    """Number of skills that the agent has completed, without waiting and commands."""
     _driven_since: int = -1
     """First step of the commands that a driven person has followed without a skill in between; -1: they follow none."""
     _step: int = 0

@@ -365,7 +365,7 @@ def capsule_meshes(shapes: Sequence[Shape]) -> list[Mesh]:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSensor:
-    """A named camera of an agent and what it gives: depth and colours of the arm, body cameras, ids for the detector."""
+    """Named camera of an agent with its outputs: depth and colours of the arm, body cameras, ids for the detector."""
 
     camera: str = "robot_arm"
     """Name of the robot's camera; a person has only one."""

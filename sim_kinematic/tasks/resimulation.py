@@ -68,7 +68,7 @@ def compared(recording: Recording, simulated: Columns, ended: str) -> Verificati
     return Verification(steps=steps if found is None else found.step, difference=found)
 
 
-def require_kept(
+def require_recorded(
     recording: Recording, step: int, simulated: Columns, ended: str, names: list[str] | None = None
 ) -> None:
     """Make sure that the first ``step`` steps came out again; ``names`` are by default all simulated columns.

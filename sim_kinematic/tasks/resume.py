@@ -37,7 +37,7 @@ from sim_kinematic.tasks.resimulation import (
     is_counterfactual,
     origin,
     require,
-    require_kept,
+    require_recorded,
     require_step,
     scene_and_map,
 )
@@ -252,7 +252,7 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
     )
     robots = [n for n in played.columns if any(n.startswith(f"agent_{k}.") for k in _numbers(recording, "robot"))]
     # beside a kept track, what was measured of the person may differ in its last bits
-    require_kept(
+    require_recorded(
         recording, step, played.columns, played.ended, robots if keeps_people and not task.control.has_skills else None
     )
     came = origin(recording, step)

@@ -186,7 +186,7 @@ class Design(Record, frozen=True):
     title: Text
     participants: Annotated[int, Meta(ge=1, le=10_000)]
     retention: date
-    """Recordings and answers are to be deleted by this day."""
+    """Day by which recordings and answers are to be deleted."""
     contact: str
     """Contact for participants, such as an e-mail address."""
     scenes: list[str]

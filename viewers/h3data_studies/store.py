@@ -32,7 +32,7 @@ create table if not exists rows (
 create table if not exists counts (name text primary key, value integer not null);
 """
 GAP_S = 15.0
-"""Time is counted every few seconds. Where nobody has for longer, the server was suspended or stopped: nobody's time."""
+"""Longest interval that counts as time of participants [s]; after a longer one the server was suspended or stopped."""
 
 
 @dataclass(eq=False)

@@ -101,9 +101,9 @@ def show(
 def _rerun(recording: Recording, *, width: int | None, assets: Sequence[str | Path]) -> Any:
     from rerun.notebook import Viewer as RerunViewer
 
-    from h3data_viewers.rerun.rrd_file import ShownRecording, recorded_stream
+    from h3data_viewers.rerun.rrd_file import ViewedRecording, recorded_stream
 
-    shown = ShownRecording(recording=recording, replay=Replay(recording, assets=assets, detail=False))
+    shown = ViewedRecording(recording=recording, replay=Replay(recording, assets=assets, detail=False))
     return RerunViewer(width=width or "auto", recording=recorded_stream([shown]))
 
 

@@ -42,7 +42,7 @@ ROOM_MIN_M2 = 0.1
 FLOAT_M, SINK_M = 0.02, 0.01
 """An object floats if nothing is this close below it, and is sunk if a surface lies this far above its underside."""
 CLIMB_M = 0.2
-"""Lower objects are stepped over."""
+"""Height up to which objects are stepped over [m]."""
 FURNITURE_MAX_M2 = 6.0
 """Static instances with a larger footprint are whole rooms, not furniture."""
 TOUCH_M = 0.05

@@ -89,7 +89,7 @@ class PersonCommand:
     """Turn rate as a share of the limit, -1..1, positive to the left."""
     left: HandTarget | None = None
     right: HandTarget | None = None
-    """Targets of the hands; None: an arm swings, or carries what the hand holds."""
+    """Targets of the left and of the right hand; None: the arm swings, or carries what the hand holds."""
     head: tuple[float, float] | None = None
     """Yaw to the left and pitch downwards of the head from the direction of the chest [rad]; None looks ahead."""
     do: Do | None = None

@@ -39,7 +39,7 @@ HAND_STEPS = 8
 HAND_MPS = 4.0
 """Largest speed of a hand [m/s]; the palms of people who play in a headset reach 3 m/s."""
 HEAD_RAD_S = 6.0
-"""The head turns no faster than this."""
+"""Largest speed at which the head turns [rad/s]."""
 MEETING_M = 0.12
 """A hand that gives comes this near to the robot's, and no nearer: the object is between them."""
 DRAWS_IN_MPS = 0.4

@@ -131,7 +131,7 @@ class ArticulatedParts:
         return found
 
     # --- what moves -----------------------------------------------------------------------------------------------------
-    def way(self, k: int, *, opens: bool) -> NDArray[np.float64]:
+    def travel(self, k: int, *, opens: bool) -> NDArray[np.float64]:
         """Return the positions [T] of a joint from now to its open or its closed end, one a step."""
         joint, start = self.joints.parts[k][1].joint, float(self.positions[k])
         end = joint.opened if opens else joint.closed
@@ -214,7 +214,7 @@ class ArticulatedParts:
 
     def obstacle(self, k: int, *, opens: bool) -> str:
         """Name of the instance or object that blocks a joint; empty if there is none."""
-        way = self.way(k, opens=opens)
+        way = self.travel(k, opens=opens)
         frames = way[np.unique(np.linspace(0, len(way) - 1, FRAMES).astype(int))]
         positions = np.tile(self.positions, (len(frames), 1))
         positions[:, k] = frames

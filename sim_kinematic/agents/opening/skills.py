@@ -32,23 +32,23 @@ def why_not(openables: ArticulatedParts | None, agent: int, action: Action) -> s
         return "already_open"
     if not opens and share < AT_END:
         return "already_closed"
-    hit = openables.hits_agent(k, openables.way(k, opens=opens))
+    hit = openables.hits_agent(k, openables.travel(k, opens=opens))
     if hit >= 0:
         return "too_near" if hit == agent else "blocked"
     return "obstructed" if openables.obstacle(k, opens=opens) else ""
 
 
-def handle_way(openables: ArticulatedParts, k: int, way: NDArray[np.float64]) -> Array:
+def handle_path(openables: ArticulatedParts, k: int, way: NDArray[np.float64]) -> Array:
     """World points [T, 3] of a handle with its joint at positions [T]."""
     positions = np.tile(openables.positions, (len(way), 1))
     positions[:, k] = way
     return openables.handles(positions)[:, k]
 
 
-def full_way(openables: ArticulatedParts, k: int) -> NDArray[np.float64]:
+def full_travel(openables: ArticulatedParts, k: int) -> NDArray[np.float64]:
     """Positions from where a joint is to the end of its range that is farther away."""
     share = float(openables.joints.shares(openables.positions)[k])
-    return openables.way(k, opens=share < 0.5)
+    return openables.travel(k, opens=share < 0.5)
 
 
 def stands_before(
@@ -60,7 +60,7 @@ def stands_before(
     parts that are open.
     """
     joint = openables.joints.parts[k][1].joint
-    ends = handle_way(openables, k, np.array([joint.closed, joint.opened]))
+    ends = handle_path(openables, k, np.array([joint.closed, joint.opened]))
     outward = (ends[1] - ends[0])[[0, 2]]
     outward /= max(float(np.hypot(*outward)), 1e-9)
     before = np.full(len(stands), k in openables.doors)
@@ -75,8 +75,8 @@ class Leading:
 
     def __init__(self, openables: ArticulatedParts, k: int, *, opens: bool) -> None:
         self.openables, self.k = openables, k
-        self.way = openables.way(k, opens=opens)
-        self.handles = handle_way(openables, k, self.way)
+        self.way = openables.travel(k, opens=opens)
+        self.handles = handle_path(openables, k, self.way)
         """Positions of the handle while the part moves, [T, 3]."""
         self._waited = 0
 

@@ -17,7 +17,7 @@ from h3data.bodies.people.reach import reacher
 from h3data.geometry import IDENTITY_POSE, Array, pose_inverse, pose_multiply, wrap_angle
 from sim_kinematic.agents.giving_way import AnyActor, GivingWay
 from sim_kinematic.agents.oracle.rules import AIMED_RAD, VIA_M, gets_on, is_there, left_to_do, reaches
-from sim_kinematic.agents.oracle.ways import NONE, Ways
+from sim_kinematic.agents.oracle.ways import NONE, PathTable
 from sim_kinematic.agents.person import CARRY, Held
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.driving import FACING_RAD, STUCK_STEPS
@@ -32,7 +32,7 @@ from sim_kinematic.motion.state import NOBODY
 class SubGoal(NamedTuple):
     """Place to which a skill with an object leads."""
 
-    ways: Ways
+    ways: PathTable
     """Shortest paths to the places from which the agent reaches the object."""
     point: Array
     """Place of the sub-goal [3] [m]."""
@@ -43,9 +43,9 @@ class SubGoals:
     """Sub-goals of one agent: paths to where it takes each object and puts it down."""
 
     oracle: OracleSpec
-    to_start: Sequence[Ways]
+    to_start: Sequence[PathTable]
     """Paths to the initial place of each object; ``to_goal`` has those to its goal."""
-    to_goal: Sequence[Ways]
+    to_goal: Sequence[PathTable]
     starts: Array
     """Starts of the objects [K, 3] [m]."""
     goals: Array

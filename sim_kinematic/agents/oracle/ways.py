@@ -78,7 +78,7 @@ class FloorCells:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Ways:
+class PathTable:
     """Shortest paths to the nearest of some places. Points are numbered: the corners of the floor, then the places."""
 
     points: Array
@@ -117,7 +117,7 @@ class Ways:
         return np.where(number < 0, np.inf, np.sqrt(gap[..., 0] ** 2 + gap[..., 1] ** 2) + self.left[number])
 
 
-def ways_to(free: FreeSpace, places: ArrayLike | Sequence[Array]) -> Ways:
+def paths_to(free: FreeSpace, places: ArrayLike | Sequence[Array]) -> PathTable:
     """The paths on a floor to the nearest of some free places [S, 2]."""
     ends = np.ascontiguousarray(np.asarray(places, np.float64).reshape(-1, 2))
     cells, nodes = floor_cells(free), free.graph.nodes
@@ -134,7 +134,7 @@ def ways_to(free: FreeSpace, places: ArrayLike | Sequence[Array]) -> Ways:
         ends,
         DETOUR_M,
     )
-    return Ways(
+    return PathTable(
         points=np.concatenate([nodes, ends]),
         corners=len(nodes),
         origin=cells.origin,

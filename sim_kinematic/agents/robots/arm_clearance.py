@@ -67,7 +67,7 @@ class ArmClearance:
         joints = joints_of(scene)
         self._drawers = {name for name, k in joints.owner.items() if joints.parts[k][1].joint.kind == "prismatic"}
         """Drawers: an object is taken from inside a drawer, past its rim."""
-        self._ways = _arm_ways(robot)
+        self._ways = _arm_paths(robot)
         self._open: dict[tuple[bytes, bytes], bool] = {}
         self._clear: dict[tuple[bytes, bytes], bool] = {}
 
@@ -167,7 +167,7 @@ def reach_line(robot: Robot, hand: Array) -> tuple[Array, Array] | None:
 
 
 @lru_cache(maxsize=8)
-def _arm_ways(robot: Robot) -> dict[tuple[float, float], tuple[Array, Array] | None]:
+def _arm_paths(robot: Robot) -> dict[tuple[float, float], tuple[Array, Array] | None]:
     """Paths of a robot's arm that `ArmClearance._way` has computed, shared between homes."""
     del robot
     return {}

@@ -177,7 +177,7 @@ class RobotDriver:
         return frame[:3, 3] + frame[:3, :3] @ self.robot.hand_position
 
     def walk_on(self, free: FreeSpace) -> None:
-        """The floor is another one from now on: something of the home has opened or closed."""
+        """Use another floor from now on, because something of the home has opened or closed."""
         self.free = free
 
     def idle(self) -> None:

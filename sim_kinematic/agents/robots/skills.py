@@ -15,7 +15,7 @@ from h3data.geometry import Array, pose_inverse, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
 from sim_kinematic.agents.opening.openables import ArticulatedParts, stands_clear
-from sim_kinematic.agents.opening.skills import Leading, full_way, handle_way, stands_before, why_not
+from sim_kinematic.agents.opening.skills import Leading, full_travel, handle_path, stands_before, why_not
 from sim_kinematic.agents.robots.arm_clearance import reach_line
 from sim_kinematic.agents.robots.driving import RobotDriver
 from sim_kinematic.agents.robots.hand_reach import (
@@ -210,7 +210,7 @@ class RobotActor(RobotDriver):
     def _navigate_to_handle(self, k: int) -> Skill:
         """Drives to where the hand reaches a handle, if possible along its whole way, and turns for it."""
         assert self.openables is not None
-        way = handle_way(self.openables, k, full_way(self.openables, k))
+        way = handle_path(self.openables, k, full_travel(self.openables, k))
         stands = self.stands(way[0])
         base = self.base
         stands = stands[stands_before(self.openables, k, stands, base.disc_offsets_m, base.disc_radius_m)]

@@ -72,7 +72,8 @@ from sim_kinematic.tasks.rearrange.solo import keep_solo_steps, solo_steps_of
 from sim_kinematic.tasks.social_nav.episode import Starts, sample_pair_starts
 
 START_ATTEMPTS = 20
-"""Pairs of starts that are tried for a file without starts before a person need not be able to do the work in time."""
+"""Number of pairs of starts that are tried for a file without starts; beyond it, a person need not be able to do the work in
+time."""
 
 _log = logging.getLogger(__name__)
 

@@ -19,12 +19,12 @@ from h3data.geometry import Array
 from h3data.scene import Scene
 from h3data_training.torch.rules import refuse_others
 from h3data_training.torch.step import Floor, refuse_stairs
-from sim_kinematic.agents.oracle.ways import Ways
+from sim_kinematic.agents.oracle.ways import PathTable
 from sim_kinematic.policies.rearrange import partner_plan, planner
 from sim_kinematic.tasks.episode import agent_floor
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, PAIR, RearrangeEpisode, RearrangeSpec
 from sim_kinematic.tasks.rearrange.task import Rearrange
-from sim_kinematic.tasks.skills.errands import errands_of, floor_ways
+from sim_kinematic.tasks.skills.errands import errands_of, floor_paths
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 
 ROBOT, HUMAN, FLOOR = 0, 1, 2
@@ -45,7 +45,7 @@ class RearrangeBank:
     """N episodes of K objects in R homes, with the shortest paths in them.
 
     Paths to places are numbered ``(who * 2 + at_goal) * K + object``, F in all. Points of a path are the n corners of
-    the home, then the S places at its end (`sim_kinematic.agents.oracle.ways.Ways`).
+    the home, then the S places at its end (`sim_kinematic.agents.oracle.ways.PathTable`).
     """
 
     spec: RearrangeSpec
@@ -224,13 +224,13 @@ def orders(chosen: Sequence[Sequence[int]], objects: int) -> NDArray[np.int64]:
     return np.array([[*row, *[-1] * (objects - len(row))] for row in chosen], np.int64).reshape(-1, objects)
 
 
-def _ways(episode: RearrangeEpisode) -> list[Ways]:
+def _ways(episode: RearrangeEpisode) -> list[PathTable]:
     """All paths of an episode, [F]."""
     found = []
     for number in (ROBOT, HUMAN):
         errands = errands_of(episode, number)
         found += [*errands.to_start, *errands.to_goal]
-    return [*found, *floor_ways(episode)]
+    return [*found, *floor_paths(episode)]
 
 
 def _joined(tables: Sequence[Sequence[NDArray]]) -> tuple[NDArray, NDArray[np.int64]]:

@@ -30,7 +30,7 @@ class SubGoal(NamedTuple):
     best: Tensor
     """Least distance to the sub-goal so far [W] [m]; below 0 if the agent has begun to turn there."""
     since: Tensor
-    """Steps since then, int64 [W]."""
+    """Steps since the sub-goal began, int64 [W]."""
     timer: Tensor
     """Steps of the skill so far, int64 [W]."""
     last: Tensor
