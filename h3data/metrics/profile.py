@@ -14,7 +14,7 @@ from h3data.metrics.requirements import UnmeasurableError, note_missing, require
 from h3data.recording.records import Recording
 
 GFX_REPLAY = "gfx_replay"
-"""`Episode.task` of imported gfx-replays, which do not say their task. A profile that lists it takes them for its own."""
+"""Value of `Episode.task` for imported gfx-replays, which do not say their task. A profile that lists it measures them."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -34,7 +34,7 @@ class StoredEpisode:
     index: int | None = None
     """Number of the episode in a dataset; None for a file."""
     read_videos: Callable[[], Sequence[EpisodeVideo]] = tuple
-    """Returns the videos that its dataset has of it."""
+    """Return the videos of the episode in its dataset."""
     read_together: Callable[[range], Iterator[Recording]] | None = None
     """Reads consecutive episodes of its dataset, by number; faster than one after the other."""
 

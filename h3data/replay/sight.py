@@ -11,7 +11,7 @@ from h3data.replay.records import BodyTrack, JointTrack
 from h3data.replay.replay import Replay
 
 CARRIED_M = 0.6
-"""Smaller moving objects do not obstruct: they are carried, or soon gone."""
+"""Size below which moving objects do not obstruct a view, as they are carried or soon gone [m]."""
 CLEARANCE_M = 0.1
 """Half the width of a free line, and the distance at which it ends in front of an obstacle."""
 SIDES, SIDE_PX, SIDE_DEG = 4, 96, 130.0

@@ -93,7 +93,7 @@ class SceneGenerator:
     listed: Mapping[str, SceneSize] = field(default_factory=dict)
     """The names that ``h3data scenes list`` shows."""
     about: str = ""
-    """Help on the names of scenes, in whole sentences, shown below that list."""
+    """Help text on the names of scenes, in whole sentences, shown below their list."""
 
 
 class WriteCollection(Protocol):

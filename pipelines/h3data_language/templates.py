@@ -25,7 +25,7 @@ class Template(NamedTuple):
     order: tuple[tuple[int, int], ...] = ()
     """Pairs of clauses, the earlier first."""
     relation: str = ""
-    """``same`` or ``different``: the first two clauses are about the same piece of furniture, or about two."""
+    """Relation of the first two clauses: ``same`` or ``different`` piece of furniture."""
 
     @property
     def moves_twice(self) -> bool:

@@ -33,7 +33,7 @@ class BvhJoint:
     offset: tuple[float, float, float]
     """Position of the joint in its parent's frame, in the units of the file."""
     channels: tuple[str, ...]
-    """Lower case, in the order of the file: that of the values, and that in which rotations apply."""
+    """Names of the channels in lower case, in the order of their values, in which rotations also apply."""
     end_site: bool = False
 
 

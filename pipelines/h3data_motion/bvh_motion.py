@@ -74,7 +74,7 @@ UNITS_M = (1.0, 0.01, 0.0254, 0.0564444, 0.001)
 LEG_M = (0.5, 1.2)
 """A leg (hip to ankle) of a person."""
 TILT_DEG, BEND_DEG = 30.0, 100.0
-"""A rest pose may be off an upright stance so far, and its limbs off a T-pose."""
+"""Largest angles of a rest pose from an upright stance, and of its limbs from a T-pose [deg]."""
 
 
 class NameTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

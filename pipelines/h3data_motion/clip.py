@@ -1,4 +1,4 @@
-"""Free-form motion: what somebody did, frame by frame, whoever recorded it. Cycles for walking are `h3data.bodies.Clip`."""
+"""Free motion of a person, frame by frame, from any source. Cycles for walking are `h3data.bodies.Clip`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from h3data.geometry import (
 )
 
 UNIT_WITHIN = 1e-3
-"""Quaternions of records are unit to this; readers normalise what files round."""
+"""Tolerance to which quaternions of records have unit length; readers normalise what files round."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,7 +64,7 @@ class Motion:
 
     @property
     def path_m(self) -> float:
-        """Length of the pelvis' way along the floor, shaking below 0.1 s left out [m]."""
+        """Length of the path of the pelvis along the floor, without shaking below 0.1 s [m]."""
         step = max(1, round(0.1 * self.fps))
         return float(np.linalg.norm(np.diff(self.pelvis[::step, ::2], axis=0), axis=1).sum())
 
@@ -137,7 +137,7 @@ def in_start_frame(motion: Motion) -> Motion:
 
 
 def pelvis_heading(quats: Array) -> Array:
-    """Headings [T] [rad] of pelvis frames [T, 4] (+Z forward): of the front, or of the head of one who lies flat."""
+    """Return headings [T] [rad] of pelvis frames [T, 4] (+Z forward): of the front, or of the head if the person lies flat."""
     front = quat_rotate(quats, np.array([0.0, 0, 1]))
     head = quat_rotate(quats, np.array([0.0, 1, 0]))
     lying = np.hypot(front[:, 0], front[:, 2]) < 0.2

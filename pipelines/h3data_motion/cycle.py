@@ -29,19 +29,19 @@ from h3data_motion.contacts import find_contacts, leg_frames, planted
 from h3data_motion.retarget import retarget
 
 COMPARED = 22
-"""Joints of the body; fingers and face say nothing about a cycle."""
+"""Joints that are compared; fingers and face say nothing about a cycle."""
 VELOCITY_S = 0.15
 """A difference in velocity of 1 m/s counts as this many metres of distance."""
 SEARCH_FPS = 60.0
 ALIKE = 0.1
 """A shorter loop is taken if it closes worse than the best one by up to this share of what poses differ: one cycle, not two."""
 WALKS_M, TURNS_RAD = 0.15, np.radians(20.0)
-"""Way per cycle above which a clip is played by distance; turn per cycle above which it is played by the turn."""
+"""Distance per cycle above which a clip is played by distance, and turn per cycle above which it is played by the turn."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Loop:
-    """A part of a motion whose end fits its start."""
+    """Part of a motion whose end fits its start."""
 
     start_s: float
     end_s: float

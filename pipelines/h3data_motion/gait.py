@@ -1,4 +1,4 @@
-"""Imported motion as the walk of a body: a captured cycle is taken apart into what a gait is made of, and scaled to any speed.
+"""Walks from imported motion: a captured cycle is taken apart into the parts of a gait, and scaled to any speed.
 
 Pelvis, trunk, arms and head are as captured. Of the feet, which may slide or stand a little in the floor, only their curves
 are taken, as means of left and right: how they pitch, where they strike, and how they fly between. They roll on the floor

@@ -18,7 +18,7 @@ from h3data_training.torch.graph import captured, keep_row, overwrite
 RANK_SEED = 1_000_003
 """Difference between the seeds of two processes' exploration noise."""
 BEYOND = 1.2
-"""Mean actions beyond this are pulled back: past its limits a command changes nothing, so nothing else would."""
+"""Limit beyond which mean actions are pulled back: past its limits a command changes nothing, so nothing else would."""
 
 
 class Worlds(Protocol):
@@ -78,7 +78,7 @@ class Memory:
     """An episode began in the last decision, bool [W]."""
 
     def tensors(self) -> list[Tensor]:
-        """All of it, in a fixed order."""
+        """Return all tensors, in a fixed order."""
         return [*self.shown.values(), self.state, self.last, self.over]
 
 
@@ -91,7 +91,7 @@ class Schedule(NamedTuple):
     acts: bool = True
     """True if the actor learns, False if only the critic does, which is new where the actor is not."""
     teacher: float = 0.0
-    """Weight of what a teacher would do."""
+    """Weight of the actions of a teacher."""
 
 
 def schedule(settings: Settings, share: float, update: int) -> Schedule:

@@ -30,7 +30,7 @@ class Ranks:
         return self.rank == 0
 
     def sum(self, tensor: Tensor) -> Tensor:
-        """The sum over all processes, the same bits in each of them."""
+        """Return the sum over all processes, with the same bits in each of them."""
         if self.count > 1:
             tensor = tensor.contiguous().clone()
             dist.all_reduce(tensor)

@@ -74,7 +74,7 @@ class Settings:
     clip: float = 0.2
     gradient_norm: float = 1.0
     teacher: float = 0.0
-    """Weight of what a scripted teacher would do, at the start; where a task has one."""
+    """Weight of the actions of a scripted teacher at the start; for tasks that have one."""
     teacher_end: float = 0.6
     """Share of the run at which that weight has come down to 0."""
     auxiliary: float = 0.5

@@ -1,4 +1,4 @@
-"""Scenes of other makers, converted once: the result lies in the cache until one of their files changes."""
+"""Cache of converted scenes of other makers: a result is used until one of its files changes."""
 
 from __future__ import annotations
 

@@ -138,7 +138,7 @@ class Transition(NamedTuple):
     """Pose [55, 4] in which the previous kind of motion was left; None where there was none."""
     pelvis: Array | None = None
     left: float = 0.0
-    """Share of it that is still shown, from 1 to 0."""
+    """Share of the last pose that is still blended in, from 1 to 0."""
 
 
 class Person:

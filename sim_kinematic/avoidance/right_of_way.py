@@ -46,7 +46,7 @@ class Walker(Body, Protocol):
 
     @property
     def path_start(self) -> NDArray[np.floating] | None:
-        """The first of them [2], which costs nothing; None: it is going nowhere."""
+        """First point of the agent's path [2], which costs nothing; None: it is going nowhere."""
         ...
 
     turned_away: bool

@@ -62,7 +62,7 @@ class SkillController:
         self._step, self._left, self._interrupted = step, CHOICES, False
 
     def interrupt(self, reason: str) -> None:
-        """Has the agent choose while a skill is running; who chooses the same again goes on with it."""
+        """Have the agent choose while a skill is running; one that chooses the same skill again continues it."""
         self.ending, self._interrupted = SkillResult("aborted", reason), True
 
     def start(self, world: World, agent: int, rows: NDArray[np.intp], action: Sequence[Action]) -> None:

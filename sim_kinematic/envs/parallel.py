@@ -28,7 +28,7 @@ Infos = dict[str, dict[str, Any]]
 
 
 class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
-    """Several agents act at every step, and all get the same reward.
+    """Environment in which several agents act at every step and all get the same reward.
 
     In tasks with skills, which last differently long, a step lasts until one agent must choose. ``info[agent]["choosing"]``
     says whose next action counts; that of an agent that is busy has no effect. When two must choose at one moment and only

@@ -57,8 +57,8 @@ class BaseSpec:
     slide_iterations: int = 6
     """Attempts to push the discs out of obstacles before the move is given up."""
     clearance_tolerance_m: float = 7e-4
-    """By the distance grid, a disc may come this much nearer to an obstacle than its radius. The grid itself may be wrong
-    by cell^2 / (8 radius), 1.25 mm at corners, so the disc enters nothing by more than 2 mm."""
+    """Distance by which a disc may be nearer to an obstacle on the grid than its radius [m]. The grid itself may be wrong by
+    cell^2 / (8 radius), 1.25 mm at corners, so the disc enters no obstacle by more than 2 mm."""
     contact_tolerance_m: float = 1e-5
     """Displacement of a disc above which it has touched something [m]."""
     keeps_speed: bool = field(default=False, repr=False)

@@ -262,7 +262,7 @@ class Strider:
         self.arrived = True
 
     def walk_on(self, free: FreeSpace) -> None:
-        """Takes another floor under the same path."""
+        """Use another floor for the same path."""
         self.free = free
         self._grid = free.sdf, free.origin, free.cell_m, free.heights, self._radius_m
 
@@ -308,7 +308,7 @@ class Strider:
         return state[:2].copy(), float(state[2])
 
     def whole(self, xz: Array, heading: float, *, most: int) -> NDArray[np.float64]:
-        """The steps (x, z, heading) [n, 3] to the end of the path, ``most`` of them at most."""
+        """Return the steps (x, z, heading) [n, 3] to the end of the path, ``most`` of them at most."""
         state, track = self._state, np.empty((most, 3))
         state[0], state[1], state[2] = xz[0], xz[1], heading
         count = stride_track(*self._grid, self._path, self._cumulative, self._halts, state, *self._rules, track)

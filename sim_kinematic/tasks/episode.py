@@ -59,7 +59,7 @@ class Episode:
     starts: Array
     """Start ``(x, z, heading)`` of each agent, shape [A, 3]."""
     extra: Mapping[str, Any] = field(default_factory=dict)
-    """Whatever else the task sampled, as JSON types; recorded in ``info["extra"]``."""
+    """Further data that the task sampled, as JSON types; recorded in ``info["extra"]``."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "free", common_floor(self.roster, self.free))

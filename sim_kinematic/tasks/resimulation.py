@@ -49,7 +49,7 @@ class Verification:
     """Result of `sim_kinematic.tasks.resume.verify`."""
 
     steps: int
-    """Steps that agree: all, or those before the first difference."""
+    """Number of steps that agree: all, or those before the first difference."""
     difference: Difference | None
 
     @property

@@ -34,7 +34,7 @@ if not TYPE_CHECKING:
 
 
 class DecisionLoop:
-    """An episode's turns, one at a time: who must decide next, or that a step is over."""
+    """Loop over the turns of an episode: the agent that must decide next, or the end of a step."""
 
     def __init__(self, play: WorldRollout) -> None:
         self._play, self._left = play, play.spec.max_steps
@@ -430,7 +430,7 @@ class Session:
         return self._closed
 
     def abort(self) -> None:
-        """Leaves the session without an end: what has been played so far stays as an unfinished log (``.part``)."""
+        """Leave the session without an end: the steps so far stay as an unfinished log (``.part``)."""
         if self._closed is None:
             self.recorder.flush()
             self.recorder.abort()

@@ -1,4 +1,4 @@
-"""From what players want to commands of the simulator, one driver for each agent that somebody plays.
+"""Drivers, which turn the wishes of players into commands of the simulator, one for each agent that somebody plays.
 
 A driver is a function of the messages and of the world alone, so that the same messages give the same commands when a session
 goes on after a crash.
@@ -41,7 +41,7 @@ from sim_kinematic.tasks.episode import agent_base, agent_floor
 from sim_kinematic.tasks.runner import Session, StepResult
 
 CANCEL = Action("wait", steps=1)
-"""Interrupts a running skill and does nothing itself."""
+"""Choice that interrupts a running skill and does nothing itself."""
 DOOR_SHUT = "A closed door is in the way."
 GOAL_M = 0.02
 """Distance from an object's goal within which a chosen place means the goal [m]."""
@@ -96,7 +96,7 @@ class Driver:
         self.forward = self.turn = 0.0
 
     def interrupt(self) -> None:
-        """Ends what the server leads."""
+        """End the skill or walk that the server leads."""
         self.guide = None
 
     def go(self, xz: Any, heading: float | None = None) -> str:
@@ -127,7 +127,7 @@ class Driver:
 
     @property
     def busy(self) -> bool:
-        """Returns whether the agent is moved by something else than the player's keys."""
+        """Return whether the agent is moved by something other than the player's keys."""
         return self.guide is not None
 
     def can_place(self, point: Any) -> str:
@@ -195,7 +195,7 @@ class SkillDriver(Driver):
         return ""
 
     def put(self, point: Array, lead: bool) -> str:
-        """Places what is held."""
+        """Place the held object."""
         k = self.objects.held(self.number)
         if k < 0:
             return "The hand holds nothing."
@@ -243,7 +243,7 @@ class SkillDriver(Driver):
         return super().go(xz, heading)
 
     def put_at(self, point: Array, lead: bool) -> str:
-        """Places what is held elsewhere than at its goal."""
+        """Place the held object elsewhere than at its goal."""
         del point, lead
         return "The robot puts things down at their goals only."
 

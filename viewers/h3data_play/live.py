@@ -90,7 +90,7 @@ class PatientSink:
         self.writer.abort()
 
     def retry(self) -> None:
-        """Hands over what waits."""
+        """Write the data that wait."""
         info = self._info
         self._try(self.writer.flush if info is None else partial(self.writer.close, info=info))
 
@@ -156,7 +156,7 @@ class EpisodeFactory:
         return self.source.sample(self.plan.seed, index)
 
     def finished(self, order: GameOrder) -> dict[str, Any] | None:
-        """Returns how an episode ended whose whole recording is already there; else None."""
+        """Return how an episode ended whose complete recording already exists; else None."""
         path = Path(self.plan.out, order.name + ".mcap")
         if not path.exists() or path.with_name(path.name + ".part").exists():
             return None
@@ -328,7 +328,7 @@ class LiveGame:
         self._record(CONNECTED if here else DISCONNECTED, number)
 
     def slip(self, steps: int) -> None:
-        """The clock of the game has fallen behind by so many steps, which nobody will play."""
+        """Note that the clock of the game has fallen behind by some steps, which nobody will play."""
         self.slipped += steps
         self._record(SLIP, 0, msgspec.json.encode({"steps": steps}).decode())
 
@@ -389,7 +389,7 @@ class LiveGame:
 
     @property
     def floor(self) -> FreeSpace:
-        """The floor as it is now, on which pages predict their players: doors move where agents have skills."""
+        """Present floor, on which pages predict their players: doors move where agents have skills."""
         return getattr(self.session.play.team, "floor", self.session.episode.free)
 
     # --- the end ------------------------------------------------------------------------------------------------------

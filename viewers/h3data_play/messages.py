@@ -37,7 +37,7 @@ class Message(msgspec.Struct, frozen=True, tag_field="k", kw_only=True):
 
 
 class Move(Message, frozen=True, tag="move"):
-    """Walks or drives, until told otherwise: shares of the speed and of the turn rate."""
+    """Message to walk or drive until further notice: shares of the speed and of the turn rate."""
 
     f: Share = 0.0
     t: Share = 0.0
@@ -61,18 +61,18 @@ class Pick(Message, frozen=True, tag="pick"):
 
 
 class Place(Message, frozen=True, tag="place"):
-    """Puts what is held down with its origin at a point; with ``lead``, walks there first."""
+    """Message to put the held object down with its origin at a point; with ``lead``, the player walks there first."""
 
     p: Point
     lead: bool = False
 
 
 class Drop(Message, frozen=True, tag="drop"):
-    """Lets go of what is held."""
+    """Message to let go of the held object."""
 
 
 class Give(Message, frozen=True, tag="give"):
-    """Hands what is held to agent ``a``."""
+    """Message to hand the held object to agent ``a``."""
 
     a: Index
 
@@ -117,7 +117,7 @@ class Ping(msgspec.Struct, frozen=True, tag_field="k", tag="ping"):
 
 
 class Can(msgspec.Struct, frozen=True, tag_field="k", tag="can"):
-    """Asks whether what is held could be placed at a point. It changes nothing and is not recorded."""
+    """Question whether the held object could be placed at a point. It changes nothing and is not recorded."""
 
     p: Point
 

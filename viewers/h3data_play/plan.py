@@ -23,7 +23,7 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
     seats: tuple[str, ...] = ("person",)
     """Roles of the seats, from `SEATS`; players first."""
     partner: str | None = None
-    """Policy of everybody whom nobody plays; None: the task's default."""
+    """Policy of all agents that nobody plays; None: the task's default."""
     scenes: str | tuple[str, ...] = "small"
     seed: int = 0
     episodes: int = 1
@@ -47,7 +47,7 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def players(self) -> tuple[str, ...]:
-        """The seats of those who play."""
+        """Seats of the players."""
         return tuple(seat for seat in self.seats if seat != "spectator")
 
     def roster(self, usual: tuple[str, ...]) -> tuple[str, ...]:
@@ -78,7 +78,7 @@ class GameOrder(msgspec.Struct, frozen=True, kw_only=True):
     resumes: bool = False
     """True if another process may have played some of it, or all."""
     facts: dict[str, Any] | None = None
-    """Facts that the process that has prepared the episode found (`EpisodeCodec.precompute`); None: nobody has prepared it."""
+    """Facts that were found when the episode was prepared (`EpisodeCodec.precompute`); None: it has not been prepared."""
 
 
 def prepared_key(order: GameOrder) -> str:

@@ -29,7 +29,7 @@ class Seat:
 
     sid: str
     token: str
-    """Digest of what the browser's cookie holds."""
+    """Digest of the browser's cookie."""
     place: int
     """Number of the table."""
     number: int
@@ -69,7 +69,7 @@ def token_digest(token: str) -> str:
 
 @dataclass
 class SeatLog:
-    """Seats and games of a folder, in memory and in its SQLite file. What the disk does not take is not in memory either."""
+    """Seats and games of a folder, in memory and in its SQLite file. Memory holds nothing that the disk did not take."""
 
     folder: Path
     name: str = JOURNAL
@@ -138,7 +138,7 @@ class SeatLog:
         game.over = why
 
     def open_game(self, place: int) -> Game | None:
-        """The game that goes on at a table."""
+        """Return the game that is running at a table."""
         return next((game for game in self.games.values() if game.place == place and not game.over), None)
 
     def owner(self, token: str, number: int) -> Seat | None:

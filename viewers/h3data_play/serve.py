@@ -30,7 +30,7 @@ LAST_WORDS_S = 1.0
 
 
 class ServeOptions(msgspec.Struct, frozen=True, kw_only=True):
-    """Options of a server: at which address it listens, for whom, and how many workers it has."""
+    """Options of a server: its address, its allowed hosts, and its number of workers."""
 
     host: str = "127.0.0.1"
     port: int = 0

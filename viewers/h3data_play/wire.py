@@ -76,11 +76,11 @@ class PackedStep:
     agents: int
     agent_bytes: bytes
     moved: NDArray[Any]
-    """Objects whose pose or holder has changed."""
+    """Objects with a changed pose or holder."""
     objects: NDArray[Any]
     """Poses of all objects."""
     turned: NDArray[Any]
-    """Doors and drawers whose position has changed."""
+    """Doors and drawers with a changed position."""
     joints: NDArray[Any]
     """Positions of all joints."""
 

@@ -60,16 +60,16 @@ PLAN_STEPS = 6
 BEGIN_S = 2.0
 """Time after which a game begins even if some players are late [s]."""
 MOST_AHEAD = 12
-"""Homes of so many episodes are made before somebody plays in them."""
+"""Number of episodes whose homes are made before somebody plays in them."""
 REPORT_S = 1.0
 LEFT_S = 60.0
-"""A game that has stood still for so long takes no capacity from others; pages load for less."""
+"""Time for which a game stands still before it counts as left, longer than pages take to load [s]."""
 MEASURED_STEPS = 60
 DISK_S = 1.0
 """Seconds between attempts to write data that a full disk did not take."""
 DISK_FULL = "The disk of the server is full. The home stands still until there is space again; nothing is lost."
 HUD_S = 10.0
-"""The time that is left is told this often."""
+"""Time between two messages about the remaining time [s]."""
 
 log = logging.getLogger("h3data.hitl.worker")
 
@@ -96,7 +96,7 @@ class Running:
     """CPU time of the latest steps, with packing and sending."""
     huds: dict[int, Any] = field(default_factory=dict)
     barriers: dict[int, Any] = field(default_factory=dict)
-    """Thing that each player was last told to open first."""
+    """Thing that each player was last asked to open first."""
     floors: dict[int, Any] = field(default_factory=dict)
     """The floor of which each player was last told, if it has ever changed; None: the page may have any."""
     is_stuck: bool = False
@@ -113,7 +113,7 @@ class Running:
 
     @property
     def runs(self) -> bool:
-        """Returns whether all who play are there, and the disk takes what they do."""
+        """Return whether all players are there and the disk takes what they do."""
         return not self.over and not self.is_stuck and all(number in self.here for number in self.game.drivers)
 
     @property
@@ -240,7 +240,7 @@ class Worker:
                     yield
 
     def guarded(self, key: str, act: Callable[..., None], body: Any) -> None:
-        """Does something for one game; what goes wrong there ends that game, and its log can be recovered."""
+        """Run a function for one game; an error there ends only that game, whose log can be recovered."""
         try:
             act(self, key, body)
         except Closed:
@@ -307,7 +307,7 @@ class Worker:
 
     # --- letters of the front -----------------------------------------------------------------------------------------
     def prepare(self, key: str, body: dict[str, Any]) -> None:
-        """Sends what pages need of an episode."""
+        """Send what pages need to show an episode."""
         self.channel.send("prepared", key, self.made(int(body["plan"]), int(body["index"])))
 
     def begin(self, key: str, body: dict[str, Any]) -> None:
@@ -343,7 +343,7 @@ class Worker:
             self._tell_pause(running)
 
     def go_on(self, key: str, body: Any) -> None:
-        """Tries again whether the disk takes what a game has left."""
+        """Try again whether the disk takes the rest of a game."""
         del body
         running = self.games[key]
         running.game.retry()

@@ -134,7 +134,7 @@ class Workers:
         self._stops = False
 
     async def start(self) -> None:
-        """Starts all; the spare one gets ready later.
+        """Start all workers; the spare one gets ready later.
 
         Raises:
             Refused: the plan cannot be played.
@@ -161,7 +161,7 @@ class Workers:
         return spare.result()
 
     async def warm_spare(self) -> WorkerProcess | None:
-        """The spare as soon as it is warm; None where there is none."""
+        """Return the spare worker as soon as it is warm; None if there is none."""
         if self.spare is not None:
             await asyncio.wait([self.spare])
         return self.ready_spare()
@@ -204,7 +204,7 @@ class Preparer:
         self._asked: dict[str, tuple[WorkerProcess, asyncio.Future[None]]] = {}
 
     def heard(self, key: str, body: dict[str, Any]) -> None:
-        """Keeps what a worker has made."""
+        """Store what a worker has made."""
         for what, kind in (("glb", "model/gltf-binary"), ("grid", "application/octet-stream")):
             name, data = body[what]
             self.files.pop(name, None)
@@ -226,7 +226,7 @@ class Preparer:
         return found if found is not None and all(name in self.files for name in found["names"]) else None
 
     def ask(self, order: GameOrder) -> asyncio.Future[None] | None:
-        """Has an episode prepared; None where there is nobody to do that, or nothing to do."""
+        """Have an episode prepared; returns None if nobody can do that, or nothing is to be done."""
         key, spare = prepared_key(order), self._workers.ready_spare()
         if spare is None or self.made(order) is not None:
             return None

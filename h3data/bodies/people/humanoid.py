@@ -100,7 +100,7 @@ class Humanoid:
     """Body frame of the rest mesh to joint frames, shape [55, 4, 4]; holds the step from T-pose to A-pose."""
     full: SkinnedMesh
     lod: SkinnedMesh
-    """About 3,000 vertices: the default for cameras that are not close (surface error below 5 mm)."""
+    """Mesh of about 3,000 vertices, the default for cameras that are not close (surface error below 5 mm)."""
     region_names: tuple[str, ...]
     capsules: tuple[BodyCapsule, ...]
     gaits: Gaits

@@ -223,7 +223,7 @@ class ReachSolver:
         """Position of the palm of a standing person, shape [3] [m]."""
 
     def poses(self, targets: Array, trunk: ArrayLike = 1.0, arm: ArrayLike = 1.0) -> ReachPoses:
-        """Returns the same as `reach_poses`, with the body of this solver."""
+        """Return the result of `reach_poses` for the body of this solver."""
         count = len(targets)
         quats, pelvis = np.empty((count, 55, 4)), np.empty((count, 3))
         measures, status = np.empty((count, kernel.MEASURE_COUNT)), np.empty(count, np.int8)

@@ -25,9 +25,9 @@ HANDS = (r"gripper|hand|palm", r"tool|tcp|eef?\b|end_?effector|grasp")
 NOT_HANDS = r"finger|thumb|jaw|knuckle|pad|tip\b|camera|optical|wheel|leg|foot|toe|head|caster"
 EYES = r"camera|optical|rgb|eye|head"
 MOST_LINKS = 300
-"""Larger trees are no robots (humanoids have about 60 links) and would take long to fold."""
+"""Number of links above which a tree is no robot (humanoids have about 60) and would take long to fold."""
 LEAST_ARM_JOINTS = 4
-"""Fewer joints in a chain without a hand's name are a leg, a head or a wheel."""
+"""Number of joints below which a chain without a hand's name is a leg, a head or a wheel."""
 BASE_TOP_M = 0.35
 """Height below which the lowest point of a part lies that belongs to the base's footprint [m]."""
 TIGHT = 1.25

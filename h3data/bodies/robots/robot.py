@@ -67,7 +67,7 @@ class JointTargets(NamedTuple):
     """Joint positions that the robot can take."""
 
     positions: NDArray[np.float64]
-    """Inside the limits, shape [..., J] [rad or m]."""
+    """Positions of the joints, inside their limits, shape [..., J] [rad or m]."""
     clamped: NDArray[np.bool_]
     """True if each requested position was beyond a limit, shape [..., J]."""
 

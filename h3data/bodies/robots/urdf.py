@@ -42,7 +42,7 @@ _log = logging.getLogger(__name__)
 JointKind = Literal["revolute", "continuous", "prismatic", "fixed", "spherical"]
 _XACRO = {"arg", "attribute", "call", "element", "if", "include", "insert_block", "macro", "property", "unless"}
 MAX_BYTES = 16 << 20
-"""Larger files are refused: no robot description is."""
+"""Size above which a file is refused, as no robot description is larger [bytes]."""
 MAX_LINKS = 10_000
 
 

@@ -113,7 +113,7 @@ class EpisodeSet(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     contents: tuple[ContentFile, ...] = ()
     """The files that hold the episodes, where the dataset is split by scene; replace it by () to write one file."""
     warnings: tuple[str, ...] = ()
-    """Oddities of the file, which can be used all the same."""
+    """Oddities of the file, which can be used nevertheless."""
 
     def __len__(self) -> int:
         return len(self.episodes)

@@ -39,7 +39,7 @@ class Graph(NamedTuple):
     rings: NDArray[np.float64]
     """Edges of the free area, ``x0 z0 x1 z1``, shape [r, 4]."""
     ring_island: NDArray[np.int32]
-    """Island of each of them, shape [r]."""
+    """Island of each ring, shape [r]."""
     edges: NDArray[np.float64]
     """Blocking edges (of the grown area), shape [e, 4]."""
     edge_island: NDArray[np.int32]

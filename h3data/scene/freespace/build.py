@@ -36,7 +36,7 @@ SMOOTH_VOXEL_M = 2e-3
 BORDER_M = 0.3
 """Width of the border of the distance grid around the floor [m]."""
 ISLAND_MIN_M2 = 0.01
-"""Smaller patches are rounding, not places."""
+"""Area below which patches of floor are rounding errors [m2]."""
 ISLAND_MIN_VOXEL_M2 = 1.0
 """The same for voxels, where they are the insides of wardrobes and tubs; Habitat leaves out regions below 20 x 20 cells of
 5 cm (``regionMinSize``, spec/habitat.md 6.7)."""

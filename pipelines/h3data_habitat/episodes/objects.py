@@ -51,7 +51,7 @@ class ReadObject(NamedTuple):
     """Center of mass in the asset's axes, [3] [m]."""
     semantic_id: int
     missing: str
-    """Reason why a box stands in for it; empty: it does not."""
+    """Reason why a box replaces the object; empty if it does not."""
 
 
 def search_of(scene: Scene, paths: Sequence[str], assets: Sequence[str]) -> ObjectSearch:

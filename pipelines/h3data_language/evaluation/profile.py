@@ -130,7 +130,7 @@ PARTNR: tuple[Metric, ...] = (
 
 
 class Progress(NamedTuple):
-    """The satisfied propositions of a recording, and who satisfied them."""
+    """Satisfied propositions of a recording, and the agents that satisfied them."""
 
     satisfied_at: NDArray[np.int64]
     """Row in which each proposition was first satisfied; -1 = never, [P]."""

@@ -44,7 +44,7 @@ class BenchmarkFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     episodes: int
     seed: int = 0
     partners: list[str] = []
-    """Policies of people, of tasks in which every robot plays with several of them."""
+    """Policies of people, for tasks in which every robot plays with several of them."""
     rules: str | None = None
     """Name of a set of rules: ``natural`` or ``paper``."""
     overrides: dict[str, Any] = {}

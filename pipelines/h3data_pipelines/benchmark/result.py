@@ -73,7 +73,7 @@ class BenchmarkRun:
     failed: tuple[str, ...]
 
     def to_text(self) -> str:
-        """The table, what failed, and how to check the result."""
+        """Return the table, the failures, and how to check the result."""
         table = result_table(self.benchmark.metrics(), self.result.rows)
         failed = "".join(f"\nfailed {line}" for line in self.failed)
         return f"{self.benchmark.label}\n{table}{failed}\nCheck it: h3data benchmark verify {self.folder}"

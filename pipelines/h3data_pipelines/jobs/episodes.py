@@ -401,7 +401,7 @@ def refuse_beside(option: str, **given: bool) -> None:
 
 
 def checked(choices: Choices) -> Choices:
-    """The choices with learned policies by the digest of their weights, after a look at all names.
+    """Return the choices with learned policies by the digest of their weights, after a check of all names.
 
     Raises:
         InputError: no such task, agents, policy or body.

@@ -36,7 +36,7 @@ GAP_BELOW_M, GAP_ABOVE_M = 0.05, 0.10
 REACH_M = 1.1
 """Greatest distance in the floor plane from standing room to the centre of a receptacle; the home generator's limit."""
 ISLAND_MIN_M2 = 0.05
-"""Smaller patches of free floor are leftover corners between objects and are ignored."""
+"""Area below which patches of free floor are ignored, as leftover corners between objects [m2]."""
 ROOM_MIN_M2 = 0.1
 """A room with less walkable floor cannot be entered."""
 FLOAT_M, SINK_M = 0.02, 0.01

@@ -34,7 +34,7 @@ class Goal:
     agent: int = -1
     """Index of the agent that is the goal; -1 for a point."""
     within_m: float = 0.0
-    """The goal is reached from this far away, so much of a path to it need not be driven [m]."""
+    """Distance from which the goal is reached [m]; this part of a path to it need not be driven."""
     missing: str = ""
     """Reason why there is no goal; then nothing is reached, and all distances are NaN."""
     notes: tuple[str, ...] = ()

@@ -42,7 +42,7 @@ class Job(NamedTuple):
     """Training episode to play."""
 
     number: int
-    """Among all of the run."""
+    """Number of the episode in the run."""
     entry: int
     """Entry of the pool that the episode is."""
     partner: str

@@ -30,7 +30,7 @@ LOOKS_EVERY = 25
 
 
 class TensorPlayers:
-    """Plays training episodes in worlds on a device; what `h3data_training.populations.playing.Players` is with processes."""
+    """Players of training episodes in worlds on a device, as `h3data_training.populations.playing.Players` is for processes."""
 
     workers = 1
 

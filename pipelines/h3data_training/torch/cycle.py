@@ -1,4 +1,4 @@
-"""The person's walking cycle as a table on a device: what is fixed to the body, by phase and blend."""
+"""Table of the person's walking cycle on a device: parts that are fixed to the body, by phase and blend."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class WalkingCycle:
     human: Humanoid
     clip: int
     blends: int
-    """Blends in the tables: those that a person goes through while setting off and stopping."""
+    """Blends in the tables: those that a person goes through when setting off and stopping."""
 
     @classmethod
     def of(cls, human: Humanoid, walker: WalkerSpec) -> WalkingCycle:

@@ -30,7 +30,7 @@ from sim_kinematic.tasks.task import Task
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EpisodeBank:
-    """N episodes: starts, and all way points that the person can get to in the time there is."""
+    """Bank of N episodes: starts, and all way points that the person can reach in the time available."""
 
     floors: tuple[FreeSpace, ...]
     """Floors of the scenes that are played in."""

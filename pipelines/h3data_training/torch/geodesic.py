@@ -1,4 +1,4 @@
-"""Shortest ways between two points of W worlds by look-ups alone, so that a GPU can do it in every step.
+"""Shortest paths between two points of W worlds by look-ups alone, so that a GPU can do it in every step.
 
 Where a straight way is free, its length; else the shortest way through the lattice nodes around both ends
 (`h3data.scene.FreeSpace.lattice`). Beside the exact `FreeSpace.geodesic`, measured on pairs of random points in furnished
@@ -24,9 +24,9 @@ from h3data_training.torch.step import Grids, sample_sdf
 AROUND = 4
 """Number of rows and of columns of nodes that are tried around an end of a path."""
 LOOKS = 32
-"""Places on the straight way at which the distance to obstacles is looked up."""
+"""Number of places on the straight line at which the distance to obstacles is looked up."""
 LOOK_APART_M = 0.4
-"""Farthest that these may be apart: nothing that keeps an agent out is thinner than twice its radius."""
+"""Largest distance between these places: nothing that keeps an agent out is thinner than twice its radius [m]."""
 DETOUR_M = 0.02
 """Additional length of a path over a node at which the node's weight in the direction falls to 1 / e [m]."""
 
@@ -63,7 +63,7 @@ class Lattices:
 
     @classmethod
     def of(cls, floors: Sequence[FreeSpace], device: torch.device | str, dtype: torch.dtype) -> Lattices:
-        """The lattices of these floors on a device; they are built at first use."""
+        """Return the lattices of these floors on a device; they are built at first use."""
         lattices = [f.lattice for f in floors]
         padded = [np.pad(lattice.rows.astype(np.int64), AROUND, constant_values=-1) for lattice in lattices]
         step = np.array([lattice.step for lattice in lattices])
@@ -98,7 +98,7 @@ class Lattices:
 
 
 class ShortestPath(NamedTuple):
-    """Shortest ways of W worlds."""
+    """Shortest paths of W worlds."""
 
     length: Tensor
     """Length of the path [W] [m]; inf where the table joins no nodes around the ends."""
@@ -107,7 +107,7 @@ class ShortestPath(NamedTuple):
 
 
 def shortest_path(grids: Grids, lattices: Lattices, a: Tensor, b: Tensor) -> ShortestPath:
-    """The shortest way from a [W, 2] to b [W, 2]."""
+    """Return the shortest path from a [W, 2] to b [W, 2]."""
     gap = b - a
     straight = torch.hypot(gap[:, 0], gap[:, 1])
     along = torch.linspace(0, 1, LOOKS, dtype=a.dtype, device=a.device)[:, None, None]

@@ -1,4 +1,4 @@
-"""Which rules of tasks hold on a device. What is not listed is refused by its name: no rule is silently ignored."""
+"""Rules of tasks that hold on a device. Other rules are refused by their name: no rule is silently ignored."""
 
 from __future__ import annotations
 

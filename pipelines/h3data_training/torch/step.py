@@ -88,7 +88,7 @@ class Grids:
 
     @classmethod
     def of(cls, floors: Sequence[Floor], device: torch.device | str, dtype: torch.dtype) -> Grids:
-        """The grids of these floors on a device."""
+        """Return the grids of these floors on a device."""
         tables = [_coefficients(np.asarray(f.sdf, np.float64)) for f in floors]
         sizes = np.array([f.sdf.shape for f in floors], np.float64)
         cell = np.array([f.cell_m for f in floors])
@@ -267,14 +267,14 @@ def drive_robots(
 def move_humans(
     person: HumanTensors, xz: Tensor, heading: Tensor, spec: WalkerSpec, *, dt: float = STEP_S
 ) -> HumanTensors:
-    """Humanoids [W, ...] at the places [W, 2] and headings [W] that they get to in a step."""
+    """Return people [W, ...] at the places [W, 2] and headings [W] that they get to in a step."""
     gap = xz - person.xz
     walked = torch.hypot(gap[:, 0], gap[:, 1])
     return HumanTensors(xz, heading, *step_cycle(person, walked, walked > 0.0, dt / spec.blend_s))
 
 
 def step_cycle(person: HumanTensors, walked: Tensor, goes: Tensor, rate: float) -> tuple[Tensor, Tensor, Tensor]:
-    """``(distance, set_off, blend)`` [W] after a step in which people walked so far [m]: `sim_kinematic.motion.gait`'s."""
+    """Return ``(distance, set_off, blend)`` [W] after a step of this length [m]: `sim_kinematic.motion.gait`'s."""
     begins = goes & (person.blend == 0.0)
     return (
         person.distance + walked,

@@ -104,7 +104,7 @@ class Play(NamedTuple):
 
 
 class Agents(NamedTuple):
-    """The agents of all worlds at one moment; there are no objects."""
+    """Agents of all worlds at one step; there are no objects."""
 
     agents: tuple[Any, Any]
     """Robots and people; each has ``xz`` and ``heading``."""

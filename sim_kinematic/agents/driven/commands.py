@@ -15,7 +15,7 @@ from sim_kinematic.agents.skills import CONTROL, Action, Objects
 HEAD_YAW_RAD, HEAD_PITCH_RAD = float(np.radians(75.0)), float(np.radians(50.0))
 """The head turns this far from the direction of the chest at most."""
 LARGEST_NUMBER = 1000.0
-"""Larger numbers are refused: they are a fault of the sender, and squared they would overflow."""
+"""Limit above which numbers are refused: they are a fault of the sender, and squared they would overflow."""
 
 Vector = tuple[float, ...]
 

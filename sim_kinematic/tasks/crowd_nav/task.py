@@ -29,7 +29,7 @@ FAR_M = 100.0
 
 @dataclass(frozen=True, kw_only=True)
 class CrowdNavSpec(TaskSpec):
-    """Rules in addition to those of every task."""
+    """Rules of crowd navigation, in addition to those of every task."""
 
     max_steps: int = 1800
     spawn_distance_m: float = 1.5
@@ -54,7 +54,7 @@ class CrowdNavSpec(TaskSpec):
 
 
 class CrowdNav(Task):
-    """Reach the goal without touching anybody, and go near people as seldom as possible."""
+    """Task to reach the goal without touching anybody and with little time close to people."""
 
     Spec = CrowdNavSpec
     agents: ClassVar[tuple[str, ...]] = ("robot", "human", "human", "human", "human")

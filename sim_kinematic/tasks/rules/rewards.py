@@ -52,7 +52,7 @@ class Encounter(NamedTuple):
     """The task's navigation goal, shape [W, 2] [m]; only where ``habitat`` is configured to measure to it."""
 
     def of(self, where: NDArray[np.bool_]) -> Encounter:
-        """Some worlds of it; numbers that hold for all worlds stay as they are."""
+        """Return some of the worlds; values that hold for all worlds stay as they are."""
         rows: dict[str, Any] = {
             n: v if v is None or np.ndim(v) == 0 else np.asarray(v)[where] for n, v in self._asdict().items()
         }

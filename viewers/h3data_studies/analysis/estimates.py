@@ -96,7 +96,7 @@ class StudyAnalysis:
     estimates: Mapping[str, Mapping[str, Estimate]]
     """Estimates by metric and condition."""
     compared: str
-    """Name of the metric whose means are contrasted; empty: none could be."""
+    """Name of the metric whose means are contrasted; empty if none could be."""
     models: tuple[FittedMeans, ...]
     """Models of the compared metric: the one of the table first, then the one to hold it against, if either is unsound."""
     notes: tuple[str, ...]

@@ -67,7 +67,7 @@ class Client:
     close_code: int | None = None
     seq: int = 0
     news: asyncio.Event = field(default_factory=asyncio.Event)
-    """Set by whatever comes."""
+    """Event that is set by any message."""
     _latest: float = 0.0
     _sent: dict[int, float] = field(default_factory=dict)
     _hearing: asyncio.Task[None] | None = None
@@ -149,7 +149,7 @@ class Client:
         return seq
 
     async def until(self, what: Any, seconds: float = 20.0) -> Any:
-        """Waits until ``what()`` is true, and returns it.
+        """Wait until ``what()`` is true, and return it.
 
         Raises:
             TimeoutError: it was not.

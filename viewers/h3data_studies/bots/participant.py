@@ -73,7 +73,7 @@ class ScriptedParticipant(Client):
 
     # --- the study ----------------------------------------------------------------------------------------------------
     async def take_part(self) -> str:
-        """Does everything up to the end; returns the status there (``complete``, ``screened_out``, ...)."""
+        """Take part to the end; returns the status there (``complete``, ``screened_out``, ...)."""
         ids = {"PROLIFIC_PID": self.pid, "STUDY_ID": "bots", "SESSION_ID": self.name}
         await self._ask("api/study", {"ids": ids, "rejoin": self.rejoin})
         while (kind := self.stage["kind"]) != "end":

@@ -32,7 +32,7 @@ class Patch:
     shares: Floats
     """Weight of each of the three; the weights sum to 1, shape [V, 3]."""
     lift: Floats
-    """Along the base's normal [m], shape [V]."""
+    """Distance of each vertex along the base's normal [m], shape [V]."""
     offset: Floats | None
     """Offset of each vertex along the axes of the rest pose, on a body whose ruler has the length ``ruler_m`` [m], shape [V,
     3]."""

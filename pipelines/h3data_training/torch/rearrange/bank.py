@@ -111,7 +111,7 @@ class RearrangeBank:
 
     @classmethod
     def of(cls, episodes: Sequence[RearrangeEpisode]) -> RearrangeBank:
-        """A bank of these episodes of one robot and one person, under the rules of the first.
+        """Return a bank of these episodes of one robot and one person, under the rules of the first.
 
         Raises:
             InputError: somebody else plays, the rules have no oracle skills, or a device cannot move in a home.

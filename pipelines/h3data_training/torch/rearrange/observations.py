@@ -25,7 +25,7 @@ THEN = 1
 
 
 class Paths(NamedTuple):
-    """Shortest paths of both agents, robot and person, which both are shown."""
+    """Shortest paths of both agents, robot and person, which both observe."""
 
     xz: Tensor
     """Positions of both agents now and a second ago, [W, 2, 2, 2] [m]."""
@@ -72,7 +72,7 @@ class View(NamedTuple):
 
     @classmethod
     def of(cls, sim: RearrangeTensors, play: Play, agent: str, paths: Paths | None = None) -> View:
-        """The view of the ``robot`` or the ``human``; without ``paths`` `observed` looks them up."""
+        """Return the view of the ``robot`` or the ``human``; without ``paths`` `observed` looks them up."""
         own, other = (play.robot, play.human) if agent == "robot" else (play.human, play.robot)
         is_robot = agent == "robot"
         return cls(
@@ -105,7 +105,7 @@ class View(NamedTuple):
 
     @property
     def hands(self) -> Hands:
-        """Objects and who holds, moved or placed them."""
+        """Objects with their holders, and who moved or placed them."""
         return Hands(self.play.objects, self.play.held_by, self.play.moved, self.play.placed_by)
 
     @property

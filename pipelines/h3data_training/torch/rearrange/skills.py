@@ -34,9 +34,9 @@ class Choices:
     """Index of the agent: 0 the robot, 1 the person."""
     kind: Tensor
     target: Tensor
-    """Number of the object; 0 of those that have none."""
+    """Number of the choice's object; 0 if it has none."""
     steps: Tensor
-    """Number of steps that each lasts; 0 for those that go somewhere."""
+    """Number of steps that each choice lasts; 0 for those that go somewhere."""
     command: Tensor
     """Command of the base, [C, 2]."""
     carry: Tensor
@@ -73,7 +73,7 @@ class Choices:
 
 
 class Hands(NamedTuple):
-    """The objects of W worlds and who holds them (`h3data_training.torch.rearrange.state.Play`)."""
+    """Objects of W worlds and their holders (`h3data_training.torch.rearrange.state.Play`)."""
 
     objects: Tensor
     held_by: Tensor
@@ -82,7 +82,7 @@ class Hands(NamedTuple):
 
 
 class Turn(NamedTuple):
-    """An agent at what it does now, before it moves."""
+    """Agent with its present choice, before it moves."""
 
     does: SubGoal
     kind: Tensor
@@ -268,7 +268,7 @@ def of_object3(values: Tensor, k: Tensor) -> Tensor:
 
 
 def in_hand(carry: Tensor, root: Tensor, heading: Tensor) -> Tensor:
-    """World points [W, 3] of what agents carry, by the place in the frame of their roots [3]."""
+    """Return the world points [W, 3] of carried objects, by their place in the frame of the roots [3]."""
     c, s = heading.cos(), heading.sin()
     x, z = root[:, 0] + c * carry[0] + s * carry[2], root[:, 2] - s * carry[0] + c * carry[2]
     return torch.stack([x, root[:, 1] + carry[1], z], -1)

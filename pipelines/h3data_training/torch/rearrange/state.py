@@ -26,7 +26,7 @@ class SubGoal(NamedTuple):
     field: Tensor
     """Number of the paths that it follows (`RearrangeBank`), int64 [W]."""
     way: Tensor
-    """Number of the point that it goes to, int64 [W]."""
+    """Number of the point that the agent goes to, int64 [W]."""
     best: Tensor
     """Least distance to the sub-goal so far [W] [m]; below 0 if the agent has begun to turn there."""
     since: Tensor
@@ -138,11 +138,11 @@ class Play(NamedTuple):
         )
 
     def tensors(self) -> Iterator[Tensor]:
-        """All of it, in a fixed order."""
+        """Return all tensors, in a fixed order."""
         for part in self:
             yield from (part if isinstance(part, tuple) else (part,))
 
 
 def choose(flag: Tensor, a: Tensor, b: Tensor) -> Tensor:
-    """``a`` in the worlds where ``flag`` [W] holds, else ``b``, both [W, ...]."""
+    """Return ``a`` in the worlds where ``flag`` [W] holds, else ``b``, both [W, ...]."""
     return torch.where(flag.reshape(-1, *[1] * (a.ndim - 1)), a, b)

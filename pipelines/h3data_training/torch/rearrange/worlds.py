@@ -257,7 +257,7 @@ class RearrangeTensors:
 
 
 def packed(like: Play, tensors: list[Tensor]) -> Play:
-    """A state of these tensors, in the order of `Play.tensors`."""
+    """Return a state of these tensors, in the order of `Play.tensors`."""
     parts, left = [], list(tensors)
     for part in like:
         count = len(part) if isinstance(part, tuple) else 1

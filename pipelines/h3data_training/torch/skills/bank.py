@@ -45,7 +45,7 @@ class SkillBank:
     holds: NDArray[np.bool_]
     """True if the robot holds the object, [N]."""
     point: NDArray[np.float64]
-    """Point at which it lies or is to go, [N, 3] [m]."""
+    """Point at which the object lies or is to go, [N, 3] [m]."""
     stand: NDArray[np.float64]
     """The nearest place from which the hand reaches the point, [N, 2] [m]."""
 

@@ -55,7 +55,7 @@ class SkillPlay(NamedTuple):
     held: Tensor
     """Number of the object in the hand, int64 [W]."""
     wide: Tensor
-    """The base keeps clear by what the hand carries too, bool [W]."""
+    """True if the base keeps clear by what the hand carries too, bool [W]."""
     episode: Tensor
     """Number in the bank, int64 [W]."""
     steps: Tensor
@@ -83,7 +83,7 @@ class SkillPlay(NamedTuple):
     """True if the skill had all its steps, bool [W]."""
 
     def tensors(self) -> Iterator[Tensor]:
-        """All of it, in a fixed order."""
+        """Return all tensors, in a fixed order."""
         for part in self:
             yield from (part if isinstance(part, tuple) else (part,))
 
@@ -416,7 +416,7 @@ class SkillTensors:
         return (self._point[play.episode][:, 0:3:2] - self._stand[play.episode]).norm(dim=-1)
 
     def off(self, play: SkillPlay, posture: Tensor) -> Tensor:
-        """Returns how far joints are from a posture [n] or [W, n], in parts of the way between rest and reaching, [W]."""
+        """Return how far joints are from a posture [n] or [W, n], as a share of the path between rest and reaching, [W]."""
         whole = (self.reaching(play) - self.arm.rest).abs().sum(-1).clamp_min(0.1)
         return (play.joints - posture).abs().sum(-1) / whole
 
