@@ -108,7 +108,7 @@ class Option:
 
     @property
     def is_list(self) -> bool:
-        """Returns whether it takes any number of values, as ``--camera A --camera B`` or ``--cameras A,B``."""
+        """Return whether the option takes any number of values, as ``--camera A --camera B`` or ``--cameras A,B``."""
         return self.count is None and bool(self.flags)
 
     @property

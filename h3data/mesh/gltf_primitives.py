@@ -39,7 +39,7 @@ class PlainMesh:
     uv: NDArray[np.float32] | None
     texture: Texture | None
     influences: tuple[NDArray[np.int32], NDArray[np.float32]] | None = None
-    """Joints of its skin and their weights, both [V, 4]."""
+    """Joints of the mesh's skin and their weights, both [V, 4]."""
 
 
 def has_positions(primitive: dict[str, Any]) -> bool:

@@ -63,7 +63,7 @@ class Profile:
     """
 
     name: str
-    """First part of the ids of its metrics: ``paper``."""
+    """First part of the ids of the profile's metrics: ``paper``."""
     title: str
     """Title of the profile, one line for lists."""
     metrics: tuple[Metric, ...]
@@ -97,7 +97,7 @@ class Profile:
             )
 
     def measures(self, task: str) -> bool:
-        """Returns whether it measures recordings of a task."""
+        """Return whether the profile measures recordings of a task."""
         return not self.tasks or task in self.tasks
 
     def measure(self, recording: Recording) -> EpisodeMetrics:

@@ -103,7 +103,7 @@ class ReportLayout:
     """Sections, columns and wording of a report on one profile; metrics are given by name."""
 
     title: str = ""
-    """Heading of its sections (default: the name of the task)."""
+    """Heading of the profile's sections (default: the name of the task)."""
     columns: tuple[str, ...] = ()
     """Metrics of the main table (default: all)."""
     percent: tuple[str, ...] = ()

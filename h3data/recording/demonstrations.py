@@ -30,7 +30,7 @@ class DemonstratedCamera(msgspec.Struct, frozen=True, kw_only=True):
     agent: str
     """Name of the agent that carries it; empty: nobody does, so that an environment cannot show it."""
     width: int
-    """Width of what was rendered [px]. A video has an even width: its last column may be a copy."""
+    """Width of the rendered picture [px]. A video has an even width: its last column may be a copy."""
     height: int
     stored_width: int
     """Width of the video's frames [px]."""

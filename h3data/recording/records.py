@@ -170,7 +170,7 @@ class Episode:
 
     @property
     def is_lerobot_export(self) -> bool:
-        """Returns whether it was exported to LeRobot, which leaves out the last row and the simulator's own columns."""
+        """Return whether the episode was exported to LeRobot, which leaves out the last row and the simulator's own columns."""
         return "lerobot" in self.info
 
 

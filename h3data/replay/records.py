@@ -34,7 +34,7 @@ class Drawable:
     deformable: bool = False
     """True if its vertices change and are in the world frame (skinned bodies)."""
     placeholder: bool = False
-    """True if it stands in for an asset that was not found."""
+    """True if the object replaces an asset that was not found."""
 
 
 @dataclass(frozen=True, eq=False)

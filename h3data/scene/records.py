@@ -121,9 +121,9 @@ class Ramp:
     axis: Literal[0, 1]
     """Plan axis along which it rises: 0 = x, 1 = z."""
     start: float
-    """Coordinate on that axis of its lower end [m]."""
+    """Coordinate of the lower end of the ramp along its axis [m]."""
     end: float
-    """Coordinate of its upper end [m]; smaller than ``start`` if it rises towards lower coordinates."""
+    """Coordinate of the upper end of the ramp [m]; smaller than ``start`` if it rises towards lower coordinates."""
     top_y: float
     """Height of the floor above it [m]."""
     steps: int
@@ -139,7 +139,7 @@ class Room:
     rectangles: NDArray[np.float64]
     """Disjoint rectangles ``x0 z0 x1 z1`` that make up the room, shape [R, 4] [m]."""
     floor_y: float = 0.0
-    """Height of its floor; of its lower end if it has a ramp [m]."""
+    """Height of the room's floor; of its lower end if it has a ramp [m]."""
     ramp: Ramp | None = None
     """Stairs to a room on another storey."""
 

@@ -45,7 +45,7 @@ class PosedPart:
     agent: int = -1
     """Index of the agent that it belongs to; -1 = none."""
     body: Body | None = None
-    """The body of the recording that it is; None = it is drawn by the model of its agent."""
+    """Body of the recording that is drawn; None if the model of its agent draws it."""
     placeholder: bool = False
     """True if the file of the mesh was not found."""
     skeleton: Skeleton | None = None

@@ -29,7 +29,7 @@ class Transitions:
 
     agent: int
     state: dict[str, NDArray[np.float32]]
-    """State of its body before each action and after the last one: `base_pose`, `joint_pos`, ... [T, width]."""
+    """State of the agent's body before each action and after the last one: `base_pose`, `joint_pos`, ... [T, width]."""
     state_names: tuple[str, ...]
     """Names of all values of ``state``, one after the other."""
     action: NDArray[np.float32]

@@ -45,7 +45,7 @@ class Motion:
     leg_m: float | None = None
     """Lengths of thigh and shank of the person who performed the motion [m]; None: the file does not say."""
     body: str = ""
-    """Body that it was fitted to; empty: as recorded."""
+    """Body that the motion was fitted to; empty: as recorded."""
     source: str = ""
     """Origin and licence of the motion."""
 

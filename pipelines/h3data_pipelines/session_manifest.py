@@ -37,7 +37,7 @@ class ManifestRow:
     """Row of a manifest."""
 
     line: int
-    """Number of its line in the file."""
+    """Number of the row's line in the file."""
     choose: Mapping[str, str]
     say: Mapping[str, str | int]
 

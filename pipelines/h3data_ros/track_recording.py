@@ -59,7 +59,7 @@ class Import:
     source: dict[str, Any]
     """Format and name of the file."""
     facts: dict[str, Any] = field(default_factory=dict)
-    """Rates, topics, gaps and counts."""
+    """Facts about the import: rates, topics, gaps and counts."""
     warnings: list[str] = field(default_factory=list)
     goal: tuple[float, float] | None = None
     """Goal of the robot (x, z) [m]."""

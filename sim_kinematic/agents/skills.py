@@ -131,7 +131,7 @@ class LearnedSkill(Protocol):
     """A skill that a network carries out instead of the one that knows all."""
 
     def infeasible(self, actor: Any, action: Action) -> str:
-        """Reason why it cannot start now, beyond what `Objects.why_not` says; empty: it can."""
+        """Return the reason why the skill cannot start now, beyond what `Objects.why_not` says; empty if it can."""
         ...
 
     def start(self, actor: Any, action: Action) -> Skill:

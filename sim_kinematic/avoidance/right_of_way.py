@@ -36,8 +36,8 @@ class Walker(Body, Protocol):
     yields: bool
     """True if the agent can step aside now."""
     aside: NDArray[np.float64] | None
-    """Floor points [N, 2] [m] left of its path aside; empty if it has arrived there, None if nobody has asked it to step
-    aside."""
+    """Remaining floor points [N, 2] [m] of the path aside; empty if the agent has arrived there, None if nobody has asked it to
+    step aside."""
 
     @property
     def path(self) -> NDArray[np.floating]:
@@ -53,7 +53,7 @@ class Walker(Body, Protocol):
     """True if an agent driven from outside blocks the path, so that the walker has to choose anew what to do, and where to
     stand."""
     hindered_by: frozenset[int]
-    """Agents that it would have touched in its last step, had it not stopped."""
+    """Agents that the agent would have touched in its last step, had it not stopped."""
 
 
 @dataclass

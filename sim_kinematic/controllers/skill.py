@@ -49,12 +49,12 @@ class SkillController:
 
     @property
     def status(self) -> Status:
-        """Returns whether it has to choose: no skill is running, or the one that is running has been interrupted."""
+        """Return whether the agent has to choose: no skill is running, or the running one has been interrupted."""
         return "choosing" if self._interrupted or (self.skill is None and self._left > 0) else "acting"
 
     @property
     def is_free(self) -> bool:
-        """Returns whether it will have to choose in its next step."""
+        """Return whether the agent will have to choose in its next step."""
         return self.skill is None or self.action.skill == CONTROL
 
     def begin(self, step: int) -> None:

@@ -116,7 +116,7 @@ class RearrangeView(NamedTuple):
     action: Action | None
     """Present action of the agent or, between two actions, its last one."""
     last: SkillResult | None
-    """Result of that action; None while it is running."""
+    """Result of the agent's last action; None while it is running."""
     starts: NDArray[np.float64]
     """Initial positions of the objects, shape [K, 3] [m]."""
     hand: Callable[[], NDArray[np.floating]]

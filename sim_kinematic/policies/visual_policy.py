@@ -48,12 +48,13 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     task: str
     robot: str
-    """Body that it was trained with."""
+    """Body of the robot that the policy was trained with."""
     observations: tuple[str, ...]
     picture_size: tuple[int, int] | None
     """Width and height of the picture and of the detector's [pixels]."""
     light: LightMode = "flat"
-    """Light in the colours that it has learned from, and is shown. Files without this entry have learned in flat light."""
+    """Light in the colours of training, which the policy also observes in play. Files without this entry were trained in flat
+    light."""
     hold: int
     """Steps of 1/30 s for which an action is held."""
     network: str = "cnn_gru"

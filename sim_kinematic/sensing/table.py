@@ -80,7 +80,7 @@ class Context(Protocol):
     touching: Any
     """True if the agent touches another one, bool [...]."""
     arm: Any
-    """Joint positions of its arm [..., n]; of a person [..., 0]."""
+    """Positions of the arm's joints [..., n]; for a person [..., 0]."""
     held_by: Any
     """Number of the agent that holds each object, [..., K]."""
     objects: Any
@@ -173,7 +173,7 @@ class SensorContext(NamedTuple):
     touching: NDArray[np.bool_]
     """True if the agent touches another one, [W]."""
     arm: Array
-    """Joint positions of its arm, which rests, [W, n]; of a person [W, 0]."""
+    """Positions of the joints of the resting arm, [W, n]; for a person [W, 0]."""
     path: Callable[[], tuple[Array, Array]]
     """The shortest path to the other agent: its length [W] [m] and its first way point [W, 2] [m]."""
     xp: Any = np

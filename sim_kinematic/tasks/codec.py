@@ -65,7 +65,7 @@ class EpisodeCodec(Generic[R]):
     """Converts the episodes of a task to JSON and back: records in episode files, and the info of recordings. A base class."""
 
     samples_starts: ClassVar[bool] = False
-    """True if it reads files without starts, which are sampled then."""
+    """True if the codec reads files without starts, which are then sampled."""
     records_judgement: ClassVar[bool] = True
     """True if each step's reward and success are recorded (``metrics.reward``, ``metrics.success``), for the metrics profile
     ``task``. The built-in tasks, whose metrics follow from other columns, do without."""

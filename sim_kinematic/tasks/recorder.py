@@ -125,7 +125,7 @@ def _one(values: Sequence[Any]) -> Any:
 
 @dataclass
 class Recorder:
-    """The episode as it grows."""
+    """Recorder of an episode, which grows with every step."""
 
     header: RecordingHeader
     play: WorldRollout

@@ -183,7 +183,7 @@ class Worker:
 
     # --- the loop -----------------------------------------------------------------------------------------------------
     def run(self) -> None:
-        """Serves until it is told to stop or the front is gone."""
+        """Serve until the process is asked to stop or the front is gone."""
         while not self.stops:
             now = time.monotonic()
             due = min((r.due for r in self.games.values() if r.runs), default=now + 0.5)

@@ -63,7 +63,7 @@ class WorkerProcess:
         self._writer: asyncio.StreamWriter | None = None
 
     async def start(self) -> None:
-        """Waits until it has compiled and loaded everything.
+        """Wait until the process has compiled and loaded everything.
 
         Raises:
             Refused: it cannot play the plan, or ended.

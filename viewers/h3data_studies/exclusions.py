@@ -69,8 +69,8 @@ class Exclusions:
     trials: dict[tuple[str, str], str]
     """Reasons for the exclusion of episodes, by participant and row of the episode (`PlayedEpisode.row`)."""
     counts: dict[str, int]
-    """Number of participants, or of episodes of those who are left, each rule leaves out, by its name. Somebody may fall under
-    several."""
+    """Number of participants, or of episodes of the remaining participants, that each rule excludes, by its name. One may fall
+    under several rules."""
 
 
 def exclusions(design: Design, people: Sequence[Participant]) -> Exclusions:

@@ -28,8 +28,8 @@ from h3data_studies.store import Participant, StudyStore
 from h3data_studies.views import consent_view, end_view, stage_view
 
 CHECK_S, HURRIED_S = 60.0, 10.0
-"""A place is given back where the check of the computer, which takes seconds, does not come within this time; the shorter one
-holds while somebody else wants the place."""
+"""Time after which a place is given back if the check of the computer has not come, and the shorter time that holds while
+somebody else wants the place [s]."""
 MOST_UNCHECKED = 3
 """Participants of one network address who have agreed but whose computers have not been checked yet."""
 JOINS_S = 600.0

@@ -104,7 +104,7 @@ class Humanoid:
     region_names: tuple[str, ...]
     capsules: tuple[BodyCapsule, ...]
     gaits: Gaits
-    """The gait; `clips` are sampled from it."""
+    """Walking gait of the body, from which `clips` are sampled."""
     outfit: str = ""
     """Name of the clothes; empty where they are part of the body's own mesh."""
     phenotype: Mapping[str, float] = field(default_factory=dict)

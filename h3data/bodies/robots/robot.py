@@ -37,7 +37,7 @@ class RobotLink:
     shapes: tuple[Shape, ...]
     """Collision parts in the link frame."""
     inertial: Array
-    """Centre-of-mass frame in the link frame, 4x4: Habitat gives link poses in it."""
+    """Centre-of-mass frame in the link frame, 4x4, in which Habitat gives poses of links."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -84,7 +84,7 @@ class UrdfJoint:
     """Lower limit of the position [rad or m]; -inf if the file gives none."""
     upper: float
     mimic: UrdfMimic | None = None
-    """The joint that this one follows, if it has no position of its own."""
+    """Joint that this joint follows, if it has no position of its own."""
 
     @property
     def width(self) -> int:

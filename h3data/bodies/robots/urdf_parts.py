@@ -53,7 +53,7 @@ class UrdfGeometry:
     radius: float = 0.0
     length: float = 0.0
     file: Path | None = None
-    """File of a mesh; None of one that is not in a file of its own."""
+    """File of the mesh; None for shapes without a file of their own."""
     mesh: Mesh | None = None
     scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
 

@@ -28,7 +28,7 @@ class RigidObject(msgspec.Struct, frozen=True, eq=False, gc=False):
     """An object that the episode adds to the scene."""
 
     config: str
-    """File name of its template, such as ``024_bowl.object_config.json``."""
+    """File name of the object's template, such as ``024_bowl.object_config.json``."""
     matrix: Matrix
     """Frame of the object in the world, shape [4, 4]."""
 

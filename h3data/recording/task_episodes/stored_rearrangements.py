@@ -56,9 +56,9 @@ class EpisodeObject(msgspec.Struct, frozen=True, kw_only=True):
     """An object that the episode adds to the scene."""
 
     name: str
-    """Name of its instance, Habitat's handle: ``024_bowl_:0000``."""
+    """Name of the object's instance, Habitat's handle: ``024_bowl_:0000``."""
     config: str
-    """File name of its template."""
+    """File name of the object's template."""
     pose: tuple[float, ...]
     """Pose (pose7) of the object's center of mass in the world."""
 

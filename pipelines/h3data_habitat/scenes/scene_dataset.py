@@ -84,7 +84,7 @@ class SceneDataset:
 
     @property
     def scenes(self) -> list[str]:
-        """Names of its scenes, sorted: ``path#name`` opens one."""
+        """Names of the dataset's scenes, sorted: ``path#name`` opens one."""
         return self.names("scene_instances")
 
     def __repr__(self) -> str:

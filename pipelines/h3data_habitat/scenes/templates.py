@@ -41,7 +41,7 @@ class Rigid:
     middle: NDArray[np.float64]
     """Habitat's origin of the object in the asset's frame, shape [3] [m]."""
     middle_scales: bool
-    """True if it moves with the size of the object: not if the config gives it."""
+    """True if this origin scales with the object, which it does unless the config gives it."""
 
     def origin(self, scale: NDArray[np.float64]) -> NDArray[np.float64]:
         """Habitat's origin of an object of this size, in the asset's axes, shape [3] [m]."""

@@ -222,7 +222,7 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, eq=False, dict=True, forb
     scale: tuple[tuple[float, float], ...] = ((0.94, 1.06),)
     """Range of sizes: one for all axes, or one each for x, y and z."""
     aligned: bool = False
-    """True if it stands parallel to the edges of what it stands on."""
+    """True if the thing stands parallel to the edges of the furniture below it."""
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:

@@ -25,7 +25,7 @@ class ThingBox(msgspec.Struct, frozen=True):
     """A thing that agents move: its box, and where a recording holds its pose."""
 
     body: int
-    """Index of its body, as in ``agent_<i>.grasp_body``."""
+    """Index of the thing's body, as in ``agent_<i>.grasp_body``."""
     center: Vector
     """Center of the box in the frame of the thing [m]."""
     half: Vector

@@ -62,7 +62,7 @@ class Benchmark:
     folder: Path
     file: BenchmarkFile
     sha256: str
-    """Digest of the definition and of the list of its episodes."""
+    """Digest of the definition and of the list of episodes."""
 
     @property
     def label(self) -> str:

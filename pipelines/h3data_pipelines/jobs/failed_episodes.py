@@ -43,7 +43,7 @@ def failed_recording(job: Job, fault: Exception) -> Recording:
 
 
 def is_failed(recording: Recording) -> bool:
-    """Returns whether it is the place of an episode that raised."""
+    """Return whether a recording is the placeholder of an episode that raised an error."""
     return "failed" in recording.episode.info
 
 

@@ -36,10 +36,10 @@ class ImportedFile:
     status: Literal["imported", "kept", "skipped", "failed"]
     """Result for one file; "kept" means that an earlier import has written this very recording."""
     kind: str = "unknown"
-    """Name of its format."""
+    """Name of the file's format."""
     recording: Path | None = None
     reason: str = ""
-    """Reason why it was not imported."""
+    """Reason why the file was not imported."""
     code: str = ""
     """The code of the error, where there was one."""
     summary: dict[str, Any] = field(default_factory=dict)

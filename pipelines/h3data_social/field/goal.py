@@ -30,7 +30,7 @@ class Goal:
     straight: NDArray[np.float64]
     """Straight distance to it on the floor [T] [m]; NaN where unknown."""
     reached: NDArray[np.bool_]
-    """Rows in which it is reached [T]."""
+    """Rows in which the goal is reached [T]."""
     agent: int = -1
     """Index of the agent that is the goal; -1 for a point."""
     within_m: float = 0.0
@@ -48,7 +48,7 @@ class Goal:
 
     @property
     def row(self) -> int:
-        """First row in which it is reached; -1 = never."""
+        """First row in which the goal is reached; -1 = never."""
         return int(np.argmax(self.reached)) if self.reached.any() else -1
 
     @property

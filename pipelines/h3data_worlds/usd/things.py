@@ -42,7 +42,7 @@ class Thing:
     prim: Any
     name: str
     world: NDArray[np.float64]
-    """Transform of its prim to the world of the stage, shape [4, 4]."""
+    """Transform from the thing's prim to the world of the stage, shape [4, 4]."""
     body: str
     """Path of the rigid body that it is or is part of; empty if it is part of none."""
     label: str = ""

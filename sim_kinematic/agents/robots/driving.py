@@ -48,7 +48,7 @@ class RobotDriver:
 
     robot: Robot
     free: FreeSpace
-    """The floor for a base of its size."""
+    """Floor for a base of the robot's size."""
     base: BaseSpec
     """Discs and limits of the base (`sim_kinematic.avoidance.robot_base.base_of`), which also cover what the robot carries."""
     objects: Objects
@@ -69,7 +69,7 @@ class RobotDriver:
     turned_away: bool = False
     hindered_by: frozenset[int] = frozenset()
     command: tuple[float, float] = (0.0, 0.0)
-    """The last command of its base, -1..1 of the limits."""
+    """Last command of the base, -1..1 of the limits."""
     arm_goal: Array = field(init=False)
     """Joint positions towards which the arm moves in every step [J]."""
 
@@ -105,7 +105,7 @@ class RobotDriver:
         return self.company is not None and self.company.agreed
 
     def meets(self) -> bool:
-        """Returns whether it touches another agent in its present posture: then it stops where it was."""
+        """Return whether the robot touches another agent in its present posture, so that it stops where it was."""
         return self.company is not None and self.company.meets(self)
 
     @property

@@ -73,7 +73,7 @@ class RobotActor(RobotDriver):
     """Robot with an arm, and its skills."""
 
     learned: Mapping[str, LearnedSkill] = field(default_factory=dict)
-    """Learned skills in the place of its own, by name."""
+    """Learned skills that replace the robot's own, by name."""
 
     def infeasible(self, action: Action) -> str:
         """Reason why an action is impossible now; empty if it is possible."""

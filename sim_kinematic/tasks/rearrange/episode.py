@@ -201,7 +201,7 @@ class RearrangeEpisode(Episode):
 
     @property
     def robot(self) -> Robot:
-        """Body of the robot for which it was sampled."""
+        """Body of the robot for which the episode was sampled."""
         return load_robot(self.pair[0])
 
     @property

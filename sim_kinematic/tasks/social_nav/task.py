@@ -66,7 +66,7 @@ class SocialNavState:
     leg: NDArray[np.int64]
     """Index of the way point within the path to the goal."""
     plan: HumanPlan | None = None
-    """The scripted person's whole walk, once somebody has asked for it."""
+    """Whole walk of the scripted person, once it has been asked for."""
     track: list[NDArray[np.float64]] = field(default_factory=list)
     """Positions so far of a person who follows no script."""
 

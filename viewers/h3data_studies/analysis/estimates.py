@@ -37,7 +37,7 @@ GROUPS = ("participant", "scene")
 
 @dataclass(frozen=True, kw_only=True)
 class StudyModel:
-    """Choices of the analysis."""
+    """Model of a study: the choices of its analysis."""
 
     steps: StepsModel = "auto"
     """``poisson``: the paper's model. ``observation``: with a random intercept per episode, for counts that vary more than

@@ -40,7 +40,7 @@ class Choices:
     command: Tensor
     """Command of the base, [C, 2]."""
     carry: Tensor
-    """Place of a held object in the frame of its root, [3] [m]."""
+    """Place of a held object in the frame of the agent's root, [3] [m]."""
     changes: int
     """Step of a pick or a place in which the object changes hands."""
 

@@ -22,7 +22,7 @@ class SubGoal(NamedTuple):
     """Sub-goal of one agent in each world."""
 
     skill: Tensor
-    """Number of the choice that it is at, int64 [W]; `FREE`: it chooses in its next turn."""
+    """Number of the agent's present choice, int64 [W]; `FREE`: it chooses in its next turn."""
     field: Tensor
     """Number of the paths that it follows (`RearrangeBank`), int64 [W]."""
     way: Tensor
@@ -46,7 +46,7 @@ class SubGoal(NamedTuple):
 
     @classmethod
     def none(cls, worlds: int, objects: int, device: torch.device, dtype: torch.dtype) -> SubGoal:
-        """Agents that choose in their next turn."""
+        """Return sub-goals of agents that choose in their next turn."""
 
         def whole(value: int, *axes: int) -> Tensor:
             return torch.full((worlds, *axes), value, dtype=torch.int64, device=device)

@@ -238,7 +238,7 @@ class RearrangeTensors:
         return (hands.held_by == NOBODY) & is_object_at(hands.objects, goals, distance_m=self.spec.at_goal_m, xp=torch)
 
     def close(self, xz: Tensor, heading: Tensor, other: Tensor) -> Tensor:
-        """Returns whether others [W, 2] are in the ellipse around agents in which skills may be interrupted, bool [W]."""
+        """Return whether others [W, 2] are in the ellipse around agents within which skills may be interrupted, bool [W]."""
         ahead_m, aside_m = self.spec.near_m
         return agents_within_threshold(xz, heading, other, ahead_m=ahead_m, aside_m=aside_m, xp=torch)  # type: ignore[arg-type]
 
