@@ -234,7 +234,7 @@ def check_task(command: type[Command], task: str, given: Iterable[str]) -> None:
 
 
 def python_value(option: Option, value: Any) -> Any:
-    """The value of an option from what Python gives: one thing or several of them, paths as text, objects with a name.
+    """Return the value of an option from a Python value: one thing or several, paths as text, objects with a name.
 
     Raises:
         InputError: it is not of the option's type.

@@ -276,7 +276,7 @@ def remove_tree(folder: AnyPath) -> None:
 
 
 def put_tree(folder: Path, target: RemotePath, *, last: str) -> None:
-    """Uploads all files of a local folder to ``target``, those below ``last`` after the others; then deletes the folder."""
+    """Upload all files of a local folder to ``target``, the files below ``last`` at the end; then delete the folder."""
     try:
         files = sorted(path for path in folder.rglob("*") if path.is_file())
         # what commits goes last, so readers never see a shard whose other files are still on their way

@@ -26,7 +26,7 @@ class Skeleton:
     scale: float = 1.0
     """Scale of the joint frames J."""
     inverse_bind: Array
-    """B: rest mesh to joint frames, shape [J, 4, 4]."""
+    """Matrices B from the rest mesh to the joint frames, shape [J, 4, 4]."""
     influences: Influences
 
 

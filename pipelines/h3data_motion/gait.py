@@ -91,7 +91,7 @@ class MotionGaits(Gaits):
         return self.cycle.stance if self.plays(speed_mps) else Gaits.stance(self, speed_mps)
 
     def strike(self, speed_mps: float) -> float:
-        """Place of a foot at its strike, as captured where the body moves like that."""
+        """Return the place of a foot at its strike, as captured for this motion of the body."""
         return self.cycle.strike if self.plays(speed_mps) else Gaits.strike(self, speed_mps)
 
     def posture(self, speed_mps: Array, phase: Array) -> Posture:

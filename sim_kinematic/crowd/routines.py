@@ -33,7 +33,7 @@ class Activity(NamedTuple):
     """An activity that routines may have."""
 
     categories: tuple[str, ...]
-    """Things at which it takes place."""
+    """Categories of the things at which the activity takes place."""
     least_s: float
     most_s: float
     """Longest duration [s]; the shortest is ``least_s``, and one between is sampled."""

@@ -24,7 +24,7 @@ STEPS = 300
 
 
 class WanderCodec(TaskCodec):
-    """Writes the names of all policies in one list."""
+    """Codec that writes the names of all policies in one list."""
 
     records_judgement: ClassVar[bool] = False
 

@@ -98,7 +98,7 @@ class Running:
     barriers: dict[int, Any] = field(default_factory=dict)
     """Thing that each player was last asked to open first."""
     floors: dict[int, Any] = field(default_factory=dict)
-    """The floor of which each player was last told, if it has ever changed; None: the page may have any."""
+    """Floor that each player was last sent, if it has ever changed; None: the page may have any."""
     is_stuck: bool = False
     """True if the game waits for space on the disk, and the front knows."""
     recording: Recording | None = None

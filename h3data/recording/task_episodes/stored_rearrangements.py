@@ -124,7 +124,7 @@ def rearrangement_entry(
     name_to_receptacle: Mapping[str, str] | None = None,
     object_paths: Sequence[str] = (),
 ) -> RearrangeEpisode:
-    """A Habitat episode that carries a record; `write_episodes` writes it, `read_rearrangement` gets it back.
+    """Return a Habitat episode that carries a record for `write_episodes`; `read_rearrangement` reads the record.
 
     Habitat itself plays ``rigid_objects`` (in the order of their configs) and ``targets``, which
     `h3data_habitat.exporters.episodes` fills in; h3data needs neither.

@@ -30,7 +30,7 @@ class Generated:
     """Episodes that could not be played: number, seed and error."""
     metrics: MetricsTable
     left_out: tuple[str, ...] = ()
-    """Reason why episodes of the file could not be played at all."""
+    """Reasons why episodes of the file could not be played at all."""
 
 
 class WrittenDataset:

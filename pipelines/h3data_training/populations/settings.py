@@ -51,8 +51,8 @@ class PopulationSettings:
     """Walk of people: ``natural``, in episodes of 1,500 steps, ``paper`` (2.5 m/s, 750 steps), or ``both``: each in one half
     of the episodes, for a robot that plays beside either."""
     oracle: bool = False
-    """True if episodes have oracle skills, and are played in worlds on a device, all of an update at once
-    (`h3data_training.populations.worlds`). They have the paper's people, whoever they were drawn for."""
+    """True if episodes have oracle skills and are played in worlds on a device, all of an update at once
+    (`h3data_training.populations.worlds`). They have the paper's people, whoever they were sampled for."""
     moves_starts: bool = True
     """In worlds, whether each agent begins where it does in any episode of the same home: there are then so many meetings that
     success in training tells of success in other homes."""

@@ -87,7 +87,7 @@ feet by up to 5 cm, as a foot that leaves the floor one step later lands elsewhe
 RISE_MPS = 0.5
 """The pelvis comes back up no faster."""
 LIFT, LIFT_MOST_M = 0.18, 0.06
-"""A foot that goes to a place of its own is lifted by this share of the distance, up to so far, beside the gait's own lift."""
+"""Lift of a foot that goes to a place of its own: share of the distance, and its limit, in addition to the gait's own lift."""
 SHAPE_LEFT = 0.78
 """Share of `SHAPE_OFF` that is left after a step."""
 STRETCHED = 0.994

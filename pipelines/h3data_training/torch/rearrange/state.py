@@ -24,7 +24,7 @@ class SubGoal(NamedTuple):
     skill: Tensor
     """Number of the agent's present choice, int64 [W]; `FREE`: it chooses in its next turn."""
     field: Tensor
-    """Number of the paths that it follows (`RearrangeBank`), int64 [W]."""
+    """Number of the table of paths that the agent follows (`RearrangeBank`), int64 [W]."""
     way: Tensor
     """Number of the point that the agent goes to, int64 [W]."""
     best: Tensor

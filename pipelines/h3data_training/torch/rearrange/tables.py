@@ -92,7 +92,7 @@ class Places(NamedTuple):
     episode: Tensor
     place: Tensor
     n: Tensor
-    """Corners of the home, int64 [W]."""
+    """Number of corners of the home, int64 [W]."""
     corners_of: Tensor
     origin: Tensor
     shape: Tensor
