@@ -168,11 +168,11 @@ class AvoidanceSpec:
     looks_steps: int = 10
     """Interval of this check [steps]."""
     stand_off_steps: tuple[int, int] = (90, 180)
-    """After so many steps in which neither has got on, one of them is sent away; after the second number where one is driven
-    from outside: who turns, or goes a short way, beside them is in nobody's way."""
+    """Number of steps without progress of either agent after which one of them is sent away; the second number holds where one
+    is driven from outside, as somebody who turns or goes a short way beside the other blocks nobody."""
     held_off_steps: int = 45
-    """Near somebody who is driven from outside, who wants to go on and has not moved for so long is sent away at once. So is
-    whose way is shut by one who has stood for ``held_up_steps``."""
+    """Number of steps without movement after which an agent near somebody driven from outside, who keeps it from going on, is
+    sent away at once. The same holds for one whose path is blocked by somebody who has stood for ``held_up_steps``."""
     waits_steps: int = 40
     """Number of steps for which an agent first waits where it is, because whoever drives the other one sees it wait and may go
     on."""

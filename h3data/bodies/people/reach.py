@@ -152,7 +152,7 @@ def reach(body: Humanoid, target: ArrayLike, hand: Hand = "right") -> ReachResul
 def reach_poses(
     body: Humanoid, targets: ArrayLike, hand: Hand = "right", *, trunk: ArrayLike = 1.0, arm: ArrayLike = 1.0
 ) -> ReachPoses:
-    """Poses with the palm at ``targets`` [T, 3] [m], for frames or worlds; where the status is not 0 as near as it gets.
+    """Return poses with the palm at ``targets`` [T, 3] [m], for frames or worlds; as near as possible if the status is not 0.
 
     ``trunk`` and ``arm`` [T] (0 to 1) lead from the standing trunk and the elbow of the hanging arm to those of the solved
     posture: at (0, 0) with the hand where it hangs, this is the standing pose.

@@ -289,7 +289,7 @@ class Robot:
         raise InputError(f"Robot {self.name} has no camera {name!r}. It has: {known}.", code="H3-BODY-093")
 
     def camera_poses(self, name: str, link_matrices: Array) -> Array:
-        """Camera (OpenCV) to world, [T, 4, 4], of what `link_matrices` returned."""
+        """Return the poses of cameras (OpenCV) in the world, [T, 4, 4], from the result of `link_matrices`."""
         camera = self.camera(name)
         return link_matrices[:, camera.link] @ camera.pose
 

@@ -45,7 +45,7 @@ CONTRAST = 11.0
 BIAS_PER_M = 0.001
 """A point occludes only if it rises above the surface by more than `BIAS_M` plus this share of its distance."""
 RECEDED_M = 100.0
-"""Distance behind an orthographic camera of the eye that its image is taken to be seen from."""
+"""Distance behind an orthographic camera of the eye from which its image counts as seen [m]."""
 DENSITY = 1.5
 """Exponent of the taps' distances from the centre; 0.5 would spread them evenly over the disc."""
 EDGE, EDGE_ROWS = 8, 2

@@ -81,7 +81,7 @@ def under_foot(heights, x, z, heading, heel, toe):
 
 @kernel_part()
 def on_a_tread(heights, x, z, heading, heel, toe, came_from):
-    """A place (x, z) of an ankle, moved along the flight as little as puts the foot on one tread; off stairs as it is.
+    """Move a place (x, z) of an ankle along the flight just enough to put the foot on one tread; off stairs it stays.
 
     ``came_from`` is the tread on which the foot stood before, -1 if it does not matter.
     """

@@ -90,7 +90,7 @@ class Turn(NamedTuple):
     goes: Tensor
     """True if the agent is moving to a place, bool [W]."""
     spot: Tensor
-    """Place of the object or goal that it came for, [W, 3]."""
+    """Place of the object or goal that the agent goes to, [W, 3]."""
 
 
 def of_object(values: Tensor, k: Tensor) -> Tensor:
