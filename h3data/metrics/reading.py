@@ -1,4 +1,4 @@
-"""Recordings for measuring, from datasets with no more than a profile reads, many short episodes at a time."""
+"""Reading of recordings to measure: only what a profile reads, and many short episodes of a dataset at a time."""
 
 from __future__ import annotations
 

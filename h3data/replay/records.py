@@ -29,7 +29,7 @@ class Drawable:
     layer: str = ""
     semantic_id: int = 0
     agent: int = -1
-    """Index of the agent that it belongs to; -1 = none."""
+    """Index of the agent that the object belongs to; -1 = none."""
     moving: bool = False
     deformable: bool = False
     """True if its vertices change and are in the world frame (skinned bodies)."""

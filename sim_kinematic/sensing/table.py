@@ -230,7 +230,7 @@ class Sensor(NamedTuple):
 
     @property
     def width(self) -> int:
-        """Numbers of one unit."""
+        """Number of values in one unit."""
         return int(np.size(self.low))
 
     def limits(self, repeat: int = 1) -> Limits:

@@ -21,7 +21,7 @@ from h3data_habitat.navmesh._surface_paths import way
 from h3data_habitat.navmesh.navmesh import NavMesh, NavMeshSettings, navmesh_from_free_space
 
 ENDS_TOUCH_M = 0.01
-"""Points on the surface may be this far off the polygons of a `FreeSpace`: the one is float32, the other float64."""
+"""Largest distance of points on the surface from the polygons of a `FreeSpace` [m], as one is float32 and the other float64."""
 PIXELS_MAX = 1 << 26
 """Largest top-down map."""
 _ANY = -1

@@ -21,7 +21,7 @@ stops, the posture does, where a foot comes down (`h3data.bodies.people.kernels.
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WalkingCycle:
-    """The clip at which a person walks. Tables have a row for both ends of each part of the cycle, by blend."""
+    """Clip of a walking person as tables, which have a row for both ends of each part of the cycle, by blend."""
 
     human: Humanoid
     clip: int

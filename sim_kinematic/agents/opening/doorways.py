@@ -33,7 +33,7 @@ class RoomDoors:
     """Home with all doors open; the same record if none is closed."""
     open_floor: FreeSpace
     joints: tuple[int, ...]
-    """Numbers of their joints."""
+    """Numbers of the doors' joints."""
 
     @staticmethod
     @lru_cache(maxsize=16)

@@ -248,7 +248,7 @@ def _recorded(folder: Path, design: Design, episode: PlayedEpisode, rules: Exclu
 
 
 def participant_rows(design: Design, people: Sequence[Participant]) -> list[list[str | float]]:
-    """A row for each participant, whatever became of them, with everything that rules can ask for, and a header."""
+    """Return a row for each participant, whatever became of them, with all facts that rules can use, and a header."""
     from h3data_studies.exclusions import PARTICIPANT_MEASURES, exclusions, participant_measures
     from h3data_studies.overview import is_bot, played
 
