@@ -56,6 +56,33 @@ def picture(seen: Tensor) -> Tensor:
     return F.pixel_unshuffle(scaled.permute(0, 3, 1, 2).half(), PATCH)
 
 
+def picture_layers(
+    name: str, size: tuple[int, int], channels: tuple[int, int, int], features: int
+) -> tuple[nn.ModuleList, nn.Linear]:
+    """Layers that turn a named picture (width, height) into features: three convolutions, and a linear one."""
+    widths = (PICTURES[name] * PATCH * PATCH, *channels)
+    convolutions = nn.ModuleList(
+        nn.Conv2d(widths[k], widths[k + 1], 3, stride, 1) for k, stride in enumerate(STRIDES)
+    ).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return convolutions, nn.Linear(channels[-1] * picture_length(size), features)
+
+
+def picture_features(convolutions: nn.ModuleList, last: nn.Linear, pixels: Tensor) -> Tensor:
+    """Features [n, F] of pictures whose squares are channels, as of `picture`."""
+    x = (pixels if pixels.is_cuda else pixels.float()).contiguous(memory_format=torch.channels_last)
+    for convolution in convolutions:
+        x = F.relu(convolution(x))
+    return F.relu(last(x.flatten(1)))
+
+
+def picture_arrays(convolutions: nn.ModuleList, last: nn.Linear) -> dict[str, Tensor]:
+    """Weights by name, as in `sim_kinematic.policies.visual_policy.picture_shapes`."""
+    named = {"picture.weight": last.weight, "picture.bias": last.bias}
+    for k, convolution in enumerate(convolutions):
+        named |= {f"conv_{k}.weight": convolution.weight, f"conv_{k}.bias": convolution.bias}
+    return named
+
+
 class ActorCritic(nn.Module):
     """A recurrent actor, and a critic that is told where everybody is."""
 
@@ -82,11 +109,7 @@ class ActorCritic(nn.Module):
     def _make_actor(self, s: Settings, numbers: int) -> nn.Linear:
         """Makes the layers of the actor and returns the last one."""
         if self.sees:
-            widths = (PICTURES[self.sees] * PATCH * PATCH, *s.channels)
-            self.convolutions = nn.ModuleList(
-                nn.Conv2d(widths[k], widths[k + 1], 3, stride, 1) for k, stride in enumerate(STRIDES)
-            ).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-            self.picture = nn.Linear(s.channels[-1] * picture_length(s.picture_size), s.features)
+            self.convolutions, self.picture = picture_layers(self.sees, s.picture_size, s.channels, s.features)
         self.gru = nn.GRU((s.features if self.sees else 0) + numbers, s.hidden)
         self.act = nn.Sequential(
             nn.Linear(s.hidden + numbers, s.act_width), nn.ELU(), nn.Linear(s.act_width, s.actions)
@@ -108,10 +131,7 @@ class ActorCritic(nn.Module):
         if pixels is None:
             return numbers
         with torch.autocast(pixels.device.type, torch.bfloat16, enabled=pixels.is_cuda):
-            x = (pixels if pixels.is_cuda else pixels.float()).contiguous(memory_format=torch.channels_last)
-            for convolution in self.convolutions:
-                x = F.relu(convolution(x))
-            seen = F.relu(self.picture(x.flatten(1)))
+            seen = picture_features(self.convolutions, self.picture, pixels)
         return torch.cat([seen.float(), numbers], -1)
 
     def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
@@ -183,9 +203,7 @@ class ActorCritic(nn.Module):
             "act_1.bias": last.bias,
         }
         if self.sees:
-            named |= {"picture.weight": self.picture.weight, "picture.bias": self.picture.bias}
-            for k, convolution in enumerate(self.convolutions):
-                named |= {f"conv_{k}.weight": convolution.weight, f"conv_{k}.bias": convolution.bias}
+            named |= picture_arrays(self.convolutions, self.picture)
         return named
 
 

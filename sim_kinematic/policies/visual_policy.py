@@ -177,20 +177,7 @@ class VisualPolicy:
     @classmethod
     def shapes(cls, card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[int, ...]]:
         """Shapes of all arrays by name, with the widths that the given ones have."""
-        shapes: dict[str, tuple[int, ...]] = {}
-        features = 0
-        if picture := picture_in(card.observations):
-            assert card.picture_size is not None
-            last = PICTURES[picture] * PATCH * PATCH
-            for k in range(len(STRIDES)):
-                out = _rows(arrays, f"conv_{k}.weight")
-                shapes |= {f"conv_{k}.weight": (out, last, 3, 3), f"conv_{k}.bias": (out,)}
-                last = out
-            features = _rows(arrays, "picture.weight")
-            shapes |= {
-                "picture.weight": (features, last * picture_length(card.picture_size)),
-                "picture.bias": (features,),
-            }
+        shapes, features = picture_shapes(card, arrays)
         numbers = number_count(card.observations, card.actions)
         state, wide = _rows(arrays, "gru.weight_ih") // 3, _rows(arrays, "act_0.weight")
         return shapes | {
@@ -230,26 +217,59 @@ class VisualPolicy:
 
     def _picture(self, shown: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
         """The picture [H, W, planes] among the observations, where it is as in training."""
-        name = self.sees
-        assert name
-        assert self.card.picture_size
-        expected = (*self.card.picture_size[::-1], PICTURES[name])
-        if name not in shown or shown[name].shape != expected:
-            got = list(shown[name].shape) if name in shown else "none"
-            raise InputError(f"Expected {name} {list(expected)}, got {got}.", code="H3-POLICY-033")
-        return shown[name]
+        return picture_of(self.card, shown)
 
     def _features(self, picture: NDArray[Any]) -> Floats:
-        height, width, planes = picture.shape
-        # depth: near things in more detail; float16 as the device keeps pictures of whole rollouts
-        seen = np.sqrt(picture.astype(np.float32)) if planes == 1 else picture.astype(np.float32) / np.float32(255)
-        seen = seen.astype(np.float16).astype(np.float32)
-        x = seen.reshape(height // PATCH, PATCH, width // PATCH, PATCH, planes).transpose(4, 1, 3, 0, 2)
-        x = x.reshape(planes * PATCH * PATCH, height // PATCH, width // PATCH)
-        for k, stride in enumerate(STRIDES):
-            seen, shape = _windows(x, stride)
-            x = np.maximum(self._layer(f"conv_{k}", seen), 0).T.reshape(-1, *shape)
-        return np.maximum(self._layer("picture", x.ravel()), 0)
+        return picture_features(picture, self._layer)
+
+
+def picture_of(card: PolicyCard, shown: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+    """The picture [H, W, planes] among the observations of a policy.
+
+    Raises:
+        InputError: it is missing, or has another size than the card says.
+    """
+    name = picture_in(card.observations)
+    assert name
+    assert card.picture_size
+    expected = (*card.picture_size[::-1], PICTURES[name])
+    if name not in shown or shown[name].shape != expected:
+        got = list(shown[name].shape) if name in shown else "none"
+        raise InputError(f"Expected {name} {list(expected)}, got {got}.", code="H3-POLICY-033")
+    return shown[name]
+
+
+def picture_features(picture: NDArray[Any], layer: Callable[[str, Floats], Floats]) -> Floats:
+    """Features [F] of a picture [H, W, planes], by the named linear layers of a network."""
+    height, width, planes = picture.shape
+    # depth: near things in more detail; float16 as the device keeps pictures of whole rollouts
+    seen = np.sqrt(picture.astype(np.float32)) if planes == 1 else picture.astype(np.float32) / np.float32(255)
+    seen = seen.astype(np.float16).astype(np.float32)
+    x = seen.reshape(height // PATCH, PATCH, width // PATCH, PATCH, planes).transpose(4, 1, 3, 0, 2)
+    x = x.reshape(planes * PATCH * PATCH, height // PATCH, width // PATCH)
+    for k, stride in enumerate(STRIDES):
+        seen, shape = _windows(x, stride)
+        x = np.maximum(layer(f"conv_{k}", seen), 0).T.reshape(-1, *shape)
+    return np.maximum(layer("picture", x.ravel()), 0)
+
+
+def picture_shapes(card: PolicyCard, arrays: Mapping[str, Floats]) -> tuple[dict[str, tuple[int, ...]], int]:
+    """Shapes by name of the arrays that turn the picture of a card into features, and the number of features."""
+    picture = picture_in(card.observations)
+    if picture is None:
+        return {}, 0
+    assert card.picture_size is not None
+    shapes: dict[str, tuple[int, ...]] = {}
+    last = PICTURES[picture] * PATCH * PATCH
+    for k in range(len(STRIDES)):
+        out = _rows(arrays, f"conv_{k}.weight")
+        shapes |= {f"conv_{k}.weight": (out, last, 3, 3), f"conv_{k}.bias": (out,)}
+        last = out
+    features = _rows(arrays, "picture.weight")
+    return shapes | {
+        "picture.weight": (features, last * picture_length(card.picture_size)),
+        "picture.bias": (features,),
+    }, features
 
 
 def _sigmoid(x: Floats) -> Floats:

@@ -18,6 +18,7 @@ SPEED_MPS = 2.5
 """Velocities and ranges are divided by this, the robot's speed limit."""
 DETECTOR = "humanoid_detector"
 """A flag that comes from a picture, which is in no row of the table."""
+_FLAG = Sensor(abs, (0.0,), (1.0,))
 
 
 class Encoding(NamedTuple):
@@ -93,11 +94,11 @@ def _of_choices(sensor: Sensor) -> Encoding:
 OF_SOCIAL_NAV = (HUMANOID_GPS, DETECTOR, "humanoid_velocity", "egomotion", "way", "range_scan")
 """Numbers that networks of social navigation read."""
 OF_COMMANDS: Mapping[str, Encoding] = {
-    name: _of_commands(Sensor(abs, (0.0,), (1.0,)) if name == DETECTOR else TABLE[name])
+    name: _of_commands(_FLAG if name == DETECTOR else TABLE[name])
     for name in dict.fromkeys((*OF_SOCIAL_NAV, *OF_SKILLS))
 }
 """Observations that networks of commands read together with a picture."""
 OF_CHOICES: Mapping[str, Encoding] = {
     name: _of_choices(sensor) for name, sensor in SENSES.items() if sensor.times != "choices"
-}
+} | {DETECTOR: _of_choices(_FLAG)}
 """Observations that networks of choices can read, besides the sensors that are one of their choices."""

@@ -32,16 +32,17 @@ from h3data_training.populations.pool import draw_pool, episodes_of, pool_of, po
 from h3data_training.populations.run import CHECKPOINT, POLICY, train
 from h3data_training.populations.settings import NAMES, ROBOT, PopulationSettings, rearrange_recipe
 from sim_kinematic.agents.skills import choices
-from sim_kinematic.policies.assignment import resolve_policy
+from sim_kinematic.policies.assignment import AssignedPolicy, resolve_policy
 from sim_kinematic.policies.choosers.chooser_network import (
     OBSERVATIONS,
     OF_OTHER,
+    PIXELS,
     SkillPolicyNetwork,
     encoded,
     input_lengths,
     rest_count,
 )
-from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy, allowed
+from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy, allowed, observed
 from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS, network_of
 from sim_kinematic.policies.rearrange import ZSC_TEN, partner_policy, planner, robot_policy
 from sim_kinematic.policies.rearrange_observations import limits, observe
@@ -170,31 +171,50 @@ def test_episodes_come_back_from_their_file(pool: Path, tmp_path: Path) -> None:
 def shown(agent: str, rng: np.random.Generator, objects: int = 2) -> dict[str, np.ndarray]:
     """Random observations."""
     known = limits(objects=objects, arm=7 if agent == ROBOT else 0)
-    found = {}
-    for name in chooser(ROBOT).card.observations:
+    found = {
+        "arm_depth": rng.uniform(0, 1, (48, 64, 1)).astype(np.float32),
+        "humanoid_detector": np.ones(1, np.float32),
+    }
+    for name in {*OBSERVATIONS, *PIXELS} - set(found):
         low, high = np.maximum(known[name].low, -9), np.minimum(known[name].high, 9)
         found[name] = rng.uniform(low, high).astype(np.float32)
     return found
 
 
-@pytest.mark.parametrize(("name", "without"), [(ROBOT, ()), (ROBOT, ("humanoid_gps",)), ("partner_0", ())])
-def test_it_gives_what_pytorch_gives(name: str, without: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(
+    ("name", "without", "pixels"),
+    [
+        (ROBOT, (), False),
+        (ROBOT, ("humanoid_gps",), False),
+        ("partner_0", (), False),
+        (ROBOT, (), True),
+        (ROBOT, ("humanoid_gps",), True),
+        ("partner_0", (), True),
+    ],
+)
+def test_it_gives_what_pytorch_gives(name: str, without: tuple[str, ...], pixels: bool) -> None:
     agent, rng = (ROBOT if name == ROBOT else "human"), np.random.default_rng(4)
-    learner = ChooserLearner(replace(SMALL, without=without), name, seed=2)
+    learner = ChooserLearner(replace(SMALL, without=without, pixels=pixels), name, seed=2)
     with torch.no_grad():
         for parameter in learner.net.parameters():
             parameter.add_(torch.as_tensor(rng.normal(0, 0.3, parameter.shape), dtype=torch.float32))
     network, seen = learner.network(), learner.settings.observations_of(agent)
-    inputs = [encoded(shown(agent, rng), agent=agent, objects=2, observations=seen) for _ in range(12)]
+    moments = [shown(agent, rng) for _ in range(12)]
+    inputs = [encoded(moment, agent=agent, objects=2, observations=seen) for moment in moments]
     each, rest = (torch.as_tensor(np.array(column))[:, None] for column in zip(*inputs, strict=True))
+    pictures = torch.zeros(12, 1, 0, 0)
+    if network.sees:
+        depth = np.array([moment["arm_depth"][None, ..., 0] for moment in moments])
+        pictures = torch.as_tensor(np.sqrt(depth).astype(np.float16))
     with torch.no_grad():
-        expected = learner.net(each, rest, torch.zeros(1, 8))[:, 0].numpy()
+        expected = learner.net(each, rest, torch.zeros(1, 8), pictures)[:, 0].numpy()
     state, scores = network.start(), []
-    for own in inputs:
-        score, state = network(*own, state)
+    for moment, own in zip(moments, inputs, strict=True):
+        score, state = network(*own, state, moment)
         scores.append(score)
+    assert (network.sees == "arm_depth") == (pixels and name == ROBOT)
     assert (each.shape[-1], rest.shape[-1]) == input_lengths(agent, seen)
-    np.testing.assert_allclose(scores, expected, atol=2e-5)
+    np.testing.assert_allclose(scores, expected, rtol=2e-5, atol=2e-5)
 
 
 def test_objects_are_alike_but_for_their_numbers() -> None:
@@ -359,6 +379,37 @@ def test_an_ablation_is_kept_by_its_file(
         SkillPolicyNetwork(card=card, arrays=robot.arrays)
 
 
+def test_a_robot_that_sees_is_told_no_state(episodes: Sequence[RearrangeEpisode], tmp_path: Path) -> None:
+    """Nor do its masks depend on what the person holds, where objects are, or what is at its goal."""
+    settings = replace(SMALL, population="plan_pop_3", pixels=True, updates=1)
+    train(tmp_path, settings, workers=1, episodes=episodes)
+    robot = network_of(f"weights:{tmp_path / POLICY}")
+    assert isinstance(robot, SkillPolicyNetwork)
+    assert robot.observations == PIXELS
+    assert robot.card.picture_size == settings.picture_size
+    for size in (None, (96, 72), (63, 48)):
+        with pytest.raises(InputError, match="H3-POLICY-007"):
+            replace(robot, card=msgspec.structs.replace(robot.card, picture_size=size))
+    seen: list[bool] = []
+
+    class Watching(RecurrentSkillPolicy):
+        def choose(self, view: Any, each: Any, rest: Any, scores: Any) -> int:
+            held = np.where(view.held_by == view.agent, view.agent, 1 - view.agent)
+            changed = view._replace(held_by=held, at_goal=~view.at_goal, objects=view.objects + 1.0)
+            again = observed(changed, robot.card)
+            assert all(np.array_equal(again[name], self.shown[name]) for name in PIXELS)
+            assert np.array_equal(
+                allowed(changed, self.choices, informed=False), allowed(view, self.choices, informed=False)
+            )
+            seen.append(bool(np.ptp(self.shown["arm_depth"])))
+            return super().choose(view, each, rest, scores)
+
+    plan = planner("both", 3, 2)
+    policies = [AssignedPolicy(Watching(robot), ROBOT, ROBOT), AssignedPolicy(plan, "both", "human", "both")]
+    rollout(Rearrange(), replace(episodes[0], spec=replace(episodes[0].spec, max_steps=200)), policies)
+    assert any(seen)
+
+
 def test_files_of_before_still_play(episodes: Sequence[RearrangeEpisode], tmp_path: Path) -> None:
     """Those of version 0.2 are shown less: no paths ahead, no velocity."""
     new = ("path_ahead", "other_path_ahead", "other_velocity")
@@ -394,19 +445,28 @@ def test_rewards_are_told_apart_by_decision_and_lose_nothing() -> None:
 
 def fabricated(rng: np.random.Generator, *, wanted: int, network: SkillPolicyNetwork) -> Decisions:
     """An episode of 20 decisions at random, of which one choice pays."""
-    agent, count = network.card.agent, 20
-    inputs = [encoded(shown(agent, rng), agent=agent, objects=2) for _ in range(count)]
+    agent, count, names = network.card.agent, 20, network.observations
+    moments = [shown(agent, rng) for _ in range(count)]
+    inputs = [encoded(moment, agent=agent, objects=2, observations=names) for moment in moments]
+    pictures, told = np.zeros((count, 0, 0), np.float16), np.zeros((count, 0), np.float32)
+    if network.sees:
+        pictures = np.array([np.sqrt(moment["arm_depth"][..., 0]) for moment in moments], np.float16)
+        told = np.array(
+            [np.concatenate([x.ravel() for x in encoded(m, agent=agent, objects=2)]) for m in moments], np.float32
+        )
     may = np.ones(8 + rest_count(agent), np.bool_)
     may[3] = False
     state, log_probs, states = network.start(), [], []
-    for own in inputs:
+    for moment, own in zip(moments, inputs, strict=True):
         states.append(state)
-        scores, state = network(*own, state)
+        scores, state = network(*own, state, moment)
         log_probs.append(playing.log_softmax(np.where(may, scores, -np.inf).astype(np.float64)))
     chosen = np.array([int(np.argmax(p + rng.gumbel(size=len(p)))) for p in log_probs])
     return Decisions(
         each=np.array([own[0] for own in inputs]),
         rest=np.array([own[1] for own in inputs]),
+        pictures=pictures,
+        told=told,
         state=np.array(states),
         allowed=np.tile(may, (count, 1)),
         chosen=chosen,
@@ -477,10 +537,10 @@ def test_partners_take_as_many_gradient_steps_as_the_robot(population: str, worl
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [ROBOT, pytest.param("partner_0", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("name", "pixels"), [(ROBOT, False), ("partner_0", False), (ROBOT, True)])
 @pytest.mark.usefixtures("one_torch_thread")
-def test_it_learns_what_pays(name: str) -> None:
-    rng, settings = np.random.default_rng(3), replace(SMALL, epochs=4, rate=1e-2, kl_most=0.3)
+def test_it_learns_what_pays(name: str, pixels: bool) -> None:
+    rng, settings = np.random.default_rng(3), replace(SMALL, epochs=4, rate=1e-2, kl_most=0.3, pixels=pixels)
     learner = ChooserLearner(settings, name, seed=0)
     shares = []
     for update in range(10):
@@ -733,6 +793,8 @@ def test_trained_policies_come_with_the_package() -> None:
         ({"episodes": 0}, r"(?s)episodes.*1.*H3-TRAIN-039"),
         ({"horizon": 1.0}, "H3-TRAIN-037"),
         ({"minutes": 0.0}, "H3-TRAIN-038"),
+        ({"pixels": True, "oracle": True}, "H3-TRAIN-016"),
+        ({"picture_size": (63, 48)}, "H3-TRAIN-080"),
     ],
 )
 def test_settings_out_of_range_are_refused(changes: dict[str, Any], message: str) -> None:
@@ -755,6 +817,8 @@ def test_the_command_plans_and_refuses(tmp_path: Path, whole: Path, capsys: pyte
         (["rearrange", "--recipe", "fast"], "Unknown recipe 'fast' of rearrange. Expected one of: paper; or none"),
         (["rearrange", "--population", "plan_pop"], "Did you mean"),
         (["rearrange", "--workers", "0"], "at least 1 worker"),
+        (["rearrange", "--episodes-per-update", "0"], "H3-TRAIN-079"),
+        (["rearrange", "--pixels", "--worlds", "8"], "H3-TRAIN-016"),
         (["social_nav", "--population", "learn_pop"], "--population"),
         (["skill", "nav", "--ablate", "primitives"], "no options of skill: --ablate (of rearrange)"),
         (["rearrange", "--ablate", "legs"], "humanoid_gps"),

@@ -81,6 +81,7 @@ class Train:
         h3data train skill nav -o out/skills/nav
         h3data train skill pick --minutes 20 -o out/skills/pick
         h3data train skill place --recipe fast --device cuda -o out/seeing/place
+        h3data train rearrange --population plan_pop_3 --pixels --workers 16 --device cuda --minutes 25 -o out/plan_pop_3_pixels
         h3data train rearrange --population learn_single --worlds 1024 --device cuda -o out/learn_single
         h3data evaluate social_nav --policies weights:out/nav/policy.npz,rollout_expert -o out/table
     """
@@ -116,11 +117,15 @@ class Train:
     """Episodes to play, drawn and written where there is no such file, so that several runs share them (default:
     episodes.json.gz in the folder, with --worlds episodes.npz)."""
     device: str = "cpu"
-    """Device of the worlds: cpu, cuda or cuda:N. For rearrange with --worlds."""
+    """Device of the worlds and of learning: cpu, cuda or cuda:N. Of rearrange, without --worlds, of learning alone."""
     scenes: tuple[str, ...] = ()
     """Homes to learn in: names as of h3data generate, several sets among them (default: h3-homes/train)."""
     episodes_per_home: int | None = None
     """Episodes to learn from in each home (default: 28, tiny 8, rearrange 32, skills 3, with fast 8)."""
+    episodes_per_update: Annotated[int | None, REARRANGE] = None
+    """Episodes that --workers play between two updates (default: 32). More keep more workers busy."""
+    pixels: Annotated[bool, REARRANGE] = False
+    """The robot sees depth by its arm's camera and is told what the paper's is, and no state (h3data docs populations)."""
     observations: Annotated[tuple[str, ...], BY_PPO, OBSERVATIONS] = ()
     """Observations of the robot."""
     light: Annotated[LightMode | None, SOCIAL_NAV] = None
@@ -246,14 +251,13 @@ class Train:
         return {"minutes": self.minutes, "updates": of_recipe if self.updates is None else self.updates}
 
     def _rearrange(self) -> Outcome:
-        if self.device != "cpu" and self.worlds is None:
-            raise InputError(
-                f"Without --worlds rearrange plays our full rules, on CPU cores: --device {self.device} has no effect. "
-                "Hint: --worlds 1024.",
-                code="H3-TRAIN-016",
-            )
         if self.worlds is not None and self.worlds < 1:
             raise InputError(f"Expected at least 1 world, got --worlds {self.worlds}.", code="H3-TRAIN-017")
+        if self.episodes_per_update is not None and self.episodes_per_update < 1:
+            raise InputError(
+                f"Expected at least 1 episode, got --episodes-per-update {self.episodes_per_update}.",
+                code="H3-TRAIN-079",
+            )
         if self.workers is not None and self.workers < 1:
             raise InputError(f"Expected at least 1 worker, got --workers {self.workers}.", code="H3-TRAIN-018")
         from h3data_training.commands.rearrangement import plan_rearrange, train_rearrange
@@ -268,9 +272,12 @@ class Train:
             robot=self.robot,
             walk=self.rules,
             without=self.ablate,
+            pixels=self.pixels or None,
         )
         if self.worlds is not None:
             settings = settings.in_worlds(self.worlds)
+        elif self.episodes_per_update is not None:
+            settings = settings.in_updates_of(self.episodes_per_update)
         if self.dry_run:
             return plan_rearrange(self.out, settings, workers=self.workers)
         return train_rearrange(

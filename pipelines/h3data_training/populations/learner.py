@@ -22,7 +22,7 @@ from sim_kinematic.policies.choosers.chooser_network import KIND, SkillPolicyNet
 from sim_kinematic.policies.visual_policy import PolicyCard
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 
-LEARNED_FROM = ("each", "rest", "allowed", "chosen", "log_prob", "critic_obs", "advantage", "target")
+LEARNED_FROM = ("each", "rest", "pictures", "allowed", "chosen", "log_prob", "critic_obs", "advantage", "target")
 """Columns of a minibatch."""
 
 
@@ -91,7 +91,7 @@ class ChooserLearner:
             task="rearrange",
             robot=s.robot,
             observations=s.observations_of(self.agent),
-            picture_size=None,
+            picture_size=s.picture_size if self.net.sees else None,
             hold=s.think_steps,
             network=KIND,
             agent=self.agent,
@@ -164,7 +164,7 @@ class ChooserLearner:
         s, net, x = self.settings, self.net, self._x
         valid = x["valid"]
         total = valid.sum()
-        scores = net(x["each"], x["rest"], x["state"]).masked_fill(~x["allowed"], -torch.inf)
+        scores = net(x["each"], x["rest"], x["state"], x["pictures"]).masked_fill(~x["allowed"], -torch.inf)
         log_probs = scores.log_softmax(-1)
         log_prob = log_probs.gather(-1, x["chosen"][..., None]).squeeze(-1)
         entropy = -(log_probs.exp() * log_probs.masked_fill(~x["allowed"], 0.0)).sum(-1)
@@ -186,7 +186,7 @@ class ChooserLearner:
         """Inputs of the critic, which include who the partner is, [D, n]."""
         number = torch.tensor([self.settings.partners.index(name) for name in partners], device=self.device)
         one = nn.functional.one_hot(number.repeat_interleave(counts), len(self.settings.partners))
-        return torch.cat([x["each"].flatten(1), x["rest"], one.float()], 1)
+        return torch.cat([x["each"].flatten(1), x["rest"], x["told"], one.float()], 1)
 
 
 def advantages(gain: Tensor, discount: Tensor, value: Tensor, counts: Tensor, *, lam: float) -> Tensor:

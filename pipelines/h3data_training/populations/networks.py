@@ -11,8 +11,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from h3data_training.networks import picture_arrays, picture_features, picture_layers
 from h3data_training.populations.settings import PopulationSettings
 from sim_kinematic.policies.choosers.chooser_network import SKILLS_WITH_OBJECT, input_lengths, rest_count
+from sim_kinematic.policies.visual_policy import PATCH, picture_in
 
 PERSIST = 4.5
 """Probability at the start of training that an interrupted agent continues on its path: 97 in 100, else nobody would ever
@@ -26,7 +28,15 @@ class Chooser(nn.Module):
 
     def __init__(self, settings: PopulationSettings, *, agent: str, objects: int) -> None:
         super().__init__()
-        s, (of_object, rest) = settings, input_lengths(agent, settings.observations_of(agent))
+        s, observations = settings, settings.observations_of(agent)
+        of_object, rest = input_lengths(agent, observations)
+        told = objects * of_object + rest + len(s.partners)
+        self.sees = picture_in(observations)
+        if self.sees:
+            self.convolutions, self.picture = picture_layers(self.sees, s.picture_size, s.channels, s.features)
+            rest += s.features
+            of_object_told, rest_told = input_lengths(agent)
+            told += objects * of_object_told + rest_told
         others = rest_count(agent)
         self.objects, self.others = objects, others
         self.object = nn.Linear(of_object + objects, s.width)
@@ -34,7 +44,6 @@ class Chooser(nn.Module):
         self.each_0, self.each_1 = nn.Linear(s.hidden + s.width, s.width), nn.Linear(s.width, SKILLS_WITH_OBJECT)
         self.rest_0, self.rest_1 = nn.Linear(s.hidden + rest, s.width), nn.Linear(s.width, others)
         self.persist = nn.Parameter(torch.full((1,), PERSIST))
-        told = objects * of_object + rest + len(s.partners)
         self.value_head = nn.Sequential(
             nn.Linear(told, 128), nn.ELU(), nn.Linear(128, 128), nn.ELU(), nn.Linear(128, 1)
         )
@@ -45,8 +54,15 @@ class Chooser(nn.Module):
             self.each_1.bias[2:] = AT_HAND
             self.rest_1.bias.fill_(ASIDE)
 
-    def forward(self, each: Tensor, rest: Tensor, state: Tensor) -> Tensor:
-        """Scores [T, B, C] for inputs [T, B, K, F] and [T, B, R] and states [B, H] before the first."""
+    def forward(self, each: Tensor, rest: Tensor, state: Tensor, pictures: Tensor) -> Tensor:
+        """Scores [T, B, C] for inputs [T, B, K, F] and [T, B, R] and states [B, H] before the first.
+
+        ``pictures`` are roots of depth [T, B, H, W], of a policy that does not see [T, B, 0, 0].
+        """
+        if self.sees:
+            pixels = F.pixel_unshuffle(pictures.flatten(0, 1)[:, None].float(), PATCH)
+            features = picture_features(self.convolutions, self.picture, pixels)
+            rest = torch.cat([features.unflatten(0, rest.shape[:2]), rest], -1)
         numbers = torch.eye(self.objects, device=each.device).expand(*each.shape[:2], -1, -1)
         things = F.relu(self.object(torch.cat([each, numbers], -1)))
         known, _ = self.gru(torch.cat([rest, things.flatten(2)], -1), state[None])
@@ -66,4 +82,6 @@ class Chooser(nn.Module):
             named |= {f"{name}.weight": layer.weight, f"{name}.bias": layer.bias}
         for name in ("weight_ih", "weight_hh", "bias_ih", "bias_hh"):
             named[f"gru.{name}"] = getattr(self.gru, f"{name}_l0")
+        if self.sees:
+            named |= picture_arrays(self.convolutions, self.picture)
         return {name: tensor.detach().float().cpu().contiguous().numpy().copy() for name, tensor in named.items()}

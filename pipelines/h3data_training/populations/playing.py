@@ -25,10 +25,12 @@ from h3data.errors import H3DataError
 from h3data_training.populations.settings import ROBOT
 from sim_kinematic.motion.randomness import episode_seed, generator
 from sim_kinematic.policies.assignment import AssignedPolicy
-from sim_kinematic.policies.choosers.chooser_network import Floats, SkillPolicyNetwork
+from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS, Floats, SkillPolicyNetwork, encoded
 from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy
 from sim_kinematic.policies.rearrange import planner
+from sim_kinematic.policies.rearrange_observations import observe
 from sim_kinematic.policies.views import RearrangeView
+from sim_kinematic.policies.visual_policy import picture_of
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.rearrange.task import Rearrange
@@ -63,6 +65,10 @@ class Decisions:
     """Inputs of each object, [D, K, F] (`sim_kinematic.policies.choosers.chooser_network.encoded`)."""
     rest: Any
     """The other inputs, [D, R]."""
+    pictures: Any
+    """Roots of the depth that was seen, float16 [D, H, W] in 0..1; [D, 0, 0] of a policy that does not see."""
+    told: Any
+    """The state, which a policy that sees is not told and the critic is, [D, N]; else [D, 0]."""
     state: Any
     """Recurrent state before the decision, [D, H]."""
     allowed: Any
@@ -134,17 +140,27 @@ class _Sampler(RecurrentSkillPolicy):
     def choose(self, view: RearrangeView, each: Floats, rest: Floats, scores: Floats) -> int:
         log_probs = log_softmax(scores.astype(np.float64))
         chosen = int(np.argmax(log_probs + self._rng.gumbel(size=len(scores))))
-        self.rows.append((each, rest, self.state, np.isfinite(scores), chosen, log_probs[chosen]))
+        card = self.network.card
+        seen, told = np.zeros((0, 0), np.float16), np.zeros(0, np.float32)
+        if self.network.sees:
+            seen = np.sqrt(picture_of(card, self.shown)[..., 0].astype(np.float32)).astype(np.float16)
+            told = np.concatenate(
+                [x.ravel() for x in encoded(observe(view, OBSERVATIONS), agent=card.agent, objects=card.objects)]
+            )
+        self.rows.append((each, rest, seen, told, self.state, np.isfinite(scores), chosen, log_probs[chosen]))
         self.steps.append(view.step)
         return chosen
 
     def decisions(self, rewards: Sequence[float], gamma: float, partner: str) -> Decisions:
         """All decisions with the reward that followed each; ``rewards`` are those of each simulated step."""
-        each, rest, state, allowed, chosen, log_prob = (np.array(column) for column in zip(*self.rows, strict=True))
+        columns = (np.array(column) for column in zip(*self.rows, strict=True))
+        each, rest, pictures, told, state, allowed, chosen, log_prob = columns
         gains, spans = discounted(np.array(rewards), self.steps, gamma)
         return Decisions(
             each=each,
             rest=rest,
+            pictures=pictures,
+            told=told,
             state=state,
             allowed=allowed,
             chosen=chosen,
@@ -210,12 +226,17 @@ _EPISODES: Sequence[RearrangeEpisode] = ()
 class Players:
     """Processes that play training episodes, or this one if there is one worker."""
 
-    device = "cpu"
-
     def __init__(
-        self, episodes: Sequence[RearrangeEpisode], workers: int, *, say: Callable[[str], None] = lambda line: None
+        self,
+        episodes: Sequence[RearrangeEpisode],
+        workers: int,
+        *,
+        device: str = "cpu",
+        say: Callable[[str], None] = lambda line: None,
     ) -> None:
+        """Prepares players of some episodes; ``device`` is that on which others learn from them."""
         global _EPISODES
+        self.device = device
         _EPISODES = self._episodes = tuple(episodes)
         self.workers, self._say = workers, say
         self._pool: ProcessPoolExecutor | None = None

@@ -61,7 +61,7 @@ def train(
         settings: Settings of the training.
         seed: Everything random follows from it.
         workers: Processes that play; None is one for each core. 1 plays here.
-        device: Torch device of worlds with oracle skills (`PopulationSettings.oracle`).
+        device: Torch device of the learners, and of worlds with oracle skills (`PopulationSettings.oracle`).
         resume: Go on from the checkpoint in the folder, if there is one.
         stop_after: Minutes of this call, set-up included; None: until the run is over.
         checkpoint_s: Seconds between two checkpoints.
@@ -79,8 +79,7 @@ def train(
     count = workers or default_workers()
     if count < 1:
         raise InputError(f"Expected at least 1 worker, got {count}.", code="H3-TRAIN-030")
-    if settings.oracle:
-        checked_device(device)
+    checked_device(device)
     kept = checkpoints.load_checkpoint(folder / CHECKPOINT, settings, seed, form=FORMAT) if resume else None
     with stop_asked() as stop:
         players = _players(episodes, settings, count, device, episodes_file, folder, say)
@@ -106,7 +105,7 @@ def _players(
     if not settings.oracle:
         if episodes is None:
             episodes = episodes_of(pool_of(settings, file or folder / EPISODES, workers=workers), settings)
-        return Players(episodes, workers, say=say)
+        return Players(episodes, workers, device=device, say=say)
     from h3data_training.populations.worlds import TensorPlayers
     from h3data_training.torch.rearrange.bank import RearrangeBank
 

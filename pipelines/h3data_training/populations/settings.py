@@ -9,8 +9,9 @@ from typing import Any
 from h3data.errors import InputError, suggest
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import WALKERS
-from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS, WITHOUT_OTHER
+from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS, PIXELS, WITHOUT_OTHER
 from sim_kinematic.policies.rearrange import POPULATIONS
+from sim_kinematic.policies.visual_policy import VisualPolicy
 from sim_kinematic.sensing.table import HUMANOID_GPS
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 
@@ -58,6 +59,16 @@ class PopulationSettings:
     success in training tells of success in other homes."""
     without: tuple[str, ...] = ()
     """Some of `ABLATIONS`, of the robot alone."""
+    pixels: bool = False
+    """True if the robot sees as the paper's does and is told no state: it has the observations
+    `sim_kinematic.policies.choosers.chooser_network.PIXELS`. The critic, which only training needs, is told the state in either
+    case."""
+    picture_size: tuple[int, int] = (64, 48)
+    """Width and height of the robot's pictures [pixels]."""
+    channels: tuple[int, int, int] = (16, 32, 32)
+    """Number of planes of the three convolutions for pictures."""
+    features: int = 64
+    """Number of values that represent a picture after the convolutions."""
     think_steps: int = 30
     """Number of steps after which a learner chooses again while it walks."""
 
@@ -109,6 +120,14 @@ class PopulationSettings:
                 code="H3-TRAIN-036",
             )
         object.__setattr__(self, "without", tuple(name for name in ABLATIONS if name in self.without))
+        if self.pixels and self.oracle:
+            raise InputError(
+                "A robot that sees learns by our full rules, on CPU cores: worlds on a device take no pictures of "
+                "rearrangement. Hint: --pixels without --worlds.",
+                code="H3-TRAIN-016",
+            )
+        if fault := VisualPolicy.size_fault(self.picture_size):
+            raise InputError(f"Expected pictures with sides in {fault}, got {self.picture_size}.", code="H3-TRAIN-080")
         whole = (
             "episodes_per_home",
             "think_steps",
@@ -118,6 +137,7 @@ class PopulationSettings:
             "chunk",
             "epochs",
             "chunks_per_minibatch",
+            "features",
         )
         for name in whole:
             if getattr(self, name) < 1:
@@ -162,7 +182,10 @@ class PopulationSettings:
 
     def observations_of(self, agent: str) -> tuple[str, ...]:
         """Observations of a learner, the ``robot`` or a ``human``."""
-        return WITHOUT_OTHER if agent == ROBOT and HUMANOID_GPS in self.without else OBSERVATIONS
+        is_hidden = HUMANOID_GPS in self.without
+        if agent == ROBOT and self.pixels:
+            return tuple(name for name in PIXELS if not (is_hidden and name == HUMANOID_GPS))
+        return WITHOUT_OTHER if agent == ROBOT and is_hidden else OBSERVATIONS
 
     def partner_of(self, seed: int, episode: int) -> str:
         """The partner in a training episode: in every P consecutive ones each of P partners once, in random order."""
@@ -175,9 +198,13 @@ class PopulationSettings:
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def in_worlds(self, worlds: int) -> PopulationSettings:
-        """Return the settings with oracle skills in this number of worlds; an update has as many minibatches as before."""
+        """Return the settings with oracle skills in this number of worlds."""
+        return replace(self.in_updates_of(worlds), oracle=True)
+
+    def in_updates_of(self, episodes: int) -> PopulationSettings:
+        """Return the settings with this number of episodes in an update, which has as many minibatches as before."""
         per_episode = self.chunks_per_minibatch / self.episodes
-        return replace(self, oracle=True, episodes=worlds, chunks_per_minibatch=max(1, round(worlds * per_episode)))
+        return replace(self, episodes=episodes, chunks_per_minibatch=max(1, round(episodes * per_episode)))
 
     def changed(self, **changes: Any) -> PopulationSettings:
         """Return the settings with some of them changed; None changes nothing."""

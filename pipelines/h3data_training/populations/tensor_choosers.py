@@ -153,7 +153,10 @@ class TensorSkillPolicy:
             rows = all_rows.unique()
             own = torch.isin(world, rows)
             at = when[own], world[own]
+            nothing = torch.zeros(int(own.sum()), 0, device=rewards.device)
             found[name] = Decisions(
+                pictures=nothing[..., None],
+                told=nothing,
                 **{column: t[at] for column, t in self._kept.items() if column != "asked"},
                 gain=gain[own].float(),
                 discount=discount[own].float(),

@@ -19,9 +19,19 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from sim_kinematic.agents.skills import PRIMITIVES
-from sim_kinematic.policies.visual_policy import PolicyCard, affine, digest_of
-from sim_kinematic.sensing.encodings import OF_CHOICES
-from sim_kinematic.sensing.table import SENSES
+from sim_kinematic.policies.visual_policy import (
+    PICTURES,
+    PolicyCard,
+    VisualPolicy,
+    affine,
+    digest_of,
+    picture_features,
+    picture_in,
+    picture_of,
+    picture_shapes,
+)
+from sim_kinematic.sensing.encodings import DETECTOR, OF_CHOICES
+from sim_kinematic.sensing.table import HUMANOID_GPS, SENSES
 
 Floats = NDArray[np.floating]
 KIND = "gru_chooser"
@@ -53,8 +63,25 @@ OF_OTHER = tuple(name for name in OBSERVATIONS if SENSES[name].of_other)
 """Observations that tell where the other agent is."""
 WITHOUT_OTHER = tuple(name for name in OBSERVATIONS if name not in OF_OTHER)
 """Observations of a chooser without the paper's humanoid GPS."""
-NEEDED = ("held_by_other", "last_done", "last_failed", "interrupted")
-"""Observations without which no chooser works."""
+PIXELS = (
+    "arm_depth",
+    DETECTOR,
+    "obj_start_gps_compass",
+    "obj_goal_gps_compass",
+    "holds",
+    HUMANOID_GPS,
+    "egomotion",
+    "last_done",
+    "last_failed",
+    "interrupted",
+)
+"""Observations of a chooser that sees, in this order: those of the paper's robot (section 4.2; objects and goals as in
+Habitat's configuration, at the places that the task gave them), and the result of its own last choice. It is told neither what
+the person does or holds, nor where objects are now, nor what is at its goal, nor any path."""
+CHOOSING = ("last_done", "last_failed", "interrupted")
+"""Observations without which no chooser works;"""
+NEEDED = ("held_by_other", *CHOOSING)
+"""and without which none works that does not see."""
 PLACES = ("obj_gps_compass", "way_to_objects", "path_ahead")
 """Observations that tell where objects are. What the other agent holds is where that agent is, so a chooser without the GPS
 gets zeros there."""
@@ -65,8 +92,14 @@ def rest_count(agent: str) -> int:
     return 1 + (len(PRIMITIVES) if agent == "robot" else 0)
 
 
+def numbers_of(observations: tuple[str, ...]) -> tuple[str, ...]:
+    """The observations that are no pictures."""
+    return tuple(name for name in observations if name not in PICTURES)
+
+
 def input_lengths(agent: str, observations: tuple[str, ...] = OBSERVATIONS) -> tuple[int, int]:
-    """Lengths of the inputs of one object, without its number, and of the rest."""
+    """Lengths of the inputs of one object, without its number, and of the rest, without features of a picture."""
+    observations = numbers_of(observations)
     encodings = [OF_CHOICES[name] for name in observations if name in OF_CHOICES]
     of_object = sum(e.length for e in encodings if e.times == "objects")
     rest = sum(e.length for e in encodings if e.times == "once")
@@ -85,7 +118,7 @@ def encoded(
         InputError: an observation is missing or has another length.
     """
     each, rest = [], []
-    for name in observations:
+    for name in numbers_of(observations):
         encoding = OF_CHOICES.get(name)
         own = SKILLS_WITH_OBJECT * objects
         length = (
@@ -122,7 +155,8 @@ class SkillPolicyNetwork:
     card: PolicyCard
     arrays: Mapping[str, Floats]
     """By name as in the file: weight and bias of ``object``, ``each_0``, ``each_1`` [4, n], ``rest_0`` and ``rest_1``, those of
-    ``gru`` [3 H, ...], and ``persist`` [1], what is added to the score of the choice that was interrupted."""
+    ``gru`` [3 H, ...], and ``persist`` [1], what is added to the score of the choice that was interrupted. A network that sees
+    has those of `sim_kinematic.policies.visual_policy.picture_shapes` too."""
     kind: ClassVar[str] = KIND
 
     def __post_init__(self) -> None:
@@ -141,6 +175,11 @@ class SkillPolicyNetwork:
         return self.card.observations
 
     @property
+    def sees(self) -> str | None:
+        """Name of the picture that it is shown."""
+        return picture_in(self.card.observations)
+
+    @property
     def outputs(self) -> int:
         """Number of choices."""
         return SKILLS_WITH_OBJECT * self.card.objects + rest_count(self.card.agent)
@@ -149,7 +188,9 @@ class SkillPolicyNetwork:
     def digest(self) -> str:
         """SHA-256 of everything that determines its behaviour."""
         card = self.card
-        about = (card.task, card.network, card.agent, card.objects, card.observations, card.hold)
+        about: tuple[Any, ...] = (card.task, card.network, card.agent, card.objects, card.observations, card.hold)
+        if self.sees:
+            about = (*about, card.picture_size)
         return digest_of(about if card.primitives else (*about, "without primitives"), self.arrays)
 
     @cached_property
@@ -164,9 +205,17 @@ class SkillPolicyNetwork:
         """The recurrent state at the start of an episode, [H]."""
         return np.zeros(self.arrays["gru.weight_hh"].shape[1], np.float32)
 
-    def __call__(self, each: Floats, rest: Floats, state: Floats) -> tuple[Floats, Floats]:
-        """Scores of all choices and the next state [H], for inputs of `encoded` and the state [H]."""
+    def __call__(
+        self, each: Floats, rest: Floats, state: Floats, shown: Mapping[str, NDArray[Any]] | None = None
+    ) -> tuple[Floats, Floats]:
+        """Scores of all choices and the next state [H], for inputs of `encoded` and the state [H].
+
+        Raises:
+            InputError: the picture that a network sees is not among the observations ``shown``, or has another size.
+        """
         count = len(each)
+        if self.sees:
+            rest = np.concatenate([picture_features(picture_of(self.card, shown or {}), self._layer), rest])
         things = _rectified(self._layer("object", np.concatenate([each, np.eye(count, dtype=np.float32)], 1)))
         given = self._layer("gru", np.concatenate([rest, things.ravel()]), "_ih")
         (r, z, n), (kr, kz, kn) = np.split(given, 3), np.split(self._layer("gru", state, "_hh"), 3)
@@ -182,7 +231,8 @@ class SkillPolicyNetwork:
     @cached_property
     def _columns(self) -> dict[str, Floats]:
         """The weights by name, [in, out]."""
-        return {n: np.ascontiguousarray(a.T, np.float32) for n, a in self.arrays.items() if ".weight" in n}
+        rows = {n: a.reshape(len(a), -1) for n, a in self.arrays.items() if ".weight" in n}
+        return {n: np.ascontiguousarray(a.T, np.float32) for n, a in rows.items()}
 
     def _layer(self, name: str, x: Floats, kind: str = "") -> Floats:
         """Outputs [out] or [n, out] of a linear layer for inputs [in] or [n, in]."""
@@ -206,6 +256,8 @@ def shapes(card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[in
         return arrays[name].shape[0] if name in arrays and arrays[name].ndim else 0
 
     of_object, rest = input_lengths(card.agent, card.observations)
+    found, features = picture_shapes(card, arrays)
+    rest += features
     wide, hidden = width("object.weight"), width("gru.weight_ih") // 3
     each, other = width("each_0.weight"), width("rest_0.weight")
     layers = {
@@ -215,7 +267,7 @@ def shapes(card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[in
         "rest_0": (other, hidden + rest),
         "rest_1": (rest_count(card.agent), other),
     }
-    found: dict[str, tuple[int, ...]] = {f"{name}.weight": shape for name, shape in layers.items()}
+    found |= {f"{name}.weight": shape for name, shape in layers.items()}
     found |= {f"{name}.bias": shape[:1] for name, shape in layers.items()}
     return found | {
         "gru.weight_ih": (3 * hidden, rest + card.objects * wide),
@@ -232,12 +284,17 @@ def _faults(card: PolicyCard, arrays: Mapping[str, Floats]) -> list[str]:
         return [f"unknown network {card.network!r}, expected {KIND}"]
     if card.agent not in ("robot", "human"):
         return [f"it is for the agent {card.agent!r}, expected robot or human"]
-    known = tuple(name for name in OBSERVATIONS if name in card.observations or name in NEEDED)
+    all_names, needed = (PIXELS, CHOOSING) if picture_in(card.observations) else (OBSERVATIONS, NEEDED)
+    known = tuple(name for name in all_names if name in card.observations or name in needed)
     if card.observations != known:
         return [
-            f"it is shown {', '.join(card.observations) or 'nothing'}, expected some of {', '.join(OBSERVATIONS)}, in this "
-            f"order, and {', '.join(NEEDED)} among them"
+            f"it is shown {', '.join(card.observations) or 'nothing'}, expected some of {', '.join(all_names)}, in this "
+            f"order, and {', '.join(needed)} among them"
         ]
+    if picture_in(known):
+        fault = "a width and a height" if card.picture_size is None else VisualPolicy.size_fault(card.picture_size)
+        if fault:
+            return [f"its pictures are {card.picture_size} pixels, expected {fault}"]
     if not 1 <= card.objects <= 16:
         return [f"it knows {card.objects} objects, expected 1 to 16"]
     if not 1 <= card.hold <= 3000:

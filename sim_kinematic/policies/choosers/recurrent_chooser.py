@@ -7,13 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import FormatError
+from h3data.errors import FormatError, InputError
 from sim_kinematic.agents.skills import Action, choices
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.policies.choosers.chooser_network import Floats, SkillPolicyNetwork, encoded
-from sim_kinematic.policies.rearrange_observations import observe
+from sim_kinematic.policies.rearrange_observations import SENSES, observe
 from sim_kinematic.policies.views import RearrangeView
+from sim_kinematic.policies.visual_policy import PolicyCard
 
 ALERT_M, ALERT_STEPS = 4.0, 5
 """While the other agent is nearer than this, a running walk is thought over after so many steps: both walk at 2.5 m/s, so
@@ -28,7 +29,7 @@ class RecurrentSkillPolicy:
 
     While the agent walks or drives, the network is evaluated every second, six times a second while the other agent is
     within 4 m, and at once when the other has taken the object it is heading for. The agent continues if the same
-    action is sampled.
+    action is sampled. A policy that sees does not know what the other has taken, and is not interrupted then.
     """
 
     def __init__(self, network: SkillPolicyNetwork, objects: int = 2, *, robot: bool = True) -> None:
@@ -58,6 +59,8 @@ class RecurrentSkillPolicy:
         self.state = network.start()
         self.seed = 0
         """Seed of the episode."""
+        self.shown: dict[str, NDArray[np.float32]] = {}
+        """Observations of the last decision."""
         self._thought, self._times = 0, 0
 
     def require_body(self, body: str) -> None:
@@ -75,11 +78,12 @@ class RecurrentSkillPolicy:
     def act(self, view: RearrangeView) -> Action:
         """Next action, sampled by the scores of the network."""
         card = self.network.card
-        shown = observe(view, card.observations)
+        shown = observed(view, card)
         each, rest = encoded(shown, agent=card.agent, objects=card.objects, observations=card.observations)
-        scores, state = self.network(each, rest, self.state)
+        scores, state = self.network(each, rest, self.state, shown)
         self._times = self._times + 1 if view.step == self._thought else 0  # several choices may be made in one step
-        may = allowed(view, self.choices) & self.network.offered
+        may = allowed(view, self.choices, informed=not self.network.sees) & self.network.offered
+        self.shown = shown
         number = self.choose(view, each, rest, np.where(may, scores, -np.inf))
         self.state, self._thought = state, view.step
         return self.choices[number]
@@ -94,7 +98,8 @@ class RecurrentSkillPolicy:
         action = view.action
         if action is None or action.skill not in ("nav_to_object", "nav_to_goal"):
             return ""
-        if action.skill == "nav_to_object" and view.held_by[action.target] not in (NOBODY, view.agent):
+        taken = view.held_by[action.target] not in (NOBODY, view.agent)
+        if action.skill == "nav_to_object" and taken and not self.network.sees:
             return "object_taken"
         since = view.step - self._thought
         if since >= ALERT_STEPS and np.hypot(*(view.other_xz - view.xz)) < ALERT_M:
@@ -102,15 +107,29 @@ class RecurrentSkillPolicy:
         return "replanned" if since >= self.network.card.hold else ""
 
 
-def allowed(view: RearrangeView, known: Sequence[Action]) -> NDArray[np.bool_]:
+def observed(view: RearrangeView, card: PolicyCard) -> dict[str, NDArray[np.float32]]:
+    """The observations of a chooser by name: numbers [n], and those of its camera.
+
+    Raises:
+        InputError: nobody takes pictures here.
+    """
+    shown = observe(view, [name for name in card.observations if name in SENSES])
+    taken = [name for name in card.observations if name not in SENSES]
+    if taken and view.observe is None:
+        raise InputError("This policy sees, and nobody takes pictures here.", code="H3-POLICY-067")
+    return shown | view.observe(taken, size=card.picture_size) if taken and view.observe else shown
+
+
+def allowed(view: RearrangeView, known: Sequence[Action], *, informed: bool = True) -> NDArray[np.bool_]:
     """Return which actions are useful in a state, [C].
 
     With an empty hand these are the actions on objects that lie about and are not at their goals; with an object in
     hand, those that bring it to its goal. Where the agent has just arrived, it may pick or place but not navigate
-    again; it may always continue the action that it has begun, or take one without an object.
+    again; it may always continue the action that it has begun, or take one without an object. An agent that is not
+    ``informed`` knows its own hand and nothing of other objects, so all that it does not hold might lie about.
     """
     held, empty = view.held_by, not (view.held_by == view.agent).any()
-    free = (held == NOBODY) & ~view.at_goal
+    free = (held == NOBODY) & ~view.at_goal if informed else held != view.agent
     done = view.action if view.last is not None and view.last.outcome == "done" else None
     begun = view.action if view.last is not None and view.last.outcome == "aborted" else None
     found = np.ones(len(known), np.bool_)
