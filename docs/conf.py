@@ -57,6 +57,7 @@ suppress_warnings = ["misc.highlighting_failure"]  # there is no lexer for CSV
 html_theme = "furo"
 html_title = f"h3data {release}"
 html_static_path, html_css_files = ["_static"], ["site.css"]
+html_search_scorer = str(HERE / "search_scorer.js")
 html_show_sphinx = False
 html_copy_source = False
 html_theme_options = {

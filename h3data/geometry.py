@@ -257,7 +257,7 @@ def quat_nlerp(a: ArrayLike, b: ArrayLike, weight: ArrayLike) -> Array:
 
 
 def pose_to_matrix(pose: ArrayLike) -> Array:
-    """4x4 matrices [..., 4, 4] of pose7 [..., 7]."""
+    """Return poses (pose7) [..., 7] as 4x4 matrices [..., 4, 4]."""
     if _is_single(pose):
         px, py, pz, x, y, z, w = pose.tolist()  # type: ignore[union-attr]
         return np.array(
@@ -277,13 +277,13 @@ def pose_to_matrix(pose: ArrayLike) -> Array:
 
 
 def pose_from_matrix(matrix: ArrayLike) -> Array:
-    """pose7 [..., 7] of rigid 4x4 (or 3x4) matrices [..., 4, 4]."""
+    """Return rigid 4x4 (or 3x4) matrices [..., 4, 4] as poses (pose7) [..., 7]."""
     m = _floating(matrix)
     return np.concatenate([m[..., :3, 3], quat_from_matrix(m[..., :3, :3])], axis=-1)
 
 
 def pose_multiply(a: ArrayLike, b: ArrayLike) -> Array:
-    """pose7 of ``a b``, shape [..., 7]: pose ``b``, given in frame ``a``, in the frame that ``a`` is given in."""
+    """Return pose ``b``, given in frame ``a``, in the frame that ``a`` is given in, shape [..., 7]."""
     if _is_single(a) and _is_single(b):
         (px, py, pz, *turn), (*offset, bx, by, bz, bw) = a.tolist(), b.tolist()  # type: ignore[union-attr]
         x, y, z = _rotated(turn, offset)
@@ -294,7 +294,7 @@ def pose_multiply(a: ArrayLike, b: ArrayLike) -> Array:
 
 
 def pose_inverse(pose: ArrayLike) -> Array:
-    """pose7 of the inverse transform, shape [..., 7]."""
+    """Return the inverse transform of a pose, shape [..., 7]."""
     if _is_single(pose):
         *place, qx, qy, qz, qw = pose.tolist()  # type: ignore[union-attr]
         q = [qx * -1, qy * -1, qz * -1, qw]
@@ -333,7 +333,7 @@ def distance_to_circles(points: Any, headings: Any, circles: Any, *, xp: Any = n
 
 
 def ground_pose(xz: ArrayLike, heading_rad: ArrayLike, floor_y: ArrayLike = 0.0) -> Array:
-    """pose7 [..., 7] of agent roots standing at floor points ``(x, z)`` [..., 2] with headings [...]."""
+    """Return poses (pose7) [..., 7] of agent roots that stand at floor points ``(x, z)`` [..., 2] with headings [...]."""
     if _is_single(xz) and isinstance(heading_rad, float) and isinstance(floor_y, float):
         x, z = xz.tolist()  # type: ignore[union-attr]
         half = heading_rad / 2

@@ -239,6 +239,7 @@ RENAMED = {
     "h3data.stats.marginal_means": "h3data_studies.statistics.marginal_means",
     "h3data.stats.rank_agreement": "h3data_studies.statistics.rank_agreement",
     "h3data.stats.relative_efficiency": "h3data_studies.statistics.relative_efficiency",
+    "h3data_viewers.ShownRecording": "ViewedRecording",
     "sim_kinematic.agents.skills.Ending": "SkillResult",
     "sim_kinematic.policies.policy.KeptMoment": "RecordedPose",
     "sim_kinematic.policies.policy.PaceTo": "GaitAction",
@@ -289,7 +290,7 @@ def new_name(module: str) -> str | None:
 
 
 class MovedFinder(MetaPathFinder):
-    """Asked last, for modules that nothing else has found."""
+    """Finder of last resort for modules that nothing else has found."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None

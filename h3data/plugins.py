@@ -114,7 +114,7 @@ class PluginWarning(UserWarning):
 
 @dataclass(frozen=True)
 class Plugin:
-    """One entry of a registry, not imported yet."""
+    """Entry of a registry that has not been imported yet."""
 
     name: str
     value: Any

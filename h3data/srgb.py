@@ -1,4 +1,4 @@
-"""sRGB and linear light (IEC 61966-2-1). Colours are stored as sRGB bytes; arithmetic on them uses linear light."""
+"""Conversion between sRGB and linear light (IEC 61966-2-1). Colours are stored as sRGB; arithmetic uses linear light."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def srgb_to_linear(srgb: ArrayLike) -> NDArray[np.float64]:
 
 
 def linear_to_srgb(linear: ArrayLike) -> NDArray[np.float64]:
-    """sRGB values 0..1 of linear light 0..1; values outside are clipped."""
+    """Return sRGB values 0..1 of linear light 0..1; values outside are clipped."""
     x = np.clip(np.asarray(linear, np.float64), 0, 1)
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
@@ -24,5 +24,5 @@ def bytes_to_linear(srgb: ArrayLike) -> NDArray[np.float64]:
 
 
 def linear_to_bytes(linear: ArrayLike) -> NDArray[np.uint8]:
-    """sRGB bytes nearest to linear light 0..1."""
+    """Return the sRGB bytes nearest to linear light 0..1."""
     return np.rint(255 * linear_to_srgb(linear)).astype(np.uint8)

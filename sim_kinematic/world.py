@@ -65,25 +65,25 @@ class PoseCommand(NamedTuple):
     """Command that places people who walk along a path (`sim_kinematic.motion.stride`)."""
 
     points: Array
-    """[W, 2] [m]."""
+    """Places on the floor [W, 2] [m]."""
     headings: Array
-    """[W] [rad]."""
+    """Headings [W] [rad]."""
 
 
 class GaitCommand(NamedTuple):
     """Command with the place and walking phase of people in this step, computed elsewhere."""
 
     gait: HumanState
-    """W worlds."""
+    """Gait of W worlds."""
 
 
 class RecordedPoseCommand(NamedTuple):
-    """Command that puts people at the next moment of a recorded track, without checks by the world."""
+    """Command that puts people at the next pose of a recorded track, without checks by the world."""
 
     xz: Array
-    """[W, 2] [m]."""
+    """Places on the floor [W, 2] [m]."""
     heading: Array
-    """[W] [rad]."""
+    """Headings [W] [rad]."""
     posture: Posture
 
 
@@ -280,7 +280,7 @@ class World:
         return height
 
     def roots(self, agent: int, rows: Rows) -> Array:
-        """pose7 [n, 7] of an agent's roots in the worlds ``rows`` [n]."""
+        """Return the poses (pose7) [n, 7] of an agent's roots in the worlds ``rows`` [n]."""
         own, body = self.state.agents[agent], self.roster[agent].body
         poses = ground_pose(own.xz[rows], own.heading[rows], self.floor_y[rows])
         for free, group in self._uneven:

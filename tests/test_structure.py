@@ -113,6 +113,11 @@ MEMBERS_OF_TASK = 18
 """Attributes and methods of `sim_kinematic.tasks.task.Task`."""
 FILES_PER_FOLDER = 15
 """Modules per folder, `__init__.py` not counted."""
+MATCHES_WITHOUT_A_CODE = 14
+"""Tests of our errors that match words alone. The number may only fall.
+
+Errors that a test or a script raises itself have no code.
+"""
 
 
 def modules() -> dict[str, Path]:
@@ -324,6 +329,65 @@ def test_docstrings_that_cannot_stand_alone_are_found() -> None:
     source = 'class A:\n    """A thing."""\n\n    b: int\n    """How many."""\n    c: int\n    """Of whom."""\n'
     entries = 'def f(a):\n    """Does it.\n\n    Args:\n        b: What it is.\n        c: The one.\n    """\n'
     assert headless(source + entries) == ["How many.", "Of whom.", "        b: What it is."]
+
+
+def matches_without_a_code(text: str) -> list[int]:
+    """Lines of ``pytest.raises(OurError, match=...)`` that match no code, in the text of a module of tests.
+
+    The code is in the pattern, or in a table that the function around it is parametrized with.
+    """
+    tree, lines = ast.parse(text), text.splitlines()
+    ours: set[str] = set()
+    tables: list[str] = []
+    """Names at the top of the module whose values hold codes."""
+    functions: list[ast.FunctionDef | ast.AsyncFunctionDef] = []
+    for node in tree.body:
+        match node:
+            case ast.ImportFrom(module=str(module), names=names) if module.partition(".")[0] in PACKAGES:
+                ours |= {alias.name for alias in names if alias.name.endswith("Error")}
+            case ast.Assign(targets=[ast.Name(id=name)]) | ast.AnnAssign(target=ast.Name(id=name)):
+                if any("H3-" in line for line in lines[node.lineno - 1 : node.end_lineno]):
+                    tables.append(name)
+            case ast.FunctionDef() | ast.AsyncFunctionDef():
+                functions.append(node)
+    has_code = re.compile("|".join(["H3-", *(rf"\b{name}\b" for name in tables)]))
+    found = []
+    for function in functions:
+        first = min(part.lineno for part in [function, *function.decorator_list])
+        body = "\n".join(lines[first - 1 : function.end_lineno])
+        for call in ast.walk(function) if "match=" in body else ():
+            if not isinstance(call, ast.Call) or not (pattern := [k.value for k in call.keywords if k.arg == "match"]):
+                continue
+            errors = {
+                node.id for argument in call.args[:1] for node in ast.walk(argument) if isinstance(node, ast.Name)
+            }
+            written = "\n".join(lines[pattern[0].lineno - 1 : pattern[0].end_lineno])
+            has_table = not isinstance(pattern[0], ast.Constant) and has_code.search(body)
+            if ours & errors and "H3-" not in written and not has_table:
+                found.append(call.lineno)
+    return sorted({*found})
+
+
+def test_errors_are_matched_by_their_codes() -> None:
+    found = [
+        f"{path.relative_to(ROOT)}:{line}"
+        for path in sorted((ROOT / "tests").rglob("test_*.py"))
+        if "match=" in (text := path.read_text(encoding="utf-8"))
+        for line in matches_without_a_code(text)
+    ]
+    assert len(found) <= MATCHES_WITHOUT_A_CODE, found
+    assert len(found) >= MATCHES_WITHOUT_A_CODE, "fewer than before: lower MATCHES_WITHOUT_A_CODE"
+
+
+def test_matches_without_a_code_are_found() -> None:
+    source = (
+        "from h3data.errors import InputError\n"
+        "T = ['H3-SIM-001']\n"
+        "def a():\n    pytest.raises(InputError, match='words')\n    pytest.raises(InputError, match='H3-SIM-001')\n"
+        "def b(words):\n    pytest.raises(InputError, match=words)\n    pytest.raises(ValueError, match='x')\n"
+        "@pytest.mark.parametrize('code', T)\ndef c(code):\n    pytest.raises(InputError, match=code)\n"
+    )
+    assert matches_without_a_code(source) == [4, 7]
 
 
 def test_the_map_names_every_folder_and_every_registry() -> None:

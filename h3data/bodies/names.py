@@ -81,7 +81,7 @@ def keep_walks(attachments: Mapping[str, bytes]) -> None:
 
 
 def walk_attachments(models: Iterable[str]) -> dict[str, bytes]:
-    """The files of the walks that stored names of bodies contain, as attachments of a recording."""
+    """Return the files of walks in stored names of bodies, as attachments of a recording."""
     names = sorted({split_walk(model)[1] for model in models} - {""})
     return {f"{ATTACHED}{name.removeprefix(STORED)}.npz": _kept(name) for name in names}
 

@@ -98,9 +98,9 @@ class Outcome:
     text: str
     data: dict[str, Any] = field(default_factory=dict)
     result: Any = None
-    """The same for Python (`h3data_pipelines.api`)."""
+    """Result of the command for callers from Python (`h3data_pipelines.api`)."""
     exit_code: int = 0
-    """0 done, 1 done but failures are listed."""
+    """Exit code of the process: 0 if all was done, 1 if failures are listed."""
 
 
 class Command(Protocol):
@@ -265,7 +265,7 @@ def write_text(path: Path, text: str) -> None:
 
 @contextmanager
 def keeping(kept: Callable[[], str]) -> Iterator[None]:
-    """Says on Ctrl-C what is kept of the work in the block, and how to go on; an empty text says nothing."""
+    """Report on Ctrl-C which part of the work is saved and how to continue; an empty text reports nothing."""
     try:
         yield
     except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""``--executor``: who does the work of a command."""
+"""Option ``--executor``: the processes or the cluster that do the work of a command."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ExecutorOption = Annotated[
 
 
 def check_workers(executor: str, workers: int | None) -> None:
-    """Refuses what cannot be, before anything is done.
+    """Refuse an impossible number of workers before anything is done.
 
     Raises:
         InputError: there is no such executor, or fewer than one worker.

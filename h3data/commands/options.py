@@ -79,7 +79,7 @@ class TaskNotes:
 
 @dataclass(frozen=True)
 class Option:
-    """One field of a command."""
+    """Option of a command: one of its fields."""
 
     field: str
     flags: tuple[str, ...]
@@ -108,7 +108,7 @@ class Option:
 
     @property
     def is_list(self) -> bool:
-        """Returns whether it takes any number of values, as ``--camera A --camera B`` or ``--cameras A,B``."""
+        """Return whether the option takes any number of values, as ``--camera A --camera B`` or ``--cameras A,B``."""
         return self.count is None and bool(self.flags)
 
     @property
@@ -234,7 +234,7 @@ def check_task(command: type[Command], task: str, given: Iterable[str]) -> None:
 
 
 def python_value(option: Option, value: Any) -> Any:
-    """The value of an option from what Python gives: one thing or several of them, paths as text, objects with a name.
+    """Return the value of an option from a Python value: one thing or several, paths as text, objects with a name.
 
     Raises:
         InputError: it is not of the option's type.

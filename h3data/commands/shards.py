@@ -17,7 +17,7 @@ R = TypeVar("R")
 
 
 class LostShardError(H3DataError):
-    """No process lived long enough to finish a shard, however often it was tried."""
+    """Shard that no process lived long enough to finish, however often it was tried."""
 
 
 class Executor(Protocol):

@@ -52,7 +52,7 @@ class Format:
     target: Literal["file", "folder", "dataset"] = "file"
     """Type of the output. A dataset is a folder as in h3data docs format, which ``--force`` replaces."""
     many: bool = False
-    """True if one output holds many recordings."""
+    """True if one output holds several recordings."""
 
     @property
     def option(self) -> str:
@@ -99,7 +99,7 @@ class ExportRequest:
     people: Any = "skin"
     """Rendering style of people, a `h3data.bodies.people.rigid_parts.PeopleStyle`."""
     stand_ins: bool = False
-    """True if plain things stand in for missing assets, as in `h3data.replay.posed_recording.PosedRecording`."""
+    """True if plain shapes replace missing assets, as in `h3data.replay.posed_recording.PosedRecording`."""
     cameras: Sequence[str] = ()
     """Cameras to render, by name or file."""
     storage: BagStorage = "mcap"

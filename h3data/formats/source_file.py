@@ -23,7 +23,7 @@ BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 
 class SourceFile(os.PathLike[str]):
-    """A file of another program, read once: its beginning tells its format, and the reader of that format goes on from there.
+    """File of another program, read once: its beginning tells its format, and the reader of that format continues from there.
 
     Gzip data is unpacked. Every member raises `InputError` if there is no such file, `FormatError` if it is damaged.
     """
@@ -35,7 +35,7 @@ class SourceFile(os.PathLike[str]):
 
     @classmethod
     def of(cls, path: str | os.PathLike[str]) -> SourceFile:
-        """The same file if it is one already, so that its bytes are not read again."""
+        """Return a path as a source file; one that is a source file already is returned as it is, and not read again."""
         return path if isinstance(path, SourceFile) else cls(path)
 
     def __fspath__(self) -> str:

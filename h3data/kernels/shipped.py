@@ -86,7 +86,7 @@ def folder() -> Path | None:
 
 
 def missing() -> str:
-    """Why there are none, for people; empty if there are some."""
+    """Return the reason why no kernels are shipped for this machine; empty if there are some."""
     found = _found()
     return found if isinstance(found, str) else ""
 
@@ -113,7 +113,7 @@ def _found() -> Path | str:
 
 
 def load(dispatcher: Any, kinds: Sequence[types.Type]) -> bool:
-    """Gives a kernel its shipped machine code for arguments of these types; False if there is none that fits."""
+    """Give a kernel its shipped machine code for arguments of these types; returns False if none fits."""
     shipped = folder()
     name = None if shipped is None else file_name(dispatcher, kinds)
     if shipped is None or name is None:

@@ -141,7 +141,7 @@ class GltfFile:
         ]
 
     def instances(self, index: int) -> NDArray[np.float64]:
-        """Matrices [N, 4, 4] in the node's frame at which it shows its mesh: one, if it is not instanced."""
+        """Return the matrices [N, 4, 4] in the node's frame at which it shows its mesh; one if it is not instanced."""
         where = f"nodes[{index}].extensions.EXT_mesh_gpu_instancing"
         record = _part(_part(self.node(index), "extensions"), "EXT_mesh_gpu_instancing")
         found = {
@@ -166,7 +166,7 @@ class GltfFile:
         return matrices
 
     def node(self, index: int) -> dict[str, Any]:
-        """``nodes[index]``."""
+        """Return the node with this index."""
         return entry(self.document, "nodes", index)
 
     # --- triangles ----------------------------------------------------------------------------------------------------

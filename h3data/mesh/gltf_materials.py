@@ -28,7 +28,7 @@ class Look:
     factor: NDArray[np.float64]
     """Linear base colour, shape [3]."""
     alpha: Alpha = "OPAQUE"
-    """Meaning of opacity: nothing, a cut at ``cutoff``, or how much is seen of what is behind."""
+    """Meaning of opacity: none, a cut at ``cutoff``, or the transparency of the surface."""
     cutoff: float = 0.5
     opacity: float = 1.0
     texture: Texture | None = None

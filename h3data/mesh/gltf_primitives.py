@@ -30,20 +30,20 @@ class PlainMesh:
     """The triangles of one primitive, and the vertices that they use."""
 
     vertices: NDArray[Any]
-    """Shape [V, 3]."""
+    """Positions of the vertices, shape [V, 3]."""
     faces: NDArray[np.int32]
-    """Shape [F, 3]."""
+    """Vertices of each triangle, shape [F, 3]."""
     colors: NDArray[np.uint8]
-    """sRGB, shape [V, 3]."""
+    """Colours (sRGB) of the vertices, shape [V, 3]."""
     normals: NDArray[Any] | None
     uv: NDArray[np.float32] | None
     texture: Texture | None
     influences: tuple[NDArray[np.int32], NDArray[np.float32]] | None = None
-    """Joints of its skin and their weights, both [V, 4]."""
+    """Joints of the mesh's skin and their weights, both [V, 4]."""
 
 
 def has_positions(primitive: dict[str, Any]) -> bool:
-    """False for a primitive whose attributes lack POSITION, which glTF 2.0 allows and says to skip (3.7.2.1)."""
+    """Return False for a primitive whose attributes lack POSITION, which glTF 2.0 allows and says to skip (3.7.2.1)."""
     attributes = primitive.get("attributes")
     return not isinstance(attributes, dict) or "POSITION" in attributes
 

@@ -100,7 +100,7 @@ def picture_texture(picture: Any, *, name: str = "", side: int = MAX_SIDE_PX) ->
 
 
 def reduced(pixels: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
-    """sRGB texels [H, W, 4], averaged in linear light and by opacity until they fit into ``side`` x ``side``."""
+    """Return sRGB texels [H, W, 4] averaged in linear light and by opacity until they fit into ``side`` x ``side``."""
     import cv2
 
     height, width = pixels.shape[:2]

@@ -16,7 +16,7 @@ class Texture:
     """An image on a surface, repeated in both directions. Meshes may share one (the same object)."""
 
     pixels: NDArray[np.uint8]
-    """sRGB and opacity, rows from the top, shape [H, W, 4]."""
+    """Colour (sRGB) and opacity of each texel, rows from the top, shape [H, W, 4]."""
     name: str = ""
 
     def __post_init__(self) -> None:
@@ -36,11 +36,11 @@ class Mesh:
     """Triangles of one asset in its own frame (+Y up) [m]. Immutable by convention: share it freely."""
 
     vertices: NDArray[np.float32]
-    """Shape [V, 3] [m]."""
+    """Positions of the vertices, shape [V, 3] [m]."""
     faces: NDArray[np.int32]
     """Vertex indices, counter-clockwise from outside, shape [F, 3]."""
     colors: NDArray[np.uint8]
-    """sRGB colour per vertex, shape [V, 3]."""
+    """Colour (sRGB) of each vertex, shape [V, 3]."""
     normals: NDArray[np.float32] | None = None
     """Unit shading normals per vertex, shape [V, 3]; None shades every triangle flat."""
     uv: NDArray[np.float32] | None = None

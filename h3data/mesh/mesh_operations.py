@@ -49,7 +49,7 @@ def face_texture_indices(mesh: Mesh) -> NDArray[np.int16]:
 
 
 def flat_shaded(mesh: Mesh) -> Mesh:
-    """The same surface, with separate corners for each triangle and its face normal at all three."""
+    """Return the surface with separate corners for each triangle and its face normal at all three."""
     corners = mesh.faces.ravel()
     a, b, c = mesh.vertices[mesh.faces].astype(np.float64).swapaxes(0, 1)
     normals = normalized(np.cross(b - a, c - a)).astype(np.float32)

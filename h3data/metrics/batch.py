@@ -64,7 +64,7 @@ class LeftOut:
 
     @property
     def reason(self) -> str:
-        """The same for all episodes with the same gap; a damaged one is alone."""
+        """Reason why the episodes were left out: one that they share, or the fault of a damaged one."""
         return self.error.reason if isinstance(self.error, UnmeasurableError) else str(self.error)
 
 
@@ -175,7 +175,7 @@ def part_recordings(part: Part, profile: str | None = None) -> Iterator[tuple[in
 
 
 def lost_part(part: Part, fault: Exception) -> list[Measured]:
-    """The results of a part that nobody could measure."""
+    """Return the results of a part that could not be measured."""
     names = [str(part.source)] if part.episodes is None else [f"{part.source}#{index}" for index in part.episodes]
     return [(name, str(fault), str(fault)) for name in names]
 

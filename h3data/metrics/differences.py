@@ -1,4 +1,4 @@
-"""Two runs over the same episodes: what changed, by how much, and in which episodes."""
+"""Differences between two runs over the same episodes: changed metrics, by how much, and in which episodes."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class Differences:
         }
 
     def to_json(self, *, indent: int | None = 2) -> str:
-        """`to_dict` as JSON text."""
+        """Return `to_dict` as JSON text."""
         return json.dumps(self.to_dict(), indent=indent, allow_nan=False)
 
     def _change_lines(self) -> list[str]:

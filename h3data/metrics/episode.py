@@ -15,7 +15,7 @@ from h3data.recording.records import STEP_NS, notebook
 from h3data.terminal import aligned
 
 NEVER = -1
-"""Row of a moment that did not happen."""
+"""Row number of an event that did not happen."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -44,19 +44,19 @@ class EpisodeMetrics:
     """The recording, a gfx-replay, does not say its task: ``task`` is what it was taken for."""
     scene: str = ""
     dt_ns: int = STEP_NS
-    """Nominal step of the recording [ns]."""
+    """Nominal time between steps of the recording [ns]."""
     units: str = "SI"
     """``info:units`` of the recording."""
     protocol_deviations: str = ""
     """Rules of the episode that differ from the paper's; empty for other profiles."""
     participant: str = ""
-    """``info:participant``: who was studied."""
+    """Participant of a study, ``info:participant``."""
     condition: str = ""
-    """``info:condition``: with what."""
+    """Condition of a study, ``info:condition``."""
     policy: str = ""
     """``info:policy``: the policy of the robot."""
     partner: str = ""
-    """``info:partner``: the policy of the person; of a shared recording one of those who share it (`for_each_partner`)."""
+    """Policy of the person, ``info:partner``; for a shared recording, one of those who share it (`for_each_partner`)."""
     max_steps: int = 0
     """``info:max_steps``, the longest duration; the number of rows if it is not recorded."""
 
@@ -174,7 +174,7 @@ class Notes:
             self.lines.setdefault(name, []).append(text)
 
     def joined(self, names: Iterable[str]) -> dict[str, str]:
-        """One text per metric that has notes."""
+        """Return the notes as one text for each metric that has some."""
         return {name: "; ".join(self.lines[name]) for name in names if name in self.lines}
 
 

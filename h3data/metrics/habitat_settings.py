@@ -7,17 +7,17 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, kw_only=True)
 class StatsConfig:
-    """``SocialNavStats``."""
+    """Settings of habitat-lab's ``SocialNavStats``."""
 
     min_dis_human: float = 1.0
     max_dis_human: float = 2.0
-    """Found within these geodesic distances [m], both inclusive."""
+    """Geodesic distances within which the person counts as found [m], both inclusive."""
     robot_face_human_threshold: float = 0.5
     total_steps: int = 1500
     dis_threshold_for_backup_yield: float = 1.5
-    """L2 distance [m], inclusive."""
+    """Distance (L2) within which moving back counts as yielding [m], inclusive."""
     min_abs_vel_for_yield: float = 1.0
-    """In Habitat's units: 1 is 1/120 m per step, 0.25 m/s."""
+    """Least speed that counts as yielding, in Habitat's units: 1 is 1/120 m per step, 0.25 m/s."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +41,7 @@ class RewardConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class SuccessConfig:
-    """``SocialNavSeekSuccess``."""
+    """Settings of habitat-lab's ``SocialNavSeekSuccess``."""
 
     following_step_succ_threshold: int = 400
     safe_dis_min: float = 1.0

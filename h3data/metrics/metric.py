@@ -23,7 +23,7 @@ ARROWS: dict[Direction, str] = {"higher": "up", "lower": "down", "neither": ""}
 
 @dataclass(frozen=True, kw_only=True)
 class Metric:
-    """One metric of one profile."""
+    """Metric of one profile."""
 
     id: str
     """``profile/task/name@version``; a change of meaning gets a new version."""
@@ -38,18 +38,18 @@ class Metric:
     direction: Direction = "neither"
     """The better direction; ``neither`` if the source names none."""
     source: str = ""
-    """Paper, section or code that defines it."""
+    """Paper, section or code that defines the metric."""
     columns: tuple[str, ...] = ()
     """Required data. ``<robot>`` and ``<human>`` are agent numbers, ``<i>`` is every agent; ``info:<key>`` is a key of
     `Episode.info`, ``events:<kind>`` a kind of event. ``a or b``: one of the two is enough."""
     optional: tuple[str, ...] = ()
     """Data read where present; a note says what replaces it."""
     undefined: str = ""
-    """Episodes in which it has no value."""
+    """Description of the episodes in which the metric has no value."""
     series: tuple[str, ...] = ()
-    """Per-row series of its profile that decide it."""
+    """Series of the profile, per row, that decide the metric."""
     binary: bool = False
-    """0 or 1 per episode: its mean is a proportion and gets a Wilson interval."""
+    """True if the metric is 0 or 1 in an episode, so that its mean is a proportion and gets a Wilson interval."""
     reading: str = ""
     """Interpretation of points that the source leaves open."""
     habitat: str = ""
@@ -60,10 +60,10 @@ class Metric:
 
     @property
     def profile(self) -> str:
-        """Name of its profile: ``paper``."""
+        """Name of the metric's profile: ``paper``."""
         return self.id.split("/")[0]
 
     @property
     def task(self) -> str:
-        """Task or group it belongs to: ``social_nav``."""
+        """Task or group that the metric belongs to: ``social_nav``."""
         return self.id.split("/")[1]

@@ -14,7 +14,7 @@ from h3data.metrics.requirements import UnmeasurableError, note_missing, require
 from h3data.recording.records import Recording
 
 GFX_REPLAY = "gfx_replay"
-"""`Episode.task` of imported gfx-replays, which do not say their task. A profile that lists it takes them for its own."""
+"""Value of `Episode.task` for imported gfx-replays, which do not say their task. A profile that lists it measures them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +37,7 @@ def _no_series(_recording: Recording) -> Series:
 
 @dataclass(frozen=True, kw_only=True)
 class Profile:
-    """One definition of the metrics of some tasks.
+    """Profile: a set of definitions of metrics for some tasks.
 
     Example::
 
@@ -63,13 +63,13 @@ class Profile:
     """
 
     name: str
-    """First part of the ids of its metrics: ``paper``."""
+    """First part of the ids of the profile's metrics: ``paper``."""
     title: str
-    """One line for lists."""
+    """Title of the profile, one line for lists."""
     metrics: tuple[Metric, ...]
     """Metrics of the profile, in the order of tables."""
     tasks: tuple[str, ...] = ()
-    """Values of `Episode.task` that it measures, its own name of the task first; empty = any task."""
+    """Values of `Episode.task` that the profile measures, its own name of the task first; empty = any task."""
     compute: Callable[[Recording, Notes], Computed] | None = None
     """Computes all metrics of a recording together and adds notes; None: each by its `Metric.value`."""
     compute_many: Callable[[Sequence[Recording], Sequence[Notes]], Sequence[Computed]] | None = None
@@ -97,7 +97,7 @@ class Profile:
             )
 
     def measures(self, task: str) -> bool:
-        """Returns whether it measures recordings of a task."""
+        """Return whether the profile measures recordings of a task."""
         return not self.tasks or task in self.tasks
 
     def measure(self, recording: Recording) -> EpisodeMetrics:

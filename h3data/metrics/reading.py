@@ -1,4 +1,4 @@
-"""Recordings for measuring, from datasets with no more than a profile reads, many short episodes at a time."""
+"""Reading of recordings to measure: only what a profile reads, and many short episodes of a dataset at a time."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def only(source: AnyPath) -> Recording:
 
 
 def read_log(source: AnyPath) -> Recording | FormatError:
-    """The recording in a log; if it is damaged, why."""
+    """Return the recording in a log, or the reason if it is damaged."""
     try:
         return only(source)
     except FormatError as error:

@@ -105,7 +105,8 @@ def profile_for(task: str, info: Mapping[str, Any], name: str | None = None) -> 
     except H3DataError as fault:
         raise (UntrustedNameError if isinstance(fault, UntrustedNameError) else InputError)(
             f"Recordings of {task!r} ask for the metrics profile {declared!r}, which cannot be used: {fault} "
-            f"Hint: choose another profile; {ANY_TASK} measures any task."
+            f"Hint: choose another profile; {ANY_TASK} measures any task.",
+            code=fault.code,
         ) from fault
 
 

@@ -21,9 +21,9 @@ class PublishedRow:
     values: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     """Values by metric: (mean,), (mean, standard deviation) or (mean, lower end, upper end of the 95% interval)."""
     train: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    """The same with the partners of the training population."""
+    """Published values with the partners of the training population."""
     zsc: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    """The same with unseen partners (zero-shot coordination)."""
+    """Published values with unseen partners (zero-shot coordination)."""
 
     def with_partners(self, population: str) -> Mapping[str, tuple[float, ...]]:
         """Returns the values with the partners of a population: ``train``, ``zsc``, or empty for all partners."""
@@ -103,7 +103,7 @@ class ReportLayout:
     """Sections, columns and wording of a report on one profile; metrics are given by name."""
 
     title: str = ""
-    """Heading of its sections (default: the name of the task)."""
+    """Heading of the profile's sections (default: the name of the task)."""
     columns: tuple[str, ...] = ()
     """Metrics of the main table (default: all)."""
     percent: tuple[str, ...] = ()

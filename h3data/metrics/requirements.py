@@ -10,7 +10,7 @@ from h3data.metrics.metric import Metric
 from h3data.recording.records import Recording
 
 OR = " or "
-"""Between columns of which one is enough."""
+"""Separator between columns of which one is enough."""
 
 
 class UnmeasurableError(InputError):

@@ -41,7 +41,7 @@ class Summary:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MetricsTable:
-    """One row per episode."""
+    """Table of metrics with one row per episode."""
 
     profile: str
     episode_ids: tuple[str, ...]
@@ -126,7 +126,7 @@ class MetricsTable:
         }
 
     def to_json(self, *, confidence: float = 0.95, indent: int | None = 2) -> str:
-        """`to_dict` as JSON text."""
+        """Return `to_dict` as JSON text."""
         return json.dumps(self.to_dict(confidence=confidence), indent=indent, allow_nan=False)
 
     def _assumed_lines(self) -> list[str]:

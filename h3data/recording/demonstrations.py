@@ -30,7 +30,7 @@ class DemonstratedCamera(msgspec.Struct, frozen=True, kw_only=True):
     agent: str
     """Name of the agent that carries it; empty: nobody does, so that an environment cannot show it."""
     width: int
-    """Width of what was rendered [px]. A video has an even width: its last column may be a copy."""
+    """Width of the rendered picture [px]. A video has an even width: its last column may be a copy."""
     height: int
     stored_width: int
     """Width of the video's frames [px]."""
@@ -46,7 +46,7 @@ class DemonstratedAgent(msgspec.Struct, frozen=True, kw_only=True):
     kind: str
     model: str
     policy: str = ""
-    """Name of the policy that moved it."""
+    """Name of the policy that moved the agent."""
 
 
 class DemonstratedScene(msgspec.Struct, frozen=True, kw_only=True):
@@ -57,11 +57,11 @@ class DemonstratedScene(msgspec.Struct, frozen=True, kw_only=True):
     episode: int
     """Number of the first episode there, which holds its file."""
     source: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    """Recipe by which it was made, as recordings have it."""
+    """Recipe by which the scene was made, as recordings have it."""
 
 
 class Demonstrations(msgspec.Struct, frozen=True, kw_only=True):
-    """All that ``meta/h3data.json`` says."""
+    """Contents of ``meta/h3data.json``."""
 
     version: int = VERSION
     created_by: str = ""
@@ -79,7 +79,7 @@ class Demonstrations(msgspec.Struct, frozen=True, kw_only=True):
     state_columns: tuple[str, ...]
     """Columns of a recording that the state is made of, one beside the other."""
     state_names: tuple[str, ...]
-    """Names of its numbers."""
+    """Names of the numbers of a state."""
     action_key: str = "action"
     action_names: tuple[str, ...]
     success_events: tuple[str, ...]

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class StoredEpisode:
-    """One episode that can be read."""
+    """Episode that can be read from a file or a dataset."""
 
     name: str
     """Path of the file, or ``ds#3``."""
@@ -34,7 +34,7 @@ class StoredEpisode:
     index: int | None = None
     """Number of the episode in a dataset; None for a file."""
     read_videos: Callable[[], Sequence[EpisodeVideo]] = tuple
-    """Returns the videos that its dataset has of it."""
+    """Return the videos of the episode in its dataset."""
     read_together: Callable[[range], Iterator[Recording]] | None = None
     """Reads consecutive episodes of its dataset, by number; faster than one after the other."""
 
@@ -66,7 +66,7 @@ def common_cameras(stored: Iterable[StoredEpisode]) -> list[str]:
 
 
 class HasEpisodes(Protocol):
-    """A dataset, or `Episodes`."""
+    """Protocol of what holds episodes: a dataset, or `Episodes`."""
 
     def all(self) -> Episodes:
         """All episodes, in the order in which they are stored."""

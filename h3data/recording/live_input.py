@@ -26,7 +26,7 @@ _STREAMS = ("hand", "head")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LiveInput:
-    """One player's input."""
+    """Input of one player."""
 
     user: int
     """The agent that they played."""

@@ -1,4 +1,4 @@
-"""The records of an episode: its agents, its bodies, and where everything was at every step.
+"""Records of an episode: its agents, its bodies, and their poses at every step.
 
 A `Recording` is self-contained: with its assets at hand it can be rendered from any camera, measured and continued. It is
 the same whether it came from our simulator, a Habitat file, an MCAP log or a Parquet dataset.
@@ -72,7 +72,7 @@ class AssetRef:
     units_m: float = 1.0
     """Metres per unit of the file."""
     color: tuple[int, int, int] | None = None
-    """sRGB override of the material, if the recording has one."""
+    """Colour (sRGB) that replaces that of the material, if the recording has one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,13 +82,13 @@ class Body:
     name: str
     asset: str
     pose: NDArray[np.float32]
-    """pose7 in the world, for bodies that never move; the first pose of those that do. Shape [7]."""
+    """Pose (pose7) in the world, shape [7]: of bodies that never move; of others, the first one."""
     scale: NDArray[np.float32] = field(default_factory=lambda: np.ones(3, np.float32))
     semantic_id: int = 0
     moving: int = -1
     """Index along axis 1 of ``object_pose``; -1 = static."""
     layer: str = ""
-    """Same meaning as `h3data.scene.Instance.layer`."""
+    """Layer of the body, with the meaning of `h3data.scene.Instance.layer`."""
     agent: int = -1
     """Index of the agent that this body is part of; -1 = none."""
 
@@ -135,7 +135,7 @@ class SkillSpan:
 
 @dataclass(frozen=True, kw_only=True)
 class InputEvent:
-    """One raw message of a person's input device: a key, the mouse, an XR controller, a line of text."""
+    """Raw message of a person's input device: a key, the mouse, an XR controller, a line of text."""
 
     time_ns: int
     """Time of arrival [ns since the episode began], on the clock of the column ``time_ns``; usually between two rows, negative
@@ -166,11 +166,11 @@ class Episode:
     """Program and version that recorded it."""
     schema_version: str = SCHEMA_VERSION
     info: Mapping[str, Any] = field(default_factory=dict)
-    """Any other JSON values: task parameters, start poses, way points, provenance, import warnings."""
+    """Further information as JSON values: task parameters, start poses, way points, provenance, import warnings."""
 
     @property
     def is_lerobot_export(self) -> bool:
-        """Returns whether it was exported to LeRobot, which leaves out the last row and the simulator's own columns."""
+        """Return whether the episode was exported to LeRobot, which leaves out the last row and the simulator's own columns."""
         return "lerobot" in self.info
 
 
@@ -191,7 +191,7 @@ class UnknownColumnError(InputError, KeyError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """One episode. Immutable by convention; `h3data.open` reads one from a file."""
+    """Recording of one episode, immutable by convention; `h3data.open` reads one from a file."""
 
     episode: Episode
     assets: tuple[AssetRef, ...] = ()
@@ -265,7 +265,7 @@ def notebook() -> Any:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordingHeader:
-    """Everything about an episode that is known before its first step, for `RecordingWriter`."""
+    """Description of an episode that is known before its first step, for `RecordingWriter`."""
 
     episode: Episode
     assets: tuple[AssetRef, ...] = ()

@@ -15,7 +15,7 @@ from h3data.recording.records import Recording
 SCANNERS = ("lidar", "lidar_legs", "range_scan")
 """Sensors that are scans: rays at equal angles, the first straight ahead, the others to the left."""
 HEIGHT_M = 0.3
-"""Height over the floor at which scans are shown, that of the scanner."""
+"""Height over the floor at which scans are shown, that of the scanner [m]."""
 
 
 class Scan(NamedTuple):
@@ -24,7 +24,7 @@ class Scan(NamedTuple):
     agent: int
     sensor: str
     ranges: NDArray[np.float32]
-    """Distances [T, R] [m]."""
+    """Measured distances [T, R] [m]."""
     max_m: float
     """Greatest distance that it can measure; rays that long met nothing."""
 

@@ -54,11 +54,11 @@ _ACTION = re.compile(r"agent_\d+\.action$")
 
 @dataclass(frozen=True)
 class Column:
-    """One column without its rows."""
+    """Description of one column, without its rows."""
 
     name: str
     dtype: str
-    """numpy name of the dtype, e.g. ``float32``."""
+    """Name of the dtype in numpy, such as ``float32``."""
     shape: tuple[int, ...]
     """Shape of one row; ``()`` is a scalar."""
 
@@ -68,7 +68,7 @@ class Column:
         return math.prod(self.shape)
 
     def empty(self, rows: int = 0) -> NDArray[Any]:
-        """Zeros of this kind, shape [rows, *shape]."""
+        """Return zeros of the column's type, shape [rows, *shape]."""
         return np.zeros((rows, *self.shape), self.dtype)
 
     def __str__(self) -> str:
@@ -131,7 +131,7 @@ def required_columns(agents: int) -> set[str]:
 
 
 def layout_hash(layout: Layout) -> str:
-    """16 hex digits that identify a layout."""
+    """Return 16 hex digits that identify a layout."""
     return hashlib.sha256(layout_to_json(layout).encode()).hexdigest()[:16]
 
 

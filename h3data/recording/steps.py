@@ -24,7 +24,7 @@ class Steps(ABC):
     """The steps of one stored episode. Close it, or use it as a context manager. Not safe for concurrent threads."""
 
     layout: Layout
-    """The columns."""
+    """Description of the columns."""
 
     @abstractmethod
     def __len__(self) -> int: ...

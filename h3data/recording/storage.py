@@ -124,13 +124,13 @@ class RemotePath:
         return (self / name for name in self._listed(recursive=False))
 
     def glob(self, pattern: str) -> Iterator[RemotePath]:
-        """Everything below whose relative path matches, part by part (no ``**``)."""
+        """Return the paths below this one whose relative path matches, part by part (no ``**``)."""
         # the whole tree is listed and matched here, because stores cannot match patterns
         depth = len(PurePosixPath(pattern).parts)
         return (self / p for p in map(PurePosixPath, self._listed()) if len(p.parts) == depth and p.match(pattern))
 
     def rglob(self, pattern: str) -> Iterator[RemotePath]:
-        """Everything below, at any depth, whose last parts match."""
+        """Return the paths below this one, at any depth, whose last parts match."""
         return (self / name for name in self._listed() if PurePosixPath(name).match(pattern))
 
     def open_input(self) -> pa.NativeFile:
@@ -165,7 +165,7 @@ class RemotePath:
 
     @property
     def key(self) -> str:
-        """Its path within `filesystem`."""
+        """Return the path within `filesystem`."""
         authority, _, rest = self.path.partition("/")
         if self.scheme in ("hdfs", "viewfs"):
             return f"/{rest}"
@@ -276,7 +276,7 @@ def remove_tree(folder: AnyPath) -> None:
 
 
 def put_tree(folder: Path, target: RemotePath, *, last: str) -> None:
-    """Uploads all files of a local folder to ``target``, those below ``last`` after the others; then deletes the folder."""
+    """Upload all files of a local folder to ``target``, the files below ``last`` at the end; then delete the folder."""
     try:
         files = sorted(path for path in folder.rglob("*") if path.is_file())
         # what commits goes last, so readers never see a shard whose other files are still on their way

@@ -31,7 +31,7 @@ class Camera:
     cx: float
     cy: float
     pose: NDArray[np.float64]
-    """4x4, camera (OpenCV) to world."""
+    """Matrix 4x4 from the frame of the camera (OpenCV) to the world."""
     hidden_layers: tuple[str, ...] = ()
     """Layers whose instances are hidden, e.g. ``("ceiling",)`` in views from above."""
     projection: Projection = "perspective"
@@ -45,7 +45,7 @@ class Camera:
         return replace(self, pose=np.asarray(pose, np.float64))
 
     def resized(self, width: int, height: int, *, crop: bool = True) -> Camera:
-        """Same camera with pictures of another size [px].
+        """Return the same camera with pictures of another size [px].
 
         Its axis does not change, and square pixels stay square; an equirectangular camera keeps both fields of view.
 
@@ -80,11 +80,11 @@ class Camera:
 
     @property
     def intrinsics(self) -> NDArray[np.float64]:
-        """3x3 camera matrix K."""
+        """Return the 3x3 camera matrix K."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
 
     def checked(self) -> Camera:
-        """This camera.
+        """Return this camera after checking that it can render.
 
         Raises:
             InputError: its parameters are invalid; the message lists all faults.

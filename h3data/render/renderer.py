@@ -41,7 +41,7 @@ class Engine(Protocol):
         ...
 
     def set_blockers(self, world: int, blockers: Blockers | None) -> None:
-        """Sets what keeps light from surfaces."""
+        """Set the capsules that keep light from surfaces."""
         ...
 
     def poses(self, world: int) -> Poses:
@@ -242,7 +242,7 @@ class Renderer:
 
 
 def gpu_fault() -> str:
-    """Why the back end ``gpu`` cannot be used here; empty if it can."""
+    """Reason why the back end ``gpu`` cannot be used here; empty if it can."""
     missing = ENGINES.missing().get("gpu")
     if missing:
         return f"it needs the package {missing}, which this installation does not have"

@@ -29,7 +29,7 @@ from h3data.render.shade.textures import pack_textures
 
 @dataclass(frozen=True, eq=False)
 class RenderInstance:
-    """One mesh placed in the world."""
+    """Mesh with its place in the world."""
 
     mesh: int
     """Index into the scene's meshes."""

@@ -36,7 +36,7 @@ Point = tuple[float, float, float]
 
 
 class Key(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One key frame of a camera's path."""
+    """Key frame of a camera's path."""
 
     time_s: float
     eye: Point
@@ -64,7 +64,7 @@ class CameraFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     hfov_deg: float | None = None
     """Horizontal field of view; default 70 for perspective, 180 for fisheye cameras."""
     intrinsics: tuple[float, float, float, float] | None = None
-    """fx fy cx cy [px], instead of hfov_deg."""
+    """Camera matrix as fx fy cx cy [px], instead of hfov_deg."""
     width_m: float | None = None
     """Width of an orthographic image."""
     near: float = 0.0
@@ -73,14 +73,14 @@ class CameraFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     eye: Point | None = None
     target: Point | None = None
     pose: list[float | list[float]] | None = None
-    """x y z qx qy qz qw, or a 4x4 matrix: camera to world (or to the body it is mounted on), in ``convention``."""
+    """Pose as x y z qx qy qz qw, or a 4x4 matrix: camera to world (or to the body it is mounted on), in ``convention``."""
     convention: Convention = "opencv"
     keys: tuple[Key, ...] = ()
     orbit: Orbit | None = None
     follow: str = ""
     """Name of an agent: the camera moves and turns with its root frame (x forward, y up, z right)."""
     turns: bool = True
-    """If false, the camera moves with the agent but keeps its direction."""
+    """True if the camera turns with the agent; false if it moves with it but keeps its direction."""
     smooth_s: float = 0.0
     """Time over which the motion of the agent is smoothed."""
     link: str = ""

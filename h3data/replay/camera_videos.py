@@ -25,7 +25,7 @@ KEY_FRAMES = 10
 """Frames from one key frame to the next. Learners read frames in random order: one costs 1.7 ms at 640x480, 4.8 ms with 30
 and 0.7 ms with 2, where files are 1.5 times as large."""
 CRF = 20
-"""x264's quality: a mean PSNR of 36 dB at 224x172 and 41 dB at 640x480, most of the difference lost with the colours'
+"""Quality for x264: a mean PSNR of 36 dB at 224x172 and 41 dB at 640x480, most of the difference lost with the colours'
 resolution."""
 _DEPTH = ("depth", "instance", "semantic")
 

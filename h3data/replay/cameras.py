@@ -148,7 +148,7 @@ HUMAN_HEAD = "human_head"
 HEAD_POSE = np.array([[-1.0, 0, 0, 0], [0, -1, 0, 0.07], [0, 0, 1, 0.07], [0, 0, 0, 1]])
 """Camera to the frame of the joint ``head`` (z forward, y up, x left)."""
 HEAD_NEAR_M = 0.12
-"""Near plane that cuts the person's own face away."""
+"""Distance of the near plane, which cuts the person's own face away [m]."""
 
 
 def _user(replay: Replay, column: str) -> CameraTrack:

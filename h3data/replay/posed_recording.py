@@ -44,7 +44,7 @@ _STAND_INS: Registry[Any] = Registry("h3data.stand_ins", {}, what="maker of stan
 
 
 class PosedRecording:
-    """Everything in a recording, posed at any step.
+    """Recording posed at any step.
 
     Args:
         recording: The recording.

@@ -10,7 +10,7 @@ from h3data.recording import Recording
 
 
 def check_recorded_robots(recording: Recording) -> None:
-    """Checks that the robots of a recording are still those that ``info.robots_sha256`` gives digests of.
+    """Check that the robots of a recording still have the digests in ``info.robots_sha256``.
 
     Raises:
         InputError: The files of one are gone or have changed.

@@ -20,21 +20,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drawable:
-    """One object that is rendered. Its index in `Replay.drawables` is its id in instance images."""
+    """Object that is rendered. Its index in `Replay.drawables` is its id in instance images."""
 
     name: str
     mesh: Mesh
     matrix: Array
-    """4x4 matrix from mesh to world, scale included; for moving objects, at the first step."""
+    """Matrix 4x4 from mesh to world, scale included; for moving objects, at the first step."""
     layer: str = ""
     semantic_id: int = 0
     agent: int = -1
-    """Index of the agent that it belongs to; -1 = none."""
+    """Index of the agent that the object belongs to; -1 = none."""
     moving: bool = False
     deformable: bool = False
     """True if its vertices change and are in the world frame (skinned bodies)."""
     placeholder: bool = False
-    """True if it stands in for an asset that was not found."""
+    """True if the object replaces an asset that was not found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ class State:
     step: int
     time_s: float
     poses: dict[str, NDArray[np.float64]] = field(repr=False)
-    """4x4 matrices to world by name, scale included, without objects that were absent."""
+    """Matrices 4x4 to the world by name, scale included, without objects that were absent."""
     agents: dict[str, dict[str, Any]]
     """All recorded columns of each agent at this step, by agent name."""
 
@@ -99,7 +99,7 @@ class CameraTrack:
 
     camera: Camera
     poses: Array
-    """4x4 matrices from camera to world, shape [T, 4, 4]; [1, 4, 4] for a static camera."""
+    """Matrices 4x4 from camera to world, shape [T, 4, 4]; [1, 4, 4] for a static camera."""
     nears: Array | None = None
     """`Camera.near` at every step, shape [T] [m]; None = that of ``camera`` throughout."""
     crops: bool = True
@@ -111,7 +111,7 @@ class CameraTrack:
         return camera if self.nears is None else replace(camera, near=float(self.nears[step]))
 
     def resized(self, width: int, height: int) -> CameraTrack:
-        """The same with pictures of another size [px]; see `Camera.resized`."""
+        """Return the same track with pictures of another size [px]; see `Camera.resized`."""
         return replace(self, camera=self.camera.resized(width, height, crop=self.crops))
 
 

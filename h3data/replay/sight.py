@@ -11,11 +11,11 @@ from h3data.replay.records import BodyTrack, JointTrack
 from h3data.replay.replay import Replay
 
 CARRIED_M = 0.6
-"""Smaller moving objects do not obstruct: they are carried, or soon gone."""
+"""Size below which moving objects do not obstruct a view, as they are carried or soon gone [m]."""
 CLEARANCE_M = 0.1
 """Half the width of a free line, and the distance at which it ends in front of an obstacle."""
 SIDES, SIDE_PX, SIDE_DEG = 4, 96, 130.0
-"""Overlapping images of a panorama; each covers all lines up to 45 degrees off the horizon and their surroundings."""
+"""Number, size and width of the overlapping images of a panorama, which cover all lines up to 45 degrees off the horizon."""
 AHEAD_PX, AHEAD_DEG = 48, 80.0
 SEEN_SLACK_M = 0.1
 

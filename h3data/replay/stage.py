@@ -32,7 +32,7 @@ JOINT_STEPS = 64
 """Steps for which poses of people are computed at once; for single steps they would cost more than skinning."""
 
 Images = list[dict[str, NDArray[Any]]]
-"""Outputs of each camera."""
+"""Images of each camera, by output."""
 
 
 @dataclass(frozen=True)

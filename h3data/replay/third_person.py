@@ -26,7 +26,7 @@ BOOM_M = 2.6
 NEAREST_M = 1.0
 """Smallest distance; if even that is obstructed, obstacles are cut away by the near plane (`CameraTrack.nears`)."""
 CLOSE_M = 1.6
-"""Below this distance, other directions are preferred."""
+"""Distance below which other directions are preferred [m]."""
 PIVOT_M = {"robot": 0.55, "human": 1.25}
 """Height above the floor of the point on the agent that the camera keeps in sight."""
 HEAD_M = 1.5
@@ -46,9 +46,9 @@ TURN_COST = 1.2
 OFF_AXIS_RAD = 0.5
 """Largest angle between the optical axis and the followed agent."""
 TOGETHER_RAD, APART_RAD = 1.0, 1.5
-"""Up to the first angle between them both agents are in the picture; beyond the second the other one is left out."""
+"""Angle between both agents up to which both are in the picture, and angle beyond which the other one is left out."""
 TOGETHER_M, APART_M = 6.0, 9.0
-"""The same for the distance between them."""
+"""Distance between both agents up to which both are in the picture, and distance beyond which the other one is left out."""
 JUMP_M, JUMP_MPS = 0.5, 8.0
 """The camera cuts where the agent moves by more than both limits in one step; elsewhere it moves smoothly."""
 

@@ -19,7 +19,7 @@ from h3data.geometry import Array, pose_from_matrix, pose_to_matrix, transform_p
 from h3data.scene.records import Articulation, Asset, Instance, Part, Scene, instance_bounds, instance_matrix
 
 AJAR = 0.6
-"""A part is open from this share of its range on: hands get in."""
+"""Share of its range from which on a part is open, so that hands get in."""
 
 ON_M, STACK_M = 0.02, 0.1
 """Largest distances beside or below a receptacle, and above it, at which an object lies on it [m]."""
@@ -30,11 +30,11 @@ class SceneJoints:
     """All joints of a scene as arrays."""
 
     names: tuple[str, ...]
-    """``thing/part``, [J]."""
+    """Names of the joints as ``thing/part``, [J]."""
     parts: tuple[tuple[Articulation, Part], ...]
     """Object and moving part of each joint."""
     closed: NDArray[np.float64]
-    """Positions [J] [rad or m]."""
+    """Positions of the joints when closed [J] [rad or m]."""
     opened: NDArray[np.float64]
     rest: NDArray[np.float64]
     owner: Mapping[str, int]
@@ -61,7 +61,7 @@ class SceneJoints:
         return (np.asarray(positions, np.float64) - self.closed) / (self.opened - self.closed)
 
     def is_open(self, positions: ArrayLike) -> NDArray[np.bool_]:
-        """Which joints at ``positions`` [..., J] let hands in."""
+        """Return which joints at ``positions`` [..., J] let hands in."""
         return self.shares(positions) >= AJAR
 
     def motions(self, positions: ArrayLike) -> NDArray[np.float64]:
@@ -171,7 +171,7 @@ def posed(scene: Scene, positions: ArrayLike | Mapping[str, float]) -> Scene:
 
 
 def opened(scene: Scene) -> Scene:
-    """The scene with everything open that opens."""
+    """Return the scene with everything open that can be opened."""
     return posed(scene, joints_of(scene).opened)
 
 
@@ -211,7 +211,7 @@ def _at_rest(scene: Scene, positions: NDArray[np.float64], motions: NDArray[np.f
 def rests_on(
     instance: Instance, asset: Asset, feet: ArrayLike, *, motion: NDArray[np.float64] | None = None
 ) -> NDArray[np.bool_]:
-    """Which of some points, the lowest of things, are on or little over one of the receptacles of an instance.
+    """Return which of some points, the lowest of things, are on or little over one of the receptacles of an instance.
 
     Args:
         instance: The instance.

@@ -95,7 +95,7 @@ def step_at(heights, x, z):
 
 @kernel_part()
 def way_to_stairs(heights, x, z):
-    """Distance [m] along a stairwell from (x, z) to its stairs; 0 on them, infinite anywhere else."""
+    """Return the distance [m] along a stairwell from (x, z) to its stairs; 0 on them, infinite anywhere else."""
     k, _, place = step_at(heights, x, z)
     if k < 0:
         return math.inf
@@ -105,7 +105,7 @@ def way_to_stairs(heights, x, z):
 
 @kernel_part()
 def tread_at(heights, floor_y, x, z):
-    """Height [m] of what a foot at (x, z) stands on: a tread of the stairs, or the floor."""
+    """Return the height [m] of the floor or tread under a foot at (x, z)."""
     k, tread, _ = step_at(heights, x, z)
     if k < 0:
         return height_at(heights, floor_y, x, z)

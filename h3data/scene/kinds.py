@@ -28,12 +28,12 @@ class Kind(msgspec.Struct, frozen=True, kw_only=True, eq=False, forbid_unknown_f
     """One kind of thing. Frame of its model: +Y up, front +Z, standing at y = 0; wall things have their back at z = 0."""
 
     name: str
-    """Its semantic class (`Asset.category`)."""
+    """Semantic class of the kind (`Asset.category`)."""
     semantic_id: int = msgspec.field(name="id")
     """The number in semantic images. Recorded images contain it, so that it never changes."""
     role: Role
     mass_kg: float
-    """A typical mass."""
+    """Typical mass of a thing of this kind."""
     grasp: Grasp = "none"
     hold_m: tuple[float, float, float] | None = None
     """Position of the handle [m]; None = the place that follows from ``grasp``."""

@@ -35,7 +35,7 @@ class NamedScene:
     """``small:3``, ``h3-homes/test#3`` or a path."""
     source: SceneSource
     id: str = ""
-    """Its id, if it is of a set."""
+    """Id of the scene, if it is part of a set."""
 
 
 def named_scenes(

@@ -1,4 +1,4 @@
-"""Doors in the way: which parts of a home bar ways when they are closed, and the floor with all of them open."""
+"""Doors between rooms: parts of a home that block paths when they are closed, and the floor with all of them open."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LEAST_M, FOOT_M = 1.6, 0.3
 
 @lru_cache(maxsize=64)
 def passages(scene: Scene, free: FreeSpace) -> tuple[int, ...]:
-    """Numbers of the joints whose part, closed, stands where one could otherwise walk: the doors between rooms.
+    """Return the numbers of the joints whose part, when closed, blocks the floor: the doors between rooms.
 
     Args:
         scene: The scene.
@@ -49,7 +49,7 @@ def passable(scene: Scene, free: FreeSpace) -> Scene:
 
 
 def outlines(scene: Scene, k: int, positions: ArrayLike) -> list[Polygon]:
-    """Outlines on the floor (x, z) of what joint ``k`` moves, with the joints of the scene at ``positions`` [J]."""
+    """Return outlines on the floor (x, z) of what joint ``k`` moves, with the joints of the scene at ``positions`` [J]."""
     motion = joints_of(scene).motions(positions)[k]
     found = (shape_footprint(shape, motion @ matrix, -np.inf, np.inf) for matrix, shape in _shapes(scene, k))
     return [outline for outline in found if outline is not None]

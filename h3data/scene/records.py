@@ -24,9 +24,9 @@ class Box:
     """A box given by the pose of its centre."""
 
     pose: NDArray[np.float64]
-    """pose7 of the centre in the asset frame, shape [7]."""
+    """Pose (pose7) of the centre in the asset frame, shape [7]."""
     half_extents: NDArray[np.float64]
-    """Shape [3] [m]."""
+    """Half of each side length, shape [3] [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,7 +34,7 @@ class Cylinder:
     """A cylinder about the y axis of its own pose."""
 
     pose: NDArray[np.float64]
-    """pose7 of the centre in the asset frame, shape [7]."""
+    """Pose (pose7) of the centre in the asset frame, shape [7]."""
     radius: float
     half_height: float
 
@@ -44,9 +44,9 @@ class Capsule:
     """The points within ``radius`` of the segment from ``start`` to ``end``."""
 
     start: NDArray[np.float64]
-    """Shape [3] [m]."""
+    """First end of the axis, shape [3] [m]."""
     end: NDArray[np.float64]
-    """Shape [3] [m]."""
+    """Second end of the axis, shape [3] [m]."""
     radius: float
 
 
@@ -55,7 +55,7 @@ class Hull:
     """The convex hull of a set of points."""
 
     points: NDArray[np.float64]
-    """Shape [N, 3] [m]."""
+    """Corners of the hull, shape [N, 3] [m]."""
 
 
 Shape = Box | Cylinder | Capsule | Hull
@@ -97,12 +97,12 @@ Motion = Literal["static", "kinematic"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Instance:
-    """One asset placed in the world."""
+    """Asset at its place in the world."""
 
     name: str
     asset: str
     pose: NDArray[np.float64]
-    """pose7 of the asset frame in the world, shape [7]."""
+    """Pose (pose7) of the asset frame in the world, shape [7]."""
     scale: NDArray[np.float64] = field(default_factory=lambda: np.ones(3))
     """Scale per axis of the asset frame, shape [3]."""
     semantic_id: int = 0
@@ -121,9 +121,9 @@ class Ramp:
     axis: Literal[0, 1]
     """Plan axis along which it rises: 0 = x, 1 = z."""
     start: float
-    """Coordinate on that axis of its lower end [m]."""
+    """Coordinate of the lower end of the ramp along its axis [m]."""
     end: float
-    """Coordinate of its upper end [m]; smaller than ``start`` if it rises towards lower coordinates."""
+    """Coordinate of the upper end of the ramp [m]; smaller than ``start`` if it rises towards lower coordinates."""
     top_y: float
     """Height of the floor above it [m]."""
     steps: int
@@ -139,7 +139,7 @@ class Room:
     rectangles: NDArray[np.float64]
     """Disjoint rectangles ``x0 z0 x1 z1`` that make up the room, shape [R, 4] [m]."""
     floor_y: float = 0.0
-    """Height of its floor; of its lower end if it has a ramp [m]."""
+    """Height of the room's floor; of its lower end if it has a ramp [m]."""
     ramp: Ramp | None = None
     """Stairs to a room on another storey."""
 
@@ -159,7 +159,7 @@ class Joint:
     axis: NDArray[np.float64]
     """Direction; a ``revolute`` joint turns about it by the right-hand rule. Shape [3], made a unit vector."""
     lower: float
-    """Limits [rad or m]."""
+    """Lower limit of the position [rad or m]."""
     upper: float
     origin: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     """A point on the axis, shape [3] [m]; a ``prismatic`` joint needs none."""
@@ -237,7 +237,7 @@ class Articulation:
 
     name: str
     pose: NDArray[np.float64]
-    """pose7 of the frame of the thing in the world, shape [7]; metres, without any scale."""
+    """Pose (pose7) of the frame of the thing in the world, shape [7]; metres, without any scale."""
     parts: tuple[Part, ...]
     base: str = ""
     """The instance that stands still; empty if there is none."""
@@ -312,7 +312,7 @@ class Scene:
         return np.stack([np.min([b[0] for b in boxes], 0), np.max([b[1] for b in boxes], 0)])
 
     def receptacles(self) -> Iterator[tuple[Instance, Receptacle]]:
-        """Every usable receptacle of every static instance; Habitat names them ``instance|receptacle``."""
+        """Return every usable receptacle of every static instance; Habitat names them ``instance|receptacle``."""
         for instance in self.static_instances:
             for receptacle in self.assets[instance.asset].receptacles:
                 if instance.receptacles is None or receptacle.name in instance.receptacles:
@@ -359,7 +359,7 @@ def _articulation_fault(scene: Scene) -> str:
 
 
 def instance_matrix(instance: Instance) -> NDArray[np.float64]:
-    """4x4 matrix from asset frame to world, scale included."""
+    """Return the 4x4 matrix from the frame of the asset to the world, scale included."""
     matrix = pose_to_matrix(instance.pose).astype(np.float64)
     matrix[:3, :3] *= instance.scale
     return matrix

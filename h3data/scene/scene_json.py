@@ -106,7 +106,7 @@ def instance_record(i: Instance) -> dict[str, Any]:
 
 
 def read_instance(record: dict[str, Any]) -> Instance:
-    """Inverse of `instance_record`."""
+    """Read an instance from the record that `instance_record` writes."""
     if record["motion"] not in ("static", "kinematic"):
         raise ValueError(f"unknown motion {record['motion']!r}")
     return Instance(
@@ -133,7 +133,7 @@ def room_record(r: Room) -> dict[str, Any]:
 
 
 def read_room(record: dict[str, Any]) -> Room:
-    """Inverse of `room_record`."""
+    """Read a room from the record that `room_record` writes."""
     return Room(
         name=str(record["name"]),
         category=str(record["category"]),
@@ -172,7 +172,7 @@ def light_record(light: LightSource) -> dict[str, Any]:
 
 
 def read_light(record: dict[str, Any]) -> LightSource:
-    """Inverse of `light_record`."""
+    """Read a light from the record that `light_record` writes."""
     inner, outer = (float(a) for a in record["cone_rad"])
     if record["kind"] not in get_args(LightKind) or record["frame"] not in get_args(LightFrame):
         raise ValueError(f"unknown light {record['kind']!r} in frame {record['frame']!r}")
@@ -215,7 +215,7 @@ def articulation_record(thing: Articulation) -> dict[str, Any]:
 
 
 def read_articulation(record: dict[str, Any]) -> Articulation:
-    """Inverse of `articulation_record`."""
+    """Read an articulation from the record that `articulation_record` writes."""
     return Articulation(
         name=str(record["name"]),
         pose=_array(record["pose"], 7),

@@ -27,7 +27,7 @@ SUFFIX = ".toml"
 
 @dataclass(frozen=True, kw_only=True)
 class SceneEntry:
-    """One scene of a set."""
+    """Scene of a set."""
 
     id: str
     """Unique in its set and stable when scenes are added."""

@@ -1,4 +1,4 @@
-"""Seats of a home, found by category and geometry: where their front edges are, and where a person faces who sits there."""
+"""Seats of a home, found by category and geometry: their front edges, and the heading of a person who sits there."""
 
 from __future__ import annotations
 

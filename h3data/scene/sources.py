@@ -35,13 +35,13 @@ class SceneFile:
     """A scene in a file: one written by `h3data.scene.save_scene`, or of a format that a `SceneReader` reads."""
 
     path: str
-    """GLB, or Habitat's ``.scene_instance.json``, ``.stage_config.json``, ``.scene_dataset_config.json``."""
+    """File of the scene: GLB, or Habitat's ``.scene_instance.json``, ``.stage_config.json``, ``.scene_dataset_config.json``."""
     scene: str = ""
     """Name of the scene within a file that holds several, such as a ``.scene_dataset_config.json``."""
     assets: tuple[str, ...] = ()
     """Additional folders to search for the scene's files; if empty, those of H3DATA_ASSETS."""
     strict: bool = False
-    """True if warnings are errors."""
+    """True if warnings count as errors."""
     allow_missing: bool = False
     """True if objects whose files are missing are left out with a warning."""
 
@@ -93,7 +93,7 @@ class SceneGenerator:
     listed: Mapping[str, SceneSize] = field(default_factory=dict)
     """The names that ``h3data scenes list`` shows."""
     about: str = ""
-    """Help on the names of scenes, in whole sentences, shown below that list."""
+    """Help text on the names of scenes, in whole sentences, shown below their list."""
 
 
 class WriteCollection(Protocol):
@@ -242,7 +242,7 @@ def object_mesh(name: str, file: Path, roots: Sequence[Path]) -> Mesh:
 
 
 def missing_packages() -> str:
-    """Which packages that come with h3data would know more scenes but are not installed, as a hint; empty if all are."""
+    """Return a hint that names the packages of h3data that know more scenes but are not installed; empty if all are."""
     missing = ", ".join(f"{package} ({kind})" for kind, package in SCENES.missing().items())
     return f" Hint: this installation lacks {missing}; install h3data as a whole." if missing else ""
 

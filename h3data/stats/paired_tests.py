@@ -36,7 +36,7 @@ class PairedComparison:
     high: float
     """Upper end of the interval."""
     p: float
-    """Two-sided; NaN below two pairs."""
+    """Two-sided p value; NaN below two pairs."""
     p_adjusted: float
     """Adjusted for all metrics compared together; equals ``p`` for a single one."""
     method: str

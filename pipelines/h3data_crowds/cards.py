@@ -16,7 +16,7 @@ from h3data.geometry import Array
 Number = float | tuple[float, float]
 """A number, or the range that it is sampled from."""
 Point = tuple[Number, Number]
-"""A place [m]: along the axis of a frame, and to the right of it."""
+"""Place [m] along the axis of a frame and to the right of it."""
 PlaceKind = Literal["corridor", "hallway", "door", "cabin", "corner", "route", "crossing", "open", "hall"]
 Mode = Literal["reach", "give_way", "join", "follow", "lead", "accompany"]
 ALL = "all"
@@ -30,7 +30,7 @@ class PersonCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     start: Point
     path: tuple[Point, ...] = ()
     speed: Number = (0.9, 1.4)
-    """Free speed [m/s]."""
+    """Preferred speed of the person [m/s]."""
     delay: Number = 0.0
     """Time at which the person sets off [s]."""
 
@@ -43,7 +43,7 @@ class RobotCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class Card(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A situation: who goes from where to where, in the frame of a kind of place."""
+    """Situation of people and robots: their starts and goals in the frame of a kind of place."""
 
     text: str
     place: PlaceKind

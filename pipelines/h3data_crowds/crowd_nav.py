@@ -29,7 +29,7 @@ FAR_M = 100.0
 
 @dataclass(frozen=True, kw_only=True)
 class CrowdNavSpec(TaskSpec):
-    """Rules in addition to those of every task."""
+    """Rules of crowd navigation, in addition to those of every task."""
 
     max_steps: int = 1800
     spawn_distance_m: float = 1.5
@@ -44,17 +44,17 @@ class CrowdNavSpec(TaskSpec):
     end_on_collision: bool = True
     """True if contact with a person ends the episode, as a failure."""
     progress_reward: float = 1.0
-    """Reward for each metre of progress along the shortest path,"""
+    """Reward for each metre of progress along the shortest path."""
     arrive_reward: float = 10.0
-    """for arriving,"""
+    """Reward for arriving."""
     collision_reward: float = -5.0
-    """for touching a person,"""
+    """Reward for touching a person."""
     personal_reward: float = -0.02
-    """and for a step in somebody's personal space."""
+    """Reward for a step in somebody's personal space."""
 
 
 class CrowdNav(Task):
-    """Reach the goal without touching anybody, and go near people as seldom as possible."""
+    """Task to reach the goal without touching anybody and with little time close to people."""
 
     Spec = CrowdNavSpec
     agents: ClassVar[tuple[str, ...]] = ("robot", "human", "human", "human", "human")
@@ -135,7 +135,7 @@ class CrowdNav(Task):
         return arrived, arrived
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Every task's sensors, and for robots the distance [m] and angle [rad] of the goal, positive to the right."""
+        """Return the sensors of every task, and for robots distance [m] and angle [rad] of the goal, positive to the right."""
         goal = Sensor(_goal_gps, [0.0, -np.pi], [FAR_M, np.pi])
         return {**super().sensors(kind), "goal_gps": goal} if kind == "robot" else super().sensors(kind)
 

@@ -22,10 +22,10 @@ WALL_M, WALL_HEIGHT_M = 0.15, 2.5
 
 
 class Frame(NamedTuple):
-    """Frame (along, right) on the floor in which a layout lies."""
+    """Frame (along, right) on the floor in which a layout is placed."""
 
     origin: Array
-    """(x, z) [2] [m]."""
+    """Origin of the frame (x, z) [2] [m]."""
     heading: float
     """Direction of the axis [rad]."""
 
@@ -35,13 +35,13 @@ class Frame(NamedTuple):
 
 
 def axes_of(heading: Array) -> Array:
-    """Directions along an axis and to the right of it [..., 2, 2]."""
+    """Return the directions along an axis and to the right of it [..., 2, 2]."""
     c, s = np.cos(heading), np.sin(heading)
     return np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
 
 
 def lines_of(layout: Layout, kind: PlaceKind) -> Array:
-    """Points (along, right) [N, 2], 0.25 m apart, of the straight lines on which everybody of a layout goes."""
+    """Return points (along, right) [N, 2], 0.25 m apart, of the straight lines on which the agents of a layout move."""
     tracks = [layout.robot, *(np.vstack([s, p]) for s, p in zip(layout.starts, layout.paths, strict=True))]
     if kind in ("corner", "route", "door", "cabin"):  # all who change sides go through the origin
         tracks = [np.vstack([t[:1], np.zeros((1, 2)), t[1:]]) if len(t) > 1 else t for t in tracks]

@@ -28,7 +28,7 @@ CRUISE_MPS = 1.3
 LOOK_M = 0.3
 """Distance of the point on the path that a robot drives towards."""
 TURN_FIRST_RAD = 0.5
-"""Above this heading error a robot turns where it stands."""
+"""Heading error above which a robot turns where it stands [rad]."""
 WINDOW_S, HORIZON_S, PIECE_S = 0.8, 1.6, 0.2
 """Time that `dwa` and `mpc` look ahead, and that of a piece of constant command."""
 PERSON_M = 0.34

@@ -30,9 +30,9 @@ from sim_kinematic.tasks.task import TaskUsage
 LAYOUTS = 6
 """Layouts of a card that are sampled for a home before a plan is built."""
 STOP_M = 1.4
-"""A robot that follows is shown its own place as the goal within this distance of the person."""
+"""Distance from the person within which a robot that follows observes its own place as the goal [m]."""
 LEAD_M = 3.5
-"""A robot that leads is shown its own place as the goal while the person is farther away."""
+"""Distance from the person beyond which a robot that leads observes its own place as the goal [m]."""
 ASIDE_M, AHEAD_M = 1.0, 0.5
 """Place beside and ahead of a person that a robot which accompanies them is shown as the goal."""
 GESTURES = ("", "wait", "proceed")
@@ -53,9 +53,9 @@ class ScenarioSpec(CrowdNavSpec):
     share: float = 0.5
     """Least share of the time until the person's arrival in which a robot follows or accompanies them."""
     beside_m: float = 1.6
-    """Greatest distance to the side of a person whom the robot accompanies,"""
+    """Largest distance to the side of a person whom the robot accompanies [m]."""
     along_m: float = 0.9
-    """and along their direction of walking."""
+    """Largest distance along the direction of walking of a person whom the robot accompanies [m]."""
     passage_m: float = 0.6
     """Radius around the origin that a robot which gives way does not enter before the person has passed."""
     group_m: float = 0.7
@@ -86,7 +86,7 @@ class ScenarioCodec(TaskCodec):
 
 
 class Scenarios(CrowdNav):
-    """Reach the goal of a card among its people, and do what its mode asks for."""
+    """Task to reach the goal of a scenario card among its people, by the rules of its mode."""
 
     Spec: ClassVar[type[Any]] = ScenarioSpec
     agents: ClassVar[tuple[str, ...]] = ("robot", *["human"] * 6)
@@ -262,7 +262,7 @@ class CrowdLead(CrowdFollow):
 
 
 class CrowdAccompany(CrowdFollow):
-    """Walk beside a person."""
+    """Task to walk beside a person."""
 
     cards: ClassVar[str] = "accompanying"
 

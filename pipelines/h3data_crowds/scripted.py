@@ -24,9 +24,9 @@ THERE_M = 0.5
 BEHIND_M, LOST_M = 1.3, 6.0
 """People who follow the robot stop at the first distance, and do not follow it beyond the second."""
 PASSED_M = 1.2
-"""People who yield set off when the robot is this far beyond the origin of the card's frame, or has gone by them,"""
+"""Distance of the robot beyond the origin of the card's frame, or past the people, at which people who yield set off [m]."""
 YIELD_S = 15.0
-"""or after this time."""
+"""Time after which people who yield set off in any case [s]."""
 
 
 class ScriptedPerson:

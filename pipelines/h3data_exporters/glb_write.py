@@ -35,13 +35,13 @@ MAX_LOOKS = 32
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GlbNode:
-    """One mesh placed in the file's frame."""
+    """Mesh at its place in the file's frame."""
 
     name: str
     mesh: int
     """Index into the meshes of the file."""
     pose: NDArray[np.float64] = field(default_factory=IDENTITY_POSE.copy)
-    """pose7, shape [7]."""
+    """Pose (pose7) of the mesh, shape [7]."""
     scale: NDArray[np.float64] = field(default_factory=lambda: np.ones(3))
     extras: Mapping[str, Any] = field(default_factory=dict)
     """Plain JSON that other programs keep or ignore."""
@@ -54,7 +54,7 @@ class Influences:
     joints: NDArray[np.uint8]
     """Indices into the joints of the skin, shape [V, 4]."""
     weights: NDArray[np.float32]
-    """They sum to 1, shape [V, 4]."""
+    """Weights of the joints, which sum to 1, shape [V, 4]."""
 
 
 def glb_bytes(meshes: Sequence[Mesh], nodes: Sequence[GlbNode] | None = None) -> bytes:

@@ -51,7 +51,7 @@ def skin_record(chunk: GlbChunk, skeleton: Skeleton, *, first: int) -> dict[str,
 
 
 def local_poses(world: Array, parents: Sequence[int]) -> Array:
-    """pose7 [T, J, 7] of joints in their parents' frames, from poses in the world."""
+    """Return poses (pose7) [T, J, 7] of joints in their parents' frames, from poses in the world."""
     matrices = pose_to_matrix(world)
     local = world.copy()
     has = np.flatnonzero(np.asarray(parents) >= 0)

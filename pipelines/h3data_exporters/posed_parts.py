@@ -26,26 +26,26 @@ class Skeleton:
     scale: float = 1.0
     """Scale of the joint frames J."""
     inverse_bind: Array
-    """B: rest mesh to joint frames, shape [J, 4, 4]."""
+    """Matrices B from the rest mesh to the joint frames, shape [J, 4, 4]."""
     influences: Influences
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PosedPart:
-    """One thing that is drawn."""
+    """Part of a scene that is drawn."""
 
     name: str
     mesh: Mesh
     """Mesh in its own frame [m]; that of a body with a skeleton in the rest pose."""
     poses: Array
-    """pose7 mesh to world, shape [T, 7], or [1, 7] of what stands still; NaN where it was not there. Of a part with a
-    skeleton: where it stands."""
+    """Pose (pose7) from mesh to world, shape [T, 7], or [1, 7] of what stands still; NaN where it was not there. Of a part with
+    a skeleton: where it stands."""
     scale: Array = field(default_factory=lambda: np.ones(3))
     semantic_id: int = 0
     agent: int = -1
     """Index of the agent that it belongs to; -1 = none."""
     body: Body | None = None
-    """The body of the recording that it is; None = it is drawn by the model of its agent."""
+    """Body of the recording that is drawn; None if the model of its agent draws it."""
     placeholder: bool = False
     """True if the file of the mesh was not found."""
     skeleton: Skeleton | None = None
@@ -57,7 +57,7 @@ class PosedCamera:
 
     name: str
     poses: Array
-    """pose7 [T, 7] in the world: x right, y up, looking along -z, as Habitat and glTF have it; NaN where absent."""
+    """Poses (pose7) [T, 7] in the world: x right, y up, looking along -z, as Habitat and glTF have it; NaN where absent."""
     vfov_rad: float
     aspect: float
     """Width by height."""

@@ -1,4 +1,4 @@
-"""Everything that a replay shows, posed at all steps, for writers of foreign formats."""
+"""Recordings posed at all steps, part by part, for writers of foreign formats."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _GENERIC_CAMERAS = ("top_down", "top_down_orthographic", "orbit", THIRD_PERSON)
 
 
 def posed_parts(replay: Replay, steps: NDArray[np.integer] | None = None) -> list[PosedPart]:
-    """One part for each of `Replay.drawables`, in their order, posed at ``steps`` (all by default)."""
+    """Return one part for each of `Replay.drawables`, in their order, posed at ``steps`` (all by default)."""
     steps = np.arange(len(replay)) if steps is None else steps
     bodies = {body.name: body for body in replay.recording.bodies}
     parts = []

@@ -1,4 +1,4 @@
-"""Recordings as learners see them: what an agent saw, what it did then, what came of it.
+"""Recordings as training data: the observations, actions and rewards of an agent.
 
 Row k of a recording is the state *after* action k. A learner pairs an observation with the action that is taken in it, so
 frame t is row t with the action of row t + 1, and an episode of T rows gives T - 1 frames.
@@ -25,18 +25,18 @@ _POSE7 = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Transitions:
-    """One episode of one agent."""
+    """Transitions of one agent in one episode."""
 
     agent: int
     state: dict[str, NDArray[np.float32]]
-    """State of its body before each action and after the last one: `base_pose`, `joint_pos`, ... [T, width]."""
+    """State of the agent's body before each action and after the last one: `base_pose`, `joint_pos`, ... [T, width]."""
     state_names: tuple[str, ...]
     """Names of all values of ``state``, one after the other."""
     action: NDArray[np.float32]
-    """Shape [T - 1, A]."""
+    """Actions, shape [T - 1, A]."""
     action_names: tuple[str, ...]
     reward: NDArray[np.float32]
-    """1 for the action that first led to success (`SUCCESS_EVENTS`), else 0, shape [T - 1]."""
+    """Reward: 1 for the action that first led to success (`SUCCESS_EVENTS`), else 0, shape [T - 1]."""
 
     def __len__(self) -> int:
         return len(self.action)

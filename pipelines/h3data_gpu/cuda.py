@@ -1,4 +1,4 @@
-"""CUDA C compiled at first use and launched on torch's stream: NVRTC and the driver through ctypes, nothing to build.
+"""CUDA C that is compiled at first use and launched on torch's stream: NVRTC and the driver through ctypes.
 
 NVRTC comes with torch's own CUDA packages. Compiled code is cached (`h3data.files.cache_folder`), one file per source,
 options, device and NVRTC version.
@@ -30,7 +30,7 @@ class GpuError(H3DataError):
 
 
 def gpu_problem() -> str | None:
-    """Why no GPU can be used, as a sentence; None if one can."""
+    """Reason why no GPU can be used, as a sentence; None if one can."""
     import torch
 
     if not torch.cuda.is_available():

@@ -31,7 +31,7 @@ class Meshlets(NamedTuple):
     first_vertex: NDArray[np.int32]
     """First vertex of each cluster, followed by the number of vertices, shape [C + 1]."""
     triangle_count: NDArray[np.int32]
-    """Shape [C]."""
+    """Number of triangles of each meshlet, shape [C]."""
     low: NDArray[np.float32]
     """Minimum corners of the clusters' boxes, shape [C, 3] [m]."""
     high: NDArray[np.float32]

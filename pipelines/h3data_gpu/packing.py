@@ -60,9 +60,9 @@ class Packed:
     inverse_bind: NDArray[np.float32]
     """Inverse bind matrices by scene, body and joint, shape [S, B, J, 4, 4]."""
     sources: tuple[NDArray[np.float32], ...]
-    """For each scene: vertices of its deformable meshes without skin, shape [N, 3]."""
+    """Vertices of each scene's deformable meshes without skin, shape [N, 3]."""
     source_first: tuple[dict[int, int], ...]
-    """For each scene: first row in `sources` by mesh."""
+    """First row of each scene in `sources`, by mesh."""
     layers: tuple[str, ...]
     """Named layers; layer k is bit k of a place's layer word. The empty layer has no bit."""
     textured: bool

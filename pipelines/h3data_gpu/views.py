@@ -110,7 +110,7 @@ def _check_camera(camera: Camera, size: tuple[int, int]) -> None:
 
 
 def depth_range(camera: Camera) -> tuple[float, float]:
-    """Near and far limits of a camera [m]."""
+    """Return the near and far limits of a camera [m]."""
     return float(camera.near), float(camera.far)
 
 

@@ -22,7 +22,7 @@ def check_size(steps: int, things: int, path: Path, *, values: int = 7) -> None:
 
 
 def check_count(count: int, most: int, what: str, path: Path) -> None:
-    """`FormatError` if there are more than ``most`` of them."""
+    """Raise a `FormatError` if there are more than ``most`` of them."""
     if count > most:
         raise FormatError(
             f"More than {most} {what} are more than can be read. Hint: cut the file into parts. {path}",

@@ -35,9 +35,9 @@ VARIANTS = ("google_16k", "google_64k", "google_512k", "poisson", "tsdf", "")
 DENSITY_KG_M3 = 400.0
 """Density of an object whose mass is unknown: half-full packages, wood, fruit."""
 GROWTH_M = 0.08
-"""A model takes the place of a thing that is at most so much smaller along each axis."""
+"""Largest difference along each axis by which a thing may be smaller than the model that replaces it [m]."""
 GAP_M = 0.01
-"""Between a model and the things around it."""
+"""Distance between a model and the things around it [m]."""
 _MOST_XML = 1_000_000
 _NUMBER = re.compile(r"^\d+(-[a-z])?_")
 
@@ -47,15 +47,16 @@ class ObjectModel:
     """An object that agents can take."""
 
     name: str
-    """``003_cracker_box``."""
+    """Name of the model, such as ``003_cracker_box``."""
     asset: Asset
     """Mesh and collision hull, +Y up, metres, at ``scale`` 1; its category is the name without the number."""
     scale: NDArray[np.float64]
-    """Shape [3]."""
+    """Scale of the model along each axis, shape [3]."""
     semantic_id: int
     mass_kg: float
     mass_from: Literal["file", "kind", "volume"]
-    """Its ``kinbody.xml`` or config; the typical mass of its kind (`h3data.scene.kinds.KINDS`); or its volume."""
+    """Source of the mass: the model's ``kinbody.xml`` or config, the typical mass of its kind (`h3data.scene.kinds.KINDS`), or
+    its volume."""
     grasp: Grasp
     """Part that a hand grasps: that of its kind, else the whole body."""
     grasp_point: NDArray[np.float64]

@@ -66,13 +66,13 @@ def builtin(value: Any) -> Any:
 
 
 class Record:
-    """Stand-in for an object of a known class: keeps what the file says about it, and runs nothing."""
+    """Placeholder for an object of a known class: holds what the file says about it, and runs nothing."""
 
     def __setstate__(self, state: Any) -> None:
         raise pickle.UnpicklingError(f"a {type(self).__name__} has no state")
 
     def plain(self) -> Any:
-        """The value that the object stands for."""
+        """Return the value that the object represents."""
         raise TypeError(f"a {type(self).__name__} is not a plain value")
 
 

@@ -17,7 +17,7 @@ class Folders(Protocol):
 
     @property
     def roots(self) -> tuple[Path, ...]:
-        """The folders."""
+        """Folders in which files are looked for."""
         ...
 
     def resolve(self, uri: str) -> Path | None:

@@ -23,13 +23,13 @@ from h3data_homes.style import Style
 THICK_M, GAP_M = 0.04, 0.012
 """Thickness of a leaf, and the gap around it."""
 GRIP_M = 0.09
-"""So much of a leaf stays out of the wall, so that a hand can pull it out again."""
+"""Width of a leaf that stays out of the wall, so that a hand can pull it out again [m]."""
 HANDLE_M = 1.02
 """Height of handles."""
 WIDTH_M = (0.6, 1.2)
-"""Doorways of these widths have a leaf."""
+"""Least and largest width of doorways that get a leaf [m]."""
 BESIDE_M = 0.35
-"""An open leaf stays so far away from other doorways."""
+"""Least distance of an open leaf from other doorways [m]."""
 SWING_RAD = np.pi / 2
 ALONG_M = 0.3
 """A leaf this near to a wall stands along it."""
@@ -45,7 +45,7 @@ LEAF = "leaf"
 STRUCTURE = ("wall", "floor", "ceiling", "trim", "rug")
 """Parts of the structure that leaves pass."""
 FLAT_M = 0.03
-"""Leaves pass over what is no higher."""
+"""Height up to which leaves pass over things [m]."""
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ DOOR_HEIGHT = 2.1
 
 @dataclass(frozen=True, kw_only=True)
 class RoomPlan:
-    """One room of the plan."""
+    """Room of the plan."""
 
     name: str
     category: str

@@ -69,11 +69,11 @@ class Solid(NamedTuple):
     """A surface about the origin."""
 
     vertices: NDArray[np.float64]
-    """Shape [V, 3] [m]."""
+    """Positions of the vertices, shape [V, 3] [m]."""
     normals: NDArray[np.float64]
     """Unit shading normals, shape [V, 3]."""
     faces: NDArray[np.int32]
-    """Shape [F, 3]."""
+    """Vertices of each triangle, shape [F, 3]."""
     place: NDArray[np.float64]
     """Position of each vertex on its material, along and across the grain, shape [V, 2] [m]."""
 

@@ -14,7 +14,7 @@ from h3data_homes.materials import MATERIALS, Finish, texture
 from h3data_homes.primitives import Solid
 
 Color = tuple[int, int, int]
-"""sRGB, 0-255; a `Finish` also names the material."""
+"""Colour as sRGB values 0-255; a `Finish` also names the material."""
 
 
 def material_of(color: object) -> str:
@@ -39,13 +39,13 @@ def _scaled(color: Sequence[int], factors: Sequence[float]) -> Color:
 
 
 def turn_x(angle_rad: float) -> NDArray[np.float64]:
-    """3x3 rotation about x: positive tips the top (+y) towards the front (+z)."""
+    """Return the 3x3 rotation about x: positive tips the top (+y) towards the front (+z)."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
 
 
 def turn_y(angle_rad: float) -> NDArray[np.float64]:
-    """3x3 rotation about y: positive turns +z towards +x."""
+    """Return the 3x3 rotation about y: positive turns +z towards +x."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
 
@@ -159,7 +159,7 @@ class MeshBuilder:
         self._solids.append((make, arguments, color, material_of(color), center, turn))
 
     def mesh(self) -> Mesh:
-        """Everything collected so far, built once."""
+        """Return everything collected so far as one mesh, built once."""
         if self._mesh is None:
             self._mesh = self._build()
         return self._mesh
@@ -238,7 +238,7 @@ def _textured(
 
 
 def subdivided(mesh: Mesh, parts: int) -> Mesh:
-    """The same surface with every edge cut into ``parts``, so parts^2 times as many triangles, on the same planes.
+    """Return the surface with every edge cut into ``parts``, so with parts^2 times as many triangles, on the same planes.
 
     Neighbours share the points on their common edge, so no cracks appear. Normals, colours and uv are interpolated.
     """

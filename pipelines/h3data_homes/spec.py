@@ -103,9 +103,9 @@ class HomeSpec:
     area_m2: float | None = None
     """Floor area [m2]; None means the preset's."""
     bedrooms: int | None = None
-    """None = the preset's."""
+    """Number of bedrooms; None means that of the preset."""
     bathrooms: int | None = None
-    """None = the preset's."""
+    """Number of bathrooms; None means that of the preset."""
     clutter: float = 1.0
     """Amount of small objects: 0 leaves them out, 2 gives about twice as many. The furniture stays the same."""
     density: int = 1
@@ -122,7 +122,7 @@ class HomeSpec:
     """2 adds an upper storey beside a stairwell (second generation, ``small`` and ``medium``). Area, bedrooms and bathrooms are
     those of each storey."""
     doors: bool = False
-    """True if doorways have doors, some of them closed (second generation). The rest is as without."""
+    """True if doorways have doors, some of them closed (second generation). The rest of the home stays the same."""
 
     def __repr__(self) -> str:
         """Text of the specification, from which jobs and recordings derive their identity.

@@ -35,7 +35,7 @@ def plan_box(axis: int, along: tuple[float, float], across: tuple[float, float])
 
 
 def wall_thickness_span(layout: Layout, opening: Opening) -> tuple[float, float]:
-    """Both faces of the wall that an opening cuts, on the axis across it."""
+    """Return both faces of the wall that an opening cuts, on the axis across it."""
     if len(opening.rooms) == 2 or opening.line not in (0.0, (layout.depth, layout.width)[opening.axis]):
         return opening.line - WALL_THICKNESS / 2, opening.line + WALL_THICKNESS / 2
     return (-WALL_THICKNESS, 0.0) if opening.line == 0 else (opening.line, opening.line + WALL_THICKNESS)

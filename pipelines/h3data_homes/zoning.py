@@ -23,7 +23,7 @@ _SHAPES, _TRIALS, _WORST = 4, 100, 2.0
 """Footprint shapes tried, plans tried per shape, and the largest acceptable penalty."""
 
 Rect = tuple[float, float, float, float]
-"""x0 z0 x1 z1 [m]."""
+"""Rectangle x0 z0 x1 z1 [m]."""
 Tile = tuple[str, Rect]
 """Kind of room and its rectangle."""
 

@@ -31,7 +31,7 @@ ATTEMPTS = 60
 """Choices of a template, things and places that are tried."""
 NEXT_TO_TRIES = 10
 BESIDE_M = 0.8 * NEXT_TO_M
-"""Distance at which things are put next to each other [m], so that nobody has to measure."""
+"""Distance between things that are placed next to each other [m], well within the limit of the proposition."""
 STATES = ("clean", "filled", "powered")
 
 
@@ -41,7 +41,7 @@ class LanguageSpec(RearrangeSpec):
 
     max_steps: int = 6000
     objects: int = 3
-    """Number of things that can be taken, those included that the task does not need."""
+    """Number of things that can be taken, including those that the task does not need."""
     end_on_collision: bool = False
     kind: str = ""
     """Type of the task: free, spatial, temporal or heterogeneous; empty: any."""
@@ -63,7 +63,7 @@ class LanguageSpec(RearrangeSpec):
             )
 
     def templates(self, kind: str = "") -> list[Template]:
-        """The templates that these rules allow; without a type among them, those of ``kind``."""
+        """Return the templates that these rules allow; without a type among them, those of ``kind``."""
         kind = self.kind or ("" if self.template else kind)
         return [t for t in TEMPLATES if self.template in ("", t.name) and kind in ("", t.kind)]
 
@@ -359,7 +359,7 @@ class _Draw:
 def errands_of(
     template: Template, order: Sequence[str], goals: Mapping[str, Sequence[tuple[NDArray, str]]]
 ) -> tuple[Errand, ...]:
-    """The work of a template, with what has to be done before what."""
+    """Return the work of a template, with the order that it requires."""
     found: list[Errand] = []
     of_clause: list[list[int]] = []
     for k, clause in enumerate(template.clauses):

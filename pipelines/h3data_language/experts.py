@@ -1,4 +1,4 @@
-"""Experts for tasks in words: they know the errands of a task, and share them out, or each takes what is nearest.
+"""Experts for tasks in words, which know the errands of a task and share them out, or each take the nearest.
 
 ``language_expert`` is one plan for all agents who follow it: alone, or in a pair. ``language_greedy`` decides for itself,
 and leaves to others what they hold or head for. Both see everything.
@@ -30,10 +30,10 @@ PAUSE = 8
 AVOID = 90
 """Steps for which an errand is left after failures."""
 LATE = 600
-"""Steps after which another agent without an errand takes over one whose thing nobody has taken yet."""
+"""Number of steps after which an agent without an errand takes over one whose thing nobody has taken yet."""
 TRIES = 3
 MOST_ORDERS = 720
-"""So many orders of the errands are compared; of more errands than fit, the nearest comes first."""
+"""Largest number of orders of the errands that are compared; of more errands, the nearest comes first."""
 DETOUR = 1.4
 """Length of a path over the straight line, about."""
 WORK_M = 4.0
@@ -41,7 +41,7 @@ WORK_M = 4.0
 
 
 class Plan:
-    """The errands of one episode: who does which."""
+    """Plan for the errands of one episode: which agent does which."""
 
     def __init__(self, episode: Any, kinds: Sequence[str]) -> None:
         self.errands = msgspec.convert(episode.extra["errands"], list[Errand])
@@ -60,7 +60,7 @@ class Plan:
         """Last known place of each agent who follows the plan."""
 
     def done(self, view: RearrangeView) -> set[int]:
-        """Errands that are done, from what an agent sees."""
+        """Return the errands that are done, from the view of an agent."""
         found = set(self.handled)
         for n, errand in enumerate(self.errands):
             if not errand.handle:
@@ -147,7 +147,7 @@ _SHARED: WeakKeyDictionary[Any, Plan] = WeakKeyDictionary()
 
 
 class Expert:
-    """One agent who follows a plan."""
+    """Agent that follows a plan."""
 
     def __init__(self, episode: Any, number: int, kinds: Sequence[str], *, greedy: bool) -> None:
         self.plan: Plan = Plan(episode, kinds)
@@ -224,10 +224,10 @@ class Expert:
 
 
 class Idle:
-    """Stands still."""
+    """Agent that stands still."""
 
     def act(self, view: RearrangeView) -> Action:
-        """Waits."""
+        """Return the skill ``wait``."""
         del view
         return Action("wait")
 

@@ -34,11 +34,11 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Home:
-    """A home with words for what is in it."""
+    """Home with words for the things in it."""
 
     scene: Scene
     layout: Layout
-    """With all things that can be moved."""
+    """Layout of the home with all things that can be moved."""
     places: Mapping[str, Place]
     """Places on which things can be put, by words."""
     rooms: Mapping[str, str]
@@ -69,7 +69,7 @@ def room_words(room: str) -> str:
 
 @lru_cache(maxsize=8)
 def home_of(scene: Scene, open_m: float) -> Home:
-    """Describe a home; surfaces with less than ``open_m`` [m] above them, and those behind doors, take nothing."""
+    """Return a home with words; surfaces with less than ``open_m`` [m] above them, and those behind doors, take nothing."""
     things = [i.name for i in scene.instances if i.motion == "kinematic" and len(scene.assets[i.asset].mesh.vertices)]
     layout, enclosed = Layout.of_scene(scene, things), joints_of(scene).enclosing
     by_name = {i.name: i for i in scene.instances}
@@ -119,7 +119,7 @@ def room_at(layout: Layout, furniture: FurnitureBox) -> str:
 
 
 def thing_words(home: Home, thing: str, start: Place | None, *, stays: bool = False) -> str:
-    """Words for a thing: its kind if there is no other of it in the home, else also where it is."""
+    """Return words for a thing: its kind if it is the only one of it in the home, else also its place."""
     kind = home.categories[thing]
     if sum(other == kind for other in home.categories.values()) == 1 or start is None:
         return f"the {spoken(kind)}"

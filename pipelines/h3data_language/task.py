@@ -42,7 +42,7 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.social_nav.episode import Starts
 
 HANDLING_STEPS = 12
-"""Steps that a person takes to clean, fill, pour out or switch something [1/30 s]."""
+"""Number of steps that a person takes to clean, fill, pour out or switch something [1/30 s]."""
 HANDLING_M = 1.5
 """Distance on the floor from a person to what they handle, at most [m]."""
 _STORED = (PROPOSITIONS, DEPENDENCIES, CONSTRAINTS, LAYOUT)
@@ -109,7 +109,7 @@ class LanguageCodec(RearrangeCodec):
         return {"ended": play.ended}
 
     def precompute(self, episode: Episode) -> dict[str, Any]:
-        """Nothing takes long."""
+        """Return nothing, as no value takes long to compute."""
         del episode
         return {}
 
@@ -135,7 +135,7 @@ def check_extra(extra: Mapping[str, Any], things: int) -> None:
 
 
 class LanguageControl(SkillControl):
-    """Skills; people also handle things: they ``wait`` with a thing as the target, in their hand or beside it."""
+    """Control by skills; people also handle things: they ``wait`` with a thing as the target, in their hand or beside it."""
 
     def refusal(self, play: Any, number: int, choice: Any) -> str | None:
         """Reason why a choice is infeasible now, as a sentence; None if it is feasible."""
@@ -145,7 +145,7 @@ class LanguageControl(SkillControl):
 
 
 def why_not(play: Any, number: int, thing: int) -> str | None:
-    """Why an agent cannot handle a thing now, as a sentence; None if it can."""
+    """Reason why an agent cannot handle a thing now, as a sentence; None if it can."""
     state = play.world.state
     if play.episode.roster[number].kind != "human":
         return "It has no hand for water and switches."
@@ -181,7 +181,7 @@ class Language(Rearrange):
     def draw(
         self, scene: Scene, free: FreeSpace, seed: int, spec: Any, robot: Robot, person: Humanoid
     ) -> tuple[Starts, dict[str, Any]]:
-        """Starts of robot and person; targets, instruction, and propositions with all that belongs to them."""
+        """Sample starts of robot and person, targets, instruction, and propositions."""
         task = sample_task(scene, free, seed, spec, robot, person)
         return task.starts, {"targets": task.targets, "wording": task.instruction, "extra": task.extra}
 
@@ -212,7 +212,7 @@ class Language(Rearrange):
         }
 
     def judge(self, play: Any) -> StepOutcome:
-        """Pays for each share of the task that is completed for the first time; ends with all of it."""
+        """Reward each share of the task that is completed for the first time; the episode ends with all of it."""
         memory, state, events = play.memory, play.world.state, []
         self._handle(play, events)
         held, at_goal = state.held_by[0] != NOBODY, play.team.at_goal.copy()

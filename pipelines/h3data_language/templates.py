@@ -16,7 +16,7 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
 class Template(NamedTuple):
-    """One way to ask for something."""
+    """Template of an instruction."""
 
     name: str
     kind: Kind
@@ -25,11 +25,11 @@ class Template(NamedTuple):
     order: tuple[tuple[int, int], ...] = ()
     """Pairs of clauses, the earlier first."""
     relation: str = ""
-    """``same`` or ``different``: the first two clauses are about the same piece of furniture, or about two."""
+    """Relation of the first two clauses: ``same`` or ``different`` piece of furniture."""
 
     @property
     def moves_twice(self) -> bool:
-        """True if the second clause is about where the first one's thing goes after that."""
+        """True if the second clause says where the object of the first one goes afterwards."""
         return self.relation == "twice"
 
 

@@ -18,7 +18,7 @@ LAMP_RADIUS = 2.0
 SUN_SPREAD = 0.045
 """Tangent of the sun's angular radius, larger than in reality: panes and the vertices' spacing blur its edge."""
 MARKED = 128
-"""Windows and lamps come first, before suns; `Probes.reach` has one bit for each of so many."""
+"""Number of bits in `Probes.reach`: one for each of the first light sources, windows and lamps before suns."""
 SKY = (2.2, 2.6, 3.0)
 HORIZON = (2.6, 2.6, 2.6)
 GROUND = (0.9, 0.85, 0.75)

@@ -1,4 +1,4 @@
-"""From irradiance to what is shown: the curve that keeps dark corners readable and bright ones in range."""
+"""Convert irradiance to displayed colours, by a curve that keeps dark corners readable and bright ones in range."""
 
 from __future__ import annotations
 

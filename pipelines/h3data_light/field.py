@@ -1,4 +1,4 @@
-"""`LightField`: where light comes from, and how much, anywhere in a home. What moves is lit by it and casts shadows in it.
+"""`LightField`: direction and amount of light anywhere in a home. It lights moving things, which cast shadows in it.
 
 Irradiance along six directions (an ambient cube) on a grid of half a metre; between its points, all is interpolated. The
 difference of opposite sides is the light vector (Gershun 1936), the integral of radiance times direction: it points to where

@@ -17,7 +17,7 @@ from h3data.mesh.mesh_operations import flat_shaded
 from h3data.srgb import bytes_to_linear
 
 LONGEST_M, SHORTEST_M = 1.5, 0.16
-"""Longer edges are always cut, shorter ones never."""
+"""Length above which edges are always cut, and length below which they never are."""
 _BEND = 0.075
 """Difference of brightness (square root of light, 1 = mean) between the middle of an edge and the mean of its ends above
 which the edge is cut."""
@@ -46,7 +46,7 @@ class Heap:
     """Vertices of several meshes with what is interpolated along edges: rows ``x y z  nx ny nz  r g b  u v``, mesh frame."""
 
     vertices: NDArray[np.float64]
-    """Shape [V, 11]."""
+    """Attributes of the vertices, shape [V, 11]."""
     world: NDArray[np.float64]
     """Positions and unit normals in the world, shape [V, 6]."""
     faces: NDArray[np.int64]
@@ -55,7 +55,7 @@ class Heap:
     textures: NDArray[np.int16]
     """Texture of each face, shape [F]."""
     light: NDArray[np.float32]
-    """Irradiance, shape [V, 3]."""
+    """Irradiance at the vertices, shape [V, 3]."""
 
 
 def heap_of(meshes: Sequence[Mesh], matrices: Sequence[NDArray[np.float64]]) -> Heap:
@@ -238,7 +238,7 @@ def _smooth(heap: Heap) -> None:
 
 
 def hashes(keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    """One number for each row of keys [n, 6]."""
+    """Return one hash for each row of keys [n, 6]."""
     return keys @ np.array([73856093, 19349663, 83492791, 15485863, 32452843, 49979687])
 
 

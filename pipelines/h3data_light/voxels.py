@@ -15,7 +15,7 @@ from h3data.kernels import kernel, kernel_part
 
 CELL_M = 0.05
 MAX_VOXELS = 12_000_000
-"""Larger scenes get larger voxels."""
+"""Number of voxels above which a scene gets larger ones."""
 MARGIN_M = 0.5
 PROBE_VOXELS = 5
 """Voxels along the side of a block; each block has one probe and one mean colour per axis."""

@@ -48,7 +48,7 @@ def triangulated(points: Array, counts: NDArray[np.integer]) -> tuple[NDArray[np
 
 
 def with_holes(outline: Array, holes: Sequence[Array]) -> NDArray[np.int64]:
-    """One closed walk around a polygon with holes: indices into the concatenation of ``outline`` and ``holes`` [*, 3].
+    """Return one closed walk around a polygon with holes: indices into the concatenation of ``outline`` and ``holes`` [*, 3].
 
     Each hole is joined to what is around it by a bridge that is walked in both directions.
     """

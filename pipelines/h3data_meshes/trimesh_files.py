@@ -74,7 +74,7 @@ class FilesBeside:
     __getitem__ = get
 
     def warn(self) -> None:
-        """One warning for the first name that led nowhere."""
+        """Warn about the first name that leads nowhere."""
         if self.outside:
             _log.warning(
                 "the name %r leads out of the file's folder, which is not followed: its surfaces show other colours: %s",

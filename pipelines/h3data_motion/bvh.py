@@ -25,15 +25,15 @@ class BvhWarning(UserWarning):
 
 @dataclass(frozen=True, kw_only=True)
 class BvhJoint:
-    """One joint; end sites are joints without channels."""
+    """Joint of a skeleton; end sites are joints without channels."""
 
     name: str
     parent: int
-    """-1 = a root."""
+    """Index of the parent; -1 for a root."""
     offset: tuple[float, float, float]
     """Position of the joint in its parent's frame, in the units of the file."""
     channels: tuple[str, ...]
-    """Lower case, in the order of the file: that of the values, and that in which rotations apply."""
+    """Names of the channels in lower case, in the order of their values, in which rotations also apply."""
     end_site: bool = False
 
 

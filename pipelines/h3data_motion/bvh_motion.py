@@ -57,7 +57,7 @@ DIRECTIONS: dict[str, tuple[float, float, float]] = {
     "forward": (0, 0, 1),
     "back": (0, 0, -1),
 }
-"""In the body frame."""
+"""Directions by name in the body frame."""
 BONES: dict[str, tuple[str, tuple[float, float, float]]] = {
     f"{side}_{joint}": (f"{side}_{child}", DIRECTIONS[side] if direction == "aside" else DIRECTIONS[direction])
     for side in SIDES
@@ -74,7 +74,7 @@ UNITS_M = (1.0, 0.01, 0.0254, 0.0564444, 0.001)
 LEG_M = (0.5, 1.2)
 """A leg (hip to ankle) of a person."""
 TILT_DEG, BEND_DEG = 30.0, 100.0
-"""A rest pose may be off an upright stance so far, and its limbs off a T-pose."""
+"""Largest angles of a rest pose from an upright stance, and of its limbs from a T-pose [deg]."""
 
 
 class NameTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -91,9 +91,9 @@ class NameTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     unit_m: float | None = None
     """Metres per unit; guessed from the length of the legs if it does not fit or is not given."""
     feet_follow_shanks: bool = False
-    """In the rest pose the feet are turned as the shanks are, not flat."""
+    """True if the feet are turned as the shanks are in the rest pose, and not flat."""
     foot_slope_deg: float = 0.0
-    """With ``axes``: how far the x axis of a flat foot points down."""
+    """Angle by which the x axis of a flat foot points down, with ``axes`` [deg]."""
 
 
 @dataclass(frozen=True)

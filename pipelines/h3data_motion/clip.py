@@ -1,4 +1,4 @@
-"""Free-form motion: what somebody did, frame by frame, whoever recorded it. Cycles for walking are `h3data.bodies.Clip`."""
+"""Free motion of a person, frame by frame, from any source. Cycles for walking are `h3data.bodies.Clip`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from h3data.geometry import (
 )
 
 UNIT_WITHIN = 1e-3
-"""Quaternions of records are unit to this; readers normalise what files round."""
+"""Tolerance to which quaternions of records have unit length; readers normalise what files round."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,9 +43,9 @@ class Motion:
     pelvis: Array
     """Pelvis joint in the start frame, shape [T, 3] [m]."""
     leg_m: float | None = None
-    """Thigh and shank of who performed it [m]; None: the file does not say."""
+    """Lengths of thigh and shank of the person who performed the motion [m]; None: the file does not say."""
     body: str = ""
-    """Body that it was fitted to; empty: as recorded."""
+    """Body that the motion was fitted to; empty: as recorded."""
     source: str = ""
     """Origin and licence of the motion."""
 
@@ -63,8 +63,8 @@ class Motion:
         return (len(self) - 1) / self.fps
 
     @property
-    def way_m(self) -> float:
-        """Length of the pelvis' way along the floor, shaking below 0.1 s left out [m]."""
+    def path_m(self) -> float:
+        """Length of the path of the pelvis along the floor, without shaking below 0.1 s [m]."""
         step = max(1, round(0.1 * self.fps))
         return float(np.linalg.norm(np.diff(self.pelvis[::step, ::2], axis=0), axis=1).sum())
 
@@ -92,7 +92,7 @@ class Motion:
         return replace(self, fps=float(fps), quats=quats, pelvis=pelvis)
 
     def part(self, start_s: float, end_s: float) -> Motion:
-        """From ``start_s`` to ``end_s``, in a start frame of its own."""
+        """Return the motion from ``start_s`` to ``end_s``, in a start frame of its own."""
         first, last = (round(float(np.clip(t, 0, self.duration_s)) * self.fps) for t in (start_s, end_s))
         if last <= first:
             raise InputError(
@@ -103,7 +103,7 @@ class Motion:
 
     def __repr__(self) -> str:
         fitted = f", fitted to {self.body}" if self.body else ""
-        return f"Motion({self.name!r}, {len(self)} frames at {self.fps:g}/s, way {self.way_m:.2f} m{fitted})"
+        return f"Motion({self.name!r}, {len(self)} frames at {self.fps:g}/s, way {self.path_m:.2f} m{fitted})"
 
 
 def _faults(motion: Motion) -> list[str]:
@@ -137,7 +137,7 @@ def in_start_frame(motion: Motion) -> Motion:
 
 
 def pelvis_heading(quats: Array) -> Array:
-    """Headings [T] [rad] of pelvis frames [T, 4] (+Z forward): of the front, or of the head of one who lies flat."""
+    """Return headings [T] [rad] of pelvis frames [T, 4] (+Z forward): of the front, or of the head if the person lies flat."""
     front = quat_rotate(quats, np.array([0.0, 0, 1]))
     head = quat_rotate(quats, np.array([0.0, 1, 0]))
     lying = np.hypot(front[:, 0], front[:, 2]) < 0.2

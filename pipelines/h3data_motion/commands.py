@@ -257,7 +257,7 @@ def _facts(motion: Motion) -> dict[str, Any]:
         "frames": len(motion),
         "fps": motion.fps,
         "seconds": round(motion.duration_s, 3),
-        "way_m": round(motion.way_m, 3),
+        "path_m": round(motion.path_m, 3),
         "leg_m": motion.leg_m,
         "body": motion.body,
         "source_note": motion.source,
@@ -265,7 +265,7 @@ def _facts(motion: Motion) -> dict[str, Any]:
 
 
 def _line(row: dict[str, Any]) -> str:
-    text = f"{row['name']:<28} {row['seconds']:8.2f} s {row['fps']:6g} frames/s  path {row['way_m']:6.2f} m"
+    text = f"{row['name']:<28} {row['seconds']:8.2f} s {row['fps']:6g} frames/s  path {row['path_m']:6.2f} m"
     if "slide_mm" in row:
         text += f"  feet slide {row['slide_mm']:.2f} mm per step"
     if "cycle_s" in row:
@@ -283,7 +283,7 @@ def _report(rows: list[dict[str, Any]]) -> Outcome:
             retargeted = f", retargeted to {row['body']}" if row["body"] else ""
             lines.append(
                 f"imported {row['kind']:<8} {row['source']} -> {row['motion']}  {row['seconds']:.2f} s at {row['fps']:g}/s, "
-                f"path {row['way_m']:.2f} m{retargeted}"
+                f"path {row['path_m']:.2f} m{retargeted}"
             )
         else:
             lines.append(f"{row['status']:<8} {row['source']}: {row['reason']}")

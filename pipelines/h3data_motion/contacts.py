@@ -30,13 +30,13 @@ LOW_M, SLOW_MPS = 0.04, 0.25
 """A point of a sole touches the floor if height / LOW_M + speed / SLOW_MPS is below 1: on the floor it may slide, as it does
 on a body of other proportions; in the air it counts only if it rests."""
 SPEED_S = 1 / 60
-"""Speeds are ways over at least so long, before or after, whichever is less."""
+"""Time before and after over which speeds are measured; the smaller one counts [s]."""
 GAP_S, STANCE_S = 0.06, 0.10
-"""Shorter interruptions of a stance are not believed, nor shorter stances."""
+"""Longest interruption of a stance that is ignored, and shortest stance that counts [s]."""
 SLIDE_M = 0.20
 """A foot that slides further than this while it touches means it; it is left alone."""
 SINK_S = 0.12
-"""The pelvis is lowered towards feet out of reach over so long."""
+"""Time over which the pelvis is lowered towards feet out of reach [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,7 +50,7 @@ class Contacts:
 
 
 def find_contacts(points: Array, fps: float) -> Contacts:
-    """Which soles touch the floor, from `sole_points` [T, 2, 3, 3] at ``fps`` frames/s."""
+    """Return which soles touch the floor, from `sole_points` [T, 2, 3, 3] at ``fps`` frames/s."""
     span = max(1, min(round(SPEED_S * fps), len(points) - 1))
     way = np.linalg.norm(points[span:] - points[:-span], axis=-1)
     ends = np.full((span, *way.shape[1:]), np.inf)

@@ -1,4 +1,4 @@
-"""From free-form motion to a clip that goes round: the best loop is found, straightened, closed, and its feet planted."""
+"""Clip that goes round from a free motion: the best loop is found, straightened, closed, and its feet planted."""
 
 from __future__ import annotations
 
@@ -29,26 +29,26 @@ from h3data_motion.contacts import find_contacts, leg_frames, planted
 from h3data_motion.retarget import retarget
 
 COMPARED = 22
-"""Joints of the body; fingers and face say nothing about a cycle."""
+"""Joints that are compared; fingers and face say nothing about a cycle."""
 VELOCITY_S = 0.15
 """A difference in velocity of 1 m/s counts as this many metres of distance."""
 SEARCH_FPS = 60.0
 ALIKE = 0.1
 """A shorter loop is taken if it closes worse than the best one by up to this share of what poses differ: one cycle, not two."""
 WALKS_M, TURNS_RAD = 0.15, np.radians(20.0)
-"""Way per cycle above which a clip is played by distance; turn per cycle above which it is played by the turn."""
+"""Distance per cycle above which a clip is played by distance, and turn per cycle above which it is played by the turn."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Loop:
-    """A part of a motion whose end fits its start."""
+    """Part of a motion whose end fits its start."""
 
     start_s: float
     end_s: float
     gap_m: float
     """Root mean square distance of the joints at the seam, velocities included (0.15 s of them) [m]."""
     spread_m: float = 0.0
-    """The same from all poses to their mean."""
+    """Mean distance from all poses to their mean [m]."""
 
 
 def find_loop(motion: Motion, body: Humanoid, *, min_s: float = 0.5, max_s: float = 2.5) -> Loop:
@@ -97,7 +97,7 @@ def _features(motion: Motion, body: Humanoid) -> Array:
 
 
 def trim_to_cycle(motion: Motion, body: Humanoid, *, min_s: float = 0.5, max_s: float = 2.5) -> Clip:
-    """One cycle of a motion as a clip that goes round without a seam and that ``body`` can play.
+    """Return one cycle of a motion as a clip that goes round without a seam and that ``body`` can play.
 
     The best loop (`find_loop`) is straightened (its net turn is taken out evenly), what is left between its end and its
     start is spread over the cycle, and feet are planted round the seam. A cycle that gets anywhere is played by distance:

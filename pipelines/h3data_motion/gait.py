@@ -1,4 +1,4 @@
-"""Imported motion as the walk of a body: a captured cycle is taken apart into what a gait is made of, and scaled to any speed.
+"""Walks from imported motion: a captured cycle is taken apart into the parts of a gait, and scaled to any speed.
 
 Pelvis, trunk, arms and head are as captured. Of the feet, which may slide or stand a little in the floor, only their curves
 are taken, as means of left and right: how they pitch, where they strike, and how they fly between. They roll on the floor
@@ -36,7 +36,7 @@ TILT_DEG, LEVEL_DEG = 20.0, 1.5
 """A flat foot may seem tilted by so much, which is taken out; what is left below `LEVEL_DEG` is noise."""
 SMOOTH_FRAMES = 1.5
 TWITCH_M = 0.15
-"""No joint but those of the legs, which are made anew, may move farther against the pelvis in 1/30 s."""
+"""Largest movement of a joint against the pelvis in 1/30 s [m], except for the legs, which are computed anew."""
 STILL_RAD = 0.03
 """Fingers that move less have not been captured."""
 
@@ -47,7 +47,7 @@ _SEEN = [JOINT_INDEX[name] for name in list(JOINT_INDEX)[1:22] if name not in _L
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cycle:
-    """One captured cycle of walking on one body, in the body frame (+Z forward, +Y up, +X left).
+    """Captured cycle of walking on one body, in the body frame (+Z forward, +Y up, +X left).
 
     Phase 0 is the strike of the left foot, 0.5 that of the right one.
     """
@@ -61,7 +61,7 @@ class Cycle:
     quats: Array
     """Local rotations [F, 55, 4]; those of the legs are not used."""
     pelvis: Array
-    """[F, 3] [m]."""
+    """Positions of the pelvis [F, 3] [m]."""
     pitch: Array
     """Pitch of a foot over its own phase, toes up, [F] [deg]."""
     flight: Array
@@ -91,7 +91,7 @@ class MotionGaits(Gaits):
         return self.cycle.stance if self.plays(speed_mps) else Gaits.stance(self, speed_mps)
 
     def strike(self, speed_mps: float) -> float:
-        """Place of a foot at its strike, as captured where the body moves like that."""
+        """Return the place of a foot at its strike, as captured for this motion of the body."""
         return self.cycle.strike if self.plays(speed_mps) else Gaits.strike(self, speed_mps)
 
     def posture(self, speed_mps: Array, phase: Array) -> Posture:

@@ -1,4 +1,4 @@
-"""Motion of anybody on one of our bodies: rotations by joint, ways by the length of the legs, feet put on the floor."""
+"""Motion of any person on a built-in body: rotations by joint, distances by the length of the legs, feet on the floor."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class FootReport:
     touching: float
     """Share of frames with a foot on the floor."""
     slide_mm: float
-    """Mean way of a touching foot along the floor per 1/30 s [mm]."""
+    """Mean distance that a touching foot slides along the floor per 1/30 s [mm]."""
     slide_max_mm: float
     """The largest one [mm]."""
     lowest_mm: float

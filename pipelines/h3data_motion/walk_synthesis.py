@@ -18,14 +18,14 @@ from h3data.bodies.people.skeleton import HUMAN_ROOT_HEIGHT_M, JOINT_INDEX
 from h3data.geometry import Array, heading_from_quat, wrap_angle
 
 SYNTHETIC_BODY = "neutral_0"
-"""Body of people of whom only the root is known."""
+"""Body for people of whom only the root is known."""
 SAME_FLOOR_M = 0.15
 """A floor nearer than this to the robot's is the robot's [m]."""
 WINDOW_S = 0.5
 """Speeds are means over this time."""
 TURN_ABOVE_RAD_S = 0.4
 JUMP_MPS = 8.0
-"""Faster than anybody walks: such a step is a jump to another place."""
+"""Speed that nobody reaches by walking: a faster step is a jump to another place [m/s]."""
 BLEND_S = 0.25
 """Transition from standing to the clip and back."""
 

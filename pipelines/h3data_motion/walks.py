@@ -1,4 +1,4 @@
-"""From a capture to the few seconds of it that become a walk; `h3data.bodies.names` asks for it by the group `h3data.walks`."""
+"""Choice of the few seconds of a capture that become a walk; `h3data.bodies.names` asks for it by the group `h3data.walks`."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from h3data_motion.gait import walks_as
 from h3data_motion.retarget import retarget
 
 LEAST_FPS, KEPT_FPS = 20.0, 60.0
-"""Fewer frames a second leave four for a swinging foot; more are not kept."""
+"""Least frame rate, which leaves four frames for a swinging foot, and largest frame rate that is stored."""
 CUT_M, CUT_MPS2 = 0.02, 25.0
 """Joints jump where their mean change of velocity in a frame is larger than this: a length, and an acceleration besides."""
 PACE_S, WALKS_SHARE, LEAST_MPS = 0.6, 0.7, 0.3
 """A person walks while their speed over `PACE_S` is above this share of the fastest, and the fastest above `LEAST_MPS`."""
 CYCLE_S, MARGIN_S = (0.6, 2.2), 0.4
-"""Length of a cycle of two steps, and what is kept before and after it."""
+"""Length of a cycle of two steps, and of the parts before and after it that are stored [s]."""
 GAP_SHARE = 0.75
 """The end of a cycle may differ from its start by this share of how poses differ from their mean; opposite ones have 1.3."""
 

@@ -1,4 +1,4 @@
-"""Explanations: what a metric is, and why it has its value in one episode."""
+"""Explanations of metrics: their definition, and the reason for a value in one episode."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _RUNS = 4
 
 
 def explain(metric: Metric) -> str:
-    """Returns everything about one metric as plain text of a few lines."""
+    """Return the description of one metric as plain text of a few lines."""
     low, high = metric.range
     better = {"higher": "higher is better", "lower": "lower is better", "neither": "no better direction"}
     optional = [f"{name} (if present)" for name in metric.optional]

@@ -36,7 +36,7 @@ _SUFFIXES = {"h264": ".mp4", "av1": ".mp4", "ffv1": ".mkv", "png": ""}
 
 @dataclass(frozen=True)
 class Target:
-    """One output of one camera, and its file (a folder for pictures)."""
+    """Output of one camera, and its file (a folder for pictures)."""
 
     output: Output
     form: Form

@@ -34,10 +34,10 @@ _MOST_BYTES = 1 << 26
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ManifestRow:
-    """One row of a manifest."""
+    """Row of a manifest."""
 
     line: int
-    """Number of its line in the file."""
+    """Number of the row's line in the file."""
     choose: Mapping[str, str]
     say: Mapping[str, str | int]
 

@@ -229,7 +229,7 @@ class RayCaster:
 
 
 class LidarScan(NamedTuple):
-    """One revolution of a lidar."""
+    """Result of one revolution of a lidar."""
 
     distance: NDArray[np.float32]
     """Shape [L, C] [m]; 0 = no surface within range."""
@@ -242,7 +242,7 @@ class LidarScan(NamedTuple):
 def lidar(
     caster: RayCaster, pose: ArrayLike, *, elevations_deg: ArrayLike = (0.0,), columns: int = 360, max_m: float = 30.0
 ) -> LidarScan:
-    """One revolution of a lidar with L lasers.
+    """Measure one revolution of a lidar with L lasers.
 
     Args:
         caster: The scene.

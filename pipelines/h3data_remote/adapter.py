@@ -23,14 +23,14 @@ Seconds = Annotated[float, msgspec.Meta(gt=0, le=3600)]
 
 
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One entry of an observation."""
+    """Entry of an observation."""
 
     sensor: str | Annotated[list[str], msgspec.Meta(min_length=1)]
     """Name of an observation (h3data docs environments); several are joined, one after the other."""
     size: tuple[Pixels, Pixels] | None = None
     """Width and height of a picture; None: the camera's own."""
     pad: bool = False
-    """True if a picture keeps its proportions, between black bars, instead of being stretched."""
+    """True if a picture keeps its proportions between black bars instead of being stretched."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -65,7 +65,7 @@ class Adapter(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     first_timeout_s: Seconds = 300.0
     """Timeout of the first answer of a server, which may have to compile its model."""
     deadline_s: Annotated[float, msgspec.Meta(ge=0, le=60)] = 0.5
-    """In live play: how long the last action goes on while an answer is late; then the robot stands."""
+    """Time in live play for which the last action continues while an answer is late; then the robot stands [s]."""
 
 
 DEFAULTS: Mapping[str, str] = {"ws": "h3data", "wss": "h3data", "zmq": "gr00t"}

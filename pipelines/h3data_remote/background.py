@@ -25,7 +25,7 @@ class SlowPolicy(Protocol):
     width: int
 
     def request(self, view: Any) -> dict[str, Any]:
-        """Returns what is sent about a moment."""
+        """Return the request that is sent for the present step."""
         ...
 
     def fetch(self, request: dict[str, Any]) -> NDArray[np.float32]:
@@ -40,7 +40,7 @@ class SlowPolicy(Protocol):
         """Begins a new conversation."""
 
     def close(self) -> None:
-        """Ends the conversation."""
+        """End the conversation with the server."""
 
     def recorded_info(self) -> dict[str, Any]:
         """Returns what a recording says about the server."""
@@ -48,7 +48,7 @@ class SlowPolicy(Protocol):
 
 
 class BackgroundPolicy:
-    """Gives a command for every step at once: that of the server if it is there, else what the robot did before.
+    """Policy that returns a command for every step at once: the server's if it has arrived, else the previous one.
 
     While an answer is late, the last action goes on for the adapter's ``deadline_s``; then the robot stands.
     """
@@ -63,7 +63,7 @@ class BackgroundPolicy:
         self.late, self.faults = 0, 0
         """Steps without a fresh action, and requests that failed."""
         self.fault = ""
-        """Why the server does not answer now; empty while it does."""
+        """Reason why the server does not answer now; empty while it does."""
         self._thread = threading.Thread(target=self._serve, name="h3data remote policy", daemon=True)
         self._thread.start()
 

@@ -29,7 +29,7 @@ except ImportError as error:
     raise MissingExtraError(MISSING, code="H3-REMOTE-014") from error
 
 CONNECT_S = 10.0
-"""Within so long a server accepts a connection and says what it is."""
+"""Time within which a server accepts a connection and introduces itself [s]."""
 KEY_VARIABLE = "H3DATA_POLICY_KEY"
 """Environment variable with the key that servers ask for; it is never recorded."""
 DEFAULT_PORTS = {"ws": 8000, "wss": 443, "zmq": 5555}
@@ -106,7 +106,7 @@ class Connection(Protocol):
 
 
 def connect(address: Address) -> Connection:
-    """A new connection.
+    """Open a new connection.
 
     Raises:
         PolicyServerError: nobody answers, or not as a policy server.

@@ -93,7 +93,7 @@ class RemotePolicy:
     """
 
     is_remote = True
-    """True: its recorded actions are repeated without asking it (`sim_kinematic.policies.recorded`)."""
+    """Constant True: the recorded actions are repeated without asking the policy (`sim_kinematic.policies.recorded`)."""
 
     def __init__(self, where: Address, chosen: Adapter | None, task: Any, episode: Any, number: int) -> None:
         """Connects to the server.
@@ -173,7 +173,7 @@ class RemotePolicy:
         return self.choice(self._rows.popleft(), view)
 
     def request(self, view: Any) -> dict[str, Any]:
-        """Returns the request about a moment."""
+        """Return the request for the present step."""
         adapter = self.adapter
         entries = self._observer.observation(view)
         if adapter.prompt:
@@ -277,7 +277,7 @@ class RemotePolicy:
 
     # --- beside the steps ---------------------------------------------------------------------------------------------
     def in_background(self) -> BackgroundPolicy:
-        """The same policy for callers that cannot wait for a server."""
+        """Return the policy for callers that cannot wait for a server."""
         return BackgroundPolicy(self)
 
     def recorded_info(self) -> dict[str, Any]:

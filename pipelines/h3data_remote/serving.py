@@ -41,7 +41,7 @@ MOST_SESSIONS = 256
 log = logging.getLogger("h3data.remote")
 
 
-class ShownView:
+class ObservedView:
     """View of a request for a policy that decides by named observations."""
 
     met = False
@@ -76,7 +76,7 @@ class ShownView:
         )
 
 
-class _ShownNavigation(LearnedNavigation):
+class _ServedNavigation(LearnedNavigation):
     """A network without pictures, by named observations."""
 
     def look(self, view: Any, spec: Any) -> NDArray[np.float32]:
@@ -85,7 +85,7 @@ class _ShownNavigation(LearnedNavigation):
         return np.concatenate([np.ravel(values) for values in shown.values()]).astype(np.float32)
 
 
-class _ShownVisualNavigation(VisualNavigation):
+class _ServedVisualNavigation(VisualNavigation):
     """A network with pictures, by named observations."""
 
     def look(self, view: Any, spec: Any) -> dict[str, NDArray[Any]]:
@@ -145,9 +145,9 @@ class ServedPolicy:
         """
         spec = self.task.Spec()
         if isinstance(self._network, VisualPolicy):
-            return FunctionPolicy(_ShownVisualNavigation(self._network), spec.robot)
+            return FunctionPolicy(_ServedVisualNavigation(self._network), spec.robot)
         if self._network is not None:
-            return FunctionPolicy(_ShownNavigation(self._network), spec.robot)
+            return FunctionPolicy(_ServedNavigation(self._network), spec.robot)
         if episode is not None:
             return resolve_policy(self.task, "robot", self.name)(episode, number).policy
         if self.name in policy_names(self.task, "robot"):
@@ -191,7 +191,7 @@ class _Player:
             self._policy = served.fresh(self._episode, number)
         self._calls += 1
         view = (
-            ShownView(request, step)
+            ObservedView(request, step)
             if self._episode is None
             else view_from_wire(request.get("h3data/view"), self._episode, number)
         )

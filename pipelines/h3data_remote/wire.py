@@ -28,7 +28,7 @@ class PolicyServerError(H3DataError):
 
 
 class Codec:
-    """One way to write messages."""
+    """Codec of messages."""
 
     def __init__(self, pack_array: Callable[[Any], Any], unpack_array: Callable[[dict[Any, Any]], Any]) -> None:
         """Creates a codec.

@@ -69,7 +69,7 @@ class BagCamera:
     camera: Camera
     """Intrinsics and name."""
     poses: NDArray[np.floating]
-    """4x4 from the camera (OpenCV) to the world, [T, 4, 4], or [1, 4, 4] of one that stands still."""
+    """Matrices 4x4 from the camera (OpenCV) to the world, [T, 4, 4], or [1, 4, 4] of one that stands still."""
 
 
 @dataclass(frozen=True)

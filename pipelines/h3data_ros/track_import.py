@@ -17,9 +17,9 @@ from h3data_ros.track_tables import UNITS, TrackTable, by_id, parse_table
 
 BYTES_MAX = 500_000_000
 SLOW_S = 10.0
-"""Observations of one agent so far apart mean that times are not seconds."""
+"""Time between observations of one agent above which times are not in seconds [s]."""
 SPARSE = 1.5
-"""If so many more people are there than are observed in a row, their times differ, and rows need a rate."""
+"""Ratio of people who are present to those observed in a row above which their times differ, so that rows need a rate."""
 
 
 def read_tracks(file: str | os.PathLike[str], *, tracks: ImportRequest) -> Recording:

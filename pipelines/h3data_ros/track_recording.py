@@ -23,11 +23,11 @@ from h3data_motion.walk_synthesis import SYNTHETIC_BODY, walk_columns
 from h3data_ros.transforms import at_times
 
 GAP_S = 0.5
-"""Poses are interpolated between observations up to so far apart [s]; in longer gaps there is none."""
+"""Largest gap between observations over which poses are interpolated [s]; in longer gaps there is none."""
 JUMP_MPS, JUMP_M = 8.0, 1.0
-"""Nobody is faster, noise aside: a track that jumps becomes two people."""
+"""Speed and distance that nobody exceeds, noise aside: a track that jumps becomes two people."""
 TELEPORTING = 0.5
-"""If so many of the tracks jump, unit or rate is wrong."""
+"""Share of jumping tracks above which the unit or the rate is wrong."""
 PLACE_MAX_M = 1e8
 """Greatest coordinate of a place [m]; UTM has 1e7. Those beyond count as unknown, as squares of far greater ones overflow."""
 FAR_M = 1000.0
@@ -49,7 +49,7 @@ class Track:
     time_ns: NDArray[np.int64]
     """Times [N], in any order."""
     poses: Array
-    """pose7 in the world [N, 7], at the floor; the quaternion is NaN where only the place is known."""
+    """Poses (pose7) in the world [N, 7], at the floor; the quaternion is NaN where only the place is known."""
 
 
 @dataclass
@@ -59,7 +59,7 @@ class Import:
     source: dict[str, Any]
     """Format and name of the file."""
     facts: dict[str, Any] = field(default_factory=dict)
-    """Rates, topics, gaps and counts."""
+    """Facts about the import: rates, topics, gaps and counts."""
     warnings: list[str] = field(default_factory=list)
     goal: tuple[float, float] | None = None
     """Goal of the robot (x, z) [m]."""

@@ -23,7 +23,7 @@ NAMES = {
     "y": ("y", "pos_y", "y_m", "py"),
     "heading": ("heading", "theta", "yaw", "facing"),
 }
-"""Names of columns, in lower case, by what they mean; the first that is there is taken."""
+"""Accepted names of columns in lower case, by meaning; the first that a file has is used."""
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 EPOCH_S = 1e8
 """Times above this are seconds since 1970, which tells ATC's tables from others of eight numbers."""
@@ -41,7 +41,7 @@ class TrackTable:
     layout: str
     """Name of the kind of file."""
     ids: Sequence[str]
-    """Who was observed [N]."""
+    """Identity of the person in each row [N]."""
     t: Array
     """Times [s], or numbers of frames [N]."""
     frames: bool

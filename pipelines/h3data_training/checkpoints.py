@@ -1,4 +1,4 @@
-"""Everything that a run goes on from, in one file of numbers: of several processes, the worlds of all of them."""
+"""Checkpoints of training runs: the state of a run in one file of numbers, with the worlds of all processes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from h3data_training.torch.graph import overwrite
 
 FORMAT = "h3data.training/1"
 FREE = ("minutes", "updates")
-"""Settings that may change when a run goes on: they only say how long it is."""
+"""Settings that may change when a run continues, as they only limit its length."""
 
 
 def state_of(learner: Learner) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Worlds in which an action is held for some steps: what is gained in them, and which episodes end."""
+"""Worlds in which an action is repeated for some steps: the rewards in these steps, and the episodes that end."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 LOOK_S = 0.5
-"""Seconds between two looks at whether somebody asked to stop."""
+"""Time between two checks for a request to stop [s]."""
 
 
 class StopRequest(Protocol):

@@ -32,12 +32,12 @@ Shown = Mapping[str, Tensor]
 
 
 def actor_numbers(shown: Shown, last: Tensor, names: tuple[str, ...]) -> Tensor:
-    """Everything that the actor is told beside the picture, with the last action [n, A]."""
+    """Return the numerical inputs of the actor, including its last action, [n, A]."""
     return torch.cat([*(OF_COMMANDS[n].of(torch, shown[n]) for n in names if n not in PICTURES), last], 1)
 
 
 def critic_numbers(shown: Shown, over: Tensor, names: tuple[str, ...]) -> Tensor:
-    """Everything that the critic is told, and whether the episode is ``over`` [n]."""
+    """Return the numerical inputs of the critic, and whether the episode is ``over`` [n]."""
     return torch.cat([*(OF_COMMANDS[n].of(torch, shown[n]) for n in names), over[:, None].float()], 1)
 
 
@@ -135,12 +135,12 @@ class ActorCritic(nn.Module):
         return torch.cat([seen.float(), numbers], -1)
 
     def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Outputs of the recurrent layer after each step [T, n, H], and its last state [n, S], for features [T, n, F]."""
+        """Return outputs of the recurrent layer for features [T, n, F] after each step [T, n, H], and its last state [n, S]."""
         out, after = self.gru(x, state[None])
         return out, after[0]
 
     def head(self, known: Tensor, numbers: Tensor) -> Tensor:
-        """Mean actions [..., A]."""
+        """Return the mean actions [..., A]."""
         return self.act(torch.cat([known, numbers], -1))
 
     def step(self, pixels: Tensor | None, numbers: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
@@ -208,7 +208,7 @@ class ActorCritic(nn.Module):
 
 
 class ResNetActorCritic(ActorCritic):
-    """The same with the paper's actor, and our critic."""
+    """Policy with the paper's actor and our critic."""
 
     def _make_actor(self, s: Settings, numbers: int) -> nn.Linear:
         size = s.picture_size if self.sees else None
@@ -232,7 +232,7 @@ class ResNetActorCritic(ActorCritic):
         return self.actor.features(pixels, numbers)
 
     def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Output and next state of the recurrent layers."""
+        """Return the output and the next state of the recurrent layers."""
         return self.actor.remember(x, state)
 
     def head(self, known: Tensor, numbers: Tensor) -> Tensor:
@@ -249,7 +249,7 @@ def network(settings: Settings) -> ActorCritic:
 
 
 def warm_start(net: ActorCritic, policy: VisualPolicy, settings: Settings) -> dict[str, Any]:
-    """Replaces the actor by a trained one; returns what its card says of its training, and of what came before that.
+    """Replace the actor by a trained one; returns what its card says of its training, and of what came before that.
 
     Raises:
         InputError: it is shown other things, drives another robot, or has other layers.

@@ -16,9 +16,9 @@ from h3data_training.settings import Settings
 from h3data_training.torch.graph import captured, keep_row, overwrite
 
 RANK_SEED = 1_000_003
-"""Between the seeds of two processes' exploration noise."""
+"""Difference between the seeds of two processes' exploration noise."""
 BEYOND = 1.2
-"""Mean actions beyond this are pulled back: past its limits a command changes nothing, so nothing else would."""
+"""Limit beyond which mean actions are pulled back: past its limits a command changes nothing, so nothing else would."""
 
 
 class Worlds(Protocol):
@@ -67,18 +67,18 @@ class Worlds(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """Everything that is carried from one decision to the next, for W worlds; written in place."""
+    """State that is carried from one decision to the next, for W worlds; written in place."""
 
     shown: dict[str, Tensor]
     state: Tensor
-    """Recurrent state, [W, S]."""
+    """Recurrent state of the network, [W, S]."""
     last: Tensor
     """Last action, clipped, [W, A]; 0 where an episode has begun since."""
     over: Tensor
     """An episode began in the last decision, bool [W]."""
 
     def tensors(self) -> list[Tensor]:
-        """All of it, in a fixed order."""
+        """Return all tensors, in a fixed order."""
         return [*self.shown.values(), self.state, self.last, self.over]
 
 
@@ -91,11 +91,11 @@ class Schedule(NamedTuple):
     acts: bool = True
     """True if the actor learns, False if only the critic does, which is new where the actor is not."""
     teacher: float = 0.0
-    """Weight of what a teacher would do."""
+    """Weight of the actions of a teacher."""
 
 
 def schedule(settings: Settings, share: float, update: int) -> Schedule:
-    """At a share of the run, 0..1, before update number ``update``."""
+    """Return the schedule at a share of the run, 0..1, before update number ``update``."""
     s = settings
     acting = update - s.critic_updates
     warm = min(1.0, (acting + 1) / max(s.warmup_updates, 1)) if acting >= 0 else 1.0
@@ -136,7 +136,7 @@ class Learner:
         self._decide = {taught: self._decision(taught) for taught in {False, settings.teacher > 0}}
 
     def update(self, plan: Schedule) -> dict[str, float]:
-        """One rollout and what is learned from it; returns a row of the learning curve."""
+        """Collect one rollout and learn from it; returns a row of the learning curve."""
         for group in self.optimizer.param_groups:
             group["lr"] = plan.rate
         self.worlds.totals.zero_()

@@ -19,7 +19,7 @@ TORCHRUN = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT")
 
 @dataclass(frozen=True)
 class Ranks:
-    """One process among those of a run; alone, every function returns what it is given, unchanged."""
+    """Process among those of a run; alone, every function returns what it is given, unchanged."""
 
     rank: int = 0
     count: int = 1
@@ -30,7 +30,7 @@ class Ranks:
         return self.rank == 0
 
     def sum(self, tensor: Tensor) -> Tensor:
-        """The sum over all processes, the same bits in each of them."""
+        """Return the sum over all processes, with the same bits in each of them."""
         if self.count > 1:
             tensor = tensor.contiguous().clone()
             dist.all_reduce(tensor)
@@ -65,7 +65,7 @@ class Ranks:
         return torch.cat(parts).to(tensor.dtype)
 
     def own(self, tensor: Tensor) -> Tensor:
-        """This process's share of the rows of all of them."""
+        """Return this process's share of the rows of all of them."""
         return tensor.chunk(self.count)[self.rank] if self.count > 1 else tensor
 
     def average_gradients(self, parameters: Iterable[nn.Parameter]) -> None:
@@ -88,7 +88,7 @@ def torchrun_place() -> tuple[int, int] | None:
 
 
 def own_place(device: str) -> tuple[Ranks, str]:
-    """This process's place among those of the run, and its device: of several GPUs it sees one. Call it before CUDA begins.
+    """Return this process's place in the run and its device: of several GPUs it sees one. Call it before CUDA begins.
 
     Raises:
         InputError: there is no GPU for it.

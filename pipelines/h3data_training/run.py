@@ -37,7 +37,7 @@ from sim_kinematic.policies.visual_policy import PICTURES, PolicyCard, VisualPol
 Bank = EpisodeBank | SkillBank
 CHECKPOINT, POLICY = "checkpoint.pt", RUN_POLICY
 STARTS = "starts.npz"
-"""File of a skill's episode starts, so that a run that goes on need not search for them again."""
+"""Name of the file of a skill's episode starts, so that a continued run need not search for them again."""
 
 
 def train(

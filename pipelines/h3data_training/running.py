@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import torch
 
 SPARE_S = 10.0
-"""Kept at the end of a run of so many minutes, for the last update and the files."""
+"""Time at the end of a run of limited duration for the last update and the files [s]."""
 
 Say = Callable[[str], None]
 
@@ -38,7 +38,7 @@ class RunResult:
 
     folder: Path
     done: bool
-    """The run is over; else it goes on from the checkpoint."""
+    """True if the run is over; else it continues from the checkpoint."""
     updates: int
     decisions: int
     seconds: float
@@ -62,7 +62,7 @@ class RunResult:
 
 
 def share_of(settings: RunLength, curve: list[Any], seconds: float, setups_s: float) -> float:
-    """Progress, 0..1: by updates where their number is given, else by the time spent learning."""
+    """Return the progress, 0..1: by updates where their number is given, else by the time spent learning."""
     if settings.updates:
         return min(len(curve) / settings.updates, 1.0)
     return min(max((seconds - setups_s) / max(settings.minutes * 60 - setups_s - SPARE_S, 1e-9), 0.0), 1.0)

@@ -22,7 +22,7 @@ class Settings:
     """Settings of one run. Rates and shares are linear in progress, 0 at the start and 1 at the end of the run."""
 
     scenes: str = "h3-homes/train"
-    """One name or several, separated by commas (`h3data_training.episodes.listed_scenes`)."""
+    """Name of a scene or several names, separated by commas (`h3data_training.episodes.listed_scenes`)."""
     episodes_per_home: int = 28
     observations: tuple[str, ...] = PAPER_OBSERVATIONS
     picture_size: tuple[int, int] = (64, 48)
@@ -51,9 +51,9 @@ class Settings:
     hidden: int = 256
     """Size of the recurrent state."""
     act_width: int = 256
-    """Units between the recurrent state and the action,"""
+    """Number of units between the recurrent state and the action."""
     critic_width: int = 256
-    """and in each of the two layers of the critic."""
+    """Number of units in each of the two layers of the critic."""
 
     epochs: int = 3
     minibatches: int = 4
@@ -65,16 +65,16 @@ class Settings:
     """Updates in which only the critic learns: it is new where the actor comes from a file."""
     entropy: float = 0.002
     std: float = 0.6
-    """Standard deviation of the exploration noise at the start,"""
+    """Standard deviation of the exploration noise at the start."""
     least_std: float = 0.1
-    """and at least."""
+    """Least standard deviation of the exploration noise."""
     horizon: tuple[float, float] = (150.0, 500.0)
     """Steps that the value looks ahead, at the start and at the end: finding the person comes before never touching them."""
     gae_lambda: float = 0.95
     clip: float = 0.2
     gradient_norm: float = 1.0
     teacher: float = 0.0
-    """Weight of what a scripted teacher would do, at the start; where a task has one."""
+    """Weight of the actions of a scripted teacher at the start; for tasks that have one."""
     teacher_end: float = 0.6
     """Share of the run at which that weight has come down to 0."""
     auxiliary: float = 0.5
@@ -178,7 +178,7 @@ class Settings:
 
     @property
     def actions(self) -> int:
-        """Numbers of an action."""
+        """Number of components of an action."""
         return len(self.first_action)
 
     @property
@@ -187,12 +187,12 @@ class Settings:
         return self.worlds * self.rollout
 
     def second_stage(self) -> Settings:
-        """For an actor that has been trained: the critic alone learns at first, and there is less left to explore."""
+        """Return settings for a trained actor: the critic alone learns at first, and there is less left to explore."""
         ahead = self.horizon[1]
         return replace(self, horizon=(ahead, 1.5 * ahead), std=0.3, rate=self.rate / 2, critic_updates=20)
 
     def looking_ahead(self, steps: float) -> Settings:
-        """With a value that looks ``steps`` of 1/30 s ahead at the end of the run, and in proportion at its start."""
+        """Return settings whose value looks ``steps`` of 1/30 s ahead at the end of the run, and in proportion at its start."""
         if not (math.isfinite(steps) and steps > self.hold * self.horizon[1] / self.horizon[0]):
             raise InputError(
                 f"Expected a horizon that is longer than an action of {self.hold} steps from the start, got {steps:g} steps.",

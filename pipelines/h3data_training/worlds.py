@@ -21,7 +21,7 @@ COUNTS = ("reward", "follows", "collided", "ended", "steps", "contact", "met", "
 
 
 class ActionRepeatEnv(ActionRepeat, SocialNavTorchEnv):
-    """`SocialNavTorchEnv` in which an action moves all worlds ``hold`` steps."""
+    """Version of `SocialNavTorchEnv` in which an action moves all worlds ``hold`` steps."""
 
     counts = COUNTS
 
@@ -109,5 +109,5 @@ class ActionRepeatEnv(ActionRepeat, SocialNavTorchEnv):
         }
 
     def taught(self) -> Tensor:
-        """Nobody teaches social navigation."""
+        """Return None, because nobody teaches social navigation."""
         raise InputError("There is no teacher of social navigation. Hint: teacher=0.", code="H3-TRAIN-078")

@@ -1,4 +1,4 @@
-"""Scenes of other makers, converted once: the result lies in the cache until one of their files changes."""
+"""Cache of converted scenes of other makers: a result is used until one of its files changes."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from h3data.scene.scene_file import load_scene, save_scene
 
 log = logging.getLogger(__name__)
 VERSION = 1
-"""Part of every key: raise it when a reader changes its results."""
+"""Version that is part of every key: raise it when a reader changes its results."""
 ROOM_BYTES = 4e9
-"""The least recently used conversions beyond it are deleted."""
+"""Size of all conversions above which the least recently used ones are deleted [bytes]."""
 _LICENCES = ("license", "licence", "copying", "notice")
 _SHOWN_CHARACTERS = 2000
 

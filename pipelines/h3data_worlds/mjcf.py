@@ -40,7 +40,7 @@ from h3data.mesh.thinning import thin_mesh
 _log = logging.getLogger(__name__)
 
 MAX_TRIANGLES = 20_000
-"""Triangles of all meshes that are shown together; above it, all are thinned alike."""
+"""Largest number of triangles of all meshes that are shown together; above it, all are thinned alike."""
 LEAST_VERTICES = 40
 """Least number of vertices of a mesh that is thinned."""
 ROUNDS = 4
@@ -49,7 +49,7 @@ MAX_ASSET_BYTES = 1 << 30
 MAX_SIDE = 8192
 """Largest number of rows or columns of pictures and height fields that the file itself makes."""
 FOLDERS_UP = 2
-"""Files of a model lie at most so many folders above it."""
+"""Largest number of folders above a model in which its files may lie."""
 _MAKERS = ("replicate", "composite", "flexcomp", "plugin")
 _FORMAT = 2
 _DRAWN_GROUPS = 3

@@ -33,7 +33,7 @@ BOXES_MAX = 50_000
 WALL_M = 0.06
 """Thickness of walls, which have none in the file [m]."""
 FLAT_M = 0.03
-"""Nothing collides with things that are lower, such as rugs [m]."""
+"""Height below which nothing collides with things, such as rugs [m]."""
 PLACE_MAX_M = 1e4
 """Greatest coordinate that is taken for one of a house [m]."""
 _FLOOR, _WALL, _THING = (205, 203, 198), (232, 230, 226), (176, 160, 140)

@@ -25,24 +25,24 @@ HANDS = (r"gripper|hand|palm", r"tool|tcp|eef?\b|end_?effector|grasp")
 NOT_HANDS = r"finger|thumb|jaw|knuckle|pad|tip\b|camera|optical|wheel|leg|foot|toe|head|caster"
 EYES = r"camera|optical|rgb|eye|head"
 MOST_LINKS = 300
-"""Larger trees are no robots (humanoids have about 60 links) and would take long to fold."""
+"""Number of links above which a tree is no robot (humanoids have about 60) and would take long to fold."""
 LEAST_ARM_JOINTS = 4
-"""Fewer joints in a chain without a hand's name are a leg, a head or a wheel."""
+"""Number of joints below which a chain without a hand's name is a leg, a head or a wheel."""
 BASE_TOP_M = 0.35
-"""Parts whose lowest point is below this height belong to the base's footprint."""
+"""Height below which the lowest point of a part lies that belongs to the base's footprint [m]."""
 TIGHT = 1.25
 """Discs of a row are wide enough at this many times half the width of the base; more discs would be hardly narrower."""
 DISCS = 5
 LEAST_RADIUS_M = 0.1
 WIDEST_M = 0.36
-"""Discs are widened up to this radius to cover a folded arm beside the base: wider ones do not get through doors of 0.8 m."""
+"""Radius up to which discs are widened to cover a folded arm beside the base [m]; wider ones do not fit doors of 0.8 m."""
 HAND_CAMERA_UP_M, HAND_CAMERA_BACK_M, HAND_CAMERA_AIM_M = 0.06, 0.08, 0.25
-"""The camera of a hand is this far above its shapes and behind what it holds; it looks at a point this far ahead."""
+"""Place of the camera of a hand above the hand's shapes and behind its load, and the distance of the point that it looks at."""
 SHELLS = 4
 """Shapes, one around the other, out of which a camera is moved at most."""
 LENS_M = 0.01
 SNAP = 0.9
-"""A direction within 26 degrees (this cosine) of an axis of its link is taken for the axis."""
+"""Least cosine between a direction and an axis of its link with which the axis is used instead (26 degrees)."""
 
 
 class Hand(NamedTuple):
@@ -55,7 +55,7 @@ class Hand(NamedTuple):
 
 
 def guess_settings(robot: Robot, sure: Collection[str]) -> RobotSettings:
-    """Returns settings for a robot whose own are unknown.
+    """Return settings for a robot that has none of its own.
 
     Args:
         robot: The robot as loaded without any, its base frame on the floor.

@@ -16,7 +16,7 @@ from lerobot_env_h3data.env import PIXELS, PREFIX, STATE, LeRobotEnv
 @EnvConfig.register_subclass("h3data")
 @dataclass
 class H3DataEnvConfig(EnvConfig):
-    """An environment that shows a policy what a dataset held."""
+    """Configuration of an environment that shows a policy what a dataset held."""
 
     dataset: str | None = None
     """Folder of the dataset, written by ``h3data export --to lerobot``."""
@@ -72,5 +72,5 @@ class H3DataEnvConfig(EnvConfig):
 
     @property
     def gym_kwargs(self) -> dict[str, Any]:
-        """Arguments of `LeRobotEnv`."""
+        """Return the arguments of `LeRobotEnv`."""
         return {"dataset": self.dataset, "render_mode": self.render_mode, **self._options()}

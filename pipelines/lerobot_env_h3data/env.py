@@ -18,7 +18,7 @@ PREFIX = "observation.images."
 
 
 class LeRobotEnv(gymnasium.Env[Any, Any]):
-    """One world in which a policy acts that LeRobot has trained.
+    """Environment of one world in which a policy acts that LeRobot has trained.
 
     Observations are ``agent_pos`` [S] float32 and, where there are cameras, ``pixels`` {CAMERA: uint8 [H, W, 3]}.
     """
@@ -59,7 +59,7 @@ class LeRobotEnv(gymnasium.Env[Any, Any]):
         return (_sorted(shown, dict), *rest)  # type: ignore[return-value]
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """Picture for people who watch, uint8 [480, 640, 3]."""
+        """Return a picture for people who watch, uint8 [480, 640, 3]."""
         return self.env.render()
 
     def __repr__(self) -> str:

@@ -21,7 +21,7 @@ from sim_kinematic.motion.spec import STEP_S, ArmRoomSpec, WalkerSpec
 from sim_kinematic.motion.state import HumanState
 
 ROUNDING = 1e-9
-"""Far more than rounding can make of a comparison in `_draw_in_worlds`."""
+"""Tolerance in the comparisons of `_draw_in_worlds`, far above what rounding can cause."""
 BLOCK = 256
 """Lines that are followed together: their numbers fit into the first cache."""
 LOOKS = 3
@@ -166,7 +166,7 @@ def _held_close(sdf, origin, cell, x, z, heading, ahead, aside, per_rad, per_m, 
 def held_close(
     free: FreeSpace, xz: Array, heading: float, hand: tuple[float, float], spec: WalkerSpec, rules: ArmRoomSpec
 ) -> float:
-    """Returns how close to the body a person has to hold what they carry, 0 (held out) to 1, at a place [2] and heading.
+    """Return the share, 0 (held out) to 1, by which a person holds their load close to the body, at a place [2] and heading.
 
     ``hand`` is where the hand is when held out: ahead of the body and to its right [m]. They look ahead as far as the arm
     needs at ``rules.rate`` per step while they turn and walk at the limits of ``spec``.
@@ -191,7 +191,7 @@ def held_close(
 
 @lru_cache(maxsize=64)
 def width_m(body: Humanoid) -> float:
-    """Returns how far the capsules of a standing person extend to one side with both arms drawn in [m]."""
+    """Return the distance [m] by which the capsules of a standing person with both arms folded extend to one side."""
     joints = body.joint_matrices(IDENTITY_POSE[None], *body.clip_pose([0], [0.0], arms=np.ones((1, 2))))
     start, end, radius = body.capsules_world(joints)
     return float((np.abs(np.stack([start, end])[:, 0, :, 2]).max(0) + radius).max())

@@ -1,4 +1,4 @@
-"""Agents of one world who heed each other: what they see of each other, who makes way for whom, who touches.
+"""Mutual attention of the agents of one world: what they see of each other, who makes way for whom, who touches.
 
 They move one after the other. Agents with skills and those who wander (`sim_kinematic.policies.traffic`) use it alike.
 """
@@ -34,7 +34,7 @@ TRACK_ROWS = 1024
 
 
 class GivingWay:
-    """All actors of one world, where they have been, which of them touch, and who steps aside for whom."""
+    """Mutual attention of all actors of one world: their positions, contacts, and who steps aside for whom."""
 
     def __init__(
         self,
@@ -136,7 +136,7 @@ class GivingWay:
         me.others = tuple(seen)
 
     def end_turn(self, number: int) -> None:
-        """Notes that an agent has acted and is somewhere else."""
+        """Take note that an agent has acted and has moved."""
         self._acted.add(number)
         self._forget_posture(number)
 

@@ -57,17 +57,17 @@ from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 from sim_kinematic.motion.state import HumanState
 
 CARRY = (0.27, 0.80, 0.15)
-"""Position in which a hand carries something: forward, up, to its side, in heights of the shoulder."""
+"""Position of a hand that carries something: forward, up, to its side, in heights of the shoulder."""
 HAND_SPEED_MPS, HAND_LEAST_S = 0.9, 0.4
-"""Mean speed of a hand on its line, and the time that even a short one takes."""
+"""Mean speed of a hand on its line [m/s], and the least duration of such a movement [s]."""
 JOINT_STEP_RAD = 0.18
 """A line is gone more slowly where a joint would turn faster than this per step (310 degrees a second)."""
 EASE_M = 0.08
-"""Over this much of the way the trunk goes from standing to reaching; there an empty hand may leave its line by 8 mm."""
+"""Part of the path over which the trunk goes from standing to reaching [m]; there an empty hand may leave its line by 8 mm."""
 SNAP_M = 0.01
-"""A hand takes hold of what is nearer to its palm than this."""
+"""Distance from its palm within which a hand takes hold of an object [m]."""
 SETTLE_STEPS = 45
-"""Feet get to their standing places in fewer steps than this."""
+"""Number of steps within which feet get to their standing places."""
 FADE_STEPS = 12
 """Steps over which walking goes over into reaching and back. A line of the hand takes no fewer, so its end is exact. Without
 it, interrupting a reach turned a shoulder by up to 76 degrees in one step."""
@@ -96,7 +96,7 @@ class MotionResult:
 
     success: bool
     reason: str = ""
-    """Why not: a status of `h3data.bodies.people.reach`, or ``missed``."""
+    """Reason why not: a status of `h3data.bodies.people.reach`, or ``missed``."""
     hand_error_m: float = 0.0
     """Distance from where the hand (or what it puts down) should be to where it is, or would be, nearest [m]."""
     base_motion: BaseMotion | None = None
@@ -107,7 +107,7 @@ Skill = Generator[object, None, MotionResult]
 
 
 class Frame(NamedTuple):
-    """One moment of a person: what a recording's free-form pose columns hold, and the objects."""
+    """State of a person in one step: the free-form pose columns of a recording, and the objects."""
 
     base: Array
     """Agent root, pose7 [7]."""
@@ -116,7 +116,7 @@ class Frame(NamedTuple):
     joints: Array
     """Local rotations of the other joints, shape [54, 4]."""
     objects: dict[str, Array]
-    """pose7 each."""
+    """Pose (pose7) of each object."""
 
 
 class Held(NamedTuple):
@@ -138,7 +138,7 @@ class Transition(NamedTuple):
     """Pose [55, 4] in which the previous kind of motion was left; None where there was none."""
     pelvis: Array | None = None
     left: float = 0.0
-    """Share of it that is still shown, from 1 to 0."""
+    """Share of the last pose that is still blended in, from 1 to 0."""
 
 
 class Person:
@@ -242,23 +242,23 @@ class Person:
         return self.body.joint_matrices(self.base, self.quats[None], self.pelvis[None])[0]
 
     def palm(self, hand: Hand) -> Array:
-        """pose7 of a palm in the world: its grasp point, axes of the wrist."""
+        """Return the pose (pose7) of a palm in the world: its grasp point, with the axes of the wrist."""
         joints = self.joint_matrices
         turn = quat_from_matrix(joints[JOINT_INDEX[f"{hand}_wrist"], :3, :3])
         return np.concatenate([hand_points(joints[None], self.body, hand)[0], turn])
 
     def upright(self, held: Held) -> Array:
-        """Rotation [4] in the world of a thing in a hand that stands as it stood when it was taken."""
+        """Return the rotation [4] in the world of a held thing that stays as upright as it was when it was taken."""
         return quat_multiply(quat_from_heading(heading_from_quat(self.base[3:])), held.stood)
 
     def frame(self) -> Frame:
-        """A copy of this moment."""
+        """Return a copy of the person's present state."""
         root = pose_multiply(self.base, np.concatenate([self.pelvis, self.quats[0]]))
         return Frame(self.base.copy(), root, self.quats[1:].copy(), {n: p.copy() for n, p in self.objects.items()})
 
     # --- a hand's target --------------------------------------------------------------------------------------------
     def reach_to(self, position: ArrayLike, hand: Hand = "right") -> ReachResult:
-        """Put a palm at a world position [3] at once; where it cannot be, as near as it gets, and the result says so."""
+        """Put a palm at a world position [3] at once, or as near to it as it gets; the result says which."""
         result = reach(self.body, self.seen(position), hand)
         self._drawn.arms[0, HANDS.index(hand)] = 0.0
         self.set_pose(self.with_arms(result.quats, hand), result.pelvis)
@@ -343,7 +343,7 @@ class Person:
         if not answer.reached:
             return _unreached(answer)
         yield from self._look(self.objects[name][:3])
-        for share in self._move(hand, self._way_out(hand, target), ends=(0.0, 1.0)):
+        for share in self._move(hand, self._path_out(hand, target), ends=(0.0, 1.0)):
             self._closing[hand] = OPEN_CURL if share < CLOSES_FROM else self.curl_around(name)
             yield
         self._closing.pop(hand, None)
@@ -351,7 +351,7 @@ class Person:
         error = float(np.linalg.norm(palm[:3] - self.objects[name][:3]))
         if error > SNAP_M:
             self.look_at = None
-            yield from self._move(hand, self._way_out(hand, target)[::-1], ends=(1.0, 0.0))
+            yield from self._move(hand, self._path_out(hand, target)[::-1], ends=(1.0, 0.0))
             return MotionResult(success=False, reason="missed", hand_error_m=error)
         heading = quat_from_heading(-heading_from_quat(self.base[3:]))
         self.held = {other: held for other, held in self.held.items() if held.name != name}  # from the other hand
@@ -378,7 +378,7 @@ class Person:
         del self.held[hand]
         self.look_at = None
         error = float(np.linalg.norm(self.objects[held.name][:3] - np.asarray(position, np.float64)))
-        yield from self._move(hand, self._way_out(hand, target)[::-1], ends=(1.0, 0.0))
+        yield from self._move(hand, self._path_out(hand, target)[::-1], ends=(1.0, 0.0))
         return MotionResult(success=error < SNAP_M, reason="" if error < SNAP_M else "missed", hand_error_m=error)
 
     def lead(self, points: ArrayLike, advance: Callable[[int], bool], hand: Hand = "right") -> Skill:
@@ -395,7 +395,7 @@ class Person:
         if not answer.reached:
             return _unreached(answer)
         yield from self._look(np.asarray(points, np.float64)[0])
-        for share in self._move(hand, self._way_out(hand, local[0]), ends=(0.0, 1.0)):
+        for share in self._move(hand, self._path_out(hand, local[0]), ends=(0.0, 1.0)):
             self._closing[hand] = OPEN_CURL if share < CLOSES_FROM else HANDLE_CURL
             yield
         out = np.flatnonzero(~reacher(self.body, hand).reachable(local))
@@ -413,7 +413,7 @@ class Person:
                 yield
         self._closing.pop(hand, None)
         self.look_at = None
-        yield from self._move(hand, self._way_out(hand, local[held - 1])[::-1], ends=(1.0, 0.0))
+        yield from self._move(hand, self._path_out(hand, local[held - 1])[::-1], ends=(1.0, 0.0))
         return MotionResult(success=True)
 
     # --- how ---------------------------------------------------------------------------------------------------------
@@ -422,7 +422,7 @@ class Person:
         inverse = pose_inverse(self.base)
         return inverse[:3] + quat_rotate(inverse[3:], np.asarray(position, np.float64))
 
-    def hand_way(self, position: ArrayLike, hand: Hand = "right", *, full: bool = False) -> ReachPoses:
+    def hand_path(self, position: ArrayLike, hand: Hand = "right", *, full: bool = False) -> ReachPoses:
         """Poses of the body while a hand moves to a world position [3], in the agent root frame.
 
         An empty hand moves as in `pick`, one that holds something as in `place`. The person is not moved.
@@ -430,13 +430,13 @@ class Person:
         target = self.seen(position)
         if full:
             return self._line(hand, np.stack([self._carry_point(hand), target]), (0.0, 1.0), (1.0, 1.0))[0]
-        return self._line(hand, self._way_out(hand, target), (0.0, 1.0), (0.0, 1.0))[0]
+        return self._line(hand, self._path_out(hand, target), (0.0, 1.0), (0.0, 1.0))[0]
 
     def _carry_point(self, hand: Hand) -> Array:
         side = 1.0 if hand == "right" else -1.0
         return np.array(CARRY) * (1, 1, side) * reacher(self.body, hand).body.scale
 
-    def _way_out(self, hand: Hand, target: Array) -> Array:
+    def _path_out(self, hand: Hand, target: Array) -> Array:
         """Corners of the hand's way from hanging to a target: in front of the chest first, unless the target is low."""
         rest = reacher(self.body, hand).rest
         return np.stack([rest, target] if target[1] < rest[1] else [rest, self._carry_point(hand), target])
@@ -495,7 +495,7 @@ class Person:
         self.show("walk", self.with_arms(quats), pelvis)
 
     def root_at(self, gait: HumanState) -> Array:
-        """pose7 of the root where ``gait`` (one world) is: on the floor of the map, at the height so far if that is level."""
+        """Return the pose (pose7) of the root where ``gait`` (one world) is, at the height of the floor there."""
         if self.free is not None and len(self.free.heights):
             return self.free.root_pose(gait.xz[0], gait.heading.item(0))
         return ground_pose(gait.xz[0], gait.heading[0], float(self.base[1]))

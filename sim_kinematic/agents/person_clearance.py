@@ -1,6 +1,6 @@
 """Room to reach: whether a person who stands somewhere gets a hand to a point without the body in the walls or furniture.
 
-The collision capsules are posed along the hand's path (`Person.hand_way`) and asked of FCL against the static scene,
+The collision capsules are posed along the hand's path (`Person.hand_path`) and asked of FCL against the static scene,
 thinner by `TOLERANCE_M`: what then touches is deeper than that.
 """
 
@@ -24,12 +24,12 @@ from sim_kinematic.contact.clearance import scenery_of, supports
 TOLERANCE_M = 0.02
 """Depth to which a capsule may enter an obstacle [m]: bodies are softer, and a little thinner, than capsules."""
 EVERY = 4
-"""Each so many-th frame of the hand's way is looked at, and the last one."""
+"""Spacing of the frames of the hand's path that are checked; the last one always is."""
 REACHING_PARTS: dict[Hand, tuple[str, str]] = {
     "right": ("right_forearm", "right_hand"),
     "left": ("left_forearm", "left_hand"),
 }
-"""They may be in the thing on which the point lies: what is taken from a shelf is taken from inside it."""
+"""Parts of the body that may be inside the thing on which the point lies, as an object on a shelf is taken from inside it."""
 WAYS_KEPT = 1000
 """Paths of a body's hand that are remembered, 30 kB each. A home has about 500: one for each height of its surfaces and
 each distance of a stand. With 200, half of the time of `is_clear` went into computing them again."""
@@ -61,7 +61,7 @@ class BodyClearance:
             )
             self._parts[hand] = trunk, arm
         self._person = Person(body, IDENTITY_POSE)
-        self._ways = _hand_ways(body)
+        self._ways = _hand_paths(body)
         self._answers: dict[tuple[bytes, bytes, Hand], bool] = {}
 
     def is_clear(self, stand: Array, point: Array, hand: Hand = "right") -> bool:
@@ -97,7 +97,7 @@ class BodyClearance:
                 self._ways.pop(next(iter(self._ways)))
             quats, pelvis = [], []
             for full in (False, True):
-                way = self._person.hand_way(np.array(seen[1]), hand, full=full)
+                way = self._person.hand_path(np.array(seen[1]), hand, full=full)
                 rows = np.unique(np.append(np.arange(0, len(way.quats), EVERY), len(way.quats) - 1))
                 quats.append(way.quats[rows])
                 pelvis.append(way.pelvis[rows])
@@ -108,7 +108,7 @@ class BodyClearance:
 
 
 @lru_cache(maxsize=8)
-def _hand_ways(body: Humanoid) -> dict[tuple[Hand, tuple[float, ...]], Array]:
+def _hand_paths(body: Humanoid) -> dict[tuple[Hand, tuple[float, ...]], Array]:
     """Cache of the paths of a body's hands for `BodyClearance._capsules`, shared by all homes."""
     del body
     return {}

@@ -17,7 +17,7 @@ from h3data.geometry import Array
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.company import Company
 from sim_kinematic.agents.opening.openables import ArticulatedParts, stands_clear
-from sim_kinematic.agents.opening.skills import Leading, full_way, handle_way, stands_before, why_not
+from sim_kinematic.agents.opening.skills import Leading, full_travel, handle_path, stands_before, why_not
 from sim_kinematic.agents.person import MotionResult, Person, Transition
 from sim_kinematic.agents.person import Skill as Motion
 from sim_kinematic.agents.person_clearance import BodyClearance
@@ -34,9 +34,9 @@ from sim_kinematic.motion.stride import CREEP_MPS, Strider
 TURN_PATIENCE_STEPS = 10
 """Steps for which a person waits for room to turn on the spot; after them they turn while walking."""
 BACK_AFTER_STEPS, BACK_STEPS = 20, 15
-"""Somebody who cannot step aside for the first number of steps, because any step would touch somebody, goes back the second."""
+"""Number of steps in which a person cannot step aside without touching somebody, and number of steps that they then go back."""
 HALT_STEPS = 30
-"""Steps in which a person comes to a stand who is told to turn while walking."""
+"""Number of steps in which a walking person who is asked to turn comes to a stand."""
 SHUFFLE_MPS, AWAY_MPS = 0.4, 0.6
 """Speeds at which people step sideways and back: without turning, and while they turn to where they go."""
 ASIDE_LEG_M = 0.05
@@ -76,7 +76,7 @@ class PersonActor:
     number: int = HUMAN
     """Number of the agent."""
     room: BodyClearance | None = None
-    """Checks where the body would be; None: nobody does."""
+    """Check of the room for the body; None: nothing is checked."""
     others: tuple[ObservedAgent, ...] = ()
     """Other agents that the person gives way to, the nearest first."""
     company: Company | None = None
@@ -102,12 +102,12 @@ class PersonActor:
 
     @property
     def openables(self) -> ArticulatedParts | None:
-        """Doors and drawers; None: nothing opens."""
+        """Doors and drawers of the home; None: nothing opens."""
         return self.objects.openables
 
     @property
     def is_robot(self) -> bool:
-        """False."""
+        """Constant False."""
         return False
 
     @property
@@ -140,12 +140,12 @@ class PersonActor:
 
     @property
     def heading(self) -> float:
-        """Heading [rad]."""
+        """Heading of the person [rad]."""
         return self.person.state.heading.item(0)
 
     @property
     def hand_pose(self) -> Array:
-        """pose7 of the palm that holds something in the world, else of the right one."""
+        """Return the pose (pose7) in the world of the palm that holds something, else of the right palm."""
         holding = tuple(self.person.held)
         return self.person.palm(holding[0] if holding else "right")
 
@@ -171,14 +171,14 @@ class PersonActor:
         return ""
 
     def _cannot_hold(self, k: int) -> str:
-        """Why no hand gets to a handle from here."""
+        """Reason why no hand gets to a handle from here."""
         assert self.openables is not None
         handle = self.openables.handles(self.openables.positions)[k]
         stand = np.append(self.xz, self.heading)
         return "" if any(self._reaches(stand, handle, hand) for hand in HANDS) else "out_of_reach"
 
     def start(self, action: Action) -> Skill:
-        """Begins a skill."""
+        """Begin a skill."""
         k = action.target
         self._goes_around |= self.turned_away
         self.turned_away = False
@@ -244,7 +244,7 @@ class PersonActor:
         return np.concatenate([self.stands(point, hand, free) for hand in HANDS])
 
     def walk_on(self, free: FreeSpace) -> None:
-        """The floor is another one from now on: something of the home has opened or closed."""
+        """Use another floor from now on, because something of the home has opened or closed."""
         self.free = self.person.free = free
 
     def _clear_of_open(self, stands: Array) -> Array:
@@ -256,7 +256,7 @@ class PersonActor:
     def _navigate_to_handle(self, k: int) -> Skill:
         """Walk to where a hand reaches a handle, if possible along its whole way, and turn to it."""
         assert self.openables is not None
-        way = handle_way(self.openables, k, full_way(self.openables, k))
+        way = handle_path(self.openables, k, full_travel(self.openables, k))
         for hand in HANDS:
             stands = self.stands(way[0], hand)
             stands = stands[stands_before(self.openables, k, stands, (0.0,), AVOIDANCE.person.radius_m)]

@@ -27,12 +27,12 @@ ROBOT_BODY, HUMAN_BODY = "quad_arm", "female_0"
 ATTEMPTS = 100
 """Places sampled for one agent before the distance to the others is halved, down to `NEAREST_M`."""
 NEAREST_M = 1.0
-"""Least distance [m] between two agents at the start."""
+"""Least distance between two agents at the start [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AgentSpec:
-    """One agent of a world."""
+    """Description of one agent of a world."""
 
     kind: Kind
     name: str

@@ -43,13 +43,13 @@ PRIMITIVES = {
 }
 """Command and steps of the robot's primitives: 0.333 m and 9.55 degrees as in Habitat, at our limits of speed."""
 CONTROL = "control"
-"""One step of a robot's lower layer: base, arm and hand by `Action.command`."""
+"""Skill that is one step of a robot's lower layer: base, arm and hand by `Action.command`."""
 DRIVEN_SKILLS = (*SKILLS, "drop", "hand_over")
 """Skills of a person who is driven from outside, in the order in which their recordings number them."""
 OPENING_SKILLS = ("nav_to_handle", "open", "close")
 """Skills in homes with things that open; their target is the number of a joint."""
 ALL_SKILLS = (*DRIVEN_SKILLS, *OPENING_SKILLS)
-"""All skills, as recordings in such homes number them."""
+"""Skills in the order in which recordings of homes with doors and drawers number them."""
 CHOICE_WAIT_STEPS = 5
 """Duration of ``wait`` in `choices` [steps]."""
 REASONS = {
@@ -131,7 +131,7 @@ class LearnedSkill(Protocol):
     """A skill that a network carries out instead of the one that knows all."""
 
     def infeasible(self, actor: Any, action: Action) -> str:
-        """Why it cannot start now, beyond what `Objects.why_not` says; empty: it can."""
+        """Return the reason why the skill cannot start now, beyond what `Objects.why_not` says; empty if it can."""
         ...
 
     def start(self, actor: Any, action: Action) -> Skill:
@@ -145,7 +145,7 @@ class Objects:
 
     names: tuple[str, ...]
     goals: NDArray[np.float64]
-    """Shape [K, 3] [m]."""
+    """Goals of the objects, shape [K, 3] [m]."""
     state: WorldState
     """``object_pose`` [1, K, 7], ``held_by`` [1, K], ``grip_pose`` [1, K, 7], ``joint_pos`` [1, J]."""
     joints: tuple[str, ...] = ()
@@ -153,11 +153,11 @@ class Objects:
     scene: Scene | None = None
     """The home, with doors and drawers where they last stood still."""
     openables: Any = None
-    """Its doors and drawers, `sim_kinematic.agents.opening.openables.ArticulatedParts`; None: nothing opens."""
+    """Doors and drawers of the home, `sim_kinematic.agents.opening.openables.ArticulatedParts`; None if nothing opens."""
 
     @property
     def poses(self) -> NDArray[np.float64]:
-        """pose7 [K, 7] in the world; a view."""
+        """Pose (pose7) of each object in the world [K, 7]; a view."""
         return self.state.object_pose[0]
 
     @property

@@ -21,13 +21,13 @@ from sim_kinematic.motion.state import HumanState
 from sim_kinematic.motion.stride import Strider
 
 MOST_STEPS = 20_000
-"""Longer than anybody walks to one goal: eleven minutes."""
+"""Number of steps that no walk to one goal reaches: eleven minutes."""
 ARC_STEP_M = 0.08
-"""Way points nearer together than this belong to one rounded corner (5 cm apart at a radius of 0.25 m)."""
+"""Distance below which way points belong to one rounded corner (5 cm apart at a radius of 0.25 m) [m]."""
 ARC_TURN_MAX = 1.75
 """Corners that turn farther [rad] are taken as they are: their tangents meet far away."""
 MIN_WALK_M = 1.5
-"""A new goal nearer than this is drawn again: standing about is not following practice."""
+"""Distance below which a new goal is sampled again, as a person who stands about is no practice in following [m]."""
 ASIDE_STEP_M = 0.02
 """A way point is moved away from what is near in steps of this length."""
 AHEAD_M = 0.2
@@ -39,7 +39,7 @@ APART_M = 0.15
 
 @dataclass
 class WaypointHuman:
-    """Which way point of which goal the person walks to. ``goal`` and ``leg`` are all that it remembers."""
+    """Person who walks along way points. ``goal`` and ``leg``, the current goal and way point, are its whole state."""
 
     free: FreeSpace
     seed: int
@@ -49,9 +49,9 @@ class WaypointHuman:
     goal: int = -1
     """Index of the current goal, -1 before the first."""
     leg: int = 0
-    """Index of the way point within the path to it."""
+    """Index of the way point within the path to the goal."""
     goals: list[NDArray[np.float64]] = field(default_factory=list)
-    """All goals so far, ``(x, z)`` each."""
+    """Goals so far, ``(x, z)`` each."""
     _path: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
     _strider: Strider | None = None
     _track: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))

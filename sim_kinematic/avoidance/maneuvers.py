@@ -26,7 +26,7 @@ from sim_kinematic.motion.step import drive_base, integrate, is_clear
 MOVE_M = 0.1
 """Length of a move, also the side of a cell in which two poses count as one."""
 HEADINGS = 30
-"""Such cells of heading; a turn is one."""
+"""Number of cells into which headings are divided; all of them make a full turn."""
 BACKWARDS_COST = 1.5
 """Cost of a metre backwards, in metres."""
 TURN_COST_M = 0.06
@@ -34,12 +34,12 @@ TURN_COST_M = 0.06
 GAIN_M = 1.5
 """A maneuver ends as soon as it has shortened the path by this much."""
 GREED = 1.5
-"""Weight of the path that is left: higher finds sooner what is longer."""
+"""Weight of the remaining path: a higher one finds longer maneuvers sooner."""
 SLIDES_M = 0.02
 """A first move along a wall by less than this is none; a turn counts as at a distance of a cell from the middle."""
 MOST_NODES = 30_000
 AGENT_GAP_M = 0.05
-"""Gap kept to other agents [m]."""
+"""Least gap to other agents [m]."""
 NO_COMMANDS = np.zeros((0, 2))
 
 

@@ -34,10 +34,10 @@ class Walker(Body, Protocol):
 
     number: int
     yields: bool
-    """True if it can step aside now."""
+    """True if the agent can step aside now."""
     aside: NDArray[np.float64] | None
-    """Floor points [N, 2] [m] left of its path aside; empty if it has arrived there, None if nobody has asked it to step
-    aside."""
+    """Remaining floor points [N, 2] [m] of the path aside; empty if the agent has arrived there, None if nobody has asked it to
+    step aside."""
 
     @property
     def path(self) -> NDArray[np.floating]:
@@ -46,13 +46,14 @@ class Walker(Body, Protocol):
 
     @property
     def path_start(self) -> NDArray[np.floating] | None:
-        """The first of them [2], which costs nothing; None: it is going nowhere."""
+        """First point of the agent's path [2], which costs nothing; None: it is going nowhere."""
         ...
 
     turned_away: bool
-    """Somebody driven from outside shuts its way: it is to choose anew what to do, and where to stand for it."""
+    """True if an agent driven from outside blocks the path, so that the walker has to choose anew what to do, and where to
+    stand."""
     hindered_by: frozenset[int]
-    """Agents that it would have touched in its last step, had it not stopped."""
+    """Agents that the agent would have touched in its last step, had it not stopped."""
 
 
 @dataclass
@@ -75,7 +76,7 @@ class _Request:
 
 
 class RightOfWay:
-    """Tells every agent in each step whether, and by which path, to step aside."""
+    """Rules by which agents step aside for each other, and the paths that they take."""
 
     def __init__(
         self,
@@ -97,7 +98,7 @@ class RightOfWay:
         self._place = {number: _place(walker) for number, walker in self._walkers.items()}
 
     def walk_on(self, free: FreeSpace) -> None:
-        """The floor is another one from now on."""
+        """Use another floor from now on, because a door or a drawer has moved."""
         self._free, self._routes = free, FloorRoutes.of(free)
 
     def update(self, carrying: Sequence[int] = ()) -> None:

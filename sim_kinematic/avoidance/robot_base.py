@@ -1,4 +1,4 @@
-"""A robot's own size and limits on the floor: what drives, what others avoid, and where it fits."""
+"""Size and limits of a robot's base on the floor."""
 
 from __future__ import annotations
 

@@ -23,14 +23,14 @@ _NOBODY = np.empty((0, 2))
 
 
 class Rollouts(NamedTuple):
-    """Outcomes of N trials."""
+    """Results of N simulated trials."""
 
     xz: NDArray[np.float64]
     """Places [N, 2] [m] after ``look_steps`` steps."""
     heading: NDArray[np.float64]
-    """Headings [N] [rad] there."""
+    """Headings at the end [N] [rad]."""
     gap_m: NDArray[np.float64]
-    """Least gap to the person in the whole trial [N] [m], later moments counted as wider."""
+    """Least gap to the person in the whole trial [N] [m], in which later steps count as wider."""
 
 
 def roll_out(

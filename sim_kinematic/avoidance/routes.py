@@ -57,7 +57,7 @@ def _flood(room, least, discs, origin, cell, si, sj):
 
 @dataclass(frozen=True, eq=False)
 class FloorRoutes:
-    """The grid of one home."""
+    """Grid of the floor of one home, on which routes are searched."""
 
     free: FreeSpace
     origin: NDArray[np.float64]

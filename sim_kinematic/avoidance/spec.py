@@ -1,4 +1,4 @@
-"""Every constant of how agents keep out of each other's path."""
+"""Constants of avoidance between agents."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 
 class Footprint(NamedTuple):
-    """Discs along the x axis of an agent that stand for it on the floor."""
+    """Discs along the x axis of an agent that cover its outline on the floor."""
 
     offsets_m: tuple[float, ...]
     """Offsets of their centres along the heading."""
@@ -15,7 +15,7 @@ class Footprint(NamedTuple):
 
     @property
     def extent_m(self) -> float:
-        """Farthest that it gets from the agent's origin [m]."""
+        """Farthest distance of the footprint from the agent's origin [m]."""
         return max(map(abs, self.offsets_m)) + self.radius_m
 
 
@@ -39,16 +39,16 @@ class AvoidanceSpec:
     person: Footprint = PERSON
     robot: Footprint = QUAD_ARM
     robot_margin_m: float = 0.05
-    """By how much those discs are wider than the base discs, for legs and arm that sway."""
+    """Width that is added to those discs beyond the base discs, for legs and an arm that sway."""
 
     # --- a robot's base chooses its next velocity ------------------------------------------------------------------------
     accel_mps2: float = 5.0
     """Robots set off, and brake before their goal, at this rate: full speed takes half a second. Where they have to keep clear
     of somebody, they do so at once."""
     brake_mps2: float = 12.0
-    """They brake at this rate where a path turns sharply."""
+    """Deceleration of people where a path turns sharply."""
     turn_accel_rad_s2: float = 12.0
-    """They begin to turn, and stop turning, at this rate."""
+    """Angular acceleration with which people begin and end a turn."""
     corner_mps: float = 1.2
     """Speed to which they have braked at a corner of their path."""
     range_m: float = 4.0
@@ -64,9 +64,9 @@ class AvoidanceSpec:
     margin_m: float = 0.35
     """Gap [m] to be kept between robot and agent."""
     standing_margin_m: float = 0.15
-    """The same to agents that stand and will step aside if asked to."""
+    """Distance that is kept from agents that stand and will step aside if asked to."""
     still_margin_m: float = 0.0
-    """The same to agents that have stood for long: a robot must be able to get past."""
+    """Distance that is kept from agents that have stood for long, small enough for a robot to get past."""
     still_steps: int = 75
     """An agent that has stood for this long has settled; picking and placing take less."""
     still_m: float = 0.01
@@ -78,10 +78,10 @@ class AvoidanceSpec:
     turn_weight_m: float = 0.02
     """Cost of a full turn command: of equal commands the calmest wins."""
     change_weight_m: float = 0.15
-    """Cost of a change of either command by its limit, so that a robot does not waver between two ways past somebody."""
+    """Cost of a change of either command by its limit, so that a robot does not waver between two paths around a person."""
     wall_tolerance_m: float = 2e-3
-    """In trials a base disc may come this much nearer to an obstacle than its radius, so that a base that touches a wall can
-    leave it."""
+    """Distance by which a base disc may be nearer to an obstacle than its radius in trials, so that a base that touches a wall
+    can leave it."""
     wall_m: float = 0.03
     """A person walking straight on is taken to stop this much closer to an obstacle than their radius."""
     velocity_steps: int = 3
@@ -95,7 +95,7 @@ class AvoidanceSpec:
     ahead_m: float = 1.2
     """An agent is in a person's way if it is within this distance along their path and both would touch."""
     beside_nearer_m: float = 0.03
-    """One to whom a person gets nearer by less than this is beside them, not in their way."""
+    """Change of distance below which a person who passes counts as beside an agent and not in its path."""
     moving_m: float = 0.1
     """Additional gap [m] within which an agent that moves is in the way."""
     passing_m: tuple[float, ...] = (0.1, 0.0)
@@ -109,27 +109,27 @@ class AvoidanceSpec:
     detour_after_steps: tuple[int, int] = (10, 40)
     """Stalled steps after which a robot looks for a path around the agents that stand."""
     detours: int = 3
-    """Most detours to one destination."""
+    """Largest number of detours to one destination."""
     via_m: float = 0.25
     """A point of a detour counts as reached within this distance."""
     robot_passing_m: tuple[float, ...] = (0.4, 0.1)
     """Gaps that a robot leaves to standing agents on a detour; the first with which there is a path is taken."""
     maneuver_after_steps: int = 12
-    """A robot that has not got on for this long looks for a maneuver (`sim_kinematic.avoidance.maneuvers`)."""
+    """Number of stalled steps after which a robot looks for a maneuver (`sim_kinematic.avoidance.maneuvers`)."""
     maneuvers: int = 8
-    """Most maneuvers on the path to one destination."""
+    """Largest number of maneuvers on the path to one destination."""
     retreat_m: float = 2.0
     """A robot that waits retreats to this distance from a person, measured along the person's path."""
     retreat_room_m: float = 0.45
-    """Distance to the nearest obstacle that it wants there."""
+    """Distance to the nearest obstacle at such a place [m]."""
     retreat_rings_m: tuple[float, ...] = (0.75, 1.5, 2.5, 3.5)
-    """Distances from itself at which it looks for such places."""
+    """Distances from an agent at which it looks for places to step aside to [m]."""
 
     # --- right of way: agents ask each other to step aside ---------------------------------------------------------------
     aside_m: tuple[float, float, float] = (0.8, 1.1, 1.3)
     """Distance to the other's path that counts as aside: two people, a person and a robot, two robots."""
     aside_share: float = 0.8
-    """Share of that distance that will do where there is no more room."""
+    """Share of that distance that is accepted where there is no more room."""
     beside_m: tuple[float, float] = (0.65, 0.9)
     """An agent is on the path of a person, or of a robot, if the centre of one of its discs is this close to it."""
     asks_idle_m: float = 2.5
@@ -139,18 +139,18 @@ class AvoidanceSpec:
     keeps_free_m: float = 5.0
     """Length of the other's path that is kept free by stepping aside."""
     returns_m: float = 1.5
-    """An agent goes on as soon as this much of its own path does not lead onto the other's."""
+    """Length of an agent's own path that must not lead onto the other's before it continues [m]."""
     skips_m: float = 0.3
     """The first part of a path, on which nobody counts as in the way: they are beside the agent."""
     held_up_steps: int = 10
-    """After this many stalled steps, moving agents are asked to yield too."""
+    """Number of stalled steps after which moving agents are asked to yield too."""
     gives_up_steps: int = 45
-    """After this many stalled steps an agent stops stepping aside."""
+    """Number of stalled steps after which an agent stops stepping aside."""
     progress_m: float = 0.15
     """An agent that moved, or turned by ``progress_rad``, more than this is not stalled."""
     progress_rad: float = 0.6
     lasts_steps: int = 150
-    """Nobody stands aside longer than this."""
+    """Largest number of steps for which an agent stands aside."""
     room_m: tuple[float, float] = (0.3, 0.5)
     """Distance to the nearest obstacle wanted where a person, or a robot, steps aside."""
     step_aside_m: tuple[float, float] = (0.3, 10.0)
@@ -164,22 +164,23 @@ class AvoidanceSpec:
     stand_off_m: float = 2.5
     """Agents nearer than this are near each other."""
     gets_on_m: float = 1.0
-    """An agent gets on that completes something, or has this much less to go than when they met."""
+    """Reduction of the distance to go since they met that counts as progress, as completing something does [m]."""
     looks_steps: int = 10
     """Interval of this check [steps]."""
     stand_off_steps: tuple[int, int] = (90, 180)
-    """After so many steps in which neither has got on, one of them is sent away; after the second number where one is driven
-    from outside: who turns, or goes a short way, beside them is in nobody's way."""
+    """Number of steps without progress of either agent after which one of them is sent away; the second number holds where one
+    is driven from outside, as somebody who turns or goes a short way beside the other blocks nobody."""
     held_off_steps: int = 45
-    """Near somebody who is driven from outside, who wants to go on and has not moved for so long is sent away at once. So is
-    whose way is shut by one who has stood for ``held_up_steps``."""
+    """Number of steps without movement after which an agent near somebody driven from outside, who keeps it from going on, is
+    sent away at once. The same holds for one whose path is blocked by somebody who has stood for ``held_up_steps``."""
     waits_steps: int = 40
-    """It first stands where it is for so long: whoever drives the other sees it wait, and may be about to go on anyway."""
+    """Number of steps for which an agent first waits where it is, because whoever drives the other one sees it wait and may go
+    on."""
     refuge_m: float = 3.5
     """Least distance of a refuge from the other agent, if there is such a place [m]."""
     refuge_steps: int = 240
-    """It stays there until the other has got past, but no longer than this; where the other is driven from outside, until there
-    is a way around it."""
+    """Largest number of steps in a refuge, in which the agent waits until the other has got past; where the other is driven
+    from outside, until there is a path around it."""
 
     # --- floor routes around standing agents -----------------------------------------------------------------------------
     cell_m: float = 0.1

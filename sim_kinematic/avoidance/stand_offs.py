@@ -1,4 +1,4 @@
-"""Stand-offs: two agents that stay close together although neither gets on."""
+"""Stand-offs: two agents that stay close together although neither makes progress."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class TaskProgress(NamedTuple):
     leg: Hashable
     """Current activity; another value means another path."""
     left_m: Callable[[], float]
-    """Gives the length of the path that it has still to go; infinite: it goes nowhere."""
+    """Return the remaining length of its path; infinite: it goes nowhere."""
     completed: int
     """Number of tasks that the agent has completed."""
     obeys: bool = True
-    """It can be told to go elsewhere: nobody drives it from outside."""
+    """True if the agent can be sent elsewhere, because nobody drives it from outside."""
 
 
 @dataclass
@@ -36,7 +36,7 @@ class Encounter:
     rounds: int = 0
     """Number of times that one of them was sent away since the last progress."""
     waited: bool = False
-    """True if one of them has waited for the other, who is driven from outside."""
+    """True if one of the two has waited for the other, which is driven from outside."""
     completed: tuple[int, ...] = ()
     legs: dict[int, tuple[Hashable, float]] = field(default_factory=dict)
     """Activity of each agent, and its distance to go when that began or they met."""
@@ -55,7 +55,7 @@ class StandOffs:
         return self._encounters[min(a, b), max(a, b)]
 
     def update(self, held_off: Callable[[int, int], bool]) -> list[tuple[int, int]]:
-        """Counts one step; returns the pairs in which neither has got on for long, though one has something to do.
+        """Count one step; returns the pairs that have made no progress for long, though one has something to do.
 
         ``held_off`` says whether one agent is kept by another, who is driven from outside, from going on.
         """

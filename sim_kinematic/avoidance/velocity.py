@@ -137,9 +137,9 @@ class ObstacleDisc(NamedTuple):
 
     xz: NDArray
     velocity: NDArray
-    """[2] [m/s]."""
+    """Velocity of the disc [2] [m/s]."""
     settled: bool = False
-    """It has been standing for long and is passed at ``still_margin_m``."""
+    """True if the agent has stood for long and is passed at ``still_margin_m``."""
     radius_m: float = AVOIDANCE.person_radius_m
     margin_m: float = AVOIDANCE.margin_m
     """Gap to be kept between robot and disc."""
@@ -233,7 +233,7 @@ def keep_clear(
 
 
 def eased(base: BaseSpec, wanted: tuple[float, float], before: tuple[float, float]) -> tuple[float, float]:
-    """Returns the command (forward, turn: -1..1 of the limits) on the way from ``before`` to ``wanted``.
+    """Return the command (forward, turn: -1..1 of the limits) one step further from ``before`` towards ``wanted``.
 
     It stops turning at once, to end where it wants to.
     """

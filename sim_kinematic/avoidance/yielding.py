@@ -17,22 +17,22 @@ from sim_kinematic.avoidance.velocity import ObstacleDisc
 NO_PATH = np.zeros((0, 2))
 """The path of an agent that goes nowhere."""
 IN_THE_WAY_M = AVOIDANCE.ahead_m + 2 * (AVOIDANCE.person.radius_m + AVOIDANCE.moving_m)
-"""Nobody is in a person's way who is farther off than this and twice the size of their own body [m]."""
+"""Distance beyond which, added to twice the size of their own body, nobody is in a person's path [m]."""
 
 
 class ObservedAgent(NamedTuple):
-    """Another agent, as seen by one that moves."""
+    """State of another agent, as seen by one that moves."""
 
     number: int
     xz: NDArray[np.float64]
     velocity: NDArray[np.float64]
-    """[2] [m/s], over the last steps."""
+    """Mean velocity over the last steps [2] [m/s]."""
     settled: bool
-    """It has been standing for long (`AvoidanceSpec.still_steps`)."""
+    """True if the agent has stood for long (`AvoidanceSpec.still_steps`)."""
     is_robot: bool
     heading: float = 0.0
     steps_aside: bool = False
-    """It goes nowhere and steps aside when asked (`sim_kinematic.avoidance.right_of_way`)."""
+    """True if the agent goes nowhere and steps aside when asked (`sim_kinematic.avoidance.right_of_way`)."""
     footprint: Footprint = AVOIDANCE.person
 
 
@@ -51,7 +51,7 @@ class Body(Protocol):
 
     @property
     def heading(self) -> float:
-        """Heading [rad]."""
+        """Heading of the body [rad]."""
         ...
 
     @property
@@ -86,13 +86,13 @@ def stands(other: ObservedAgent) -> bool:
 
 
 def waits(number: int, other: ObservedAgent) -> bool:
-    """Returns whether a person waits for an agent in their way: one with a smaller number that moves."""
+    """Return whether a person waits for an agent that blocks them: one with a smaller number that moves."""
     # an order of all people: if two waited for each other, neither would ever walk on
     return other.number < number and not stands(other)
 
 
 def in_the_way(xz: NDArray, towards: NDArray, others: Sequence[ObservedAgent]) -> ObservedAgent | None:
-    """Returns the nearest agent in the way of a person at ``xz`` [2] who walks straight ``towards`` [2]."""
+    """Return the nearest agent that blocks a person at ``xz`` [2] who walks straight ``towards`` [2]."""
     here = xz.tolist()
     # most are too far away to be in anybody's way, whatever they do
     others = [o for o in others if math.dist(here, o.xz.tolist()) <= IN_THE_WAY_M + 2 * o.footprint.extent_m]
@@ -149,7 +149,7 @@ def shut_off(
     *,
     radius_m: float = AVOIDANCE.person.radius_m,
 ) -> NDArray[np.bool_]:
-    """Which floor points [N, 2] cannot be reached from ``xz`` [2] because standing agents block all paths, [N].
+    """Return which floor points [N, 2] cannot be reached from ``xz`` [2] because standing agents block all paths, [N].
 
     ``radius_m`` is the radius of the agent that moves.
     """

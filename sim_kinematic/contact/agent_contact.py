@@ -22,7 +22,7 @@ NEAR_M = 1e-3
 
 
 class AgentContacts:
-    """Which agents touch, step after step.
+    """Contacts between agents, step after step.
 
     An agent is its collision shapes, one world transform each: those of a robot's links, or the capsules of a person's
     bones (`sim_kinematic.contact.clearance.body_shapes`). Poses are only stored by `update`: FCL is touched when

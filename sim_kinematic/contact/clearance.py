@@ -135,7 +135,7 @@ def scenery_of(scene: Scene) -> FclScene:
 
 
 def robot_reach(robot: Robot, joints: Array) -> float:
-    """Farthest that a shape of the robot gets from its root along the floor in this posture [J] [m]; a bound."""
+    """Return an upper bound of how far a shape of the robot gets from its root along the floor in this posture [J] [m]."""
     links = robot.link_matrices(IDENTITY_POSE[None], joints[None])[0]
     reach = 0.0
     for matrix, link in zip(links, robot.links, strict=True):
@@ -166,7 +166,7 @@ def robot_span(robot: Robot) -> float:
 
 @lru_cache(maxsize=32)
 def clip_reach(human: Humanoid, person_contact: PersonContact = "body") -> float:
-    """Farthest that the person's collision shapes get from the root along the floor in any of the clips [m]."""
+    """Return the farthest that the person's collision shapes get from the root along the floor in any of the clips [m]."""
     clip, phase, blend = (
         grid.ravel()
         for grid in np.meshgrid(np.arange(len(human.clips)), np.arange(32) / 32, [0.0, 0.5, 1.0], indexing="ij")
@@ -181,7 +181,7 @@ def clip_reach(human: Humanoid, person_contact: PersonContact = "body") -> float
 
 
 def supports(scenery: FclScene, point: Array) -> set[str]:
-    """Returns the names of the things on or in which something at a world point [3] lies."""
+    """Return the names of the things on or in which an object at a world point [3] lies."""
     upright = np.eye(4)
     upright[:3, 3] = np.asarray(point, np.float64) - np.array([0.0, SUPPORT_M / 2, 0.0])
     below = _below()

@@ -29,7 +29,7 @@ CONTACTS_MAX = 1000
 
 
 class Contact(NamedTuple):
-    """Overlap of a shape of ``a`` and a shape of ``b``."""
+    """Overlap of a shape of ``a`` with a shape of ``b``."""
 
     index_a: int
     """Index of the shape in ``a`` (for a scene: into ``names``)."""
@@ -223,7 +223,7 @@ def collide(a: _Objects, b: _Objects) -> bool:
 
 
 def contacts(a: _Objects, b: _Objects) -> list[Contact]:
-    """Overlaps between the shapes of a and those of b, deepest first, one or more for each pair that overlaps."""
+    """Return overlaps between the shapes of a and those of b, deepest first, one or more for each pair that overlaps."""
     import fcl
 
     if not len(a) or not len(b):

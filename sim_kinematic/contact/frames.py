@@ -1,4 +1,4 @@
-"""From the state to bodies: frames of links and joints, and the collision shapes that they carry."""
+"""Compute frames of links and joints, and the collision shapes that they carry, from the state."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ Floor = FreeSpace | float | Array
 
 
 def root_pose(body: Body, xz: Array, heading: ArrayLike, floor: Floor = 0.0) -> Array:
-    """pose7 [..., 7] of the roots of an agent at ``xz`` [..., 2]. On stairs robots pitch, people stay upright."""
+    """Return poses (pose7) [..., 7] of an agent's roots at ``xz`` [..., 2]. On stairs robots pitch, people stay upright."""
     if not isinstance(floor, FreeSpace):
         return ground_pose(xz, heading, floor)
     return floor.root_pose(xz, heading, pitch_over_m=body.climbing_length_m if isinstance(body, Robot) else 0.0)

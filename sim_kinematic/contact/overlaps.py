@@ -1,4 +1,4 @@
-"""Which things of a scene stand inside each other, by FCL: the check behind ``h3data scenes validate``."""
+"""Find things of a scene that stand inside each other, by FCL: the check behind ``h3data scenes validate``."""
 
 from __future__ import annotations
 

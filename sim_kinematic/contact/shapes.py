@@ -59,7 +59,7 @@ def fcl_geometry(shape: Shape, scale: ArrayLike = (1.0, 1.0, 1.0)) -> tuple[fcl.
 
 
 def capsule_transforms(start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
-    """4x4 frames [..., 4, 4] midway between ``start`` and ``end`` [..., 3] with the y axis towards ``end``.
+    """Return the 4x4 frames [..., 4, 4] midway between ``start`` and ``end`` [..., 3] with the y axis towards ``end``.
 
     They place capsules made by `shapes_from_capsules` (and FCL's, after `Y_TO_Z`). How they are turned about y is of no
     matter, so any perpendicular will do.

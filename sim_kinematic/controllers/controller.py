@@ -19,7 +19,7 @@ Status = Literal["choosing", "acting"]
 
 
 class Controller(Protocol):
-    """Turns the choices of one agent into what moves it. ``rows`` [n] are the worlds concerned."""
+    """Turns the choices of one agent into its motion. ``rows`` [n] are the worlds concerned."""
 
     @property
     def status(self) -> Status:

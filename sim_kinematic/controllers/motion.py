@@ -25,7 +25,7 @@ from sim_kinematic.world import (
 
 
 class MotionController:
-    """One agent of each world, which chooses in every step."""
+    """Controller of one agent in each world, which chooses in every step."""
 
     def __init__(self, name: str) -> None:
         self._name = name

@@ -17,14 +17,14 @@ from sim_kinematic.controllers.controller import Status
 from sim_kinematic.world import World
 
 IDLE_SKILLS = ("wait", CONTROL, *PRIMITIVES)
-"""Skills by whose end an agent has completed nothing."""
+"""Skills whose end does not count as a completed task."""
 CHOICES = 9
 """Number of skills ending at once that an agent may choose in one step, after which it does nothing."""
 
 
 @dataclass(eq=False)
 class SkillController:
-    """One agent of the only world: its running skill, and what comes next."""
+    """Controller of one agent of the only world, with its running skill and what follows."""
 
     number: int
     """Number of the agent, as in the state and in the recording."""
@@ -39,7 +39,7 @@ class SkillController:
     skill: Skill | None = None
     begun: int = 0
     completed: int = 0
-    """Skills that it has completed, but for waiting and commands."""
+    """Number of skills that the agent has completed, without waiting and commands."""
     _driven_since: int = -1
     """First step of the commands that a driven person has followed without a skill in between; -1: they follow none."""
     _step: int = 0
@@ -49,12 +49,12 @@ class SkillController:
 
     @property
     def status(self) -> Status:
-        """Returns whether it has to choose: no skill is running, or the one that is running has been interrupted."""
+        """Return whether the agent has to choose: no skill is running, or the running one has been interrupted."""
         return "choosing" if self._interrupted or (self.skill is None and self._left > 0) else "acting"
 
     @property
     def is_free(self) -> bool:
-        """Returns whether it will have to choose in its next step."""
+        """Return whether the agent will have to choose in its next step."""
         return self.skill is None or self.action.skill == CONTROL
 
     def begin(self, step: int) -> None:
@@ -62,7 +62,7 @@ class SkillController:
         self._step, self._left, self._interrupted = step, CHOICES, False
 
     def interrupt(self, reason: str) -> None:
-        """Has the agent choose while a skill is running; who chooses the same again goes on with it."""
+        """Have the agent choose while a skill is running; one that chooses the same skill again continues it."""
         self.ending, self._interrupted = SkillResult("aborted", reason), True
 
     def start(self, world: World, agent: int, rows: NDArray[np.intp], action: Sequence[Action]) -> None:
@@ -116,7 +116,7 @@ class SkillController:
         self._write(step, "done", "")
 
     def follow(self, skill: Skill, step: int) -> None:
-        """From ``step`` on, the agent does nothing but go on with a skill that nobody has chosen."""
+        """Let the agent, from ``step`` on, only continue a skill that no policy has chosen."""
         self.action, self.skill, self.ending, self.begun = Action("wait"), skill, None, step
 
     def finish(self, step: int, *, completed: bool) -> None:

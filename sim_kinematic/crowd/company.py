@@ -21,14 +21,14 @@ AHEAD_M, ASIDE_M, ROOM_M = 1.0, 1.2, 0.45
 TOO_NEAR_M = 0.8
 """Members nearer than this repel each other."""
 VIEW_RAD = math.pi / 2
-"""Others farther aside than this make a member turn the head, and walk slower."""
+"""Angle beyond which the others of a group make a member turn the head and walk slower [rad]."""
 TOGETHER_M, SLOW, SLOWEST = 1.5, 0.5, 0.1
 """A member whose company is within this distance slows down to the first share of the speed at most, else to the second: in a
 passage, where they walk one behind the other, nobody stands still."""
 APART_M, NEAR_M = 1.0, 0.6
 """Neighbours in a conversation stand at least so far from each other, and everybody so far from its centre."""
 BEHIND_M = 0.3
-"""Room behind people who stand and talk."""
+"""Room behind people who stand and talk [m]."""
 CANDIDATES = 300
 """Places for a conversation that are compared."""
 
@@ -89,7 +89,7 @@ def keep_company(m, company, places, wx, wz, tau):
 
 
 def circle_radius(people: int) -> float:
-    """Radius [m] of the circle on which people stand who talk with each other."""
+    """Return the radius [m] of the circle on which people stand who talk with each other."""
     return max(NEAR_M, APART_M / 2 / math.sin(math.pi / people))
 
 

@@ -28,22 +28,22 @@ ATTEMPTS = 8
 STUCK_PATHS, AWAY_M = 4, 1.0
 """People who are stuck compare so many goals by how near others are to the path at this distance."""
 CLOSE_M = 1.5
-"""Who is stuck within this distance of where they want to stay stays where they are: somebody else is there."""
+"""Distance from their destination within which people who are stuck stay where they are, as somebody else stands there [m]."""
 
 
 class Discs(NamedTuple):
     """Agents around a crowd as discs."""
 
     xz: Array
-    """Centres now [N, 2] [m],"""
+    """Centres of the discs now [N, 2] [m]."""
     before: Array
-    """and one step ago [N, 2] [m]."""
+    """Centres of the discs one step ago [N, 2] [m]."""
     radius: Array
-    """Radii [N] [m]."""
+    """Radii of the discs [N] [m]."""
     robots: Array = np.zeros((0, 3))
-    """Places and headings of robots (x, z, heading) [R, 3],"""
+    """Places and headings of robots (x, z, heading) [R, 3]."""
     of_robots: int = 0
-    """whose discs come first; their number."""
+    """Number of discs that belong to robots; they come first."""
 
 
 NO_DISCS = Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))

@@ -1,4 +1,4 @@
-"""Errands of people of a crowd: a way, and an activity at its end."""
+"""Errands of people of a crowd: a path, and an activity at its end."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 
 class Errand(NamedTuple):
-    """A way to a place, and how long a person stays there."""
+    """Errand of a person: a path to a place, and the time that they stay there."""
 
     path: NDArray[np.float64]
-    """Way to the place [K, 2] [m]; K < 2: there is none."""
+    """Path to the place [K, 2] [m]; K < 2: there is none."""
     seconds: float = 0.0
     """Time to stay there; 0: they only pass."""
     look: tuple[float, float] | None = None

@@ -23,17 +23,17 @@ class Reaction(NamedTuple):
     lasts_s: float = 0.0
     """Time from the first sight after which the reaction is over."""
     again: float = 0.0
-    """1 if it begins anew at the next sight after that."""
+    """Flag: 1 if the reaction begins anew at the next sight after that."""
     speed_mps: float = 0.0
-    """Speed meanwhile,"""
+    """Walking speed during the reaction [m/s]."""
     by_distance: float = 0.0
-    """multiplied by the distance over ``within_m`` if 1."""
+    """Flag: 1 if this speed is multiplied by the distance over ``within_m``."""
     approach: float = 0.0
-    """1 if the person walks up to the robot,"""
+    """Flag: 1 if the person walks up to the robot."""
     before_m: float = 0.0
-    """to a place so far before its front,"""
+    """Distance in front of the robot of the place that the person walks up to [m]."""
     stand_m: float = 0.0
-    """and stands and looks at it from this distance on."""
+    """Distance at which the person stands and looks at the robot [m]."""
     repulsion_m2_s2: float = 0.0
     """Repulsion by the robot: this over the distance to its outline gives an acceleration [m/s2]."""
 
@@ -51,9 +51,9 @@ IMPASSIVE = list(REACTIONS).index("impassive")
 TABLE = np.array(list(REACTIONS.values()))
 """The numbers that the kernels take, [6, 9], by number of the reaction."""
 VIEW_RAD = math.radians(100.0)
-"""People see robots up to this angle from where they look."""
+"""Angle from the direction of their gaze up to which people see robots [rad]."""
 SIGHT_M = 0.05
-"""Something nearer to the line between two places than this hides them from each other."""
+"""Distance from the line between two places below which something hides them from each other [m]."""
 
 
 @kernel(error_model="numpy")

@@ -1,4 +1,4 @@
-"""Words behind a model's name that say who a person of a crowd is: ``orca+curious+walk1``."""
+"""Words after a model's name that describe a person of a crowd: ``orca+curious+walk1``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sim_kinematic.crowd.reactions import REACTIONS
 from sim_kinematic.motion.randomness import generator
 
 ANY = "any"
-"""A reaction that is drawn from the seed of the episode, for each person."""
+"""Name of a reaction that is sampled from the seed of the episode, for each person."""
 ROUTINES = ("morning",)
 """Routines by name (`sim_kinematic.crowd.routines`)."""
 _GROUP = re.compile(r"(walk|talk)\d{0,4}")
@@ -24,13 +24,13 @@ class Role(NamedTuple):
     reaction: str = "regular"
     """Reaction to a robot that they see: one of `REACTIONS`."""
     group: str = ""
-    """Their company, of whom all have the same word: ``walk1`` walks abreast, ``talk1`` stands and talks; empty: alone."""
+    """Name of the person's group: ``walk1`` walks abreast, ``talk1`` stands and talks; empty if they are alone."""
     routine: str = ""
     """Activities one after another; empty: they walk about."""
 
 
 ALONE = Role()
-"""Somebody without company, who takes robots for people."""
+"""Role of somebody without company, who treats robots as people."""
 
 
 def read_role(words: str, seed: int = 0, number: int = 0) -> Role:

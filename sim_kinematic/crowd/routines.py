@@ -21,7 +21,7 @@ from sim_kinematic.motion.randomness import generator
 
 
 class Stop(NamedTuple):
-    """One entry of a routine."""
+    """Entry of a routine."""
 
     place: str
     """Name of a thing in the home."""
@@ -33,12 +33,12 @@ class Activity(NamedTuple):
     """An activity that routines may have."""
 
     categories: tuple[str, ...]
-    """Things at which it takes place."""
+    """Categories of the things at which the activity takes place."""
     least_s: float
     most_s: float
-    """Its duration is drawn between these [s]."""
+    """Longest duration [s]; the shortest is ``least_s``, and one between is sampled."""
     posture: str = "stand"
-    """Posture for it."""
+    """Posture of a person during the activity."""
 
 
 ACTIVITIES: dict[str, Activity] = {
@@ -69,7 +69,7 @@ def posture_of(activity: str, postures: Sequence[str] = ("stand",)) -> str:
 def place_beside(
     scene: Scene, free: FreeSpace, name: str, near: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Place [2] beside a thing, the nearest one that can be walked to, and the point [2] of it that is faced; None: no place.
+    """Return the nearest place [2] beside a thing that can be walked to, and the point [2] of it to face; None: no place.
 
     Args:
         scene: The home.
@@ -93,7 +93,7 @@ def place_beside(
 
 
 def make_morning(scene: Scene, seed: int, number: int) -> tuple[Stop, ...]:
-    """A morning of agent ``number`` in the episode with a seed: the same always, and what the home has things for.
+    """Return the routine of a morning for agent ``number`` in the episode with a seed, from the things of the home.
 
     Raises:
         SceneError: the home has nothing for any activity.

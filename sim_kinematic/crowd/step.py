@@ -1,4 +1,4 @@
-"""One step of all people of a crowd: what each decides, and how far their bodies follow.
+"""Step of all people of a crowd: the decision of each, and how far their bodies follow.
 
 People walk in the direction of view and a little sideways, and set off, brake and turn no faster than `StrideSpec` says, so
 that the feet that the walk draws stay planted. Whatever they decide, nobody's radius gets into another one's.
@@ -22,13 +22,13 @@ from sim_kinematic.motion.stride import point_along, progress_along, slide_along
 WALL_M = 0.25
 """Radius with which people keep clear of walls and furniture, beside which their arms fold."""
 CREEP_MPS = 0.25
-"""At this speed people step in any direction, whatever they look at."""
+"""Speed up to which people step in any direction, whatever they look at [m/s]."""
 AHEAD_M = 0.1
 """Narrow places are sought along the path in steps of this length."""
 PROGRESS_M = 0.25
-"""Who has got on along the path by this much is not stuck."""
+"""Progress along the path by which a person does not count as stuck [m]."""
 SLIDES = 3
-"""Attempts to go past others whom a step would touch."""
+"""Number of attempts to go past others whom a step would touch."""
 STRIDE_M, STRIDE_MPS = 0.2, 0.1
 """Feet and hands of people who walk faster than this reach so much farther ahead and behind than sideways."""
 NEAR_END_M = 0.1
@@ -55,7 +55,7 @@ def sees(sdf, origin, cell, ax, az, bx, bz):
 
 @kernel(error_model="numpy")
 def reach_between(m, j, px, pz, radii, body):
-    """Least distance [m] between person ``m`` and disc ``j`` at ``(px, pz)`` from them.
+    """Return the least distance [m] between person ``m`` and disc ``j`` at ``(px, pz)`` from them.
 
     It is the sum of both radii, and more along the line in which somebody walks.
     """
@@ -394,7 +394,7 @@ def step_crowd(
     step,
     dt,
 ):
-    """One step of all people of a crowd, in place.
+    """Move all people of a crowd by one step, in place.
 
     Args:
         sdf: Signed distances of the floor's grid [m].

@@ -16,11 +16,11 @@ class CrowdSpec:
     """Constants of avoidance that all people of a crowd share, in SI units."""
 
     horizon_s: float = 2.0
-    """Time within which `orca` avoids a collision with somebody who keeps their velocity,"""
+    """Time within which `orca` avoids a collision with somebody who keeps their velocity [s]."""
     wall_horizon_s: float = 0.5
-    """and with walls and furniture."""
+    """Time within which `orca` avoids a collision with walls and furniture [s]."""
     guard_s: float = 0.6
-    """The same for `social_force`, whose forces alone let people touch."""
+    """Time within which people of `social_force` avoid a collision, as its forces alone let people touch [s]."""
     neighbour_m: float = 6.0
     """People and robots farther away than this do not count."""
     comfort_m: float = 0.08
@@ -32,25 +32,25 @@ class CrowdSpec:
     aside_m: float = 0.9
     """Distance that those who wait keep from the path of those who come through."""
     approach_m: float = 6.0
-    """Distance from which people who meet head-on keep to their side,"""
+    """Distance from which people who meet head-on keep to their side [m]."""
     approach_rad: float = 0.6
-    """by this angle."""
+    """Angle by which they keep to their side [rad]."""
     desired_gain: float = 2.0
-    """Social force (Moussaid et al. 2009, with the weights of HuNavSim's library lightsfm): weight of the desired velocity,"""
+    """Social force (Moussaid et al. 2009, with the weights of HuNavSim's library lightsfm): weight of the desired velocity."""
     social_gain: float = 2.1
-    """of others,"""
+    """Social force: weight of other people."""
     wall_gain: float = 10.0
-    """and of walls,"""
+    """Social force: weight of walls."""
     wall_range_m: float = 0.2
-    """whose force falls by e over this distance."""
+    """Distance over which the force of walls falls by e [m]."""
     lambda_: float = 2.0
-    """Weight of the relative velocity in the direction of an interaction;"""
+    """Social force: weight of the relative velocity in the direction of an interaction."""
     gamma: float = 0.35
-    """range of an interaction for each m/s,"""
+    """Social force: range of an interaction for each m/s."""
     n: float = 2.0
-    """its angular range for slowing down,"""
+    """Social force: angular range of an interaction for slowing down."""
     n_prime: float = 3.0
-    """and for turning aside."""
+    """Social force: angular range of an interaction for turning aside."""
 
     @property
     def numbers(self) -> Array:

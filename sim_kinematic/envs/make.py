@@ -36,9 +36,10 @@ class Bank(Protocol):
 
 
 DEVICE_ENVS: Registry[Callable[..., Any]] = Registry("h3data.device_envs", {}, what="task on a torch device")
-"""By name of the task, what makes W worlds of it on a torch device: ``(worlds, scenes, *, device, agents, **options)``.
+"""Makers of W worlds of a task on a torch device, by the name of the task: ``(worlds, scenes, *, device, agents, **options)``.
 
-Those of tasks without an entry are made by ``any``, which is given the ``task``."""
+Those of tasks without an entry are made by ``any``, which is given the ``task``.
+"""
 
 
 class MakeOptions(TypedDict, total=False):

@@ -28,7 +28,7 @@ Infos = dict[str, dict[str, Any]]
 
 
 class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
-    """Several agents act at every step, and all get the same reward.
+    """Environment in which several agents act at every step and all get the same reward.
 
     In tasks with skills, which last differently long, a step lasts until one agent must choose. ``info[agent]["choosing"]``
     says whose next action counts; that of an agent that is busy has no effect. When two must choose at one moment and only
@@ -96,7 +96,7 @@ class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
         return None if self.render_mode is None else self.stepper.picture(self.possible_agents[0], self._watcher)
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Do nothing, as no resource is held open."""
 
     def _observed(self) -> dict[str, Observations]:
         return {agent: first(self.stepper.observe(agent)) for agent in self.agents}

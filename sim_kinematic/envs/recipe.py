@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec
 
 MAKE = "h3data:make"
-"""Name of the function that makes environments, which lies in a layer above."""
+"""Name of the function that makes environments, which is in a layer above."""
 
 
 @dataclass(frozen=True)
 class EnvRecipe:
-    """Arguments of `sim_kinematic.envs.make.make`."""
+    """Arguments of `sim_kinematic.envs.make.make` from which an environment is made again."""
 
     task: Any
     """Name, ``module:Class``, or a `Task`."""

@@ -18,7 +18,7 @@ ALL = np.ones(1, np.bool_)
 
 
 class TaskEnv(PickledEnv, gymnasium.Env[Any, Any]):
-    """One world in which one agent acts.
+    """Environment of one world in which one agent acts.
 
     ``reset(seed=s)`` begins run ``s`` with its episode 0; every `reset` without a seed goes on to its next episode. The same
     seed gives the same scenes, starts and way points on every machine. ``info`` has the task's facts; `reset` adds ``scene``
@@ -53,7 +53,7 @@ class TaskEnv(PickledEnv, gymnasium.Env[Any, Any]):
         return self._observed(), {**self._informed(), **first(self.stepper.episode_info())}
 
     def step(self, action: ArrayLike) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
-        """Acts.
+        """Carry out an action.
 
         Raises:
             InputError: the action is malformed, or no episode is going on; then nothing has moved.
@@ -99,7 +99,7 @@ def first(arrays: Any) -> Any:
 
 
 def one_row(action: ArrayLike) -> NDArray[Any]:
-    """An action of one world as a row, of whatever type it is: the stepper says what is wrong with it."""
+    """Return an action of one world as a row, of whatever type it is; the stepper reports what is wrong with it."""
     try:
         return np.asarray(action)[None]
     except (TypeError, ValueError):

@@ -59,7 +59,7 @@ class Stepper(Protocol):
     task: Any
     """The task, with its ``name``."""
     spec: Any
-    """Its rules, with ``max_steps``."""
+    """Rules of the task, with ``max_steps``."""
     worlds: int
     agents: tuple[str, ...]
     """Names of the agents that act."""
@@ -114,7 +114,7 @@ class Stepper(Protocol):
 
 
 class FlatStepper:
-    """A stepper whose observations are one vector for each world, as wrappers that know no dictionaries want them."""
+    """Stepper whose observations are one vector for each world, for wrappers that know no dictionaries."""
 
     def __init__(self, stepper: Any) -> None:
         self._stepper = stepper

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @kernel(error_model="numpy")
 def walk_towards(x, z, heading, goal_x, goal_z, speed, turn, dt, turn_before_walk, arrive):
-    """One step of a way-point walker: ``(x, z, heading, walked)``. Turns on the spot first, never overshoots."""
+    """Move a way-point walker by one step: ``(x, z, heading, walked)``. It turns on the spot first and never overshoots."""
     dx, dz = goal_x - x, goal_z - z
     distance = math.hypot(dx, dz)
     if distance <= arrive:
@@ -97,6 +97,7 @@ def walk_humans(state: HumanState, goal_xz: Array, spec: WalkerSpec, *, dt: floa
 
 def move_people(state: HumanState, xz: Array, heading: Array, spec: WalkerSpec) -> None:
     """Put a person in all their worlds where they get in a step, ``xz`` [W, 2] and ``heading`` [W], in place."""
+    # the cycle goes on by the distance covered, which is known only after the move
     before = state.xz.copy()
     state.xz[:], state.heading[:] = xz, heading
     backwards = np.zeros(len(before), np.bool_)

@@ -12,7 +12,9 @@ def generator(seed: int, stream: str, *, world: int = 0, step: int = 0) -> np.ra
 
     Nothing is carried from step to step, so an episode can be continued from any row of its recording.
     """
+    # not `hash`, which differs from process to process
     digest = hashlib.blake2b(f"{stream}/{world}".encode(), digest_size=8).digest()
+    # the step is the counter and not part of the key: streams of one seed never overlap, whatever their length
     key = np.array([seed % 2**64, int.from_bytes(digest, "little")], np.uint64)
     return np.random.Generator(np.random.Philox(key=key, counter=np.array([0, 0, step, 0], np.uint64)))
 

@@ -1,4 +1,4 @@
-"""Every constant of the simulator, in SI units. Kernels receive these as arguments and hold no literals of their own."""
+"""Constants of the simulator, in SI units. Kernels receive these as arguments and hold no literals of their own."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class HabitatSlideSpec:
     slides: bool = True
     """``allow_dyn_slide``: a base that touches moves on along the wall; else it stays where it was."""
     slides_while_turning: bool = True
-    """False is ``enable_rotation_check_for_dyn_slide``: then it slides only while it does not turn."""
+    """False as for Habitat's ``enable_rotation_check_for_dyn_slide``: the base then slides only while it does not turn."""
     navmesh_slides: bool = True
     """``sim_cfg.allow_sliding``: a disc's own step on the navmesh slides too, else it ends at the first wall."""
 
@@ -41,9 +41,9 @@ class BaseSpec:
     max_speed_mps: float = 2.5
     max_turn_rad_s: float = 2.5
     max_lateral_mps: float = 0.0
-    """Above 0, an action has a third number: sideways, positive to the left."""
+    """Limit of the speed to the side [m/s]; above 0, an action has a third number for it, positive to the left."""
     allow_back: bool = True
-    """True if it drives backwards."""
+    """True if the base can drive backwards."""
     slide: Slide = "strict"
     """Behaviour at a wall. ``strict``: no disc ever enters an obstacle. ``habitat``: as Habitat's base action, step for
     step; it moves by the disc that is worst off, so others may get into walls (research: navigation-and-stepping 3.2)."""
@@ -57,10 +57,10 @@ class BaseSpec:
     slide_iterations: int = 6
     """Attempts to push the discs out of obstacles before the move is given up."""
     clearance_tolerance_m: float = 7e-4
-    """By the distance grid, a disc may come this much nearer to an obstacle than its radius. The grid itself may be wrong
-    by cell^2 / (8 radius), 1.25 mm at corners, so the disc enters nothing by more than 2 mm."""
+    """Distance by which a disc may be nearer to an obstacle on the grid than its radius [m]. The grid itself may be wrong by
+    cell^2 / (8 radius), 1.25 mm at corners, so the disc enters no obstacle by more than 2 mm."""
     contact_tolerance_m: float = 1e-5
-    """A disc displaced by more than this has touched something."""
+    """Displacement of a disc above which it has touched something [m]."""
     keeps_speed: bool = field(default=False, repr=False)
     """True if sliding counts towards the speed limit; else obstacles may push a base on faster (2.76 m/s were seen at a limit
     of 2.5 m/s). Left out of ``repr``, from which episodes have their identity: those of the paper's base keep theirs."""
@@ -87,15 +87,15 @@ class ArmRoomSpec:
     """
 
     free_m: float = 0.08
-    """An arm swings freely where so much more room than that is at its side,"""
+    """Room at the side beyond the arm's own with which an arm swings freely [m]."""
     tight_m: float = 0.02
-    """and is wholly drawn in where there is only so much more."""
+    """Room at the side with which an arm is fully tucked [m]."""
     aside_m: float = 0.12
     """Distance from the middle of the body to the line along which room is measured [m]."""
     within_m: float = 0.3
-    """So far ahead and behind, what is near counts in full,"""
+    """Distance ahead and behind within which obstacles count in full [m]."""
     fade_m: float = 0.5
-    """and over so much more it counts less and less."""
+    """Distance beyond ``within_m`` over which obstacles count less and less [m]."""
     step_m: float = 0.1
     """The line is looked at in steps of this length."""
     rate: float = 0.12
@@ -122,7 +122,7 @@ class StrideSpec:
     arrive_m: float = 0.12
     """Within twice this distance of the end they no longer turn, and step to it sideways if need be."""
     patience_s: float = 4.0
-    """After this time without getting on they keep to the path itself."""
+    """Time without progress after which people keep to the path itself [s]."""
 
     @property
     def limits(self) -> tuple[float, ...]:
@@ -147,7 +147,7 @@ class WalkerSpec:
     speed_mps: float = 2.5
     turn_rad_s: float = 2.5
     turn_before_walk_rad: float = 0.0873
-    """Above this heading error (5 degrees, spec/habitat.md 3.4) it turns without walking."""
+    """Heading error above which a person turns without walking (5 degrees, spec/habitat.md 3.4) [rad]."""
     arrive_m: float = 1e-3
     """A way point counts as reached within this distance. People land on it exactly; more would cut the next corner."""
     blend_s: float = 0.2
@@ -225,7 +225,7 @@ class ArmSpec:
     """Motion and grasping of a robot's arm (paper appendix, low-level skills; spec/habitat.md 2.8)."""
 
     joint_step: float = 0.05
-    """Most that a joint moves per step [rad or m]."""
+    """Largest movement of a joint in one step [rad or m]."""
     grasp_m: float = 0.15
     """The hand takes the nearest object, if its origin is nearer to the hand than this."""
 
@@ -238,19 +238,20 @@ class SkillSpec:
     """
 
     nav_steps: int = 1500
-    """Longest duration of ``nav``,"""
+    """Longest duration of ``nav`` in steps."""
     arm_steps: int = 1250
-    """and of ``pick`` and ``place``."""
+    """Longest duration of ``pick`` and ``place`` in steps."""
     nav_start_m: float = 4.0
-    """Least length of the path to where the target is reached from, at the start of ``nav``,"""
+    """Least length of the path to the stand at the start of ``nav`` [m]."""
     arm_start_m: float = 3.0
-    """and of ``pick`` and ``place``,"""
+    """Least length of the path to the stand at the start of ``pick`` and ``place`` [m]."""
     arm_most_m: float = 5.0
-    """for which it is at most this: a robot that is farther away has to get there first."""
+    """Largest length of that path at the start of ``pick`` and ``place`` [m]; a robot that is farther away has to get there
+    first."""
     near_m: float = 1.5
-    """``nav`` ends this near to its target, straight and by the path to where it is reached from,"""
+    """Distance to the target, and length of the path to the stand, within which ``nav`` ends [m]."""
     facing_dot: float = 0.5
-    """with at least this cosine between its forward axis and the direction to the target."""
+    """Least cosine between the forward axis and the direction to the target with which ``nav`` ends."""
     rest_m: float = 0.15
     """``pick`` and ``place`` end with the hand this near to where it is at rest."""
     place_m: float = 0.15
@@ -260,10 +261,10 @@ class SkillSpec:
     contact: float = 0.005
     """Cost of a step of ``nav`` in which the base touches something."""
     facing: float = 0.05
-    """A step of ``nav`` costs so much times one less the cosine to the target,"""
+    """Cost of a step of ``nav``, times one less the cosine to the target."""
     facing_within_m: float = 3.0
-    """where the path is at most this long. Paid instead of charged, waiting in front of the target would be worth more than
-    success."""
+    """Length of the path within which a step costs ``facing`` [m]. As a reward instead of a cost, waiting in front of the
+    target would be worth more than success."""
     nav_success: float = 10.0
     pick_success: float = 2.0
     place_success: float = 10.0
@@ -282,13 +283,13 @@ class OracleSpec:
     """
 
     robot_steps: tuple[int, int] = (12, 14)
-    """Steps of a robot's pick or place until the thing changes hands, and until its end: as long as ours take on average."""
+    """Steps of a robot's pick or place until the object changes hands, and until the skill ends: averages of our own skills."""
     person_steps: tuple[int, int] = (46, 73)
-    """The same of a person."""
+    """Steps of a person's pick or place until the object changes hands, and until the skill ends."""
     reach_m: float = 0.2
-    """An agent is at a place within this distance,"""
+    """Distance within which an agent counts as being at a place [m]."""
     reach_rad: float = 0.1
-    """and faces what it reaches for within this angle."""
+    """Angle within which an agent counts as facing the object that it reaches for [rad]."""
     person_radius_m: float = 0.2
     """Agents touch where their discs do: this one of a person, and those of a robot's base."""
 

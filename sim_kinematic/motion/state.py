@@ -55,7 +55,7 @@ class _Arrays:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotState(_Arrays):
-    """One robot of each world."""
+    """State of one robot in each world."""
 
     xz: NDArray[np.float64]
     """Base position on the floor [m], shape [W, 2]."""
@@ -63,7 +63,7 @@ class RobotState(_Arrays):
     """[rad], shape [W]. Headings are never wrapped: the quaternion of h + 2 pi is minus that of h, so recorded quaternions
     keep their signs continuous in time."""
     contact: NDArray[np.bool_]
-    """The base touched an obstacle in the last step, shape [W]."""
+    """True if the base touched an obstacle in the last step, shape [W]."""
     joints: NDArray[np.float64]
     """Joint positions [rad or m], shape [W, J]; J = 0 where no arm moves."""
 
@@ -80,18 +80,18 @@ class RobotState(_Arrays):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HumanState(_Arrays):
-    """One person of each world."""
+    """State of one person in each world."""
 
     xz: NDArray[np.float64]
-    """[m], shape [W, 2]."""
+    """Places on the floor, shape [W, 2] [m]."""
     heading: NDArray[np.float64]
-    """[rad], shape [W], never wrapped."""
+    """Headings, shape [W] [rad], never wrapped."""
     distance: NDArray[np.float64]
     """Distance walked since the start [m], drives the phase of the walking cycle; shape [W]."""
     set_off: NDArray[np.float64]
     """Value of `distance` when the person last set off from standing [m]: there the cycle began anew; shape [W]."""
     blend: NDArray[np.float64]
-    """0 = standing, 1 = walking, shape [W]."""
+    """Share of walking in the motion: 0 = standing, 1 = walking, shape [W]."""
     arms: NDArray[np.float64]
     """Fold of the left and the right arm, from 0 (out) to 1 (in), shape [W, 2]."""
 
@@ -116,16 +116,16 @@ def stack_agents(agents: Sequence[tuple[AgentState, int]]) -> AgentState:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WorldState(_Arrays):
-    """Everything that a step reads and writes. The arrays are changed in place; `copy` keeps a moment."""
+    """State of W worlds. A step changes the arrays in place; `copy` makes a snapshot."""
 
     robots: tuple[RobotState, ...]
     people: tuple[HumanState, ...]
     object_pose: NDArray[np.float64]
-    """pose7 of what can be taken, shape [W, O, 7]."""
+    """Pose (pose7) of each object that can be taken, shape [W, O, 7]."""
     held_by: NDArray[np.int64]
     """Number of the agent that holds each object (its index in `agents`), `NOBODY` where none does, shape [W, O]."""
     grip_pose: NDArray[np.float64]
-    """pose7 of each held object in the frame of the hand that holds it, shape [W, O, 7]."""
+    """Pose (pose7) of each held object in the frame of the hand that holds it, shape [W, O, 7]."""
     joint_pos: NDArray[np.float64]
     """Positions of the joints of things that open, in the order of the scene, shape [W, J] [rad or m]."""
 

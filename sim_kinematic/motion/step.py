@@ -1,4 +1,4 @@
-"""One step of a robot's base: the scalar definition in numba, readable with ``NUMBA_DISABLE_JIT=1``, looped over worlds.
+"""Step of a robot's base: the scalar definition in numba, readable with ``NUMBA_DISABLE_JIT=1``, looped over worlds.
 
 Robot base: the velocity command moves the base first along its old heading, then turns it, as Habitat integrates
 (spec/habitat.md 0). The base is a row of discs; each must keep its radius from every obstacle of the signed distance
@@ -67,6 +67,8 @@ def push_out(sdf, origin, cell, x, z, heading, offsets, radius, iterations):
     c, s = math.cos(heading), math.sin(heading)
     for _ in range(iterations):
         free, least = True, math.inf
+        # one disc after the other, each from where the last one left the base: pushed at once, two would push
+        # twice
         for offset in offsets:
             cx, cz = x + c * offset, z - s * offset
             distance = sample_sdf(sdf, origin, cell, cx, cz)
@@ -74,6 +76,7 @@ def push_out(sdf, origin, cell, x, z, heading, offsets, radius, iterations):
             if distance < radius:
                 gx, gz = sdf_gradient(sdf, origin, cell, cx, cz)
                 length = math.sqrt(gx * gx + gz * gz)
+                # on a ridge between two obstacles the gradient gives no direction
                 if length > 1e-9:
                     x += gx / length * (radius - distance)
                     z += gz / length * (radius - distance)
@@ -97,7 +100,7 @@ def integrate(x, z, heading, speed, lateral, turn, dt):
 def drive_base(
     sdf, origin, cell, x, z, heading, speed, lateral, turn, dt, offsets, radius, iterations, tolerance, touch, most
 ):
-    """One strict step of a robot base: ``(x, z, heading, touched)``; the velocities are those of `integrate`.
+    """Return one strict step of a robot base: ``(x, z, heading, touched)``; the velocities are those of `integrate`.
 
     ``most`` is the farthest that the base may get [m].
     """
@@ -108,13 +111,16 @@ def drive_base(
     sx, sz, clearance = push_out(sdf, origin, cell, tx, tz, new_heading, offsets, radius, iterations)
     if clearance >= radius and sx == tx and sz == tz:  # to ask before costs bases at walls a tenth of their speed
         return tx, tz, new_heading, False
+    # smaller displacements come from the grid and are no contact
     touched = math.hypot(sx - tx, sz - tz) > touch
     far = math.hypot(sx - x, sz - z)
     if most < far <= reach:
+        # sliding may not be faster than driving: cut back along the line, then asked again for room
         sx, sz, touched = x + (sx - x) * (most / far), z + (sz - z) * (most / far), True
         clearance = least_clearance(sdf, origin, cell, sx, sz, new_heading, offsets)
     if clearance >= limit and far <= reach:
         return sx, sz, new_heading, touched
+    # what has no room is tried again with less: without the turn, then only the turn, then neither
     sx, sz, clearance = push_out(sdf, origin, cell, tx, tz, heading, offsets, radius, iterations)
     far = math.hypot(sx - x, sz - z)
     if most < far <= reach:
@@ -153,6 +159,8 @@ def keep_apart(sdf, origin, cell, x, z, tx, tz, discs, radius, limit):
         free = True
         for k in range(len(discs)):
             ox, oz = discs[k, 0], discs[k, 1]
+            # never more than the present distance: whoever overlaps already may leave, and is not thrown
+            # out
             least = min(radius + discs[k, 2], math.hypot(x - ox, z - oz))
             far = math.hypot(sx - ox, sz - oz)
             if 1e-9 < far < least - APART_TOLERANCE_M:
@@ -162,6 +170,7 @@ def keep_apart(sdf, origin, cell, x, z, tx, tz, discs, radius, limit):
             break
     if not touched:
         return tx, tz, False
+    # pushed out of one disc it may have got into another, where the attempts ran out
     for k in range(len(discs)):
         least = min(radius + discs[k, 2], math.hypot(x - discs[k, 0], z - discs[k, 1]))
         if math.hypot(sx - discs[k, 0], sz - discs[k, 1]) < least - 2.0 * APART_TOLERANCE_M:
@@ -214,6 +223,7 @@ def _drive_worlds(
         return broken
     for w in range(len(heading)):
         speed, lateral, turn = velocities(action[w], limits)
+        # a base that is not driven keeps its place to the last bit, and touches nothing
         contact[w] = False
         if speed != 0.0 or lateral != 0.0 or turn != 0.0:
             xz[w, 0], xz[w, 1], heading[w], contact[w] = drive_base(
@@ -277,6 +287,7 @@ def drive_robots(
         InputError: the actions have another shape, or one is not finite; then nothing moves. Or the package that slides
             bases in this way is not there.
     """
+    # before anything moves: the kernels check no bounds
     action = per_world(action, state, width=3 if spec.max_lateral_mps else 2)
     if free.has_stairs:
         action = action.copy()

@@ -27,7 +27,7 @@ PROGRESS_M = 0.02
 """The place on the path is sought in steps of this length."""
 PUSHES = 6
 CREEP_MPS, SHARP_RAD = 0.1, 0.6
-"""Below this speed people walk in any direction at once; a larger change of it they come to a stand for."""
+"""Speed below which people walk in any direction at once, and change of direction for which they come to a stand."""
 FRONT_M, FRONT_ROOM_M, FRONT_RAD = 0.3, 0.15, 0.5
 """People who are not yet turned to where they go, by so much, first turn if something is nearer than this room to the floor
 this far ahead of them: legs that swing while they turn in a curve would get into it."""
@@ -241,7 +241,7 @@ def stride_track(
 
 
 class Strider:
-    """A person on a path, step by step; who waits brakes and sets off again."""
+    """Person who walks along a path, step by step; one who waits brakes and sets off again."""
 
     def __init__(self, free: FreeSpace, spec: WalkerSpec, *, radius_m: float = 0.25, halts: bool = False) -> None:
         """``halts``: they stop on the last point of a path; else they pass it.
@@ -262,12 +262,12 @@ class Strider:
         self.arrived = True
 
     def walk_on(self, free: FreeSpace) -> None:
-        """Takes another floor under the same path."""
+        """Use another floor for the same path."""
         self.free = free
         self._grid = free.sdf, free.origin, free.cell_m, free.heights, self._radius_m
 
     def halt(self) -> None:
-        """Something else has brought the person to a stand."""
+        """Stop the person, because something else has brought them to a stand."""
         self._state[3:5] = self._state[6] = 0.0
 
     @property
@@ -308,7 +308,7 @@ class Strider:
         return state[:2].copy(), float(state[2])
 
     def whole(self, xz: Array, heading: float, *, most: int) -> NDArray[np.float64]:
-        """The steps (x, z, heading) [n, 3] to the end of the path, ``most`` of them at most."""
+        """Return the steps (x, z, heading) [n, 3] to the end of the path, ``most`` of them at most."""
         state, track = self._state, np.empty((most, 3))
         state[0], state[1], state[2] = xz[0], xz[1], heading
         count = stride_track(*self._grid, self._path, self._cumulative, self._halts, state, *self._rules, track)

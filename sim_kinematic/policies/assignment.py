@@ -92,7 +92,7 @@ class AssignedPolicy(NamedTuple):
 ADDRESS = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]*)://.*", re.DOTALL)
 """A name that is the address of a policy server."""
 SERVED = re.compile(r"(?P<scheme>[a-z]+):(?P<name>[^:,]+)@(?P<digest>[0-9a-f]{12})")
-"""The name of a policy server in recordings: its own name, and a digest of what it says about itself."""
+"""Name of a policy server in recordings: its own name, and a digest of what it says about itself."""
 
 
 def is_address(name: str) -> bool:
@@ -162,7 +162,7 @@ def _alias(key: str, names: Sequence[str]) -> str:
 
 
 def each_of(choice: Chosen, count: int, kind: str) -> list[Any]:
-    """One choice for each of ``count`` agents: one name for all, or one for each, as a sequence or with commas between.
+    """Return one choice for each of ``count`` agents: one name for all, or one for each, as a sequence or separated by commas.
 
     Raises:
         InputError: there is neither one nor one for each.

@@ -41,7 +41,7 @@ SHIPPED_PARTNERS: Mapping[str, str] = {
 }
 """Trained people of rearrangement: of three runs of Learn-Single, and three of the eight of Learn-Pop."""
 SHIPPED: Mapping[str, str] = {**SHIPPED_IN["social_nav"], **SHIPPED_IN["rearrange"], **SHIPPED_PARTNERS}
-"""All of them."""
+"""Names of all included policies."""
 _STAMP = re.compile(r"^(?P<file>.+)@(?P<digest>[0-9a-f]{12})$")
 _IN_LIGHT = re.compile(r"^(?P<name>.+)@(?P<light>baked|flat)$")
 
@@ -79,7 +79,7 @@ def stamped(policy: str) -> str:
 
 
 def network_light(network: AnyNetwork) -> LightMode | None:
-    """Light in the colours that a network is shown; None: it sees none."""
+    """Return the light in the colours that a network observes; None: it observes none."""
     return network.card.light if isinstance(network, VisualPolicy) and network.sees_colours else None
 
 
@@ -218,7 +218,7 @@ class LearnedNavigation:
         return Velocity(forward, turn, "follow" if view.met else "find")
 
     def look(self, view: SocialNavView, spec: BaseSpec) -> NDArray[np.float32]:
-        """The network's input of a moment, [in]."""
+        """Return the current input of the network, [in]."""
         return navigation_input(view, spec, self.network.observations)
 
 
@@ -261,7 +261,7 @@ class VisualNavigation:
         return Velocity(forward, turn, "follow" if view.met else "find")
 
     def look(self, view: SocialNavView, spec: BaseSpec) -> dict[str, NDArray[Any]]:
-        """The observations of a moment by name, as in training.
+        """Return the current observations by name, as in training.
 
         Raises:
             InputError: the view has no eyes.

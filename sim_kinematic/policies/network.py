@@ -26,9 +26,9 @@ HINT = "Hint: h3data train writes one, or sim_kinematic.policies.network.save_ne
 RUN_POLICY = "policy.npz"
 """The policy file in the folder of a training run."""
 PLANES = ".planes"
-"""Ends the name of a float32 array that is kept as planes of its bytes (`to_planes`)."""
+"""Ending of the name of a float32 array that is stored as planes of its bytes (`to_planes`)."""
 MAX_BYTES = 256 << 20
-"""Files whose arrays take more than this are refused."""
+"""Size of arrays above which a file is refused [bytes]."""
 Activation = Literal["tanh", "relu"]
 _DAMAGE = (
     ValueError,
@@ -57,7 +57,7 @@ class Network:
     biases: tuple[NDArray[np.float32], ...]
     """Biases of each layer, [out]."""
     activation: Activation = "tanh"
-    """Between layers; the last one has none."""
+    """Activation function between layers; the last layer has none."""
     mean: NDArray[np.float32] = field(default_factory=lambda: np.zeros(1, np.float32))
     """Taken from the input, [in] or [1]."""
     scale: NDArray[np.float32] = field(default_factory=lambda: np.ones(1, np.float32))
@@ -80,7 +80,7 @@ class Network:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all that decides what it does."""
+        """SHA-256 of everything that determines its behaviour."""
         found = sha256(repr((self.task, self.observations, self.activation)).encode())
         for array in (*self.weights, *self.biases, self.mean, self.scale):
             found.update(repr(array.shape).encode() + array.tobytes())

@@ -26,9 +26,9 @@ class Velocity(NamedTuple):
     """A base velocity of a robot or a person, and the policy's word for what it is doing."""
 
     forward: float
-    """-1..1 of the speed limit; people do not walk backwards."""
+    """Speed as a share of the limit, -1..1; people do not walk backwards."""
     turn: float
-    """-1..1 of the turn limit, positive to the left."""
+    """Turn rate as a share of the limit, -1..1, positive to the left."""
     skill: str = ""
 
 
@@ -36,14 +36,14 @@ class WaypointAction(NamedTuple):
     """A point that a person walks straight to."""
 
     xz: NDArray[np.float64]
-    """``(x, z)`` [m]."""
+    """Place on the floor ``(x, z)`` [m]."""
 
 
 class PoseAction(NamedTuple):
     """Place of a person who walks along a path, after this step."""
 
     xz: Array
-    """``(x, z)`` [m]."""
+    """Place on the floor ``(x, z)`` [m]."""
     heading: float
 
 
@@ -51,11 +51,11 @@ class GaitAction(NamedTuple):
     """Place of a person after this step, and their phase in the walking cycle."""
 
     gait: HumanState
-    """One world."""
+    """Gait of one world."""
 
 
 class RecordedPose(NamedTuple):
-    """One step of a recorded person, taken as it was."""
+    """Step of a recorded person, repeated unchanged."""
 
     xz: NDArray[np.float64]
     heading: float
@@ -76,7 +76,7 @@ class Policy(Protocol):
 
 
 class External:
-    """Stands for somebody outside, who answers through `sim_kinematic.tasks.runner.Session.act`.
+    """Placeholder for somebody outside, who answers through `sim_kinematic.tasks.runner.Session.act`.
 
     ``interrupts_when_close``: in tasks with skills, whether they may choose anew at every step while another agent is
     close, as Habitat's learned policies must.
@@ -88,7 +88,7 @@ class External:
         self.interrupts_when_close = interrupts_when_close
 
     def act(self, view: Any) -> Any:
-        """Never asked: a session answers for it."""
+        """Raise an error, because a session answers for this agent."""
         raise InputError(
             f"Agent {getattr(view, 'agent', '')} is controlled from outside. Hint: play it with h3data.session.",
             code="H3-POLICY-037",
@@ -117,9 +117,9 @@ class FunctionPolicy:
 
 
 class Still:
-    """Does nothing; lower-bound baseline."""
+    """Policy that stands still; lower-bound baseline."""
 
     def act(self, view: Any) -> Velocity:
-        """A velocity of 0."""
+        """Return a velocity of 0."""
         del view
         return Velocity(0.0, 0.0)

@@ -35,13 +35,13 @@ ZSC = ("both", "object_1", "object_2", "still")
 ZSC_TEN = (*ZSC, *SHIPPED_PARTNERS)
 """The paper's zero-shot population with six learned partners. These are trained here, as the paper's were not published."""
 TRIES = 3
-"""A planner fails so often at an object before it goes on to the next."""
+"""Number of failures at an object after which a planner goes on to the next."""
 REPLAN_STEPS = 15
 """Interval at which a robot that drives to an object chooses again [steps]; 1 while the person is close."""
 IN_REACH_M = 0.9
 """Distance to an object below which an agent may be about to take it [m]."""
 STRAIGHT_ON_STEPS = 10
-"""Over so many steps the person's motion tells where they are going."""
+"""Number of steps over which the person's motion is extrapolated to find where they are going."""
 
 
 class HighLevelPolicy(Protocol):
@@ -77,7 +77,7 @@ class Plan(NamedTuple):
     order: Any
     """Objects to bring to their goals, one after the other, int [W, K]; -1 after the last."""
     passed: Any
-    """So many of them are done or skipped, int [W]."""
+    """Number of objects that are done or skipped, int [W]."""
     tries: Any
     """Number of failures of the planner at its current object, int [W]."""
 

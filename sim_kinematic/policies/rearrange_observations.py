@@ -106,7 +106,7 @@ class RearrangeContext:
         return np.array(found)
 
     def ended(self, outcome: Ending) -> Floats:
-        """One of `choices` is 1: what the agent has done last, if that ended so, [C]."""
+        """Number for each of `choices`: 1 for the agent's last one, if it ended in this way, [C]."""
         view = self._view
         known = choices(len(view.objects), robot=len(view.arm) > 0)
         found = np.zeros(len(known))

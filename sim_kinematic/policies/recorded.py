@@ -149,7 +149,7 @@ class RecordedCommands:
 
 
 class RecordedTrack:
-    """A person who keeps a recorded track, whatever the others do."""
+    """Person who follows a recorded track, whatever the others do."""
 
     def __init__(self, recording: Recording, number: int, body: Any) -> None:
         """Reads the recorded track of a person.
@@ -203,7 +203,7 @@ class RecordedTrack:
 
 @dataclass(eq=False)
 class RecordedPolicy:
-    """One agent's choices and interruptions, as recorded.
+    """Policy that repeats one agent's recorded choices and interruptions.
 
     ``own``, if it is known, is the policy that made them. It is asked whatever it was asked then, so that in the end it
     remembers what it did then.
@@ -216,10 +216,10 @@ class RecordedPolicy:
     now: NDArray[np.integer]
     """Skill and target at each step, [T, 2]: of a skill that was running when the recording broke off, there is no span."""
     until: int
-    """From this step on it does what it does by itself:"""
+    """Step from which on the agent acts by itself."""
     own: HighLevelPolicy | None = None
     since: int = 0
-    """the policy ``own``, which decides since this step; before it somebody else did."""
+    """Step from which on the policy ``own`` decides; before it, somebody else did."""
     joints: tuple[str, ...] = ()
     """Names of the doors and drawers of the home."""
     _next: int = 0
@@ -245,7 +245,7 @@ class RecordedPolicy:
         return reason or (self._aborted_before(view.step) if view.step < self.until else "")
 
     def _aborted_before(self, step: int) -> str:
-        """Why the running skill was aborted at this step; empty: it was not."""
+        """Reason why the running skill was aborted at this step; empty: it was not."""
         span = self.spans[self._next - 1] if self._next else None
         return span.reason if span is not None and (span.outcome, span.end_step) == ("aborted", step - 1) else ""
 

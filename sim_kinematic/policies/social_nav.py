@@ -38,15 +38,15 @@ KEEP_DISTANCE_M = 1.5
 SLACK_M = 0.1
 """Within so much beyond that distance, the expert does not approach a person who comes nearer."""
 STEER_STEPS = 8
-"""So far ahead the experts look for the best way to drive,"""
+"""Number of steps that the experts look ahead for the best direction to drive."""
 ESCAPE_STEPS = 30
-"""and so far for room to let the person pass."""
+"""Number of steps that the experts look ahead for room to let the person pass."""
 MARGIN_M = 0.15
 """Free way that is kept between both, if it can be."""
 TURN_COST_M = 0.5
-"""Way [m] that a radian of wrong heading is worth,"""
+"""Length of path [m] that one radian of heading error costs."""
 ROOM_COST = 8.0
-"""and a metre of lacking room."""
+"""Cost of each metre of missing room."""
 REACH_M = 2.0
 """Distance to the person below which the robot may find them [m]; farther away it ignores them until they are found."""
 SAMPLES = 24

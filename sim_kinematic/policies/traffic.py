@@ -50,7 +50,7 @@ class RobotTrafficAgent(RobotActor):
 
 
 class WalkingAgent(PersonActor):
-    """A person who walks about, in the motion clip that the world plays."""
+    """Person who walks about, in the motion clip that the world plays."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -63,7 +63,7 @@ class WalkingAgent(PersonActor):
 
     @property
     def heading(self) -> float:
-        """Heading [rad]."""
+        """Heading of the person [rad]."""
         return self.figure.gait.heading.item(0)
 
     def go_to(self, goal: NDArray[np.float64]) -> Skill:

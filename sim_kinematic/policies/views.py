@@ -37,12 +37,12 @@ class AgentView(NamedTuple):
     places: Array
     """``(x, z, heading)`` of each agent, [A, 3]."""
     before: Array
-    """The same one step ago."""
+    """View of the same agent one step ago."""
     bases: tuple[BaseSpec, ...]
     """Discs and limits of each robot."""
     walker: WalkerSpec
     extra: Mapping[str, Any]
-    """`Episode.extra`."""
+    """Further data of the task, `Episode.extra`."""
     traffic: Callable[[], Traffic]
     """Returns how the agents of this world heed each other, which those that wander share."""
     crowds: Callable[[], Crowds]
@@ -116,7 +116,7 @@ class RearrangeView(NamedTuple):
     action: Action | None
     """Present action of the agent or, between two actions, its last one."""
     last: SkillResult | None
-    """Result of that action; None while it is running."""
+    """Result of the agent's last action; None while it is running."""
     starts: NDArray[np.float64]
     """Initial positions of the objects, shape [K, 3] [m]."""
     hand: Callable[[], NDArray[np.floating]]

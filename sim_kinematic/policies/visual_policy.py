@@ -48,16 +48,17 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     task: str
     robot: str
-    """Body that it was trained with."""
+    """Body of the robot that the policy was trained with."""
     observations: tuple[str, ...]
     picture_size: tuple[int, int] | None
     """Width and height of the picture and of the detector's [pixels]."""
     light: LightMode = "flat"
-    """Light in the colours that it has learned from, and is shown. Files without this entry have learned in flat light."""
+    """Light in the colours of training, which the policy also observes in play. Files without this entry were trained in flat
+    light."""
     hold: int
     """Steps of 1/30 s for which an action is held."""
     network: str = "cnn_gru"
-    """Which layers there are: ``cnn_gru``, ``resnet18_lstm``, the paper's, or ``gru_chooser`` of rearrangement."""
+    """Type of the network: ``cnn_gru``, ``resnet18_lstm``, the paper's, or ``gru_chooser`` of rearrangement."""
     actions: int = BASE_ACTIONS
     """Numbers of an action: base [2], of skills that move the arm also its joints [n] and grip [1]."""
     agent: str = "robot"
@@ -110,7 +111,7 @@ class VisualPolicy:
 
     @property
     def sees(self) -> str | None:
-        """Which of `PICTURES` it is shown."""
+        """Return which of `PICTURES` the policy observes."""
         return picture_in(self.card.observations)
 
     @property
@@ -130,7 +131,7 @@ class VisualPolicy:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of all that decides what it does."""
+        """SHA-256 of everything that determines its behaviour."""
         card = self.card
         about: tuple[Any, ...] = (card.task, card.observations, card.picture_size, card.hold)
         if card.network != "cnn_gru":
@@ -298,7 +299,7 @@ def affine(x: Floats, columns: Floats, bias: Floats) -> Floats:
 
 
 def picture_in(observations: tuple[str, ...]) -> str | None:
-    """Which of `PICTURES` is among observations, if one is."""
+    """Return which of `PICTURES` is among observations, if one is."""
     return next((name for name in observations if name in PICTURES), None)
 
 

@@ -31,7 +31,7 @@ PREFIX = "robot_"
 
 
 class Lens(NamedTuple):
-    """Which camera takes a picture, and how large it is."""
+    """Camera that takes a picture, and the size of the picture."""
 
     camera: str
     width: int

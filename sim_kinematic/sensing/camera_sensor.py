@@ -183,7 +183,7 @@ class StateRenderer:
 
     # --- posing -----------------------------------------------------------------------------------------------------------
     def pose(self, state: WorldState, *, floor: Floor = 0.0, frames: Sequence[Array] | None = None) -> None:
-        """Put everything where the state has it, on a map or at the height ``floor`` [m].
+        """Pose everything as in the state, on a map or at the height ``floor`` [m].
 
         ``frames`` are the agents' `body_frames`, where somebody has them already or poses them otherwise.
         """
@@ -365,7 +365,7 @@ def capsule_meshes(shapes: Sequence[Shape]) -> list[Mesh]:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSensor:
-    """A named camera of an agent and what it gives: depth and colours of the arm, body cameras, ids for the detector."""
+    """Named camera of an agent with its outputs: depth and colours of the arm, body cameras, ids for the detector."""
 
     camera: str = "robot_arm"
     """Name of the robot's camera; a person has only one."""

@@ -30,7 +30,7 @@ class Encoding(NamedTuple):
     times: Times = "once"
     """Number of times that the sensor repeats the unit."""
     dtype: type[np.floating] = np.float32
-    """NumPy type in which it is computed."""
+    """NumPy type in which the encoding is computed."""
 
 
 def _plain(xp: Any, seen: Any) -> Any:

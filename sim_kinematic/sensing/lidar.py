@@ -14,13 +14,13 @@ from h3data.geometry import distance_to_circles
 LIDAR_RAYS = 360
 """Rays of `scan`, one each degree."""
 LIDAR_M = 12.0
-"""Farthest that they measure."""
+"""Largest distance that `scan` measures [m]."""
 LASERS, COLUMNS = 16, 360
 """Shape of a 3-D scan: lasers from the lowest to the highest, directions from straight ahead to the left."""
 ELEVATION_DEG = (-15.0, 15.0)
 """Elevation of the lowest and of the highest laser."""
 SCAN_M = 30.0
-"""Farthest that they measure."""
+"""Largest distance that a 3-D scan measures [m]."""
 
 
 def scan(m: Any, *, legs: bool) -> Any:

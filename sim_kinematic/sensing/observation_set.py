@@ -142,7 +142,7 @@ def split_sizes(names: Sequence[str]) -> tuple[Sequence[str], dict[str, tuple[in
 def checked_names(
     names: Sequence[str], *known: Collection[str], noise: Collection[str] = ()
 ) -> tuple[tuple[str, ...], ...]:
-    """For each of some agents the observations of ``names`` that are ``known`` of it, each once.
+    """Return for each of some agents the observations of ``names`` that are ``known`` for it, each once.
 
     Raises:
         InputError: no agent knows one of them, or there is ``noise`` of one that is not among them.

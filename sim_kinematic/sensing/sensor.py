@@ -36,13 +36,13 @@ DETECTED_PIXELS = 1000
 DEPTH_RANGE_M = (0.0, 10.0)
 """Observed depth is clipped to this range and scaled to 0..1 (spec/habitat.md 1.1, 1.5)."""
 FAR_M = 1000.0
-"""A way that does not exist counts as this long; no home reaches as far."""
+"""Length that is used for a path that does not exist; no home reaches as far [m]."""
 FAST = 10.0
 """Bound of velocities [m/s, rad/s]: four times the robot's limits."""
 RANGES = 12
 """Rays of `range_scan`, one every 30 degrees."""
 RANGE_M = 2.0
-"""Farthest that it measures."""
+"""Largest distance that the sensor measures [m]."""
 RANGE_STRIDES = 8
 """Number of strides of sphere tracing: with these, 95% of rays in furnished homes are within 3 cm."""
 
@@ -176,7 +176,7 @@ def humanoid_velocity(robot_heading: Any, before_xz: Any, xz: Any, *, dt: float 
 
 
 def way(xz: Any, heading: Any, length_m: Any, point_xz: Any, *, xp: Any = np) -> Any:
-    """The shortest way from a base, by the map: ``(length [m], angle at which it begins [rad])`` [..., 2].
+    """Return the shortest path from a base, by the map: ``(length [m], initial angle [rad])`` [..., 2].
 
     The angle is to a point on the way [..., 2] (`first_point`), positive to the RIGHT. ``length_m`` [...] is that of
     `FreeSpace.geodesic`; a way that does not exist counts as `FAR_M`, straight ahead.
@@ -247,7 +247,7 @@ def arm_joints(joints: ArrayLike, columns: tuple[int, ...]) -> Floats:
 
 
 def is_holding(held_by: ArrayLike, agent: int = 0) -> Floats:
-    """1 where the agent holds something, else 0, shape [...] of holders [..., O]."""
+    """Return 1 where the agent holds something, else 0, shape [...] of holders [..., O]."""
     return (np.asarray(held_by) == agent).any(axis=-1).astype(np.float64)
 
 
@@ -256,11 +256,12 @@ class Detection(NamedTuple):
     """Output of the humanoid detector for pictures [..., H, W]."""
 
     found: NDArray[np.float32]
-    """1 where more than `DETECTED_PIXELS` pixels show a person, shape [...]."""
+    """Number 1 where more than `DETECTED_PIXELS` pixels show a person, else 0, shape [...]."""
     mask: NDArray[np.float32]
-    """1 in the pixels that do, shape [..., H, W]."""
+    """Number 1 in the pixels that show a person, else 0, shape [..., H, W]."""
     box: NDArray[np.float32]
-    """1 in the rectangle around them, shape [..., H, W]. As in Habitat, without its last row and its last column."""
+    """Number 1 in the rectangle around them, else 0, shape [..., H, W]. As in Habitat, without its last row and its last
+    column."""
 
 
 def detect_humanoids(

@@ -43,7 +43,7 @@ else:
 JOINT_MOST = 10.0
 """Bound of joint positions [rad or m]."""
 NEARER_M = 3.0
-"""Nobody gets nearer to anything by more than this in a second."""
+"""Distance by which an agent can get nearer to anything within a second, at most [m]."""
 AHEAD_M = (1.0, 2.5)
 """``path_ahead`` tells where the shortest path is after so much of it: what a hurrying agent walks in 0.4 s and in a second."""
 Times = Literal["once", "objects", "joints", "choices"]
@@ -54,9 +54,9 @@ class Pose(NamedTuple):
     """Poses of bases."""
 
     xz: Any
-    """[..., 2] [m]."""
+    """Place on the floor [..., 2] [m]."""
     heading: Any
-    """[...] [rad]."""
+    """Heading [...] [rad]."""
 
 
 class Context(Protocol):
@@ -78,16 +78,16 @@ class Context(Protocol):
     contact: Any
     """The agent touched an obstacle in the last step, bool [...]."""
     touching: Any
-    """It touches another agent, bool [...]."""
+    """True if the agent touches another one, bool [...]."""
     arm: Any
-    """Joint positions of its arm [..., n]; of a person [..., 0]."""
+    """Positions of the arm's joints [..., n]; for a person [..., 0]."""
     held_by: Any
     """Number of the agent that holds each object, [..., K]."""
     objects: Any
     starts: Any
     goals: Any
     at_goal: Any
-    """Which objects are at their goals, bool [..., K]."""
+    """True if the object is at its goal, bool [..., K]."""
     close: Any
     """The other is inside the ellipse in which skills may be interrupted, bool [...]."""
     steps: Any
@@ -141,14 +141,15 @@ class Context(Protocol):
         ...
 
     def ended(self, outcome: Ending) -> Any:
-        """One of the agent's C choices is 1: the last one, if it ended so, [..., C]."""
+        """Number for each of the agent's C choices: 1 for the last one, if it ended in this way, [..., C]."""
         ...
 
 
 class SensorContext(NamedTuple):
-    """One agent of each world, now: the `Context` of worlds whose agents drive and walk, on the CPU and on devices.
+    """Inputs of sensors: one agent of each world now, for worlds whose agents drive and walk, on the CPU and on devices.
 
-    On a device (``xp`` is torch) ``episodes`` is empty and ``world`` a `h3data_training.torch.task_worlds.TensorWorld`."""
+    On a device (``xp`` is torch) ``episodes`` is empty and ``world`` a `h3data_training.torch.task_worlds.TensorWorld`.
+    """
 
     spec: Any
     """The task's rules."""
@@ -162,7 +163,7 @@ class SensorContext(NamedTuple):
     agent: int
     now: AgentState
     before: AgentState
-    """One step ago."""
+    """Context of the same agent one step ago."""
     start: AgentState
     other: AgentState
     """The other agent: of a robot the first person, of a person the first robot, else the next agent."""
@@ -170,9 +171,9 @@ class SensorContext(NamedTuple):
     contact: NDArray[np.bool_]
     """The agent touched an obstacle in the last step, [W]."""
     touching: NDArray[np.bool_]
-    """It touches another agent, [W]."""
+    """True if the agent touches another one, [W]."""
     arm: Array
-    """Joint positions of its arm, which rests, [W, n]; of a person [W, 0]."""
+    """Positions of the joints of the resting arm, [W, n]; for a person [W, 0]."""
     path: Callable[[], tuple[Array, Array]]
     """The shortest path to the other agent: its length [W] [m] and its first way point [W, 2] [m]."""
     xp: Any = np
@@ -214,9 +215,9 @@ class Sensor(NamedTuple):
     of: Callable[[Any], Any]
     """Values [..., n] of a `Context`, of worlds whose agents drive and walk [W, n] of a `SensorContext`."""
     low: ArrayLike
-    """Least values of one unit of it, so many numbers,"""
+    """Least values of one unit of the sensor; their number is the width of a unit."""
     high: ArrayLike
-    """and the greatest ones."""
+    """Largest values of one unit of the sensor."""
     unit: tuple[str, ...] = ()
     """Unit of each of these numbers, empty for plain ones; none: all are plain."""
     frame: str = ""
@@ -225,11 +226,11 @@ class Sensor(NamedTuple):
     times: Times = "once"
     """Number of times that the unit is repeated: once, for each object, joint of the arm or choice."""
     of_other: bool = False
-    """It tells something of another agent, which a lone one does not have."""
+    """True if the sensor tells something about another agent, which a single agent does not have."""
 
     @property
     def width(self) -> int:
-        """Numbers of one unit."""
+        """Number of values in one unit."""
         return int(np.size(self.low))
 
     def limits(self, repeat: int = 1) -> Limits:
@@ -462,7 +463,7 @@ STATE_SENSES = (
     "last_done",
     "interrupted",
 )
-"""All that a policy without memory needs to do the task of rearrangement."""
+"""Sensors that suffice for a policy without memory to do the task of rearrangement."""
 
 
 def sensed(name: str, sensor: Sensor, moment: Any, task: str, agent: str) -> Any:

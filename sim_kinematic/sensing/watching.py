@@ -20,12 +20,12 @@ SIDES = 12
 TRIAL = (64, 48)
 """Size of the pictures that tell from which side the agent is seen best."""
 OTHERS = 0.5
-"""Weight of another agent in the picture relative to the agent itself,"""
+"""Weight of another agent in the picture relative to the agent itself."""
 OPEN = 1.0
-"""and how much of the picture nothing stands in front of, so near to the camera:"""
+"""Weight of the share of the picture in front of which nothing stands within ``IN_FRONT_M`` of the camera."""
 IN_FRONT_M = 3.2
 BETTER = 0.25
-"""Another side must be so much better, else the camera stays."""
+"""Difference by which another side must be better before the camera moves there."""
 
 
 class DebugRenderer:
@@ -39,7 +39,7 @@ class DebugRenderer:
         self._side = -1
 
     def picture(self, drawn: StateRenderer, agent: int = 0) -> NDArray[np.uint8]:
-        """uint8 [480, 640, 3] of the only world of ``drawn``, as last posed."""
+        """Return a picture uint8 [480, 640, 3] of the only world of ``drawn``, as last posed."""
         target = drawn.middle(agent)[0]
         trials = [_camera(target, side, TRIAL) for side in range(SIDES)]
         pictures = drawn.picture(trials, ("instance", "depth"))

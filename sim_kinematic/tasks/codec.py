@@ -50,13 +50,13 @@ class EpisodePlace:
     scene: Scene
     free: FreeSpace
     spec: Any
-    """The rules."""
+    """Rules of the episode."""
     agents: tuple[str, ...] | None = None
-    """Another roster."""
+    """Roster that replaces the usual one."""
     robot: str | None = None
-    """Another body of robots named by their kind."""
+    """Body that replaces the usual one of robots that are named by their kind."""
     human: str | None = None
-    """Another body of people named by their kind."""
+    """Body that replaces the usual one of people who are named by their kind."""
     assets: tuple[str, ...] = ()
     """Asset folders for objects that the episode adds."""
 
@@ -65,7 +65,7 @@ class EpisodeCodec(Generic[R]):
     """Converts the episodes of a task to JSON and back: records in episode files, and the info of recordings. A base class."""
 
     samples_starts: ClassVar[bool] = False
-    """True if it reads files without starts, which are sampled then."""
+    """True if the codec reads files without starts, which are then sampled."""
     records_judgement: ClassVar[bool] = True
     """True if each step's reward and success are recorded (``metrics.reward``, ``metrics.success``), for the metrics profile
     ``task``. The built-in tasks, whose metrics follow from other columns, do without."""
@@ -190,7 +190,7 @@ class TaskRecord(msgspec.Struct, frozen=True, kw_only=True):
     agents: tuple[str, ...]
     """The roster, as ``robot:quad_arm``."""
     extra: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    """`Episode.extra`."""
+    """Further data of the task, `Episode.extra`."""
     seed: int = 0
     scene_sha256: str = ""
     scene_source: Mapping[str, Any] = msgspec.field(default_factory=dict)

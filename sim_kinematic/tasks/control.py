@@ -71,7 +71,7 @@ class Control:
         return True
 
     def refusal(self, play: Any, number: int, choice: Any) -> str | None:
-        """Why a command, as `checked` returned it, would be refused now, as a sentence; None: it would not."""
+        """Reason why a command, as `checked` returned it, would be refused now, as a sentence; None: it would not."""
         del play, number, choice
         return None
 
@@ -85,7 +85,7 @@ class Control:
         raise NotImplementedError
 
     def recorded_agent(self, agent: Agent, episode: Episode, *, is_external: bool) -> Agent:
-        """An agent of a recording, with what it can do in this episode; by default as it is."""
+        """Return an agent of a recording with its abilities in this episode; unchanged by default."""
         del episode, is_external
         return agent
 
@@ -94,14 +94,14 @@ class Control:
         raise NotImplementedError
 
     def decided(self, recording: Recording, names: Sequence[str]) -> set[int]:
-        """Numbers of the agents whose every decision is recorded, so that verifying asks no policy of theirs.
+        """Return the numbers of the agents whose every decision is recorded, so that verification asks no policy of theirs.
 
         ``names`` are those of all agents' policies.
         """
         raise NotImplementedError
 
     def still(self, episode: Episode, number: int) -> Any:
-        """A policy that does nothing, for an agent whose decider is not here."""
+        """Return a policy that does nothing, for an agent whose policy is not available."""
         raise NotImplementedError
 
     def recorded_policies(
@@ -113,7 +113,7 @@ class Control:
         until: int,
         changed: Sequence[bool] = (),
     ) -> list[AssignedPolicy]:
-        """For each agent a policy that repeats its first ``until`` recorded decisions, then hands over to ``own``.
+        """Return for each agent a policy that repeats its first ``until`` recorded decisions, then hands over to ``own``.
 
         ``changed`` says of each agent whether its own policy is another than the recorded one.
         """
@@ -130,14 +130,14 @@ class Control:
 
 
 class VelocityControl(Control):
-    """Agents drive and walk: they choose velocities, way points or places."""
+    """Control of agents that drive and walk by velocities, way points or places."""
 
     def team(self, play: Any) -> Team:
-        """Agents of W worlds who are moved together."""
+        """Return the agents of W worlds, which are moved together."""
         return MotionTeam(play)
 
     def checked(self, play: Any, number: int, choice: Any) -> Any:
-        """A velocity: a pair, or anything with ``forward`` and ``turn``.
+        """Return a velocity from a pair, or from anything with ``forward`` and ``turn``.
 
         Raises:
             InputError: it is malformed.
@@ -152,7 +152,7 @@ class VelocityControl(Control):
         return choice
 
     def idle(self, play: Any, number: int, last: Any) -> Any:
-        """To go on as before."""
+        """Return the choice that keeps the agent as it is."""
         del play, number
         return Velocity(0.0, 0.0) if last is None else last
 
@@ -171,7 +171,7 @@ class VelocityControl(Control):
         return [f"agent_{k}.{name}" for k in robots for name in names]
 
     def decided(self, recording: Recording, names: Sequence[str]) -> set[int]:
-        """Robots, and people who were controlled from outside."""
+        """Return the robots, and the people who were controlled from outside."""
         commanded = recorded_commands(recording, self.from_json)
         decided = {
             k

@@ -26,7 +26,7 @@ if not TYPE_CHECKING:
     __getattr__ = refuse_renamed(__name__)
 
 MAX_STEPS = 1_000_000
-"""Longest episode that is simulated again: nine hours."""
+"""Number of steps of the longest episode that is simulated again: nine hours."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +59,7 @@ class Episode:
     starts: Array
     """Start ``(x, z, heading)`` of each agent, shape [A, 3]."""
     extra: Mapping[str, Any] = field(default_factory=dict)
-    """Whatever else the task sampled, as JSON types; recorded in ``info["extra"]``."""
+    """Further data that the task sampled, as JSON types; recorded in ``info["extra"]``."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "free", common_floor(self.roster, self.free))
@@ -109,7 +109,7 @@ class StepOutcome:
     terminated: NDArray[np.bool_]
     """The rules end the episode."""
     success: NDArray[np.bool_]
-    """Once true in an episode it should stay true."""
+    """True if the task is done; once true in an episode it should stay true."""
     columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     """Values to record, by column name (`Task.columns`), [W, ...] each."""
     ended: str = ""

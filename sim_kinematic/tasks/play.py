@@ -1,4 +1,4 @@
-"""Episodes under way: W worlds of one task, or one whose agents are asked in turn."""
+"""Rollouts of episodes: W worlds of one task, or one world whose agents are asked in turn."""
 
 from __future__ import annotations
 
@@ -228,7 +228,7 @@ class WorldRollout:
 
     @property
     def out_of_time(self) -> NDArray[np.bool_]:
-        """Worlds whose episode has had all its steps, [W]."""
+        """Return the worlds whose episode has had all its steps, [W]."""
         return self.steps >= self.spec.max_steps
 
     def agent_view(self, agent: int, world: int = 0) -> Any:
@@ -299,7 +299,7 @@ class WorldRollout:
         return self.task.view(self, agent, 0)
 
     def finish(self) -> None:
-        """Closes what is still going on, such as running skills."""
+        """End everything that is still running, such as skills."""
         self.team.finish()
 
     # --- recording ----------------------------------------------------------------------------------------------------
@@ -332,7 +332,7 @@ class WorldRollout:
 
 
 def contact_columns(kinds: Sequence[str], touching: NDArray[np.bool_]) -> Columns:
-    """Columns of who touches whom.
+    """Return the columns that say who touches whom.
 
     ``metrics.collision`` [T] says whether any two agents touch. Where this leaves open whom the first robot touches, because
     there are more than two agents, ``metrics.collision_people`` [T, P] says it of each person, and
@@ -391,19 +391,19 @@ class AgentSensors(NamedTuple):
     agent: str
     sensors: Mapping[str, Sensor]
     limits: Mapping[str, tuple[Array, Array]]
-    """Least and greatest values of each."""
+    """Return the least and the largest values of each sensor."""
     pictures: frozenset[str]
 
     @classmethod
     def of(cls, task: Rules, member: AgentSpec, objects: int) -> AgentSensors:
-        """The sensors and pictures of an agent beside so many objects."""
+        """Return the sensors and pictures of an agent in an episode with this number of objects."""
         sensors = task.sensors(member.kind)
         spaces = limits(sensors, objects=objects, arm=len(resting_arm(member.body)))
         exact = {name: (np.asarray(s.low, np.float64), np.asarray(s.high, np.float64)) for name, s in spaces.items()}
         return cls(member.name, {name: sensors[name] for name in exact}, exact, frozenset(picture_names(member.body)))
 
     def check(self, names: Sequence[str]) -> None:
-        """Raises an `InputError` if there is no such observation; it lists what there is."""
+        """Raise an `InputError` if there is no such observation; it lists the existing ones."""
         for name in names:
             if name not in self.sensors and name not in self.pictures:
                 there = [*sorted(self.sensors), *sorted(self.pictures)]

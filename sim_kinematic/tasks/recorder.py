@@ -40,7 +40,7 @@ from sim_kinematic.tasks.play import AgentSensors, Columns, WorldRollout
 from sim_kinematic.tasks.task import Task
 
 BLOCK = 30
-"""Rows that are handed to the sink at once: one second, which is what a crash may lose."""
+"""Number of rows that the sink gets at once: one second, which is what a crash may lose."""
 
 
 SHORT_M = 16.0
@@ -69,7 +69,7 @@ class Sink(Protocol):
         ...
 
     def abort(self) -> None:
-        """Ends the recording early; what was written so far stays readable."""
+        """End the recording early; the rows so far stay readable."""
 
 
 class RecordedSensors:
@@ -125,7 +125,7 @@ def _one(values: Sequence[Any]) -> Any:
 
 @dataclass
 class Recorder:
-    """The episode as it grows."""
+    """Recorder of an episode, which grows with every step."""
 
     header: RecordingHeader
     play: WorldRollout
@@ -166,7 +166,7 @@ class Recorder:
             self.sink.input(event)
 
     def columns(self) -> Columns:
-        """All rows so far."""
+        """Return all rows so far."""
         self._close_block()
         if not self.blocks:
             return {"time_ns": np.zeros(0, np.int64)}
@@ -181,7 +181,7 @@ class Recorder:
         self._close_block()
 
     def finish(self, info: Mapping[str, Any]) -> Recording:
-        """The whole recording, with what is known only at the end; closes the sink."""
+        """Return the whole recording, with what is known only at the end; closes the sink."""
         self.play.finish()
         columns = self.columns()
         self._take()
@@ -193,7 +193,7 @@ class Recorder:
         return recording
 
     def abort(self) -> None:
-        """Ends the recording early; the sink keeps what it has."""
+        """End the recording early; the rows in the sink stay."""
         if self.sink is not None:
             self.sink.abort()
 

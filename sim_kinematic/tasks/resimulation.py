@@ -21,7 +21,7 @@ from h3data.recording import SCHEMA_VERSION, Recording, RecordingHeader, state_h
 from h3data.scene import FreeSpace, Scene, load_scene
 
 MAX_STEPS = 1_000_000
-"""Longer episodes are not simulated again: nine hours."""
+"""Number of steps up to which episodes are simulated again: nine hours."""
 _OF_THE_RUN = ("job", "recovered", "resumed_from", "counterfactual", "human_reactive", "deciding_since")
 """Entries of ``info`` on the origin of a recording, which do not hold for one made from it."""
 
@@ -49,7 +49,7 @@ class Verification:
     """Result of `sim_kinematic.tasks.resume.verify`."""
 
     steps: int
-    """Steps that agree: all, or those before the first difference."""
+    """Number of steps that agree: all, or those before the first difference."""
     difference: Difference | None
 
     @property
@@ -68,7 +68,7 @@ def compared(recording: Recording, simulated: Columns, ended: str) -> Verificati
     return Verification(steps=steps if found is None else found.step, difference=found)
 
 
-def require_kept(
+def require_recorded(
     recording: Recording, step: int, simulated: Columns, ended: str, names: list[str] | None = None
 ) -> None:
     """Make sure that the first ``step`` steps came out again; ``names`` are by default all simulated columns.
@@ -168,7 +168,7 @@ def origin(recording: Recording, step: int) -> dict[str, Any]:
 
 
 def header_from(recording: Recording, what: str) -> RecordingHeader:
-    """The same bodies, agents and files under an episode of its own; ``what`` makes its uid."""
+    """Return a header with the same bodies, agents and files for an episode of its own; ``what`` makes its uid."""
     old = recording.episode
     episode = replace(
         old,

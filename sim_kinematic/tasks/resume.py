@@ -1,4 +1,4 @@
-"""Recordings simulated again: compared step by step, continued from any step, or with other robots beside the same people.
+"""Simulation of recordings: compared step by step, continued from any step, or with other robots among the same people.
 
 A recording holds its scene, its rules, its starts, its seed and every decision, so the simulator's state after any step
 follows from it: no hidden numbers are stored. "Resume from step K" plays the K recorded steps, and is refused if that does
@@ -37,7 +37,7 @@ from sim_kinematic.tasks.resimulation import (
     is_counterfactual,
     origin,
     require,
-    require_kept,
+    require_recorded,
     require_step,
     scene_and_map,
 )
@@ -153,7 +153,7 @@ def verify_episode(recording: Recording, task: Task, episode: Episode, people: A
 def resume(
     recording: Recording, step: int, *, policy: Any = None, partner: Any = None, agents: dict[str, Any] | None = None
 ) -> Recording:
-    """The episode anew: its first ``step`` steps as they are, then simulated on, by default as it was.
+    """Return the episode again: its first ``step`` steps as they are, then simulated, by default with the same policies.
 
     ``policy`` moves the robots from then on, ``partner`` the people; ``agents`` chooses by agent or kind.
 
@@ -194,7 +194,7 @@ class AddedTime(NamedTuple):
     goals: int
     """Number of goals that the person leaves in the recording as well as without robots, one after another."""
     seconds: float | None
-    """Time at which they leave the last of them, minus that without robots [s]; None without such a goal."""
+    """Time at which people leave their last goal, minus that without robots [s]; None without such a goal."""
 
 
 def added_time(recording: Recording) -> list[AddedTime]:
@@ -252,7 +252,7 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
     )
     robots = [n for n in played.columns if any(n.startswith(f"agent_{k}.") for k in _numbers(recording, "robot"))]
     # beside a kept track, what was measured of the person may differ in its last bits
-    require_kept(
+    require_recorded(
         recording, step, played.columns, played.ended, robots if keeps_people and not task.control.has_skills else None
     )
     came = origin(recording, step)

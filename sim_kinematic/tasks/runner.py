@@ -34,7 +34,7 @@ if not TYPE_CHECKING:
 
 
 class DecisionLoop:
-    """An episode's turns, one at a time: who must decide next, or that a step is over."""
+    """Loop over the turns of an episode: the agent that must decide next, or the end of a step."""
 
     def __init__(self, play: WorldRollout) -> None:
         self._play, self._left = play, play.spec.max_steps
@@ -105,7 +105,7 @@ class DecisionLoop:
 
 
 def rollout(task: Task, episode: Episode, policies: Assigned | None = None, *, measure: bool = True) -> WorldRollout:
-    """One episode of a task under policies, by agent or kind, ready for `run`.
+    """Return one episode of a task under policies, by agent or kind, ready for `run`.
 
     ``measure=False`` leaves out what only rewards need.
 
@@ -264,7 +264,7 @@ class _Inbox(External):
 
 
 class Session:
-    """One episode, one step at a time. Agents whose policy is `External` are told what to do by `act`.
+    """Episode that advances one step at a time. Agents whose policy is `External` act as `act` says.
 
     ```python
     session = h3data.session("rearrange", scenes="small:3", agents={"person": External(), "robot": "complement"})
@@ -430,7 +430,7 @@ class Session:
         return self._closed
 
     def abort(self) -> None:
-        """Leaves the session without an end: what has been played so far stays as an unfinished log (``.part``)."""
+        """Leave the session without an end: the steps so far stay as an unfinished log (``.part``)."""
         if self._closed is None:
             self.recorder.flush()
             self.recorder.abort()

@@ -1,4 +1,4 @@
-"""A task: how episodes are sampled, what a step is judged to be worth, which policies play it.
+"""Base class of tasks: how episodes are sampled, how steps are evaluated, and which policies are available.
 
 A task of one's own is a subclass of `Task` with a frozen `TaskSpec`, found by entry point (group ``h3data.tasks``) or as
 ``module:Class``. `sample` and `judge` are enough; recording, resuming, environments, datasets, metrics and reports follow
@@ -112,14 +112,14 @@ class Task:
     """Name in recordings and on the command line; by default the class's name in snake case."""
     Spec: ClassVar[type[Any]] = TaskSpec
     agents: ClassVar[tuple[str, ...]] = ("robot", "human")
-    """Default roster (`sim_kinematic.agents.roster.make_roster`)."""
+    """Roster of agents by default (`sim_kinematic.agents.roster.make_roster`)."""
     profile: ClassVar[str] = ""
     """Metrics profile of its recordings: a name or ``module:name``; empty: the profile of its name, else the generic one."""
     control: ClassVar[Control] = VelocityControl()
     """Control of its agents: velocities and way points, or skills. It says what carries choices out, how they are
     recorded, and what agents report to be doing."""
     columns: ClassVar[Mapping[str, Any]] = {}
-    """dtype of each column in `StepOutcome.columns`."""
+    """Type (dtype) of each column in `StepOutcome.columns`."""
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     """Policies by kind of agent and name, beside those that every task has (`sim_kinematic.policies.policy`)."""
     defaults: ClassVar[Mapping[str, str]] = {"robot": "wander", "human": "waypoints"}

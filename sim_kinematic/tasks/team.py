@@ -52,7 +52,7 @@ class Team(ABC):
         """Called before an agent is asked or moved."""
 
     def end_turn(self, number: int) -> None:  # noqa: B027
-        """Called after an agent has made its step."""
+        """Update the team after an agent has made its step."""
 
     @abstractmethod
     def move(self, commands: Sequence[Command | None]) -> None:

@@ -1,4 +1,4 @@
-"""Any robots and people wander about a home from one random point to another: the least that a mix of agents can do."""
+"""Task in which any robots and people walk about a home from one random point to another: the least that agents can do."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ STEPS = 300
 
 
 class WanderCodec(TaskCodec):
-    """Writes the names of all policies in one list."""
+    """Codec that writes the names of all policies in one list."""
 
     records_judgement: ClassVar[bool] = False
 

@@ -222,19 +222,22 @@ def test_what_is_out_of_reach_is_approached_and_told() -> None:
 
 
 BAD = {
-    "NaN": ({"target": [np.nan, 0, 0]}, "finite targets"),
-    "shape": ({"target": [0.0, 0]}, r"\[\.\.\., 3\] or \[\.\.\., 7\]"),
-    "quaternion": ({"target": [0, 0, 0, 0, 0, 0, 0.0]}, "quaternions, got one of length 0"),
-    "link": ({"link": "tail"}, "no link 'tail'.*arm_hand"),
-    "base link": ({"link": "base_link"}, "joints that move base_link"),
-    "joints": ({"joints": ["arm_0", "front_left_knee"]}, "got front_left_knee"),
-    "q0": ({"q0": np.zeros(7)}, r"\[\.\.\., 20\]"),
-    "q0 NaN": ({"q0": np.full(20, np.nan)}, "NaN or infinity for"),
-    "q0 batch": ({"q0": np.zeros((3, 20)), "target": np.zeros((2, 3))}, r"q0 for \[2\] targets, got \[3\]"),
-    "offset": ({"offset": [0, 0]}, "offset of 3"),
-    "base": ({"base_pose": [0, 0, 0]}, "base poses"),
-    "tolerance": ({"tolerance_m": 0.0}, "tolerances above 0"),
-    "iterations": ({"iterations": 0}, "at least one iteration"),
+    "NaN": ({"target": [np.nan, 0, 0]}, "H3-BODY-087"),
+    "shape": ({"target": [0.0, 0]}, r"(?s)\[\.\.\., 3\] or \[\.\.\., 7\].*H3-BODY-087"),
+    "quaternion": ({"target": [0, 0, 0, 0, 0, 0, 0.0]}, "H3-BODY-088"),
+    "link": ({"link": "tail"}, "(?s)no link 'tail'.*arm_hand.*H3-BODY-096"),
+    "base link": ({"link": "base_link"}, "(?s)joints that move base_link.*H3-BODY-089"),
+    "joints": ({"joints": ["arm_0", "front_left_knee"]}, "(?s)got front_left_knee.*H3-BODY-089"),
+    "q0": ({"q0": np.zeros(7)}, r"(?s)\[\.\.\., 20\].*H3-BODY-100"),
+    "q0 NaN": ({"q0": np.full(20, np.nan)}, "H3-BODY-097"),
+    "q0 batch": (
+        {"q0": np.zeros((3, 20)), "target": np.zeros((2, 3))},
+        r"(?s)q0 for \[2\] targets, got \[3\].*H3-BODY-090",
+    ),
+    "offset": ({"offset": [0, 0]}, "H3-BODY-085"),
+    "base": ({"base_pose": [0, 0, 0]}, "H3-BODY-091"),
+    "tolerance": ({"tolerance_m": 0.0}, "H3-BODY-086"),
+    "iterations": ({"iterations": 0}, "H3-BODY-086"),
 }
 
 

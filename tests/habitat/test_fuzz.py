@@ -384,37 +384,49 @@ HOSTILE: dict[str, tuple[str, Callable[[], bytes], str]] = {
     "deep brackets": (
         "x.gfx_replay.json",
         lambda: b'{"keyframes":[' + b"[" * 200_000 + b"]" * 200_000 + b"]}",
-        "object",
+        "(?s)object.*H3-HABITAT-059",
     ),
     "deep objects": (
         "x.gfx_replay.json",
         lambda: b'{"keyframes":[' + b'{"a":' * 200_000 + b"0" + b"}" * 200_000 + b"]}",
-        "deep",
+        "(?s)deep.*H3-FORMAT-008",
     ),
     "deep lights": (
         "x.gfx_replay.json",
         lambda: b'{"keyframes":[{"lights":[' + b"[" * 9000 + b"]" * 9000 + b"]}]}",
-        "deep|object",
+        "(?s)deep|object.*H3-FORMAT-008",
     ),
     "a keyframe without end": (
         "x.gfx_replay.json",
         lambda: b'{"keyframes":[{"a":"' + b"x" * (KEYFRAME_BYTES + 2**21),
         "longer than 64 MiB",
     ),
-    "pickle with code": ("x.pkl.gz", lambda: gzip.compress(pickle.dumps(Evil())), r"builtins\.exec"),
+    "pickle with code": ("x.pkl.gz", lambda: gzip.compress(pickle.dumps(Evil())), r"(?s)builtins\.exec.*H3-FORMAT-026"),
     "pickle with code among values": (
         "x.pkl.gz",
         lambda: gzip.compress(pickle.dumps({**log(), "dataset": Evil()})),
-        r"builtins\.exec",
+        r"(?s)builtins\.exec.*H3-FORMAT-026",
     ),
-    "not UTF-8": ("x.gfx_replay.json", lambda: b'{"keyframes":[{"loads":[{"filepath":"\xe9"}]}]}', "UTF-8"),
-    "NaN": ("x.gfx_replay.json", lambda: text(replay()).replace(b"0.25", b"NaN", 1), "NaN under"),
-    "infinity": ("x.gfx_replay.json", lambda: text(replay()).replace(b"-2]", b"-Infinity]", 1), "Infinity"),
-    "beyond all numbers": ("x.gfx_replay.json", lambda: text(replay()).replace(b"0.25", b"1e40", 1), "1000000000"),
+    "not UTF-8": (
+        "x.gfx_replay.json",
+        lambda: b'{"keyframes":[{"loads":[{"filepath":"\xe9"}]}]}',
+        "(?s)UTF-8.*H3-FORMAT-008",
+    ),
+    "NaN": ("x.gfx_replay.json", lambda: text(replay()).replace(b"0.25", b"NaN", 1), "(?s)NaN under.*H3-FORMAT-012"),
+    "infinity": (
+        "x.gfx_replay.json",
+        lambda: text(replay()).replace(b"-2]", b"-Infinity]", 1),
+        "(?s)Infinity.*H3-FORMAT-012",
+    ),
+    "beyond all numbers": (
+        "x.gfx_replay.json",
+        lambda: text(replay()).replace(b"0.25", b"1e40", 1),
+        "(?s)1000000000.*H3-HABITAT-059",
+    ),
     "quaternion of nothing": (
         "x.gfx_replay.json",
         lambda: text(replay()).replace(b"[1,0,0,0]", b"[0,0,0,0]"),
-        "length 0",
+        "H3-HABITAT-066",
     ),
     "many people": (
         "x.gfx_replay.json",
@@ -430,14 +442,14 @@ HOSTILE: dict[str, tuple[str, Callable[[], bytes], str]] = {
                 ]
             }
         ),
-        "More than 256",
+        "(?s)More than 256.*H3-FORMAT-019",
     ),
     "many instances": (
         "x.gfx_replay.json",
         lambda: text(
             {"keyframes": [{"creations": [{"instanceKey": k, "creation": {"filepath": "a"}} for k in range(2001)]}]}
         ),
-        "More than 2000 instances",
+        "(?s)More than 2000 instances.*H3-FORMAT-019",
     ),
     "tracks that fill the memory": (
         "x.gfx_replay.json",
@@ -447,7 +459,7 @@ HOSTILE: dict[str, tuple[str, Callable[[], bytes], str]] = {
             + text({"creations": [{"instanceKey": k, "creation": {"filepath": "a"}} for k in range(900)]})
             + b"]}"
         ),
-        "more than can be read",
+        "H3-FORMAT-018",
     ),
 }
 HEAVY = ("a keyframe without end", "gzip bomb", "gzip bomb of a log")

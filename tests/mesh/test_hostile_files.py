@@ -180,7 +180,7 @@ def test_hostile_documents_are_refused(tmp_path: Path, case: str) -> None:
     at[keys[-1]] = value
     path = tmp_path / "hostile.glb"
     path.write_bytes(pack_glb(document, build.chunk))
-    with pytest.raises(SceneError, match=r"(?m)hostile\.glb$"):
+    with pytest.raises(SceneError, match=r"(?ms)hostile\.glb$.*H3-MESH-02[16]"):
         load_mesh(path)
     if "materials" not in keys and "extensionsRequired" not in keys:
         with suppress(SceneError):
@@ -254,7 +254,7 @@ def test_cut_off_anywhere(tmp_path: Path) -> None:
     for cut in [*range(24), *range(24, len(data), 29), len(data) - 1]:
         path.write_bytes(data[:cut])
         os.utime(path, ns=(cut, cut))
-        with pytest.raises(SceneError, match=r"x\.glb"):
+        with pytest.raises(SceneError, match=r"(?s)x\.glb.*H3-MESH-0(02|04|21)"):
             load_mesh(path)
     path = separate(build, tmp_path / "folder")
     for k, file in enumerate((path, path.parent / "some bytes.bin")):
@@ -286,7 +286,7 @@ def test_a_ply_of_a_billion_vertices(tmp_path: Path) -> None:
             f"ply\nformat {kind} 1.0\nelement vertex 1000000000\nproperty float x\nproperty float y\n"
             "property float z\nelement face 1000000000\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n"
         )
-        with pytest.raises(SceneError, match=r"(?m)\.ply$"):
+        with pytest.raises(SceneError, match=r"(?ms)\.ply$.*H3-MESH-02[14]"):
             load_mesh(path)
 
 

@@ -89,10 +89,10 @@ def test_the_way_scales_with_the_legs() -> None:
     source, body = load_humanoid("male_1"), load_humanoid("female_3")
     motion = walked(source, 1.3)
     scale = body.gaits.legs.length / source.gaits.legs.length
-    assert retarget(motion, body).way_m == pytest.approx(scale * motion.way_m, rel=1e-3)
+    assert retarget(motion, body).path_m == pytest.approx(scale * motion.path_m, rel=1e-3)
     for target in BODIES:  # who does not say how long his legs are shows it by walking
         fitted, told = (retarget(replace(motion, leg_m=leg), load_humanoid(target)) for leg in (None, motion.leg_m))
-        assert fitted.way_m == pytest.approx(told.way_m, rel=0.02)
+        assert fitted.path_m == pytest.approx(told.path_m, rel=0.02)
     still = replace(motion, quats=motion.quats[:1].repeat(9, 0), pelvis=motion.pelvis[:1].repeat(9, 0), leg_m=None)
     fitted = retarget(still, body)
     assert np.abs(sole_points(body, leg_frames(body, fitted.quats, fitted.pelvis))[..., 1].min()) < 5e-3

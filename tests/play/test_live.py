@@ -237,7 +237,7 @@ def test_a_session_that_nobody_played_leaves_no_file(tmp_path: Path):
 def test_plans_that_cannot_be_played(tmp_path: Path):
     for changes, message in (
         ({"app": "rearange"}, r"(?s)app.*H3-FILE-011"),
-        ({"scenes": "nowhere"}, "nowhere"),
+        ({"scenes": "nowhere"}, "(?s)nowhere.*H3-HABITAT-108"),
         ({"partner": "nobody"}, r"(?s)policy 'nobody'.*H3-POLICY-002"),
         ({"app": "social_nav", "partner": None, "seats": ("person", "person")}, "H3-TASK-053"),
     ):

@@ -261,8 +261,9 @@ NEED_MORE = (
     "motion import",
     "export {files}/ds#0 --to habitat-episodes",
     "rerender {files}/ds#0 --camera robot_arm --backend gpu",
+    "view {files}/ds#0 --stand-ins",
 )
-"""Beginnings of those that also need a whole file, another task or a GPU to succeed, and so are only refused."""
+"""Beginnings of commands that also need a whole file, another task, a GPU or a second package, and so are only refused."""
 
 
 @pytest.mark.slow

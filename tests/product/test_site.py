@@ -1,12 +1,14 @@
-"""The documentation site in Chromium without a window: no code block and no page is wider than its place."""
+"""The documentation site in Chromium without a window: pages fit their place, on paper too, and the search finds them."""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
+from urllib.parse import quote_plus
 
 import pytest
 
@@ -18,10 +20,15 @@ _MISSING = missing_browser()
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(bool(_MISSING), reason=_MISSING or "nothing is missing")]
 
 
-def test_code_blocks_fit_their_column_on_a_laptop_and_a_phone(tmp_path: Path) -> None:
-    site = tmp_path / "site"
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    site = tmp_path_factory.mktemp("docs") / "site"
     build = [sys.executable, "-m", "sphinx", "-q", "-b", "html", "-D", "nb_execution_mode=off", str(DOCS), str(site)]
     subprocess.run(build, check=True, timeout=500)
+    return site
+
+
+def test_pages_fit_a_laptop_a_phone_and_paper(site: Path) -> None:
     pages = [page for page in sorted(site.rglob("*.html")) if page.stem not in ("genindex", "search", "py-modindex")]
     measure = ["node", str(WEB / "test" / "browser" / "site.mjs"), *map(str, pages)]
     environment = {**os.environ, "CHROMIUM": str(CHROMIUM)}
@@ -29,3 +36,24 @@ def test_code_blocks_fit_their_column_on_a_laptop_and_a_phone(tmp_path: Path) ->
     found = json.loads(done.stdout)
     assert found["blocks"] > 400
     assert found["cut"] == []
+    assert found["printed"] == []
+
+
+@pytest.mark.parametrize(
+    ("words", "page"),
+    [
+        ("rerender", "rerender.html"),
+        ("metrics", "metrics.html"),
+        ("install", "installation.html"),
+        ("play", "play.html"),
+        ("collision rate", "metrics.html"),
+        ("H3-RECORDING-014", "errors.html"),
+        ("render_frame", "reference/written/python/h3data.html"),
+    ],
+)
+def test_search_finds_the_page_about_the_words_first(site: Path, words: str, page: str) -> None:
+    address = f"{(site / 'search.html').as_uri()}?q={quote_plus(words)}"
+    command = [str(CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=6000", "--dump-dom"]
+    done = subprocess.run([*command, address], capture_output=True, text=True, timeout=100, check=True)
+    results = re.findall(r'<li[^>]*>\s*<a href="([^"?#]*)', done.stdout[done.stdout.index("search-results") :])
+    assert results[0] == page

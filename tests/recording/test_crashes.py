@@ -100,7 +100,7 @@ def test_kill_9_at_any_moment_costs_a_log_at_most_one_second(tmp_path, seed):
     reported = killed_after(RECORDS_FOR_EVER, path, random.Random(seed).randrange(1, 400))
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap.part"], "an unfinished recording has no final name"
     if reported < FLUSH_ROWS:
-        with pytest.raises(FormatError, match="unfinished"):
+        with pytest.raises(FormatError, match=r"H3-RECORDING-0(18|41|50)"):
             open_recording(path.with_name("a.mcap.part"))
         return
     saved = recover_mcap(path.with_name("a.mcap.part"), path)
@@ -233,7 +233,7 @@ def test_folders_without_permission_are_named():
                     lambda: Dataset(root / "closed/ds"),
                     lambda: Dataset(root / "ds").recording(0),
                 ):
-                    with pytest.raises(H3DataError, match=r"ermission|cannot be read"):
+                    with pytest.raises(H3DataError, match=r"H3-RECORDING-(015|017|026|054|060|066|103)"):
                         attempt()
         finally:
             root.chmod(0o755)

@@ -231,9 +231,9 @@ def test_unfinished_and_other_logs_are_named(tmp_path):
                 "repeat_schemas": False,
                 "use_summary_offsets": False,
             },
-            "no summary",
+            "H3-RECORDING-039",
         ),
-        ({"compression": CompressionType.LZ4}, "profile"),
+        ({"compression": CompressionType.LZ4}, "H3-RECORDING-020"),
     ]
     for options, found in others:
         with open(path, "wb") as stream:

@@ -170,8 +170,8 @@ def _changed(change: dict[str, Any], *, part: bool = False) -> bytes:
     [
         ({"lower": 2.0}, False, r"(?s)equal limits.*H3-SCENE-053"),
         ({"lower": 3.0}, False, r"(?s)reversed.*H3-SCENE-053"),
-        ({"axis": [0, float("nan"), 0]}, False, "axis"),
-        ({"axis": [0, 0, 0]}, False, "axis"),
+        ({"axis": [0, float("nan"), 0]}, False, "(?s)axis.*H3-SCENE-053"),
+        ({"axis": [0, 0, 0]}, False, "(?s)axis.*H3-SCENE-053"),
         ({"rest": 9.0}, False, r"(?s)outside its limits.*H3-SCENE-053"),
         ({"kind": "ball"}, False, r"(?s)Unknown kind of joint 'ball'.*H3-SCENE-053"),
         ({"joint": None}, True, r"(?s)'door' has no joint.*H3-SCENE-053"),
@@ -179,7 +179,7 @@ def _changed(change: dict[str, Any], *, part: bool = False) -> bytes:
         ({"instances": ["body"]}, True, r"(?s)stands still.*H3-SCENE-053"),
         ({"instances": ["cup"]}, True, r"(?s)another part moves.*H3-SCENE-053"),
         ({"parent": "box"}, True, r"(?s)hangs on 'box'.*H3-SCENE-053"),
-        ({"handle": [0, 0, float("inf")]}, True, "handle"),
+        ({"handle": [0, 0, float("inf")]}, True, "(?s)handle.*H3-SCENE-053"),
     ],
 )
 def test_damaged_files_say_what_is_wrong(change: dict[str, Any], part: bool, told: str) -> None:

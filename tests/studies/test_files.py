@@ -95,7 +95,7 @@ def test_files_that_are_none(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("condition", "message"),
     [
-        ({"name": "a", "app": "nothing"}, "nothing"),
+        ({"name": "a", "app": "nothing"}, "(?s)nothing.*H3-STUDY-042"),
         ({"name": "a", "partner": "nobody"}, r"(?s)condition a.*Unknown policy 'nobody'.*H3-STUDY-042"),
         ({"name": "a", "rules": {"nonsense": 1}}, r"(?s)condition a.*nonsense.*H3-STUDY-042"),
     ],

@@ -123,7 +123,7 @@ def test_gymnasium_accepts_it(exported: Path) -> None:
 @pytest.mark.parametrize(
     ("action", "code"),
     [([0.0], "H3-ENV-010"), ([0.0] * 3, "H3-ENV-010"), ([[0.0, 0.0]], "H3-ENV-010"), ([np.nan, 0], "H3-ENV-029"),
-     ([0, np.inf], "H3-ENV-029"), ("go", "H3-ENV-031"), (None, "H3-ENV-0")],
+     ([0, np.inf], "H3-ENV-029"), ("go", "H3-ENV-031"), (None, "H3-ENV-010")],
 )  # fmt: skip
 def test_malformed_actions_move_nothing(exported: Path, action: Any, code: str) -> None:
     env = DatasetEnv(exported, episodes="recorded", cameras=[])
@@ -136,15 +136,15 @@ def test_malformed_actions_move_nothing(exported: Path, action: Any, code: str) 
 
 
 def test_datasets_that_cannot_be_played_are_refused(exported: Path, source: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="H3-RECORDING"):
+    with pytest.raises(InputError, match="H3-RECORDING-132"):
         DatasetEnv(source)  # generated, not exported
-    with pytest.raises(InputError, match="episodes"):
+    with pytest.raises(InputError, match="H3-ENV-043"):
         DatasetEnv(exported, episodes="all")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="max_steps"):
+    with pytest.raises(InputError, match="H3-ENV-044"):
         DatasetEnv(exported, max_steps=1)
-    with pytest.raises(InputError, match="homes"):
+    with pytest.raises(InputError, match="H3-ENV-045"):
         DatasetEnv(exported, "small:1", episodes="recorded")
-    with pytest.raises(InputError, match=r"(?s)robot_arms.*robot_arm"):
+    with pytest.raises(InputError, match=r"(?s)robot_arms.*robot_arm.*H3-ENV-047"):
         DatasetEnv(exported, cameras=["robot_arms"])
     with pytest.raises(InputError, match="H3-RENDER-046"):
         DatasetEnv(exported, light="dark")  # type: ignore[arg-type]
@@ -174,7 +174,7 @@ def test_demonstrations_of_an_arm_cannot_be_played(tmp_path: Path) -> None:
 
     recording = simulate_rearrange(rearrange_episode(build_home(HomeSpec(seed=3)), seed=1))
     write_lerobot([recording], tmp_path / "ds")
-    with pytest.raises(InputError, match="velocity of the base"):
+    with pytest.raises(InputError, match="H3-ENV-046"):
         DatasetEnv(tmp_path / "ds")
 
 
@@ -192,27 +192,23 @@ def test_cameras_have_any_size_in_environments() -> None:
     assert np.array_equal(both["robot_arm_rgb"], both["arm_rgb"]), "the same lens under two names"
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [("robot_arm@0x4", "H3-RENDER-085"), ("robot_arm@4x9000", "H3-RENDER-085"), ("robot_arm@123456x4", "H3-RENDER-085"),
-     ("robot_leg@4x4", "robot_leg"), ("robot_arm@4by4", "robot_arm@4by4"), ("robot_arm@-4x4", "robot_arm@-4x4")],
-)  # fmt: skip
-def test_cameras_and_sizes_that_do_not_exist(source: Path, tmp_path: Path, name: str, message: str) -> None:
-    with pytest.raises(InputError, match=message):
+@pytest.mark.parametrize("name", ["robot_leg", "robot_arm@4by4", "robot_arm@-4x4"])
+def test_cameras_and_sizes_that_do_not_exist(source: Path, tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=f"(?s){name}.*H3-SIM-046"):
         h3data.make("social_nav", HOME, observations=["robot_arm", name])
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(InputError, match=f"(?s){name}.*H3-REPLAY-017"):
         camera_track(Replay(Dataset(source)[0], light="flat"), name)
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(InputError, match=f"(?s){name}.*H3-REPLAY-017"):
         h3data.export(source, tmp_path / "out", to="lerobot", cameras=[name])
     assert not (tmp_path / "out").exists()
 
 
 def test_one_camera_has_one_size(source: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="one size"):
+    with pytest.raises(InputError, match="H3-SIM-058"):
         h3data.make("social_nav", HOME, observations=["robot_arm@8x8", "robot_arm@4x4"])
     with pytest.raises(InputError, match="H3-EXPORT-001"):
         h3data.export(source, tmp_path / "out", to="lerobot", cameras=["robot_arm@8x8", "robot_arm@4x4"])
-    with pytest.raises(InputError, match="even"):
+    with pytest.raises(InputError, match="H3-EXPORT-038"):
         h3data.export(source, tmp_path / "out", to="lerobot", cameras=["robot_arm@9x8"])
     replay = Replay(Dataset(source)[0], light="flat")
     for name in ("third_person@64x64", "robot_arm@20x10"):

@@ -718,10 +718,10 @@ def test_files_that_do_not_fit_are_refused(
     resolve_policy(task, "robot", f"weights:{robot}", spec)
     resolve_policy(task, "human", f"weights:{person}", spec)
     for kind, file, rules, message in (
-        ("robot", f"weights:{person}", spec, "for a robot, these are for a human"),
-        ("human", f"weights:{robot}", spec, "for a human, these are for a robot"),
-        ("robot", f"weights:{robot}", replace(spec, objects=3), "know 2 objects, the episode has 3"),
-        ("robot", "end_to_end", spec, "for the task rearrange, these are for 'social_nav'"),
+        ("robot", f"weights:{person}", spec, "(?s)for a robot, these are for a human.*H3-POLICY-009"),
+        ("human", f"weights:{robot}", spec, "(?s)for a human, these are for a robot.*H3-POLICY-009"),
+        ("robot", f"weights:{robot}", replace(spec, objects=3), "(?s)know 2 objects, the episode has 3.*H3-POLICY-010"),
+        ("robot", "end_to_end", spec, "(?s)for the task rearrange, these are for 'social_nav'.*H3-POLICY-022"),
     ):
         with pytest.raises(FormatError, match=message):
             resolve_policy(task, kind, file, rules)
@@ -732,11 +732,11 @@ def test_files_that_do_not_fit_are_refused(
     broken = tmp_path / "broken.npz"
     network = chooser()
     for content, message in (
-        (robot.read_bytes()[:500], "this is none"),
-        (_file(tmp_path, network, persist=np.array([np.nan], np.float32)), "not finite"),
-        (_file(tmp_path, network, persist=np.zeros(2, np.float32)), "has the shape"),
-        (_file(tmp_path, network, without="gru.bias_ih"), "bias_ih is missing"),
-        (_file(tmp_path, network, extra=np.zeros(2, np.float32)), "unknown array extra"),
+        (robot.read_bytes()[:500], "H3-POLICY-030"),
+        (_file(tmp_path, network, persist=np.array([np.nan], np.float32)), "(?s)not finite.*H3-POLICY-007"),
+        (_file(tmp_path, network, persist=np.zeros(2, np.float32)), "(?s)has the shape.*H3-POLICY-007"),
+        (_file(tmp_path, network, without="gru.bias_ih"), "(?s)bias_ih is missing.*H3-POLICY-007"),
+        (_file(tmp_path, network, extra=np.zeros(2, np.float32)), "(?s)unknown array extra.*H3-POLICY-007"),
     ):
         broken.write_bytes(content)
         os.utime(broken, ns=(0, hash(message) % 10**15))

@@ -14,7 +14,7 @@ import h3data
 from h3data.errors import InputError, MissingExtraError
 from h3data.replay.sight import Sight
 from h3data_viewers import notebook
-from h3data_viewers.rerun.rrd_file import ShownRecording, recorded_stream
+from h3data_viewers.rerun.rrd_file import ViewedRecording, recorded_stream
 from sim_kinematic.motion.spec import SocialNavSpec
 from tests.simulated import simulate_social_nav, social_nav_episode
 
@@ -109,7 +109,7 @@ def test_show_refuses_what_it_cannot_do(recording: Any, monkeypatch: pytest.Monk
 
 
 def test_rerun_streams_hold_the_recording(recording: Any, tmp_path: Path) -> None:
-    stream = recorded_stream([ShownRecording(recording=recording)])
+    stream = recorded_stream([ViewedRecording(recording=recording)])
     stream.save(tmp_path / "shown.rrd")  # flushes what was logged before
     stream.disconnect()
     assert b"agents" in (tmp_path / "shown.rrd").read_bytes()

@@ -10,7 +10,7 @@ import pytest
 from h3data.errors import InputError
 from h3data.geometry import pose_to_matrix
 from h3data.recording.records import STEP_NS, Recording
-from h3data_viewers import ShownRecording, write_comparison_rrd, write_rrd
+from h3data_viewers import ViewedRecording, write_comparison_rrd, write_rrd
 from h3data_viewers.rerun.rrd_file import _timeline
 from tests.viewers.rerun_file import STEPS, File, Stage, example
 
@@ -39,8 +39,8 @@ class ShortStage(Stage):
 @pytest.fixture(scope="module")
 def compared(tmp_path_factory) -> tuple[Recording, Recording, File]:
     first, second = example(), shortened(example(), 25)
-    one = ShownRecording(recording=first, replay=Stage(first), name="one")
-    two = ShownRecording(recording=second, replay=ShortStage(second), name="two")
+    one = ViewedRecording(recording=first, replay=Stage(first), name="one")
+    two = ViewedRecording(recording=second, replay=ShortStage(second), name="two")
     return first, second, File(write_comparison_rrd(one, two, tmp_path_factory.mktemp("rrd") / "two.rrd"))
 
 
@@ -80,10 +80,10 @@ def test_curves_of_two_recordings_differ_in_colour(compared):
 
 
 def test_the_timeline_is_one_on_which_both_keep_their_pace():
-    first, second = (ShownRecording(recording=r) for r in (example(), shortened(example(), 25)))
+    first, second = (ViewedRecording(recording=r) for r in (example(), shortened(example(), 25)))
     assert _timeline([first, second]) == "step"
     columns = {**second.recording.columns, "time_ns": second.recording.columns["time_ns"] * 2}
-    slow = ShownRecording(recording=replace(second.recording, columns=columns))
+    slow = ViewedRecording(recording=replace(second.recording, columns=columns))
     assert _timeline([first, slow]) == "sim_time"
 
 
@@ -91,7 +91,7 @@ def test_nothing_to_compare_is_refused(tmp_path):
     empty = example(agents=(), columns={"time_ns": np.zeros(0, np.int64)}, skills=(), events=())
     with pytest.raises(InputError, match=r"(?s)b, 'nothing'.*H3-VIEW-021"):
         write_comparison_rrd(
-            ShownRecording(recording=example()), ShownRecording(recording=empty, name="nothing"), tmp_path / "e.rrd"
+            ViewedRecording(recording=example()), ViewedRecording(recording=empty, name="nothing"), tmp_path / "e.rrd"
         )
     assert not list(tmp_path.iterdir())
 

@@ -23,7 +23,7 @@ class Hud:
     task: str
     """Task of the player, as a sentence."""
     left_s: float | None = None
-    """Time that is left [s]; None: no limit is shown."""
+    """Remaining time [s]; None: no limit is shown."""
     lines: tuple[str, ...] = ()
     """Lines about the state of the game."""
     how: Mapping[str, str] = field(default_factory=dict)
@@ -44,7 +44,7 @@ class Goal:
 
 
 class App:
-    """An episode of a task as people play it. The defaults suit any task; a subclass says what is different.
+    """Application for people who play an episode of a task. The defaults suit any task; a subclass changes what is different.
 
     An object of it lives for one episode. `reset`, then for each step `on_input` for what players have sent, `step` for what
     happened, `hud` for what each player reads.

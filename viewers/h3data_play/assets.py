@@ -38,7 +38,7 @@ GRID_UNIT_M = 1e-3
 
 
 def world_glb(session: Session) -> bytes:
-    """The home, robots as links and people as skins, as after a first step in which nobody does anything."""
+    """Return the home with robots as links and people as skins, as after a first step in which nobody acts."""
     names = {member.name: External() for member in session.episode.roster}
     still = Session(session.task, session.episode, names)
     still.step()

@@ -20,7 +20,7 @@ _decoder: msgspec.msgpack.Decoder[Letter] = msgspec.msgpack.Decoder(Letter)
 
 
 def encode(kind: str, key: str, body: Any) -> bytes:
-    """A letter with its length in front."""
+    """Return a message with its length in front."""
     data = _encoder.encode((kind, key, body))
     return len(data).to_bytes(_LENGTH, "little") + data
 

@@ -52,7 +52,7 @@ class Live:
 
 
 class Connection:
-    """The socket of one seat and what waits to be sent through it."""
+    """Socket of one seat with the messages that wait to be sent."""
 
     def __init__(self, socket: web.WebSocketResponse, agent: int, heard: float = 0.0) -> None:
         """``heard``: by the clock of the front."""
@@ -65,7 +65,7 @@ class Connection:
         self._ends = False
 
     def state(self, data: bytes) -> None:
-        """Queues a state; the oldest one goes where the client is slow."""
+        """Queue a state; the oldest one is dropped for a slow client."""
         self._states.append(data)
         self._news.set()
 
@@ -100,7 +100,7 @@ class Failed(Exception):
 
 
 class Stuck(Failed):
-    """A game cannot begin now, but it will as soon as it can; the text is for players."""
+    """Error for a game that cannot begin now but will as soon as it can; the text is for players."""
 
 
 def runner_of(app: web.Application) -> web.AppRunner:

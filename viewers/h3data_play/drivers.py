@@ -1,4 +1,4 @@
-"""From what players want to commands of the simulator, one driver for each agent that somebody plays.
+"""Drivers, which turn the wishes of players into commands of the simulator, one for each agent that somebody plays.
 
 A driver is a function of the messages and of the world alone, so that the same messages give the same commands when a session
 goes on after a crash.
@@ -41,10 +41,10 @@ from sim_kinematic.tasks.episode import agent_base, agent_floor
 from sim_kinematic.tasks.runner import Session, StepResult
 
 CANCEL = Action("wait", steps=1)
-"""Interrupts a running skill and does nothing itself."""
+"""Choice that interrupts a running skill and does nothing itself."""
 DOOR_SHUT = "A closed door is in the way."
 GOAL_M = 0.02
-"""A place this near to an object's goal means the goal."""
+"""Distance from an object's goal within which a chosen place means the goal [m]."""
 
 
 class Driver:
@@ -96,7 +96,7 @@ class Driver:
         self.forward = self.turn = 0.0
 
     def interrupt(self) -> None:
-        """Ends what the server leads."""
+        """End the skill or walk that the server leads."""
         self.guide = None
 
     def go(self, xz: Any, heading: float | None = None) -> str:
@@ -127,11 +127,11 @@ class Driver:
 
     @property
     def busy(self) -> bool:
-        """Returns whether the agent is moved by something else than the player's keys."""
+        """Return whether the agent is moved by something other than the player's keys."""
         return self.guide is not None
 
     def can_place(self, point: Any) -> str:
-        """Why what is held could not be placed at a point now; empty: it could."""
+        """Return the reason why the held object could not be placed at a point now; empty if it could."""
         del point
         return "There is nothing to place here."
 
@@ -148,7 +148,7 @@ class Driver:
 
     @property
     def floor(self) -> FreeSpace:
-        """The floor on which paths are found."""
+        """Floor on which paths are found."""
         return agent_floor(self.session.episode, self.number)
 
     @property
@@ -158,7 +158,7 @@ class Driver:
 
 
 class SkillDriver(Driver):
-    """Also picks, places, hands over, opens and closes: skills that run for several steps, one after the other."""
+    """Driver of an agent that also picks, places, hands over, opens and closes by skills, one after the other."""
 
     def __init__(self, session: Session, number: int) -> None:
         super().__init__(session, number)
@@ -195,7 +195,7 @@ class SkillDriver(Driver):
         return ""
 
     def put(self, point: Array, lead: bool) -> str:
-        """Places what is held."""
+        """Place the held object."""
         k = self.objects.held(self.number)
         if k < 0:
             return "The hand holds nothing."
@@ -220,7 +220,7 @@ class SkillDriver(Driver):
         return self.do([Action("nav_to_handle", message.j), skill] if message.lead else [skill])
 
     def barred(self, k: int, lead: bool, *, at_goal: bool = False) -> str:
-        """Why object ``k`` cannot be taken, or put at its goal, before something is opened; empty: it can."""
+        """Reason why object ``k`` cannot be taken, or put at its goal, before something is opened; empty: it can."""
         openables = self.session.play.team.openables  # type: ignore[attr-defined]
         if openables is not None and openables.barrier_of(k, at_goal=at_goal) >= 0:
             return sentence("closed")
@@ -243,7 +243,7 @@ class SkillDriver(Driver):
         return super().go(xz, heading)
 
     def put_at(self, point: Array, lead: bool) -> str:
-        """Places what is held elsewhere than at its goal."""
+        """Place the held object elsewhere than at its goal."""
         del point, lead
         return "The robot puts things down at their goals only."
 
@@ -380,7 +380,7 @@ class RobotDriver(SkillDriver):
 
     @property
     def base(self) -> BaseSpec:
-        """Its own, which covers what the hand carries, too."""
+        """Discs and limits of the robot's own base, which also cover what the hand carries."""
         return self.session.play.team.actors[self.number].base  # type: ignore[attr-defined]
 
 

@@ -48,11 +48,11 @@ MOST_SPECTATORS = 20
 MOST_AHEAD = 4
 """Episodes that are prepared while others are played."""
 SEAT_S = 86400
-"""A browser keeps its seat for so long."""
+"""Time for which a browser keeps its seat [s]."""
 SEATS_PER_ADDRESS = 12
-"""Seats that one network address may have at once: a class in a lab, not a flood."""
+"""Number of seats that one network address may have at once: enough for a class in a lab."""
 LOADING_S = 60.0
-"""Who has taken a seat and does not connect, because the home is still loading, keeps it for so long."""
+"""Time for which a seat is kept for a player who has taken it and does not connect because the home is still loading [s]."""
 AWAY_S = 20.0
 """Seconds for which a browser that was connected keeps its seat without a key; with the link's key another one may have it
 at once."""
@@ -481,7 +481,7 @@ class WebServer:
         return len(self.journal.games) >= self.plan.episodes
 
     def lost(self, worker: WorkerProcess) -> None:
-        """A worker died: its games go on elsewhere, from what is on the disk."""
+        """Continue the games of a worker that died elsewhere, from what is on the disk."""
         self.report({"lost": {"games": len(worker.games)}})
         lives = [live for live in self.lives.values() if live.worker is worker]
         loop = asyncio.get_running_loop()

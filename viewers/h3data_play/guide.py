@@ -25,13 +25,13 @@ along its straight legs."""
 STUCK_STEPS = 45
 """Gives up after this many steps in which a body has come no nearer to its next corner."""
 TURN_AS_M = 0.1
-"""To turn towards the corner by one radian counts as coming nearer by this."""
+"""Distance that counts as much as turning towards the corner by one radian [m]."""
 AGAIN_M = 0.05
-"""Maneuvers again only where it has come nearer to the end by this."""
+"""Distance by which an agent must come nearer to the end before it tries a maneuver again [m]."""
 FLOOR_SNAP_M = 0.6
 """A point this far off the free floor is moved onto it: people click on the foot of a cupboard and mean the place before it."""
 NEAR_M = 2.0
-"""Who clicks on floor that cannot be reached is led as near as possible, if that is at most this far from it."""
+"""Largest distance from a click on unreachable floor to the nearest reachable place, to which the player is then led [m]."""
 
 
 @dataclass

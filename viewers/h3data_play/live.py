@@ -90,7 +90,7 @@ class PatientSink:
         self.writer.abort()
 
     def retry(self) -> None:
-        """Hands over what waits."""
+        """Write the data that wait."""
         info = self._info
         self._try(self.writer.flush if info is None else partial(self.writer.close, info=info))
 
@@ -156,7 +156,7 @@ class EpisodeFactory:
         return self.source.sample(self.plan.seed, index)
 
     def finished(self, order: GameOrder) -> dict[str, Any] | None:
-        """Returns how an episode ended whose whole recording is already there; else None."""
+        """Return how an episode ended whose complete recording already exists; else None."""
         path = Path(self.plan.out, order.name + ".mcap")
         if not path.exists() or path.with_name(path.name + ".part").exists():
             return None
@@ -220,7 +220,7 @@ def _read(path: Path) -> Recording | None:
 
 
 class LiveGame:
-    """One episode under way."""
+    """Episode that is being played live."""
 
     def __init__(
         self, table: EpisodeFactory, index: int, path: Path | None = None, order: GameOrder | None = None
@@ -281,7 +281,7 @@ class LiveGame:
     # --- the disk -----------------------------------------------------------------------------------------------------
     @property
     def fault(self) -> str:
-        """Why the disk does not take what has been played; empty while it does."""
+        """Reason why the disk does not take what has been played; empty while it does."""
         return "" if self.sink is None else self.sink.fault
 
     def retry(self) -> None:
@@ -322,13 +322,13 @@ class LiveGame:
         return why
 
     def connected(self, number: int, here: bool) -> None:
-        """A player came, or went: then their keys go up."""
+        """Note that a player came or left, whose keys then count as released."""
         if not here:
             self.drivers[number].release()
         self._record(CONNECTED if here else DISCONNECTED, number)
 
     def slip(self, steps: int) -> None:
-        """The clock of the game has fallen behind by so many steps, which nobody will play."""
+        """Note that the clock of the game has fallen behind by some steps, which nobody will play."""
         self.slipped += steps
         self._record(SLIP, 0, msgspec.json.encode({"steps": steps}).decode())
 
@@ -389,7 +389,7 @@ class LiveGame:
 
     @property
     def floor(self) -> FreeSpace:
-        """The floor as it is now, on which pages predict their players: doors move where agents have skills."""
+        """Present floor, on which pages predict their players: doors move where agents have skills."""
         return getattr(self.session.play.team, "floor", self.session.episode.free)
 
     # --- the end ------------------------------------------------------------------------------------------------------

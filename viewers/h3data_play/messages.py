@@ -11,7 +11,7 @@ from msgspec import Meta
 PERIOD_S = 1 / 30
 """Time between two steps of a live world [s]."""
 MOST_BYTES = 4096
-"""Longest message that a socket takes."""
+"""Length of the longest message that a socket takes."""
 
 Count = Annotated[int, Meta(ge=0, le=2**31 - 1)]
 Share = Annotated[float, Meta(ge=-1, le=1)]
@@ -22,11 +22,11 @@ Index = Annotated[int, Meta(ge=0, le=65535)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 """Point in the world [m]."""
 Rotation = tuple[Component, Component, Component, Component]
-"""Quaternion xyzw."""
+"""Rotation as a quaternion xyzw."""
 
 
 class Message(msgspec.Struct, frozen=True, tag_field="k", kw_only=True):
-    """Something that a player wants. ``ct`` and ``rtt`` are the client's time and its measured round trip [ms]."""
+    """Message of a player's input. ``ct`` and ``rtt`` are the client's time and its measured round trip [ms]."""
 
     seq: Count | None = None
     """Number of the message within its page; states tell which one has acted."""
@@ -37,7 +37,7 @@ class Message(msgspec.Struct, frozen=True, tag_field="k", kw_only=True):
 
 
 class Move(Message, frozen=True, tag="move"):
-    """Walks or drives, until told otherwise: shares of the speed and of the turn rate."""
+    """Message to walk or drive until further notice: shares of the speed and of the turn rate."""
 
     f: Share = 0.0
     t: Share = 0.0
@@ -61,18 +61,18 @@ class Pick(Message, frozen=True, tag="pick"):
 
 
 class Place(Message, frozen=True, tag="place"):
-    """Puts what is held down with its origin at a point; with ``lead``, walks there first."""
+    """Message to put the held object down with its origin at a point; with ``lead``, the player walks there first."""
 
     p: Point
     lead: bool = False
 
 
 class Drop(Message, frozen=True, tag="drop"):
-    """Lets go of what is held."""
+    """Message to let go of the held object."""
 
 
 class Give(Message, frozen=True, tag="give"):
-    """Hands what is held to agent ``a``."""
+    """Message to hand the held object to agent ``a``."""
 
     a: Index
 
@@ -117,7 +117,7 @@ class Ping(msgspec.Struct, frozen=True, tag_field="k", tag="ping"):
 
 
 class Can(msgspec.Struct, frozen=True, tag_field="k", tag="can"):
-    """Asks whether what is held could be placed at a point. It changes nothing and is not recorded."""
+    """Question whether the held object could be placed at a point. It changes nothing and is not recorded."""
 
     p: Point
 

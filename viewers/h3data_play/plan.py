@@ -23,12 +23,12 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
     seats: tuple[str, ...] = ("person",)
     """Roles of the seats, from `SEATS`; players first."""
     partner: str | None = None
-    """Policy of everybody whom nobody plays; None: the task's default."""
+    """Policy of all agents that nobody plays; None: the task's default."""
     scenes: str | tuple[str, ...] = "small"
     seed: int = 0
     episodes: int = 1
     speed: float = 1.0
-    """Above 1 time runs faster, 0: as fast as the machine can. For scripted players; recordings say so."""
+    """Speed of time: above 1 it runs faster, 0 means as fast as the machine can. For scripted players; recordings say so."""
     weights_in: str = ""
     """Folder from which a relative file of weights in ``partner`` is named. Recordings repeat the relative name."""
     motion: str | None = None
@@ -38,7 +38,7 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def partner_here(self) -> str | None:
-        """`partner`, a file of weights by its path on this machine."""
+        """Policy `partner`, with a file of weights by its path on this machine."""
         from sim_kinematic.policies.learned import PREFIX as WEIGHTS  # the server's process imports no simulator
 
         if self.partner is None or not self.weights_in or not self.partner.startswith(WEIGHTS):
@@ -47,7 +47,7 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def players(self) -> tuple[str, ...]:
-        """The seats of those who play."""
+        """Seats of the players."""
         return tuple(seat for seat in self.seats if seat != "spectator")
 
     def roster(self, usual: tuple[str, ...]) -> tuple[str, ...]:
@@ -63,22 +63,22 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class GameOrder(msgspec.Struct, frozen=True, kw_only=True):
-    """One game, as the front orders it from a worker."""
+    """Order of one game, from the front to a worker."""
 
     index: int
     """Number of the episode in the run of the plan's seed."""
     name: str
-    """Path of its recording in the plan's folder, without the ending."""
+    """Path of the game's recording in the plan's folder, without the ending."""
     plan: int = 0
-    """Number of its plan among those that the worker was started with."""
+    """Number of the game's plan among those that the worker was started with."""
     info: dict[str, Any] = {}
-    """Further entries of its recording (``info``)."""
+    """Further entries of the recording (``info``)."""
     hitl: dict[str, Any] = {}
-    """Further entries of its recording in ``info["hitl"]``."""
+    """Further entries of the recording in ``info["hitl"]``."""
     resumes: bool = False
     """True if another process may have played some of it, or all."""
     facts: dict[str, Any] | None = None
-    """Facts that the process that has prepared the episode found (`EpisodeCodec.precompute`); None: nobody has prepared it."""
+    """Facts that were found when the episode was prepared (`EpisodeCodec.precompute`); None: it has not been prepared."""
 
 
 def prepared_key(order: GameOrder) -> str:

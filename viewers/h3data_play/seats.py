@@ -25,17 +25,17 @@ create table if not exists games (key text primary key, place integer not null, 
 
 @dataclass(eq=False)
 class Seat:
-    """One browser's place."""
+    """Place for one browser."""
 
     sid: str
     token: str
-    """Digest of what the browser's cookie holds."""
+    """Digest of the browser's cookie."""
     place: int
     """Number of the table."""
     number: int
-    """Which of `PlayPlan.seats` it is."""
+    """Index into `PlayPlan.seats`."""
     game: str
-    """Key of the game that it was last given."""
+    """Key of the game that the seat was last given."""
 
 
 @dataclass(eq=False)
@@ -46,7 +46,7 @@ class Game:
     place: int
     episode: int
     over: str = ""
-    """Cause of its end; empty while it goes on."""
+    """Reason why the game has ended; empty while it continues."""
 
 
 _BOOT = getattr(time, "CLOCK_BOOTTIME", None)
@@ -58,7 +58,7 @@ def uptime() -> float:
 
 
 def new_token() -> str:
-    """192 random bits."""
+    """Return a new secret of 192 random bits."""
     return secrets.token_urlsafe(24)
 
 
@@ -69,7 +69,7 @@ def token_digest(token: str) -> str:
 
 @dataclass
 class SeatLog:
-    """Seats and games of a folder, in memory and in its SQLite file. What the disk does not take is not in memory either."""
+    """Seats and games of a folder, in memory and in its SQLite file. Memory holds nothing that the disk did not take."""
 
     folder: Path
     name: str = JOURNAL
@@ -138,7 +138,7 @@ class SeatLog:
         game.over = why
 
     def open_game(self, place: int) -> Game | None:
-        """The game that goes on at a table."""
+        """Return the game that is running at a table."""
         return next((game for game in self.games.values() if game.place == place and not game.over), None)
 
     def owner(self, token: str, number: int) -> Seat | None:

@@ -26,15 +26,15 @@ LOOPBACK = ("127.0.0.1", "::1", "localhost")
 CLOSE_S = 4.5
 """Time after SIGTERM within which recordings are finished [s]."""
 LAST_WORDS_S = 1.0
-"""Players hear that it is over before the server closes."""
+"""Time for which players see that the game is over before the server closes [s]."""
 
 
 class ServeOptions(msgspec.Struct, frozen=True, kw_only=True):
-    """Options of a server: at which address it listens, for whom, and how many workers it has."""
+    """Options of a server: its address, its allowed hosts, and its number of workers."""
 
     host: str = "127.0.0.1"
     port: int = 0
-    """0: any free one."""
+    """Port of the server; 0 takes any free one."""
     workers: int = 1
     cert: str = ""
     key: str = ""
@@ -45,7 +45,7 @@ class ServeOptions(msgspec.Struct, frozen=True, kw_only=True):
     allow_hosts: tuple[str, ...] = ()
     """Names of this server beside loopback, ``host`` and those of the certificate."""
     stays: bool = False
-    """True if it goes on after the last episode."""
+    """True if the server continues after the last episode."""
 
     def front(self, **given: Any) -> WebServer:
         """The front of what is played; `given` are the options that all fronts have."""

@@ -76,13 +76,13 @@ class PackedStep:
     agents: int
     agent_bytes: bytes
     moved: NDArray[Any]
-    """Objects whose pose or holder has changed."""
+    """Objects with a changed pose or holder."""
     objects: NDArray[Any]
-    """All of them."""
+    """Poses of all objects."""
     turned: NDArray[Any]
-    """Doors and drawers whose position has changed."""
+    """Doors and drawers with a changed position."""
     joints: NDArray[Any]
-    """All of them."""
+    """Positions of all joints."""
 
     def state(self, flags: int, step: int, ack: int, clock_ms: float, *, whole: bool) -> bytes:
         """The state for one player, with all objects and joints where it is ``whole``."""

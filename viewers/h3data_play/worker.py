@@ -54,22 +54,22 @@ MOST_WAITING = 200
 FARTHEST_STEPS = 15
 """A message that is meant for a later step than this acts as soon as that many steps are over."""
 WHOLE_EVERY = 30
-"""Every so many steps a state has all objects, not just those that have moved."""
+"""Number of steps between states with all objects; those between have only objects that have moved."""
 PLAN_STEPS = 6
-"""To be led to a thing may take 50 ms of everybody's worker: who asks again sooner is not heard."""
+"""Number of steps between two searches for a path to a thing, as one may take 50 ms of the worker that all players share."""
 BEGIN_S = 2.0
-"""A game begins after so long even if others are late."""
+"""Time after which a game begins even if some players are late [s]."""
 MOST_AHEAD = 12
-"""Homes of so many episodes are made before somebody plays in them."""
+"""Number of episodes whose homes are made before somebody plays in them."""
 REPORT_S = 1.0
 LEFT_S = 60.0
-"""A game that has stood still for so long takes no capacity from others; pages load for less."""
+"""Time for which a game stands still before it counts as left, longer than pages take to load [s]."""
 MEASURED_STEPS = 60
 DISK_S = 1.0
 """Seconds between attempts to write data that a full disk did not take."""
 DISK_FULL = "The disk of the server is full. The home stands still until there is space again; nothing is lost."
 HUD_S = 10.0
-"""The time that is left is told this often."""
+"""Time between two messages about the remaining time [s]."""
 
 log = logging.getLogger("h3data.hitl.worker")
 
@@ -91,18 +91,18 @@ class Running:
     whole: bool = True
     over: bool = False
     seconds: float = 0.0
-    """CPU time of its steps."""
+    """CPU time of the game's steps [s]."""
     latest_s: deque[float] = field(default_factory=lambda: deque(maxlen=MEASURED_STEPS))
     """CPU time of the latest steps, with packing and sending."""
     huds: dict[int, Any] = field(default_factory=dict)
     barriers: dict[int, Any] = field(default_factory=dict)
-    """Thing that each player was last told to open first."""
+    """Thing that each player was last asked to open first."""
     floors: dict[int, Any] = field(default_factory=dict)
-    """The floor of which each player was last told, if it has ever changed; None: the page may have any."""
+    """Floor that each player was last sent, if it has ever changed; None: the page may have any."""
     is_stuck: bool = False
-    """True if it waits for space on the disk, and the front knows."""
+    """True if the game waits for space on the disk, and the front knows."""
     recording: Recording | None = None
-    """Once it is over; the disk may still have to take its end."""
+    """Recording of the game once it is over; its end may still have to be written."""
     planned: dict[int, int] = field(default_factory=dict)
     """Step in which each player last asked to be led to a thing."""
 
@@ -113,17 +113,17 @@ class Running:
 
     @property
     def runs(self) -> bool:
-        """Returns whether all who play are there, and the disk takes what they do."""
+        """Return whether all players are there and the disk takes what they do."""
         return not self.over and not self.is_stuck and all(number in self.here for number in self.game.drivers)
 
     @property
     def is_left(self) -> bool:
-        """Returns whether it has stood still for `LEFT_S`, because its players have closed their pages."""
+        """Return whether the game has stood still for `LEFT_S`, because its players have closed their pages."""
         return not self.runs and time.monotonic() - self.stepped > LEFT_S
 
 
 class Worker:
-    """All games of this process. A fault in one ends that one."""
+    """Games of one process. A fault in one ends only that one."""
 
     def __init__(self, channel: Channel, plans: Sequence[PlayPlan]) -> None:
         self.channel = channel
@@ -183,7 +183,7 @@ class Worker:
 
     # --- the loop -----------------------------------------------------------------------------------------------------
     def run(self) -> None:
-        """Serves until it is told to stop or the front is gone."""
+        """Serve until the process is asked to stop or the front is gone."""
         while not self.stops:
             now = time.monotonic()
             due = min((r.due for r in self.games.values() if r.runs), default=now + 0.5)
@@ -240,7 +240,7 @@ class Worker:
                     yield
 
     def guarded(self, key: str, act: Callable[..., None], body: Any) -> None:
-        """Does something for one game; what goes wrong there ends that game, and its log can be recovered."""
+        """Run a function for one game; an error there ends only that game, whose log can be recovered."""
         try:
             act(self, key, body)
         except Closed:
@@ -307,7 +307,7 @@ class Worker:
 
     # --- letters of the front -----------------------------------------------------------------------------------------
     def prepare(self, key: str, body: dict[str, Any]) -> None:
-        """Sends what pages need of an episode."""
+        """Send what pages need to show an episode."""
         self.channel.send("prepared", key, self.made(int(body["plan"]), int(body["index"])))
 
     def begin(self, key: str, body: dict[str, Any]) -> None:
@@ -343,7 +343,7 @@ class Worker:
             self._tell_pause(running)
 
     def go_on(self, key: str, body: Any) -> None:
-        """Tries again whether the disk takes what a game has left."""
+        """Try again whether the disk takes the rest of a game."""
         del body
         running = self.games[key]
         running.game.retry()
@@ -358,7 +358,7 @@ class Worker:
         self._tell_pause(running, goes_on=True)
 
     def here(self, key: str, body: dict[str, Any]) -> None:
-        """Somebody came or went. The world stands still until all who play are there."""
+        """Take note that somebody came or went. The world stands still until all players are there."""
         running = self.games.get(key)
         if running is None or running.over:
             return
@@ -399,7 +399,7 @@ class Worker:
         running.waiting.append((number, step, message, text, arrived))
 
     def can(self, key: str, body: list[Any]) -> None:
-        """A preview: nothing happens, nothing is recorded."""
+        """Preview an action: nothing happens and nothing is recorded."""
         running = self.games.get(key)
         number, point = body
         if running is None or running.over or number not in running.game.drivers:

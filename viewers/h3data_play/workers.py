@@ -21,9 +21,9 @@ MOST_UNSENT = 1 << 20
 EXPECTED_SHARE = 0.06
 """Share of a core that a game takes before one has been measured."""
 MOST_FILES, MOST_EPISODES = 160, 512
-"""Kept by the front of what has been prepared."""
+"""Largest numbers of files and of prepared episodes that the front keeps."""
 PREPARE_S = 60.0
-"""After this time the worker that plays prepares an episode itself."""
+"""Time after which the worker that plays prepares an episode itself [s]."""
 READY_S = 600.0
 """A worker may compile kernels for minutes, once per machine."""
 
@@ -42,7 +42,7 @@ class Refused(Exception):
 
 
 class WorkerProcess:
-    """One process, and the games that it plays."""
+    """Process of a worker, and the games that it plays."""
 
     def __init__(self, plans: Sequence[PlayPlan], heard: Heard, lost: Callable[[WorkerProcess], None]) -> None:
         self._plans, self._heard, self._lost = plans, heard, lost
@@ -63,7 +63,7 @@ class WorkerProcess:
         self._writer: asyncio.StreamWriter | None = None
 
     async def start(self) -> None:
-        """Waits until it has compiled and loaded everything.
+        """Wait until the process has compiled and loaded everything.
 
         Raises:
             Refused: it cannot play the plan, or ended.
@@ -104,7 +104,7 @@ class WorkerProcess:
 
     @property
     def is_stuck(self) -> bool:
-        """Returns whether it has not read for a while."""
+        """Return whether the worker has not read for a while."""
         return self._writer is not None and self._writer.transport.get_write_buffer_size() > MOST_UNSENT
 
     async def stop(self, seconds: float, *, finish: bool = True) -> None:
@@ -134,7 +134,7 @@ class Workers:
         self._stops = False
 
     async def start(self) -> None:
-        """Starts all; the spare one gets ready later.
+        """Start all workers; the spare one gets ready later.
 
         Raises:
             Refused: the plan cannot be played.
@@ -161,7 +161,7 @@ class Workers:
         return spare.result()
 
     async def warm_spare(self) -> WorkerProcess | None:
-        """The spare as soon as it is warm; None where there is none."""
+        """Return the spare worker as soon as it is warm; None if there is none."""
         if self.spare is not None:
             await asyncio.wait([self.spare])
         return self.ready_spare()
@@ -204,7 +204,7 @@ class Preparer:
         self._asked: dict[str, tuple[WorkerProcess, asyncio.Future[None]]] = {}
 
     def heard(self, key: str, body: dict[str, Any]) -> None:
-        """Keeps what a worker has made."""
+        """Store what a worker has made."""
         for what, kind in (("glb", "model/gltf-binary"), ("grid", "application/octet-stream")):
             name, data = body[what]
             self.files.pop(name, None)
@@ -226,7 +226,7 @@ class Preparer:
         return found if found is not None and all(name in self.files for name in found["names"]) else None
 
     def ask(self, order: GameOrder) -> asyncio.Future[None] | None:
-        """Has an episode prepared; None where there is nobody to do that, or nothing to do."""
+        """Have an episode prepared; returns None if nobody can do that, or nothing is to be done."""
         key, spare = prepared_key(order), self._workers.ready_spare()
         if spare is None or self.made(order) is not None:
             return None

@@ -96,7 +96,7 @@ def form_means(design: Design, people: Sequence[Participant]) -> tuple[list[Form
 
 
 def answer_rows(people: Sequence[Participant], *, free_text: bool) -> list[list[str]]:
-    """All answers, a row each, with a header; what people wrote themselves only with ``free_text``: it may say who they are."""
+    """Return all answers, a row each, with a header; free text, which may identify people, only with ``free_text``."""
     rows = [["participant", "condition", "form", "item", "kind", "block", "trial", "right", "after", "answer"]]
     for person in people:
         for stage, form, condition, answers in filled_stages(person):

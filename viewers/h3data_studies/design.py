@@ -28,15 +28,15 @@ class Condition(Record, frozen=True):
     app: str = "rearrange"
     play_as: Literal["person", "robot"] = "person"
     partner: str | None = None
-    """Policy of everybody whom nobody plays, ``weights:FILE``, or ``solo``; None: the task's default."""
+    """Policy of all agents that nobody plays, ``weights:FILE``, or ``solo``; None: the task's default."""
     rules: dict[str, Any] = {}
     """Rules of the task that differ from the app's."""
     text: Text = ""
-    """Said before the first episode. It should not give the condition away."""
+    """Text that participants read before the first episode. It should not give the condition away."""
 
     @property
     def is_solo(self) -> bool:
-        """Returns whether nobody else takes part."""
+        """Return whether nobody else takes part."""
         return self.partner == "solo"
 
 
@@ -53,7 +53,7 @@ class Device(Record, frozen=True):
     """Computers and connections that are good enough."""
 
     max_ping_ms: Annotated[float, Meta(gt=0)] = 250.0
-    """Median round trip."""
+    """Largest median round trip [ms]."""
     min_width: Annotated[int, Meta(ge=0)] = 640
     """Least width of the window [px]."""
     min_fps: Annotated[float, Meta(ge=0)] = 15.0
@@ -74,10 +74,10 @@ class Tutorial(Record, frozen=True):
 
 
 class DropOut(Record, frozen=True):
-    """When a participant counts as gone, and their place is given to somebody else."""
+    """Rule by which a participant counts as gone and their place is given to somebody else."""
 
     idle_minutes: Minutes = 20.0
-    """Nothing pressed, clicked or answered for so long; pauses count."""
+    """Minutes without a key, click or answer; pauses count."""
     total_minutes: Minutes = 240.0
     """Time limit from consent to the end [min]."""
     max_slip: Annotated[float, Meta(ge=0, le=1)] = 0.01
@@ -105,11 +105,11 @@ class Exclude(Record, frozen=True):
 
     name: Name
     what: str
-    """A measure (`h3data_studies.exclusions`)."""
+    """Name of a measure (`h3data_studies.exclusions`)."""
     of: Literal["participant", "trial"] = "participant"
     above: float | None = None
     below: float | None = None
-    """Left out is whoever is above the one or below the other."""
+    """Limits of the measure: participants or episodes above the one or below the other are excluded."""
 
 
 class Bonus(Record, frozen=True):
@@ -167,7 +167,7 @@ class Form(Record, frozen=True):
     again: Text = ""
     """Said above the form when a check was not passed and there is another attempt."""
     conditions: list[str] = []
-    """Only after these (default: all; built-in forms about the robot leave out those without one)."""
+    """Conditions after which the form is shown (default: all; built-in forms about the robot leave out those without one)."""
     title: Text = ""
     text: Text = ""
     items: list[Item] = []
@@ -179,21 +179,21 @@ class Form(Record, frozen=True):
 
 
 class Design(Record, frozen=True):
-    """A study file."""
+    """Design of a study: the contents of a study file."""
 
     name: Name
     version: Name
     title: Text
     participants: Annotated[int, Meta(ge=1, le=10_000)]
     retention: date
-    """Recordings and answers are to be deleted by this day."""
+    """Day by which recordings and answers are to be deleted."""
     contact: str
-    """Whom participants ask, such as an e-mail address."""
+    """Contact for participants, such as an e-mail address."""
     scenes: list[str]
     conditions: list[Condition]
     consent: Consent
     episodes: Count = 10
-    """Per condition."""
+    """Number of episodes per condition."""
     seed: Annotated[int, Meta(ge=0)] = 0
     languages: list[Name] = msgspec.field(default_factory=lambda: ["en"])
     """The first is the default."""

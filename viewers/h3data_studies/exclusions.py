@@ -35,7 +35,7 @@ STEP_S = 1 / 30
 
 
 def participant_measures(person: Participant) -> dict[str, float]:
-    """Every one of `PARTICIPANT_MEASURES` of a participant."""
+    """Return all `PARTICIPANT_MEASURES` of a participant."""
     rows, episodes = person.progress.rows, played(person)
     steps = sum(e.steps + e.slipped for e in episodes)
     return {
@@ -51,7 +51,7 @@ def participant_measures(person: Participant) -> dict[str, float]:
 
 
 def trial_measures(person: Participant, episode: PlayedEpisode) -> dict[str, float]:
-    """Every one of `TRIAL_MEASURES` of an episode."""
+    """Return all `TRIAL_MEASURES` of an episode."""
     return {
         "seconds": episode.steps * STEP_S,
         "away_s": _away_s(person, episode.row),
@@ -65,12 +65,12 @@ class Exclusions:
     """Participants and episodes that the rules of a study leave out."""
 
     people: dict[str, str]
-    """Why, by participant."""
+    """Reasons for the exclusion of participants, by participant."""
     trials: dict[tuple[str, str], str]
-    """Why, by participant and row of the episode (`PlayedEpisode.row`)."""
+    """Reasons for the exclusion of episodes, by participant and row of the episode (`PlayedEpisode.row`)."""
     counts: dict[str, int]
-    """Number of participants, or of episodes of those who are left, each rule leaves out, by its name. Somebody may fall under
-    several."""
+    """Number of participants, or of episodes of the remaining participants, that each rule excludes, by its name. One may fall
+    under several rules."""
 
 
 def exclusions(design: Design, people: Sequence[Participant]) -> Exclusions:

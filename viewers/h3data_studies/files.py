@@ -25,7 +25,7 @@ from sim_kinematic.policies.learned import PREFIX as WEIGHTS
 from sim_kinematic.policies.learned import stamped
 
 DESIGN_FILE = "design.json"
-"""In the folder of a study: what its file said when the first participant came."""
+"""File in the folder of a study with the contents of its study file when the first participant came."""
 _SECTION = re.compile(r" - at `\$\.?(.*)`$")
 
 
@@ -315,7 +315,7 @@ def deal(design: Design) -> tuple[Place, ...]:
 
 
 def scene_names(design: Design) -> list[str]:
-    """Each home of a study by a name of its own."""
+    """Return a distinct name for each home of a study."""
     return list(dict.fromkeys(named.name for text in design.scenes for named in named_scenes(text)))
 
 

@@ -15,7 +15,7 @@ from h3data_studies.forms import checked_answers, forms_after, wrong_items
 ACTIVE, COMPLETE, SCREENED_OUT, DROPPED, WITHDRAWN = "active", "complete", "screened_out", "dropped", "withdrawn"
 STATUSES = (ACTIVE, COMPLETE, SCREENED_OUT, DROPPED, WITHDRAWN)
 SMALL = "small_window"
-"""Why a device is refused for now; also the row of its last report."""
+"""Reason why a device is refused for now; also the row of its last report."""
 CHECK, FAILED = "check", "failed_check"
 """Rows of answers that did not pass a form's checks; why somebody was screened out who did not pass in the last attempt."""
 PASSED = "success"
@@ -23,32 +23,32 @@ PASSED = "success"
 
 
 class NotNow(Exception):
-    """The participant is somewhere else, or what they sent cannot be taken; the text is for them."""
+    """Error for a participant who is elsewhere in the study or has sent something invalid; the text is for them."""
 
 
 @dataclass(frozen=True)
 class Stage:
-    """Something to do: ``device``, ``tutorial``, ``episode``, ``form`` or ``end``."""
+    """Stage of a study: ``device``, ``tutorial``, ``episode``, ``form`` or ``end``."""
 
     kind: str
     block: int = 0
-    """From 1; 0: before the blocks; of forms at the end, one more than there are blocks."""
+    """Number of the block, from 1; 0 before the blocks; for forms at the end, one more than there are blocks."""
     trial: int = 0
     """Number of an episode, and of a form after it, within its block, from 1."""
     form: str = ""
     after: str = ""
-    """`Form.after` of a form."""
+    """Place of a form in the study, `Form.after`."""
     row: str = ""
     """`key`, where that does not follow from the above."""
 
     @property
     def key(self) -> str:
-        """Its name in rows."""
+        """Name of the stage in rows."""
         return self.row or "/".join(str(part) for part in (self.kind, self.block, self.trial or self.form) if part)
 
 
 def stages_of(design: Design, place: Place) -> tuple[Stage, ...]:
-    """Everything that a participant does after having consented."""
+    """Return all stages of a participant after consent."""
     stages = [Stage("device")]
     first = [form.id for form in forms_after(design, "consent")]
     stages += [Stage("form", form=form, after="consent") for form in first]
@@ -84,7 +84,7 @@ class Progress:
 
     @property
     def stage(self) -> Stage:
-        """Next stage."""
+        """Return the next stage."""
         if self.status != ACTIVE:
             return Stage("end")
         return next((stage for stage in self.stages if stage.key not in self.rows), Stage("end"))

@@ -85,7 +85,7 @@ _ENGLISH: dict[str, Form] = {
 BUILTIN = {name: in_all_languages(name, form) for name, form in _ENGLISH.items()}
 """Questionnaires by name. The German and Spanish words are our translations; nobody has validated them."""
 ABOUT_ROBOT = ("fluency", "trust")
-"""These make no sense where nobody else was there."""
+"""Forms that make no sense where nobody else was there."""
 
 
 def resolved(form: Form) -> Form:

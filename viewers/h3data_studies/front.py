@@ -28,8 +28,8 @@ from h3data_studies.store import Participant, StudyStore
 from h3data_studies.views import consent_view, end_view, stage_view
 
 CHECK_S, HURRIED_S = 60.0, 10.0
-"""A place is given back where the check of the computer, which takes seconds, does not come within this time; the shorter one
-holds while somebody else wants the place."""
+"""Time after which a place is given back if the check of the computer has not come, and the shorter time that holds while
+somebody else wants the place [s]."""
 MOST_UNCHECKED = 3
 """Participants of one network address who have agreed but whose computers have not been checked yet."""
 JOINS_S = 600.0
@@ -103,7 +103,7 @@ class Focus(msgspec.Struct, frozen=True):
     why: Literal["hidden", "blur"] = "blur"
     """Reason: the page was hidden, or only another window had the keyboard."""
     ms: Annotated[float, Meta(ge=0, le=1e9)] = 0.0
-    """Time for which they were away, once they are back [ms]."""
+    """Duration of the absence, once the participant is back [ms]."""
 
 
 class Episode(msgspec.Struct, frozen=True):
@@ -206,7 +206,7 @@ class StudyServer(WebServer):
         task.add_done_callback(self._tasks.discard)
 
     async def page(self, request: web.Request) -> web.StreamResponse:
-        """The page, told that this is a study."""
+        """Return the page, with the information that this is a study."""
         self._seat_number(request)
         if not self._page:
             try:
@@ -246,7 +246,7 @@ class StudyServer(WebServer):
         )
 
     async def ping(self, request: web.Request) -> web.Response:
-        """Nothing, at once."""
+        """Answer with nothing, at once."""
         del request
         return web.Response(status=204, headers={"Cache-Control": "no-store"})
 

@@ -1,4 +1,4 @@
-"""Which episode a stage is: what a worker plays, and where its recording lies."""
+"""Orders of episodes: which one a worker plays for a stage, and where its recording lies."""
 
 from __future__ import annotations
 

@@ -24,14 +24,14 @@ class PlayedEpisode:
     block: int
     trial: int
     row: str
-    """Key of its row (`Participant.progress`)."""
+    """Key of the episode's row (`Participant.progress`)."""
     ended: str
     steps: int
     slipped: int
 
     @property
     def late(self) -> float:
-        """Share of its steps that the machine was too slow to play in time."""
+        """Share of steps that the machine was too slow to play in time."""
         return self.slipped / max(self.steps + self.slipped, 1)
 
 
@@ -56,7 +56,7 @@ def played(participant: Participant) -> list[PlayedEpisode]:
 
 
 def usable(design: Design, episode: PlayedEpisode) -> str:
-    """Why an episode is left out of the report; empty: it is not."""
+    """Return the reason why an episode is left out of the report; empty if it is not."""
     if episode.ended == "failed":
         return "the simulator failed"
     if episode.ended == "closed":
@@ -67,7 +67,7 @@ def usable(design: Design, episode: PlayedEpisode) -> str:
 
 
 def overview(design: Design, store: StudyStore) -> dict[str, Any]:
-    """Everything that ``study status`` prints, as JSON types."""
+    """Return everything that ``study status`` prints, as JSON types."""
     people = sorted(store.participants.values(), key=lambda p: p.number)
     episodes = [episode for person in people for episode in played(person)]
     return {

@@ -32,20 +32,20 @@ create table if not exists rows (
 create table if not exists counts (name text primary key, value integer not null);
 """
 GAP_S = 15.0
-"""Time is counted every few seconds. Where nobody has for longer, the server was suspended or stopped: nobody's time."""
+"""Longest interval that counts as time of participants [s]; after a longer one the server was suspended or stopped."""
 
 
 @dataclass(eq=False)
 class Participant:
-    """Somebody who has consented."""
+    """Person who has consented to take part."""
 
     number: int
     id: str
-    """Pseudonym."""
+    """Pseudonym of the participant."""
     place: int
-    """Number of `StudyPlan.places`."""
+    """Index into `StudyPlan.places`."""
     joined: float
-    """Unix time [s], as a date for people; no duration is measured by it."""
+    """Unix time at which the participant joined [s], a date for readers; no duration is measured by it."""
     used: float
     """Time since they agreed during which the study was served [s]."""
     idle: float
@@ -59,7 +59,7 @@ class Participant:
     ended: float | None = None
     """Unix time, as ``joined``."""
     times: dict[str, float] = field(default_factory=dict)
-    """When each row was written."""
+    """Time at which each row was written."""
 
     @property
     def is_active(self) -> bool:
@@ -180,7 +180,7 @@ class StudyStore(SeatLog):
     def join(
         self, pseudonym: str, place: int, *, language: str, consent: dict[str, str], ids: dict[str, str]
     ) -> Participant:
-        """A new participant, who has consented."""
+        """Add a participant who has consented."""
         self.count_time()
         now = time.time()
         number = 1 + self._last_number()
@@ -210,19 +210,19 @@ class StudyStore(SeatLog):
         return self.counted("last number")
 
     def count(self, name: str, by: int = 1) -> None:
-        """Counts something that happened to nobody in particular."""
+        """Count an event that belongs to no participant."""
         self._db.execute(
             "insert into counts values (?, ?) on conflict (name) do update set value = value + excluded.value",
             (name, by),
         )
 
     def counted(self, name: str) -> int:
-        """Counts how often something happened."""
+        """Return how often an event happened."""
         row = self._db.execute("select value from counts where name = ?", (name,)).fetchone()
         return 0 if row is None else int(row[0])
 
     def saw(self, participant: Participant) -> None:
-        """Notes that a participant has done something."""
+        """Note that a participant has done something."""
         self.count_time()
         if participant.is_active:
             participant.idle = 0.0
@@ -330,7 +330,7 @@ class StudyStore(SeatLog):
         return self.sit(token, participant.number, 0) if old is None else self.hand_over(old, token)
 
     def begin_episode(self, participant: Participant, key: str) -> Game:
-        """The game of an episode."""
+        """Begin an episode and return its game."""
         game = Game(key, participant.number, 0)
         self._db.execute("insert into games values (?, ?, ?, ?)", (key, game.place, 0, ""))
         self.games[key] = game

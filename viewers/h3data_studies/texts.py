@@ -25,7 +25,7 @@ class FormWords(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     title: str
     text: str
     low: str
-    """Words at the lower end of its scales."""
+    """Words at the lower end of the form's scales."""
     high: str
     items: dict[str, str]
     ends: dict[str, tuple[str, str]] = {}
@@ -42,7 +42,7 @@ class Language(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     forms: dict[str, FormWords] = {}
     """Built-in questionnaires; the English ones are in `h3data_studies.forms`."""
     said: dict[str, str] = {}
-    """Sentences of the server, by the English one; ``{}`` stands for what differs."""
+    """Translations of the server's sentences, by the English one; ``{}`` is replaced by a value."""
     things: dict[str, str] = {}
     """Words for things and places, by the English one."""
 

@@ -29,7 +29,7 @@ Viewer = Literal["rerun", "video"]
 STRIP = 5
 """Pictures in the strip of a recording."""
 STRIP_WIDTH = 200
-"""Width of one of them [px]."""
+"""Width of one picture of the strip [px]."""
 VIDEO_WIDTH = 480
 NAME_WIDTH = 20
 """Characters of a scene's name or a seed in a table."""
@@ -101,9 +101,9 @@ def show(
 def _rerun(recording: Recording, *, width: int | None, assets: Sequence[str | Path]) -> Any:
     from rerun.notebook import Viewer as RerunViewer
 
-    from h3data_viewers.rerun.rrd_file import ShownRecording, recorded_stream
+    from h3data_viewers.rerun.rrd_file import ViewedRecording, recorded_stream
 
-    shown = ShownRecording(recording=recording, replay=Replay(recording, assets=assets, detail=False))
+    shown = ViewedRecording(recording=recording, replay=Replay(recording, assets=assets, detail=False))
     return RerunViewer(width=width or "auto", recording=recorded_stream([shown]))
 
 

@@ -19,11 +19,11 @@ from h3data.replay.records import CameraTrack
 from h3data.replay.replay import Replay
 
 MOST = 8
-"""Moments in a strip; of more, the first and the last ones are shown."""
+"""Largest number of moments in a strip; of more, the first and the last ones are shown."""
 MOVES_MPS, OVER_S = 0.2, 0.5
-"""An agent moves where it is faster than this over the given time before and after."""
+"""Speed above which an agent counts as moving, over the given time before and after."""
 PASSING_M = 4.0
-"""Agents that never come nearer while they move do not cross."""
+"""Distance that moving agents must come below to count as crossing [m]."""
 COLORS = ((214, 92, 20), (30, 96, 200), (40, 150, 90), (160, 60, 170))
 """Paths of the agents, by number."""
 PAPER, INK, RIM = (250, 250, 248), (30, 30, 36), (255, 255, 255)
@@ -35,17 +35,17 @@ SAID = {"pick": "picks", "place": "places"}
 
 @dataclass(frozen=True, kw_only=True)
 class KeyFrame:
-    """Something that a strip shows."""
+    """Event that a strip shows."""
 
     step: int
     text: str
     """Caption, such as ``robot picks mug_0``."""
     agents: tuple[int, ...]
-    """Numbers of those who do it; the camera follows the first."""
+    """Numbers of the agents that act; the camera follows the first."""
 
 
 def moments_of(recording: Recording) -> list[KeyFrame]:
-    """Every pick and place of an episode, and where two agents cross, in the order of time."""
+    """Return every pick and place of an episode, and where two agents cross, in the order of time."""
     found = [
         KeyFrame(step=e.step, text=f"{_name(recording, e.agent)} {SAID[e.kind]} {e.target}", agents=(e.agent,))
         for e in recording.events

@@ -1,4 +1,4 @@
-"""Arms drawn in towards the body: how a person who walks along a wall, or through a narrow place, carries them."""
+"""Folded arms of a person who walks along a wall or through a narrow place."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from h3data.errors import InputError
 from h3data.geometry import Array, quat_from_matrix
 
 HANG_DEG, FORWARD_DEG, TWIST_DEG = 83.0, 10.0, 28.0
-"""A drawn-in upper arm: so far down from the T-pose, swung forward, and turned inwards about itself, which brings a bent
-forearm in front of the body."""
+"""Angles of a folded upper arm: downwards from the T-pose, forwards, and inwards about itself, which brings a bent forearm in
+front of the body."""
 
 CLOSE_HANG_DEG, COLLAR_DEG = 88.0, 20.0
-"""Upper arm and collar of people with planted feet, whose shoulders go forward too: broad bodies are then 2.5 cm narrower a
-side, so that they fit between walls 50 cm apart. Poses by clips, which contact takes, have `HANG_DEG`."""
+"""Angles of upper arm and collar of people with planted feet, whose shoulders go forward too: broad bodies are then 2.5 cm
+narrower a side and fit between walls 50 cm apart. Poses by clips, on which contact is based, have `HANG_DEG`."""
 CARRY_FORWARD_DEG, CARRY_TWIST_DEG, CARRY_COLLAR_DEG, CARRY_ELBOW_DEG = -22.0, 18.0, 10.0, 118.0
-"""An arm that holds something close to the body: the elbow at the side and slightly back, the forearm across the belly."""
+"""Angles of an arm that holds something close to the body: the elbow at the side and slightly back, the forearm across the
+belly."""
 
 
 def _shoulders(forward: float, hang: float, twist: float) -> Array:

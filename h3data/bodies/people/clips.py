@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from h3data.bodies.people.kernels.clips import ClipArrays
 
 STAND_BELOW_MPS = 0.15
-"""Slower than this nobody steps: the standing clip plays."""
+"""Speed below which nobody steps and the standing clip plays."""
 WALK_SPEEDS_MPS = (0.6, 1.0, 1.3, 1.6)
 JOG_SPEED_MPS = 2.5
 """The speed of the social-navigation task (spec/habitat.md: 10 units)."""
@@ -52,9 +52,9 @@ class Clip:
 
     name: str
     speed_mps: float
-    """Speed at which it was made; 0 = on the spot."""
+    """Speed at which the clip was made; 0 = on the spot."""
     stride_m: float
-    """Way per cycle (two steps): the phase advances by distance / stride. 1 for clips on the spot."""
+    """Distance per cycle (two steps): the phase advances by distance / stride. 1 for clips on the spot."""
     period_s: float
     """Duration of a cycle at ``speed_mps``."""
     stance: float
@@ -91,7 +91,7 @@ class Gaits:
     """Fitted values at `JOG_SPEED_MPS`, shape [P']."""
 
     def stride_m(self, speed_mps: ArrayLike) -> Array:
-        """Way per cycle [...] [m] at speeds [...] [m/s]."""
+        """Distance per cycle [...] [m] at speeds [...] [m/s]."""
         speed = np.abs(np.asarray(speed_mps, np.float64))
         return np.where(
             speed > JOG_ABOVE_MPS, jog_stride(self.height_m, speed), walk_stride(self.legs, np.minimum(speed, 2.0))
@@ -238,13 +238,13 @@ class ClipTable:
     frames: NDArray[np.int64]
     """Number of frames of each clip."""
     quats: Array
-    """Shape [sum of frames, 55, 4]."""
+    """Rotations of the joints in each frame as quaternions, shape [sum of frames, 55, 4]."""
     pelvis: Array
-    """Shape [sum of frames, 3]."""
+    """Position of the pelvis in each frame, shape [sum of frames, 3]."""
     ankle: Array
-    """Shape [sum of frames, 2, 3]."""
+    """Position of each ankle in each frame, shape [sum of frames, 2, 3]."""
     foot: Array
-    """Shape [sum of frames, 2, 3]."""
+    """Direction of each foot in each frame, shape [sum of frames, 2, 3]."""
 
     @cached_property
     def arrays(self) -> ClipArrays:

@@ -20,9 +20,9 @@ from h3data.bodies.people.skeleton import FINGERS, JOINT_COUNT, JOINT_INDEX
 from h3data.geometry import Array, quat_from_axis_angle, quat_from_matrix
 
 STAND_ANKLE_Z_M = -0.03
-"""A standing person's ankles are this far behind the pelvis' place."""
+"""Distance of a standing person's ankles behind the place of the pelvis [m]."""
 TURN_PER_CYCLE_RAD = np.pi / 4
-"""A stepping turn sets each foot anew every 45 degrees."""
+"""Angle of a turn on the spot per cycle, in which each foot is placed anew every 45 degrees [rad]."""
 _TURN_STANCE, _TURN_LIFT_M = 0.56, 0.05
 
 
@@ -113,11 +113,12 @@ def walk_stride(legs: Legs, speed_mps: ArrayLike) -> Array:
     0.0065).
     """
     ratio = 0.0062 * legs.length / 0.86
+    # twice: a cycle is two steps. The walk ratio, step length over cadence, is nearly constant for a person
     return 2 * np.sqrt(ratio * 60 * np.asarray(speed_mps, np.float64))
 
 
 def jog_stride(height_m: float, speed_mps: ArrayLike) -> Array:
-    """Way per cycle [...] [m]: 160 steps a minute at 1.72 m; shorter people step faster."""
+    """Return the distance per cycle [...] [m]: 160 steps a minute at 1.72 m; shorter people step faster."""
     return 2 * np.asarray(speed_mps, np.float64) / (160 / 60 * float(np.sqrt(1.72 / height_m)))
 
 
@@ -141,11 +142,13 @@ def gait_posture(
     table = np.broadcast_to(values, (len(phase), values.shape[-1]))
     p = {name: table[:, k] for k, name in enumerate(PARAMETERS)}
     loose, scale, wave = table[:, len(PARAMETERS) :], amplitude(legs, stride), 2 * np.pi * phase
+    # the pelvis goes with the leg ahead, and lists to the side of the swinging leg
     yaw = -style.yaw * scale * np.cos(wave)
     listing = style.list * scale * np.sin(wave + 0.35)
     pelvis_turn = rotation(Y, yaw) @ rotation(Z, listing) @ rotation(X, np.full(len(phase), style.lean))
     mean_turn = rotation(X, style.lean)
     height = legs.length + legs.ankle_height - (mean_turn @ legs.hips[0])[1] + p["height"]
+    # twice a cycle, once for each leg; the higher harmonic lets the fit shape that dip
     height = height + p["cos2"] * np.cos(2 * wave) + p["sin2"] * np.sin(2 * wave)
     height = height + p["cos4"] * np.cos(4 * wave) + p["sin4"] * np.sin(4 * wave)
     sway = style.sway_m * scale * np.sin(wave - 0.04 * np.pi)
@@ -158,9 +161,11 @@ def gait_posture(
         ankle[:, k], foot[:, k, 0] = _foot_path(style, legs.feet[k], legs.ankle_height, stride, scale, own, p, loose)
         ankle[:, k, 0] = sign * legs.half_width
         foot[:, k, 2] = _toe_bend(style, own, foot[:, k, 0])
+        # arms swing against the leg of their side, a little late
         swing = -np.cos(2 * np.pi * (phase - start) - 0.15)
         flexion = (style.arm_mean + style.arm_swing * swing) * scale
         _set_arm(quats, side, sign, flexion, style.elbow_mean + style.elbow_swing * swing * scale, style.arm_down)
+    # the fit works without it: a lift that hides a fault would leave nothing to fit
     if floored:
         ankle[..., 1] += np.maximum(-lowest_point(legs, ankle, foot), 0)
     return Posture(quats=quats, pelvis=np.stack([sway, height, 0 * sway], axis=1), ankle=ankle, foot=foot)
@@ -191,6 +196,7 @@ def _periodic_pchip(x: Array, y: Array, phase: Array) -> Array:
     width = np.diff(x, append=x[0] + 1)
     slope = (np.roll(y, -1, axis=1) - y) / width
     before, w0 = np.roll(slope, 1, axis=1), np.roll(width, 1)
+    # weighted harmonic mean of the slopes at both sides; 0 where they differ in sign, so that no curve overshoots
     a, b = 2 * width + w0, width + 2 * w0
     product = before * slope
     safe = np.where(product > 0, product, 1.0)
@@ -224,6 +230,7 @@ def _foot_path(
     def standing(at: Array) -> tuple[Array, Array]:
         """Ankle and pitch of a foot on the floor: its pivot moves back exactly as fast as the body forth."""
         pitch = _pitch_curve(style, loose, at, scale)
+        # toes up the heel stays on the floor, heel up the ball does
         pivot = np.where((pitch > 0)[:, None], points[0], points[1])
         ankle = pivot - (rotation(X, -pitch) @ pivot[..., None])[..., 0]
         travel = stride * (strike_ahead(style, p["shift"]) - at)
@@ -233,11 +240,14 @@ def _foot_path(
     step, span = 1e-3, 1 - stance
     zero = np.zeros_like(phase)
     off, on = standing(zero + stance)[0], standing(zero)[0]
+    # the swing begins and ends with a share of the speed that the foot has on the floor, so that the path has no
+    # corner
     leave = (off - standing(zero + stance - step)[0]) / step * span * 0.6
     arrive = (standing(zero + step)[0] - on) / step * span * 0.5
     u = np.clip((phase - stance) / span, 0, 1)[:, None]
     swing = (2 * u**3 - 3 * u**2 + 1) * off + (u**3 - 2 * u**2 + u) * leave
     swing += (3 * u**2 - 2 * u**3) * on + (u**3 - u**2) * arrive
+    # both are 0 with their slopes at the ends, so that they bend the path without moving where it meets the floor
     bump, skew = np.sin(np.pi * u[:, 0]) ** 2, np.sin(2 * np.pi * u[:, 0]) * np.sin(np.pi * u[:, 0])
     swing[:, 1] += scale * (p["lift"] * bump + p["lift_skew"] * skew)
     swing[:, 2] += scale * (p["reach"] * bump + p["reach_skew"] * skew)
@@ -296,11 +306,13 @@ def turn_posture(legs: Legs, phase: Array, *, left: bool) -> Posture:
         own, span = (phase - start) % 1.0, 1 - _TURN_STANCE
         u = np.clip((own - _TURN_STANCE) / span, 0, 1)
         swing = (2 * u**3 - 3 * u**2 + 1) * (-_TURN_STANCE / 2) + (3 * u**2 - 2 * u**3) * _TURN_STANCE / 2
+        # the foot leaves and lands at the rate at which the root turns beneath it
         swing -= span * ((u**3 - 2 * u**2 + u) + (u**3 - u**2))
         yaw = way * np.where(own < _TURN_STANCE, _TURN_STANCE / 2 - own, swing)
         ankle[:, k] = (rotation(Y, yaw) @ stand.ankle[:, k][..., None])[..., 0]
         ankle[:, k, 1] += _TURN_LIFT_M * np.sin(np.pi * u) ** 2
         foot[:, k, 1] = yaw
+    # over the foot that stands
     pelvis[:, 0] += 0.012 * np.cos(2 * np.pi * (phase - TURN_START_PHASE))
     pelvis[:, 1] -= 0.012
     return replace(stand, pelvis=pelvis, ankle=ankle, foot=foot)

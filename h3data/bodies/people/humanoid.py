@@ -46,9 +46,9 @@ if TYPE_CHECKING:
     from h3data.bodies.people.kernels.planted import GaitTables
 
 LOD_BELOW_PX = 220.0
-"""Up to this height in a picture a person is drawn with the light mesh: its error (4 mm) is then below half a pixel."""
+"""Height in a picture [px] up to which a person is drawn with the light mesh, whose error (4 mm) is then below half a pixel."""
 BONE_BOX_M, BONE_PAD_M, BONE_PAD_PART = 0.02, 0.02, 1 / 25
-"""Habitat's collision boxes are this wide and end this far before the joints (spec/habitat.md 1.6)."""
+"""Width of Habitat's collision boxes, and the distance by which they end before the joints (spec/habitat.md 1.6)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,7 +60,7 @@ class SkinnedMesh:
     joints: NDArray[np.uint8]
     """Joints of the four weights, shape [V, 4]."""
     weights: NDArray[np.float32]
-    """They sum to 1, shape [V, 4]."""
+    """Weights of the joints that move each vertex, which sum to 1, shape [V, 4]."""
     regions: NDArray[np.uint8]
     """Index into `Humanoid.region_names` per vertex: skin, hair, top, bottom, ... Shape [V]."""
 
@@ -95,16 +95,16 @@ class Humanoid:
     joint_names: tuple[str, ...] = JOINT_NAMES
     parents: tuple[int, ...] = PARENTS
     joint_offsets: Array
-    """Each joint in its parent's frame, shape [55, 3] [m]; the pelvis' row is its height in the T-pose."""
+    """Position of each joint in the frame of its parent, shape [55, 3] [m]; for the pelvis, its height in the T-pose."""
     inverse_bind: Array
     """Body frame of the rest mesh to joint frames, shape [55, 4, 4]; holds the step from T-pose to A-pose."""
     full: SkinnedMesh
     lod: SkinnedMesh
-    """About 3,000 vertices: the default for cameras that are not close (surface error below 5 mm)."""
+    """Mesh of about 3,000 vertices, the default for cameras that are not close (surface error below 5 mm)."""
     region_names: tuple[str, ...]
     capsules: tuple[BodyCapsule, ...]
     gaits: Gaits
-    """The gait; `clips` are sampled from it."""
+    """Walking gait of the body, from which `clips` are sampled."""
     outfit: str = ""
     """Name of the clothes; empty where they are part of the body's own mesh."""
     phenotype: Mapping[str, float] = field(default_factory=dict)
@@ -182,11 +182,11 @@ class Humanoid:
         return pose_at_speed(self.gaits, speed_mps, phase, blend, ground)
 
     def stride_m(self, speed_mps: ArrayLike) -> Array:
-        """Way per cycle of two steps [...] [m] at speeds [...] [m/s]."""
+        """Return the distance per cycle of two steps [...] [m] at speeds [...] [m/s]."""
         return self.gaits.stride_m(speed_mps)
 
     def joint_matrices(self, base_pose: ArrayLike, quats: Array, pelvis: Array) -> Array:
-        """World matrices of the joints, [T, 55, 4, 4], from agent roots [T, 7] and what `clip_pose` returned."""
+        """Return world matrices of the joints, [T, 55, 4, 4], from agent roots [T, 7] and the result of `clip_pose`."""
         from h3data.bodies.people.kernels.clips import joint_frames
 
         base = _doubles(base_pose).reshape(-1, 7)

@@ -85,14 +85,14 @@ def rotation(axis: Array, angle_deg: ArrayLike) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SolvedLegs:
-    """Angles of solved legs; what the fit looks at."""
+    """Angles of solved legs, which the fit evaluates."""
 
     quats: Array
     """All local rotations, shape [T, 55, 4]."""
     thigh_deg: Array
     """Angle of each thigh to the vertical, forward positive, shape [T, 2]."""
     knee_deg: Array
-    """Flexion, shape [T, 2]."""
+    """Flexion of each knee [deg], shape [T, 2]."""
     overreach: Array
     """Missing length of each leg, as a share of its length, shape [T, 2]."""
 

@@ -39,6 +39,7 @@ def gait_tables(gaits: Gaits) -> GaitTables:
     travel, stance, strike, middle, swing = np.zeros((5, rows))
     middle[0] = stand.ankle[0, 0, 2]
     stand_foot, swing_foot, swing_path = np.zeros((3, rows, SHARES, 2))
+    # row 0 stands: its curves are flat, so blending with the slowest walk fades every motion out
     swing_path[0, :, 1] = legs.ankle_height
     share = np.linspace(0, 1, SHARES)
     for k, speed in enumerate(SPEEDS_MPS[1:], 1):
@@ -49,14 +50,18 @@ def gait_tables(gaits: Gaits) -> GaitTables:
 
         cycle = moment(np.arange(PHASES) / PHASES)
         quats[k], pelvis[k] = cycle.quats, cycle.pelvis
+        # just short of the end, where the foot still stands; at the end the gait already has it in the air
         stand_foot[k] = moment(share * stance[k] * (1 - 1e-9)).foot[:, 0, ::2]
         flight = moment(stance[k] + share * (1 - stance[k]) * (1 - 1e-9))
         swing_foot[k] = flight.foot[:, 0, ::2]
+        # the kernel adds an eased line between the places on the floor; the table holds only what is beyond it
         line = travel[k] * (strike[k] - stance[k] + share * share * (3 - 2 * share) * stance[k])
         swing_path[k] = np.stack([flight.ankle[:, 0, 2] - line, flight.ankle[:, 0, 1]], axis=-1)
         swing[k] = np.abs(np.diff(flight.ankle[:, 0, 2])).max() * (SHARES - 1) / (1 - stance[k])
+    # standing has no stance of its own; a first step begins as one of the slowest walk
     stance[0], strike[0] = stance[1], strike[1]
     speeds = np.array(SPEEDS_MPS)
+    # travel is 0 where nobody travels; the row after replaces the quotient
     cadence = speeds / np.maximum(travel, 1e-9)
     cadence[0] = cadence[1]
     return GaitTables(
@@ -109,6 +114,7 @@ def planted_states(tables: GaitTables, base: ArrayLike, time_s: ArrayLike | None
     base = np.asarray(base, np.float64)
     seconds = np.full(len(base), STEP_S)
     if time_s is not None and len(base):
+        # the first row has no step before it, and is never stepped
         seconds = np.diff(np.asarray(time_s, np.float64), prepend=0.0)
     states = np.empty((len(base), STATE_COLUMNS))
     xz, heading = np.ascontiguousarray(base[:, [0, 2]]), heading_from_quat(base[:, 3:])

@@ -61,7 +61,7 @@ STYLES = {
     "female": ("bob", "long", "tail", "bun", "waves", "curls", "tousled", "scarf"),
     "male": ("crop", "short", "swept", "tousled", "curls", "receding"),
 }
-"""Hairstyles that somebody has, by whether their phenotype is more female than male."""
+"""Hair styles by whether the person's phenotype is more female than male."""
 OUTFIT_WEIGHTS = {"casual": 3, "smart": 2, "knit": 2, "sport": 2, "summer": 1, "dress": 2, "pyjamas": 1}
 
 Arrays = Mapping[str, NDArray[Any]]

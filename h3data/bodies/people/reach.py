@@ -39,7 +39,7 @@ HANDS: tuple[Hand, Hand] = ("right", "left")
 STATUSES: tuple[ReachStatus, ...] = ("reached", "outside_box", "invalid_posture", "too_far")
 """Results of reaching, in the order of the kernel's codes."""
 TABLE_FILE, TABLE_FORMAT = "bodies/reach/table.npz", "h3data.reach/1"
-"""In a folder of its own: beside the bodies it would count as one."""
+"""Name and format of the table's file, which has a folder of its own so that it does not count as a body."""
 ROOT_OF_BODY = quat_from_axis_angle(np.array([0.0, 1.0, 0.0]), np.pi / 2)
 """The kernel's body frame (+Z forward, +X left) as the agent root sees it."""
 PALM_SHARE, PALM_DROP = 0.9, 0.018
@@ -47,7 +47,7 @@ PALM_SHARE, PALM_DROP = 0.9, 0.018
 ARM_RADIUS = 0.026
 """Radius of forearm and hand for the clearance, as a share of the shoulder's height."""
 INSET = 0.02
-"""Advice stays this share of the way inside the valid volume."""
+"""Share of the path inside the valid volume by which advice keeps away from its border."""
 _TRIED = 24
 """Nearest table points from which the nearest valid one is sought."""
 _OBSTACLES = {
@@ -92,7 +92,7 @@ class ReachResult:
     nearest_valid: Array
     """The target itself when reached, else a valid point near it, shape [3] [m]: exact to about 2 cm."""
     base_motion: BaseMotion | None
-    """Motion of the base after which the target is reached; zero when it is reached already, None when nothing helps (too
+    """Motion of the base after which the target is reached; zero when it is reached already, None when no motion helps (too
     high, below the floor)."""
 
     @property
@@ -105,9 +105,9 @@ class ReachPoses(NamedTuple):
     """Poses for many points, without advice."""
 
     quats: Array
-    """Shape [T, 55, 4]."""
+    """Rotations of the joints as quaternions, shape [T, 55, 4]."""
     pelvis: Array
-    """Shape [T, 3] [m]."""
+    """Position of the pelvis, shape [T, 3] [m]."""
     status: NDArray[np.int8]
     """Index into `STATUSES`, shape [T]."""
     measures: Array
@@ -152,7 +152,7 @@ def reach(body: Humanoid, target: ArrayLike, hand: Hand = "right") -> ReachResul
 def reach_poses(
     body: Humanoid, targets: ArrayLike, hand: Hand = "right", *, trunk: ArrayLike = 1.0, arm: ArrayLike = 1.0
 ) -> ReachPoses:
-    """Poses with the palm at ``targets`` [T, 3] [m], for frames or worlds; where the status is not 0 as near as it gets.
+    """Return poses with the palm at ``targets`` [T, 3] [m], for frames or worlds; as near as possible if the status is not 0.
 
     ``trunk`` and ``arm`` [T] (0 to 1) lead from the standing trunk and the elbow of the hanging arm to those of the solved
     posture: at (0, 0) with the hand where it hangs, this is the standing pose.
@@ -223,7 +223,7 @@ class ReachSolver:
         """Position of the palm of a standing person, shape [3] [m]."""
 
     def poses(self, targets: Array, trunk: ArrayLike = 1.0, arm: ArrayLike = 1.0) -> ReachPoses:
-        """Returns the same as `reach_poses`, with the body of this solver."""
+        """Return the result of `reach_poses` for the body of this solver."""
         count = len(targets)
         quats, pelvis = np.empty((count, 55, 4)), np.empty((count, 3))
         measures, status = np.empty((count, kernel.MEASURE_COUNT)), np.empty(count, np.int8)

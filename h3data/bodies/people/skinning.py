@@ -33,9 +33,9 @@ class Skin:
     """Skin weights folded with the rest mesh."""
 
     points: csr_array
-    """Float32 [V, 4J]."""
+    """Matrix that gives the vertices when multiplied with the joints' matrices, float32 [V, 4J]."""
     normals: csr_array
-    """The same with rest normals and no translation, float32 [V, 4J]."""
+    """Matrix that gives the normals in the same way, without translation, float32 [V, 4J]."""
 
     @cached_property
     def frame(self) -> FrameOperator:
@@ -90,7 +90,7 @@ class SkinBounds(NamedTuple):
     centers: Array
     """Centres in the frames of their joints, shape [K, 3] [m]."""
     radii: Array
-    """Radii, shape [K] [m]."""
+    """Radii of the balls that bound the skin, shape [K] [m]."""
     starts: NDArray[np.intp]
     """First sphere of each group, shape [G], then K."""
 

@@ -12,7 +12,7 @@ from h3data.geometry import Array
 SIDES = ("left", "right")
 LEG_JOINTS = np.array([[JOINT_INDEX[f"{s}_{j}"] for j in ("hip", "knee", "ankle", "foot")] for s in SIDES])
 HIP, KNEE, ANKLE, TOE = range(4)
-"""Columns of `LEG_JOINTS`."""
+"""Columns of `LEG_JOINTS` by joint of a leg."""
 
 
 def sole_points(body: Humanoid, frames: Array) -> Array:

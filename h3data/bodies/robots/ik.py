@@ -27,13 +27,13 @@ class IkResult:
     """Result of `solve_ik`; arrays have the batch shape of its targets."""
 
     joint_pos: NDArray[np.float64]
-    """All joints of the robot, inside their limits, shape [*batch, J] [rad or m]."""
+    """Positions of all joints of the robot, inside their limits, shape [*batch, J] [rad or m]."""
     position_error_m: NDArray[np.float64]
     """Distance that is left to the target, shape [*batch]."""
     rotation_error_rad: NDArray[np.float64]
     """Angle that is left, shape [*batch]; 0 where only a position was asked for."""
     reached: NDArray[np.bool_]
-    """Both errors are within their tolerances, shape [*batch]."""
+    """True if both errors are within their tolerances, shape [*batch]."""
     clamped: NDArray[np.bool_]
     """Joints that the search stopped at a limit, shape [*batch, J]."""
 

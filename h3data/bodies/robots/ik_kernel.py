@@ -11,14 +11,14 @@ from h3data.bodies.robots.kinematics import SLIDES, TURNS
 from h3data.kernels import kernel, kernel_part
 
 MAX_STEP = 0.6
-"""Longest move of a joint in one step [rad or m]."""
+"""Longest move of a joint in one step of the search [rad or m]."""
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e3
-"""In squares of metres per radian, as the squared singular values of the Jacobian that it is added to."""
+"""Damping at the start, and its limits, in the unit of the squared singular values of the Jacobian, to which it is added."""
 GIVE_UP = 1e-3
 """A start is given up when a step takes away less than this fraction of the error, `PATIENCE` times."""
 PATIENCE = 4
 FREE_RANGE = math.pi
-"""A joint without a limit begins again up to this far from 0."""
+"""Greatest distance from 0 at which a joint without limits begins a new attempt."""
 
 
 @kernel_part()

@@ -1,4 +1,4 @@
-"""A robot: links, joints, looks, shapes and cameras, and where they all are (`h3data.bodies.load_robot` makes one).
+"""Robots: links, joints, looks, shapes and cameras, and the poses of all of them (`h3data.bodies.load_robot` makes one).
 
 Link frames are URDF's. The agent root frame (x forward, y up, z right, on the floor) is turned into the URDF base frame
 (x forward, y left, z up) and lifted by ``base_height_m``.
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotLink:
-    """One rigid part."""
+    """Link of a robot: one rigid part."""
 
     name: str
     parent: int
@@ -37,7 +37,7 @@ class RobotLink:
     shapes: tuple[Shape, ...]
     """Collision parts in the link frame."""
     inertial: Array
-    """Centre-of-mass frame in the link frame, 4x4: Habitat gives link poses in it."""
+    """Centre-of-mass frame in the link frame, 4x4, in which Habitat gives poses of links."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,7 +47,7 @@ class RobotCamera:
     name: str
     link: int
     pose: Array
-    """4x4, camera (OpenCV: x right, y down, z forward) to link frame."""
+    """Matrix 4x4 from the frame of the camera (OpenCV: x right, y down, z forward) to that of its link."""
     width: int
     height: int
     hfov_deg: float
@@ -58,7 +58,7 @@ class RobotLeg:
     """A leg with hip roll, hip pitch and knee."""
 
     columns: tuple[int, int, int]
-    """Columns of these joints in the joint positions."""
+    """Columns of the leg's joints in the joint positions."""
     foot: Array
     """Middle of the foot in the frame of the link that the knee moves, shape [3] [m]."""
 
@@ -67,7 +67,7 @@ class JointTargets(NamedTuple):
     """Joint positions that the robot can take."""
 
     positions: NDArray[np.float64]
-    """Inside the limits, shape [..., J] [rad or m]."""
+    """Positions of the joints, inside their limits, shape [..., J] [rad or m]."""
     clamped: NDArray[np.bool_]
     """True if each requested position was beyond a limit, shape [..., J]."""
 
@@ -78,7 +78,7 @@ class Robot:
 
     name: str
     file: Path
-    """The URDF."""
+    """File of the robot's description, a URDF."""
     links: tuple[RobotLink, ...]
     joint_names: tuple[str, ...]
     """The columns of ``joint_pos``: joints that move on their own, in the order of the URDF. A spherical joint has four
@@ -97,9 +97,9 @@ class Robot:
     base_discs: Array
     """Places along x of the discs in which the base must stay free, shape [D] [m]."""
     base_profiles: dict[str, Array] = field(default_factory=dict)
-    """Other such places, by name."""
+    """Further sets of base discs, by name."""
     base_radius_m: float
-    """Radius of these discs."""
+    """Radius of the base discs."""
     hull_discs: Array
     """Places along x of discs of the same radius that cover the whole robot at rest, shape [H] [m]: others avoid these."""
     max_speed_mps: float | None = None
@@ -113,10 +113,10 @@ class Robot:
     hand_axes: Array = field(default_factory=lambda: np.eye(3))
     """Forward, left and upward directions of the hand in the frame of that link, as columns [3, 3]."""
     reach_bearing: float | None = None
-    """Bearing of what the robot reaches for [rad], to the left of its forward axis; None: not known."""
+    """Bearing at which the robot reaches for things [rad], to the left of its forward axis; None: not known."""
     legs: tuple[RobotLeg, ...] = ()
     climbs_stairs: bool = False
-    """True if it walks up and down stairs; to others they are walls."""
+    """True if the robot walks up and down stairs; for other robots stairs are walls."""
     cameras: tuple[RobotCamera, ...]
     to_base: Array
     """URDF base frame to agent root frame, 4x4."""
@@ -125,9 +125,10 @@ class Robot:
     axes: NDArray[np.float64]
     """Joint axis of each link, shape [L, 3]."""
     kinds: NDArray[np.int64]
-    """0 fixed, 1 turns, 2 slides, 3 takes a quaternion (`h3data.bodies.robots.kinematics`), shape [L]."""
+    """Kind of each link's joint: 0 fixed, 1 turns, 2 slides, 3 takes a quaternion (`h3data.bodies.robots.kinematics`), shape
+    [L]."""
     columns: NDArray[np.int64]
-    """Which joint position moves each link (the first of four by a quaternion), shape [L]; 0 where none does."""
+    """Joint position that moves each link (the first of four for a quaternion), shape [L]; 0 where none does."""
     gains: NDArray[np.float64]
     """A link moves by gain * position + offset (URDF mimic), shape [L]."""
     offsets: NDArray[np.float64]
@@ -288,7 +289,7 @@ class Robot:
         raise InputError(f"Robot {self.name} has no camera {name!r}. It has: {known}.", code="H3-BODY-093")
 
     def camera_poses(self, name: str, link_matrices: Array) -> Array:
-        """Camera (OpenCV) to world, [T, 4, 4], of what `link_matrices` returned."""
+        """Return the poses of cameras (OpenCV) in the world, [T, 4, 4], from the result of `link_matrices`."""
         camera = self.camera(name)
         return link_matrices[:, camera.link] @ camera.pose
 

@@ -1,4 +1,4 @@
-"""Robots from files: a URDF with meshes, or MJCF, and, beside it, a small ``robot.toml`` with what URDF cannot say."""
+"""Robots from files: a URDF with meshes or MJCF, with a small ``robot.toml`` for what URDF has no place for."""
 
 from __future__ import annotations
 

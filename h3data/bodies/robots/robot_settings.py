@@ -1,4 +1,4 @@
-"""``robot.toml``: what URDF cannot say about a robot - posture, base profiles, hand, legs, cameras."""
+"""Settings of a robot that a URDF has no place for, in ``robot.toml``: posture, base profiles, hand, legs, cameras."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from h3data.errors import FormatError
 
 
 class CameraSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A ``[[cameras]]`` table."""
+    """Settings of a robot's camera, a ``[[cameras]]`` table."""
 
     name: str
     link: str
@@ -49,7 +49,7 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     base_discs_m: tuple[float, ...] = (0.0,)
     """Places along x of the discs in which the base must stay free."""
     base_profiles: dict[str, tuple[float, ...]] = {}
-    """Other sets of such places, by name."""
+    """Further sets of base discs, by name."""
     base_radius_m: float = 0.25
     hull_discs_m: tuple[float, ...] = ()
     """Places along x of discs of the same radius that cover the whole robot at rest; empty: computed."""
@@ -68,8 +68,8 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     hand_up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """Direction in the frame of that link that points up when the hand is level."""
     reach_bearing_deg: float | None = None
-    """Bearing of what the robot reaches for when it stands in front of it: 0 ahead, 90 to the left; by default the first of
-    ahead, right, left and behind in which the arm reaches."""
+    """Bearing at which the robot has things in front of it that it reaches for: 0 ahead, 90 to the left; by default the first
+    of ahead, right, left and behind in which the arm reaches."""
     legs: tuple[LegSettings, ...] = ()
     climbs_stairs: bool | None = None
     """True if the robot walks up and down stairs; by default if it has legs. To others stairs are walls."""

@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 THICKNESS_M = 0.04
 """Least side of a box."""
 REACH_M = 0.6
-"""Children whose joints are farther away are sensors or frames on the floor rather than ends of the link."""
+"""Distance of a joint beyond which a child is a sensor or a frame on the floor rather than the end of the link [m]."""
 
 
 def with_stand_ins(urdf: Urdf) -> tuple[Urdf, frozenset[str]]:

@@ -16,7 +16,7 @@ from h3data.geometry import Array, ground_pose, heading_from_quat, pose_to_matri
 from h3data.scene.floor_heights import LEVEL, floor_heights, nose_heights, off_risers
 
 STRIDE_M = 0.7
-"""Longest distance covered in one cycle of a leg."""
+"""Longest distance that a robot covers in one cycle of a leg."""
 LEAST_STRIDE_M = 0.28
 STRIDE_STEPS = 6.0
 """A stride is 0.2 m and what is covered in this many steps, up to `STRIDE_M` at 2.5 m/s. With equal strides at all speeds, legs
@@ -32,7 +32,7 @@ TUCK = 0.7
 """A swinging foot is drawn towards its place at rest by up to this share of its distance from it, half-way. In 24 episodes,
 hind legs were more than 2 cm in walls in 21 steps without it, in 11 with 0.4 and in 1 to 3 with this."""
 SETTLE_STEPS = 4
-"""Feet come down within so many steps of a stop."""
+"""Number of steps after a stop within which all feet are on the floor."""
 SETTLE_M = 0.05
 """Feet are lifted fully where the base covers at least this distance in the steps around."""
 NOSE_CLEAR_M, OVER_SHARE = 0.02, 0.25
@@ -41,7 +41,7 @@ LEAN_SHARE = 0.5
 """Share of the way from below the root to below the hips by which feet under a pitched base are moved. With all of it the lower
 legs of `quad_arm` were too short for the steps below, with none the upper ones were folded flat."""
 JUMP_M = 0.5
-"""A base that moves farther in one step was put there: the trot begins anew."""
+"""Distance of a step beyond which the base was moved from outside, so that the trot begins anew [m]."""
 MAX_STRETCH = 0.999
 """Largest stretch as a share of the length of a leg, so that the knee keeps its side."""
 _BLOCK_STEPS = 4096

@@ -42,13 +42,13 @@ _log = logging.getLogger(__name__)
 JointKind = Literal["revolute", "continuous", "prismatic", "fixed", "spherical"]
 _XACRO = {"arg", "attribute", "call", "element", "if", "include", "insert_block", "macro", "property", "unless"}
 MAX_BYTES = 16 << 20
-"""Larger files are refused: no robot description is."""
+"""Size above which a file is refused, as no robot description is larger [bytes]."""
 MAX_LINKS = 10_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class UrdfLink:
-    """A rigid body."""
+    """Rigid body in a URDF."""
 
     name: str
     visuals: tuple[UrdfPart, ...]
@@ -81,10 +81,10 @@ class UrdfJoint:
     axis: Array
     """Unit vector in the joint frame, shape [3]."""
     lower: float
-    """Least position [rad or m]; -inf if the file gives none."""
+    """Lower limit of the position [rad or m]; -inf if the file gives none."""
     upper: float
     mimic: UrdfMimic | None = None
-    """The joint that this one follows, if it has no position of its own."""
+    """Joint that this joint follows, if it has no position of its own."""
 
     @property
     def width(self) -> int:

@@ -31,7 +31,7 @@ PLANE_THICKNESS_M = 0.1
 
 @dataclass
 class UrdfIssues:
-    """Everything found wrong while a URDF is read."""
+    """Faults that are found while a URDF is read."""
 
     faults: list[str] = field(default_factory=list)
     """Reasons to refuse the file."""
@@ -41,7 +41,7 @@ class UrdfIssues:
 
 @dataclass(frozen=True, kw_only=True)
 class UrdfGeometry:
-    """One shape of a URDF.
+    """Shape in a URDF.
 
     ``box`` uses ``size``; ``cylinder`` and ``capsule`` lie along z with ``radius`` and ``length`` (the caps of a
     capsule are added to its length, as in Bullet); ``sphere`` has a ``radius``; ``mesh`` a ``file`` and a ``scale``.
@@ -53,7 +53,7 @@ class UrdfGeometry:
     radius: float = 0.0
     length: float = 0.0
     file: Path | None = None
-    """File of a mesh; None of one that is not in a file of its own."""
+    """File of the mesh; None for shapes without a file of their own."""
     mesh: Mesh | None = None
     scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
@@ -66,7 +66,7 @@ class UrdfPart:
     origin: Array
     """Geometry to link frame, shape [4, 4]."""
     color: tuple[int, int, int] | None = None
-    """sRGB of the material, if it has one."""
+    """Colour (sRGB) of the material, if it has one."""
 
 
 def read_numbers(
@@ -94,7 +94,7 @@ def read_numbers(
 
 
 def read_origin(element: ElementTree.Element | None, where: str, issues: UrdfIssues) -> Array:
-    """4x4 of ``<origin xyz rpy>``: fixed-axis roll, pitch, yaw, so R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Return the 4x4 matrix of ``<origin xyz rpy>``: fixed-axis roll, pitch, yaw, so R = Rz(yaw) Ry(pitch) Rx(roll)."""
     matrix = np.eye(4)
     origin = None if element is None else element.find("origin")
     if origin is None:

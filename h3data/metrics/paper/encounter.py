@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, kw_only=True)
 class Thresholds:
-    """Limits of the task that decide what counts. Defaults: the paper's."""
+    """Limits of finding and following. Defaults: the paper's."""
 
     near_m: float = 1.0
     """Smallest distance of finding and following [m], inclusive."""
@@ -28,11 +28,11 @@ class Thresholds:
     facing: float = 0.5
     """The robot faces the human if forward . unit(robot -> human) on the floor is greater."""
     avoid_m: float = 1.5
-    """Backing up and yielding count below this L2 distance [m]."""
+    """Distance (L2) below which backing up and yielding count [m]."""
     yield_m_s: float = 0.1
-    """The robot yields below this speed [m/s]."""
+    """Speed below which the robot yields [m/s]."""
     still_m_s: float = 1e-3
-    """Forward speeds within +- this count as no motion [m/s]: float32 positions at 30 Hz make up to 3e-4 of noise."""
+    """Forward speed up to which a robot counts as standing [m/s]: float32 positions at 30 Hz make up to 3e-4 of noise."""
 
 
 PAPER = Thresholds()

@@ -55,11 +55,11 @@ class AssetLibrary:
         return f"AssetLibrary({len(self.roots)} roots{scene}, {len(self.missing)} missing)"
 
     def with_scene(self, scene: Scene) -> AssetLibrary:
-        """The same roots with a scene that answers ``scene:<asset>``."""
+        """Return a library with the same roots and a scene that answers ``scene:<asset>``."""
         return AssetLibrary(self.folders, scene=scene, own_folder=self.own_folder)
 
     def with_own_folder(self, recorded: object) -> AssetLibrary:
-        """The same with the folder that a replay brought along (``info["source"]["assets"]``), if it still exists.
+        """Return a library with the folder that a replay brought along (``info["source"]["assets"]``), if it still exists.
 
         It answers paths that begin with its name, after the roots; nothing else beside it is read.
         """

@@ -30,7 +30,7 @@ class SkinnedMesh:
     """Skinning operator over `joint_names` and one more, for parts without a skin (`h3data.bodies.people.skinning`)."""
     joint_names: tuple[str, ...]
     inverse_bind: Array
-    """Shape [J, 4, 4]."""
+    """Inverse bind matrix of each joint, shape [J, 4, 4]."""
     to_metres: Array
     """File frame to ours, 4x4."""
 

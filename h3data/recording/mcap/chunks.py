@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from h3data.recording.records import Event, InputEvent, Recording, SkillSpan
 
 CHUNK_S = 10.0
-"""Longest chunk [s of the episode]: what is lost of a file that is cut off or damaged, beside the missing part."""
+"""Longest chunk [s of the episode], which is what a file that is cut off or damaged loses besides the missing part."""
 _WORTH_BYTES = 20
 """Saving per row [bytes] that is worth a longer chunk: 62 for the looping clip above, 0 to 18 in our simulations."""
 _COMPARED = ("object_pose", "joint_pos", "joint_quat")

@@ -1,4 +1,4 @@
-"""One episode as an MCAP file that is appended to while the episode happens, readable up to the last flush after a crash.
+"""Store an episode as an MCAP file that grows while the episode runs and is readable up to its last flush after a crash.
 
 While it is written the file is called ``<name>.part``; only a complete file gets its final name. ``h3data docs format``
 describes the contents.
@@ -142,7 +142,7 @@ class LogWriter:
 
     @property
     def steps(self) -> int:
-        """Rows appended so far."""
+        """Number of rows appended so far."""
         return 0 if self._rows is None else self._rows.steps
 
     def append(self, rows: Mapping[str, ArrayLike]) -> None:
@@ -179,7 +179,7 @@ class LogWriter:
         self.flush()
 
     def event(self, event: Event) -> None:
-        """Writes something that happened."""
+        """Write an event."""
         self._require_open()
         data = encode_record("h3.Event", struct_to_dict(event))
         t = self._log_time(self._time_of(event.step))

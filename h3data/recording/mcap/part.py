@@ -11,7 +11,7 @@ from typing import IO
 from h3data.errors import InputError
 
 MOST_HELD = 1 << 20
-"""Bytes that wait for a `Backlog.flush` where the disk takes them."""
+"""Number of bytes that may wait for a `Backlog.flush` where the disk takes them."""
 
 
 def part_path(path: Path) -> Path:
@@ -25,7 +25,7 @@ def open_part(part: Path, *, overwrite: bool) -> IO[bytes]:
 
 
 class Backlog:
-    """Stream to a file that buffers whatever the disk does not accept.
+    """Stream to a file that buffers bytes which the disk does not accept.
 
     `write` never fails. `flush` writes what is in the buffer, and continues where it stopped when it is called again.
     The file always holds the beginning of everything written to the stream.

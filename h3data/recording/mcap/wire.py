@@ -43,11 +43,11 @@ _WIRE = {  # dtype -> protobuf type, numpy dtype on the wire, wire type of one v
 
 @dataclass(frozen=True)
 class WireField:
-    """One field of a per-step message."""
+    """Field of a per-step message."""
 
     column: Column
     name: str
-    """Protobuf name."""
+    """Name of the field in Protobuf."""
     number: int
 
     @property
@@ -285,7 +285,7 @@ def _descriptor_set(filename: str, messages: Mapping[str, Sequence[tuple[str, in
 
 @lru_cache(maxsize=32)
 def message_class(descriptor_set: bytes, name: str) -> Any:
-    """google.protobuf class of message ``name`` of a serialised FileDescriptorSet."""
+    """Return the google.protobuf class of message ``name`` of a serialised FileDescriptorSet."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     # a pool of its own: two logs may define the same message names with other fields

@@ -33,7 +33,7 @@ def to_arrow(rows: NDArray[Any]) -> pa.Array:
 
 
 def to_numpy(stored: pa.ChunkedArray | None, column: Column, declared: Column, steps: int) -> NDArray[Any]:
-    """One column in its own shape [steps, ...]: a writable copy without the padding.
+    """Return a column in its own shape [steps, ...], as a writable copy without the padding.
 
     ``declared`` is the column of the dataset; ``stored`` is None if the column has no width.
 
@@ -42,6 +42,7 @@ def to_numpy(stored: pa.ChunkedArray | None, column: Column, declared: Column, s
     """
     if not column.width or stored is None:
         return column.empty(steps)
+    # a width of 1 is stored as scalars, which viewers and SQL read without unpacking
     if pa.types.is_fixed_size_list(stored.type) != (declared.width > 1):
         raise ValueError(f"column {column.name} is not {declared}")
     chunks = [c.flatten() if declared.width > 1 else c for c in stored.chunks]
@@ -51,6 +52,7 @@ def to_numpy(stored: pa.ChunkedArray | None, column: Column, declared: Column, s
     wide = _as_declared(values, declared.dtype).reshape(steps, *declared.shape)
     if declared.shape == column.shape:
         return wide
+    # a copy, or the padding of all rows would stay in memory with it
     return wide[(slice(None), *(slice(0, n) for n in column.shape))].copy()
 
 

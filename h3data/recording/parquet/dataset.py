@@ -1,4 +1,4 @@
-"""Reading a Parquet dataset: recordings, columns and tables of its episodes, without the columns nobody asked for."""
+"""Parquet datasets as recordings, columns and tables of episodes; columns that nobody asked for are not read."""
 
 from __future__ import annotations
 
@@ -217,19 +217,19 @@ class Dataset(DatasetFolder):
     def to_polars(
         self, columns: Sequence[str] | None = None, *, episodes: Iterable[int] | None = None
     ) -> polars.DataFrame:
-        """`to_arrow` as a polars frame, in the same memory. Needs ``pip install "h3data[frames]"``."""
+        """Return `to_arrow` as a polars frame in the same memory. Needs ``pip install "h3data[frames]"``."""
         return tables.to_polars(self.to_arrow(columns, episodes=episodes))
 
     def to_pandas(
         self, columns: Sequence[str] | None = None, *, episodes: Iterable[int] | None = None
     ) -> pandas.DataFrame:
-        """`to_arrow` as a pandas frame; vectors stay Arrow lists. Needs ``pip install "h3data[frames]"``."""
+        """Return `to_arrow` as a pandas frame; vectors stay Arrow lists. Needs ``pip install "h3data[frames]"``."""
         return tables.to_pandas(self.to_arrow(columns, episodes=episodes))
 
     def to_torch(
         self, columns: Sequence[str] | None = None, *, episodes: Iterable[int] | None = None
     ) -> dict[str, torch.Tensor]:
-        """`to_arrow` as tensors [T, *declared shape] on the CPU; without a copy if it is one episode."""
+        """Return `to_arrow` as tensors [T, *declared shape] on the CPU; without a copy if it is one episode."""
         return tables.to_torch(self.to_arrow(columns, episodes=episodes), tables.shapes_of(self))
 
     # --- private --------------------------------------------------------------------------------------------------

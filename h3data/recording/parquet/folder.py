@@ -90,6 +90,7 @@ class DatasetFolder:
                 f"Hint: open it with lerobot or Rerun: {self.root}",
                 code="H3-RECORDING-063",
             )
+        # before the tables: a writer may commit in between, and then there is more than promised, never less
         self._promised = self._promised_episodes()
         self.schema = DatasetSchema.load(self.root)
         self._files: dict[int, pq.ParquetFile] = {}
@@ -134,7 +135,7 @@ class DatasetFolder:
 
     @cached_property
     def rows(self) -> Sequence[dict[str, Any]]:
-        """`episodes` as Python values, ``info`` with the names of today."""
+        """Return `episodes` as Python values, with today's names in ``info``."""
         return EpisodeRows(self.episodes)
 
     def __len__(self) -> int:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 """Quantiles by the names that LeRobot gives them."""
 STATISTICS = ("min", "max", "mean", "std", *QUANTILES)
-"""Numbers of a feature beside its count."""
+"""Statistics of a feature besides its count."""
 
 
 @dataclass
@@ -56,6 +56,7 @@ def moments_of(values: NDArray[Any]) -> Moments:
         # the usual case, without masks and the copies that they make
         if len(x) and finite.all():
             mean = x.mean(0, dtype=np.float64)
+            # two passes: sums of squares would lose what a position far from the origin varies by
             deviation = x - mean
             m2 = np.einsum("ij,ij->j", deviation, deviation)
             count = np.full(x.shape[1], float(len(x)))
@@ -78,6 +79,7 @@ def _quantiles(x: NDArray[np.floating], count: NDArray[np.float64]) -> NDArray[n
     """
     if not len(x):
         return np.zeros((len(QUANTILES), x.shape[1]))
+    # values that occur, and no interpolation: a quantile of a flag is 0 or 1
     shares = np.array(list(QUANTILES.values()))
     rank = np.maximum(np.ceil(shares[:, None] * count) - 1, 0).astype(np.intp)
     return np.nan_to_num(np.take_along_axis(np.sort(x, axis=0), rank, axis=0).astype(np.float64))  # NaN are sorted last
@@ -110,7 +112,7 @@ def merge_into(total: dict[str, Moments], more: Mapping[str, Moments]) -> None:
 
 
 def lerobot_stats(m: Moments, frames: int, shape: tuple[int, ...]) -> dict[str, list[Any]]:
-    """min, max, mean, std, count and quantiles as LeRobot stores them; 0 for a value that was never finite: JSON has no NaN."""
+    """Return min, max, mean, std, count and quantiles as LeRobot stores them; 0 for a value that was never finite."""
     any_finite = m.count > 0
     named = {"min": m.low, "max": m.high, "mean": m.mean, "std": m.std}
     if m.quantiles is not None:
@@ -121,6 +123,7 @@ def lerobot_stats(m: Moments, frames: int, shape: tuple[int, ...]) -> dict[str, 
 
 def pack_moments(moments: Mapping[str, Moments]) -> str:
     """Moments as text for Parquet metadata: base64 of deflated JSON, a third of its size."""
+    # JSON and no pickle: metadata of a foreign file are data, and never run
     text = json.dumps({name: m.to_lists() for name, m in moments.items()})
     return base64.b64encode(zlib.compress(text.encode())).decode()
 

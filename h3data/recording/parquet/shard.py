@@ -1,4 +1,4 @@
-"""One shard of a dataset: a data file, its sidecars and its episode table, invisible until all are complete."""
+"""Write a shard of a dataset: a data file, its sidecars and its episode table, which stay invisible until all are complete."""
 
 from __future__ import annotations
 

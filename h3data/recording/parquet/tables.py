@@ -55,6 +55,7 @@ def to_pandas(table: pa.Table) -> pandas.DataFrame:
         ) from None
 
     def kind(arrow: pa.DataType) -> Any:
+        # NumPy has no column of vectors: pandas would make one Python list for each row
         return pandas.ArrowDtype(arrow) if pa.types.is_fixed_size_list(arrow) else None
 
     return table.to_pandas(types_mapper=kind, split_blocks=True)
@@ -70,6 +71,7 @@ def to_torch(table: pa.Table, shapes: dict[str, tuple[int, ...]]) -> dict[str, t
         if len(chunks) == 1 and not pa.types.is_boolean(chunks[0].type):
             flat = torch.from_dlpack(chunks[0])
         else:
+            # several chunks have no common memory to share, and booleans are bits there
             flat = torch.from_numpy(np.concatenate([c.to_numpy(zero_copy_only=False) for c in chunks]))
         tensors[name] = flat.reshape(len(table), *shapes.get(name, ()))
     return tensors

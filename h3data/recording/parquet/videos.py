@@ -23,7 +23,7 @@ from h3data.recording.parquet.moments import QUANTILES, Moments
 from h3data.recording.storage import AnyPath, open_binary
 
 FEATURE = "observation.images."
-"""Prefix of a camera's feature, as LeRobot's policies look for it."""
+"""Prefix of a camera's feature, as LeRobot's policies expect it."""
 MAX_FILE_S = 1000.0
 """Longest video file [s]. LeRobot compares timestamps within a file as float32 with a tolerance of 1e-4 s: from 1,024 s on,
 neighbouring float32 numbers are farther apart than that."""
@@ -48,7 +48,7 @@ class VideoFeature:
         return FEATURE + self.camera
 
     def lerobot(self, fps: int) -> dict[str, Any]:
-        """Its entry in ``features`` of info.json."""
+        """Return the entry of the video in ``features`` of info.json."""
         return {
             "dtype": "video",
             "shape": [self.height, self.width, 3],
@@ -68,7 +68,7 @@ class VideoFeature:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EpisodeVideo:
-    """One episode seen by one camera: a stretch of a video file."""
+    """Video of one episode by one camera: a stretch of a video file."""
 
     feature: VideoFeature
     path: AnyPath
@@ -197,7 +197,7 @@ class VideoAppender:
             os.fsync(stream.fileno())
 
     def discard(self) -> None:
-        """Closes the file; nothing of it is wanted."""
+        """Close the file and discard its content."""
         with suppress(Exception):  # the disk may be full
             self._stack.close()
 

@@ -23,11 +23,11 @@ class Placement(msgspec.Struct, frozen=True, kw_only=True):
     """An object that has to be put on any of some pieces of furniture."""
 
     object: str
-    """Handle."""
+    """Handle of the object."""
     receptacles: tuple[str, ...]
     """Handles of the furniture."""
     source: str = ""
-    """The receptacle it lies on."""
+    """Receptacle on which the object lies."""
 
 
 class _Arguments(msgspec.Struct):

@@ -28,13 +28,13 @@ class RigidObject(msgspec.Struct, frozen=True, eq=False, gc=False):
     """An object that the episode adds to the scene."""
 
     config: str
-    """File name of its template, such as ``024_bowl.object_config.json``."""
+    """File name of the object's template, such as ``024_bowl.object_config.json``."""
     matrix: Matrix
-    """Its frame in the world, shape [4, 4]."""
+    """Frame of the object in the world, shape [4, 4]."""
 
     @property
     def pose(self) -> NDArray[np.float64]:
-        """pose7 in the world."""
+        """Pose (pose7) of the object in the world."""
         return _pose(self.matrix, self.config)
 
 
@@ -43,9 +43,9 @@ class Marker(msgspec.Struct, frozen=True, kw_only=True):
 
     name: str
     kind: str
-    """Habitat's ``type``."""
+    """Kind of the marker, Habitat's ``type``."""
     offset: tuple[float, float, float]
-    """In the frame of the link [m]."""
+    """Place of the marker in the frame of its link [m]."""
     link: str | int
     object: str
     extra: Mapping[str, Any] = msgspec.field(default_factory=dict)
@@ -71,7 +71,7 @@ class RearrangeEpisode(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     target_receptacles: tuple[tuple[str, int | None], ...] = ()
     """Handle and link of what each target object stands on, in the order of ``targets``."""
     goal_receptacles: tuple[tuple[str, int | None], ...] = ()
-    """The same of the goals."""
+    """Receptacles of the goals, in the same form as those of the targets."""
     name_to_receptacle: Mapping[str, str] = msgspec.field(default_factory=dict)
     """Unique receptacle name by object handle."""
     ao_states: Mapping[str, Mapping[int, float]] = msgspec.field(default_factory=dict)
@@ -109,11 +109,11 @@ class EpisodeSet(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     episodes: tuple[RearrangeEpisode, ...]
     extra: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    """Every other key of the file, such as ``config``."""
+    """Keys of the file that have no field here, such as ``config``."""
     contents: tuple[ContentFile, ...] = ()
     """The files that hold the episodes, where the dataset is split by scene; replace it by () to write one file."""
     warnings: tuple[str, ...] = ()
-    """Oddities of the file, which can be used all the same."""
+    """Oddities of the file, which can be used nevertheless."""
 
     def __len__(self) -> int:
         return len(self.episodes)
@@ -150,14 +150,14 @@ def template_name(config: str) -> str:
 
 
 def object_poses(episode: RearrangeEpisode) -> dict[str, NDArray[np.float64]]:
-    """pose7 [7] in the world of every rigid object at the start, by handle, in the order in which Habitat adds them."""
+    """Return the pose (pose7) [7] in the world of every rigid object at the start, by handle, in Habitat's order."""
     placed = zip(instance_handles(episode), episode.rigid_objects, strict=True)
     in_order = sorted(placed, key=lambda pair: pair[1].config)
     return {handle: _pose(thing.matrix, handle) for handle, thing in in_order}
 
 
 def goal_poses(episode: RearrangeEpisode) -> dict[str, NDArray[np.float64]]:
-    """pose7 [7] in the world where every target object has to go, by handle, in the order of the targets."""
+    """Return the pose (pose7) [7] in the world that every target object is to have, by handle, in the order of the targets."""
     return {handle: _pose(matrix, f"the goal of {handle}") for handle, matrix in episode.targets.items()}
 
 

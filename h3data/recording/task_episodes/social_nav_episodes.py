@@ -44,7 +44,7 @@ class SocialNavEpisode(msgspec.Struct, frozen=True, kw_only=True):
     rules: Mapping[str, Any] = msgspec.field(default_factory=dict)
     """Speeds, distances and so on, as ``SocialNavSpec`` names them."""
     recording: str = ""
-    """uid of the recording that it was taken from."""
+    """Identity (uid) of the recording that the episode was taken from."""
 
 
 def social_nav_episode(

@@ -27,7 +27,7 @@ class StoredEpisode(Protocol):
 
     @property
     def seed(self) -> int:
-        """Everything random that the record does not hold follows from it."""
+        """Seed of all random choices that the record does not hold."""
         ...
 
     @property

@@ -37,16 +37,16 @@ TASK = "rearrange"
 
 
 class StoredGoal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One object and where it has to go; also an entry of a recording's ``info["goals"]``."""
+    """Object and the place where it has to go; also an entry of a recording's ``info["goals"]``."""
 
     object: str
     """Name of the instance in the scene."""
     start: list[float]
-    """pose7 in the world at the beginning."""
+    """Pose (pose7) in the world at the beginning."""
     position: list[float]
     """Position to which its origin has to come, [3] [m]."""
     source: str = msgspec.field(name="from")
-    """The receptacle it lies on, ``instance|receptacle``; empty if unknown."""
+    """Receptacle on which the object lies, ``instance|receptacle``; empty if unknown."""
     destination: str = msgspec.field(name="to")
     rotation: list[float] | None = None
     """Quaternion ``[x y z w]`` at the goal; only needed to convert between frames."""
@@ -56,21 +56,21 @@ class EpisodeObject(msgspec.Struct, frozen=True, kw_only=True):
     """An object that the episode adds to the scene."""
 
     name: str
-    """Name of its instance, Habitat's handle: ``024_bowl_:0000``."""
+    """Name of the object's instance, Habitat's handle: ``024_bowl_:0000``."""
     config: str
-    """File name of its template."""
+    """File name of the object's template."""
     pose: tuple[float, ...]
-    """pose7 of its center of mass in the world."""
+    """Pose (pose7) of the object's center of mass in the world."""
 
 
 class StoredRearrangement(msgspec.Struct, frozen=True, kw_only=True):
-    """All that a simulator needs besides the scene."""
+    """Rearrangement in a file: the information that a simulator needs besides the scene."""
 
     goals: tuple[StoredGoal, ...]
     placements: tuple[Placement, ...] = ()
     """Further objects, for whose goals a place on one of some pieces of furniture is sampled from the seed."""
     robot_start: Start | None = None
-    """None, as in Habitat's files: it is sampled from the seed."""
+    """Start of the robot; None, as in Habitat's files, means that it is sampled from the seed."""
     human_start: Start | None = None
     objects: tuple[EpisodeObject, ...] = ()
     """Objects that are not in the scene itself."""
@@ -89,7 +89,7 @@ class StoredRearrangement(msgspec.Struct, frozen=True, kw_only=True):
     rules: Mapping[str, Any] = msgspec.field(default_factory=dict)
     """Fields of ``RearrangeSpec``; empty: its defaults."""
     recording: str = ""
-    """uid of the recording that it was taken from."""
+    """Identity (uid) of the recording that the episode was taken from."""
     sampled_sha256: str = ""
     """`content_digest` of an episode that follows from its seed alone; it tells whether somebody has edited it."""
     instruction: str = ""
@@ -124,7 +124,7 @@ def rearrangement_entry(
     name_to_receptacle: Mapping[str, str] | None = None,
     object_paths: Sequence[str] = (),
 ) -> RearrangeEpisode:
-    """A Habitat episode that carries a record; `write_episodes` writes it, `read_rearrangement` gets it back.
+    """Return a Habitat episode that carries a record for `write_episodes`; `read_rearrangement` reads the record.
 
     Habitat itself plays ``rigid_objects`` (in the order of their configs) and ``targets``, which
     `h3data_habitat.exporters.episodes` fills in; h3data needs neither.

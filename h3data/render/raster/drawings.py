@@ -25,7 +25,7 @@ class Shown(NamedTuple):
     matrix: NDArray[np.float64]
     """Mesh to world of every instance, shape [I, 3, 4]."""
     visible: NDArray[np.bool_]
-    """True if the camera sees it, shape [I]."""
+    """True if the camera sees the instance, shape [I]."""
     vertices: dict[int, NDArray[np.float32]]
     """Vertices of the deformed meshes."""
     tints: NDArray[np.float32]
@@ -34,19 +34,19 @@ class Shown(NamedTuple):
 
 @dataclass(eq=False)
 class Drawing:
-    """A target, and what it shows."""
+    """Target of a camera, with a record of what it shows."""
 
     target: Target
     stands: bool = False
     """True if the drawing is that of a camera that stands still."""
     shown: Shown | None = None
-    """None: nothing that the next image could begin with, as of all cameras that move."""
+    """Image that the next one can begin with; None if there is none, as for all cameras that move."""
     picture: KeptPicture | None = None
     """The picture of what the target shows."""
     last_used: int = 0
 
     def changed(self, now: Shown | None, mesh: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """The instances that differ from those shown, shape [I], of which ``mesh`` [I] are the meshes; [0] for all of them."""
+        """Return the instances, whose meshes are ``mesh`` [I], that differ from those of the last image, [I]; [0] for all."""
         before = self.shown
         if before is None or now is None:
             return np.zeros(0, np.bool_)

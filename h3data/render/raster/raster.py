@@ -44,7 +44,7 @@ from h3data.render.raster.raster_simd import NEAR_M
 
 SORT_BINS = 1024
 FAR_PADDING = 1e30
-"""Nearness of the padding around the image: nearer than everything, so that it never fails an occlusion test."""
+"""Nearness of the padding around the image, which is nearer than everything, so that it never fails an occlusion test."""
 SPAN_MARGIN_PX = 0.01
 
 
@@ -77,7 +77,7 @@ class Placement(NamedTuple):
     matrix: NDArray[np.float64]
     """Mesh to world, shape [I, 3, 4]."""
     shown: NDArray[np.bool_]
-    """Shape [I]."""
+    """True if the instance is drawn, shape [I]."""
 
 
 class View(NamedTuple):
@@ -86,7 +86,7 @@ class View(NamedTuple):
     axes: NDArray[np.float64]
     """Rotation, camera to world, shape [3, 3]."""
     eye: NDArray[np.float64]
-    """Shape [3] [m]."""
+    """Position of the eye, shape [3] [m]."""
     intrinsics: NDArray[np.float64]
     """``fx fy cx cy`` [px; orthographic: fx and fy in px/m], shape [4]."""
     width: int
@@ -105,15 +105,15 @@ class Target(NamedTuple):
     """Buffers for one image size. Rows and columns are padded, so that blocks of 8 pixels may overrun."""
 
     inv_z: NDArray[np.float32]
-    """Nearness, 0 = background, shape [rows, stride] [1/m, orthographic: m]."""
+    """Nearness of each pixel, 0 = background, shape [rows, stride] [1/m, orthographic: m]."""
     words: NDArray[np.int32]
     """Visibility buffer, shape [rows, stride]."""
     tile_inv_z: NDArray[np.float32]
     """Lower bound of nearness in each tile, shape [rows / 8, ceil(width / 8)]."""
     tile_stale: NDArray[np.uint8]
-    """1 where something was drawn since the bound was computed."""
+    """Flag of each tile: 1 if something was drawn since its bound was computed."""
     tile_drawn: NDArray[np.uint8]
-    """1 where the last image was drawn, 0 where it was kept from the one before."""
+    """Flag of each tile: 1 if the last image was drawn there, 0 if it was taken over from the one before."""
     draws: NDArray[np.int32]
     """The clusters of all instances, one instance after the other (columns: INSTANCE, CLUSTER, TILE_...), shape [D, 6]."""
     near: NDArray[np.float32]

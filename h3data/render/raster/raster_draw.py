@@ -36,7 +36,7 @@ INSTANCE, CLUSTER, TILE_X0, TILE_X1, TILE_Y0, TILE_Y1 = range(6)
 
 @kernel_part(forceinline=True, error_model="numpy")
 def nearness_of(z, view):
-    """Nearness at depth ``z``."""
+    """Return the nearness at depth ``z``."""
     return view.reach - z if view.parallel else 1 / z
 
 

@@ -175,7 +175,7 @@ def visible_box(p, view):
 
 @kernel_part(forceinline=True)
 def cut_exact(low, high, edge, step, minus_inverse):
-    """Like `_cut`, in double; a zero step keeps the whole span or nothing."""
+    """Cut like `_cut`, in double precision; a zero step leaves the whole span or nothing."""
     crossing = edge * minus_inverse
     if step > 0:
         return (crossing if crossing > low else low), high

@@ -1,4 +1,4 @@
-"""Soft shadows of what moves: capsules that keep light from the pixels around them.
+"""Soft shadows of moving things: capsules that keep light from the pixels around them.
 
 A capsule takes two kinds of light from a point with normal n:
 
@@ -155,7 +155,7 @@ class Tiled(NamedTuple):
     listed: NDArray[np.int32]
     """Four times the index of a capsule plus bits that say what it takes."""
     inv_z: NDArray[np.float32]
-    """1/z of the target, also for orthographic cameras."""
+    """Value 1/z of each pixel of the target, also for orthographic cameras."""
 
 
 NO_BLOCKERS = Tiled(
@@ -190,7 +190,7 @@ def tiled(blockers: Blockers | None, view: View, target: Target, *, factor: int)
 
 
 def changed_tiles(before: Tiled, after: Tiled) -> NDArray[np.uint8]:
-    """1 for the tiles of an image in which other capsules matter than before, shape [tiles]; [0] if none did or do."""
+    """Return 1 for the tiles of an image in which other capsules matter than before, shape [tiles]; [0] if none did or do."""
     if not len(before.first) and not len(after.first):
         return np.zeros(0, np.uint8)
     tiles = max(len(before.first), len(after.first)) - 1

@@ -95,7 +95,7 @@ def pack_cutouts(
 
 
 def pack_opacity(textures: Sequence[Texture]) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
-    """`Cutouts.maps` and `Cutouts.opacity`."""
+    """Return `Cutouts.maps` and `Cutouts.opacity` of some textures."""
     maps, values = np.full((len(textures), 3), -1, np.int32), [np.zeros(0, np.uint8)]
     for number, texture in enumerate(textures):
         opacity = texture.pixels[..., 3]

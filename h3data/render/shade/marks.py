@@ -1,4 +1,4 @@
-"""Which pixels of a row are shaded again, for a camera that stands still.
+"""Choose the pixels of a row that are shaded again, for a camera that stands still.
 
 A pixel's colour depends on what it and its run of equal pixels show, on the occlusion around it, and on the capsules of its
 tile. Runs are shaded in blocks of 8 pixels from their first one, so that a pixel is rounded as before only where its run

@@ -45,7 +45,7 @@ CONTRAST = 11.0
 BIAS_PER_M = 0.001
 """A point occludes only if it rises above the surface by more than `BIAS_M` plus this share of its distance."""
 RECEDED_M = 100.0
-"""Distance behind an orthographic camera of the eye that its image is taken to be seen from."""
+"""Distance behind an orthographic camera of the eye from which its image counts as seen [m]."""
 DENSITY = 1.5
 """Exponent of the taps' distances from the centre; 0.5 would spread them evenly over the disc."""
 EDGE, EDGE_ROWS = 8, 2
@@ -72,11 +72,11 @@ class Occlusion(NamedTuple):
     """The coarse image at half resolution, with padding."""
 
     inv_z: NDArray[np.float32]
-    """1/z, 0 = background, shape [rows, columns] [1/m]."""
+    """Value 1/z of each pixel, 0 = background, shape [rows, columns] [1/m]."""
     planes: NDArray[np.float32]
     """Slopes of 1/z along x and y, sharpness, and the amount of occlusion 0..1, shape [4, rows, columns]."""
     scratch: NDArray[np.float32]
-    """z, amounts blurred along x, and amounts before they are blurred, shape [3, rows, columns]."""
+    """Memory for z, amounts blurred along x, and amounts before they are blurred, shape [3, rows, columns]."""
     changed: NDArray[np.uint8]
     """Not 0 where a pixel differs from that of the image before; meaningless if there was none. Without padding."""
 
@@ -96,7 +96,7 @@ def _table(view: View, factor: int, last_x: int, last_y: int) -> NDArray[np.floa
 
 
 def receded(view: View, target: Target) -> NDArray[np.float32]:
-    """1/z of an orthographic image as seen by an eye far behind the camera, shape of ``target.inv_z``."""
+    """Return 1/z of an orthographic image as seen by an eye far behind the camera, with the shape of ``target.inv_z``."""
     z = view.reach - target.inv_z
     hit = (target.inv_z > 0) & (target.inv_z < FAR_PADDING)
     return np.where(hit, 1 / (RECEDED_M + np.maximum(z, 0)), target.inv_z).astype(np.float32)

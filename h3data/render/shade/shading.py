@@ -136,7 +136,7 @@ class KeptPicture:
     """The last picture of a camera that stands still, and what it was shaded with: only what has changed is shaded again."""
 
     rgb: NDArray[np.uint8]
-    """Shape [H, W, 3]."""
+    """Colours of the picture, shape [H, W, 3]."""
     occlusion: Occlusion | None = None
     cast: Tiled | None = None
     """None: there is no picture yet."""

@@ -44,7 +44,7 @@ class Cache(NamedTuple):
     words: NDArray[np.int32]
     """Pixel word of each triangle, -1 = empty, shape [N]."""
     planes: NDArray[np.float64]
-    """1/z and the barycentrics of vertices 1 and 2 over z, as linear functions of the ray (u, v, 1), shape [N, 3, 3]."""
+    """Value 1/z and the barycentrics of vertices 1 and 2 over z, as linear functions of the ray (u, v, 1), shape [N, 3, 3]."""
     attributes: NDArray[np.float32]
     """Attributes as laid out in `shading_simd`, shape [N, ATTRIBUTES]."""
     levels: NDArray[np.int32]

@@ -14,9 +14,9 @@ class Surface(NamedTuple):
     """Attributes of all meshes, one mesh after another."""
 
     faces: NDArray[np.int32]
-    """Shape [F, 3]."""
+    """Vertices of each triangle, shape [F, 3]."""
     colors: NDArray[np.uint8]
-    """sRGB, shape [V, 3]."""
+    """Colours (sRGB) of the vertices, shape [V, 3]."""
     normals: NDArray[np.float32]
     """Shape [V, 3]; zero where a mesh is shaded flat."""
     packet_faces: NDArray[np.int32]

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from h3data.scene.freespace.free_space import FreeSpace
 
 PAPER = (250, 250, 248)
-"""Colour of a plan where nothing is."""
+"""Colour of a plan outside of everything."""
 _MARGIN_M = 0.5
 _DISTANCE = 80.0
 """Distance of the camera in multiples of the scene's size, at which walls lean by less than a pixel."""

@@ -9,7 +9,7 @@ from h3data.kernels import kernel
 from h3data.scene.freespace._visibility import Graph, locate, nearest_free, sees, tangent_nodes, visible_nodes
 
 TOUCH_M = 1e-7
-"""Nearer than this to a corner is on it."""
+"""Distance below which a point is on a corner [m]."""
 
 
 @kernel()

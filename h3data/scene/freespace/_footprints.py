@@ -1,4 +1,4 @@
-"""Outlines on the floor of collision shapes: what of each convex shape reaches into a band of heights, as polygons."""
+"""Compute outlines on the floor of collision shapes: the part of each convex shape in a band of heights, as polygons."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from h3data.scene.records import Box, Capsule, Cylinder, Hull, Instance, Room, S
 CIRCLE_SIDES = 32
 """Round shapes become polygons of this many sides around them (0.5 % of the radius too large at the corners)."""
 WALL_HALF_M = 0.06
-"""Stairwells have the floor out to the middle of the walls around them, the rooms beyond have the rest."""
+"""Half the thickness of walls around stairwells [m]: the stairwell has the floor up to the middle of the wall, the rooms beyond
+have the rest."""
 SEAM_M = 1e-4
 """Half width of a seam between the pieces of a floor that is closed."""
 WALL_GAP_M = 0.3
@@ -25,7 +26,7 @@ WALL_GAP_M = 0.3
 
 
 def shape_footprint(shape: Shape, matrix: NDArray[np.float64], low: float, high: float) -> Polygon | None:
-    """Outline (x, z) of the part of a shape between two heights [m], None when nothing is there.
+    """Return the outline (x, z) of the part of a shape between two heights [m], or None when nothing is there.
 
     Args:
         shape: A convex shape in its asset frame.
@@ -54,7 +55,7 @@ def shape_corners(shape: Box | Cylinder | Hull) -> NDArray[np.float64]:
 
 
 def scene_obstacles(scene: Scene, low: float, high: float) -> list[Polygon]:
-    """Outlines of every shape of the static instances that reaches into the band of heights [m]."""
+    """Return the outlines of every shape of the static instances that reaches into the band of heights [m]."""
     return [o for instance in scene.static_instances for o in _instance_footprints(scene, instance, low, high)]
 
 

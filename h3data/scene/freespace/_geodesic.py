@@ -57,7 +57,7 @@ def geodesic_pair(
 
 @kernel()
 def geodesic_many(graph: Graph, starts: NDArray, ends: NDArray, max_snap: float) -> NDArray:
-    """Shortest path lengths [N] [m] between points [N, 2]; inf where there is no way."""
+    """Return shortest path lengths [N] [m] between points [N, 2]; inf where there is no path."""
     out = np.empty(len(starts))
     for k in range(len(starts)):
         out[k] = geodesic_pair(graph, starts[k, 0], starts[k, 1], ends[k, 0], ends[k, 1], max_snap)[0]
@@ -86,7 +86,7 @@ def first_leg(
 
 @kernel()
 def path_pair(graph: Graph, ax: float, az: float, bx: float, bz: float, max_snap: float) -> NDArray:
-    """Way points of the shortest path, both ends included, shape [k, 2]; k = 0 when there is none."""
+    """Return the way points of the shortest path, both ends included, shape [k, 2]; k = 0 when there is none."""
     length, enter, leave, ax, az, bx, bz = geodesic_pair(graph, ax, az, bx, bz, max_snap)
     if not np.isfinite(length):
         return np.empty((0, 2))

@@ -21,7 +21,7 @@ NODES = 1200
 NEAR_M = 3.0
 """Length [m] below which paths around corners are computed exactly: the lattice's error reaches 10 % there, rarely beyond."""
 NODES_MAX = 4000
-"""Larger floors get a coarser lattice, so that the table stays below 64 MB."""
+"""Number of nodes above which a floor gets a coarser lattice, so that the table stays below 64 MB."""
 
 
 def lattice_step(area_m2: float) -> float:

@@ -27,7 +27,7 @@ RAY_STRIDE_M = 0.01
 """Shortest stride of such a ray at its start, and by how much it grows per metre of the way."""
 RAY_STRIDE_GROWTH = 0.005
 RAY_STRIDES = 64
-"""Most strides of such a ray: with these, 99.7% of rays in furnished homes are within 5 cm, half of them within 1 mm."""
+"""Most strides of such a ray, with which 99.7% of rays in furnished homes are within 5 cm, half of them within 1 mm."""
 
 
 @kernel_part(inline="always")

@@ -24,7 +24,7 @@ class Graph(NamedTuple):
     """Visibility graph of a free area, all islands; nodes are its reflex corners, ordered by island."""
 
     nodes: NDArray[np.float64]
-    """Corners (x, z), shape [n, 2] [m]."""
+    """Corners of the graph (x, z), shape [n, 2] [m]."""
     before: NDArray[np.float64]
     """The corner before each node on its ring (free area on the left), shape [n, 2]."""
     after: NDArray[np.float64]
@@ -39,7 +39,7 @@ class Graph(NamedTuple):
     rings: NDArray[np.float64]
     """Edges of the free area, ``x0 z0 x1 z1``, shape [r, 4]."""
     ring_island: NDArray[np.int32]
-    """Island of each of them, shape [r]."""
+    """Island of each ring, shape [r]."""
     edges: NDArray[np.float64]
     """Blocking edges (of the grown area), shape [e, 4]."""
     edge_island: NDArray[np.int32]
@@ -77,7 +77,7 @@ def crosses(ax: float, az: float, bx: float, bz: float, cx: float, cz: float, dx
 
 @kernel()
 def bucket_edges(edges: NDArray, origin: NDArray, size: float, nx: int, nz: int) -> tuple[NDArray, NDArray]:
-    """Which edges [E, 4] touch each bucket of a grid, as (start int32 [nx * nz + 1], items int32)."""
+    """Return which edges [E, 4] touch each bucket of a grid, as (start int32 [nx * nz + 1], items int32)."""
     margin = 1e-6  # so that a ray through the corner of a bucket finds its edges whichever way rounding sends it
     count = np.zeros(nx * nz + 1, np.int64)
     items = np.empty(0, np.int32)
@@ -300,7 +300,7 @@ def locate_many(graph: Graph, points: NDArray) -> NDArray:
 
 @kernel()
 def snap_many(graph: Graph, points: NDArray, max_distance: float) -> NDArray:
-    """Nearest free points [N, 2] of points [N, 2]; NaN where none is within ``max_distance``."""
+    """Return the nearest free points [N, 2] of points [N, 2]; NaN where none is within ``max_distance``."""
     out = np.empty((len(points), 2))
     for k in range(len(points)):
         x, z, _ = nearest_free(graph, points[k, 0], points[k, 1], max_distance)

@@ -1,4 +1,4 @@
-"""From a free area (shapely) to the arrays of its visibility graph, every edge checked twice."""
+"""Build the arrays of the visibility graph of a free area (shapely), with every edge checked twice."""
 
 from __future__ import annotations
 

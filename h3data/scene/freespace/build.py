@@ -1,4 +1,4 @@
-"""Builders of `FloorMap`: from the collision shapes and rooms of a scene, or from nothing but its meshes."""
+"""Builders of `FloorMap`: from the collision shapes and rooms of a scene, or only from its meshes."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ SMOOTH_VOXEL_M = 2e-3
 BORDER_M = 0.3
 """Width of the border of the distance grid around the floor [m]."""
 ISLAND_MIN_M2 = 0.01
-"""Smaller patches are rounding, not places."""
+"""Area below which patches of floor are rounding errors [m2]."""
 ISLAND_MIN_VOXEL_M2 = 1.0
 """The same for voxels, where they are the insides of wardrobes and tubs; Habitat leaves out regions below 20 x 20 cells of
 5 cm (``regionMinSize``, spec/habitat.md 6.7)."""
 VOXEL_M = 0.025
 """Side and height of a voxel: 5 cm gave 12-24 % at worst on geodesics, 2.5 cm below 1 % (navigation-and-stepping.md 2.4)."""
 VOXELS_MAX = 300_000_000
-"""Larger buildings get larger voxels (one byte each)."""
+"""Number of voxels above which a building gets larger ones (one byte each)."""
 SLOPE_MAX_DEG = 45.0
 """Steeper surfaces cannot be stood on, as habitat-sim's default."""
 LARGE_SHARE = 0.25
@@ -55,7 +55,7 @@ Method = Literal["auto", "shapes", "mesh"]
 
 
 def choose_method(scene: Scene, method: Method) -> Literal["shapes", "mesh"]:
-    """Which builder serves a scene: exact shapes where there are rooms and the building has shapes, voxels otherwise."""
+    """Return the builder that serves a scene: exact shapes if there are rooms and shapes of the building, else voxels."""
     static = [scene.assets[i.asset] for i in scene.static_instances]
     shapes = any(a.shapes for a in static) and not any(a.category == "stage" and not a.shapes for a in static)
     if method == "shapes" and not scene.rooms:

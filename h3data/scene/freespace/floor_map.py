@@ -1,4 +1,4 @@
-"""The geometry of the free floor, as it is built and stored; `FreeSpace` answers questions about it."""
+"""Geometry of the free floor as it is built and stored; `FreeSpace` answers questions about it."""
 
 from __future__ import annotations
 

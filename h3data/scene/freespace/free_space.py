@@ -116,7 +116,7 @@ class FreeSpace(FloorMap):
         return floor_heights(self.heights, self.floor_y, points, treads=True)
 
     def root_pose(self, xz: ArrayLike, heading_rad: ArrayLike, *, pitch_over_m: float = 0.0) -> Array:
-        """pose7 [..., 7] of agent roots on the floor at points [..., 2] with headings [...].
+        """Return poses (pose7) [..., 7] of agent roots on the floor at points [..., 2] with headings [...].
 
         With ``pitch_over_m`` roots pitch with the floor under the ends of a base of that length, at their mean height; others
         stay upright.
@@ -132,7 +132,7 @@ class FreeSpace(FloorMap):
 
     @cached_property
     def without_stairs(self) -> FreeSpace:
-        """Same floor for agents that cannot climb: flights of stairs are obstacles, and each storey is an island.
+        """Return the floor for agents that cannot climb: flights of stairs are obstacles, and each storey is an island.
 
         A level floor returns itself.
         """
@@ -215,7 +215,7 @@ class FreeSpace(FloorMap):
     def next_waypoint(
         self, a: ArrayLike, b: ArrayLike, *, beyond_m: float = 0.0, max_snap_m: float = SNAP_M
     ) -> NDArray[np.float64]:
-        """The point [2] to walk towards from a [2] to get to b [2]; NaN when there is no path.
+        """Return the point [2] to walk towards from a [2] to get to b [2]; NaN when there is no path.
 
         With ``beyond_m`` way points nearer than that are passed over (an inflated corner is an arc of points 5 cm apart).
         """
@@ -230,7 +230,7 @@ class FreeSpace(FloorMap):
         return length, np.array([x, z])
 
     def distance_field(self, goals: ArrayLike, *, max_snap_m: float = SNAP_M) -> DistanceField:
-        """Exact distance to one goal [2], or to the nearest of several [K, 2], and the way there, from anywhere."""
+        """Return exact distances from anywhere to one goal [2], or to the nearest of several [K, 2], and the paths to it."""
         moved = self.snap(goals, max_distance_m=max_snap_m).reshape(-1, 2)
         return DistanceField.to(self.graph, moved[np.isfinite(moved).all(-1)])
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 BLOCK_STEPS = 512
 """Steps posed at once, so that memory does not grow with the recording."""
 Posed = Callable[[NDArray[np.integer]], Sequence[PosedPart]]
-"""All that is drawn, posed at some steps: ``lambda steps: posed_parts(replay, steps)``."""
+"""Function that poses all parts at some steps: ``lambda steps: posed_parts(replay, steps)``."""
 Pictures = Iterable[tuple[int, Sequence[NDArray[np.uint8]]]]
 """Steps, in their order, each with the sRGB picture [H, W, 3] of every camera."""
 
@@ -46,7 +46,7 @@ class FoxgloveCamera:
     camera: Camera
     """Intrinsics and name."""
     poses: Array
-    """4x4 camera (OpenCV) to world, [T, 4, 4], or [1, 4, 4] of one that stands still."""
+    """Matrices 4x4 from the camera (OpenCV) to the world, [T, 4, 4], or [1, 4, 4] of one that stands still."""
 
 
 @dataclass(frozen=True)

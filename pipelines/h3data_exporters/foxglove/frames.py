@@ -1,4 +1,4 @@
-"""The tree of frames of a recording: who hangs on whom, and which of them moved since they were last told of."""
+"""Tree of the frames of a recording: their parents, and which of them moved since they were last published."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class FrameTree:
         return len(self.names) - 1
 
     def local(self, world: Array) -> Array:
-        """pose7 of all frames in their parents, from those in the world; both [T, F, 7], NaN where there is none."""
+        """Return the poses (pose7) of all frames in their parents, from those in the world; both [T, F, 7], NaN if absent."""
         out, parents = world.copy(), np.array(self._parents, np.intp)
         hung = np.flatnonzero(parents >= 0)
         out[:, hung] = pose_multiply(pose_inverse(world[:, parents[hung]]), world[:, hung])

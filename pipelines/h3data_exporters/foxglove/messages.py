@@ -34,7 +34,7 @@ _TAG_M = 0.18
 
 
 def stamp(time_ns: int) -> Timestamp:
-    """A time since 1970."""
+    """Return a time as seconds and nanoseconds since 1970."""
     return Timestamp(seconds=time_ns // 1_000_000_000, nanos=time_ns % 1_000_000_000)
 
 
@@ -81,7 +81,7 @@ def scene_update(entities: Sequence[SceneEntity]) -> SceneUpdate:
 
 
 def scene_cleared(time_ns: int) -> SceneUpdate:
-    """Hide everything of the topic."""
+    """Return a message that hides everything of the topic."""
     return SceneUpdate(deletions=[SceneEntityDeletion(timestamp=stamp(time_ns), type=SceneEntityDeletion.ALL)])
 
 
@@ -134,7 +134,7 @@ def calibration(time_ns: int, frame: str, camera: Camera) -> CameraCalibration:
 
 
 def video_frame(time_ns: int, frame: str, packet: bytes) -> CompressedVideo:
-    """One picture of an H.264 stream."""
+    """Return the message of one picture of an H.264 stream."""
     return CompressedVideo(timestamp=stamp(time_ns), frame_id=frame, data=packet, format="h264")
 
 

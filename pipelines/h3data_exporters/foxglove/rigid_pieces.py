@@ -11,7 +11,7 @@ from h3data.mesh.mesh_operations import face_texture_indices
 from h3data_exporters.posed_parts import Skeleton
 
 SHARED = 0.3
-"""A triangle also belongs to joints that move it by this share: pieces overlap at bent joints instead of gaping."""
+"""Least weight with which a triangle also belongs to a joint: pieces overlap at bent joints instead of gaping."""
 
 
 def rigid_pieces(mesh: Mesh, skeleton: Skeleton) -> list[tuple[int, Mesh]]:

@@ -31,7 +31,7 @@ class Group:
 
     topic: str
     there: NDArray[np.bool_] | None
-    """True if they are in the world, [T]; None = always."""
+    """True if the parts are in the world, [T]; None = always."""
     entities: list[messages.SceneEntity] = field(default_factory=list)
 
     def changes(self, step: int) -> bool:
@@ -67,7 +67,7 @@ class FoxgloveScene:
         return self.frames.names[self._agents[agent]]
 
     def world_poses(self, steps: NDArray[np.integer], parts: Sequence[PosedPart]) -> Array:
-        """pose7 of all frames of agents and parts in the world at ``steps``, of the parts there: [T, F, 7]."""
+        """Return the poses (pose7) in the world of all frames of agents and present parts at ``steps``, [T, F, 7]."""
         columns = [self._recording.agent_column(i, "base_pose")[steps, None] for i in range(len(self._agents))]
         for part, count in zip(parts, self._of_part, strict=True):
             if count:

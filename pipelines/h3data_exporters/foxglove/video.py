@@ -35,7 +35,7 @@ class PictureStream:
         self._count = 0
 
     def packet(self, rgb: NDArray[np.uint8]) -> bytes:
-        """One picture [H, W, 3] in sRGB as an Annex B packet; odd sizes are padded to even ones."""
+        """Return one picture [H, W, 3] in sRGB as an Annex B packet; odd sizes are padded to even ones."""
         import av
 
         if rgb.shape != (*self._size, 3) or rgb.dtype != np.uint8:

@@ -1,4 +1,4 @@
-"""One episode of habitat-lab as JSON: decoding into records, with errors that name the key, and encoding."""
+"""Conversion of episodes of habitat-lab from and to JSON, with errors that name the key."""
 
 from __future__ import annotations
 

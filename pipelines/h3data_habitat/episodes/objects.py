@@ -46,12 +46,12 @@ class ReadObject(NamedTuple):
 
     asset: Asset
     scale: NDArray[np.float64]
-    """Shape [3]."""
+    """Scale of the object along each axis, shape [3]."""
     origin: NDArray[np.float64]
     """Center of mass in the asset's axes, [3] [m]."""
     semantic_id: int
     missing: str
-    """Why a box stands in for it; empty: it does not."""
+    """Reason why a box replaces the object; empty if it does not."""
 
 
 def search_of(scene: Scene, paths: Sequence[str], assets: Sequence[str]) -> ObjectSearch:
@@ -61,7 +61,7 @@ def search_of(scene: Scene, paths: Sequence[str], assets: Sequence[str]) -> Obje
 
 
 def search_in(source: SceneSource, paths: Sequence[str]) -> ObjectSearch:
-    """The same before the scene has been opened."""
+    """Return the folders in which objects are looked for, before the scene has been opened."""
     if not isinstance(source, SceneFile):
         return ObjectSearch(paths=tuple(paths))
     config = source.path
@@ -113,7 +113,7 @@ def _free(name: str, taken: Container[str]) -> str:
 
 @lru_cache(maxsize=4096)
 def read_object_template(config: str, search: ObjectSearch) -> ReadObject:
-    """The object of a template such as ``024_bowl.object_config.json``; a box of 10 cm if it cannot be had."""
+    """Return the object of a template such as ``024_bowl.object_config.json``; a box of 10 cm if it is not available."""
     handle = template_name(config)
     try:
         template = _find(config, search)

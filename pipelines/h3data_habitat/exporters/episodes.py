@@ -54,7 +54,7 @@ class WrittenEpisodes:
     config: Path
     """The scene dataset."""
     file: Path
-    """The episodes."""
+    """File of the episodes."""
     episodes: int
     scenes: int
     left_out: tuple[str, ...]

@@ -49,5 +49,5 @@ def light_setup() -> dict[str, Any]:
 
 
 def replay_lights() -> list[dict[str, Any]]:
-    """The same as the ``lights`` of a gfx-replay keyframe."""
+    """Return the lights of a scene as the ``lights`` of a gfx-replay keyframe."""
     return [{"vector": [*direction, 0.0], "color": color, "model": "global"} for direction, color in axis_lights()]

@@ -48,7 +48,7 @@ class Updates:
             self._values.extend(bone.r)
 
     def poses(self, bones: int = 1) -> NDArray[np.float32]:
-        """pose7 [U, bones, 7] of all updates, with sign-continuous unit quaternions on axis 0.
+        """Poses (pose7) [U, bones, 7] of all updates, with sign-continuous unit quaternions on axis 0.
 
         Files round to 4 decimals. A quaternion of 0 gives NaN. The result is a view: updates can neither be added nor
         removed while it is held.
@@ -77,7 +77,7 @@ class Updates:
 
 @dataclass(eq=False)
 class Life:
-    """One instance from its creation to its deletion."""
+    """Life of an instance, from its creation to its deletion."""
 
     key: int
     creation: Creation
@@ -94,7 +94,7 @@ class Life:
         return bool(self.updates.steps) and self.updates.steps[0] == self.start
 
     def first_pose(self) -> NDArray[np.float32]:
-        """pose7 [7]."""
+        """First pose (pose7) of the instance [7]."""
         return self.updates.poses()[0, 0].copy() if self.placed else IDENTITY_POSE.astype(np.float32)
 
     def moves(self, steps: int) -> bool:
@@ -109,10 +109,10 @@ class Loaded:
 
     last: Load
     always_painted: bool = True
-    """True if every one of them overrides the material."""
+    """True if every instance of the asset overrides the material."""
 
     def add(self, load: Load) -> None:
-        """Adds a load entry."""
+        """Add a load entry."""
         phong = load.overridePhongMaterial
         self.last = load
         self.always_painted &= phong is not None and phong.diffuse is not None
@@ -134,7 +134,7 @@ class Fold:
     steps: int = 0
     lives: list[Life] = field(default_factory=list)
     loads: dict[str, Loaded] = field(default_factory=dict)
-    """By path, without the suffix after its question mark."""
+    """Loaded assets by path, without the suffix after its question mark."""
     rigs: dict[int, Rig] = field(default_factory=dict)
     user: dict[str, Updates] = field(default_factory=dict)
     lights: list[tuple[int, list[dict[str, Any]]]] = field(default_factory=list)
@@ -187,7 +187,7 @@ def fold_keyframes(keyframes: Iterable[Keyframe], path: Path) -> Fold:
 
 
 def fold_tracks(fold: Fold, movers: Sequence[Life]) -> NDArray[np.float32]:
-    """pose7 [T, M, 7] of instances at every keyframe, NaN where they are absent. Consumes their updates.
+    """Return poses (pose7) [T, M, 7] of instances at every keyframe, NaN where they are absent. Consumes their updates.
 
     Works from the last keyframes to the first and frees what it has used: tracks and updates are never both in memory as
     a whole.

@@ -29,7 +29,7 @@ Key = Annotated[int, msgspec.Meta(ge=0)]
 
 
 class Transform(msgspec.Struct):
-    """``rotation`` is w x y z."""
+    """Transform in a keyframe; ``rotation`` is w x y z."""
 
     translation: Vec3
     rotation: Quat

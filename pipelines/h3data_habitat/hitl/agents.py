@@ -36,10 +36,10 @@ _ROBOTS = {"spot": ("quad_arm", 0.48), "fetch": ("lift_arm", 0.0), "stretch": ("
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AgentTrack:
-    """One agent as a log has it."""
+    """Track of one agent in a log."""
 
     roots: NDArray[np.float64]
-    """pose7 of the root in the world, shape [T, 7]; NaN where the log has none."""
+    """Pose (pose7) of the root in the world, shape [T, 7]; NaN where the log has none."""
     grasp_id: NDArray[np.int64]
     """Id of the held object, -1 = none, shape [T]."""
     joints: Array | None = None

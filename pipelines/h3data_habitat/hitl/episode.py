@@ -73,7 +73,7 @@ class PoseTracks:
         self._poses[name].append((*position, *rotation))
 
     def arrays(self, path: Path) -> list[NDArray[np.float64]]:
-        """pose7 [T, 7] of each name, NaN where there is none; quaternions as logged, scaled to unit length."""
+        """Return poses (pose7) [T, 7] by name, NaN where there is none; quaternions as logged, scaled to unit length."""
         check_size(self.steps, len(self.names), path)
         out = []
         for name in self.names:

@@ -52,7 +52,7 @@ class AgentState(msgspec.Struct):
 
 
 class Step(msgspec.Struct):
-    """One step of a log."""
+    """Step of a log."""
 
     agent_states: list[AgentState] = []
     action: Any = None

@@ -80,7 +80,7 @@ class AgentState(msgspec.Struct):
 
 
 class Frame(msgspec.Struct):
-    """One frame of a session."""
+    """Frame of a session."""
 
     t: Number | None = None
     users: list[User] = []

@@ -1,4 +1,4 @@
-"""habitat-lab's ``SocialNavStats`` at every step, bug for bug, from arrays.
+"""Habitat-lab's ``SocialNavStats`` at every step, bug for bug, from arrays.
 
 Row 0 is the reset, which Habitat counts as step 1. The arithmetic is float32 where Habitat's is: sums of distances, and the
 robot's motion in its own previous frame, whose sign decides between backing up and yielding.
@@ -24,7 +24,7 @@ class HabitatTrack:
     """The positions of one episode in Habitat's types."""
 
     robot_pos: NDArray[np.float32]
-    """Base positions [T, 3] [m]."""
+    """Positions of the base [T, 3] [m]."""
     human_pos: NDArray[np.float32]
     robot_transform: NDArray[np.float32]
     """World from the robot's root frame (x forward, y up), shape [T, 4, 4], translation in the last column."""

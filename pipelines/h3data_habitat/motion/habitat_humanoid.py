@@ -1,4 +1,4 @@
-"""Habitat's humanoid controller, frame for frame: what its motion files look like when habitat-lab plays them.
+"""Habitat's humanoid controller, frame for frame, as habitat-lab plays its motion files.
 
 Our own people walk by distance with planted feet (`h3data.bodies.people.clips`). This module is for comparison and for
 recordings that must look as in Habitat: its integer frames, its turns of at most one step, its reach by interpolation
@@ -29,9 +29,9 @@ STOP_M = 1e-9
 DIRECTIONAL_STOP_M = 1e-5
 DIRECTIONAL_FPS = 30.0
 DIRECTIONAL_TURNING_M = 0.05
-"""Farthest that `HabitatHumanoid.walk_directional` goes in a step in which it turns."""
+"""Largest distance that `HabitatHumanoid.walk_directional` covers in a step in which it turns [m]."""
 DIRECTIONAL_TURN_FACTOR = 20
-"""Times the usual turn per step, when it is told where to look."""
+"""Factor of the usual turn per step when the walk is told where to look."""
 CONTROL_HZ = 120.0
 
 
@@ -61,7 +61,7 @@ class HabitatClip:
     """Root matrices, shape [N, 4, 4]."""
     fps: float
     displacement: Array | None = None
-    """Way walked since the first frame, shape [N] [m]; None for clips that do not walk."""
+    """Distance walked since the first frame, shape [N] [m]; None for clips that do not walk."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,9 +71,9 @@ class ReachGrid:
     joints: Array
     """Shape [K, 54, 4], point (x, y, z) at row y * nx * nz + x * nz + z."""
     roots: Array
-    """Shape [K, 4, 4]."""
+    """Root transforms of the poses, shape [K, 4, 4]."""
     low: Array
-    """First grid point, shape [3] [m]."""
+    """Position of the first grid point, shape [3] [m]."""
     high: Array
     """Last grid point, shape [3] [m]."""
     bins: tuple[int, int, int]
@@ -86,11 +86,11 @@ class HabitatMotion:
 
     walk: HabitatClip
     stop_joints: Array
-    """Shape [54, 4]."""
+    """Rotations of the joints when standing, shape [54, 4]."""
     stop_root: Array
-    """Shape [4, 4]."""
+    """Root transform when standing, shape [4, 4]."""
     hands: Mapping[Hand, ReachGrid] = field(default_factory=dict)
-    """In the order of the file: Habitat uses the last one's grid for both hands."""
+    """Grids of the hands in the order of the file; Habitat uses the last one's grid for both hands."""
 
 
 def _turn(axis: int, degrees: float) -> Array:
@@ -175,11 +175,11 @@ class HabitatHumanoid:
         self.joints = np.asarray(self.motion.stop_joints, np.float64)
 
     def turn(self, target: ArrayLike) -> None:
-        """One step of turning towards a direction [3] on the spot."""
+        """Turn towards a direction [3] on the spot for one step."""
         self.walk(target, 0.0)
 
     def walk(self, target: ArrayLike, distance_multiplier: float = 1.0) -> None:
-        """One step towards ``target`` [3] [m], relative to the base, world axes (spec/habitat.md 3.4)."""
+        """Walk one step towards ``target`` [3] [m], relative to the base, world axes (spec/habitat.md 3.4)."""
         aim = np.asarray(target, np.float64)
         left = float(np.linalg.norm(aim))
         if not left >= STOP_M:  # NaN too
@@ -217,7 +217,7 @@ class HabitatHumanoid:
     def walk_directional(
         self, target: ArrayLike, distance_multiplier: float = 1.0, look: ArrayLike | None = None
     ) -> None:
-        """One step towards ``target`` [3] [m] while facing ``look`` [3], both relative to the base, world axes.
+        """Walk one step towards ``target`` [3] [m] while facing ``look`` [3], both relative to the base, world axes.
 
         habitat-hitl's ``calculate_walk_pose_directional``: walking backwards. It plays 30 frames/s whatever the speeds, and a
         body that has to turn by more than `MIN_TURN_DEG` goes where it looks, by 5 cm at most.

@@ -16,7 +16,7 @@ from h3data.kernels import kernel
 REACH_M = np.array([2.0, 4.0, 2.0])
 """Half extents x, y, z of the box in which the nearest polygon is sought (spec/habitat.md 6.7)."""
 VISITED_MAX = 256
-"""Polygons that one step may look at (Detour: 64, but a `FreeSpace` in triangles has more and smaller ones)."""
+"""Largest number of polygons that one step visits (Detour: 64, but a `FreeSpace` in triangles has more and smaller ones)."""
 SEARCH_SLACK_M = 0.001
 """A step looks this much beyond the circle around start and end, as Detour's moveAlongSurface."""
 TOUCH_M = 1e-6
@@ -24,7 +24,7 @@ TOUCH_M = 1e-6
 SQUARE_SLACK = 1e-9
 """Room for rounding [m2] where polygons are left out that are too far away to be nearest."""
 ON_WALL_M = 1e-9
-"""A point this near to a wall lies on it."""
+"""Distance below which a point lies on a wall [m]."""
 ANGLE_EPS = 1e-9
 """Sine of the angle by which a corner may lie outside a cone of view and still be seen."""
 TAUT_EPS = 1e-9
@@ -35,17 +35,17 @@ class Surface(NamedTuple):
     """Polygons as flat arrays; corner s of polygon p: ``start[p] <= s < start[p + 1]``, counter-clockwise in (x, z)."""
 
     start: NDArray[np.int32]
-    """Shape [P + 1]."""
+    """First corner of each polygon, shape [P + 1]."""
     corner: NDArray[np.float64]
-    """Corners (x, y, z), shape [S, 3] [m]."""
+    """Positions of the corners (x, y, z), shape [S, 3] [m]."""
     neighbour: NDArray[np.int32]
     """Polygon across the edge from corner s to the next, -1 at a wall, shape [S]."""
     island: NDArray[np.int32]
-    """Shape [P]."""
+    """Island of each polygon, shape [P]."""
     box: NDArray[np.float64]
     """Lower and upper corner of each polygon, shape [P, 6]."""
     triangle_start: NDArray[np.int32]
-    """Shape [P + 1]."""
+    """First triangle of each polygon, shape [P + 1]."""
     triangle: NDArray[np.float64]
     """Ground under each polygon, shape [T, 3, 3] [m]."""
     climb: NDArray[np.float64]
@@ -157,7 +157,7 @@ def _box_square(box: NDArray, polygon: int, x: float, y: float, z: float) -> flo
 
 @kernel(error_model="numpy")
 def nearest(surface: Surface, x: float, y: float, z: float, island: int) -> tuple[int, float, float, float]:
-    """Nearest point of the surface to a point, as (polygon, x, y, z); polygon -1 if there is none in reach.
+    """Return the nearest point of the surface to a point, as (polygon, x, y, z); polygon -1 if there is none in reach.
 
     As in Detour's findNearestPoly, candidates are polygons whose box touches the box of `REACH_M`, points straight
     above or below count less the climb, and the first of equals is taken.
@@ -210,7 +210,7 @@ def nearest(surface: Surface, x: float, y: float, z: float, island: int) -> tupl
 def slide(
     surface: Surface, polygon: int, x: float, z: float, tx: float, tz: float, rise: float
 ) -> tuple[int, float, float]:
-    """Nearest point to a target that can be reached from (x, z), as (polygon, x, z).
+    """Return the nearest point to a target that can be reached from (x, z), as (polygon, x, z).
 
     It is the target itself, or a point on the walls within the circle whose diameter is the path to the target. This is
     Detour's moveAlongSurface, whose circle has the length of the path in space as diameter: a target that is ``rise``

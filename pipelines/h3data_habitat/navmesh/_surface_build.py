@@ -1,4 +1,4 @@
-"""From a `NavMesh` to the arrays of its walking surface: orientation, buckets, and the corners where paths bend."""
+"""Build the arrays of a navmesh's walking surface: orientation, buckets, and the corners where paths bend."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def build_surface(navmesh: NavMesh) -> Surface:
 
 
 def with_graph(surface: Surface) -> Surface:
-    """The same surface with the graph of its wall corners, every link a straight way that a taut string can take."""
+    """Return the surface with the graph of its wall corners, in which a taut string can follow every link."""
     last = np.repeat(surface.start[1:] - 1, np.diff(surface.start))
     first = np.repeat(surface.start[:-1], np.diff(surface.start))
     at = np.arange(len(last))

@@ -66,9 +66,9 @@ class NavMesh:
 
     settings: NavMeshSettings
     vertices: NDArray[np.float32]
-    """Shape [V, 3] [m]."""
+    """Positions of the vertices, shape [V, 3] [m]."""
     polygon_start: NDArray[np.int32]
-    """Shape [P + 1]."""
+    """First corner of each polygon, shape [P + 1]."""
     polygon_vertices: NDArray[np.int32]
     """Vertex of each corner, shape [S]."""
     polygon_neighbours: NDArray[np.int32]
@@ -76,17 +76,17 @@ class NavMesh:
     areas: NDArray[np.uint8]
     """Area type of each polygon, shape [P]."""
     flags: NDArray[np.uint16]
-    """1 walk, 2 door, 4 disabled, shape [P]."""
+    """Flags of each polygon: 1 walk, 2 door, 4 disabled, shape [P]."""
     detail_start: NDArray[np.int32]
     """Detail triangles of polygon p are ``detail_start[p]:detail_start[p + 1]``, shape [P + 1]."""
     detail_triangles: NDArray[np.float32]
-    """The same ground with finer heights, shape [T, 3, 3] [m]."""
+    """Triangles of the same ground with finer heights, shape [T, 3, 3] [m]."""
     bounds: NDArray[np.float32]
     """Lower and upper corner of the baked volume, shape [2, 3] [m]."""
 
     @cached_property
     def enabled(self) -> NDArray[np.bool_]:
-        """Which polygons can be walked on [P]: not disabled, and of some area."""
+        """Return which polygons can be walked on [P]: those of some area that are not disabled."""
         return ((self.flags & DISABLED) == 0) & (self.polygon_areas >= ZERO_AREA_M2)
 
     @cached_property
@@ -224,7 +224,7 @@ def _one_floor(navmesh: NavMesh, island: int | None, cell_m: float) -> FreeSpace
 def navmesh_from_free_space(
     free_space: FreeSpace, *, merge: bool = True, settings: NavMeshSettings | None = None
 ) -> NavMesh:
-    """The same floor as polygons; islands keep their order.
+    """Return a floor as polygons; islands keep their order.
 
     Args:
         free_space: The floor.

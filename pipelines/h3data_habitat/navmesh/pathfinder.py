@@ -21,7 +21,7 @@ from h3data_habitat.navmesh._surface_paths import way
 from h3data_habitat.navmesh.navmesh import NavMesh, NavMeshSettings, navmesh_from_free_space
 
 ENDS_TOUCH_M = 0.01
-"""Points on the surface may be this far off the polygons of a `FreeSpace`: the one is float32, the other float64."""
+"""Largest distance of points on the surface from the polygons of a `FreeSpace` [m], as one is float32 and the other float64."""
 PIXELS_MAX = 1 << 26
 """Largest top-down map."""
 _ANY = -1
@@ -41,7 +41,7 @@ class ShortestPath:
 
 @dataclass(kw_only=True)
 class MultiGoalShortestPath:
-    """The same with several ends: the path leads to the one with the shortest way."""
+    """Path to the nearest of several ends."""
 
     requested_start: ArrayLike = field(default_factory=lambda: np.zeros(3))
     requested_ends: ArrayLike = field(default_factory=lambda: np.zeros((0, 3)))
@@ -49,7 +49,7 @@ class MultiGoalShortestPath:
     points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     geodesic_distance: float = np.inf
     closest_end_point_index: int = -1
-    """Which end the path leads to, -1: none."""
+    """Index of the end that the path leads to; -1 if there is none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -245,11 +245,11 @@ class PathFinder:
         return low, high
 
     def get_topdown_view(self, meters_per_pixel: float, height: float, eps: float = 0.5) -> NDArray[np.bool_]:
-        """Which points at a height are navigable, bool [rows along z, columns along x] from the lower bounds."""
+        """Return which points at a height are navigable, bool [rows along z, columns along x] from the lower bounds."""
         return self.get_topdown_island_view(meters_per_pixel, height, eps) >= 0
 
     def get_topdown_island_view(self, meters_per_pixel: float, height: float, eps: float = 0.5) -> NDArray[np.int32]:
-        """The same with the island at each point, int32, -1 where there is none."""
+        """Return the island at each point of a height, int32 [rows along z, columns along x], -1 where there is none."""
         low, high = self.get_bounds()
         if not meters_per_pixel > 0:
             raise InputError(f"meters_per_pixel must be positive, got {meters_per_pixel}.", code="H3-HABITAT-096")

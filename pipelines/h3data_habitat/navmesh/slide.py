@@ -23,7 +23,7 @@ from h3data_habitat.navmesh.pathfinder import PathFinder
 
 @kernel(error_model="numpy")
 def slide_as_habitat(surface, x, root_y, z, heading, goal, offsets, touch, rules):
-    """One step of a robot base: ``(x, z, heading, touched)``.
+    """Return one step of a robot base: ``(x, z, heading, touched)``.
 
     ``goal`` is where it would get in the open, ``(x, z, heading)``; ``root_y`` [m] the height of its root; ``offsets`` [D]
     the places of its discs along its x axis; ``rules`` says whether it slides, slides while it turns, and whether a disc's

@@ -220,7 +220,7 @@ def _moved(
 
 
 def empty_mesh() -> Mesh:
-    """A mesh of nothing: what collides and is not seen."""
+    """Return an empty mesh, for what collides and is not seen."""
     none = np.zeros((0, 3), np.float32)
     return Mesh(vertices=none, faces=none.astype(np.int32), colors=none.astype(np.uint8))
 
@@ -238,7 +238,7 @@ def _turned_shape(shape: Shape, turn: NDArray[np.float64]) -> Shape:
 
 
 def link_pose(matrix: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.float64]:
-    """pose7 of a `Link` whose URDF frame is at ``matrix`` [4, 4]."""
+    """Return the pose (pose7) of a `Link` whose URDF frame is at ``matrix`` [4, 4]."""
     back = np.eye(4)
     back[:3, :3] = turn.T
     return pose_from_matrix(matrix @ back).astype(np.float64)

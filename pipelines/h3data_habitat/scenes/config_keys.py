@@ -1,4 +1,4 @@
-"""Which keys of Habitat's configs are read, and why the others are not. h3data docs scenes shows the same table."""
+"""Keys of Habitat's configs that are read, and the reasons why others are not: the table of h3data docs scenes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Habitat's scene datasets: which templates a ``*.scene_dataset_config.json`` offers, and what their attributes are."""
+"""Scene datasets of Habitat: templates that a ``*.scene_dataset_config.json`` offers, and their attributes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Template:
     defaults: Mapping[str, Any] = field(default_factory=dict)
     overrides: Mapping[str, Any] = field(default_factory=dict)
     inline: bool = False
-    """Its attributes stand in the dataset config itself."""
+    """True if the attributes stand in the dataset config itself."""
 
     @property
     def is_config(self) -> bool:
@@ -77,14 +77,14 @@ class SceneDataset:
     navmeshes: Mapping[str, str] = field(default_factory=dict)
     """Navmesh files (relative to the config) by the name that scenes use."""
     descriptors: Mapping[str, str] = field(default_factory=dict)
-    """The same for semantic descriptors."""
+    """Return the files of semantic descriptors by name, in the same form as templates."""
     keys: KeyNotes = field(default_factory=KeyNotes)
     empty_paths: tuple[str, ...] = ()
     """Search paths below which nothing is."""
 
     @property
     def scenes(self) -> list[str]:
-        """Names of its scenes, sorted: ``path#name`` opens one."""
+        """Names of the dataset's scenes, sorted: ``path#name`` opens one."""
         return self.names("scene_instances")
 
     def __repr__(self) -> str:
@@ -92,7 +92,7 @@ class SceneDataset:
         return f"SceneDataset({self.path.name!r}, {len(self.scenes)} scenes: {shown or 'none'})"
 
     def find(self, section: Section, name: str) -> tuple[Template | None, int]:
-        """The template that a scene means by ``name``, and how many others would have fitted as well.
+        """Return the template that a scene calls ``name``, and the number of other templates that would fit.
 
         Handles are matched as Habitat does, by sub-string (spec/habitat.md 6.1), best first: the same handle, the end
         of the file's path, then a part of it. Among equals the shortest, then the first in alphabetical order is

@@ -41,7 +41,7 @@ class Rigid:
     middle: NDArray[np.float64]
     """Habitat's origin of the object in the asset's frame, shape [3] [m]."""
     middle_scales: bool
-    """True if it moves with the size of the object: not if the config gives it."""
+    """True if this origin scales with the object, which it does unless the config gives it."""
 
     def origin(self, scale: NDArray[np.float64]) -> NDArray[np.float64]:
         """Habitat's origin of an object of this size, in the asset's axes, shape [3] [m]."""
@@ -55,7 +55,7 @@ class Articulated:
     robot: Robot
     links: tuple[Link, ...]
     assets: tuple[str, ...]
-    """Assets of each of these links."""
+    """Assets of each of the links."""
     attributes: Mapping[str, Any]
 
 
@@ -96,7 +96,7 @@ class TemplateReader:
         return read if isinstance(read, Rigid) else None
 
     def articulated(self, template: Template) -> Articulated | None:
-        """The same for an articulated object."""
+        """Read the template of an articulated object."""
         read = self._once(template)
         return read if isinstance(read, Articulated) else None
 

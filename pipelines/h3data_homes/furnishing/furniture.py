@@ -29,11 +29,11 @@ HEAD_BAND = (0.05, 1.8)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Furniture:
-    """One piece of furniture with the data that placement needs."""
+    """Piece of furniture with the data that placement needs."""
 
     category: str
     builder: MeshBuilder
-    """Its appearance; triangles are built only by `asset`, once the piece is placed."""
+    """Appearance of the piece; triangles are built only by `asset`, once the piece is placed."""
     shapes: tuple[Shape, ...]
     receptacles: tuple[Receptacle, ...]
     size: tuple[float, float, float]
@@ -41,7 +41,7 @@ class Furniture:
     front_m: float = 0.0
     """Depth of the strip along the front that stays free for users [m]."""
     wall_gap_m: float = 0.02
-    """Distance from its back to the wall [m]."""
+    """Distance from the back of the piece to the wall [m]."""
     opens: Callable[[int], Opening] | None = None
     """The same piece with doors and drawers that open, by how many of it have been placed before; None: nothing opens."""
 

@@ -1,4 +1,4 @@
-"""Bathroom furniture."""
+"""Furniture of bathrooms."""
 
 from __future__ import annotations
 

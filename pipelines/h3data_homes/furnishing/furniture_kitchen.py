@@ -222,7 +222,7 @@ def dining_table(rng: np.random.Generator, style: Style, seats: int = 4) -> Furn
 
 
 def chair(rng: np.random.Generator, style: Style) -> Furniture:
-    """Dining chair."""
+    """Build a dining chair."""
     mesh, w, d, seat, high = MeshBuilder(), 0.43, 0.47, 0.45, 0.9
     wood = style.wood
     mesh.span((-w / 2, seat - 0.03, -d / 2 + 0.03), (w / 2, seat, d / 2), wood, bevel=0.008)
@@ -266,7 +266,7 @@ def island(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def stool(rng: np.random.Generator, style: Style) -> Furniture:
-    """A bar stool."""
+    """Build a bar stool."""
     mesh, r, h = MeshBuilder(), 0.19, 0.66
     mesh.cylinder((0, h - 0.025, 0), r, 0.05, style.fabric_2, segments=20, bevel=0.015)
     mesh.cylinder((0, h - 0.06, 0), r - 0.015, 0.02, style.wood_dark, segments=20)

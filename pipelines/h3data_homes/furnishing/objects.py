@@ -139,7 +139,7 @@ def apple(rng: np.random.Generator, style: Style) -> Asset:
 
 
 def orange(rng: np.random.Generator, style: Style) -> Asset:
-    """Orange."""
+    """Build an orange."""
     return _fruit("orange", 0.036, 0.97, vary(rng, (236, 142, 40)))
 
 
@@ -178,5 +178,5 @@ AFFINITY: Mapping[str, tuple[str, ...]] = {
 
 
 def renamed(asset: Asset, name: str) -> Asset:
-    """The same asset with another name."""
+    """Return an asset under another name."""
     return replace(asset, name=name)

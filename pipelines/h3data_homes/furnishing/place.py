@@ -26,7 +26,7 @@ PLAN_RADIUS = 0.305
 GAP_BAND = (0.45, 0.60)
 """Widths of gaps to avoid: 2 r - 5 cm to 2 r + 10 cm for r = 0.25 (research/navigation-and-stepping.md 2.4) [m]."""
 CRUMB_M2 = 0.002
-"""Smaller areas of cut-off floor or pockets are rounding errors [m2]."""
+"""Area below which pieces of cut-off floor or pockets are rounding errors [m2]."""
 _DOOR_DEPTH = 0.8
 _OPEN_DEPTH, _OPEN_FROM = 0.36, 2.6
 """Free floor on both sides of openings wider than this in homes of the second generation [m]."""
@@ -51,7 +51,7 @@ _FROM_ANYWHERE = (
 
 @dataclass(frozen=True, kw_only=True)
 class Member:
-    """One piece of a group, in the group's frame."""
+    """Piece of a group, in the group's frame."""
 
     piece: Furniture
     x: float = 0.0
@@ -64,7 +64,7 @@ class Member:
 
 @dataclass(frozen=True, kw_only=True)
 class Placed:
-    """One piece at its place in the world."""
+    """Piece of furniture at its place in the world."""
 
     piece: Furniture
     room: str

@@ -22,7 +22,7 @@ PartShape = Literal["box", "rod", "lathe", "ball", "soft", "pillow", "line", "le
 
 
 class Part(NamedTuple):
-    """One solid of a kind of thing."""
+    """Solid that is part of a kind of thing."""
 
     shape: PartShape
     color: Paint

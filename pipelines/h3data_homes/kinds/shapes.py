@@ -19,11 +19,11 @@ from h3data_homes.kinds import parts
 from h3data_homes.kinds.parts import Paint, Part, Point
 
 Solid = Literal["box", "round", "parts", "none"]
-"""Collision parts: the bounding box, an upright cylinder, the upright boxes and rods among the parts, or nothing."""
+"""Collision shapes of a model: the bounding box, an upright cylinder, the upright boxes and rods among the parts, or none."""
 
 
 class Shape(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="shape", tag=str.lower):
-    """One shape of a model."""
+    """Shape of a model."""
 
     color: Paint
 
@@ -217,12 +217,12 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, eq=False, dict=True, forb
     """Collision boxes (x, underside, z, width, height, depth), instead of those of ``solid``."""
     surfaces: tuple[Surface, ...] = ()
     front_m: float = 0.0
-    """Free floor that it needs in front of it."""
+    """Depth of free floor that is needed in front [m]."""
     wall_gap_m: float = 0.02
     scale: tuple[tuple[float, float], ...] = ((0.94, 1.06),)
     """Range of sizes: one for all axes, or one each for x, y and z."""
     aligned: bool = False
-    """True if it stands parallel to the edges of what it stands on."""
+    """True if the thing stands parallel to the edges of the furniture below it."""
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:

@@ -34,7 +34,7 @@ _SEAT_M = 0.62
 
 @lru_cache(maxsize=2048)  # 10 kB each
 def model_of(kind: str, look: Look, variant: int) -> Asset:
-    """One of the models of a kind of thing in a style; homes share them."""
+    """Return one of the models of a kind of thing in a style; homes share them."""
     name = f"{kind}_{look}_{variant}"
     rng = np.random.default_rng(list(name.encode()))
     if KINDS[kind].model:

@@ -12,7 +12,7 @@ Manner = Literal["scatter", "stack", "row", "settings", "pair"]
 
 @dataclass(frozen=True)
 class Habit:
-    """One way of leaving things."""
+    """Habit of leaving things somewhere."""
 
     manner: Manner
     kinds: tuple[str, ...]

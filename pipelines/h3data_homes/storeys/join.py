@@ -12,11 +12,11 @@ from h3data.scene.records import Articulation, Asset, Part, Room, Scene
 from h3data_homes.storeys.plan import STOREY_M, StoreyPlan
 
 UPPER = "upper_"
-"""Names of everything on the upper storey begin so."""
+"""Prefix of the names of everything on the upper storey."""
 
 
 def joined_storeys(plan: StoreyPlan, ground: Scene, upper: Scene, well: Scene) -> Scene:
-    """One scene of two furnished storeys, both given at (0, 0) and y = 0, and of what is between them, in place.
+    """Return one scene of two furnished storeys, both given at (0, 0) and y = 0, and of what is between them, in place.
 
     Assets of the upper storey that the ground floor has too are shared if they are the same object.
     """

@@ -28,10 +28,10 @@ from h3data_homes.zoning import Rect, rounded
 
 RISE_M, GOING_M, RISERS = 0.17, 0.28, 16
 STOREY_M = RISE_M * RISERS
-"""From floor to floor [m]."""
+"""Height from floor to floor [m]."""
 RUN_M = GOING_M * RISERS
 WELL_WIDTH_M = 1.25
-"""Between the walls; the handrails leave 1.1 m."""
+"""Width between the walls of the stairwell [m]; the handrails leave 1.1 m."""
 LANDING_M = 1.35
 """Depth of the landings at both ends [m]."""
 PASSAGE_M = 1.0
@@ -58,7 +58,7 @@ class Well:
 
 @dataclass(frozen=True, kw_only=True)
 class StoreyPlan:
-    """Both plans and what joins them; the ground floor is at (0, 0)."""
+    """Plans of both storeys and the stairs that join them; the ground floor is at (0, 0)."""
 
     ground: Layout
     upper: Layout

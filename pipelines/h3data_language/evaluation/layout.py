@@ -25,7 +25,7 @@ class ThingBox(msgspec.Struct, frozen=True):
     """A thing that agents move: its box, and where a recording holds its pose."""
 
     body: int
-    """Index of its body, as in ``agent_<i>.grasp_body``."""
+    """Index of the thing's body, as in ``agent_<i>.grasp_body``."""
     center: Vector
     """Center of the box in the frame of the thing [m]."""
     half: Vector
@@ -40,11 +40,11 @@ class Surface(msgspec.Struct, frozen=True):
     half: tuple[float, float]
     """Half extents along its own x and z [m]."""
     heading: float
-    """Rotation about +Y [rad]."""
+    """Heading of the surface: its rotation about +Y [rad]."""
     clearance: float
     """Free height above it [m]."""
     inside: bool = False
-    """It is in a drawer or behind a door of the furniture."""
+    """True if the surface is in a drawer or behind a door of the furniture."""
 
 
 class FurnitureBox(msgspec.Struct, frozen=True):
@@ -59,7 +59,7 @@ class Layout(msgspec.Struct, frozen=True):
     """All things, furniture and rooms that propositions may name."""
 
     things: dict[str, ThingBox]
-    """In the order of ``object_pose``."""
+    """Things of the home, in the order of ``object_pose``."""
     furniture: dict[str, FurnitureBox]
     rooms: dict[str, tuple[tuple[float, float, float, float], ...]]
     """Rectangles ``x0 z0 x1 z1`` of each room [m]."""

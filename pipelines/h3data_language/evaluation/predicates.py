@@ -36,17 +36,17 @@ class Rows:
 
     layout: Layout
     poses: NDArray[np.floating]
-    """pose7 of each thing [T, K, 7]."""
+    """Pose (pose7) of each thing [T, K, 7]."""
     held: Flags
-    """True if somebody holds it [T, K]."""
+    """True if somebody holds the thing [T, K]."""
     states: Mapping[str, Flags] = field(default_factory=dict)
-    """``clean``, ``filled`` and ``powered`` of each thing [T, K]; those left out are false throughout."""
+    """States ``clean``, ``filled`` and ``powered`` of each thing [T, K]; missing ones are false throughout."""
     bugs: bool = False
     _boxes: dict[str, tuple[NDArray, NDArray]] = field(default_factory=dict, init=False)
     _pairs: dict[Any, Flags] = field(default_factory=dict, init=False)
 
     def distinct(self) -> tuple[Rows, NDArray[np.intp]]:
-        """The rows in which something may become true or false, and which of them stands for each row [T].
+        """Return the rows in which something may become true or false, and which of them represents each row [T].
 
         A thing in somebody's hand is nowhere, so that its poses do not matter until it is put down.
         """
@@ -92,7 +92,7 @@ class Rows:
         return list(self.layout.things).index(name)
 
     def loose(self, name: str) -> Flags:
-        """Rows in which nobody holds a thing [T]."""
+        """Return the rows in which nobody holds a thing [T]."""
         if self.bugs or name in self.layout.furniture:
             return np.ones(len(self.poses), np.bool_)
         return ~self.held[:, self.number(name)]

@@ -130,14 +130,14 @@ PARTNR: tuple[Metric, ...] = (
 
 
 class Progress(NamedTuple):
-    """The satisfied propositions of a recording, and who satisfied them."""
+    """Satisfied propositions of a recording, and the agents that satisfied them."""
 
     satisfied_at: NDArray[np.int64]
     """Row in which each proposition was first satisfied; -1 = never, [P]."""
     admitted: NDArray[np.bool_]
     """Propositions that each constraint admits, [C, P]."""
     events: list[Event]
-    """Events ``progress``."""
+    """Return the events ``progress``."""
     explanation: str = ""
     """A sentence on each proposition that is not completed, where they were evaluated here."""
 

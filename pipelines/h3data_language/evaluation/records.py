@@ -52,14 +52,14 @@ class Proposition(msgspec.Struct, frozen=True):
 
     @property
     def things(self) -> tuple[tuple[str, ...], ...]:
-        """The lists of names in its arguments."""
+        """Lists of names in its arguments."""
         names = ARGUMENTS[self.function_name]
         listed = self.args["*args"] if names == ("*args",) else [self.args[name] for name in names]
         return tuple(map(tuple, listed))
 
     @property
     def number(self) -> int:
-        """Number of the first list's things that it asks for."""
+        """Number of things from the first list that it requires."""
         return self.args.get("number", 1)
 
     @property

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 FOLDER = "benchmarks"
-"""Below the folder of the shipped data."""
+"""Name of the folder of benchmarks below that of the shipped data."""
 DEFINITION, EPISODES, BASELINES = "benchmark.toml", "episodes.json", "baselines.json"
 
 
@@ -44,7 +44,7 @@ class BenchmarkFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     episodes: int
     seed: int = 0
     partners: list[str] = []
-    """Policies of people, of tasks in which every robot plays with several of them."""
+    """Policies of people, for tasks in which every robot plays with several of them."""
     rules: str | None = None
     """Name of a set of rules: ``natural`` or ``paper``."""
     overrides: dict[str, Any] = {}
@@ -62,7 +62,7 @@ class Benchmark:
     folder: Path
     file: BenchmarkFile
     sha256: str
-    """Digest of the definition and of the list of its episodes."""
+    """Digest of the definition and of the list of episodes."""
 
     @property
     def label(self) -> str:

@@ -21,12 +21,12 @@ from h3data_pipelines.benchmark.verification import ResultVerification
 from h3data_pipelines.hub.checksums import file_sha256
 
 VERDICT = "verification.json"
-"""File beside ``benchmark.json`` that ``h3data benchmark verify`` writes."""
+"""Name of the file beside ``benchmark.json`` that ``h3data benchmark verify`` writes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """One row of a leaderboard."""
+    """Row of a leaderboard."""
 
     row: ResultRow
     result: BenchmarkResult
@@ -48,7 +48,7 @@ class Leaderboard:
         return self.benchmark.metrics()
 
     def to_markdown(self) -> str:
-        """Heading, table, and what its columns mean."""
+        """Return heading, table, and the meaning of its columns."""
         lines = [f"# {self.benchmark.label}", "", self.benchmark.file.about, ""]
         rows = [
             self._heads(),
@@ -59,7 +59,7 @@ class Leaderboard:
         return "\n".join([*lines, "", "Means with 95% intervals.", "", *self._legend(), ""])
 
     def to_html(self) -> str:
-        """A page that needs nothing else, with a card below the table for each result."""
+        """Return a page that needs no other file, with a card below the table for each result."""
         escape = html.escape
         heads = "".join(f"<th>{escape(head)}</th>" for head in self._heads())
         body = "".join(

@@ -32,14 +32,14 @@ MANIFEST = "benchmark.json"
 
 
 class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One policy in the table of a result."""
+    """Policy in the table of a result."""
 
     policy: str
     played: int
     """Episodes with each of the partners that were played to their end."""
     expected: int
     metrics: dict[str, dict[str, float | None]]
-    """By metric: ``mean``, ``low`` and ``high`` of the 95% interval, and ``episodes`` in which it is defined."""
+    """Values by metric: ``mean``, ``low`` and ``high`` of the 95% interval, and ``episodes`` in which it is defined."""
 
 
 class BenchmarkResult(msgspec.Struct, frozen=True, kw_only=True):
@@ -73,7 +73,7 @@ class BenchmarkRun:
     failed: tuple[str, ...]
 
     def to_text(self) -> str:
-        """The table, what failed, and how to check the result."""
+        """Return the table, the failures, and how to check the result."""
         table = result_table(self.benchmark.metrics(), self.result.rows)
         failed = "".join(f"\nfailed {line}" for line in self.failed)
         return f"{self.benchmark.label}\n{table}{failed}\nCheck it: h3data benchmark verify {self.folder}"
@@ -162,7 +162,7 @@ def summarized(metrics: Iterable[Metric], rows: Sequence[Mapping[str, Any]], exp
 
 
 def result_table(metrics: Iterable[Metric], rows: Iterable[ResultRow]) -> str:
-    """The table as text: a line for each policy."""
+    """Return the table as text: a line for each policy."""
     columns = list(metrics)
     lines = [["Mean [95% interval]", *(metric.name for metric in columns)]]
     lines += [[row_label(row), *(cell_text(row, metric.name) for metric in columns)] for row in rows]

@@ -59,11 +59,11 @@ class ResultVerification:
 
     @property
     def is_true(self) -> bool:
-        """Returns whether nothing is wrong with what was checked."""
+        """Return whether no fault was found."""
         return not self.faults
 
     def to_text(self) -> str:
-        """The verdict, after what is wrong."""
+        """Return the faults, then the verdict."""
         checked = (
             f"{counted(self.recordings, 'recording')} of {self.episodes} of {counted(self.of_episodes, 'episode')} simulated "
             "and measured again"

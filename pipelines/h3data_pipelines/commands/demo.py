@@ -68,7 +68,7 @@ class Demo:
     seed: int = 3
     """Home and episode."""
     steps: int = 600
-    """Length of the episode at most, at 30 steps per second."""
+    """Largest number of steps of the episode, at 30 steps per second."""
     human_speed: float = 1.2
     """Walking speed of the person [m/s]. (The paper's task, and `h3data generate`, use 2.5.)"""
     size: str = ""

@@ -22,7 +22,7 @@ _LONGEST = 48
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """Least, mean and greatest of some numbers."""
+    """Least, mean and largest of some numbers."""
 
     least: float
     mean: float
@@ -41,7 +41,7 @@ class EpisodeSummary:
 
     episodes: int
     tasks: Mapping[str, int]
-    """Number of episodes by task and by who wrote them."""
+    """Number of episodes by task and by the program that wrote them."""
     scenes: Mapping[str, int]
     complete: int
     """Episodes that hold the starts of the agents."""
@@ -52,7 +52,7 @@ class EpisodeSummary:
     templates: Mapping[str, int]
     """Number of such objects by template, or by name in our own files."""
     sources: Mapping[str, int]
-    """Goals by the receptacle on which the object lies."""
+    """Number of goals by the receptacle on which the object lies."""
     destinations: Mapping[str, int]
     """Goals by the receptacle to which the object has to go."""
     carry_m: Spread | None

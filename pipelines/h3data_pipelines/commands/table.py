@@ -79,7 +79,7 @@ REGISTRY: Registry[type[Command] | Group] = Registry(
 
 
 def all_commands() -> dict[str, type[Command] | Group]:
-    """Every command by name: those of the table, and those that installed packages register in ``h3data.commands``."""
+    """Return every command by name: those of the table, and those that installed packages register in ``h3data.commands``."""
     found = REGISTRY.load_all()
     listed = (*(name for name in TABLE if name in found), *sorted(found.keys() - TABLE.keys()))
     Completion.commands = commands = {name: found[name] for name in listed}

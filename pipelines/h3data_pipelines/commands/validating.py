@@ -151,7 +151,7 @@ def _text(rows: list[dict[str, Any]], failed: int) -> str:
 
 
 def read_ahead(stored: Sequence[StoredEpisode], *, most_steps: int) -> Iterator[Callable[[], Recording]]:
-    """For each of the episodes in turn, a function that returns its recording or raises an `H3DataError`.
+    """Return for each of the episodes in turn a function that returns its recording or raises an `H3DataError`.
 
     Episodes that follow each other in a dataset are read together, up to ``most_steps`` steps at once.
     """

@@ -26,7 +26,7 @@ from h3data_pipelines.execution.ray_worker import Origin, portable_task
 TRIES = 4
 """Times that a shard is begun before it is given up, when the process that had it dies each time."""
 NODE_TRIES = 20
-"""The same when the whole node dies, for which the shard is hardly to blame."""
+"""Number of tries when the whole node dies, for which the shard is hardly to blame."""
 _AHEAD = 4
 """Results that may wait for an earlier one, per worker."""
 _SLOW = 3.0

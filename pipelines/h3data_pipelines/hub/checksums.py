@@ -30,7 +30,7 @@ def checksums_of(root: Path, names: Sequence[str]) -> dict[str, str]:
 
 
 def to_json(checksums: Mapping[str, str]) -> bytes:
-    """Contents of `FILE`."""
+    """Return the contents of `FILE`."""
     return json.dumps({"sha256": dict(checksums)}, indent=0).encode()
 
 

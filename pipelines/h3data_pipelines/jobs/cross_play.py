@@ -24,7 +24,7 @@ names."""
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One robot with one partner in one episode."""
+    """Result of one robot with one partner in one episode."""
 
     index: int
     policy: str

@@ -31,7 +31,7 @@ class FileJobs(NamedTuple):
 
     jobs: Sequence[Job]
     left_out: tuple[str, ...] = ()
-    """Which episodes cannot be played, and why."""
+    """Episodes that cannot be played, with the reason."""
     warnings: tuple[str, ...] = ()
     """Warnings about stand-ins for missing assets."""
 
@@ -41,7 +41,7 @@ class MissingEpisodes(Protocol):
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Which episodes cannot be played, and why."""
+        """Episodes that cannot be played, with the reason."""
         ...
 
     @property
@@ -61,7 +61,7 @@ def notes_on(made: MissingEpisodes) -> str:
 
 
 class EpisodeRequest(Protocol):
-    """Which episodes a command plays: those of a file, or of scenes."""
+    """Request for episodes that a command plays: those of a file, or of scenes."""
 
     @property
     def episodes_file(self) -> Path | None:
@@ -187,7 +187,7 @@ def _digest(path: Path, read: EpisodeSet) -> str:
 
 
 def _not_of_task(entry: FileEntry, task: Task, path: Path) -> str:
-    """Why an entry of an episode file is none of a task."""
+    """Reason why an entry of an episode file is none of a task."""
     from h3data.recording.task_episodes.stored_episodes import task_of
 
     of = task_of(entry)
@@ -214,7 +214,7 @@ def _ranges(numbers: Sequence[int]) -> str:
 
 
 def widest_episode(jobs: Sequence[Job]) -> tuple[Recording, ...]:
-    """One step of an episode with the most objects, for the columns of a dataset whose episodes differ in that."""
+    """Return one step of an episode with the most objects, for the columns of a dataset whose episodes differ in that."""
     counts = [getattr(job.spec, "objects", 0) for job in jobs]
     if len(set(counts)) < 2:
         return ()

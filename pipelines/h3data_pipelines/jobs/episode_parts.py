@@ -19,9 +19,9 @@ class EpisodePart:
     paths: tuple[AnyPath, ...]
     indices: range
     count: int
-    """Number of all of them."""
+    """Number of all parts."""
     job: str
-    """Whose part it is: within a job, each process looks below the paths once."""
+    """Job that the part belongs to; within a job, each process looks below the paths once."""
 
     def sources(self) -> Sequence[StoredEpisode]:
         """The episodes of this part."""

@@ -31,7 +31,7 @@ SOLO = "solo"
 
 @dataclass(frozen=True)
 class Job:
-    """One episode to simulate: all that a worker needs to know."""
+    """Episode to simulate, with all that a worker needs to know."""
 
     index: int
     seed: int
@@ -57,12 +57,12 @@ class Job:
     stored: StoredEpisode | None = None
     """The task's record of the episode, from a file."""
     origin: dict[str, Any] | None = None
-    """Which episode of which set or file it is; ends up in the recording."""
+    """Set or file that the episode comes from, and its number there; ends up in the recording."""
     sensors: tuple[str, ...] | None = None
     """Sensors of robots that are recorded with every step."""
 
     def to_json(self) -> dict[str, Any]:
-        """Everything that determines the episode, as JSON types.
+        """Return everything that determines the episode, as JSON types.
 
         A stored episode is identified by its ``origin``. Fields that are not set are left out.
         """
@@ -88,7 +88,7 @@ class Job:
 
     @cached_property
     def found_task(self) -> Task:
-        """The task."""
+        """Return the task of the episode."""
         from sim_kinematic.tasks.registry import find_task
 
         return find_task(self.task)
@@ -127,7 +127,7 @@ class Job:
         return episode.only(*people) if self.policy == SOLO else episode
 
     def record(self) -> Recording:
-        """Plays it."""
+        """Play the episode and return its recording."""
         from sim_kinematic.tasks.runner import simulate
 
         chosen = {"robot": None if self.policy == SOLO else self.policy, "human": self.partner}
@@ -171,13 +171,13 @@ class Choices:
 
     @cached_property
     def found_task(self) -> Task:
-        """The task."""
+        """Return the task."""
         from sim_kinematic.tasks.registry import find_task
 
         return find_task(self.task)
 
     def spec(self, base: Any = None) -> Any:
-        """The rules: ``base`` (default: the task's) with what the user asks for."""
+        """Rules: ``base`` (default: the task's) with the changes that the user asks for."""
         from sim_kinematic.tasks.episode import rule_value, with_options
 
         base = dataset_rules(self.found_task) if base is None else base
@@ -265,7 +265,7 @@ def with_skills(choices: Choices, skills: str) -> Choices:
 
 @dataclass(frozen=True)
 class SampledEpisode:
-    """One episode that is sampled from its seed, whatever the task."""
+    """Episode that is sampled from its seed, whatever the task."""
 
     index: int
     seed: int
@@ -273,7 +273,7 @@ class SampledEpisode:
     """Name on the command line."""
     source: SceneSource
     origin: dict[str, Any] | None = None
-    """Which episode of which set it is."""
+    """Set that the episode comes from, and its number there."""
 
 
 def check_numbers(
@@ -334,7 +334,7 @@ def make_jobs(
 
 
 class SampledJobs(Sequence[Job]):
-    """Episodes that go round some scenes, each made when it is asked for: a plan of a billion costs nothing."""
+    """Episodes distributed over some scenes in turn, each made on request: a plan of a billion costs nothing."""
 
     def __init__(self, choices: Choices, places: Sequence[NamedScene], numbers: range, *, seed: int) -> None:
         self._choices, self._places, self._numbers, self._seed = choices, places, numbers, seed
@@ -401,7 +401,7 @@ def refuse_beside(option: str, **given: bool) -> None:
 
 
 def checked(choices: Choices) -> Choices:
-    """The choices with learned policies by the digest of their weights, after a look at all names.
+    """Return the choices with learned policies by the digest of their weights, after a check of all names.
 
     Raises:
         InputError: no such task, agents, policy or body.

@@ -68,7 +68,7 @@ class EvaluationRequest:
     overrides: tuple[tuple[str, Any], ...] = ()
     """Single fields of the task's rules, by name."""
     light: LightMode | None = None
-    """Light in the colours that policies are shown; None: that in which each has learned."""
+    """Light in the colours that policies observe; None: that in which each was trained."""
 
     def jobs(self) -> list[Evaluation]:
         """All episodes, or an `InputError` that names the bad option."""
@@ -141,12 +141,12 @@ class EvaluationRequest:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EvaluationResult:
-    """A finished evaluation."""
+    """Result of an evaluation."""
 
     folder: Path
     table: PolicyTable | CrossPlayTable
     rows: tuple[dict[str, Any], ...]
-    """One for each policy, partner and episode, with the metrics in ``values``."""
+    """Rows of the result: one for each policy, partner and episode, with the metrics in ``values``."""
     episodes: int
     new: int
     """Episodes played now; the others were there."""

@@ -21,17 +21,17 @@ ALL = "all"
 
 @dataclass(frozen=True)
 class Evaluation:
-    """One episode for all pairs of a policy and a partner."""
+    """Evaluation of one episode for all pairs of a policy and a partner."""
 
     base: Job
     policies: tuple[str, ...]
     partners: tuple[str, ...] = ()
-    """Empty: people follow the task's default."""
+    """Policies of the partners; empty if people follow the task's default."""
     keep: bool = False
     """True if the recordings of all pairs are results too."""
 
     def to_json(self) -> dict[str, Any]:
-        """Everything that decides the results, as plain values."""
+        """Return everything that determines the results, as plain values."""
         fields = self.base.to_json()
         fields.pop("policy", None)
         fields.pop("partner", None)

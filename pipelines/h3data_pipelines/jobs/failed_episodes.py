@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def reason_of(fault: Exception) -> str:
-    """One line about what went wrong, with the error's code; of what we did not foresee, also where."""
+    """Return one line about what went wrong, with the error's code; for errors that nobody foresaw, also where."""
     if isinstance(fault, H3DataError):
         return " ".join(with_code(fault).split())
     frame = traceback.extract_tb(fault.__traceback__)[-1]
@@ -43,7 +43,7 @@ def failed_recording(job: Job, fault: Exception) -> Recording:
 
 
 def is_failed(recording: Recording) -> bool:
-    """Returns whether it is the place of an episode that raised."""
+    """Return whether a recording is the placeholder of an episode that raised an error."""
     return "failed" in recording.episode.info
 
 

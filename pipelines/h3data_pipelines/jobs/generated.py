@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Generated:
-    """A generated dataset."""
+    """Result of generating a dataset."""
 
     dataset: Dataset
     new: int
@@ -30,7 +30,7 @@ class Generated:
     """Episodes that could not be played: number, seed and error."""
     metrics: MetricsTable
     left_out: tuple[str, ...] = ()
-    """Why episodes of the file could not be played at all."""
+    """Reasons why episodes of the file could not be played at all."""
 
 
 class WrittenDataset:
@@ -77,7 +77,7 @@ def first_played(writer: DatasetWriter) -> Recording | None:
 
 
 def whose(job: Job) -> str:
-    """Which set or file the episodes are from."""
+    """Return the set or file that the episodes are from."""
     origin = job.origin
     if origin is None:
         return ""

@@ -21,7 +21,7 @@ from h3data_pipelines.session_manifest import SessionManifest, read_manifest
 
 @dataclass(frozen=True)
 class ImportJob:
-    """One file and the recording that it becomes."""
+    """File to import and the recording that it becomes."""
 
     source: Path
     target: Path
@@ -35,12 +35,12 @@ class ImportedFile:
 
     source: Path
     status: Literal["imported", "kept", "skipped", "failed"]
-    """Kept: an earlier import has written this very recording."""
+    """Result for one file; "kept" means that an earlier import has written this very recording."""
     kind: str = "unknown"
-    """Name of its format."""
+    """Name of the file's format."""
     recording: Path | None = None
     reason: str = ""
-    """Why it was not imported."""
+    """Reason why the file was not imported."""
     code: str = ""
     """The code of the error, where there was one."""
     summary: dict[str, Any] = field(default_factory=dict)

@@ -21,7 +21,7 @@ RESULTS = "episodes"
 
 
 class EpisodeJob(Protocol):
-    """An episode in which something is judged."""
+    """Episode in which something is evaluated."""
 
     @property
     def base(self) -> Job:
@@ -29,7 +29,7 @@ class EpisodeJob(Protocol):
         ...
 
     def to_json(self) -> dict[str, Any]:
-        """Everything that decides the results; they have it as ``job``, with the number of the episode in ``episode``."""
+        """Return everything that determines the results, which have it as ``job`` and the episode's number as ``episode``."""
         ...
 
 
@@ -130,7 +130,7 @@ class NoProgress:
     def __exit__(self, *_error: object) -> None: ...
 
     def update(self) -> None:
-        """One more is done."""
+        """Count one more episode."""
 
 
 def _is_done(file: Path, job: EpisodeJob) -> bool:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def simulate_job(job: Job) -> Recording:
-    """One episode, or `failed_recording` of it. It depends on the job alone, so any process may run it."""
+    """Return one episode, or `failed_recording` of it. It depends on the job alone, so any process may run it."""
     try:
         recording = job.record()
     except MemoryError:
@@ -58,7 +58,7 @@ class VideoJob:
 
 @dataclass(frozen=True)
 class RenderedVideo:
-    """One episode as a shard's result: all that it made, wherever it was made."""
+    """Result of a shard: one episode with its videos, wherever it was made."""
 
     recording: Recording
     videos: tuple[tuple[EpisodeVideo, bytes], ...] = ()
@@ -66,7 +66,7 @@ class RenderedVideo:
 
     @contextmanager
     def video_files(self) -> Iterator[list[EpisodeVideo]]:
-        """The videos in files of this machine, within the block."""
+        """Give the videos as files of this machine, within the block."""
         if not self.videos:
             yield []
             return
@@ -78,7 +78,7 @@ class RenderedVideo:
 
 
 def film_job(job: Job, filming: VideoJob) -> RenderedVideo:
-    """One episode as `simulate_job` gives it, and its videos: none of one that failed.
+    """Return one episode as `simulate_job` does, and its videos; a failed episode has none.
 
     Raises:
         InputError: it has no such camera.

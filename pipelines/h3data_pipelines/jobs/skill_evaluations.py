@@ -21,14 +21,14 @@ ORDER = ("nav", "pick", "place")
 
 @dataclass(frozen=True)
 class SkillJob:
-    """One episode in which every skill is tried once."""
+    """Episode in which every skill is tried once."""
 
     base: Job
-    """Its rules name the skills."""
+    """Job whose rules name the skills."""
     seed: int
 
     def to_json(self) -> dict[str, Any]:
-        """Everything that decides the results."""
+        """Return everything that determines the results."""
         fields = self.base.to_json()
         for name in ("policy", "partner"):
             fields.pop(name, None)
@@ -41,7 +41,7 @@ class SkillEvaluationResult:
 
     skills: str
     rows: tuple[dict[str, Any], ...]
-    """One for each skill in each episode."""
+    """Rows of the result: one for each skill in each episode."""
     failed: tuple[str, ...]
     """Episodes that raised, and why."""
     new: int

@@ -38,7 +38,7 @@ def or_none(value: float) -> float | None:
 
 @dataclass(frozen=True, kw_only=True)
 class SeedsSummary:
-    """One metric of several policies."""
+    """Summary of one metric of several policies."""
 
     each: Mapping[str, Summary]
     """Summaries by policy, whose means are over its episodes."""

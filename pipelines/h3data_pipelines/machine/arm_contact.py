@@ -16,7 +16,7 @@ from sim_kinematic.agents.robots.arm_clearance import arm_links
 from sim_kinematic.contact import FclScene, MovingShapes, contacts
 
 TOUCH_M = 1e-3
-"""Contacts less deep than this are rest, not collision: what is taken from a table lies on it."""
+"""Depth of contact up to which things rest on each other and do not collide, as an object on a table [m]."""
 
 
 class ArmTouch(NamedTuple):

@@ -252,7 +252,7 @@ def measure(
 
 # --- text -----------------------------------------------------------------------------------------------------------------
 def hardware_name(backend: str = "cpu") -> str:
-    """This machine's processor and number of cores, and its GPU if that renders."""
+    """Return this machine's processor and number of cores, and its GPU if that renders."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.is_file() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]

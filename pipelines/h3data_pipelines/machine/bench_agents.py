@@ -56,7 +56,7 @@ class RobotAgent:
         self._pose()
 
     def reset(self, rng: np.random.Generator) -> None:
-        """At random places where nothing of the home touches it, its arm and its rear neither; the arm at rest."""
+        """Move to random places where nothing of the home touches the body, the arm and the rear, with the arm at rest."""
         for w in range(len(self.own.heading)):
             self.own.xz[w], self.own.heading[w] = self._clear_place(rng)
         self.own.joints[:] = self.body.rest
@@ -73,12 +73,12 @@ class RobotAgent:
         )
 
     def sample(self, rng: np.random.Generator, action: Action) -> Array:
-        """Random actions [W, n], -1..1."""
+        """Return random actions [W, n], -1..1."""
         worlds = len(self.own.heading)
         return rng.uniform(-1, 1, (worlds, 2 if action == "nav" else len(self.body.require_arm()) + 1))
 
     def step(self, action: Action, values: Array) -> None:
-        """Move, and take along what is held."""
+        """Move the robot and the object that it holds."""
         if action == "nav":
             drive_robots(self.own, self.free, values, self._base)
         else:

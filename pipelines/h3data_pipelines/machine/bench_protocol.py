@@ -36,12 +36,12 @@ CAMERA, HFOV_DEG = "robot_arm", 90.0
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """One cell of the benchmark's table."""
+    """Cell of the benchmark's table."""
 
     home: str = "small"
     """Preset of the home: small, medium or large, with the areas and rooms of the paper's three scenes."""
     objects: int = 2
-    """Things that can be taken; what else lies about stays, fixed."""
+    """Number of things that can be taken; other things stay fixed."""
     agents: Agents = "human_robot"
     worlds: int = 1
     action: Action = "nav"
@@ -130,7 +130,7 @@ class BenchmarkWorlds:
         return [agent.sample(rng, self.cell.action) for agent in self.agents]
 
     def step(self, actions: list[np.ndarray]) -> Any:
-        """One step of all worlds: actions, contact, one depth image of each agent [agents * W, H, W']."""
+        """Advance all worlds by one step: actions, contact, one depth image of each agent [agents * W, H, W']."""
         for agent, values in zip(self.agents, actions, strict=True):
             agent.step(self.cell.action, values)
         if len(self.agents) > 1:

@@ -1,4 +1,4 @@
-"""``h3data cache``: what h3data keeps to be faster the next time, how large it is, and how to get rid of it."""
+"""Files that h3data keeps on disk to be faster the next time, their sizes, and their removal: ``h3data cache``."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ KINDS: dict[str, tuple[str, tuple[str, ...]]] = {
 
 @dataclass(frozen=True)
 class Cache:
-    """One kind of files that can be made again."""
+    """Kind of files that can be made again."""
 
     name: str
     holds: str

@@ -23,7 +23,7 @@ class Workload:
     scene_s: float
     """A home that a worker sees for the first time."""
     start_s: float
-    """A worker's start."""
+    """Time that a worker needs to start [s]."""
     driver_s: float
     """A shard in the one process that writes its dataset."""
 

@@ -15,7 +15,7 @@ class Boxes(NamedTuple):
     """The visible pixels of each id in an image, ordered by id."""
 
     ids: NDArray[np.int32]
-    """Shape [B]."""
+    """Number of each box in images of ids, shape [B]."""
     boxes: NDArray[np.int32]
     """First column, first row, end column, end row (ends exclusive) [px], shape [B, 4]."""
     pixels: NDArray[np.int64]

@@ -149,7 +149,7 @@ def _picture(replay: Replay, track: CameraTrack, target: Target, first: int, *, 
 
 
 def depth_range(depth: NDArray[np.float32]) -> tuple[float, float]:
-    """Nearest and farthest depth [m] of a depth video's colour scale.
+    """Return the nearest and the farthest depth [m] of a depth video's colour scale.
 
     The scale is 0 to 10 m, which keeps videos comparable. Where the median depth is larger, as for cameras high above a
     home, it spans the depths of the image instead.

@@ -60,7 +60,7 @@ class Rendered:
     files: tuple[Path, ...]
     """Videos, and folders of images."""
     failed: dict[str, str]
-    """Why a recording could not be rendered, by its path."""
+    """Reason why a recording could not be rendered, by its path."""
 
 
 @suggest_keywords
@@ -279,12 +279,12 @@ class Rerender:
 
 @dataclass(frozen=True)
 class Shard:
-    """One recording to render."""
+    """Recording to render."""
 
     path: Path
     stem: str
     counter: str
-    """``[2/7] ``."""
+    """Return a counter for progress lines, such as ``[2/7] ``."""
     below: PurePath
     """Folder of the results below that of the command."""
 

@@ -33,9 +33,9 @@ from sim_kinematic.contact.frames import body_shapes, shape_frames
 CORE_M = 1e-3
 """Radius of the thin capsule within a capsule, from which depth is measured."""
 REACHING = ("pick", "place", "drop")
-"""Skills in which a hand goes to what something lies on."""
+"""Skills in which a hand approaches the surface on which something lies."""
 HELD = "held object"
-"""The part under which everything that an agent carries is counted."""
+"""Name of the part under which everything that an agent carries is counted."""
 
 
 class Penetration(NamedTuple):
@@ -45,7 +45,7 @@ class Penetration(NamedTuple):
     parts: tuple[str, ...]
     """Capsules of a person, links of a robot (``arm``: those that move its hand), and `HELD`."""
     arm: NDArray[np.bool_]
-    """Which parts are arms, hands and what they hold, [P]."""
+    """True for parts that are arms, hands and what they hold, [P]."""
     reaching: NDArray[np.bool_]
     """Parts that may be in what an object lies on while it is picked or placed: hands, people's forearms, what is held, [P]."""
     steps: NDArray[np.intp]
@@ -57,7 +57,7 @@ class Penetration(NamedTuple):
     thing: NDArray[np.object_]
     """Name of the instance in which it is deepest, empty where none, [T, P]."""
     intended: NDArray[np.bool_]
-    """Which of these contacts the agent intends, [T, P]."""
+    """True for contacts that the agent intends, [T, P]."""
 
     @property
     def unintended_m(self) -> NDArray[np.float64]:

@@ -63,7 +63,7 @@ _POSES = ("base_pose", "root_pose")
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One fault."""
+    """Fault that was found."""
 
     check: Check
     severity: Severity

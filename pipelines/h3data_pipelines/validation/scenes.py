@@ -36,17 +36,17 @@ GAP_BELOW_M, GAP_ABOVE_M = 0.05, 0.10
 REACH_M = 1.1
 """Greatest distance in the floor plane from standing room to the centre of a receptacle; the home generator's limit."""
 ISLAND_MIN_M2 = 0.05
-"""Smaller patches of free floor are leftover corners between objects and are ignored."""
+"""Area below which patches of free floor are ignored, as leftover corners between objects [m2]."""
 ROOM_MIN_M2 = 0.1
 """A room with less walkable floor cannot be entered."""
 FLOAT_M, SINK_M = 0.02, 0.01
 """An object floats if nothing is this close below it, and is sunk if a surface lies this far above its underside."""
 CLIMB_M = 0.2
-"""Lower objects are stepped over."""
+"""Height up to which objects are stepped over [m]."""
 FURNITURE_MAX_M2 = 6.0
 """Static instances with a larger footprint are whole rooms, not furniture."""
 TOUCH_M = 0.05
-"""Objects this close to the rim of an agent's disc are taken to be what stops it."""
+"""Distance from the rim of an agent's disc within which an object counts as what stops it [m]."""
 _SLACK_M = 0.004
 """Rounding of buffered polygons."""
 _HULL_SHARE = 0.9
@@ -54,7 +54,7 @@ _HULL_SHARE = 0.9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Problem:
-    """One fault of a scene."""
+    """Fault of a scene."""
 
     kind: Kind
     subject: str

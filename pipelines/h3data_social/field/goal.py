@@ -18,7 +18,7 @@ GEODESIC, GOAL_DISTANCE = "metrics.geodesic_agents", "metrics.goal_distance"
 REACHED_M = 0.5
 """A point is reached from this distance or less, where the recording has no column `metrics.success`."""
 PERSON_IS_GOAL = "social_nav"
-"""The task whose goal is the person."""
+"""Task whose goal is the person."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,13 +30,13 @@ class Goal:
     straight: NDArray[np.float64]
     """Straight distance to it on the floor [T] [m]; NaN where unknown."""
     reached: NDArray[np.bool_]
-    """Rows in which it is reached [T]."""
+    """Rows in which the goal is reached [T]."""
     agent: int = -1
     """Index of the agent that is the goal; -1 for a point."""
     within_m: float = 0.0
-    """The goal is reached from this far away, so much of a path to it need not be driven [m]."""
+    """Distance from which the goal is reached [m]; this part of a path to it need not be driven."""
     missing: str = ""
-    """Why there is none; then nothing is reached, and all distances are NaN."""
+    """Reason why there is no goal; then nothing is reached, and all distances are NaN."""
     notes: tuple[str, ...] = ()
     """Notes that say what replaced missing data."""
 
@@ -48,7 +48,7 @@ class Goal:
 
     @property
     def row(self) -> int:
-        """First row in which it is reached; -1 = never."""
+        """First row in which the goal is reached; -1 = never."""
         return int(np.argmax(self.reached)) if self.reached.any() else -1
 
     @property

@@ -232,7 +232,7 @@ def _goal(goal: Goal, series: Series, recording: Recording, notes: Notes) -> dic
 
 
 def weighted(best: float, taken: float) -> float:
-    """best / max(best, taken); 1 if both are 0."""
+    """Return best / max(best, taken); 1 if both are 0."""
     return best / max(best, taken) if max(best, taken) > 0 else 1.0
 
 

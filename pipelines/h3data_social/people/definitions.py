@@ -16,7 +16,7 @@ PROGRESS_M, PROGRESS_S = 0.1, 5.0
 TARGET_M = 1.2
 """Distance from the target within which SEAN calls an episode completed."""
 MET_M, P_SPACE_M = 2.0, 0.5
-"""A group has met whose members are this near its centre; its p-space is so wide."""
+"""Distance from its centre within which the members of a group count as met, and width of the group's p-space."""
 FORCE, LAMBDA, GAMMA, N_PRIME, N = 2.1, 2.0, 0.35, 3.0, 2.0
 """Parameters of HuNavSim's social force (lightsfm, after Moussaid et al. 2009)."""
 

@@ -44,7 +44,7 @@ EpisodeChoice = Literal["sampled", "recorded"]
 
 
 class DatasetEnv(gymnasium.Env[Any, Any]):
-    """One world in which a policy that has learned from a dataset acts.
+    """Environment of one world in which a policy that has learned from a dataset acts.
 
     Observations have the keys, the numbers and the pictures of the dataset: `observation.state` and
     `observation.images.CAMERA`, from the lenses that took its videos. Rewards are those of the dataset too: 1 for the step that

@@ -34,7 +34,7 @@ log = logging.getLogger(__name__)
 PICTURED = ("arm_depth", "arm_rgb", "humanoid_detector")
 """Observations that need a picture, and so a GPU."""
 OUTPUTS: dict[str, Output] = {"arm_depth": "depth", "humanoid_detector": "semantic"}
-"""Outputs of the arm's depth camera that they come from."""
+"""Outputs of the arm's depth camera from which the observations are made."""
 ARM, ARM_RGB = "robot_arm", "robot_arm_rgb"
 ASKED = "Hint: light='flat' asks for it."
 NO_BAKED_LIGHT = "On a device colours are in flat light. Hint: light='flat', or leave out device for baked light."

@@ -67,7 +67,7 @@ class TorchEnv(Generic[P]):
     name: str
     """Name of the task."""
     bank: Any
-    """The episodes."""
+    """Episodes that the environment plays."""
     play: P
     """State of all worlds; these tensors are overwritten by every step."""
 
@@ -120,7 +120,7 @@ class TorchEnv(Generic[P]):
         raise NotImplementedError
 
     def close(self) -> None:
-        """Nothing needs closing."""
+        """Do nothing, as nothing needs closing."""
 
     # --- parts --------------------------------------------------------------------------------------------------------
     def _require_begun(self) -> None:

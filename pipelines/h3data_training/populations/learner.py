@@ -36,7 +36,7 @@ class Plan(NamedTuple):
 
 
 def plan_at(settings: PopulationSettings, share: float, update: int) -> Plan:
-    """At a share of the run, 0..1, before update number ``update``."""
+    """Return the plan at a share of the run, 0..1, before update number ``update``."""
     s = settings
     rate, entropy = s.rate * (1 - (1 - s.rate_end) * share), s.entropy * (1 - (1 - s.entropy_end) * share)
     return Plan(rate, entropy, update >= s.critic_updates)

@@ -17,9 +17,10 @@ from sim_kinematic.policies.choosers.chooser_network import SKILLS_WITH_OBJECT, 
 from sim_kinematic.policies.visual_policy import PATCH, picture_in
 
 PERSIST = 4.5
-"""At first, who is interrupted on their way goes on 97 times out of 100: else nobody would ever arrive."""
+"""Probability at the start of training that an interrupted agent continues on its path: 97 in 100, else nobody would ever
+arrive."""
 AT_HAND, ASIDE = 1.0, -2.0
-"""First biases of picking and placing what one has come for, and of waiting and the primitives."""
+"""First biases of the network for picking and placing at the target, and for waiting and the primitives."""
 
 
 class Chooser(nn.Module):

@@ -41,12 +41,12 @@ LOST_IN_A_ROW = 3
 
 
 class Job(NamedTuple):
-    """One training episode to play."""
+    """Training episode to play."""
 
     number: int
-    """Among all of the run."""
+    """Number of the episode in the run."""
     entry: int
-    """Which episode of the pool it is."""
+    """Entry of the pool that the episode is."""
     partner: str
     """A plan, or a learner by name."""
     networks: Mapping[str, SkillPolicyNetwork]
@@ -72,9 +72,9 @@ class Decisions:
     state: Any
     """Recurrent state before the decision, [D, H]."""
     allowed: Any
-    """Bool [D, C]."""
+    """True for choices that are allowed, bool [D, C]."""
     chosen: Any
-    """Int64 [D]."""
+    """Choices made, int64 [D]."""
     log_prob: Any
     gain: Any
     """Reward until the next decision, discounted to this one, [D]."""
@@ -84,7 +84,7 @@ class Decisions:
     counts: NDArray[np.int64]
     """Decisions of each episode, [E]: D in all."""
     partners: tuple[str, ...]
-    """Who was beside the robot in each, [E]."""
+    """Partner of the robot in each episode, [E]."""
 
     def __len__(self) -> int:
         return len(self.chosen)
@@ -99,9 +99,9 @@ class Played:
     ended: str
     reward: float
     placed: int
-    """Objects that the robot was the last to put at their goals,"""
+    """Number of objects that the robot was the last to put at their goals."""
     at_goal: int
-    """of so many that are there."""
+    """Number of objects that are at their goals."""
 
 
 class Batch(NamedTuple):
@@ -112,7 +112,7 @@ class Batch(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Sequence[Batch]) -> Batch:
-        """One episode after the other."""
+        """Return batches as one, episode after episode."""
         found: dict[str, list[Decisions]] = {}
         for part in parts:
             for name, decisions in part.decisions.items():

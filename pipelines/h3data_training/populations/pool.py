@@ -43,7 +43,7 @@ TRIES = 3
 
 
 class PoolEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """One episode."""
+    """Episode of the pool."""
 
     home: str
     walk: str
@@ -194,7 +194,7 @@ def _home(name: str) -> Home:
 
 
 def pool_order(size: int, seed: int, episode: int) -> int:
-    """Which entry a training episode plays: all of them once in random order, then again in another."""
+    """Return the entry that a training episode plays: all of them once in random order, then again in another."""
     from sim_kinematic.motion.randomness import generator
 
     around, place = divmod(episode, size)
@@ -202,7 +202,7 @@ def pool_order(size: int, seed: int, episode: int) -> int:
 
 
 def default_workers() -> int:
-    """One process for each core that this one may use."""
+    """Return one process for each core that this one may use."""
     return len(os.sched_getaffinity(0))
 
 

@@ -18,7 +18,7 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 ROBOT = "robot"
 """The learner that every population has."""
 LEARNED = {"learn_single": 1, "learn_pop": 8}
-"""Populations whose partners learn, and how many there are (paper section 4.2)."""
+"""Populations whose partners learn, with the number of partners (paper section 4.2)."""
 NAMES = ("learn_single", *POPULATIONS, "learn_pop")
 """The paper's populations."""
 LONGEST = {"paper": 750, "natural": 1500}
@@ -29,7 +29,7 @@ navigation."""
 LEAST_CHUNKS = 12
 """Chunks of a minibatch of a partner: with fewer its gradient is noise."""
 BOTH = "both"
-"""People walk like this in one half of the episodes and like that in the other."""
+"""Value of ``walk`` for ``natural`` walking in one half of the episodes and ``paper`` in the other."""
 
 
 def rules_of(walk: str) -> RearrangeSpec:
@@ -43,17 +43,17 @@ class PopulationSettings:
 
     population: str = "plan_pop_3"
     scenes: str = "h3-homes/train"
-    """One name or several, separated by commas (`h3data_training.episodes.listed_scenes`)."""
+    """Name of a scene or several names, separated by commas (`h3data_training.episodes.listed_scenes`)."""
     episodes_per_home: int = 32
-    """Episodes are drawn once and played again and again, beside other partners."""
+    """Number of episodes per home, which are sampled once and played again and again with other partners."""
     robot: str = "quad_arm"
     human: str = "female_0"
     walk: str = BOTH
     """Walk of people: ``natural``, in episodes of 1,500 steps, ``paper`` (2.5 m/s, 750 steps), or ``both``: each in one half
     of the episodes, for a robot that plays beside either."""
     oracle: bool = False
-    """True if episodes have oracle skills, and are played in worlds on a device, all of an update at once
-    (`h3data_training.populations.worlds`). They have the paper's people, whoever they were drawn for."""
+    """True if episodes have oracle skills and are played in worlds on a device, all of an update at once
+    (`h3data_training.populations.worlds`). They have the paper's people, whoever they were sampled for."""
     moves_starts: bool = True
     """In worlds, whether each agent begins where it does in any episode of the same home: there are then so many meetings that
     success in training tells of success in other homes."""
@@ -64,13 +64,13 @@ class PopulationSettings:
     `sim_kinematic.policies.choosers.chooser_network.PIXELS`. The critic, which only training needs, is told the state in either
     case."""
     picture_size: tuple[int, int] = (64, 48)
-    """Width and height of what it sees [pixels]."""
+    """Width and height of the robot's pictures [pixels]."""
     channels: tuple[int, int, int] = (16, 32, 32)
-    """Planes of its three convolutions,"""
+    """Number of planes of the three convolutions for pictures."""
     features: int = 64
-    """and the numbers that they become."""
+    """Number of values that represent a picture after the convolutions."""
     think_steps: int = 30
-    """A learner on its way thinks again after so many steps."""
+    """Number of steps after which a learner chooses again while it walks."""
 
     episodes: int = 32
     """Episodes of an update."""
@@ -79,13 +79,14 @@ class PopulationSettings:
     width: int = 64
     """Width of the other layers."""
     chunk: int = 16
-    """Decisions through which a gradient goes back."""
+    """Number of decisions through which a gradient is propagated."""
     critic_updates: int = 2
-    """At first only the critic learns: as long as it knows nothing, what it calls an advantage is noise."""
+    """Number of updates at the start in which only the critic learns, because its advantages are noise as long as it knows
+    nothing."""
     epochs: int = 8
     chunks_per_minibatch: int = 12
     kl_most: float = 0.02
-    """No further epoch once the policy has moved this far from the one that played."""
+    """Distance (KL) of the policy from the one that played after which no further epoch runs."""
     rate: float = 1e-3
     rate_end: float = 0.1
     """Share of the learning rate that is left at the end."""
@@ -93,7 +94,7 @@ class PopulationSettings:
     entropy_end: float = 0.2
     """Share of the weight of the entropy that is left at the end."""
     horizon: float = 500.0
-    """Steps that the value looks ahead; a decision that takes d steps is discounted by (1 - 1 / horizon)^d."""
+    """Number of steps that the value looks ahead; a decision that takes d steps is discounted by (1 - 1 / horizon)^d."""
     gae_lambda: float = 0.98
     clip: float = 0.2
     gradient_norm: float = 0.5
@@ -191,16 +192,16 @@ class PopulationSettings:
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def in_worlds(self, worlds: int) -> PopulationSettings:
-        """The same with oracle skills in so many worlds."""
+        """Return the settings with oracle skills in this number of worlds."""
         return replace(self.in_updates_of(worlds), oracle=True)
 
     def in_updates_of(self, episodes: int) -> PopulationSettings:
-        """The same with so many episodes in an update, which has as many minibatches as before."""
+        """Return the settings with this number of episodes in an update, which has as many minibatches as before."""
         per_episode = self.chunks_per_minibatch / self.episodes
         return replace(self, episodes=episodes, chunks_per_minibatch=max(1, round(episodes * per_episode)))
 
     def changed(self, **changes: Any) -> PopulationSettings:
-        """The same with some settings changed; None changes nothing."""
+        """Return the settings with some of them changed; None changes nothing."""
         return replace(self, **{k: v for k, v in changes.items() if v is not None})
 
 

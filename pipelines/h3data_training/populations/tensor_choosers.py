@@ -249,7 +249,7 @@ def scored(arrays: Arrays, each: Tensor, rest: Tensor, state: Tensor) -> tuple[T
 
 
 def allowed(view: View, *, informed: bool = True) -> Tensor:
-    """Which choices make sense to try, bool [W, C] (`sim_kinematic.policies.choosers.recurrent_chooser.allowed`)."""
+    """Return which choices make sense to try, bool [W, C] (`sim_kinematic.policies.choosers.recurrent_chooser.allowed`)."""
     numbers = every_choice(view.choices, len(view.now.xz))
     kind, k, objects = view.choices.kind[numbers], view.choices.target[numbers], view.sim.bank.objects
     held = view.play.held_by

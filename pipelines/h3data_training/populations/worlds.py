@@ -35,7 +35,7 @@ LOOKS_EVERY = 25
 
 
 class TensorPlayers:
-    """Plays training episodes in worlds on a device; what `h3data_training.populations.playing.Players` is with processes."""
+    """Players of training episodes in worlds on a device, as `h3data_training.populations.playing.Players` is for processes."""
 
     workers = 1
 
@@ -95,7 +95,7 @@ class TensorPlayers:
             return self._worlds.played(jobs)
 
     def close(self) -> None:
-        """Nothing needs closing."""
+        """Do nothing, as nothing needs closing."""
 
 
 Casts = tuple[tuple[tuple[str, int], ...], ...]

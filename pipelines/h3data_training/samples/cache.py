@@ -45,6 +45,7 @@ def open_cached(dataset: DatasetFolder, shard: int, columns: Sequence[str]) -> p
         if (reader := _opened(path, schema, len(episodes))) is None:
             folder.mkdir(parents=True, exist_ok=True)
             with part_file(path, shared=True) as part, pa.ipc.new_file(str(part), schema) as writer:
+                # one batch an episode, so that one of them can be mapped without touching the others
                 for episode in episodes:
                     writer.write(tables.to_arrow(dataset, columns=columns, episodes=[episode]).combine_chunks())
             reader = _opened(path, schema, len(episodes))
@@ -63,6 +64,7 @@ def _opened(path: Path, schema: pa.Schema, batches: int) -> pa.ipc.RecordBatchFi
     try:
         reader = pa.ipc.open_file(pa.memory_map(str(path)))
         if reader.schema.equals(schema) and reader.num_record_batches == batches:
+            # eviction goes by the time of last use, which reading a mapped file does not change
             os.utime(path)
             return reader
     except pa.ArrowException as error:
@@ -73,6 +75,7 @@ def _opened(path: Path, schema: pa.Schema, batches: int) -> pa.ipc.RecordBatchFi
 def _key(dataset: DatasetFolder, shard: int, episodes: Sequence[int], schema: pa.Schema) -> str:
     """Name of the cached file for these columns of the shard as it is now: size and time of its data file count."""
     path = shard_path(dataset.root, "data", shard)
+    # the episode table is part of the name: the same data file may serve more episodes after the next commit
     uids = [dataset.rows[k]["uid"] for k in episodes]
     identity = [FORMAT, *_identity(path), [[f.name, str(f.type)] for f in schema], uids]
     return hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:32]

@@ -18,18 +18,18 @@ GRIPS: dict[Skill, float] = {"pick": 2.0, "place": 1.6}
 """The command of the hand around which an actor explores at first. One that lets go at random never gets to know what comes
 after: around 1, robots learned not to take anything, since they dropped it again."""
 UNUSED = ("human", "walk", "follow_steps", "near_m", "critic_updates", "light")
-"""Settings of social navigation that mean nothing here."""
+"""Settings of social navigation that have no meaning for skills."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SkillSettings(Settings):
-    """Settings of a run of one skill. Nobody else is there."""
+    """Settings of a run of one skill, in which no other agent is present."""
 
     skill: Skill = "nav"
     episodes_per_home: int = 3
-    """Episodes of rearrangement, each with as many objects and goals to get to."""
+    """Number of episodes of rearrangement per home; each has several objects and goals to get to."""
     starts: int = 32
-    """Starts of the robot in each of them."""
+    """Number of starts of the robot in each episode."""
     path_m: tuple[float, float] = (0.0, 1000.0)
     """Least and greatest length of the path to the target at the start [m]. Shorter ones than those with which the skill is
     judged let it learn the end first."""

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 HUMAN = "human"
 """The view between a person's eyes; others have the names of the robot's cameras."""
 NEAREST_M = 0.6
-"""One mesh has to do for all worlds; nearer than this to a camera a person seldom is."""
+"""Distance below which people are seldom from a camera [m]; one mesh has to do for all worlds."""
 
 
 class TensorCameras:

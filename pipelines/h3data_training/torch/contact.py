@@ -28,7 +28,7 @@ CELL_M = 0.02
 SCALLOP_M = 0.003
 """A row of balls may be this much thinner than the capsule that it stands for."""
 BONE_TOLERANCE_M = 0.007
-"""The same as `TOLERANCE_M` for boxes of bones: their corners stand 4 mm out of the balls at their ends."""
+"""Tolerance like `TOLERANCE_M` for boxes of bones, whose corners stand 4 mm out of the balls at their ends [m]."""
 BONE_RADIUS_M, BONE_END_M = 0.0125, 0.0085
 """Radius of the balls of a box of 2 x 2 cm, which is between the radii of the circles in and around its section, and how far
 before the ends of the box the last balls are."""
@@ -48,7 +48,7 @@ class TouchTest:
     balls: Tensor
     """Centres in the frame of the root, a row for each posture, [rows, S, 3] [m]."""
     radii: Tensor
-    """[S] [m]."""
+    """Radii of the balls [S] [m]."""
     cycle: WalkingCycle
 
     @classmethod
@@ -62,7 +62,7 @@ class TouchTest:
         *,
         person_contact: PersonContact = "body",
     ) -> TouchTest:
-        """For a robot at rest and a person who walks as the spec says, with the given collision shapes.
+        """Return the test for a robot at rest and a person who walks as the spec says, with the given collision shapes.
 
         Raises:
             InputError: a shape of the robot is neither box nor capsule.

@@ -1,4 +1,4 @@
-"""The person's walking cycle as a table on a device: what is fixed to the body, by phase and blend."""
+"""Table of the person's walking cycle on a device: parts that are fixed to the body, by phase and blend."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ stops, the posture does, where a foot comes down (`h3data.bodies.people.kernels.
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WalkingCycle:
-    """The clip at which a person walks. Tables have a row for both ends of each part of the cycle, by blend."""
+    """Clip of a walking person as tables, which have a row for both ends of each part of the cycle, by blend."""
 
     human: Humanoid
     clip: int
     blends: int
-    """Blends in the tables: those that a person goes through while setting off and stopping."""
+    """Blends in the tables: those that a person goes through when setting off and stopping."""
 
     @classmethod
     def of(cls, human: Humanoid, walker: WalkerSpec) -> WalkingCycle:

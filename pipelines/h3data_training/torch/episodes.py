@@ -30,7 +30,7 @@ from sim_kinematic.tasks.task import Task
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EpisodeBank:
-    """N episodes: starts, and all way points that the person can get to in the time there is."""
+    """Bank of N episodes: starts, and all way points that the person can reach in the time available."""
 
     floors: tuple[FreeSpace, ...]
     """Floors of the scenes that are played in."""
@@ -38,9 +38,9 @@ class EpisodeBank:
     place: NDArray[np.int64]
     """Number of the scene, [N]."""
     robot_xz: NDArray[np.float64]
-    """[N, 2] [m]."""
+    """Starts of the robot [N, 2] [m]."""
     robot_heading: NDArray[np.float64]
-    """[N] [rad]."""
+    """Headings of the robot at the start [N] [rad]."""
     human_xz: NDArray[np.float64]
     human_heading: NDArray[np.float64]
     way_points: NDArray[np.float64]

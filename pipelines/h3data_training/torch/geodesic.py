@@ -1,4 +1,4 @@
-"""Shortest ways between two points of W worlds by look-ups alone, so that a GPU can do it in every step.
+"""Shortest paths between two points of W worlds by look-ups alone, so that a GPU can do it in every step.
 
 Where a straight way is free, its length; else the shortest way through the lattice nodes around both ends
 (`h3data.scene.FreeSpace.lattice`). Beside the exact `FreeSpace.geodesic`, measured on pairs of random points in furnished
@@ -24,11 +24,11 @@ from h3data_training.torch.step import Grids, sample_sdf
 AROUND = 4
 """Number of rows and of columns of nodes that are tried around an end of a path."""
 LOOKS = 32
-"""Places on the straight way at which the distance to obstacles is looked up."""
+"""Number of places on the straight line at which the distance to obstacles is looked up."""
 LOOK_APART_M = 0.4
-"""Farthest that these may be apart: nothing that keeps an agent out is thinner than twice its radius."""
+"""Largest distance between these places: nothing that keeps an agent out is thinner than twice its radius [m]."""
 DETOUR_M = 0.02
-"""A node over which the way is so much longer counts 1 / e as much for its direction."""
+"""Additional length of a path over a node at which the node's weight in the direction falls to 1 / e [m]."""
 
 
 _PER_FLOOR = ("shift", "scale", "top", "stride", "first", "table_first", "size", "step", "clearance")
@@ -44,7 +44,7 @@ class Lattices:
     table: Tensor
     """Shortest distances of all floors [m], inf between islands, float32 [N]."""
     shift: Tensor
-    """[R, 2] and ``scale`` [R, 1]: the place in cells of a point p is ``shift + scale p``."""
+    """Offset of the cells [R, 2], with ``scale`` [R, 1]: the place in cells of a point p is ``shift + scale p``."""
     scale: Tensor
     top: Tensor
     """Largest first row and column of the nodes around a point, [R, 2]."""
@@ -57,13 +57,13 @@ class Lattices:
     size: Tensor
     """Rows of the table, int64 [R]."""
     step: Tensor
-    """Spacing [m], [R]."""
+    """Spacing of the nodes [m], [R]."""
     clearance: Tensor
     """Clearance that a straight path must keep from obstacles [m], [R]."""
 
     @classmethod
     def of(cls, floors: Sequence[FreeSpace], device: torch.device | str, dtype: torch.dtype) -> Lattices:
-        """The lattices of these floors on a device; they are built at first use."""
+        """Return the lattices of these floors on a device; they are built at first use."""
         lattices = [f.lattice for f in floors]
         padded = [np.pad(lattice.rows.astype(np.int64), AROUND, constant_values=-1) for lattice in lattices]
         step = np.array([lattice.step for lattice in lattices])
@@ -98,16 +98,16 @@ class Lattices:
 
 
 class ShortestPath(NamedTuple):
-    """Shortest ways of W worlds."""
+    """Shortest paths of W worlds."""
 
     length: Tensor
-    """[W] [m]; inf where the table joins no nodes around the ends."""
+    """Length of the path [W] [m]; inf where the table joins no nodes around the ends."""
     towards: Tensor
-    """In which direction (x, z) they begin, of any length, [W, 2]."""
+    """Direction (x, z) in which the paths begin, of any length, [W, 2]."""
 
 
 def shortest_path(grids: Grids, lattices: Lattices, a: Tensor, b: Tensor) -> ShortestPath:
-    """The shortest way from a [W, 2] to b [W, 2]."""
+    """Return the shortest path from a [W, 2] to b [W, 2]."""
     gap = b - a
     straight = torch.hypot(gap[:, 0], gap[:, 1])
     along = torch.linspace(0, 1, LOOKS, dtype=a.dtype, device=a.device)[:, None, None]

@@ -39,7 +39,7 @@ def overwrite(kept: Iterable[Tensor], new: Iterable[Tensor]) -> None:
 
 
 def keep_row(kept: dict[str, Tensor], row: Tensor, values: Mapping[str, Tensor], *, rows: int) -> None:
-    """Copies values [W, ...] into row ``row`` [1] of the buffers ``kept`` [rows, W, ...].
+    """Copy values [W, ...] into row ``row`` [1] of the buffers ``kept`` [rows, W, ...].
 
     A buffer is created when it is first needed, which must not be while a graph is captured.
     """

@@ -31,7 +31,7 @@ def random(key: Tensor, step: Tensor, count: int) -> Tensor:
 
 
 def bits(key: Tensor, step: Tensor, count: int) -> Tensor:
-    """The first ``count`` times 64 random bits of the same, int64 [W, count]."""
+    """Return the first ``count`` times 64 random bits of each world, int64 [W, count]."""
     blocks = []
     for block in range(-(-count // 4)):
         # NumPy counts up before it draws

@@ -1,4 +1,4 @@
-"""Which rules of tasks hold on a device. What is not listed is refused by its name: no rule is silently ignored."""
+"""Rules of tasks that hold on a device. Other rules are refused by their name: no rule is silently ignored."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Held(NamedTuple):
     """The rules of a task that hold on a device."""
 
     like: Any
-    """Rules that a device plays; others differ from them only in what follows."""
+    """Rules that a device plays; other rules may differ from them only in the fields below."""
     ported: Names
     """Fields of each spec that a device reads. Specs among them are looked into."""
     drawn: Names
@@ -111,7 +111,7 @@ HELD: Mapping[str, Held] = {
     ),
     "arm of a skill": Held(ArmSpec(), {ArmSpec: ("joint_step", "grasp_m")}, {}),
 }
-"""By task, and by part of a learned skill."""
+"""Rules that hold on a device, by task and by part of a learned skill."""
 _WORLD = ("solid_agents", "floor_moves")
 """Rules that the CPU's world reads of the spec of any task."""
 

@@ -15,14 +15,14 @@ from sim_kinematic.motion.state import HumanState, RobotState
 
 
 class RobotTensors(NamedTuple):
-    """One robot of each world, without its joints; see `RobotState`."""
+    """State of one robot in each world, without its joints; see `RobotState`."""
 
     xz: Tensor
-    """[W, 2] [m]."""
+    """Places on the floor [W, 2] [m]."""
     heading: Tensor
-    """[W] [rad], never wrapped."""
+    """Headings [W] [rad], never wrapped."""
     contact: Tensor
-    """Bool [W]."""
+    """True if the base touches something, bool [W]."""
 
     @classmethod
     def of(cls, state: RobotState, device: torch.device | str, dtype: torch.dtype) -> Self:
@@ -37,7 +37,7 @@ class RobotTensors(NamedTuple):
 
 
 class HumanTensors(NamedTuple):
-    """One person of each world; the fields are those of `HumanState`, but arms, which always swing here."""
+    """State of one person in each world; the fields are those of `HumanState`, but arms, which always swing here."""
 
     xz: Tensor
     heading: Tensor

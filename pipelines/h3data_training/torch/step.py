@@ -1,4 +1,4 @@
-"""One step of motion for W worlds as tensor operations, on the CPU or a GPU: `sim_kinematic.motion.step`, line by line.
+"""Step of motion for W worlds as tensor operations, on the CPU or a GPU: `sim_kinematic.motion.step`, line by line.
 
 The numba kernels there are the definition; here branches are `torch.where`, loops have a fixed length, and nothing waits for
 the device, so a step can be captured in a CUDA graph. The two agree to 1e-5 m over 1,000 steps in float64
@@ -73,7 +73,7 @@ class Grids:
     table: Tensor
     """Coefficients k, for each square between four cell centres, of ``k0 + k1 a + k2 b + k3 a b``, [squares, 4] [m]."""
     shift: Tensor
-    """[R, 2] and ``scale`` [R, 1]: the place in cells of a point p is ``shift + scale p``."""
+    """Offset of the cells [R, 2], with ``scale`` [R, 1]: the place in cells of a point p is ``shift + scale p``."""
     scale: Tensor
     top: Tensor
     """Largest place on the grid in cells, [R, 2], and ``last`` [R, 2] the last square that begins before it."""
@@ -88,7 +88,7 @@ class Grids:
 
     @classmethod
     def of(cls, floors: Sequence[Floor], device: torch.device | str, dtype: torch.dtype) -> Grids:
-        """The grids of these floors on a device."""
+        """Return the grids of these floors on a device."""
         tables = [_coefficients(np.asarray(f.sdf, np.float64)) for f in floors]
         sizes = np.array([f.sdf.shape for f in floors], np.float64)
         cell = np.array([f.cell_m for f in floors])
@@ -193,7 +193,7 @@ def drive_base(
     spec: BaseSpec,
     dt: float,
 ) -> RobotTensors:
-    """One strict step of W robot bases, all of them moving."""
+    """Move W robot bases by one strict step, all of them moving."""
     offsets, radius = spec.disc_offsets_m, spec.disc_radius_m
     limit = radius - spec.clearance_tolerance_m
     turned = torch.add(heading, turn, alpha=dt)
@@ -267,14 +267,14 @@ def drive_robots(
 def move_humans(
     person: HumanTensors, xz: Tensor, heading: Tensor, spec: WalkerSpec, *, dt: float = STEP_S
 ) -> HumanTensors:
-    """Humanoids [W, ...] at the places [W, 2] and headings [W] that they get to in a step."""
+    """Return people [W, ...] at the places [W, 2] and headings [W] that they get to in a step."""
     gap = xz - person.xz
     walked = torch.hypot(gap[:, 0], gap[:, 1])
     return HumanTensors(xz, heading, *step_cycle(person, walked, walked > 0.0, dt / spec.blend_s))
 
 
 def step_cycle(person: HumanTensors, walked: Tensor, goes: Tensor, rate: float) -> tuple[Tensor, Tensor, Tensor]:
-    """``(distance, set_off, blend)`` [W] after a step in which people walked so far [m]: `sim_kinematic.motion.gait`'s."""
+    """Return ``(distance, set_off, blend)`` [W] after a step of this length [m]: `sim_kinematic.motion.gait`'s."""
     begins = goes & (person.blend == 0.0)
     return (
         person.distance + walked,

@@ -1,4 +1,4 @@
-"""Any task of one robot and one scripted person in W worlds on a device, as tensor operations.
+"""Worlds of any task with one robot and one scripted person on a device, as tensor operations.
 
 State, actions and results stay where they are and nothing waits for the device, so on a GPU a whole step with its new
 episodes is one CUDA graph. The same episodes with the same actions are those of the CPU, but for what a GPU cannot
@@ -56,7 +56,7 @@ class Play(NamedTuple):
     memory: Mapping[str, Tensor]
     """Values that the task stores between steps, [W, ...] each, and ``success`` of the last step."""
     collides: Tensor
-    """They touch, bool [W]."""
+    """True if both agents touch, bool [W]."""
     before_xz: Tensor
     """Position of the robot before the last step, [W, 2] [m]; ``before_heading`` [W] [rad]."""
     before_heading: Tensor
@@ -67,7 +67,7 @@ class Play(NamedTuple):
     terminated: Tensor
     """The rules ended the episode in the last step, bool [W]."""
     truncated: Tensor
-    """It had all its steps, bool [W]."""
+    """True if the episode had all its steps, bool [W]."""
 
     @classmethod
     def before_the_first(cls, episode: Tensor, dtype: torch.dtype, memory: Mapping[str, Tensor]) -> Play:
@@ -98,18 +98,18 @@ class Play(NamedTuple):
         )
 
     def tensors(self) -> Iterator[Tensor]:
-        """All of it, in a fixed order."""
+        """Return all tensors of the state, in a fixed order."""
         for part in self:
             yield from part.values() if isinstance(part, Mapping) else part if isinstance(part, tuple) else (part,)
 
 
 class Agents(NamedTuple):
-    """The agents of all worlds at one moment; there are no objects."""
+    """Agents of all worlds at one step; there are no objects."""
 
     agents: tuple[Any, Any]
     """Robots and people; each has ``xz`` and ``heading``."""
     held_by: Tensor | None = None
-    """[W, 0]."""
+    """Holders of objects: an empty array [W, 0]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +119,7 @@ class Outlines:
     offsets: Tensor
     """Places of the discs of the robot's base along its axis, [D] [m]."""
     robot_m: float
-    """Radius of these discs."""
+    """Radius of the robot's discs [m]."""
     human_m: float
     """Radius of the person as a disc."""
     cycle: WalkingCycle
@@ -133,7 +133,7 @@ class TensorWorld(NamedTuple):
     worlds: int
     state: Agents
     before: Agents
-    """One step ago; headings of people are not known."""
+    """World one step ago; headings of people are not known."""
     start: Agents
     touching: Tensor
     """Robot and person touch, bool [W, 1]."""
@@ -194,7 +194,7 @@ class TensorRollout:
         return self._sim.path_between(self._now, self.world.state.agents[agent].xz, points).length
 
     def events_where(self, flags: Tensor, kind: str, *, agent: int = -1, target: str = "") -> tuple[()]:
-        """No events: nothing is recorded on a device."""
+        """Return no events, because nothing is recorded on a device."""
         del flags, kind, agent, target
         return ()
 

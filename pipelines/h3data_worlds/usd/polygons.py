@@ -1,4 +1,4 @@
-"""Triangles of polygons: fans where these fit, else cut off ear by ear."""
+"""Triangulation of polygons: by fans where possible, else by cutting off ears."""
 
 from __future__ import annotations
 

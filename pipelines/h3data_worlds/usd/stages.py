@@ -65,7 +65,7 @@ class OpenStage:
 
     path: Path
     stage: Any
-    """The `Usd.Stage`."""
+    """Stage of OpenUSD, a `Usd.Stage`."""
     metres: float
     """Length of one unit of the stage [m]."""
     turn: NDArray[np.float64]
@@ -135,7 +135,7 @@ def _refuse_outside(stage: Any, path: Path) -> None:
 
 
 def is_inside(resolved: str, path: Path) -> bool:
-    """Returns whether a file may be read that a stage refers to: those of a package have to be in it."""
+    """Return whether a file that a stage refers to may be read: those of a package have to be in it."""
     return path.suffix.lower() != ".usdz" or resolved.startswith(
         (f"{path.resolve()}[", f"{path}[", f"{path.absolute()}[")
     )

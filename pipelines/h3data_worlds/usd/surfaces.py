@@ -32,7 +32,7 @@ class Look:
     """The colour and image of a material; a colour of None is that of the vertices."""
 
     color: tuple[float, float, float] | None = None
-    """Linear light."""
+    """Colour in linear light."""
     texture: Texture | None = None
     st: str = "st"
     """Name of the texture coordinates."""

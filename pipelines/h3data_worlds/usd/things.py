@@ -42,11 +42,11 @@ class Thing:
     prim: Any
     name: str
     world: NDArray[np.float64]
-    """Transform of its prim to the world of the stage, shape [4, 4]."""
+    """Transform from the thing's prim to the world of the stage, shape [4, 4]."""
     body: str
     """Path of the rigid body that it is or is part of; empty if it is part of none."""
     label: str = ""
-    """Its semantic label; empty if it has none."""
+    """Semantic label of the thing; empty if it has none."""
     shared: str = ""
     """Equal for things that are copies of each other; empty if unknown."""
     loose: bool = False
@@ -122,7 +122,7 @@ class ThingFinder:
         self._model = usd.ModelAPI
 
     def walk(self) -> None:
-        """Sorts all prims.
+        """Assign all prims to things.
 
         Raises:
             SceneError: there are too many.

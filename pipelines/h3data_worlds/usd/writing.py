@@ -45,7 +45,7 @@ from h3data_worlds.usd.stages import USD_ENDINGS, pxr, quiet
 KEY = "h3data"
 """Key of our records in ``customData``."""
 VERSION = 1
-"""Version of these records."""
+"""Version of the records in a stage."""
 ROOT = "/Home"
 _X = np.array([1.0, 0.0, 0.0])
 _LIGHT_UNIT = 1000.0

@@ -15,7 +15,7 @@ from sim_kinematic.agents.skills import CONTROL, Action, Objects
 HEAD_YAW_RAD, HEAD_PITCH_RAD = float(np.radians(75.0)), float(np.radians(50.0))
 """The head turns this far from the direction of the chest at most."""
 LARGEST_NUMBER = 1000.0
-"""Larger numbers are refused: they are a fault of the sender, and squared they would overflow."""
+"""Limit above which numbers are refused: they are a fault of the sender, and squared they would overflow."""
 
 Vector = tuple[float, ...]
 
@@ -25,8 +25,8 @@ class HandTarget:
     """Target position of a palm."""
 
     position: Vector
-    """In the agent root frame (x forward, y up, z right), [3] [m]: it moves with the person. Out of reach, the arm stretches
-    towards it."""
+    """Position in the agent root frame (x forward, y up, z right), [3] [m], which moves with the person. The arm stretches
+    towards a position out of its reach."""
     rotation: Vector | None = None
     """Quaternion xyzw of the wrist's axes in the agent root frame [4]; None leaves the wrist straight."""
 
@@ -41,7 +41,7 @@ class Pick:
 
 @dataclass(frozen=True)
 class Place:
-    """Puts down what is held."""
+    """Command to put down the held object."""
 
     point: Vector
     """Position of the object's origin afterwards, in the world, [3] [m]."""
@@ -49,12 +49,12 @@ class Place:
 
 @dataclass(frozen=True)
 class Drop:
-    """Lets go of what is held: at once it lies on whatever is below it."""
+    """Command to let go of the held object, which at once lies on whatever is below it."""
 
 
 @dataclass(frozen=True)
 class HandOver:
-    """Gives what is held to a robot whose hand is empty and within reach."""
+    """Command to give the held object to a robot whose hand is empty and within reach."""
 
     agent: int
     """Number of the robot."""
@@ -62,7 +62,7 @@ class HandOver:
 
 @dataclass(frozen=True)
 class Open:
-    """Opens a door or drawer whose handle is within reach; the hand must be empty."""
+    """Command to open a door or drawer whose handle is within reach; the hand must be empty."""
 
     joint: str | int
     """Name (``thing/part``), or index among the joints of the home."""
@@ -70,7 +70,7 @@ class Open:
 
 @dataclass(frozen=True)
 class Close:
-    """Closes it."""
+    """Command that closes a door or a drawer."""
 
     joint: str | int
     """Door or drawer to close, as for `Open`."""
@@ -84,12 +84,12 @@ class PersonCommand:
     """The movement of a driven person in one step."""
 
     forward: float = 0.0
-    """-1..1 of the walking speed; negative walks backwards."""
+    """Walking speed as a share of the limit, -1..1; a negative one walks backwards."""
     turn: float = 0.0
-    """-1..1 of the turn rate, positive to the left."""
+    """Turn rate as a share of the limit, -1..1, positive to the left."""
     left: HandTarget | None = None
     right: HandTarget | None = None
-    """Targets of the hands; None: an arm swings, or carries what the hand holds."""
+    """Targets of the left and of the right hand; None: the arm swings, or carries what the hand holds."""
     head: tuple[float, float] | None = None
     """Yaw to the left and pitch downwards of the head from the direction of the chest [rad]; None looks ahead."""
     do: Do | None = None

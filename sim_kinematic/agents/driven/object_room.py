@@ -1,4 +1,4 @@
-"""Room for an object that is put down: whether it fits somewhere, whether something carries it, and where it falls to."""
+"""Room for an object that is put down: free space, support, and the place to which it falls."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ UPRIGHT = 0.7
 SUPPORT_M = 0.05
 """Largest distance of a thing from the surface below that carries it [m]."""
 APART_M = 0.01
-"""Least gap between the circles of two things that stand side by side, as where episodes are sampled."""
+"""Least gap between the circles of two things that stand side by side, as in sampled episodes [m]."""
 FALL_STEP_M, FALL_HALVINGS = 0.02, 6
 
 

@@ -37,9 +37,9 @@ from sim_kinematic.motion.state import HumanState
 HAND_STEPS = 8
 """An arm takes this many steps from its swing to its target, and back."""
 HAND_MPS = 4.0
-"""A hand moves no faster than this; the palms of people who play in a headset reach 3 m/s."""
+"""Largest speed of a hand [m/s]; the palms of people who play in a headset reach 3 m/s."""
 HEAD_RAD_S = 6.0
-"""The head turns no faster than this."""
+"""Largest speed at which the head turns [rad/s]."""
 MEETING_M = 0.12
 """A hand that gives comes this near to the robot's, and no nearer: the object is between them."""
 DRAWS_IN_MPS = 0.4
@@ -92,7 +92,7 @@ class DrivenPerson(PersonActor):
         return super().infeasible(action)
 
     def refusal(self, action: Action) -> str:
-        """Why an action would fail if it began now, as far as can be told; empty: it would not."""
+        """Reason why an action would fail if it began now, as far as can be told; empty: it would not."""
         why = self.infeasible(action)
         if why or action.skill not in ("pick", "place") or action.command:
             return why
@@ -100,7 +100,7 @@ class DrivenPerson(PersonActor):
         return self._cannot_reach(self.objects.poses[k, :3] if action.skill == "pick" else self.objects.goals[k], k)
 
     def stand_for(self, point: ArrayLike) -> Array | None:
-        """Nearest pose ``(x, z, heading)`` [3] from which a hand reaches a world point [3] [m], with room for the body.
+        """Return the nearest pose ``(x, z, heading)`` [3] with room for the body whose hand reaches a world point [3] [m].
 
         Returns None if there is none. The search may take 50 ms.
         """

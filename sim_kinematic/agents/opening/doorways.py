@@ -16,11 +16,11 @@ from h3data.scene.passages import outlines, passable, passages
 from sim_kinematic.agents.stands import nearest_stand
 
 DETOUR_M = 4.0
-"""Agents rather walk so much farther than open a door."""
+"""Additional distance that agents rather walk than open a door [m]."""
 BESIDE_M = 1.0
 """Largest distance from a closed door of a place where nobody can stand because of it [m]."""
 OPEN_SHARE = 0.95
-"""Doors that are open by this share of their range are not in the way."""
+"""Share of their range from which on open doors do not block a path."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class RoomDoors:
     """Home with all doors open; the same record if none is closed."""
     open_floor: FreeSpace
     joints: tuple[int, ...]
-    """Numbers of their joints."""
+    """Numbers of the doors' joints."""
 
     @staticmethod
     @lru_cache(maxsize=16)

@@ -27,11 +27,11 @@ SWING_RAD_S, SLIDE_MPS = 1.2, 0.45
 """Mean speed at which doors turn and drawers slide while somebody opens or closes them."""
 STEPS_LEAST = 12
 FRAMES = 8
-"""Positions on the way that are looked at for what a part would hit."""
+"""Number of positions of a moving part at which collisions are tested."""
 SAMPLES = 6
 """Points along each edge of a part's boxes, as which it is seen from above."""
 SHRUNK_M = 0.008
-"""Parts pass this near to what stands beside them."""
+"""Distance at which parts may pass things beside them [m]."""
 PASSES_M = 0.03
 """Agents are hit when their disc is this deep in a part."""
 TALL_M = 1.8
@@ -74,7 +74,7 @@ class ArticulatedParts:
         return self.objects.state.joint_pos[0]
 
     def is_open(self, k: int) -> bool:
-        """Returns whether hands get in."""
+        """Return whether hands get in."""
         return bool(self.joints.is_open(self.positions)[k])
 
     def handles(self, positions: Array) -> Array:
@@ -131,8 +131,8 @@ class ArticulatedParts:
         return found
 
     # --- what moves -----------------------------------------------------------------------------------------------------
-    def way(self, k: int, *, opens: bool) -> NDArray[np.float64]:
-        """Positions [T] of a joint on its way to its open or its closed end, one a step."""
+    def travel(self, k: int, *, opens: bool) -> NDArray[np.float64]:
+        """Return the positions [T] of a joint from now to its open or its closed end, one a step."""
         joint, start = self.joints.parts[k][1].joint, float(self.positions[k])
         end = joint.opened if opens else joint.closed
         speed = SWING_RAD_S if joint.kind == "revolute" else SLIDE_MPS
@@ -214,7 +214,7 @@ class ArticulatedParts:
 
     def obstacle(self, k: int, *, opens: bool) -> str:
         """Name of the instance or object that blocks a joint; empty if there is none."""
-        way = self.way(k, opens=opens)
+        way = self.travel(k, opens=opens)
         frames = way[np.unique(np.linspace(0, len(way) - 1, FRAMES).astype(int))]
         positions = np.tile(self.positions, (len(frames), 1))
         positions[:, k] = frames
@@ -255,7 +255,7 @@ class ArticulatedParts:
 
 
 def stands_clear(stands: Array, points: Array, offsets: Sequence[float], radius_m: float) -> NDArray[np.bool_]:
-    """Which stands ``(x, z, heading)`` [N, 3] keep their discs, ``offsets`` ahead, away from floor points [P, 2]."""
+    """Return which stands ``(x, z, heading)`` [N, 3] keep their discs, ``offsets`` ahead, away from floor points [P, 2]."""
     clear = np.ones(len(stands), np.bool_)
     if not len(points):
         return clear

@@ -1,4 +1,4 @@
-"""Places in a home as they are once what shuts them in is open."""
+"""Reach into a home after the parts that block it have been opened."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _NOTHING = np.zeros((0, 2))
 
 
 class ReachQuery(NamedTuple):
-    """A place and the home in which hands get there."""
+    """Place to reach, with the home as it is when hands get there."""
 
     scene: Scene
     """Home with the doors and drawers around the place open."""

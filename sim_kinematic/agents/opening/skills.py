@@ -15,15 +15,15 @@ from sim_kinematic.agents.opening.openables import ArticulatedParts, stands_clea
 from sim_kinematic.agents.skills import Action
 
 PATIENCE_STEPS = 45
-"""Steps for which a part waits for an agent to leave its way."""
+"""Number of steps for which a part waits until an agent no longer blocks its movement."""
 FRONT_M = 0.05
-"""Whoever opens stands at least so far before the handle, on the side to which it comes."""
+"""Least distance in front of a handle from which an agent opens its part, on the side to which the part comes [m]."""
 AT_END = 0.02
-"""A part is at an end of its range within this share of it."""
+"""Share of its range within which a part counts as being at an end."""
 
 
 def why_not(openables: ArticulatedParts | None, agent: int, action: Action) -> str:
-    """Why a part cannot be opened or closed now, whoever does it; empty: it can. Reach is asked separately."""
+    """Reason why a part cannot be opened or closed now, whoever does it; empty: it can. Reach is asked separately."""
     if openables is None or not 0 <= action.target < len(openables):
         return "no_joint"
     k, opens = action.target, action.skill == "open"
@@ -32,35 +32,35 @@ def why_not(openables: ArticulatedParts | None, agent: int, action: Action) -> s
         return "already_open"
     if not opens and share < AT_END:
         return "already_closed"
-    hit = openables.hits_agent(k, openables.way(k, opens=opens))
+    hit = openables.hits_agent(k, openables.travel(k, opens=opens))
     if hit >= 0:
         return "too_near" if hit == agent else "blocked"
     return "obstructed" if openables.obstacle(k, opens=opens) else ""
 
 
-def handle_way(openables: ArticulatedParts, k: int, way: NDArray[np.float64]) -> Array:
+def handle_path(openables: ArticulatedParts, k: int, way: NDArray[np.float64]) -> Array:
     """World points [T, 3] of a handle with its joint at positions [T]."""
     positions = np.tile(openables.positions, (len(way), 1))
     positions[:, k] = way
     return openables.handles(positions)[:, k]
 
 
-def full_way(openables: ArticulatedParts, k: int) -> NDArray[np.float64]:
+def full_travel(openables: ArticulatedParts, k: int) -> NDArray[np.float64]:
     """Positions from where a joint is to the end of its range that is farther away."""
     share = float(openables.joints.shares(openables.positions)[k])
-    return openables.way(k, opens=share < 0.5)
+    return openables.travel(k, opens=share < 0.5)
 
 
 def stands_before(
     openables: ArticulatedParts, k: int, stands: Array, offsets: Sequence[float], radius_m: float
 ) -> NDArray[np.bool_]:
-    """Which poses ``(x, z, heading)`` [N, 3] at a handle are suitable for moving its part.
+    """Return which poses ``(x, z, heading)`` [N, 3] at a handle are suitable for moving its part.
 
     Suitable poses are in front of the part, on either side of a door, and out of the sweep of this part and of other
     parts that are open.
     """
     joint = openables.joints.parts[k][1].joint
-    ends = handle_way(openables, k, np.array([joint.closed, joint.opened]))
+    ends = handle_path(openables, k, np.array([joint.closed, joint.opened]))
     outward = (ends[1] - ends[0])[[0, 2]]
     outward /= max(float(np.hypot(*outward)), 1e-9)
     before = np.full(len(stands), k in openables.doors)
@@ -71,12 +71,12 @@ def stands_before(
 
 
 class Leading:
-    """A joint that moves along its way while a hand leads it, step by step; it waits for agents in its way."""
+    """Joint that a hand moves along its range step by step; it waits for agents in its path."""
 
     def __init__(self, openables: ArticulatedParts, k: int, *, opens: bool) -> None:
         self.openables, self.k = openables, k
-        self.way = openables.way(k, opens=opens)
-        self.handles = handle_way(openables, k, self.way)
+        self.way = openables.travel(k, opens=opens)
+        self.handles = handle_path(openables, k, self.way)
         """Positions of the handle while the part moves, [T, 3]."""
         self._waited = 0
 

@@ -17,7 +17,7 @@ from h3data.bodies.people.reach import reacher
 from h3data.geometry import IDENTITY_POSE, Array, pose_inverse, pose_multiply, wrap_angle
 from sim_kinematic.agents.giving_way import AnyActor, GivingWay
 from sim_kinematic.agents.oracle.rules import AIMED_RAD, VIA_M, gets_on, is_there, left_to_do, reaches
-from sim_kinematic.agents.oracle.ways import NONE, Ways
+from sim_kinematic.agents.oracle.ways import NONE, PathTable
 from sim_kinematic.agents.person import CARRY, Held
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.driving import FACING_RAD, STUCK_STEPS
@@ -32,10 +32,10 @@ from sim_kinematic.motion.state import NOBODY
 class SubGoal(NamedTuple):
     """Place to which a skill with an object leads."""
 
-    ways: Ways
+    ways: PathTable
     """Shortest paths to the places from which the agent reaches the object."""
     point: Array
-    """[3] [m]."""
+    """Place of the sub-goal [3] [m]."""
 
 
 @dataclass(eq=False)
@@ -43,11 +43,11 @@ class SubGoals:
     """Sub-goals of one agent: paths to where it takes each object and puts it down."""
 
     oracle: OracleSpec
-    to_start: Sequence[Ways]
+    to_start: Sequence[PathTable]
     """Paths to the initial place of each object; ``to_goal`` has those to its goal."""
-    to_goal: Sequence[Ways]
+    to_goal: Sequence[PathTable]
     starts: Array
-    """[K, 3] [m]."""
+    """Starts of the objects [K, 3] [m]."""
     goals: Array
 
     def of(self, action: Action, poses: Array) -> SubGoal:
@@ -145,7 +145,7 @@ class OracleRobot(RobotActor):
 
 @dataclass(eq=False)
 class OraclePerson(PersonActor):
-    """A person with oracle skills; what they hold is before their chest."""
+    """Person with oracle skills, who holds objects in front of their chest."""
 
     errands: SubGoals = field(kw_only=True)
 
@@ -194,7 +194,7 @@ class OraclePerson(PersonActor):
         self._follow()
 
     def take(self, k: int) -> None:
-        """The object is before their chest, turned as it was, and their right arm as if it held it."""
+        """Put the object in front of their chest, turned as it was, and their right arm as if it held it."""
         name, pose = self.objects.names[k], self.objects.poses[k]
         stood = pose_multiply(pose_inverse(self.person.base), pose)[3:]
         self._carry[3:] = stood
@@ -203,7 +203,7 @@ class OraclePerson(PersonActor):
         self._follow()
 
     def release(self) -> None:
-        """Their hand is empty."""
+        """Let go of the object in the person's hand."""
         self.person.held = {}
 
     def _follow(self) -> None:
@@ -213,7 +213,7 @@ class OraclePerson(PersonActor):
 
 
 def _refusal(actor: OracleRobot | OraclePerson, action: Action) -> str:
-    """Why a skill cannot start now; empty: it can."""
+    """Reason why a skill cannot start now; empty: it can."""
     why = actor.objects.why_not(actor.number, action)
     if why or action.target < 0:
         return why
@@ -259,10 +259,10 @@ def _hand_over(actor: OracleRobot | OraclePerson, action: Action, errand: SubGoa
 
 
 class DiscContacts(GivingWay):
-    """Agents that heed nobody, and touch where their discs do."""
+    """Contact rule of agents that give way to nobody and touch where their discs do."""
 
     def avoids(self, me: AnyActor, other: AnyActor) -> bool:
-        """False: with oracle skills no agent gives way to another."""
+        """Constant False: with oracle skills no agent gives way to another."""
         del me, other
         return False
 

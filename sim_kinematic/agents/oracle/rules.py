@@ -8,7 +8,7 @@ from sim_kinematic.agents.robots.driving import ARRIVED_M, NEARLY_M
 from sim_kinematic.motion.spec import OracleSpec
 
 VIA_M = 0.125
-"""A robot goes on to the next corner of its path from this distance."""
+"""Distance from a corner of its path at which a robot continues to the next one [m]."""
 STALLED_STEPS = 10
 """A robot that has not got on for this long is content with a place from `NEARLY_M`."""
 AIMED_RAD = 1e-3

@@ -28,7 +28,7 @@ DETOUR_M = 0.05
 """A first point that all of a cell sees is taken before one that its middle alone sees if the path is longer by this at most.
 From the rest of the cell the way to the latter may touch what it passes: bases slide along it."""
 SPREAD = 4
-"""Cells so far from any that is free know the way that the nearest one knows."""
+"""Distance in cells up to which a cell that is not free uses the path of the nearest free one."""
 NONE = -1
 
 
@@ -41,16 +41,16 @@ class FloorCells:
     shape: tuple[int, int]
     """Cells along x and z."""
     middles: Array
-    """A free point of each cell, its middle where that is free, [C, 2]; NaN where none is free."""
+    """Free point of each cell, its middle where that is free, [C, 2]; NaN where no point is free."""
     samples: Array
-    """Its middle and points on its border, [C, 9, 2]; NaN where they are not free."""
+    """Middle of each cell and points on its border, [C, 9, 2]; NaN where they are not free."""
     start: NDArray[np.int64]
     """Corners of cell c are ``corners[start[c]:start[c + 1]]``, [C + 1]."""
     corners: NDArray[np.int32]
     away: Array
-    """Distance from the middle to each of them [m]."""
+    """Distance from the middle of the cell to each corner [m]."""
     whole: NDArray[np.bool_]
-    """True if it is seen from all of the cell."""
+    """True if the corner is visible from the whole cell."""
 
     @classmethod
     def of(cls, free: FreeSpace) -> FloorCells:
@@ -78,25 +78,25 @@ class FloorCells:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Ways:
+class PathTable:
     """Shortest paths to the nearest of some places. Points are numbered: the corners of the floor, then the places."""
 
     points: Array
-    """[n + S, 2] [m]."""
+    """Nodes of the graph: corners, then places, [n + S, 2] [m]."""
     corners: int
-    """n."""
+    """Number n of corners."""
     origin: Array
     shape: tuple[int, int]
     first: NDArray[np.int16]
-    """Number of the point to go to first from each cell, [C]; -1: there is no way."""
+    """Number of the point to go to first from each cell, [C]; -1: there is no path."""
     after: NDArray[np.int16]
-    """Number of the one to go to from each corner, [n]; -1: there is no way."""
+    """Number of the point to go to from each corner, [n]; -1: there is no path."""
     left: Array
     """Length of the path from each point, [n + S] [m]; inf: there is none."""
 
     @property
     def ends(self) -> Array:
-        """The places, [S, 2]."""
+        """Places that paths may end at, [S, 2]."""
         return self.points[self.corners :]
 
     def cell(self, xz: ArrayLike) -> NDArray[np.int64]:
@@ -106,7 +106,7 @@ class Ways:
         return i * self.shape[1] + j
 
     def start(self, xz: ArrayLike) -> int:
-        """Number of the point to go to first from a point [2]; -1: there is no way."""
+        """Return the number of the point to go to first from a point [2]; -1: there is no path."""
         return int(self.first[self.cell(xz)])
 
     def length(self, xz: ArrayLike) -> Array:
@@ -117,7 +117,7 @@ class Ways:
         return np.where(number < 0, np.inf, np.sqrt(gap[..., 0] ** 2 + gap[..., 1] ** 2) + self.left[number])
 
 
-def ways_to(free: FreeSpace, places: ArrayLike | Sequence[Array]) -> Ways:
+def paths_to(free: FreeSpace, places: ArrayLike | Sequence[Array]) -> PathTable:
     """The paths on a floor to the nearest of some free places [S, 2]."""
     ends = np.ascontiguousarray(np.asarray(places, np.float64).reshape(-1, 2))
     cells, nodes = floor_cells(free), free.graph.nodes
@@ -134,7 +134,7 @@ def ways_to(free: FreeSpace, places: ArrayLike | Sequence[Array]) -> Ways:
         ends,
         DETOUR_M,
     )
-    return Ways(
+    return PathTable(
         points=np.concatenate([nodes, ends]),
         corners=len(nodes),
         origin=cells.origin,

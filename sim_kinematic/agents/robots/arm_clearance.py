@@ -1,4 +1,4 @@
-"""Ways for a robot's arm: whether its hand gets from a stand to a point without a wall or furniture between them.
+"""Paths of a robot's arm: checks that its hand gets from a stand to a point without a wall or furniture between them.
 
 Two questions, both of FCL against the static scene. `ArmClearance.is_open`: nothing stands between the shoulder and the
 point, seen at the height of the hand. `ArmClearance.is_clear`: the arm itself touches nothing on its way there and back.
@@ -23,12 +23,12 @@ from sim_kinematic.contact import MovingShapes, capsule_transforms, collide, sha
 from sim_kinematic.contact.clearance import scenery_of, supports
 
 APPROACH_M = 0.1
-"""A robot's hand comes to an object from so far above it and lifts it as high."""
+"""Height above an object from which a robot's hand approaches it, and to which it lifts it [m]."""
 LINE_RADIUS_M = 0.01
 FRAMES = 8
 """Postures that are looked at between the resting one and the one over the point."""
 HELD_M = 0.05
-"""Radius of the ball that stands for the object in the hand [m]."""
+"""Radius of the ball that represents the object in the hand [m]."""
 WAYS_KEPT = 1000
 """Paths of a robot's arm that are remembered, 12 kB each; a home has about 450."""
 ANSWERS_KEPT = 10_000
@@ -66,7 +66,7 @@ class ArmClearance:
         joints = joints_of(scene)
         self._drawers = {name for name, k in joints.owner.items() if joints.parts[k][1].joint.kind == "prismatic"}
         """Drawers: an object is taken from inside a drawer, past its rim."""
-        self._ways = _arm_ways(robot)
+        self._ways = _arm_paths(robot)
         self._open: dict[tuple[bytes, bytes], bool] = {}
         self._clear: dict[tuple[bytes, bytes], bool] = {}
 
@@ -166,7 +166,7 @@ def reach_line(robot: Robot, hand: Array) -> tuple[Array, Array] | None:
 
 
 @lru_cache(maxsize=8)
-def _arm_ways(robot: Robot) -> dict[tuple[float, float], tuple[Array, Array] | None]:
+def _arm_paths(robot: Robot) -> dict[tuple[float, float], tuple[Array, Array] | None]:
     """Paths of a robot's arm that `ArmClearance._way` has computed, shared between homes."""
     del robot
     return {}

@@ -48,10 +48,9 @@ class RobotDriver:
 
     robot: Robot
     free: FreeSpace
-    """The floor for a base of its size."""
+    """Floor for a base of the robot's size."""
     base: BaseSpec
-    """Its own discs and limits (`sim_kinematic.avoidance.robot_base.base_of`), which cover what it carries while it carries
-    something."""
+    """Discs and limits of the base (`sim_kinematic.avoidance.robot_base.base_of`), which also cover what the robot carries."""
     objects: Objects
     grip_m: float
     arm_rad_s: float
@@ -60,7 +59,7 @@ class RobotDriver:
     arm_clearance: ArmClearance | None = None
     """Tests where its arm has room; None: it has room everywhere."""
     avoids: bool = True
-    """True if its base keeps clear of other agents (`keep_clear`), in every skill."""
+    """True if the robot's base keeps clear of other agents (`keep_clear`) in every skill."""
     others: tuple[ObservedAgent, ...] = ()
     """Other agents, the nearest first."""
     company: Company | None = None
@@ -70,7 +69,7 @@ class RobotDriver:
     turned_away: bool = False
     hindered_by: frozenset[int] = frozenset()
     command: tuple[float, float] = (0.0, 0.0)
-    """The last command of its base, -1..1 of the limits."""
+    """Last command of the base, -1..1 of the limits."""
     arm_goal: Array = field(init=False)
     """Joint positions towards which the arm moves in every step [J]."""
 
@@ -97,7 +96,7 @@ class RobotDriver:
 
     @property
     def is_robot(self) -> bool:
-        """True."""
+        """Constant True."""
         return True
 
     @property
@@ -106,12 +105,12 @@ class RobotDriver:
         return self.company is not None and self.company.agreed
 
     def meets(self) -> bool:
-        """Returns whether it touches another agent in its present posture: then it stops where it was."""
+        """Return whether the robot touches another agent in its present posture, so that it stops where it was."""
         return self.company is not None and self.company.meets(self)
 
     @property
     def openables(self) -> ArticulatedParts | None:
-        """Doors and drawers; None: nothing opens."""
+        """Doors and drawers of the home; None: nothing opens."""
         return self.objects.openables
 
     @property
@@ -121,7 +120,7 @@ class RobotDriver:
 
     @property
     def heading(self) -> float:
-        """Heading [rad]."""
+        """Heading of the base [rad]."""
         return float(self.state.heading[0])
 
     @property
@@ -151,7 +150,7 @@ class RobotDriver:
 
     @property
     def joints(self) -> NDArray:
-        """Joint positions [J]."""
+        """Positions of the joints [J]."""
         return self.state.joints[0]
 
     @property
@@ -161,7 +160,7 @@ class RobotDriver:
 
     @property
     def pose(self) -> Array:
-        """pose7 of the agent root."""
+        """Pose (pose7) of the agent root."""
         return root_pose(self.robot, self.xz, self.heading, self.free)
 
     @property
@@ -178,7 +177,7 @@ class RobotDriver:
         return frame[:3, 3] + frame[:3, :3] @ self.robot.hand_position
 
     def walk_on(self, free: FreeSpace) -> None:
-        """The floor is another one from now on: something of the home has opened or closed."""
+        """Use another floor from now on, because something of the home has opened or closed."""
         self.free = free
 
     def idle(self) -> None:

@@ -37,7 +37,7 @@ HEIGHTS_M = (0.45, 0.75, 0.95)
 ASIDE_RAD = (0.0, np.pi / 4, -np.pi / 4, np.pi / 2, -np.pi / 2)
 """Directions, from that in which a robot reaches, in which it takes handles where its base cannot turn to face them."""
 REACH_SLACK_M = 0.01
-"""Far more than the tolerances of the search let a hand be off its target."""
+"""Distance by which a hand may be off its target, far above the tolerances of the search [m]."""
 
 
 class ReachPostures(NamedTuple):
@@ -46,7 +46,7 @@ class ReachPostures(NamedTuple):
     joint_pos: NDArray[np.float64]
     """All joints of the robot, [*batch, J]."""
     reached: NDArray[np.bool_]
-    """True if the hand gets there, [*batch]."""
+    """True if the hand reaches its target, [*batch]."""
 
 
 def reach_posture(robot: Robot, target: ArrayLike, q0: Array | None = None, *, restarts: int = 32) -> ReachPostures:

@@ -15,7 +15,7 @@ from h3data.geometry import Array, pose_inverse, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
 from sim_kinematic.agents.opening.openables import ArticulatedParts, stands_clear
-from sim_kinematic.agents.opening.skills import Leading, full_way, handle_way, stands_before, why_not
+from sim_kinematic.agents.opening.skills import Leading, full_travel, handle_path, stands_before, why_not
 from sim_kinematic.agents.robots.arm_clearance import reach_line
 from sim_kinematic.agents.robots.driving import RobotDriver
 from sim_kinematic.agents.robots.hand_reach import (
@@ -43,7 +43,7 @@ from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.motion.step import drive_robots
 
 HORIZON_M = 1000.0
-"""A point so far away is in one direction from wherever the base stands."""
+"""Distance of a point that lies in the same direction from everywhere in a home [m]."""
 TRIED, TURN_M_RAD = 24, 1.0
 """Number of nearest stands that are compared, and length of path that counts as much as turning by one radian [m]."""
 ARM_OUT_M = 0.05
@@ -70,10 +70,10 @@ def checked_command(command: ArrayLike, robot: Robot) -> Array:
 
 @dataclass(eq=False)
 class RobotActor(RobotDriver):
-    """A robot with an arm and what it can do."""
+    """Robot with an arm, and its skills."""
 
     learned: Mapping[str, LearnedSkill] = field(default_factory=dict)
-    """Learned skills in the place of its own, by name."""
+    """Learned skills that replace the robot's own, by name."""
 
     def infeasible(self, action: Action) -> str:
         """Reason why an action is impossible now; empty if it is possible."""
@@ -92,7 +92,7 @@ class RobotActor(RobotDriver):
         return "" if is_open else "no_room"
 
     def _barred(self, openables: ArticulatedParts, action: Action) -> str:
-        """Why doors and drawers stand against an action."""
+        """Reason why doors and drawers stand against an action."""
         k = action.target
         if action.skill in ("open", "close"):
             why = why_not(openables, self.number, action)
@@ -164,7 +164,7 @@ class RobotActor(RobotDriver):
         self._step_aside()
 
     def open_stand(self, point: NDArray) -> Array | None:
-        """Nearest pose ``(x, z, heading)`` [3] from which the hand reaches a world point [3] without an obstacle between.
+        """Return the nearest pose ``(x, z, heading)`` [3] from which the hand reaches a world point [3] unobstructed.
 
         Returns None if no such pose can be reached.
         """
@@ -210,7 +210,7 @@ class RobotActor(RobotDriver):
     def _navigate_to_handle(self, k: int) -> Skill:
         """Drives to where the hand reaches a handle, if possible along its whole way, and turns for it."""
         assert self.openables is not None
-        way = handle_way(self.openables, k, full_way(self.openables, k))
+        way = handle_path(self.openables, k, full_travel(self.openables, k))
         stands = self.stands(way[0])
         base = self.base
         stands = stands[stands_before(self.openables, k, stands, base.disc_offsets_m, base.disc_radius_m)]

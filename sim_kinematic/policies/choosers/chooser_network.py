@@ -186,7 +186,7 @@ class SkillPolicyNetwork:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of all that decides what it does."""
+        """SHA-256 of everything that determines its behaviour."""
         card = self.card
         about: tuple[Any, ...] = (card.task, card.network, card.agent, card.objects, card.observations, card.hold)
         if self.sees:
@@ -195,7 +195,7 @@ class SkillPolicyNetwork:
 
     @cached_property
     def offered(self) -> NDArray[np.bool_]:
-        """Which choices the policy has at all, [C]."""
+        """Return which choices the policy has at all, [C]."""
         found = np.ones(self.outputs, np.bool_)
         if not self.card.primitives:
             found[SKILLS_WITH_OBJECT * self.card.objects + 1 :] = False  # after ``wait``

@@ -89,7 +89,7 @@ class RecurrentSkillPolicy:
         return self.choices[number]
 
     def choose(self, view: RearrangeView, each: Floats, rest: Floats, scores: Floats) -> int:
-        """The number of a choice, given the inputs of the network and its scores, minus infinity for what is not allowed."""
+        """Return the number of a choice, given the network's inputs and scores; forbidden choices score minus infinity."""
         rng = generator(self.seed, f"choices/{view.agent}", world=self._times, step=view.step)
         return int(np.argmax(scores + rng.gumbel(size=len(scores))))
 
@@ -121,7 +121,7 @@ def observed(view: RearrangeView, card: PolicyCard) -> dict[str, NDArray[np.floa
 
 
 def allowed(view: RearrangeView, known: Sequence[Action], *, informed: bool = True) -> NDArray[np.bool_]:
-    """Which actions are useful in a state, [C].
+    """Return which actions are useful in a state, [C].
 
     With an empty hand these are the actions on objects that lie about and are not at their goals; with an object in
     hand, those that bring it to its goal. Where the agent has just arrived, it may pick or place but not navigate

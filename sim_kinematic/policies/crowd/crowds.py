@@ -26,7 +26,7 @@ OTHERS_M = 0.3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CrowdMember:
-    """A person of a crowd: the model that they follow, where they walk, who they are, and what they do next."""
+    """Person of a crowd: their model, place, role and next activity."""
 
     model: CrowdModel
     free: FreeSpace

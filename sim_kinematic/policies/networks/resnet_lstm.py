@@ -24,7 +24,7 @@ GROUPS = 16
 """Number of groups of a normalisation layer; planes come in multiples of it."""
 LAYERS = 2
 SQUEEZED = 2048
-"""About so many numbers are left of a picture before the last layer."""
+"""Approximate number of values that represent a picture before the last layer."""
 LEAST_SIDE = 8
 """Least side of a picture [pixels]."""
 
@@ -62,7 +62,7 @@ class _Block(nn.Module):
 
 
 class ResNet18(nn.Module):
-    """Pictures [n, 1 or 3, H, W] -> features [n, F]."""
+    """Residual network for pictures: [n, 1 or 3, H, W] -> features [n, F]."""
 
     def __init__(self, size: tuple[int, int], *, given: int, planes: int, features: int) -> None:
         """``size`` is width and height [pixels]; ``given`` are the planes of a picture, ``planes`` those of the first stage."""
@@ -127,7 +127,7 @@ class ResNetLSTM(nn.Module):
         return torch.cat([seen.float(), numbers], -1)
 
     def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Output of the recurrent layers after each step [T, n, H], and the last state [n, S], of features [T, n, F]."""
+        """Return the recurrent layers' output for features [T, n, F]: after each step [T, n, H], and the last state [n, S]."""
         long, short = state.unflatten(1, (2 * LAYERS, -1)).transpose(0, 1).contiguous().chunk(2)
         out, (long, short) = self.lstm(x, (long, short))
         return out, torch.cat([long, short]).transpose(0, 1).flatten(1)

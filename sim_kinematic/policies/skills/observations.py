@@ -18,12 +18,12 @@ Floats = NDArray[np.floating]
 
 
 class SkillView(NamedTuple):
-    """A moment of a robot that has one thing to do."""
+    """View of a robot that has one object to handle."""
 
     free: FreeSpace
     """The floor for its base."""
     xz: Array
-    """[2] [m]."""
+    """Place of the base [2] [m]."""
     heading: float
     before: tuple[Array, float]
     """Pose of the base one step ago."""
@@ -32,15 +32,15 @@ class SkillView(NamedTuple):
     stand_xz: Array
     """A place from which the hand reaches that, [2] [m]."""
     hand: Array
-    """pose7 of the hand in the world."""
+    """Pose (pose7) of the hand in the world."""
     resting: Array
     """Place of the hand at rest, [3] [m]."""
     arm: Array
     """Positions of the arm's joints [n]."""
     holds: bool
-    """The hand holds something."""
+    """True if the hand holds something."""
     beyond_m: float
-    """Way points nearer than this are passed over."""
+    """Distance within which way points are skipped [m]."""
 
     @property
     def path_m(self) -> float:

@@ -25,7 +25,7 @@ BEGINS_WITHIN_M = 6.0
 
 
 class NetworkSkill:
-    """One learned skill of a robot, played by a network; each time it starts, its recurrent state begins anew."""
+    """Learned skill of a robot, played by a network whose recurrent state is reset each time that the skill starts."""
 
     def __init__(self, network: VisualPolicy, *, robot: str = "", rules: SkillSpec | None = None) -> None:
         """Checks that the network fits the robot.
@@ -64,7 +64,7 @@ class NetworkSkill:
 
     @property
     def skills(self) -> tuple[str, ...]:
-        """The skills of the upper layer that it stands for."""
+        """Skills of the upper layer that the network is used for."""
         return TASKS[self.network.card.task]
 
     def infeasible(self, actor: RobotActor, action: Action) -> str:

@@ -1,4 +1,4 @@
-"""Episodes of rearrangement as JSON: in recordings, in our files, which hold everything, and in Habitat's.
+"""Conversion of rearrangement episodes from and to JSON, in recordings, in our files and in Habitat's.
 
 Where Habitat's files leave starts open, they are sampled here.
 """
@@ -72,7 +72,8 @@ from sim_kinematic.tasks.rearrange.solo import keep_solo_steps, solo_steps_of
 from sim_kinematic.tasks.social_nav.episode import Starts, sample_pair_starts
 
 START_ATTEMPTS = 20
-"""Pairs of starts that are tried for a file without starts before a person need not be able to do the work in time."""
+"""Number of pairs of starts that are tried for a file without starts; beyond it, a person need not be able to do the work in
+time."""
 
 _log = logging.getLogger(__name__)
 
@@ -341,7 +342,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         return {"solo_steps": solo_steps_of(self.task, episode)}
 
     def load_precomputed(self, episode: Episode, facts: Mapping[str, Any]) -> None:
-        """Takes over the solo steps of a recording, or those that another process has computed."""
+        """Take over the solo steps of a recording, or those that another process has computed."""
         assert isinstance(episode, RearrangeEpisode)
         if facts.get("solo_steps") is not None:
             keep_solo_steps(episode, int(facts["solo_steps"]))
@@ -387,7 +388,7 @@ def placed(
     placements: Sequence[Placement],
     pair: tuple[str, str],
 ) -> tuple[Target, ...]:
-    """Goals for objects that may come to lie anywhere on some pieces of furniture: free spots that both agents reach.
+    """Return goals for objects that may come to lie anywhere on some pieces of furniture: free spots that both agents reach.
 
     Raises:
         SceneError: the furniture has none.

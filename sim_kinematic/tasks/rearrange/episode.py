@@ -57,9 +57,9 @@ PAIR = ("robot", "human")
 """The paper's agents."""
 ATTEMPTS, THOROUGH_ATTEMPTS = 200, 150
 THOROUGH_SPOTS = 20
-"""Attempts of which each tries one spot on a surface, then ones that try so many: where little is free, few spots are."""
+"""Number of attempts that try one spot on a surface, and number of spots that later attempts try, as free spots may be rare."""
 REDRAW = 10
-"""After so many attempts the starts are drawn anew as well."""
+"""Number of attempts after which the starts are sampled anew as well."""
 SPOT_ATTEMPTS = 20
 """Rounds over at most twelve surfaces in search of a free spot."""
 LIFT_M = 0.001
@@ -69,11 +69,11 @@ HANDLING_S = 4.5
 OPENING_S = 9.0
 """Estimated time that a person needs to open one door or drawer [s]."""
 STANDS_WITHIN_M = 1.0
-"""A person stands nearer than this to what they take or put down."""
+"""Distance within which a person stands from the object that they take or put down [m]."""
 SNAP_M = 2.0
 """The floor is at most this far from the middle of a surface."""
 SPARE = 0.98
-"""Share of the longest duration in which that estimate must fit, whichever object comes first."""
+"""Share of the longest duration within which the estimated duration of the work must stay, whichever object comes first."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +86,7 @@ class RearrangeSpec:
     at_goal_m: float = 0.3
     """An object this near to its goal in space is at it (``object_at``)."""
     grip_m: float = 0.15
-    """A robot's hand takes hold of what is at most this far from it."""
+    """Largest distance from a robot's hand to the object that it takes [m]."""
     spawn_distance_m: float = 5.0
     carry_m: float = 2.0
     """Least distance on the floor from an object to its goal."""
@@ -148,7 +148,7 @@ class RearrangeSpec:
 ORACLE_RULES = RearrangeSpec(
     max_steps=750, robot=BaseSpec(), human=WalkerSpec(), arm_rad_s=math.inf, people_give_way=False, oracle=OracleSpec()
 )
-"""The paper's robot and person with oracle skills: what `h3data.make("rearrange", device=...)` plays."""
+"""Rules for the paper's robot and person with oracle skills, as `h3data.make("rearrange", device=...)` plays them."""
 
 
 def with_oracle_skills(spec: RearrangeSpec) -> RearrangeSpec:
@@ -163,16 +163,16 @@ def rules_in(scene: Scene, spec: RearrangeSpec) -> RearrangeSpec:
 
 
 class Target(NamedTuple):
-    """One object and where it is to go."""
+    """Object with its start and its goal."""
 
     name: str
     """Name of the object's instance in the scene."""
     start: Array
-    """pose7 in the world at the beginning."""
+    """Pose (pose7) in the world at the beginning."""
     goal: Array
     """Goal position of the object's origin, shape [3] [m]."""
     source: str
-    """The receptacle it lies on, ``instance|receptacle``."""
+    """Receptacle on which the object lies, ``instance|receptacle``."""
     destination: str
 
 
@@ -182,9 +182,9 @@ class RearrangeEpisode(Episode):
 
     targets: tuple[Target, ...]
     pair: tuple[str, str]
-    """Bodies of the robot and the person for whom it was sampled: both can do it, whoever plays it."""
+    """Bodies of the robot and the person for whom the episode was sampled; others may play it."""
     pair_starts: Starts
-    """Starts of those two."""
+    """Starts of the robot and the person for whom the episode was sampled."""
     added: tuple[EpisodeObject, ...] = ()
     """Objects of ``scene`` that the file of the episode added to it."""
     object_paths: tuple[str, ...] = ()
@@ -201,12 +201,12 @@ class RearrangeEpisode(Episode):
 
     @property
     def robot(self) -> Robot:
-        """Body of the robot for which it was sampled."""
+        """Body of the robot for which the episode was sampled."""
         return load_robot(self.pair[0])
 
     @property
     def human(self) -> Humanoid:
-        """Body of the person for whom it was sampled."""
+        """Body of the person for whom the episode was sampled."""
         return load_humanoid(self.pair[1])
 
     def played_by(self, agents: str | Sequence[str]) -> RearrangeEpisode:

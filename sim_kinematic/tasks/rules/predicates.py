@@ -62,7 +62,7 @@ def not_holding(held_by: ArrayLike, agent: int = ROBOT) -> Flags:
 
 
 def is_free(held_by: ArrayLike) -> Flags:
-    """Which objects nobody holds, [..., O]."""
+    """Return which objects nobody holds, [..., O]."""
     return np.asarray(held_by) == NOBODY
 
 

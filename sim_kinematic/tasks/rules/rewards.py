@@ -35,15 +35,15 @@ class Encounter(NamedTuple):
     """Quantities of one step that the reward of social navigation needs."""
 
     robot_xz: ArrayLike
-    """Shape [W, 2] [m]."""
+    """Place of the robot, shape [W, 2] [m]."""
     robot_heading: ArrayLike
-    """Shape [W] [rad]."""
+    """Heading of the robot, shape [W] [rad]."""
     human_xz: ArrayLike
-    """Shape [W, 2] [m]."""
+    """Place of the person, shape [W, 2] [m]."""
     geodesic: ArrayLike
     """Shortest way between the two [m], shape [W]; inf where there is none: then the straight distance counts."""
     collides: ArrayLike = False
-    """They touch, shape [W]."""
+    """True if both touch, shape [W]."""
     collisions: ArrayLike = 0
     """Collisions of the robot with anything since the start, shape [W] (``habitat`` only)."""
     faces: ArrayLike | None = None
@@ -52,7 +52,7 @@ class Encounter(NamedTuple):
     """The task's navigation goal, shape [W, 2] [m]; only where ``habitat`` is configured to measure to it."""
 
     def of(self, where: NDArray[np.bool_]) -> Encounter:
-        """Some worlds of it; numbers that hold for all worlds stay as they are."""
+        """Return some of the worlds; values that hold for all worlds stay as they are."""
         rows: dict[str, Any] = {
             n: v if v is None or np.ndim(v) == 0 else np.asarray(v)[where] for n, v in self._asdict().items()
         }

@@ -1,1 +1,1 @@
-"""Tasks whose agents have skills: they take things and put them down, open and close."""
+"""Tasks whose agents have skills: they pick and place objects, open and close doors and drawers."""

@@ -37,7 +37,7 @@ from sim_kinematic.tasks.rearrange.episode import (
 )
 from sim_kinematic.tasks.resimulation import is_counterfactual
 from sim_kinematic.tasks.skills.household import Household
-from sim_kinematic.tasks.skills.kept_track import KeptTrack, follow_track
+from sim_kinematic.tasks.skills.kept_track import SkillTrack, follow_track
 
 SHORT_WAIT = Action("wait", steps=1)
 
@@ -172,7 +172,7 @@ class SkillControl(Control):
     ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
         """People take things and put them down as recorded, except what is not there."""
         first = min(since, _track_from(recording))
-        tracks = [KeptTrack.of(recording, person.number, play.team.bodies) for person in play.team.people]
+        tracks = [SkillTrack.of(recording, person.number, play.team.bodies) for person in play.team.people]
 
         def keep(_: int) -> None:
             if play.step == first:

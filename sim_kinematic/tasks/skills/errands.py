@@ -12,7 +12,7 @@ from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.oracle.actors import SubGoals
-from sim_kinematic.agents.oracle.ways import Ways, ways_to
+from sim_kinematic.agents.oracle.ways import PathTable, paths_to
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import HANDS
 from sim_kinematic.agents.robots.arm_clearance import arm_clearance
@@ -49,7 +49,7 @@ def _errands(episode: RearrangeEpisode, number: int) -> SubGoals:
     starts = np.array([target.start[:3] for target in episode.targets], np.float64)
     goals = np.array([target.goal for target in episode.targets], np.float64)
     floor = agent_floor(episode, number)
-    ways = [ways_to(floor, places) for places in stand_places(episode, number, [*starts, *goals])]
+    ways = [paths_to(floor, places) for places in stand_places(episode, number, [*starts, *goals])]
     return SubGoals(
         oracle=episode.spec.oracle or OracleSpec(),
         to_start=ways[: len(starts)],
@@ -103,7 +103,7 @@ def _nearest(floor: FreeSpace, tried: list[Stands], start: Array) -> Array | Non
     return None
 
 
-def floor_ways(episode: RearrangeEpisode) -> list[Ways]:
-    """The shortest paths to the floor nearest to where each object lies at the beginning, then to each goal."""
+def floor_paths(episode: RearrangeEpisode) -> list[PathTable]:
+    """Return the shortest paths to the floor nearest to the start of each object, then to each goal."""
     points = [target.start[:3] for target in episode.targets] + [target.goal for target in episode.targets]
-    return [ways_to(episode.free, episode.free.snap(point[[0, 2]])) for point in points]
+    return [paths_to(episode.free, episode.free.snap(point[[0, 2]])) for point in points]

@@ -67,7 +67,7 @@ DTYPES: dict[str, type] = {
     "object_pose": np.float32,
     JOINTS: np.float32,
 }
-"""dtypes of the columns of a step; those of agents without ``agent_<i>.``."""
+"""Types (dtype) of the columns of a step; those of agents without the prefix ``agent_<i>.``."""
 CONTACT = "contact"
 TRACK = 31
 """Past positions of the other agent that a policy sees, the present one included."""
@@ -280,14 +280,14 @@ class Household(Team):
 
     @property
     def open_joints(self) -> NDArray[np.bool_]:
-        """Which doors and drawers stand open, at least ajar, [J]."""
+        """Return which doors and drawers stand at least ajar, [J]."""
         if self.objects.openables is None:
             return np.zeros(0, np.bool_)
         return self.objects.openables.joints.shares(self.objects.openables.positions) >= AJAR
 
     @property
     def openables(self) -> ArticulatedParts | None:
-        """Doors and drawers; None: nothing opens."""
+        """Doors and drawers of the home; None: nothing opens."""
         return self.objects.openables
 
     def finish(self) -> None:
@@ -432,7 +432,7 @@ class Household(Team):
         }
 
     def snapshot(self) -> dict[str, Any]:
-        """Poses, holds and skills of everybody, and poses of things."""
+        """Return poses, holds and skills of all agents, and poses of all things."""
         row: dict[str, Any] = {"object_pose": self.objects.poses.copy()}
         if self.objects.openables is not None:
             row[JOINTS] = self.objects.openables.positions.copy()
@@ -459,7 +459,7 @@ class Household(Team):
         return row
 
     def columns(self, snapshots: Sequence[dict[str, Any]]) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:
-        """Columns of everybody and everything."""
+        """Return the columns of all agents and things."""
         columns = {name: np.array([row[name] for row in snapshots]) for name in snapshots[0]}
         contact = [columns.pop(f"agent_{actor.number}.{CONTACT}") for actor in self.robots]
         places = [columns[f"agent_{number}.base_pose"][:, [0, 2]] for number in range(len(self.actors))]

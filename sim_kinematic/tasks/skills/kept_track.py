@@ -17,15 +17,15 @@ from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.tasks.play import WorldRollout
 
 THERE_M = 0.01
-"""The person takes an object that lies this near to where it lay in the recording [m]."""
+"""Distance from its recorded place up to which the person takes an object [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class KeptTrack:
+class SkillTrack:
     """Recorded track of one person."""
 
     base: Array
-    """pose7 [T, 7] of the agent root."""
+    """Pose (pose7) of the agent root in each step [T, 7]."""
     root: Array
     """Pelvis in the world, pose7 [T, 7]."""
     joints: Array
@@ -33,12 +33,12 @@ class KeptTrack:
     held: NDArray[np.integer]
     """Index of the object in the hand, -1 = nothing, [T]."""
     objects: Array
-    """pose7 of the task's objects, [T, K, 7]."""
+    """Pose (pose7) of each object of the task in each step, [T, K, 7]."""
     led: dict[int, list[tuple[int, float]]] = field(default_factory=dict)
     """Doors and drawers that the person opened or closed: number and position of each, by step."""
 
     @classmethod
-    def of(cls, recording: Recording, number: int, bodies: NDArray[np.integer]) -> KeptTrack:
+    def of(cls, recording: Recording, number: int, bodies: NDArray[np.integer]) -> SkillTrack:
         """The track of an agent; ``bodies`` [K + 1] are the objects' bodies, and -1.
 
         Raises:
@@ -86,8 +86,8 @@ def _led(recording: Recording, number: int) -> dict[int, list[tuple[int, float]]
     return led
 
 
-def follow_track(play: WorldRollout, actor: PersonActor, track: KeptTrack, step: int) -> None:
-    """From ``step`` on, a person does nothing but follow a track to its end; no policy is asked."""
+def follow_track(play: WorldRollout, actor: PersonActor, track: SkillTrack, step: int) -> None:
+    """Let a person, from ``step`` on, follow a track to its end; no policy is asked."""
     if len(play.team.actors) == 2:  # the person reacts to nobody any more, so there is nothing to agree on
         play.team.company.right_of_way, play.team.company.agreed = None, False
         for other in play.team.actors:
@@ -108,7 +108,7 @@ class _Silent:
         return ""
 
 
-def _following(actor: PersonActor, track: KeptTrack, first: int) -> Skill:
+def _following(actor: PersonActor, track: SkillTrack, first: int) -> Skill:
     for step in range(first, len(track.base)):
         pelvis = pose_multiply(pose_inverse(track.base[step]), track.root[step])
         actor.person.set_pose(np.vstack([pelvis[3:], track.joints[step]]), pelvis[:3], track.base[step])
@@ -120,7 +120,7 @@ def _following(actor: PersonActor, track: KeptTrack, first: int) -> Skill:
     return SkillResult("done")
 
 
-def _handle(objects: Objects, number: int, track: KeptTrack, step: int) -> None:
+def _handle(objects: Objects, number: int, track: SkillTrack, step: int) -> None:
     """Take, carry and put down as recorded; what is not there, or in another's hand, stays where it is."""
     mine, wanted = objects.held(number), int(track.held[step])
     if mine >= 0 and wanted != mine:

@@ -38,7 +38,7 @@ class SkillStart:
     target: int
     """Number of the object."""
     holds: bool
-    """True if that is in its hand."""
+    """True if the object is in the robot's hand."""
     point: Array
     """Position of the object, or of its goal, [3] [m]."""
     stand_xz: Array
@@ -62,7 +62,7 @@ def check_skill(skill: str) -> Skill:
 
 
 def distances_of(skill: Skill, rules: SkillSpec) -> tuple[float, float]:
-    """Least and greatest length of the path to the nearest stand with which a skill is judged [m]."""
+    """Return the least and the largest length of the path to the nearest stand with which a skill is judged [m]."""
     return (rules.nav_start_m, np.inf) if skill == "nav" else (rules.arm_start_m, rules.arm_most_m)
 
 

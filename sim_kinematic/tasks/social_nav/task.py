@@ -64,9 +64,9 @@ class SocialNavState:
     goal: NDArray[np.int64]
     """Number of the goal that a scripted person walks to, -1 before the first and where nobody keeps to a script."""
     leg: NDArray[np.int64]
-    """Index of the way point within the path to it."""
+    """Index of the way point within the path to the goal."""
     plan: HumanPlan | None = None
-    """The scripted person's whole walk, once somebody has asked for it."""
+    """Whole walk of the scripted person, once it has been asked for."""
     track: list[NDArray[np.float64]] = field(default_factory=list)
     """Positions so far of a person who follows no script."""
 

@@ -15,7 +15,7 @@ pytest.importorskip("fcl")
 from h3data.errors import InputError
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.oracle.actors import OraclePerson, OracleRobot, carry_point
-from sim_kinematic.agents.oracle.ways import NONE, Ways, ways_to
+from sim_kinematic.agents.oracle.ways import NONE, PathTable, paths_to
 from sim_kinematic.agents.skills import Action
 from sim_kinematic.motion.spec import OracleSpec
 from sim_kinematic.policies.assignment import assign
@@ -45,7 +45,7 @@ def episode() -> RearrangeEpisode:
     return found
 
 
-def walked(ways: Ways, start: np.ndarray) -> float:
+def walked(ways: PathTable, start: np.ndarray) -> float:
     """Length of the path from a point by the tables; inf where they lead nowhere."""
     number, here, length = ways.start(start), start, 0.0
     for _ in range(1000):
@@ -65,7 +65,7 @@ def test_tables_hold_the_shortest_paths(floors: list[FreeSpace]) -> None:
     for free in floors:
         for _ in range(4):
             places = free.sample(rng, 3)
-            ways = ways_to(free, places)
+            ways = paths_to(free, places)
             starts = free.sample(rng, 100)
             shortest = np.min([free.geodesic(starts, np.broadcast_to(p, starts.shape)) for p in places], 0)
             longer += [
@@ -81,7 +81,7 @@ def test_tables_hold_the_shortest_paths(floors: list[FreeSpace]) -> None:
 
 def test_legs_keep_clear_of_walls(floors: list[FreeSpace]) -> None:
     rng, (free, _) = np.random.default_rng(1), floors
-    ways = ways_to(free, free.sample(rng, 2))
+    ways = paths_to(free, free.sample(rng, 2))
     for start in free.sample(rng, 60):
         number, here = ways.start(start), start
         while True:
@@ -96,11 +96,11 @@ def test_legs_keep_clear_of_walls(floors: list[FreeSpace]) -> None:
 
 def test_no_places_have_no_ways(floors: list[FreeSpace]) -> None:
     free = floors[0]
-    ways = ways_to(free, np.zeros((0, 2)))
+    ways = paths_to(free, np.zeros((0, 2)))
     start = free.sample(np.random.default_rng(0), 1)[0]
     assert ways.start(start) == NONE
     assert np.isinf(ways.length(start))
-    far = ways_to(free, free.sample(np.random.default_rng(0), 1))
+    far = paths_to(free, free.sample(np.random.default_rng(0), 1))
     assert far.cell([1e6, -1e6]) in range(len(far.first))
 
 

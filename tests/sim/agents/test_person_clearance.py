@@ -105,7 +105,7 @@ def test_what_stands_in_her_way_leaves_no_room(home: Scene, world: RearrangeEpis
 
 
 def test_the_way_that_is_looked_at_is_the_one_that_is_gone() -> None:
-    """`Person.hand_way` and what `pick` and `place` do, but for the gaze and the fingers, which move by themselves."""
+    """`Person.hand_path` and what `pick` and `place` do, but for the gaze and the fingers, which move by themselves."""
     trunk_and_limbs = np.setdiff1d(
         np.arange(JOINT_INDEX["right_wrist"]), [JOINT_INDEX["neck"] - 1, JOINT_INDEX["head"] - 1]
     )
@@ -114,11 +114,11 @@ def test_the_way_that_is_looked_at_is_the_one_that_is_gone() -> None:
     person.objects["cup"][:3] = person.palm("right")[:3] + np.array([0.3, 0.3, 0.0])
     point = person.objects["cup"][:3].copy()
     assert reacher(body, "right").reachable(person.seen(point)[None])[0]
-    empty = person.hand_way(point)
+    empty = person.hand_path(point)
     frames, result = run(person, person.pick("cup"))
     assert result.success
     assert min(np.abs((f.joints - empty.quats[-1, 1:])[trunk_and_limbs]).max() for f in frames) < 1e-9
-    full = person.hand_way(point, full=True)
+    full = person.hand_path(point, full=True)
     frames, _ = run(person, person.place(point))
     assert min(np.abs((f.joints - full.quats[-1, 1:])[trunk_and_limbs]).max() for f in frames) < 1e-9
 

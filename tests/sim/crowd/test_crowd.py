@@ -136,5 +136,5 @@ def test_a_world_among_many_is_that_of_one(model: str):
 
 
 def test_a_robot_does_not_follow_a_model_of_people():
-    with pytest.raises(InputError, match="H3-"):
+    with pytest.raises(InputError, match="H3-POLICY-002"):
         h3data.simulate("wander", "small:0", agents={"robot": "orca"}, max_steps=10)

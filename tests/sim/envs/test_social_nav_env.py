@@ -433,7 +433,7 @@ def test_actions_are_clipped() -> None:
         ({"reward": "gold"}, r"(?s)paper, habitat.*H3-TASK-041"),
         ({"partner": "both"}, r"(?s)waypoints.*H3-POLICY-002"),
         ({"render_mode": "human"}, "H3-ENV-024"),
-        ({"agents": ("robot", "robot")}, "agents"),
+        ({"agents": ("robot", "robot")}, "H3-ENV-033"),
         ({"agents": ("robot", "human"), "num_envs": 2}, "H3-ENV-018"),
     ],
 )

@@ -134,7 +134,7 @@ def other_arrays(**change: object) -> dict:
         ({"format": None}, r"(?s)another npz.*H3-POLICY-024"),
         ({"format": 3}, r"(?s)an array int64.*H3-POLICY-024"),
         ({"task": None}, r"(?s)'task'.*H3-POLICY-027"),
-        ({"bias_1": None}, "bias_1"),
+        ({"bias_1": None}, "(?s)bias_1.*H3-POLICY-027"),
         ({"activation": "sign"}, r"(?s)tanh, relu.*H3-POLICY-025"),
         ({"weight_1": np.zeros((2, 9), np.float32)}, r"(?s)layer 1.*H3-POLICY-025"),
         ({"weight_0": np.zeros(5, np.float32)}, r"(?s)layer 0.*H3-POLICY-025"),

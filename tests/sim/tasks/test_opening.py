@@ -268,11 +268,11 @@ def test_commands_survive_json_and_unknown_joints_are_told(session: Session) -> 
 def test_every_way_ends_at_its_end_and_never_turns_back(home: Scene) -> None:
     openables = openables_of(home)
     for k in range(len(openables)):
-        way = openables.way(k, opens=True)
+        way = openables.travel(k, opens=True)
         assert way[-1] == openables.joints.opened[k]
         assert (np.diff(np.abs(way - openables.joints.closed[k])) > 0).all()
         openables.move(k, float(way[-1]))
-        back = openables.way(k, opens=False)
+        back = openables.travel(k, opens=False)
         assert back[-1] == openables.joints.closed[k]
         openables.move(k, float(back[-1]))
 

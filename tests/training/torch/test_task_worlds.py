@@ -209,11 +209,11 @@ class WantsObjects(PointGoal):
     [
         (
             JudgesWithNumPy(),
-            r"judges_with_num_py: the function judge must compute with play\.xp .*reward must be a torch",
+            r"(?s)judges_with_num_py: the function judge must compute with play\.xp .*reward must be a torch.*H3-ENV-040",
         ),
-        (AsksForValues(), r"asks_for_values: the function judge must compute with play\.xp"),
-        (MixesBoth(), r"mixes_both: the function begin must compute with play\.xp"),
-        (KeepsItself(), r"keeps_itself: the function begin .*it sets play\.memory, and must return it"),
+        (AsksForValues(), r"(?s)asks_for_values: the function judge must compute with play\.xp.*H3-ENV-040"),
+        (MixesBoth(), r"(?s)mixes_both: the function begin must compute with play\.xp.*H3-ENV-040"),
+        (KeepsItself(), r"(?s)keeps_itself: the function begin .*it sets play\.memory, and must return it.*H3-ENV-040"),
         (WantsPrize(), "H3-ENV-039"),
         (Crowded(), "H3-ENV-038"),
         (

@@ -12,7 +12,7 @@ from sim_kinematic.tasks.rearrange.codec import spoken
 
 
 class RearrangeApp(App):
-    """Bring all things to their goals, together with whoever else is there."""
+    """App in which all objects are brought to their goals, together with the other agents."""
 
     task: ClassVar[str] = "rearrange"
     # as in the paper's study: contact is counted, it does not end the episode

@@ -9,7 +9,7 @@ from h3data_play.app import App, Hud
 
 
 class FollowMeApp(App):
-    """The person walks where they like; the robot follows at 1 to 2 m."""
+    """App in which the person walks where they like and the robot follows at 1 to 2 m."""
 
     task: ClassVar[str] = "social_nav"
     rules: ClassVar[Mapping[str, Any]] = {"max_steps": 2700, "end_on_collision": False, "solid_agents": True}

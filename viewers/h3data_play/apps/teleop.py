@@ -13,7 +13,7 @@ from sim_kinematic.tasks.runner import Session, StepResult
 
 
 class TeleopApp(RearrangeApp):
-    """The operator alone with the robot, or beside a person who follows a policy (``--partner``)."""
+    """App of an operator who drives the robot alone, or beside a person who follows a policy (``--partner``)."""
 
     seats: ClassVar[tuple[str, ...]] = ("robot",)
     partner: ClassVar[str | None] = "solo"

@@ -20,11 +20,11 @@ from sim_kinematic.tasks.runner import Session, StepResult
 MARK_AHEAD_M = 2.5
 """Distance from the start to the mark along the path to the thing or its place; less where that path is short."""
 SNAP_M = 5.0
-"""Things stand on furniture: their paths end on the nearest floor."""
+"""Distance within which the path to a thing on furniture ends on the nearest floor [m]."""
 AT_MARK_M = 0.5
 LOOKS_RAD = 0.35
 LOOK_STEPS = 15
-"""The thing has to be looked at for this many steps: a player who happens to face it would never see the step."""
+"""Number of steps for which the thing has to be looked at: a player who happens to face it would never see the step."""
 WALK, LOOK, TAKE, PUT = range(4)
 HOW: Mapping[int, Mapping[str, str]] = {
     WALK: {
@@ -60,7 +60,7 @@ class TutorialApp(RearrangeApp):
         self.looked: dict[int, int] = {}
 
     def driver(self, number: int) -> Driver:
-        """Driver of an agent, for whom a mark on the floor is chosen."""
+        """Return the driver of an agent, for whom a mark on the floor is chosen."""
         driver = self.drivers[number] = super().driver(number)
         self.marks[number] = self._mark(number)
         return driver

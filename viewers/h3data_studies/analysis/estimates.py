@@ -37,7 +37,7 @@ GROUPS = ("participant", "scene")
 
 @dataclass(frozen=True, kw_only=True)
 class StudyModel:
-    """Choices of the analysis."""
+    """Model of a study: the choices of its analysis."""
 
     steps: StepsModel = "auto"
     """``poisson``: the paper's model. ``observation``: with a random intercept per episode, for counts that vary more than
@@ -73,7 +73,7 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FittedMeans:
-    """One model of the compared metric, with its means and their pairwise differences."""
+    """Model of the compared metric, with its means and their pairwise differences."""
 
     label: str
     """``Poisson``, ``Poisson with an observation effect``, ``binomial``."""
@@ -96,7 +96,7 @@ class StudyAnalysis:
     estimates: Mapping[str, Mapping[str, Estimate]]
     """Estimates by metric and condition."""
     compared: str
-    """Name of the metric whose means are contrasted; empty: none could be."""
+    """Name of the metric whose means are contrasted; empty if none could be."""
     models: tuple[FittedMeans, ...]
     """Models of the compared metric: the one of the table first, then the one to hold it against, if either is unsound."""
     notes: tuple[str, ...]

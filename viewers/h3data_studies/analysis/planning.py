@@ -31,7 +31,7 @@ class Session:
 
     study: str
     participant: str
-    """Anonymous id."""
+    """Anonymous id of the participant."""
     training: tuple[str, ...]
     """Ids of uncounted episodes in the first block's scene; no later episode repeats them."""
     blocks: tuple[Block, ...]

@@ -29,7 +29,7 @@ class Power:
     high: float
     runs: int
     failed: int
-    """Runs without a converged fit, as after separation; counted as finding nothing."""
+    """Number of runs without a converged fit, as after separation; counted as finding nothing."""
 
 
 def simulate_study(

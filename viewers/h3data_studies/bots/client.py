@@ -28,13 +28,13 @@ class Thing:
     """An object of the state."""
 
     held: int = -1
-    """Agent that holds it; -1: none."""
+    """Agent that holds the thing; -1: none."""
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass
 class Client:
-    """One browser."""
+    """Browser of a scripted participant."""
 
     link: str
     """Address of a seat or of a study, with a slash at the end."""
@@ -55,11 +55,11 @@ class Client:
     bytes: int = 0
     """Number of bytes of all states."""
     told: list[dict[str, Any]] = field(default_factory=list)
-    """Text frames."""
+    """Text frames that the client received."""
     delays: list[float] = field(default_factory=list)
     """Delay from each message to the state that reflects it [s]."""
     times: list[float] = field(default_factory=list)
-    """When states came, by `time.monotonic`."""
+    """Times at which states came, by `time.monotonic`."""
     played_s: float = 0.0
     """Time between states of the same connection: without waiting for seats and next episodes."""
     waited_s: list[float] = field(default_factory=list)
@@ -67,7 +67,7 @@ class Client:
     close_code: int | None = None
     seq: int = 0
     news: asyncio.Event = field(default_factory=asyncio.Event)
-    """Set by whatever comes."""
+    """Event that is set by any message."""
     _latest: float = 0.0
     _sent: dict[int, float] = field(default_factory=dict)
     _hearing: asyncio.Task[None] | None = None
@@ -149,7 +149,7 @@ class Client:
         return seq
 
     async def until(self, what: Any, seconds: float = 20.0) -> Any:
-        """Waits until ``what()`` is true, and returns it.
+        """Wait until ``what()`` is true, and return it.
 
         Raises:
             TimeoutError: it was not.

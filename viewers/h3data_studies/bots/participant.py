@@ -29,18 +29,19 @@ DEVICE = {
 }
 SAID = "Filled in by a script."
 DONE_M = 0.15
-"""A thing this near to its goal is where it belongs, as for the page."""
+"""Distance from its goal within which a thing counts as placed, as for the page [m]."""
 REACTION_STEPS = (8, 20)
-"""From what a bot sees to what it does: 0.25 to 0.7 s, in steps, so that it does not depend on how fast the clock runs."""
+"""Time between what a bot sees and what it does: 0.25 to 0.7 s, in steps, so that it does not depend on how fast the clock
+runs."""
 HESITATES = 0.3
 """Share of decisions before which a bot steers a little by keys."""
 FACES_RAD = 0.1
 LATE_S, RETRY_S = 600.0, 1.0
-"""Nothing comes for this long: the participant gives up. Refusals are asked again after a second."""
+"""Time without a message after which the participant gives up, and time after which a refused request is repeated [s]."""
 
 
 class ScriptedParticipant(Client):
-    """One participant, from consent to completion code. Chance follows from its name alone."""
+    """Scripted participant, from consent to completion code. Its random choices follow from its name alone."""
 
     view: dict[str, Any]
 
@@ -72,7 +73,7 @@ class ScriptedParticipant(Client):
 
     # --- the study ----------------------------------------------------------------------------------------------------
     async def take_part(self) -> str:
-        """Does everything up to the end; returns the status there (``complete``, ``screened_out``, ...)."""
+        """Take part to the end; returns the status there (``complete``, ``screened_out``, ...)."""
         ids = {"PROLIFIC_PID": self.pid, "STUDY_ID": "bots", "SESSION_ID": self.name}
         await self._ask("api/study", {"ids": ids, "rejoin": self.rejoin})
         while (kind := self.stage["kind"]) != "end":

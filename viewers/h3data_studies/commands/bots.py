@@ -155,7 +155,7 @@ class Crowd:
     asks for ids of its own form."""
 
     async def take_part(self, link: str, episodes: int) -> None:
-        """Lets all of them take part.
+        """Let all scripted participants take part.
 
         Raises:
             H3DataError: nobody could.

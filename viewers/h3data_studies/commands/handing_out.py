@@ -85,7 +85,7 @@ class StudyData:
 
 
 def own_data(design: Design, person: Participant) -> dict[str, Any]:
-    """Everything that the database has of a participant, as JSON types; times are in UTC."""
+    """Return everything that the database has of a participant, as JSON types; times are in UTC."""
     from h3data_studies.pseudonyms import IDS
 
     progress = person.progress

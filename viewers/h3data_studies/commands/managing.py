@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from h3data_studies.store import Participant, StudyStore
 
 REPORT = "report"
-"""Folder below that of a study: what ``study report`` has made."""
+"""Folder below that of a study with the results of ``study report``."""
 
 
 @dataclass(frozen=True)

@@ -60,9 +60,9 @@ class StudyReport:
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder to write to (default: report in the study's folder, which h3data study forget keeps free of who is forgotten)."""
     everybody: bool = False
-    """Also those who have not finished."""
+    """Include participants who have not finished."""
     free_text: bool = False
-    """Also what participants wrote themselves; it may say who they are."""
+    """Include what participants wrote themselves; it may say who they are."""
     model: StepsModelOption = "auto"
     failed: FailedOption = "leave-out"
     pictures: int = 6
@@ -163,7 +163,7 @@ class StudyCompare:
     automatic: tyro.conf.Positional[Path]
     """Folder of h3data evaluate, or recordings of the same policies with other partners."""
     everybody: bool = False
-    """Also participants who have not finished."""
+    """Include participants who have not finished."""
     json: JsonFlag = False
 
     def run(self) -> Outcome:
@@ -248,7 +248,7 @@ def _recorded(folder: Path, design: Design, episode: PlayedEpisode, rules: Exclu
 
 
 def participant_rows(design: Design, people: Sequence[Participant]) -> list[list[str | float]]:
-    """A row for each participant, whatever became of them, with everything that rules can ask for, and a header."""
+    """Return a row for each participant, whatever became of them, with all facts that rules can use, and a header."""
     from h3data_studies.exclusions import PARTICIPANT_MEASURES, exclusions, participant_measures
     from h3data_studies.overview import is_bot, played
 

@@ -1,4 +1,4 @@
-"""From columns to the design matrices of a mixed model: factors, treatment coding, and checks that it can be fitted."""
+"""Design matrices of a mixed model from columns: factors, treatment coding, and checks that it can be fitted."""
 
 # Written out because patsy and formulaic code fixed effects only and neither detects separation, which is frequent in
 # studies (nobody collides while alone) and which glmer reports as an estimate of about 20 with an enormous standard

@@ -31,7 +31,7 @@ class Mode:
     """The most likely random effects for given deviations (and coefficients), and the deviance there."""
 
     deviance: float
-    """-2 log-likelihood; infinite if the iteration failed."""
+    """Deviance: -2 log-likelihood; infinite if the iteration failed."""
     effects: tuple[Array, ...]
     """Spherical effects u of each factor, each of shape [levels]."""
     coefficients: Array

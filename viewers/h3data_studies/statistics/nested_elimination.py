@@ -26,14 +26,14 @@ _SMALL = 1 << 20
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Solution:
-    """One step of the iteration."""
+    """Result of one step of the iteration."""
 
     effects: list[Array]
     """Change of the spherical effects of each factor."""
     coefficients: Array
     """Change of the coefficients; empty if they are bound."""
     log_determinant: float
-    """log |I + Λ'Z'WZΛ|."""
+    """Logarithm of the determinant, log |I + Λ'Z'WZΛ|."""
     fixed_factor: Array
     """Lower Cholesky factor [P, P] of the coefficients' information."""
 

@@ -51,7 +51,7 @@ class MarginalMeans:
 
     @property
     def slopes(self) -> NDArray[np.float64]:
-        """d mean / d link, shape [L]."""
+        """Derivatives of the means, d mean / d link, shape [L]."""
         return self.means if self.family == "poisson" else self.means * (1 - self.means)
 
     def intervals(self, confidence: float = 0.95) -> NDArray[np.float64]:
@@ -88,12 +88,12 @@ class Contrast:
     """Upper end of the interval."""
     z: float
     p: float
-    """Two-sided, adjusted."""
+    """Two-sided p value, adjusted."""
     adjust: Adjustment
 
     @property
     def ratio(self) -> tuple[float, float, float]:
-        """exp(difference) with its interval: the ratio of the means (Poisson) or of the odds (binomial); ``link`` only."""
+        """Ratio exp(difference) with its interval: of the means (Poisson) or of the odds (binomial); ``link`` only."""
         if self.scale != "link":
             raise InputError(
                 "A ratio needs contrasts on the link scale: contrasts(means, scale='link').", code="H3-STATS-036"

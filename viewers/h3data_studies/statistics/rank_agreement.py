@@ -29,7 +29,7 @@ class RankAgreement:
     """Lower end of the bootstrap interval; NaN if no method has two values."""
     kendall_high: float
     spearman: float
-    """Spearman's rho."""
+    """Spearman's rank correlation, rho."""
     spearman_low: float
     spearman_high: float
 

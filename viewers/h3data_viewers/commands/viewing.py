@@ -38,7 +38,7 @@ from h3data.replay import Replay
 if TYPE_CHECKING:
     from h3data.bodies.people.rigid_parts import PeopleStyle
     from h3data.commands.arguments import FilePath, Paths
-    from h3data_viewers import ShownRecording
+    from h3data_viewers import ViewedRecording
 
 
 PICTURES = (".png", ".jpg")
@@ -189,11 +189,11 @@ class View:
             stand_ins=self.stand_ins,
         )
 
-    def _shown(self, path: Path, replay: Replay) -> ShownRecording:
-        from h3data_viewers import ShownRecording, rendered_feed
+    def _shown(self, path: Path, replay: Replay) -> ViewedRecording:
+        from h3data_viewers import ViewedRecording, rendered_feed
 
         feeds = [rendered_feed(replay, name) for name in dict.fromkeys(self.cameras)]
-        return ShownRecording(recording=replay.recording, replay=replay, cameras=feeds, name=str(place(path)))
+        return ViewedRecording(recording=replay.recording, replay=replay, cameras=feeds, name=str(place(path)))
 
     def _beside(self) -> Path:
         if isinstance(place(self.recording), RemotePath):

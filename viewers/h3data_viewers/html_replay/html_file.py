@@ -38,12 +38,12 @@ TIME_S = 1e-4
 
 @dataclass(frozen=True)
 class HtmlReplay:
-    """A written replay."""
+    """Replay that was written as HTML."""
 
     path: Path
     bytes: int
     states: int
-    """Number of states that it holds, at most `MOST_STATES`."""
+    """Number of states in the file, at most `MOST_STATES`."""
     steps: int
     """Number of steps of the recording."""
 

@@ -15,7 +15,7 @@ from h3data_viewers.html_report.episode import GRID_S
 from h3data_viewers.html_report.svg import Svg, axes, linear, tick_text, ticks, x_axis
 
 COLORS = 8
-"""Runs beyond this many share colours."""
+"""Colours of runs; further runs share colours."""
 _WIDTH = 360.0
 _LABEL = 118.0
 _ROW = 24.0
@@ -30,7 +30,7 @@ def series_class(place: int) -> str:
 
 
 def legend(names: Sequence[str]) -> str:
-    """Which colour is which run."""
+    """Return a legend of the colours of the runs."""
     items = "".join(
         f'<li><span class="chip {series_class(k)}"></span>{escape(name)}</li>' for k, name in enumerate(names)
     )
@@ -39,7 +39,7 @@ def legend(names: Sequence[str]) -> str:
 
 # --- beside the paper -------------------------------------------------------------------------------------------------
 def estimate_charts(runs: Sequence[Run]) -> list[str]:
-    """One panel per metric of social navigation: our means with intervals, the paper's expert and RL below."""
+    """Return one panel per metric of social navigation: our means with intervals, the paper's expert and RL below."""
     paper = [row for row in published_results().social_nav.rows if row.policies]
     return [_estimates(metric, runs, paper) for metric in metrics_of("paper", "social_nav")]
 
@@ -77,7 +77,7 @@ def mean_charts(
     estimates: Mapping[str, Mapping[str, tuple[float, float, float]]],
     names: Sequence[str],
 ) -> list[str]:
-    """One panel per metric of a study: the estimated means of conditions with intervals.
+    """Return one panel per metric of a study: the estimated means of conditions with intervals.
 
     ``estimates`` has mean, lower and upper end, or NaN, by metric and condition; ``names`` are those of all runs.
     """
@@ -120,7 +120,7 @@ def _short(name: str) -> str:
 
 # --- distributions ----------------------------------------------------------------------------------------------------
 def distribution_charts(runs: Sequence[Run]) -> list[str]:
-    """One panel per metric that is not 0 or 1: a histogram per run, its mean marked."""
+    """Return one panel per metric that is not 0 or 1: a histogram per run, its mean marked."""
     metrics = [m for m in runs[0].table.metrics if not m.binary] if runs else []
     return [figure for metric in metrics if (figure := _distribution(metric, runs))]
 
@@ -250,7 +250,7 @@ LEARNED: Mapping[str, str] = {
 
 
 def learning_charts(curves: Mapping[str, Mapping[str, NDArray[np.float64]]]) -> list[str]:
-    """One panel per logged quantity, one line per training."""
+    """Return one panel per logged quantity, one line per training."""
     quantities = dict.fromkeys(name for curve in curves.values() for name in curve if name != "step")
     return [figure for name in quantities if (figure := _learning(name, curves))]
 

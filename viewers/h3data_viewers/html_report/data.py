@@ -42,9 +42,9 @@ from h3data_viewers.html_report.tables import counted
 _FIRST = ("social_nav", "rearrange")
 """Tasks that a report begins with."""
 CURVES_FILE = "learning.csv"
-"""In a dataset's folder: how its policy was trained. One row per logged update, a column ``step``."""
+"""File in a dataset's folder with the training curves of its policy: one row per logged update, a column ``step``."""
 RUN_CURVES_FILE = "curve.parquet"
-"""The same in the folder of a run of ``h3data train``, with a column ``decisions``."""
+"""File with the training curves in the folder of a run of ``h3data train``, with a column ``decisions``."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,12 +115,12 @@ class Mean:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReportData:
-    """Everything that a report shows, pictures excepted."""
+    """Data that a report shows, except pictures."""
 
     paths: tuple[Path, ...]
     runs: tuple[Run, ...]
     unmeasured: Mapping[str, tuple[str, ...]]
-    """Why, and the names of the recordings that could not be measured."""
+    """Reasons, with the names of the recordings that could not be measured."""
     curves: Mapping[str, Mapping[str, NDArray[np.float64]]]
     """Learning curves by dataset name: columns [N] of which one is ``step``."""
 

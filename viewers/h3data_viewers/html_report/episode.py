@@ -11,9 +11,9 @@ from h3data.metrics import EpisodeMetrics
 from h3data.recording.storage import AnyPath
 
 GRID_S = 0.5
-"""Distances are kept at this spacing."""
+"""Time between stored distances [s]."""
 TRACK_S = 0.1
-"""Tracks are kept at this spacing."""
+"""Time between stored points of tracks [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,12 +28,12 @@ class Track:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReportEpisode:
-    """One measured episode."""
+    """Measured episode."""
 
     source: AnyPath
-    """Dataset or log that holds it."""
+    """Dataset or log that holds the episode."""
     index: int
-    """Its number in the dataset."""
+    """Number of the episode in the dataset."""
     metrics: EpisodeMetrics
     seed: int
     policy: str
@@ -46,7 +46,7 @@ class ReportEpisode:
     """Robot to the nearest person every `GRID_S`, shape [G]; empty without both."""
     tracks: tuple[Track, ...]
     recorded: bool = True
-    """False: only its metrics were kept."""
+    """False if only the metrics of the episode were kept."""
 
     @property
     def name(self) -> str:
@@ -55,7 +55,7 @@ class ReportEpisode:
 
     @property
     def people(self) -> int:
-        """Number of people in it."""
+        """Number of people in the episode."""
         return sum(track.kind == "human" for track in self.tracks)
 
     @property
@@ -73,7 +73,7 @@ class ReportEpisode:
 
     @property
     def studied(self) -> bool:
-        """Returns whether it says which participant did it under which condition."""
+        """Return whether the episode names a participant and a condition."""
         return bool(self.participant and self.condition)
 
     def seconds(self, row: int) -> float:

@@ -177,7 +177,7 @@ def task_table(name: str, runs: Sequence[Run]) -> Table:
 
 # --- paired differences -----------------------------------------------------------------------------------------------
 def paired_tables(data: ReportData) -> list[Table]:
-    """One table for each pair of runs over the same episodes, up to 6; with more runs, each against the first."""
+    """Return one table for each pair of runs over the same episodes, up to 6; with more runs, each against the first."""
     pairs = [(a, b) for a, b in itertools.combinations(data.runs, 2) if same_episodes(a, b)]
     if len(pairs) > _MOST_PAIRS:
         pairs = [(a, b) for a, b in pairs if a is pairs[0][0]][:_MOST_PAIRS]

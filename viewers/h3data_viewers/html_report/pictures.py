@@ -211,10 +211,10 @@ def _scale_bar(svg: Svg, plan: Plan) -> None:
 # --- best and worst ---------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, kw_only=True)
 class Highlight:
-    """An episode worth a look."""
+    """Episode that is shown with key frames."""
 
     place: int
-    """Number of its run."""
+    """Number of the episode's run."""
     run: Run
     kind: Literal["worst", "best"]
     episode: ReportEpisode
@@ -226,7 +226,7 @@ def ranked_by(profile: Profile) -> tuple[str, ...]:
 
 
 def highlights(runs: Sequence[Run], most: int) -> list[Highlight]:
-    """Up to ``most`` episodes: the worst and the best of each run, then the second worst, and so on."""
+    """Return up to ``most`` episodes: the worst and the best of each run, then the second worst, and so on."""
     ranked = [sorted(_recorded(run), key=lambda e: _score(e, run.profile)) for run in runs]
     chosen: list[Highlight] = []
     for depth in range(max(map(len, ranked), default=0)):
@@ -350,7 +350,7 @@ def highlight_card(
 
 
 def key_rows(episode: ReportEpisode, milestones: Sequence[Milestone] = ()) -> list[tuple[int, str]]:
-    """Up to five rows that tell the story, with what happens there: start, end, milestones, the encounter."""
+    """Return up to five rows that tell the story, with what happens there: start, end, milestones, the encounter."""
     metrics = episode.metrics
     last = metrics.rows - 1
     if last < 0:

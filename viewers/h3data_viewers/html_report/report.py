@@ -1,4 +1,4 @@
-"""One HTML file about many episodes: the paper's tables beside ours, charts, trajectories, best and worst episodes.
+"""Report about many episodes as one HTML file: the paper's tables and ours, charts, trajectories, best and worst episodes.
 
 The file needs nothing else: no network, no other file, no script to be read (scripts only sort tables). Everything that
 comes from a recording is escaped, and a content security policy lets no script run but the page's own.
@@ -63,7 +63,7 @@ _BESIDE = 4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Report:
-    """A finished report."""
+    """Finished report."""
 
     title: str
     data: ReportData

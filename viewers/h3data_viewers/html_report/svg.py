@@ -19,17 +19,17 @@ class Svg:
     width: float
     height: float
     alt: str
-    """Description of the picture, for readers who cannot see it."""
+    """Description of the picture for readers who cannot see it."""
     css: str = ""
-    """Its class."""
+    """Class of the element."""
     parts: list[str] = field(default_factory=list)
 
     def line(self, x1: float, y1: float, x2: float, y2: float, css: str) -> None:
-        """A straight line."""
+        """Add a straight line."""
         self.parts.append(f'<line class="{css}" x1="{_n(x1)}" y1="{_n(y1)}" x2="{_n(x2)}" y2="{_n(y2)}"/>')
 
     def rect(self, x: float, y: float, width: float, height: float, css: str) -> None:
-        """A filled rectangle."""
+        """Add a filled rectangle."""
         self.parts.append(
             f'<rect class="{css}" x="{_n(x)}" y="{_n(y)}" width="{_n(max(width, 0))}" height="{_n(max(height, 0))}"/>'
         )
@@ -51,7 +51,7 @@ class Svg:
         self.parts.append(f'<path class="{css}" d="{d}"/>')
 
     def circle(self, x: float, y: float, radius: float, css: str, *, title: str = "") -> None:
-        """A dot."""
+        """Add a dot."""
         head = f'<circle class="{css}" cx="{_n(x)}" cy="{_n(y)}" r="{_n(radius)}"'
         self.parts.append(f"{head}><title>{escape(title)}</title></circle>" if title else f"{head}/>")
 
@@ -68,7 +68,7 @@ class Svg:
         self.parts.append(f'<use href="#{escape(reference)}"/>')
 
     def to_html(self) -> str:
-        """The element."""
+        """Return the element as HTML."""
         return (
             f'<svg class="{self.css}" viewBox="0 0 {_n(self.width)} {_n(self.height)}" role="img" '
             f'aria-label="{escape(self.alt)}">'
@@ -77,7 +77,7 @@ class Svg:
 
 
 def linear(low: float, high: float, start: float, stop: float) -> Scale:
-    """From values to coordinates."""
+    """Return a function that maps values to coordinates."""
     span = (high - low) or 1.0
     return lambda value: start + (value - low) / span * (stop - start)
 
@@ -94,7 +94,7 @@ def ticks(low: float, high: float, count: int = 5) -> list[float]:
 
 
 def tick_text(value: float) -> str:
-    """Short: 0.5, 20, 2M."""
+    """Return a short text of a number: 0.5, 20, 2M."""
     for factor, unit in ((1e9, "G"), (1e6, "M"), (1e4, "k")):
         if abs(value) >= factor:
             return f"{value / (1e3 if unit == 'k' else factor):g}{unit}"

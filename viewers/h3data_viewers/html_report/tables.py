@@ -42,7 +42,7 @@ NAME_WIDTH = 34
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """One value of a table."""
+    """Value in a table."""
 
     text: str
     """``0.97 [0.95, 0.99]``; empty: nothing to say."""
@@ -52,12 +52,12 @@ class Cell:
     """Said below, in small type."""
     strong: bool = False
     heat: float = NAN
-    """0 to 1: how strongly the cell is coloured; NaN: not at all."""
+    """Strength of the cell's colour, 0 to 1; NaN for none."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Column:
-    """One column of a table, the column of names excepted."""
+    """Column of a table, except the column of names."""
 
     head: str
     hint: str = ""
@@ -67,7 +67,7 @@ class Column:
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One row: its name and a cell for each column."""
+    """Row of a table: its name and a cell for each column."""
 
     name: str
     cells: tuple[Cell, ...]
@@ -135,7 +135,7 @@ def number(value: float, digits: int = 2) -> str:
 
 
 def counted(count: int, noun: str) -> str:
-    """``1 episode``, ``2 episodes``."""
+    """Return a number with its noun, such as ``1 episode`` or ``2 episodes``."""
     return f"{count:,} {noun}{'s' if count != 1 else ''}"
 
 

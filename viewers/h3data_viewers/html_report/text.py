@@ -15,7 +15,7 @@ from h3data_viewers.html_report.tables import Cell, Column, Row, Section, Table,
 TASKS = {"social_nav": "social navigation", "rearrange": "social rearrangement"}
 """Names of the paper's tasks."""
 _LISTED, _MOST_PATHS = 5_000, 8
-"""At most so many episodes, and folders, are listed one by one."""
+"""Largest numbers of episodes, and of folders, that are listed one by one."""
 
 
 def task_name(task: str) -> str:
@@ -71,7 +71,7 @@ def beginning(
 
 
 def absences(missing: Sequence[str]) -> str:
-    """A list of what the report does not show, and why."""
+    """Return a list of what the report does not show, and why."""
     return f'<div class="missing"><ul>{"".join(f"<li>{escape(line)}</li>" for line in missing)}</ul></div>'
 
 

@@ -25,7 +25,7 @@ STILL_EVERY = 5
 """Video frames per still. Stills of a 1,500-frame 640x480 video take 1.4 MB and 0.7 s of CPU time."""
 JPEG_QUALITY = 80
 BATCH = 64
-"""Stills held in memory before they are written."""
+"""Number of stills held in memory before they are written."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -22,12 +22,12 @@ from h3data_viewers.rerun.transforms import LoggedTrack, decompose, step_blocks
 _LOG = logging.getLogger(__name__)
 
 MESH_BYTES = 12_000_000
-"""Budget of all rigid meshes; above it, all are thinned by the same factor."""
+"""Budget of all rigid meshes [bytes]; above it, all are thinned by the same factor."""
 TEXTURE_BYTES = 8_000_000
 """Budget of all textures, which are halved until they fit: a ``.rrd`` stores texels uncompressed, once per mesh."""
 TEXTURE_SIDE_PX = 512
 SKIN_BYTES = 16_000_000
-"""Budget of all skinned bodies; above it, they are sampled less often."""
+"""Budget of all skinned bodies [bytes]; above it, they are sampled less often."""
 SKIN_VERTICES = 3_500
 AGENT_COLORS = {
     "robot": ((255, 202, 40), (239, 83, 80), (255, 138, 101), (212, 225, 87)),
@@ -38,7 +38,7 @@ PATH_RADIUS_M, MARK_M = 0.025, 0.09
 
 
 class Drawable(Protocol):
-    """One mesh to show, such as a `h3data.replay.Drawable`."""
+    """Mesh to show, such as a `h3data.replay.Drawable`."""
 
     @property
     def name(self) -> str:
@@ -67,7 +67,7 @@ class Drawable(Protocol):
 
     @property
     def moving(self) -> bool:
-        """Returns whether its pose changes over time."""
+        """Return whether the pose of the mesh changes over time."""
         ...
 
     @property

@@ -28,7 +28,7 @@ SCAN_RADIUS_M = 0.035
 SCAN_EVERY = 3
 """Steps between scans that are shown: 360 points take 4 kB."""
 STAIRS_EVERY_M = 0.25
-"""In homes with stairs the border has a point at least this often, to follow them."""
+"""Largest distance between points of the border in homes with stairs, so that it follows them [m]."""
 
 
 # --- free space -------------------------------------------------------------------------------------------------------

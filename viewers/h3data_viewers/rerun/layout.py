@@ -18,11 +18,11 @@ class LoggedRecording:
     """Entity paths under which one recording was logged."""
 
     label: str
-    """Root of its entities; empty if the file holds no other recording."""
+    """Root of the recording's entities; empty if the file holds no other recording."""
     name: str
-    """Title of its 3-D view."""
+    """Title of the recording's 3-D view."""
     world: str
-    """Absolute path of its home, like all paths below."""
+    """Absolute path of the recording's home, like all paths below."""
     focus: NDArray[np.floating]
     """Box [2, 3] that the 3-D view shows initially [m]."""
     hidden: Sequence[str]

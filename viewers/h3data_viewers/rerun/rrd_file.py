@@ -40,7 +40,7 @@ SKIN_EVERY = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ShownRecording:
+class ViewedRecording:
     """A recording together with its meshes, cameras and title."""
 
     recording: Recording
@@ -70,9 +70,9 @@ def write_rrd(
     Args:
         recording: recording to show.
         path: path of the ``.rrd`` file; missing folders are created.
-        replay: meshes and poses, as in `ShownRecording`.
+        replay: meshes and poses, as in `ViewedRecording`.
         cameras: cameras to show, as feeds or as tracks with their MP4 files.
-        videos: MP4 files of cameras of the replay, as in `ShownRecording`.
+        videos: MP4 files of cameras of the replay, as in `ViewedRecording`.
         videos_ready: called before they are read; it may wait until they are complete, while all else is written here.
         images: storage of camera videos, see `h3data_viewers.rerun.cameras.log_camera`.
         skin_every: steps between samples of skinned bodies, which move rigidly with their agent in between. A larger
@@ -87,14 +87,14 @@ def write_rrd(
         each if isinstance(each, CameraFeed) else CameraFeed(camera=each[0].camera, poses=each[0].poses, video=each[1])
         for each in cameras
     ]
-    shown = ShownRecording(recording=recording, replay=replay, cameras=feeds, videos=videos or {})
+    shown = ViewedRecording(recording=recording, replay=replay, cameras=feeds, videos=videos or {})
     path, ready = Path(path), videos_ready
     return _write_file([shown], path, images=images, skin_every=skin_every, overwrite=overwrite, ready=ready)
 
 
 def write_comparison_rrd(
-    first: ShownRecording,
-    second: ShownRecording,
+    first: ViewedRecording,
+    second: ViewedRecording,
     path: str | Path,
     *,
     images: ImageStorage = "stills",
@@ -123,7 +123,7 @@ def write_comparison_rrd(
 
 
 def _write_file(
-    sides: Sequence[ShownRecording],
+    sides: Sequence[ViewedRecording],
     path: Path,
     *,
     images: ImageStorage,
@@ -154,7 +154,7 @@ def _write_file(
     return path
 
 
-def recorded_stream(sides: Sequence[ShownRecording]) -> rr.RecordingStream:
+def recorded_stream(sides: Sequence[ViewedRecording]) -> rr.RecordingStream:
     """Returns one or two recordings as a Rerun stream in memory, with its layout.
 
     Raises:
@@ -166,7 +166,7 @@ def recorded_stream(sides: Sequence[ShownRecording]) -> rr.RecordingStream:
     return stream
 
 
-def _stream(sides: Sequence[ShownRecording]) -> rr.RecordingStream:
+def _stream(sides: Sequence[ViewedRecording]) -> rr.RecordingStream:
     try:
         import rerun as rr
     except ImportError as error:
@@ -179,7 +179,7 @@ def _stream(sides: Sequence[ShownRecording]) -> rr.RecordingStream:
 
 def _log(
     stream: rr.RecordingStream,
-    sides: Sequence[ShownRecording],
+    sides: Sequence[ViewedRecording],
     *,
     images: ImageStorage,
     skin_every: int,
@@ -203,7 +203,7 @@ def _log(
         _log_world(side, sink, group, images, skin_every, ready=ready)
 
 
-def _log_curves(shown: ShownRecording, sink: Sink, cameras: Sequence[CameraFeed], *, bounds: bool) -> LoggedRecording:
+def _log_curves(shown: ViewedRecording, sink: Sink, cameras: Sequence[CameraFeed], *, bounds: bool) -> LoggedRecording:
     """Logs plots, lanes and texts; returns what the layout shows of this recording, with the home and the cameras."""
     recording, replay, compared = shown.recording, shown.replay, bool(sink.label)
     drawables = list(replay.drawables) if replay is not None else []
@@ -224,7 +224,7 @@ def _log_curves(shown: ShownRecording, sink: Sink, cameras: Sequence[CameraFeed]
 
 
 def _log_world(
-    shown: ShownRecording,
+    shown: ViewedRecording,
     sink: Sink,
     cameras: Sequence[CameraFeed],
     images: ImageStorage,
@@ -258,18 +258,18 @@ def _check_videos(feeds: Sequence[Sequence[CameraFeed]]) -> None:
         raise InputError(f"These camera videos do not exist: {'; '.join(missing)}.", code="H3-VIEW-019")
 
 
-def _title(shown: ShownRecording) -> str:
+def _title(shown: ViewedRecording) -> str:
     return shown.name or f"{shown.recording.episode.task} {shown.recording.episode.episode_id}"
 
 
-def _timeline(sides: Sequence[ShownRecording]) -> str:
+def _timeline(sides: Sequence[ViewedRecording]) -> str:
     """Returns the timeline on which all recordings run at the same pace."""
     times = [side.recording.columns["time_ns"] for side in sides]
     common = min(len(t) for t in times)
     return "step" if all(np.array_equal(t[:common], times[0][:common]) for t in times) else "sim_time"
 
 
-def _named_cameras(shown: ShownRecording) -> list[CameraFeed]:
+def _named_cameras(shown: ViewedRecording) -> list[CameraFeed]:
     """Feeds of the replay's own cameras that have videos."""
     if not shown.videos:
         return []
@@ -282,7 +282,7 @@ def _named_cameras(shown: ShownRecording) -> list[CameraFeed]:
     return [CameraFeed(camera=t.camera, poses=t.poses, video=Path(shown.videos[name])) for name, t in tracks.items()]
 
 
-def _log_properties(stream: rr.RecordingStream, sides: Sequence[ShownRecording]) -> None:
+def _log_properties(stream: rr.RecordingStream, sides: Sequence[ViewedRecording]) -> None:
     import rerun as rr
 
     episodes = [side.recording.episode for side in sides]

@@ -62,7 +62,7 @@ def is_following(recording: Recording) -> bool:
 
 # --- plots ------------------------------------------------------------------------------------------------------------
 def curves_of(recording: Recording) -> tuple[dict[str, NDArray[Any]], list[str]]:
-    """Returns the per-step scalars [T] by name, and the names of those that are distances [m]."""
+    """Return the per-step scalars [T] by name, and the names of those that are distances [m]."""
     curves: dict[str, NDArray[Any]] = {
         name.removeprefix("metrics."): column
         for name, column in recording.columns.items()

@@ -23,7 +23,7 @@ from h3data.bodies.people.skeleton import FINGERS, JOINT_INDEX
 from h3data.kernels import kernel, kernel_part
 
 YAW_MAX, PITCH_MAX = math.radians(70.0), math.radians(50.0)
-"""Largest turn of the head against the chest; what is behind is not looked at."""
+"""Largest turn of the head against the chest; points behind the person are not looked at."""
 BEHIND = -0.3
 """Cosine between the chest's direction and that of a point, below which the point is behind."""
 HEAD_SHARE, HEAD_STEP, HEAD_GAIN = 0.2, math.radians(4.0), 0.02

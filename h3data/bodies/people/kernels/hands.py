@@ -28,10 +28,10 @@ from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.kernels import kernel, kernel_part
 
 WRIST_MAX = math.radians(70.0)
-"""A wrist turns this far from the direction of the forearm at most."""
+"""Largest angle of a wrist from the direction of the forearm [rad]."""
 TURN_PASSES = 4
-"""A turned wrist moves the palm, so arm and wrist are solved in turn. The arm comes last: the place of the palm is exact,
-its rotation is off by less than 0.1 degrees after four passes."""
+"""Number of passes in which arm and wrist are solved in turn, as a turned wrist moves the palm. The arm comes last: the place
+of the palm is exact, its rotation is off by less than 0.1 degrees after four passes."""
 NECK_SHARE = 0.4
 """Share of a turn of the head that the neck does."""
 

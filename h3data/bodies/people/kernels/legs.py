@@ -41,7 +41,7 @@ SETTLE_LIFT = 0.3
 
 
 class LegMeasures(NamedTuple):
-    """`h3data.bodies.people.legs.Legs` for kernels."""
+    """Lengths and limits of legs (`h3data.bodies.people.legs.Legs`) as arrays for kernels."""
 
     hips: Array
     thigh: float
@@ -53,18 +53,21 @@ class LegMeasures(NamedTuple):
 
 @kernel_part()
 def solve_leg(thigh, shank, knee_out, pelvis_turn, hip, ankle, pitch, yaw):
-    """One leg from its hip to its ankle; the knee points where the foot does and ``knee_out`` to the body's left.
+    """Solve one leg from its hip to its ankle; the knee points where the foot does and ``knee_out`` to the body's left.
 
     Returns flexion of the knee, the thigh's direction and turn, local rotations of hip, knee and ankle, and how far the ankle
     is from the hip.
     """
     path = plus(ankle, hip, -1.0)
     distance = math.sqrt(dot(path, path))
+    # a straight knee has no direction to point in, and its angle an infinite slope
     reach = min(distance, (thigh + shank) * 0.9999)
     down = (path[0] / distance, path[1] / distance, path[2] / distance)
     pitch, yaw = math.radians(pitch), math.radians(yaw)
     forward = (math.sin(yaw) + knee_out, 0.0, math.cos(yaw))
+    # the part of the direction that is square to the leg: the knee turns about the line from hip to ankle
     pole = unit(plus(forward, down, -dot(forward, down)))
+    # law of cosines, twice: at the hip and at the knee; clamped, since rounding leaves -1..1
     c = min(max((thigh * thigh + reach * reach - shank * shank) / (2 * thigh * reach), -1.0), 1.0)
     s = math.sqrt(1 - c * c)
     inner = min(max((thigh * thigh + shank * shank - reach * reach) / (2 * thigh * shank), -1.0), 1.0)
@@ -87,6 +90,7 @@ def sinking(hips, longest, pelvis_turn, pelvis, ankles):
     for k in range(2):
         hip = plus(pelvis, turned(pelvis_turn, row3(hips, k)), 1.0)
         x, z = hip[0] - ankles[k, 0], hip[2] - ankles[k, 2]
+        # highest hip from which the leg reaches the ankle, a sphere about it
         highest = ankles[k, 1] + math.sqrt(max(longest * longest - x * x - z * z, 0.0))
         sink = max(sink, hip[1] - highest)
     return sink
@@ -128,10 +132,12 @@ def write_legs(legs, quats, pelvis, ankle, foot, angles):
     pelvis_turn = row4(quats, 0)
     for k in range(2):
         hip = plus((pelvis[0], pelvis[1], pelvis[2]), turned(pelvis_turn, row3(legs.hips, k)), 1.0)
+        # knees point a little outwards, as those of people do
         out = KNEES_OUT if k == 0 else -KNEES_OUT
         flexion, bone, _, hip_turn, knee_turn, ankle_turn, distance = solve_leg(
             legs.thigh, legs.shank, out, pelvis_turn, hip, row3(ankle, k), foot[k, 0], foot[k, 1]
         )
+        # one sign for each rotation, so that blends take the shorter way
         put(quats, LEG_JOINTS[0, k], positive(hip_turn))
         put(quats, LEG_JOINTS[1, k], positive(knee_turn))
         put(quats, LEG_JOINTS[2, k], positive(ankle_turn))
@@ -165,13 +171,16 @@ def settle(legs, stand, quats, pelvis, ankle, foot, phase, blend):
         # the right foot strikes the floor half a cycle after the left one
         first = (phase - 0.5 * k) % 1.0 >= 0.5
         s = min(max(2 * blend - 1 if first else 2 * blend, 0.0), 1.0)
+        # smoothstep: no foot starts or stops with a jerk
         s = s * s * (3 - 2 * s)
         apart = math.hypot(ankle[k, 0] - still_ankle[k, 0], ankle[k, 2] - still_ankle[k, 2])
+        # a turn counts as the toes move, about 0.2 m from the ankle
         apart += 0.2 * math.radians(abs(foot[k, 1] - still_foot[k, 1]))
         for i in range(3):
             ankle[k, i] = still_ankle[k, i] + s * (ankle[k, i] - still_ankle[k, i])
             foot[k, i] = still_foot[k, i] + s * (foot[k, i] - still_foot[k, i])
         lift = SETTLE_LIFT * min(apart, 0.3) + 0.015 * min(apart / 0.004, 1.0)
+        # a parabola of height `lift`, 0 at both ends
         ankle[k, 1] += lift * 4 * (s * (1 - s))
         ankle[k, 1] += max(-lowest(legs.feet[k], ankle[k, 1], foot[k, 0], foot[k, 2]), 0.0)
     pelvis[1] -= sinking(legs.hips, legs.longest, row4(quats, 0), (pelvis[0], pelvis[1], pelvis[2]), ankle)
@@ -182,6 +191,7 @@ def stand_on(legs, quats, pelvis, ankle, ground):
     """Raise one pose, in place, to the heights of the floor ``ground`` [2] [m] under its left and right foot."""
     for k in range(2):
         ankle[k, 1] += ground[k]
+    # the mean of both floors, then as low as the lower foot needs
     pelvis[1] += (ground[0] + ground[1]) / 2
     pelvis[1] -= sinking(legs.hips, legs.longest, row4(quats, 0), (pelvis[0], pelvis[1], pelvis[2]), ankle)
 

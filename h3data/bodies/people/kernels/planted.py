@@ -1,4 +1,4 @@
-"""Planted walking, compiled: what a person's feet do while the root moves in any way, and the pose of any moment of it.
+"""Compiled kernels of planted walking: the motion of the feet while the root moves in any direction, and the pose at any time.
 
 `step_gait` is a phase machine. A foot is either planted, at one place of the floor in the world, or it swings from there to
 where it will be needed: as far ahead as the gait at this speed has it, plus half of what the root moves and turns beyond that
@@ -50,7 +50,8 @@ PLANT, LEFT_AT, LANDS_AT = 3, 6, 9
 """Columns of a foot: its planted place in the world [3], its distance from the gait when it left the floor [3], and that
 distance when it lands [3]."""
 SHAPE_OFF = 12
-"""By how much its pitch, bend [deg], ankle forward and up [m] differ from the gait's since it left the floor or landed [4]."""
+"""Columns of a foot: differences of pitch, bend [deg], ankle forward and up [m] from the gait since it left the floor or landed
+[4]."""
 FOOT_COLUMNS = 16
 STATE_COLUMNS = FOOT + 2 * FOOT_COLUMNS
 
@@ -63,19 +64,19 @@ STYLE_ACCELERATION = 3.0
 TURN_SHARE = 0.35
 """Share of a change of the turning rate that a step takes over."""
 CYCLES_PER_RAD = 0.7
-"""Turning on the spot takes so many cycles of two steps per radian: a foot is set anew every 41 degrees."""
+"""Number of cycles of two steps per radian of a turn on the spot: a foot is placed anew every 41 degrees."""
 SETTLE_HZ = 1.5
 """Cadence at which feet that stand wrong are set right."""
 SETTLED_M, SETTLED_RAD = 0.02, 0.10
-"""A foot this near to its place stands right."""
+"""Distance and angle within which a foot counts as being at its place."""
 TWIST_RAD = 0.6
 """A foot lands turned from the body by no more than this."""
 OFF_M = 0.45
-"""A foot lands no further than this from where the steady gait has it."""
+"""Largest distance at which a foot lands from where the steady gait has it [m]."""
 LANDING_M, LANDING_RAD = 0.06, 0.20
 """The place where a swinging foot will land moves by no more than this in a step."""
 FIRST_SHARE = 0.25
-"""Share of its stance at which a foot is that stays while the other one makes the first step."""
+"""Share of its stance that the standing foot has reached while the other one makes the first step."""
 JUMP_M = 0.5
 """A root that moves further in one step has been put there: the person stands."""
 MOST_STEPS, LEAST_S = 30, 1e-3
@@ -86,26 +87,26 @@ feet by up to 5 cm, as a foot that leaves the floor one step later lands elsewhe
 RISE_MPS = 0.5
 """The pelvis comes back up no faster."""
 LIFT, LIFT_MOST_M = 0.18, 0.06
-"""A foot that goes to a place of its own is lifted by this share of the distance, up to so far, beside the gait's own lift."""
+"""Lift of a foot that goes to a place of its own: share of the distance, and its limit, in addition to the gait's own lift."""
 SHAPE_LEFT = 0.78
 """Share of `SHAPE_OFF` that is left after a step."""
 STRETCHED = 0.994
-"""A leg is stretched to this share of its length: straighter knees would snap."""
+"""Largest share of its length to which a leg is stretched: straighter knees would snap."""
 LETS_GO = 0.4
-"""Over this share of its swing the pelvis stops minding whether a foot is within reach."""
+"""Share of a foot's swing after which the pelvis no longer keeps that foot within reach."""
 CROUCH_M, CROUCH_MPS = 0.06, 0.2
-"""On stairs the pelvis is lower by this much, for the foot below; it gets there at this speed."""
+"""Distance by which the pelvis is lower on stairs, for the foot below, and the speed at which it gets there."""
 OVER_BY = 0.8
-"""By this share of a swing between treads the foot is over its place."""
+"""Share of a swing between treads by which the foot is above its place."""
 DRAWS = 0.3
-"""On stairs the pelvis sinks for a swinging foot that comes down on a lower tread from this share of its swing on."""
+"""Share of a swing from which on the pelvis sinks for a foot that comes down on a lower tread."""
 EARLY_M, EARLY_SHARE = 0.04, 0.5
 """A foot behind the body that the pelvis would have to sink for by more than this leaves early, if the other one stands, in
 this part of its stance or later."""
 AHEAD_ACCELERATION = 25.0
 """The place where feet land follows the root's speed no faster than this [m/s^2]."""
 CLEARANCE_M = 0.012
-"""A swinging foot keeps so far off the floor."""
+"""Least distance of a swinging foot from the floor [m]."""
 FOOT_ROOM_M = 0.03
 """A swinging foot keeps heel and toe tip so far from walls and furniture. Those that belong below a person whose root is 25 cm
 from a wall have more room (5 cm on the largest body): with 6 cm such people never stopped setting their feet right."""
@@ -115,7 +116,7 @@ lines with so many looks at the map each. Pushed out along the gradient instead,
 IDLE_IN, IDLE_OUT = 0.6, 3.0
 """Rates [1/s] at which standing sway begins and ends."""
 LOOK_S, LOOK_RAD = 0.30, 0.6
-"""The head looks where the root will be turned so much later, by no more than that."""
+"""Time by which the head looks ahead of the turn of the root, and the largest angle of that look."""
 LOOK_GAIN, LOOK_RAD_S, LOOK_ACCELERATION = 7.0, 1.9, 18.0
 """The head gets there at this rate [1/s], no faster than 110 degrees a second, and its speed changes no faster than that
 [rad/s^2], as where it turns to things (`h3data.bodies.people.kernels.attention`). Without these limits the end of a turn on the
@@ -136,7 +137,7 @@ class GaitTables(NamedTuple):
     half_width: float
     ankle_height: float
     speeds: Array
-    """Rising from 0, [R] [m/s]."""
+    """Walking speeds of the rows, rising from 0, [R] [m/s]."""
     travel: Array
     """Length of a cycle, [R] [m]; 0 at rest."""
     cadence: Array
@@ -150,9 +151,9 @@ class GaitTables(NamedTuple):
     middle: Array
     """Position of the feet while the body does not travel, [R] [m]."""
     quats: Array
-    """[R, P, 55, 4] in the body frame; those of legs are not used."""
+    """Rotations of the joints in the body frame by speed and phase, [R, P, 55, 4]; those of legs are not used."""
     pelvis: Array
-    """[R, P, 3] [m]."""
+    """Position of the pelvis by speed and phase, [R, P, 3] [m]."""
     stand_foot: Array
     """Pitch and bend of a foot on the floor, [R, S, 2] [deg]."""
     swing_foot: Array
@@ -164,9 +165,9 @@ class GaitTables(NamedTuple):
     sdf: Array
     """Distances to walls and furniture [X, Z] [m] (`h3data.scene.FreeSpace.sdf`); [0, 0]: nothing stands anywhere."""
     origin: Array
-    """Lower corner of its grid, [2] [m]."""
+    """Lower corner of the grid of ``sdf``, [2] [m]."""
     cell_m: float
-    """Side of its cells."""
+    """Side of the cells of ``sdf`` [m]."""
     heights: Array
     """Table of floor heights (`h3data.scene.floor_heights`), [K, 10]; [0, 10] if the floor is level."""
 
@@ -191,6 +192,7 @@ def _at(column, k, f):
 
 @kernel_part(borrows=True)
 def _eased(u):
+    # the smoothstep: speed is 0 at both ends, so that a foot neither jerks off the floor nor stamps
     return u * u * (3 - 2 * u)
 
 
@@ -215,6 +217,7 @@ def _to_body(x, z, heading, px, pz, ph):
 @kernel_part(borrows=True)
 def _gait_ahead(table, k, f, speed, phase):
     """Returns how far ahead of the pelvis the steady gait has a foot on the floor at its own phase, 0 at its strike."""
+    # walking backwards is the same gait with the feet travelling the other way
     way = math.copysign(1.0, speed) * _at(table.travel, k, f)
     return _at(table.middle, k, f) + way * (_at(table.strike, k, f) - phase)
 
@@ -222,6 +225,7 @@ def _gait_ahead(table, k, f, speed, phase):
 @kernel_part(borrows=True)
 def _swing_ahead(table, k, f, speed, share):
     stance = _at(table.stance, k, f)
+    # a swing joins the two ends of the stance, so that a steady gait needs no correction at either
     off, on = _gait_ahead(table, k, f, speed, stance), _gait_ahead(table, k, f, speed, 0.0)
     return off + _eased(share) * (on - off)
 
@@ -238,9 +242,11 @@ def _slides_to(table, x, z, to_x, to_z):
     for _ in range(SLIDES):
         way_x, way_z = to_x - x, to_z - z
         length, done = math.hypot(way_x, way_z), 0.0
+        # the point is there: the next line would divide by zero
         if length < 1e-9:
             break
         way_x, way_z = way_x / length, way_z / length
+        # sphere tracing: within the free distance nothing can be hit, so each look may go as far as it says
         room = sample_sdf(table.sdf, table.origin, table.cell_m, x, z) - FOOT_ROOM_M
         for _ in range(LOOKS):
             if room <= TOUCHES_M or done >= length:
@@ -251,8 +257,10 @@ def _slides_to(table, x, z, to_x, to_z):
         if done >= length and room >= 0.0:
             break
         away_x, away_z = sdf_gradient(table.sdf, table.origin, table.cell_m, x, z)
+        # only the part of the motion that leads into the obstacle is taken away; the rest goes on along it
         square = max(away_x * away_x + away_z * away_z, 1e-9)
         into = min((way_x * away_x + way_z * away_z) / square, 0.0) * (length - done)
+        # twice the tolerance: from the border itself the next look would find no room and never get away
         back = max(2 * TOUCHES_M - room, 0.0) / math.sqrt(square)
         to_x, to_z = x + way_x * (length - done) - into * away_x, z + way_z * (length - done) - into * away_z
         x, z = x + back * away_x, z + back * away_z
@@ -266,8 +274,10 @@ def _beside_things(table, state, foot, left, ahead, yaw):
         return left, ahead
     x, z, heading = _to_world(state[X], state[Z], state[HEADING], left, ahead, yaw)
     c, s, feet = math.cos(heading), math.sin(heading), table.legs.feet[foot]
+    # one look from the root answers for most feet in open rooms: nothing is nearer than that
     near = sample_sdf(table.sdf, table.origin, table.cell_m, state[X], state[Z]) - FOOT_ROOM_M
     moved = False
+    # heel and toe tip; the ball lies between them
     for point in (0, 2):
         at_x, at_z = x + c * feet[point, 2], z - s * feet[point, 2]
         if math.hypot(at_x - state[X], at_z - state[Z]) > near:
@@ -286,6 +296,7 @@ def _lands_at(table, k, f, state, foot, left, ahead, gone):
 
     The foot lands ``left`` and ``ahead`` of its place in the gait; the phase is ``gone`` cycles behind the root.
     """
+    # where the gait has it at its strike, seen from where the root will be by then
     side = table.half_width if foot == 0 else -table.half_width
     onward = math.copysign(1.0, state[SPEED]) * _at(table.travel, k, f) * (1.0 - _own_phase(state[PHASE], foot) - gone)
     onward += _gait_ahead(table, k, f, state[SPEED], 0.0)
@@ -339,6 +350,7 @@ def _above_root(table, k, f, state, foot, along):
         return low - root
     lands_x, lands_z = _lands_at(table, k, f, state, foot, state[at + LANDS_AT], state[at + LANDS_AT + 1], 0.0)
     high = under_foot(table.heights, lands_x, lands_z, state[HEADING] + state[at + LANDS_AT + 2], heel, toe)
+    # from floor to floor beside the stairs there is nothing to climb over
     if low == high and step_at(table.heights, lands_x, lands_z)[0] < 0:
         return low - root
     share = min(max((state[at + SHARE] - state[at + SINCE]) / max(1.0 - state[at + SINCE], 1e-6), 0.0), 1.0)
@@ -364,6 +376,7 @@ def _stair_line(table, k, f, state, foot, done, gone):
     lands_x, lands_z = _lands_at(table, k, f, state, foot, state[at + LANDS_AT], state[at + LANDS_AT + 1], gone)
     x = state[at + PLANT] + done * (lands_x - state[at + PLANT])
     z = state[at + PLANT + 1] + done * (lands_z - state[at + PLANT + 1])
+    # the line is kept in the world: in the body frame a turn of the root would bend it over the edge of a tread
     turn = _wrapped(state[HEADING] + state[at + LANDS_AT + 2] - state[at + PLANT + 2])
     left, ahead, yaw = _to_body(state[X], state[Z], state[HEADING], x, z, state[at + PLANT + 2] + done * turn)
     return left, ahead, yaw, done
@@ -376,10 +389,12 @@ def _swing_line(table, k, f, state, foot, share):
     since = state[at + SINCE]
     if _steps_off(table, state, foot):
         part = min(max((share - since) / max(1.0 - since, 1e-6), 0.0), 1.0)
+        # over its tread before the end, so that it comes down from above and not through the nose
         return _stair_line(table, k, f, state, foot, _eased(min(part / OVER_BY, 1.0)), 0.0)
     done = _eased(min(max((share - since) / max(1.0 - since, 1e-6), 0.0), 1.0))
     side = table.half_width if foot == 0 else -table.half_width
     left = side + (1 - done) * state[at + LEFT_AT] + done * state[at + LANDS_AT]
+    # what the foot was off when it left fades out while what it should be off when it lands fades in
     ahead = _swing_ahead(table, k, f, state[SPEED], share)
     ahead += (1 - done) * state[at + LEFT_AT + 1] + done * state[at + LANDS_AT + 1]
     yaw = (1 - done) * state[at + LEFT_AT + 2] + done * state[at + LANDS_AT + 2]
@@ -409,6 +424,7 @@ def _curve(curves, k, f, share, i):
     place = min(max(share, 0.0), 1.0) * (curves.shape[1] - 1)
     low = min(int(place), curves.shape[1] - 2)
     part = place - low
+    # linear in the share and in the speed, between samples that are dense enough not to show
     below = curves[k, low, i] + part * (curves[k, low + 1, i] - curves[k, low, i])
     above = curves[k + 1, low, i] + part * (curves[k + 1, low + 1, i] - curves[k + 1, low, i])
     return below + f * (above - below)
@@ -420,15 +436,20 @@ def _gait_shape(table, k, f, state, foot):
     at = FOOT + foot * FOOT_COLUMNS
     if state[at + AIR] == 0.0:
         share = _own_phase(state[PHASE], foot) / _at(table.stance, k, f)
+        # who walks backwards rolls from toe to heel; the curves of walking forwards would look like a limp, so
+        # feet stay flat
         forwards = 1.0 if state[SPEED] >= 0.0 else 0.0
         pitch = forwards * _curve(table.stand_foot, k, f, share, 0)
         return pitch, forwards * _curve(table.stand_foot, k, f, share, 1), 0.0, 0.0
     share = state[at + SHARE]
+    # backwards a little of the swing is left: without any the toes would drag
     forwards = 1.0 if state[SPEED] >= 0.0 else 0.3
     pitch, bend = _curve(table.swing_foot, k, f, share, 0), _curve(table.swing_foot, k, f, share, 1)
     along, up = _curve(table.swing_path, k, f, share, 0), _curve(table.swing_path, k, f, share, 1)
     off = math.hypot(state[at + LEFT_AT] - state[at + LANDS_AT], state[at + LEFT_AT + 1] - state[at + LANDS_AT + 1])
+    # a turn of the foot counts as its toes move: they are about 0.2 m from the ankle
     off += 0.2 * abs(state[at + LEFT_AT + 2] - state[at + LANDS_AT + 2])
+    # its square has no speed at either end, as the path has none
     arc = math.sin(math.pi * min(max((share - state[at + SINCE]) / max(1 - state[at + SINCE], 1e-6), 0.0), 1.0))
     return forwards * pitch, forwards * bend, forwards * along, up + min(LIFT * off, LIFT_MOST_M) * arc * arc
 
@@ -441,12 +462,15 @@ def _shape(table, k, f, state, foot):
     pitch, bend = pitch + state[at + SHAPE_OFF], max(bend + state[at + SHAPE_OFF + 1], 0.0)
     if state[at + AIR] == 0.0:
         bend = max(-pitch, 0.0)
+        # toes up it stands on the heel, heel up on the ball; the pivot keeps its place, so the ankle moves
+        # about it
         pivot = 0 if pitch > 0.0 else 1
         c, s = math.cos(math.radians(pitch)), math.sin(math.radians(pitch))
         y, z = feet[pivot, 1], feet[pivot, 2]
         return pitch, bend, z - (c * z - s * y), y - (c * y + s * z) + table.ankle_height
     along, up = along + state[at + SHAPE_OFF + 2], up + state[at + SHAPE_OFF + 3]
     share = (state[at + SHARE] - state[at + SINCE]) / max(1 - state[at + SINCE], 1e-6)
+    # the clearance grows and ends within the swing: a jump by it would show when the foot leaves or lands
     clear = CLEARANCE_M * min(1.0, 8 * share, 12 * (1 - share))
     return pitch, bend, along, up + max(clear - lowest(feet, up, pitch, bend), 0.0)
 
@@ -457,6 +481,7 @@ def _ankle(table, k, f, state, foot):
     left, ahead, yaw = _foot_place(table, k, f, state, foot)
     pitch, bend, along, up = _shape(table, k, f, state, foot)
     c, s = math.cos(yaw), math.sin(yaw)
+    # last, because the height of the floor depends on how far ahead the ankle is
     up += _above_root(table, k, f, state, foot, along)
     return (left + s * along, up, ahead + c * along), pitch, bend, yaw
 
@@ -465,6 +490,8 @@ def _ankle(table, k, f, state, foot):
 def _keep_shape(table, k, f, state, foot, shape):
     """Lets a foot that has just left the floor, or landed, look as it did before: (pitch, bend, forward, up)."""
     at = FOOT + foot * FOOT_COLUMNS
+    # the difference is kept and fades: the shape itself must not jump from that of a standing to that of a swinging
+    # foot
     now = _gait_shape(table, k, f, state, foot)
     state[at + SHAPE_OFF], state[at + SHAPE_OFF + 1] = shape[0] - now[0], shape[1] - now[1]
     in_air = state[at + AIR]
@@ -476,6 +503,7 @@ def _plant(table, state, foot, place, steps):
     at = FOOT + foot * FOOT_COLUMNS
     x, z, heading = _to_world(state[X], state[Z], state[HEADING], place[0], place[1], place[2])
     if table.heights.shape[0]:
+        # it may land a little beside where it aimed; at rest it has to be on one tread
         x, z = _on_a_tread(table, state, foot, x, z, heading, _came_from(table, state, foot) if steps else -1)
     state[at + AIR] = 0.0
     state[at + PLANT], state[at + PLANT + 1], state[at + PLANT + 2] = x, z, heading
@@ -487,6 +515,7 @@ def _leave(table, k, f, state, foot, share):
     at = FOOT + foot * FOOT_COLUMNS
     left, ahead, yaw = _foot_place(table, k, f, state, foot)
     side = table.half_width if foot == 0 else -table.half_width
+    # before the foot counts as swinging, since the shape is that of a standing foot until then
     shape = _shape(table, k, f, state, foot)
     state[at + AIR], state[at + SHARE], state[at + SINCE] = 1.0, share, share
     state[at + LEFT_AT] = left - side
@@ -528,15 +557,18 @@ def is_settled(table, state):
 @kernel_part(borrows=True)
 def _begin(table, k, f, state):
     """The first step: the foot that stands more wrongly makes it, or the one on the side to which the root turns."""
+    # turning to the left the left foot opens the turn; the other one would step across it
     worst, wrong = 1 if state[TURN] < 1e-3 else 0, 0.0
     rest_k, rest_f = _row(table, 0.0)
     for foot in range(2):
         left, ahead, yaw = _foot_place(table, rest_k, rest_f, state, foot)
         side = table.half_width if foot == 0 else -table.half_width
         off = math.hypot(left - side, ahead - table.middle[0]) + 0.2 * abs(yaw)
+        # a margin, so that rounding does not decide which foot goes first
         if off > wrong + SETTLED_M:
             worst, wrong = foot, off
     stance = _at(table.stance, k, f)
+    # half a cycle ahead of the foot that stays, which has `FIRST_SHARE` of its stance behind it
     own = FIRST_SHARE * stance + 0.5
     state[PHASE] = (own + 0.5 * worst) % 1.0
     state[SHOWN] = state[PHASE] if abs(state[SPEED]) < 0.3 else state[SHOWN]
@@ -555,6 +587,7 @@ def _change_speed(table, state, velocity, most):
         old = _gait_shape(table, k, f, state, foot)
         if state[at + AIR] > 0.0:
             ahead = _swing_ahead(table, k, f, was, state[at + SHARE])
+            # both ends get the difference: the foot stays where it is now, and where it was going to land
             off = ahead - _swing_ahead(table, below, part, speed, state[at + SHARE])
             state[at + LEFT_AT + 1] += off
             state[at + LANDS_AT + 1] += off
@@ -571,13 +604,15 @@ def _change_speed(table, state, velocity, most):
 
 @kernel_part(borrows=True)
 def step_gait(table, state, x, z, heading, dt):
-    """Brings a state on by one step in which the root gets to (x, z, heading)."""
+    """Advance a state by one step in which the root gets to (x, z, heading)."""
     dx, dz = x - state[X], z - state[Z]
     way = math.hypot(dx, dz)
+    # also true for NaN, of which every comparison is false: an absent person stands again when they are back
     if not way <= JUMP_M:
         stand_at(table, state, x, z, heading)
         return
     turned_by = _wrapped(heading - state[HEADING])
+    # on an arc the chord points along the heading halfway; with either end, a turn would look like a step sideways
     middle = state[HEADING] + turned_by / 2
     forward = math.cos(middle) * dx - math.sin(middle) * dz
     rests = way < 1e-4 and abs(turned_by) < 1e-4
@@ -590,9 +625,11 @@ def step_gait(table, state, x, z, heading, dt):
     climbs = table.heights.shape[0] > 0 and beside_steps(table.heights, x, z)
     most = _climbing_speed(table) if climbs else 0.0
     gait = min(max(velocity, -most), most) if climbs else velocity
+    # the gait follows more slowly than the root: recorded roots stop within one step, feet cannot
     _change_speed(table, state, gait, ACCELERATION * dt)
     slow = STYLE_ACCELERATION * dt
     state[STYLE] += min(max(state[SPEED] - state[STYLE], -slow), slow)
+    # a filtered turn never becomes 0 by itself, and a person who rests would never count as settled
     if rests and abs(state[TURN]) < 0.02:
         state[TURN] = 0.0
     _turn_look(state, dt)
@@ -609,7 +646,9 @@ def step_gait(table, state, x, z, heading, dt):
             climbs and abs(gait) == most
         ):  # steps are as long as the stairs have them, so their number depends on the speed
             rate = abs(velocity) / max(_at(table.travel, k, f), 0.2)
+        # on the spot the root travels nothing; steps then follow from the turn
         rate = max(rate, CYCLES_PER_RAD * abs(state[TURN]))
+        # whoever has stopped still brings the feet together
         rate = max(rate, SETTLE_HZ) if velocity == 0.0 else rate
         flies = state[FOOT + AIR] + state[FOOT + FOOT_COLUMNS + AIR]
         if flies == 1.0 and not climbs:  # a foot that is left behind needs the other one soon
@@ -626,6 +665,7 @@ def step_gait(table, state, x, z, heading, dt):
 @kernel_part(borrows=True)
 def _climbing_speed(table):
     """Speed of the gait whose steps are one tread long [m/s]."""
+    # a cycle is two steps
     length = 2 * tread_length(table.heights)
     k = 0
     while k < len(table.speeds) - 2 and table.travel[k + 1] < length:
@@ -638,6 +678,7 @@ def _climbing_speed(table):
 def _turn_look(state, dt):
     """Turns the head by one step towards where the root will be turned."""
     wanted = min(max(LOOK_S * state[TURN], -LOOK_RAD), LOOK_RAD)
+    # proportional, then limited in speed and in acceleration: heads have mass
     rate = min(max(LOOK_GAIN * (wanted - state[LOOK]), -LOOK_RAD_S), LOOK_RAD_S)
     most = LOOK_ACCELERATION * dt
     state[LOOK_RATE] += min(max(rate - state[LOOK_RATE], -most), most)
@@ -681,11 +722,13 @@ def _advance(table, k, f, state, ahead, rate, rests):
     landed, shapes = -1, (0.0, 0.0, 0.0, 0.0)
     for foot in range(2):
         at = FOOT + foot * FOOT_COLUMNS
+        # what differs from the gait fades by a share in each step, so that it has no end that could be seen
         for i in range(4):
             state[at + SHAPE_OFF + i] *= SHAPE_LEFT
         own = _own_phase(state[PHASE], foot)
         after = own + ahead
         if state[at + AIR] == 0.0:
+            # one foot always stays on the floor: people do not hop to catch up
             stands = state[FOOT + (1 - foot) * FOOT_COLUMNS + AIR] == 0.0
             if stands and stance > after > EARLY_SHARE * stance and _lacks(table, k, f, state, foot) > EARLY_M:
                 _leave(table, k, f, state, foot, 0.0)
@@ -693,6 +736,8 @@ def _advance(table, k, f, state, ahead, rate, rests):
                 _leave(table, k, f, state, foot, 0.0)
                 state[at + SHARE] = min((after - stance) / (1 - stance), 1.0)
         else:
+            # the rest of the swing over the rest of the phase: a foot that left late still lands at its
+            # strike
             state[at + SHARE] += (1 - state[at + SHARE]) * min(ahead / max(1.0 - own, 1e-9), 1.0)
         if state[at + AIR] > 0.0:
             _aim(table, k, f, state, foot, span, ahead)
@@ -703,6 +748,8 @@ def _advance(table, k, f, state, ahead, rate, rests):
                 if _steps_off(table, state, foot):
                     left, onward, yaw, _ = _stair_line(table, k, f, state, foot, 1.0, ahead)
                 else:
+                    # the step ends after the strike: since then the floor has carried the foot back
+                    # under the body
                     past = _gait_ahead(table, k, f, state[SPEED], after - 1.0) - _gait_ahead(
                         table, k, f, state[SPEED], 0.0
                     )
@@ -728,7 +775,9 @@ def _aim(table, k, f, state, foot, span, gone):
     at = FOOT + foot * FOOT_COLUMNS
     half = span / 2
     yaw = min(max(state[TURN] * half, -TWIST_RAD), TWIST_RAD)
+    # the root outruns the gait while it speeds up; without this feet land behind and the pelvis sinks
     ahead = min(max((state[AHEAD] - state[SPEED]) * half, -OFF_M), OFF_M)
+    # on an arc the body drifts aside by v w t^2 / 2 in half a stance
     left = min(max(state[SPEED] * state[TURN] * half * half / 2, -0.12), 0.12)
     if table.heights.shape[0]:
         if beside_steps(table.heights, state[X], state[Z]):
@@ -746,6 +795,7 @@ def _aim(table, k, f, state, foot, span, gone):
 def _show(state, ahead):
     """Trunk and arms follow the phase of the feet, which has gone on by ``ahead`` cycles."""
     gap = state[PHASE] - state[SHOWN] - ahead
+    # the shorter way round the cycle
     gap -= math.floor(gap + 0.5)
     state[SHOWN] = (state[SHOWN] + ahead + min(max(0.15 * gap, -CATCH_UP), CATCH_UP)) % 1.0
 
@@ -767,6 +817,7 @@ def _pelvis(table, state):
         x += weight * (a[0] + share * (b[0] - a[0]))
         y += weight * (a[1] + share * (b[1] - a[1]))
         z += weight * (a[2] + share * (b[2] - a[2]))
+    # standing people shift their weight: 5.3 s and 3.7 s share no period below 196 s, so that poses hardly repeat
     idle = _eased(state[IDLE])
     x += idle * 0.009 * math.sin(2 * math.pi * state[TIME] / 5.3)
     y -= idle * 0.003 * (1 - math.cos(2 * math.pi * state[TIME] / 5.3))
@@ -776,6 +827,7 @@ def _pelvis(table, state):
 @kernel_part(borrows=True)
 def _joint(table, k, f, low, high, share, j):
     below = nlerp(row4(table.quats[k, low], j), row4(table.quats[k, high], j), share)
+    # saves half the work where the speed is that of a row, as for everybody who stands
     if f == 0.0:
         return below
     above = nlerp(row4(table.quats[k + 1, low], j), row4(table.quats[k + 1, high], j), share)
@@ -796,6 +848,7 @@ def _lacks(table, k, f, state, foot):
     ankle, _, _, _ = _ankle(table, k, f, state, foot)
     hip = turned(turn, row3(table.legs.hips, foot))
     aside, onward = place[0] + hip[0] - ankle[0], place[2] + hip[2] - ankle[2]
+    # the hip may be as high above the ankle as a leg of this length leaves after its distance along the floor
     longest = STRETCHED * (table.legs.thigh + table.legs.shank)
     room = math.sqrt(max(longest * longest - aside * aside - onward * onward, 0.0))
     return place[1] + hip[1] - ankle[1] - room
@@ -826,6 +879,7 @@ def _settle_pelvis(table, k, f, state, dt):
     sink, climbs = 0.0, table.heights.shape[0] > 0
     for foot in range(2):
         at = FOOT + foot * FOOT_COLUMNS
+        # a foot that has left needs the pelvis less and less: the pelvis would bob if it dropped the demand at once
         done = min((state[at + SHARE] - state[at + SINCE]) / LETS_GO, 1.0) if state[at + AIR] > 0.0 else 0.0
         sink = max(sink, (1 - _eased(done)) * _lacks(table, k, f, state, foot))
         if climbs and state[at + AIR] > 0.0 and _steps_off(table, state, foot):
@@ -834,6 +888,7 @@ def _settle_pelvis(table, k, f, state, dt):
             sink = max(sink, _eased(share) * _will_lack(table, k, f, state, foot))
     if climbs and beside_steps(table.heights, state[X], state[Z]):
         sink = max(sink, min(CROUCH_M, state[SINK] + CROUCH_MPS * dt))
+    # down at once, or a leg would tear off its foot; up slowly, or the body would bounce at every step
     state[SINK] = max(sink, state[SINK] - RISE_MPS * dt)
 
 
@@ -853,6 +908,7 @@ def pose_state(table, state, quats, pelvis, ankle, foot, angles):
         put(quats, j, multiply(from_vector(0.0, 0.5 * state[LOOK], 0.0), row4(quats, j)))
     place = _pelvis(table, state)
     pelvis[0], pelvis[1], pelvis[2] = place[0], place[1] - state[SINK], place[2]
+    # feet go by the speed, trunk and arms above by the style, which follows it more slowly
     k, f = _row(table, state[SPEED])
     for side in range(2):
         at, pitch, bend, yaw = _ankle(table, k, f, state, side)
@@ -887,6 +943,7 @@ def run_gaits(table, xz, heading, seconds, step_s, states):
             x = xz[t - 1, 0] + share * (xz[t, 0] - xz[t - 1, 0])
             z = xz[t - 1, 1] + share * (xz[t, 1] - xz[t - 1, 1])
             dt = max(seconds[t] / count, LEAST_S)
+            # times are rounded in files: the same step must give the same bits as when it was simulated
             dt = step_s if abs(dt - step_s) < SAME_S else dt
             step_gait(table, states[t], x, z, heading[t - 1] + share * turn, dt)
 
@@ -907,7 +964,7 @@ def stand_one(table, state, x, z, heading):
 
 @kernel(error_model="numpy")
 def step_one(table, state, x, z, heading, dt):
-    """Brings one state [K] on by one step in which the root gets to (x, z, heading)."""
+    """Advance one state [K] by one step in which the root gets to (x, z, heading)."""
     step_gait(table, state, x, z, heading, dt)
 
 
@@ -937,6 +994,7 @@ def plant_legs(table, state, quats, pelvis):
         ankle[side, 0], ankle[side, 1], ankle[side, 2] = at
         foot[side, 0], foot[side, 1], foot[side, 2] = pitch, math.degrees(yaw), bend
     to_root = row4(table.to_root.reshape(1, 4), 0)
+    # legs are solved in the body frame, and recorded in that of the agent root
     to_body = inverse(to_root)
     put(quats, 0, multiply(to_body, row4(quats, 0)))
     place = turned(to_body, (pelvis[0], pelvis[1], pelvis[2]))

@@ -1,4 +1,4 @@
-"""One reaching posture, compiled: trunk from a table, legs and arm in closed form, and what can be wrong with it.
+"""Compiled solution of one reaching posture: trunk from a table, legs and arm in closed form, and its faults.
 
 Everything is in the body frame (+Z forward, +Y up, +X left) with the origin at the agent's root on the floor. Vectors and
 quaternions (xyzw) are tuples here. The table is for the right hand; the left hand is its mirror image in the plane x = 0.
@@ -59,7 +59,7 @@ _GAZE_YAW, _GAZE_PITCH, _NECK_SHARE = 0.9, 0.75, 0.4
 _HANG = 0.85
 """Share of the trunk's lean that the other arm does not follow: it hangs."""
 _COM_AHEAD_M, _COM_BEHIND_M, _COM_ASIDE_M = -0.01, 0.01, 0.02
-"""The centre of mass keeps this far behind the toe joints, before the heels, and outside the ankles at most."""
+"""Least distances of the centre of mass behind the toe joints, before the heels, and outside the ankles."""
 
 
 class ReachBody(NamedTuple):
@@ -68,7 +68,7 @@ class ReachBody(NamedTuple):
     scale: float
     """Height of the standing shoulder [m], the unit of the table."""
     sign: float
-    """+1 left hand, -1 right hand."""
+    """Side of the hand: +1 for the left, -1 for the right."""
     stand: Array
     """Local rotations of standing, the pelvis' in the body frame, shape [55, 4]."""
     pelvis: Array
@@ -82,7 +82,7 @@ class ReachBody(NamedTuple):
     support: Array
     """Heels and balls of the feet [m], along z."""
     bones: Array
-    """Thigh and shank [m]."""
+    """Lengths of thigh and shank [m]."""
     joints: NDArray[np.int64]
     """Collar, shoulder, elbow, wrist of the hand; shoulder of the other; left and right hip, knee, ankle."""
     palm: Array
@@ -90,7 +90,7 @@ class ReachBody(NamedTuple):
     obstacles: Array
     """Capsules that forearm and hand must not enter: start, end, radius in joint frames, shape [C, 7] [m]."""
     obstacle_joints: NDArray[np.int64]
-    """0 pelvis, 1-3 spine, 4 head, 5-6 thighs, shape [C]."""
+    """Joints whose capsules must stay clear: 0 pelvis, 1-3 spine, 4 head, 5-6 thighs, shape [C]."""
     arm_radius: float
     """Radius of the forearm [m]; the hand's is as large."""
 

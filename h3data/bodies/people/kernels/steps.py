@@ -12,20 +12,20 @@ from h3data.kernels import kernel_part
 from h3data.scene.floor_heights import AXIS, END, START, STEPS, nose_at, step_at, tread_at
 
 RISER_M = 0.025
-"""A foot keeps so far from the riser in front of or behind it."""
+"""Least distance of a foot from the riser in front of it or behind it [m]."""
 OVERHANG_M = 0.03
 """Heel or toe stand out over the edge of a tread by no more than this: many feet are nearly as long as a tread."""
 USUAL = 0.62
 """People go on two treads further with each foot, also where the middle of the foot would be nearer to another, by this share
 of a tread at most."""
 DOWN_NEARER = 0.3
-"""On the way down feet land nearer to the body by this share of a tread: a foot far ahead and below is out of reach."""
+"""Share of a tread by which feet land nearer to the body on the way down, as a foot far ahead and below is out of reach."""
 BESIDE_M = 0.2
-"""People climb from this far before the first riser on."""
+"""Distance before the first riser from which people climb [m]."""
 UP_SHARE, DOWN_SHARE = 0.2, 0.25
 """Shares of a swing within which the foot gets over the noses, and comes down from there."""
 EDGE_M = 0.015
-"""A swinging foot minds what is so far beyond its heel and toe tip: pitch and bend move them by some millimetres."""
+"""Distance beyond heel and toe tip that a swinging foot keeps clear [m], as pitch and bend move them by some millimetres."""
 CLEAR_M = 0.02
 """Heel and toe tip pass over the noses at this height."""
 
@@ -45,6 +45,7 @@ def beside_steps(heights, x, z):
     k, _, place = step_at(heights, x, z)
     if k < 0:
         return False
+    # places along a flight are counted in treads
     near = BESIDE_M * heights[k, STEPS] / abs(heights[k, END] - heights[k, START])
     return -near < place - 0.5 and place + 0.5 < heights[k, STEPS] + near
 
@@ -52,33 +53,35 @@ def beside_steps(heights, x, z):
 @kernel_part()
 def _upwards(heights, k, heading):
     """Cosine of the angle between a heading and the direction in which a flight rises."""
+    # flights are stored by their lower and upper end along an axis, whichever way that points
     sign = 1.0 if heights[k, END] > heights[k, START] else -1.0
     return sign * (math.cos(heading) if heights[k, AXIS] == 0.0 else -math.sin(heading))
 
 
 @kernel_part()
 def _middle(x, z, heading, heel, toe):
+    # the sole stands, not the ankle, which is nearer to the heel
     half = (heel + toe) / 2
     return x + math.cos(heading) * half, z - math.sin(heading) * half
 
 
 @kernel_part()
 def tread_of(heights, x, z, heading, heel, toe):
-    """Number of the tread on which a foot stands whose ankle is at (x, z)."""
+    """Return the number of the tread on which a foot with its ankle at (x, z) stands."""
     middle_x, middle_z = _middle(x, z, heading, heel, toe)
     return step_at(heights, middle_x, middle_z)[1]
 
 
 @kernel_part()
 def under_foot(heights, x, z, heading, heel, toe):
-    """Height [m] of the tread or floor on which a foot stands whose ankle is at (x, z)."""
+    """Return the height [m] of the tread or floor on which a foot with its ankle at (x, z) stands."""
     middle_x, middle_z = _middle(x, z, heading, heel, toe)
     return tread_at(heights, 0.0, middle_x, middle_z)
 
 
 @kernel_part()
 def on_a_tread(heights, x, z, heading, heel, toe, came_from):
-    """A place (x, z) of an ankle, moved along the flight as little as puts the foot on one tread; off stairs as it is.
+    """Move a place (x, z) of an ankle along the flight just enough to put the foot on one tread; off stairs it stays.
 
     ``came_from`` is the tread on which the foot stood before, -1 if it does not matter.
     """
@@ -90,19 +93,24 @@ def on_a_tread(heights, x, z, heading, heel, toe, came_from):
     going = abs(heights[k, END] - heights[k, START]) / last
     if came_from >= 0:
         down = place < came_from
+        # going down, the next tread is already below: a foot that reached for the middle would overshoot it
         near = place + DOWN_NEARER if down else place
         tread = int(min(max(math.floor(near + 0.5), 0.0), last))
         usual = came_from - 2 if down else came_from + 2
+        # keeps the rhythm of one tread a step where the length of the stride is between two
         if 0 <= usual <= last and abs(near - usual) < USUAL:
             tread = usual
     cosine = _upwards(heights, k, heading)
+    # a foot that is turned aside takes less of the tread
     high = abs(cosine) * (toe - heel) / 2
     low = -high
     at = place * going
     to = at
     if tread > 0:
+        # not over the edge behind it,
         to = max(to, (tread - 0.5) * going - OVERHANG_M - low)
     if tread < last:
+        # and not into the riser before it
         to = min(to, (tread + 0.5) * going - RISER_M - high)
     move = (to - at) * (1.0 if heights[k, END] > heights[k, START] else -1.0)
     return (x + move, z) if heights[k, AXIS] == 0.0 else (x, z + move)
@@ -115,6 +123,7 @@ def over_steps(heights, x, z, heading, heel, toe, low, high, share):
     The path leads from a floor at ``low`` to one at ``high``. It is never below the floor under heel and toe, and as
     high as the noses of the steps between them.
     """
+    # eased, so that the foot leaves and arrives without a speed upwards
     line = low + (high - low) * share * share * (3 - 2 * share)
     c, s = math.cos(heading), math.sin(heading)
     under, nose = line, line
@@ -122,6 +131,8 @@ def over_steps(heights, x, z, heading, heel, toe, low, high, share):
         edge = at + math.copysign(EDGE_M, at)
         under = max(under, tread_at(heights, 0.0, x + c * edge, z - s * edge))
         nose = max(nose, nose_at(heights, 0.0, x + c * at, z - s * at) + CLEAR_M)
+    # full height only in the middle: at the ends the foot is on a tread, below the line of the noses
     up, down = min(share / UP_SHARE, 1.0), min((1.0 - share) / DOWN_SHARE, 1.0)
     over = up * up * (3 - 2 * up) * down * down * (3 - 2 * down)
+    # the floor under heel and toe has the last word, whatever the curve says
     return max(line + over * (nose - line), under)

@@ -38,7 +38,7 @@ def dot(a, b):
 
 @kernel_part()
 def plus(a, b, share):
-    """Vector a + share b."""
+    """Return the vector ``a`` plus ``share`` times the vector ``b``."""
     return (a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2])
 
 
@@ -62,7 +62,7 @@ def turned(q, v):
 
 @kernel_part()
 def positive(q):
-    """The same rotation with w >= 0."""
+    """Return the same rotation as a quaternion with w >= 0."""
     return (-q[0], -q[1], -q[2], -q[3]) if q[3] < 0 else q
 
 

@@ -35,13 +35,13 @@ PAINTS = ("lips", "blush", "lashes", "lids", "lines", "stubble", "scalp", "legs"
 """Paints on skin, in the order in which they are applied: each moves the color towards one of its own."""
 
 Color = tuple[int, int, int]
-"""sRGB, 0..255."""
+"""Colour as sRGB values from 0 to 255."""
 SCLERA, PUPIL, BUTTONS = (226, 222, 216), (18, 16, 16), (236, 232, 222)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Complexion:
-    """Colors of somebody's own."""
+    """Colours of one person's skin, hair and eyes."""
 
     skin: Color
     hair: Color

@@ -22,7 +22,7 @@ class Look:
 
     complexion: Complexion
     hair: str
-    """One of `HAIRSTYLES`."""
+    """Name of the hair style, one of `HAIRSTYLES`."""
     beard: bool = False
     outfit: str = "casual"
     """Outfit that the person wears when none is named."""
@@ -47,7 +47,7 @@ def read_look(text: str) -> Look:
 def dressed(
     wardrobe: Wardrobe, look: Look, outfit: str, vertices: Floats, normals: Floats, detail: Detail
 ) -> SkinnedMesh:
-    """Somebody with a base [B, 3] and its normals in an outfit."""
+    """Dress a person with a base mesh [B, 3] and its normals in an outfit."""
     clothes = OUTFITS[outfit]
     hidden = wardrobe.hidden((*clothes.pieces, look.hair), detail)
     slots = slot_colors(look.complexion, {**clothes.colors[look.palette % len(clothes.colors)], **look.colors})

@@ -32,19 +32,20 @@ class Patch:
     shares: Floats
     """Weight of each of the three; the weights sum to 1, shape [V, 3]."""
     lift: Floats
-    """Along the base's normal [m], shape [V]."""
+    """Distance of each vertex along the base's normal [m], shape [V]."""
     offset: Floats | None
-    """In the axes of the rest pose, on a body whose ruler has the length ``ruler_m`` [m], shape [V, 3]."""
+    """Offset of each vertex along the axes of the rest pose, on a body whose ruler has the length ``ruler_m`` [m], shape [V,
+    3]."""
     ruler: tuple[int, int]
     """Two vertices of the base."""
     ruler_m: float
     faces: NDArray[np.int32]
     joints: NDArray[np.uint8]
-    """Shape [V, 4]."""
+    """Joints that move each vertex, shape [V, 4]."""
     weights: Floats
-    """They sum to 1, shape [V, 4]."""
+    """Weights of these joints, which sum to 1, shape [V, 4]."""
     slots: NDArray[np.uint8]
-    """Which color each vertex has, index into `SLOTS`, shape [V]."""
+    """Index into `SLOTS` of the colour that each vertex has, shape [V]."""
     shade: Floats
     """Factor on that color, shape [V]."""
     paint: NDArray[np.uint8]
@@ -88,7 +89,7 @@ def read_patch(data: Arrays, prefix: str) -> Patch:
 
 
 def canonical(faces: NDArray[np.integer]) -> NDArray[np.int32]:
-    """The same triangles in an order that packs well: each from its first vertex on, all sorted."""
+    """Return the same triangles in an order that packs well: each begins with its first vertex, and all are sorted."""
     first = faces.argmin(axis=1)
     turned = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)
     return turned[np.lexsort(turned.T[::-1])].astype(np.int32)

@@ -152,7 +152,7 @@ class Wardrobe:
         return read_patch(self.data, f"{piece}/{detail}")
 
     def hidden(self, pieces: tuple[str, ...], detail: Detail) -> NDArray[np.bool_]:
-        """Faces of the skin that nobody sees below these pieces [F]."""
+        """Faces of the skin that are invisible below these pieces [F]."""
         count = self.data[f"skin/{detail}/faces"].shape[-1]
         bits = np.zeros((count + 7) // 8, np.uint8)
         for piece in pieces:

@@ -20,7 +20,7 @@ BOARD_M = 0.018
 SWING_RAD = np.pi / 2
 """Doors open this far: hinged at their outer edge they stay within their own width, so that what stands beside is not hit."""
 PULL_SHARE = 0.8
-"""Share of its depth by which a drawer comes out."""
+"""Share of its depth by which a drawer opens."""
 INSIDE: Color = (232, 230, 226)
 """Inner walls of fridges and dishwashers."""
 _X, _Y, _Z = (np.eye(3)[k] for k in range(3))

@@ -33,7 +33,7 @@ class Opening:
     """A piece of furniture that opens."""
 
     kind: str
-    """After which the instance is named."""
+    """Kind after which the instance is named."""
     category: str
     builder: MeshBuilder
     """Builder of the body, which stands still."""

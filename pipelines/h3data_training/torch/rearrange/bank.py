@@ -19,16 +19,16 @@ from h3data.geometry import Array
 from h3data.scene import Scene
 from h3data_training.torch.rules import refuse_others
 from h3data_training.torch.step import Floor, refuse_stairs
-from sim_kinematic.agents.oracle.ways import Ways
+from sim_kinematic.agents.oracle.ways import PathTable
 from sim_kinematic.policies.rearrange import partner_plan, planner
 from sim_kinematic.tasks.episode import agent_floor
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, PAIR, RearrangeEpisode, RearrangeSpec
 from sim_kinematic.tasks.rearrange.task import Rearrange
-from sim_kinematic.tasks.skills.errands import errands_of, floor_ways
+from sim_kinematic.tasks.skills.errands import errands_of, floor_paths
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 
 ROBOT, HUMAN, FLOOR = 0, 1, 2
-"""Whose paths a table is of: the two agents', to where they stand, and anybody's to the floor below an object."""
+"""Index of tables by their paths: the two agents', to where they stand, and anybody's to the floor below an object."""
 
 
 class BankFloor(Floor, Protocol):
@@ -45,7 +45,7 @@ class RearrangeBank:
     """N episodes of K objects in R homes, with the shortest paths in them.
 
     Paths to places are numbered ``(who * 2 + at_goal) * K + object``, F in all. Points of a path are the n corners of
-    the home, then the S places at its end (`sim_kinematic.agents.oracle.ways.Ways`).
+    the home, then the S places at its end (`sim_kinematic.agents.oracle.ways.PathTable`).
     """
 
     spec: RearrangeSpec
@@ -70,19 +70,19 @@ class RearrangeBank:
     first_of: NDArray[np.int64]
     """First entries of each episode, [N]."""
     after: NDArray[np.int16]
-    """Point to go to from each corner, F tables for each episode,"""
+    """Next point from each corner: F tables for each episode."""
     after_of: NDArray[np.int64]
     left: NDArray[np.float32]
-    """and how far it is from there [m], 2 K tables: of the paths to the floor below objects and goals."""
+    """Distance from there to the floor below objects and goals [m], 2 K tables."""
     left_of: NDArray[np.int64]
     corners: Array
-    """Corners of all homes, one after the other [m], and"""
+    """Corners of all homes, one home after the other [m]."""
     corners_of: NDArray[np.int64]
-    """where those of a home begin, [R + 1]."""
+    """First row of each home in ``corners``, [R + 1]."""
     origins: Array
     """Lower corner of the first cell of each home, [R, 2] [m]."""
     shapes: NDArray[np.int64]
-    """Its cells along x and z, [R, 2]."""
+    """Number of cells along x and z, [R, 2]."""
     names: tuple[str, ...] = ()
     """Names by which the homes can be opened, where they are known."""
 
@@ -113,7 +113,7 @@ class RearrangeBank:
 
     @classmethod
     def of(cls, episodes: Sequence[RearrangeEpisode]) -> RearrangeBank:
-        """A bank of these episodes of one robot and one person, under the rules of the first.
+        """Return a bank of these episodes of one robot and one person, under the rules of the first.
 
         Raises:
             InputError: somebody else plays, the rules have no oracle skills, or a device cannot move in a home.
@@ -204,7 +204,7 @@ class RearrangeBank:
 
     @property
     def objects(self) -> int:
-        """K."""
+        """Number K of objects."""
         return self.spec.objects
 
     def orders(self, partner: str) -> NDArray[np.int64]:
@@ -227,13 +227,13 @@ def orders(chosen: Sequence[Sequence[int]], objects: int) -> NDArray[np.int64]:
     return np.array([[*row, *[-1] * (objects - len(row))] for row in chosen], np.int64).reshape(-1, objects)
 
 
-def _ways(episode: RearrangeEpisode) -> list[Ways]:
+def _ways(episode: RearrangeEpisode) -> list[PathTable]:
     """All paths of an episode, [F]."""
     found = []
     for number in (ROBOT, HUMAN):
         errands = errands_of(episode, number)
         found += [*errands.to_start, *errands.to_goal]
-    return [*found, *floor_ways(episode)]
+    return [*found, *floor_paths(episode)]
 
 
 def _joined(tables: Sequence[Sequence[NDArray]]) -> tuple[NDArray, NDArray[np.int64]]:

@@ -29,7 +29,7 @@ ARRAYS = tuple(f.name for f in fields(RearrangeBank) if f.name not in BESIDE)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class KeptFloor:
+class StoredFloor:
     """A `h3data_training.torch.rearrange.bank.BankFloor` that comes from a file."""
 
     sdf: NDArray[np.float32]
@@ -69,7 +69,7 @@ def load_bank(path: str | Path, *, spec: RearrangeSpec = ORACLE_RULES) -> tuple[
         robot_name, human_name = about["bodies"]
         names = tuple(map(str, about.get("homes", ())))
         floors = tuple(
-            KeptFloor(sdf=arrays.pop(f"sdf_{k}"), origin=np.array([x, z]), cell_m=cell, floor_y=y)
+            StoredFloor(sdf=arrays.pop(f"sdf_{k}"), origin=np.array([x, z]), cell_m=cell, floor_y=y)
             for k, (x, z, cell, y) in enumerate(about["floors"])
         )
         ours = about["format"] == FORMAT and len(arrays["place"]) > 0 and set(arrays) == set(ARRAYS)

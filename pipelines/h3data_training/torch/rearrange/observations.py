@@ -25,7 +25,7 @@ THEN = 1
 
 
 class Paths(NamedTuple):
-    """Shortest paths of both agents, robot and person, which both are shown."""
+    """Shortest paths of both agents, robot and person, which both observe."""
 
     xz: Tensor
     """Positions of both agents now and a second ago, [W, 2, 2, 2] [m]."""
@@ -58,7 +58,7 @@ class Paths(NamedTuple):
 
 
 class View(NamedTuple):
-    """Everything that one agent of each world may know, as sensors read it (`sim_kinematic.sensing.table`)."""
+    """View of one agent in each world, from which sensors read (`sim_kinematic.sensing.table`)."""
 
     sim: RearrangeTensors
     play: Play
@@ -72,7 +72,7 @@ class View(NamedTuple):
 
     @classmethod
     def of(cls, sim: RearrangeTensors, play: Play, agent: str, paths: Paths | None = None) -> View:
-        """The view of the ``robot`` or the ``human``; without ``paths`` `observed` looks them up."""
+        """Return the view of the ``robot`` or the ``human``; without ``paths`` `observed` looks them up."""
         own, other = (play.robot, play.human) if agent == "robot" else (play.human, play.robot)
         is_robot = agent == "robot"
         return cls(
@@ -105,7 +105,7 @@ class View(NamedTuple):
 
     @property
     def hands(self) -> Hands:
-        """Objects and who holds, moved or placed them."""
+        """Objects with their holders, and who moved or placed them."""
         return Hands(self.play.objects, self.play.held_by, self.play.moved, self.play.placed_by)
 
     @property
@@ -148,7 +148,7 @@ class View(NamedTuple):
 
     @property
     def at_goal(self) -> Tensor:
-        """Which objects are at their goals, bool [W, K]."""
+        """True for objects that are at their goals, bool [W, K]."""
         return self.sim.at_goal(self.hands, self.places)
 
     @property
@@ -185,12 +185,12 @@ class View(NamedTuple):
         return self.known_paths.ahead[:, 1 - self.agent if other else self.agent]
 
     def ended(self, outcome: Ending) -> Tensor:
-        """One of the choices is 1: the last one, if it ended so, [W, C]."""
+        """Number for each choice: 1 for the last one, if it ended in this way, [W, C]."""
         code = {"done": DONE, "failed": FAILED, "aborted": ABORTED}[outcome]
         return one_of(self.does.last, len(self.choices)) & (self.does.outcome == code)[:, None]
 
     def allowed(self) -> Tensor:
-        """Which choices the agent's hand allows, bool [W, C] (`sim_kinematic.agents.skills.Objects.why_not`)."""
+        """Return which choices the agent's hand allows, bool [W, C] (`sim_kinematic.agents.skills.Objects.why_not`)."""
         return precondition(self.choices, every_choice(self.choices, len(self.now.xz)), self.hands)
 
 

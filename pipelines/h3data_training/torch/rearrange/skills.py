@@ -1,4 +1,4 @@
-"""One turn of an agent: its choice, its motion, and what changes hands.
+"""Turn of an agent: its choice, its motion, and the objects that change hands.
 
 Its rules are `sim_kinematic.agents.oracle.rules`; the rest repeats `sim_kinematic.agents.oracle.actors`.
 """
@@ -31,16 +31,16 @@ class Choices:
     """Choices of one kind of agent (`sim_kinematic.agents.skills.choices`), as tables by number, [C] each."""
 
     who: int
-    """0 the robot, 1 the person."""
+    """Index of the agent: 0 the robot, 1 the person."""
     kind: Tensor
     target: Tensor
-    """Number of the object; 0 of those that have none."""
+    """Number of the choice's object; 0 if it has none."""
     steps: Tensor
-    """Number of steps that each lasts; 0 for those that go somewhere."""
+    """Number of steps that each choice lasts; 0 for those that go somewhere."""
     command: Tensor
     """Command of the base, [C, 2]."""
     carry: Tensor
-    """Place of a held object in the frame of its root, [3] [m]."""
+    """Place of a held object in the frame of the agent's root, [3] [m]."""
     changes: int
     """Step of a pick or a place in which the object changes hands."""
 
@@ -73,7 +73,7 @@ class Choices:
 
 
 class Hands(NamedTuple):
-    """The objects of W worlds and who holds them (`h3data_training.torch.rearrange.state.Play`)."""
+    """Objects of W worlds and their holders (`h3data_training.torch.rearrange.state.Play`)."""
 
     objects: Tensor
     held_by: Tensor
@@ -82,15 +82,15 @@ class Hands(NamedTuple):
 
 
 class Turn(NamedTuple):
-    """An agent at what it does now, before it moves."""
+    """Agent with its present choice, before it moves."""
 
     does: SubGoal
     kind: Tensor
-    """Kind of its present choice; -1 if it does nothing."""
+    """Kind of the agent's present choice; -1 if it does nothing."""
     goes: Tensor
-    """It is on its way to a place, bool [W]."""
+    """True if the agent is moving to a place, bool [W]."""
     spot: Tensor
-    """Place of the object or goal that it came for, [W, 3]."""
+    """Place of the object or goal that the agent goes to, [W, 3]."""
 
 
 def of_object(values: Tensor, k: Tensor) -> Tensor:
@@ -173,7 +173,7 @@ def interrupted(does: SubGoal, chosen: Tensor, may: Tensor) -> SubGoal:
 
 
 def error_to(xz: Tensor, heading: Tensor, point: Tensor, bearing: float = 0.0) -> Tensor:
-    """By how much agents must turn to have points [W, 2] at a bearing to their left, [W] [rad]."""
+    """Return the angle by which agents must turn to have points [W, 2] at a bearing to their left, [W] [rad]."""
     gap = point - xz
     return wrap_angle(torch.atan2(-gap[:, 1], gap[:, 0]) - bearing - heading)
 
@@ -196,7 +196,7 @@ def _go_on(turn: Turn, places: Places, xz: Tensor, within_m: float) -> tuple[Sub
 def move_robots(
     choices: Choices, turn: Turn, robot: RobotTensors, places: Places, grids: Grids, base: BaseSpec, bearing: float
 ) -> tuple[RobotTensors, SubGoal]:
-    """One step of the base; whoever has arrived turned, or is stuck, is free again."""
+    """Move the bases by one step; an agent that has arrived and turned, or is stuck, is free again."""
     xz, heading, spot = robot.xz, robot.heading, turn.spot[:, 0::2]
     does, point, away, is_end = _go_on(turn, places, xz, VIA_M)
     there = is_there(away, is_end, does.best, does.since)
@@ -224,7 +224,7 @@ def move_robots(
 
 
 def move_people(turn: Turn, person: HumanTensors, places: Places, walker: WalkerSpec) -> tuple[HumanTensors, SubGoal]:
-    """One step of the person; whoever has arrived turned is free again."""
+    """Move the people by one step; a person who has arrived and turned is free again."""
     spot, within = turn.spot[:, 0::2], walker.arrive_m
     does, point, away, is_end = _go_on(turn, places, person.xz, within)
     turns = turn.goes & is_end & (away <= within)
@@ -268,7 +268,7 @@ def of_object3(values: Tensor, k: Tensor) -> Tensor:
 
 
 def in_hand(carry: Tensor, root: Tensor, heading: Tensor) -> Tensor:
-    """World points [W, 3] of what agents carry, by the place in the frame of their roots [3]."""
+    """Return the world points [W, 3] of carried objects, by their place in the frame of the roots [3]."""
     c, s = heading.cos(), heading.sin()
     x, z = root[:, 0] + c * carry[0] + s * carry[2], root[:, 2] - s * carry[0] + c * carry[2]
     return torch.stack([x, root[:, 1] + carry[1], z], -1)

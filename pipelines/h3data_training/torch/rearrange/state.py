@@ -22,31 +22,31 @@ class SubGoal(NamedTuple):
     """Sub-goal of one agent in each world."""
 
     skill: Tensor
-    """Number of the choice that it is at, int64 [W]; `FREE`: it chooses in its next turn."""
+    """Number of the agent's present choice, int64 [W]; `FREE`: it chooses in its next turn."""
     field: Tensor
-    """Number of the paths that it follows (`RearrangeBank`), int64 [W]."""
+    """Number of the table of paths that the agent follows (`RearrangeBank`), int64 [W]."""
     way: Tensor
-    """Number of the point that it goes to, int64 [W]."""
+    """Number of the point that the agent goes to, int64 [W]."""
     best: Tensor
-    """Least distance to it so far [W] [m]; below 0: it has begun to turn there."""
+    """Least distance to the sub-goal so far [W] [m]; below 0 if the agent has begun to turn there."""
     since: Tensor
-    """Steps since then, int64 [W]."""
+    """Steps since the sub-goal began, int64 [W]."""
     timer: Tensor
     """Steps of the skill so far, int64 [W]."""
     last: Tensor
-    """Number of the last choice, int64 [W],"""
+    """Number of the last choice, int64 [W]."""
     outcome: Tensor
-    """and how it ended, int64 [W]."""
+    """Outcome of the last choice, int64 [W]."""
     order: Tensor
-    """Order of a planner: objects to bring to their goals, one after the other, int64 [W, K]; -1 after the last,"""
+    """Order of a planner: objects to bring to their goals, one after the other, int64 [W, K]; -1 after the last."""
     passed: Tensor
-    """so many of which are behind it, int64 [W], """
+    """Number of objects in that order that are done or skipped, int64 [W]."""
     tries: Tensor
-    """and how often it has failed at the present one, int64 [W]."""
+    """Number of failed attempts at the present object, int64 [W]."""
 
     @classmethod
     def none(cls, worlds: int, objects: int, device: torch.device, dtype: torch.dtype) -> SubGoal:
-        """Agents that choose in their next turn."""
+        """Return sub-goals of agents that choose in their next turn."""
 
         def whole(value: int, *axes: int) -> Tensor:
             return torch.full((worlds, *axes), value, dtype=torch.int64, device=device)
@@ -80,7 +80,7 @@ class Play(NamedTuple):
     moved: Tensor
     """True if each has been put down at its goal, bool [W, K]."""
     placed_by: Tensor
-    """Who was the last to put it down, -1 nobody, int64 [W, K]."""
+    """Agent that was the last to put each object down, -1 nobody, int64 [W, K]."""
     paid: Tensor
     """Sub-goals that have been paid: each object picked, each at its goal, bool [W, 2 K]."""
     track: Tensor
@@ -95,13 +95,13 @@ class Play(NamedTuple):
     """The episode is over: the next step begins another, bool [W]."""
     success: Tensor
     collides: Tensor
-    """They touch, bool [W]."""
+    """True if both agents touch, bool [W]."""
     reward: Tensor
     """Reward of the last step, [W]."""
     terminated: Tensor
     """The rules ended the episode in the last step, bool [W]."""
     truncated: Tensor
-    """It had all its steps, bool [W]."""
+    """True if the episode had all its steps, bool [W]."""
 
     @classmethod
     def before_the_first(cls, episode: Tensor, objects: int, dtype: torch.dtype) -> Play:
@@ -138,11 +138,11 @@ class Play(NamedTuple):
         )
 
     def tensors(self) -> Iterator[Tensor]:
-        """All of it, in a fixed order."""
+        """Return all tensors, in a fixed order."""
         for part in self:
             yield from (part if isinstance(part, tuple) else (part,))
 
 
 def choose(flag: Tensor, a: Tensor, b: Tensor) -> Tensor:
-    """``a`` in the worlds where ``flag`` [W] holds, else ``b``, both [W, ...]."""
+    """Return ``a`` in the worlds where ``flag`` [W] holds, else ``b``, both [W, ...]."""
     return torch.where(flag.reshape(-1, *[1] * (a.ndim - 1)), a, b)

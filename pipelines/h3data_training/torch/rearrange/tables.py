@@ -23,14 +23,14 @@ class Tables:
     """The arrays of a `RearrangeBank` as tensors."""
 
     objects: int
-    """K."""
+    """Number K of objects."""
     fields: int
-    """F."""
+    """Number F of distance fields."""
     place: Tensor
     starts: Tensor
     spots: Tensor
     ends: Tensor
-    """Up to S end points of each distance field, [N * F, S, 2] [m]; unused rows are infinity."""
+    """End points of each distance field, up to S of them, [N * F, S, 2] [m]; unused rows are infinity."""
     first: Tensor
     """Points are int16: a GPU reads half as much."""
     first_of: Tensor
@@ -49,7 +49,7 @@ class Tables:
 
     @classmethod
     def of(cls, bank: RearrangeBank, device: torch.device, dtype: torch.dtype) -> Tables:
-        """On a device."""
+        """Return the tables on a device."""
 
         def moved(array: NDArray) -> Tensor:
             kind = dtype if array.dtype == np.float64 else None
@@ -92,7 +92,7 @@ class Places(NamedTuple):
     episode: Tensor
     place: Tensor
     n: Tensor
-    """Corners of the home, int64 [W]."""
+    """Number of corners of the home, int64 [W]."""
     corners_of: Tensor
     origin: Tensor
     shape: Tensor
@@ -110,7 +110,7 @@ class Places(NamedTuple):
         return self.tables.ends[self._rows(self.episode, field) * self.tables.fields + field]
 
     def first(self, field: Tensor, xz: Tensor) -> Tensor:
-        """Points to go to first on paths [W, ...] from points [W, ..., 2], -1 where there is no way."""
+        """Return the points to go to first on paths [W, ...] from points [W, ..., 2], -1 where there is no path."""
         last = self._rows_of(self.shape, field) - 1
         origin = self._rows_of(self.origin, field)
         cell = ((xz - origin) / CELL_M).floor().long().clamp_min(0)

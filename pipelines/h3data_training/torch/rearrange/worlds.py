@@ -233,12 +233,12 @@ class RearrangeTensors:
 
     # --- what holds now -----------------------------------------------------------------------------------------------
     def at_goal(self, hands: Hands, places: Places) -> Tensor:
-        """Which objects are at their goals and in nobody's hand, bool [W, K]."""
+        """Return which objects are at their goals and in nobody's hand, bool [W, K]."""
         goals = self.tables.spots[places.episode, self.bank.objects :]
         return (hands.held_by == NOBODY) & is_object_at(hands.objects, goals, distance_m=self.spec.at_goal_m, xp=torch)
 
     def close(self, xz: Tensor, heading: Tensor, other: Tensor) -> Tensor:
-        """Returns whether others [W, 2] are in the ellipse around agents in which skills may be interrupted, bool [W]."""
+        """Return whether others [W, 2] are in the ellipse around agents within which skills may be interrupted, bool [W]."""
         ahead_m, aside_m = self.spec.near_m
         return agents_within_threshold(xz, heading, other, ahead_m=ahead_m, aside_m=aside_m, xp=torch)  # type: ignore[arg-type]
 
@@ -257,7 +257,7 @@ class RearrangeTensors:
 
 
 def packed(like: Play, tensors: list[Tensor]) -> Play:
-    """A state of these tensors, in the order of `Play.tensors`."""
+    """Return a state of these tensors, in the order of `Play.tensors`."""
     parts, left = [], list(tensors)
     for part in like:
         count = len(part) if isinstance(part, tuple) else 1

@@ -33,9 +33,9 @@ class SkillBank:
     xz: NDArray[np.float64]
     """Place of the robot, [N, 2] [m]."""
     heading: NDArray[np.float64]
-    """[N] [rad]."""
+    """Headings at the start [N] [rad]."""
     objects: NDArray[np.float64]
-    """[N, K, 3] [m]."""
+    """Places of the objects [N, K, 3] [m]."""
     bodies: NDArray[np.int64]
     """The objects' numbers among the instances of the home, [N, K]."""
     turned: NDArray[np.float64]
@@ -43,9 +43,9 @@ class SkillBank:
     target: NDArray[np.int64]
     """Number of the object, [N]."""
     holds: NDArray[np.bool_]
-    """True if the robot holds it, [N]."""
+    """True if the robot holds the object, [N]."""
     point: NDArray[np.float64]
-    """Point at which it lies or is to go, [N, 3] [m]."""
+    """Point at which the object lies or is to go, [N, 3] [m]."""
     stand: NDArray[np.float64]
     """The nearest place from which the hand reaches the point, [N, 2] [m]."""
 

@@ -27,10 +27,10 @@ class Drive:
     """Grids of all homes."""
     base: BaseSpec
     carrying: BaseSpec
-    """Its discs cover what the hand carries, too."""
+    """Discs of a base that also cover what the hand carries."""
 
     def widened(self, place: Tensor, robot: RobotTensors, holds: Tensor, wide: Tensor) -> Tensor:
-        """Which bases keep a distance that covers what their hands carry, bool [W].
+        """True for bases that keep a distance which covers what their hands carry, bool [W].
 
         These are the ones that hold something, as soon as there is room for it, as in
         `sim_kinematic.agents.robots.driving.RobotDriver`.

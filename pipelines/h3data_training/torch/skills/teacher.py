@@ -19,16 +19,16 @@ from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.sensing.sensor import in_base_frame
 
 ARRIVED_M, NEARLY_M = 0.1, 0.4
-"""At its stand it turns to the target; with the arm out it may then be as far from there as this."""
+"""Distance from its stand at which a robot turns to the target, and the same distance with the arm extended [m]."""
 REACHES_M = 0.3
-"""So near to the stand the arm sets off."""
+"""Distance from the stand at which the arm begins to move [m]."""
 ALIGNED_RAD = 0.6
-"""It drives on when turned so nearly along the path, and turns on the spot else."""
+"""Angle to the path up to which the robot drives on; beyond it, it turns on the spot [rad]."""
 IN_REACH_M, AROUND_M = 0.2, 2.0
 """By sight it reaches out wherever the target is as far away as from the stand, within this, and the stand itself is not
 farther than that by the path: around the target, and not behind a wall."""
 PUTS_M = 0.1
-"""It lets go so near to the goal."""
+"""Distance from the goal at which the robot lets go [m]."""
 SURE = 1.5
 """The command of a hand that holds on, far enough from 0 for the noise of exploration."""
 

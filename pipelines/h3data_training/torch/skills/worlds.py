@@ -47,7 +47,7 @@ class SkillPlay(NamedTuple):
     joints: Tensor
     """Joints of the arm, [W, n]."""
     objects: Tensor
-    """[W, K, 3] [m]."""
+    """Places of the objects [W, K, 3] [m]."""
     turned: Tensor
     """Axes of the objects as columns, [W, K, 3, 3]."""
     grip: Tensor
@@ -55,20 +55,20 @@ class SkillPlay(NamedTuple):
     held: Tensor
     """Number of the object in the hand, int64 [W]."""
     wide: Tensor
-    """The base keeps clear by what the hand carries too, bool [W]."""
+    """True if the base keeps clear by what the hand carries too, bool [W]."""
     episode: Tensor
     """Number in the bank, int64 [W]."""
     steps: Tensor
     ended: Tensor
     """The episode is over: the next step begins another, bool [W]."""
     way: Tensor
-    """Length of the path to the stand [W] [m],"""
+    """Length of the path to the stand [W] [m]."""
     towards: Tensor
-    """and the direction (x, z) in which it begins, of any length, [W, 2]."""
+    """Direction (x, z) in which that path begins, of any length, [W, 2]."""
     apart: Tensor
-    """From the hand to the target [W] [m],"""
+    """Distance from the hand to the target [W] [m]."""
     folded: Tensor
-    """and to where it is at rest."""
+    """Distance from the hand to its resting place [W] [m]."""
     paid: Tensor
     """The object has been at its goal, bool [W]."""
     before_xz: Tensor
@@ -80,10 +80,10 @@ class SkillPlay(NamedTuple):
     terminated: Tensor
     """True if the skill has succeeded or can no longer succeed, bool [W]."""
     truncated: Tensor
-    """It had all its steps, bool [W]."""
+    """True if the skill had all its steps, bool [W]."""
 
     def tensors(self) -> Iterator[Tensor]:
-        """All of it, in a fixed order."""
+        """Return all tensors, in a fixed order."""
         for part in self:
             yield from (part if isinstance(part, tuple) else (part,))
 
@@ -106,9 +106,9 @@ class SkillContext(NamedTuple):
     """Grids of the worlds' floors."""
     hand: Hand
     target: Tensor
-    """[W, 3] [m]."""
+    """Place of the target [W, 3] [m]."""
     resting: Tensor
-    """[W, 3] [m]."""
+    """Resting place of the hand [W, 3] [m]."""
 
     @property
     def xp(self) -> ModuleType:
@@ -122,7 +122,7 @@ class SkillContext(NamedTuple):
 
     @property
     def now(self) -> RobotTensors:
-        """Robots."""
+        """State of the robots now."""
         return self.play.robot
 
     @property
@@ -416,7 +416,7 @@ class SkillTensors:
         return (self._point[play.episode][:, 0:3:2] - self._stand[play.episode]).norm(dim=-1)
 
     def off(self, play: SkillPlay, posture: Tensor) -> Tensor:
-        """Returns how far joints are from a posture [n] or [W, n], in parts of the way between rest and reaching, [W]."""
+        """Return how far joints are from a posture [n] or [W, n], as a share of the path between rest and reaching, [W]."""
         whole = (self.reaching(play) - self.arm.rest).abs().sum(-1).clamp_min(0.1)
         return (play.joints - posture).abs().sum(-1) / whole
 

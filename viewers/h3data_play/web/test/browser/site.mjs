@@ -1,4 +1,5 @@
-// Measures pages of the documentation: node site.mjs page.html ...; prints one line of JSON: code blocks seen, what is wider than its place.
+// Measures pages of the documentation: node site.mjs page.html ...; prints one line of JSON: code blocks seen, what is wider than its
+// place, and what beside the text would be printed.
 import { pathToFileURL } from "node:url";
 import { chromium } from "playwright-core";
 
@@ -17,5 +18,15 @@ for (const [width, height] of [[1280, 800], [390, 844]]) {
     if (over > 1) cut.push([width, file, over, "the page"]);
   }
 }
+const printed = [];
+const paper = await (await browser.newContext({ viewport: { width: 720, height: 1000 } })).newPage();
+await paper.emulateMedia({ media: "print" });
+for (const file of files) {
+  await paper.goto(pathToFileURL(file).href);
+  const beside = ".sidebar-drawer, .toc-drawer, .mobile-header, .related-pages, .copybtn, .back-to-top";
+  const seen = await paper.evaluate((found) => [...document.querySelectorAll(found)].filter((part) => part.checkVisibility()).map((part) => part.className), beside);
+  const narrow = await paper.evaluate(() => document.querySelector("article").clientWidth < 0.9 * innerWidth);
+  if (seen.length || narrow) printed.push([file, seen, narrow]);
+}
 await browser.close();
-console.log(JSON.stringify({ blocks, cut }));
+console.log(JSON.stringify({ blocks, cut, printed }));
