@@ -190,17 +190,25 @@ check-lerobot: $(INSTALLED) $(LEROBOT_ENV)/.installed  ### lerobot opens dataset
 	$(LEROBOT_RUN)/python $(LEROBOT_FILES)/replay_actions.py out/lerobot/demos out/lerobot/eval
 
 RL := .venv-rl
-$(RL)/.installed: $(DEV)
-	rm -rf $(RL) && $(BIN)/python -m venv --without-pip $(RL)
-	@# what it lacks it takes from .venv: torch, gymnasium
-	site=`$(RL)/bin/python -c "import sysconfig; print(sysconfig.get_path('purelib'))"`; \
+RL_LIBRARIES := sb3 torchrl rllib
+RL_sb3 := stable-baselines3==2.9.2 cloudpickle==3.1.3
+RL_minari := minari==0.5.4 typer==0.29.2 annotated-doc==0.0.7 shellingham==1.5.4
+RL_torchrl := torchrl==0.14.1 tensordict==0.14.3 pyvers==0.2.3 hoptorch==0.1.4 cloudpickle==3.1.3
+RL_rllib := gymnasium==1.2.2 dm-tree==0.1.10 lz4==4.4.5 ormsgpack==1.13.1 # the version of Gymnasium that ray 2.60 wants
+$(RL)/%/.installed: $(DEV)
+	rm -rf $(@D) && $(BIN)/python -m venv --without-pip $(@D)
+	@# what it lacks it takes from .venv: torch, gymnasium, ray
+	site=`$(@D)/bin/python -c "import sysconfig; print(sysconfig.get_path('purelib'))"`; \
 		$(BIN)/python -c "import sysconfig; print(sysconfig.get_path('purelib'))" > $$site/below.pth; \
 		printf '%s\n' $(CURDIR) $(CURDIR)/pipelines $(CURDIR)/viewers > $$site/h3data_source.pth
-	$(BIN)/python -m pip --python $(RL)/bin/python install -q --disable-pip-version-check --no-deps stable-baselines3==2.9.2 cloudpickle
+	$(BIN)/python -m pip --python $(@D)/bin/python install -q --disable-pip-version-check --no-deps $(RL_$*)
 	touch $@
 
-check-rl: $(RL)/.installed  ### Stable-Baselines3 learns in our vector environments, in .venv-rl (examples/sb3_vec_env.py)
-	OMP_NUM_THREADS=1 $(RL)/bin/python tests/sim/envs/check_sb3.py
+check-rl: $(patsubst %,$(RL)/%/.installed,$(RL_LIBRARIES) minari)  ### Stable-Baselines3, TorchRL and RLlib learn in our vector environments (examples/), Minari reads exports; an environment each, 50 MB in all
+	@# without ray's token in the home folder, and its report of use
+	@set -e; for library in $(RL_LIBRARIES); do \
+		OMP_NUM_THREADS=1 RAY_AUTH_MODE=disabled RAY_USAGE_STATS_ENABLED=0 $(RL)/$$library/bin/python tests/sim/envs/check_$$library.py; done
+	OMP_NUM_THREADS=1 $(RL)/minari/bin/python -m pytest -q tests/export/test_minari.py
 
 GLTF := out/gltf
 check-gltf: setup  ### exported animations and scenes pass the Khronos validator (needs npm)
