@@ -141,64 +141,74 @@ check-docs: dev  ### README, docs and notebooks run as written, on small data (5
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[docs]"
 	$(PYTEST_2) -m slow tests/product/test_docs_run.py tests/product/test_notebooks.py
 
-LEROBOT := .venv-lerobot
-LEROBOT_INSTALLED := $(LEROBOT)/.installed
-LEROBOT_CHECK := OMP_NUM_THREADS=1 $(LEROBOT)/bin/python tests/export/lerobot_loader/open_datasets.py
+# LEROBOT=newest takes the newest version instead of the one whose packages are pinned, in an environment beside it
+LEROBOT ?=
+LEROBOT_ENV := .venv-lerobot$(addprefix -,$(LEROBOT))
+LEROBOT_FILES := tests/export/lerobot_loader
+LEROBOT_RUN := HF_HUB_OFFLINE=1 OMP_NUM_THREADS=1 $(LEROBOT_ENV)/bin
+LEROBOT_CHECK := OMP_NUM_THREADS=1 $(LEROBOT_ENV)/bin/python $(LEROBOT_FILES)/open_datasets.py
 LEROBOT_CAMERAS := --camera robot_arm --camera human_head
 LEROBOT_DATASETS := out/lerobot/ds=out/lerobot/pictures out/lerobot/export=out/lerobot/pictures out/lerobot/rearrange
-LEROBOT_RUN := HF_HUB_OFFLINE=1 OMP_NUM_THREADS=1 $(LEROBOT)/bin/python tests/export/lerobot_loader
 # as small as ACT can be: this is about the path from recordings to an evaluation, not about what is learned
 LEROBOT_ACT := --policy.type=act --policy.device=cpu --policy.push_to_hub=false --policy.dim_model=64 --policy.n_heads=4 \
 	--policy.dim_feedforward=128 --policy.n_encoder_layers=1 --policy.chunk_size=10 --policy.n_action_steps=10 \
 	--policy.use_vae=false --policy.pretrained_backbone_weights=null --batch_size=4 --num_workers=0 --steps=20 --save_freq=20 \
-	--log_freq=10 --eval_freq=0 --wandb.enable=false
-$(LEROBOT_INSTALLED): $(INSTALLED) tests/export/lerobot_loader/requirements.txt pipelines/lerobot_env_h3data/pyproject.toml
-	rm -rf $(LEROBOT) && $(BIN)/python -m venv --without-pip $(LEROBOT)
-	@# what it lacks it takes from .venv: torch, numpy, pyarrow
-	$(BIN)/python -c "import sysconfig; print(sysconfig.get_path('purelib'))" \
-		> `$(LEROBOT)/bin/python -c "import sysconfig; print(sysconfig.get_path('purelib'))"`/below.pth
-	$(BIN)/python -m pip --python $(LEROBOT)/bin/python install -q --disable-pip-version-check datasets==4.8.5 huggingface-hub==0.35.3
-	$(BIN)/python -m pip --python $(LEROBOT)/bin/python install -q --disable-pip-version-check --no-deps -r tests/export/lerobot_loader/requirements.txt
-	@# this checkout, and the package by whose name lerobot finds our environments
-	printf '%s\n' $(CURDIR) $(CURDIR)/pipelines $(CURDIR)/viewers \
-		> `$(LEROBOT)/bin/python -c "import sysconfig; print(sysconfig.get_path('purelib'))"`/h3data_source.pth
-	$(BIN)/python -m pip install -q --disable-pip-version-check hatchling editables -c constraints.txt
-	$(BIN)/python -m pip --python $(LEROBOT)/bin/python install -q --disable-pip-version-check --no-deps --no-build-isolation \
-		-e pipelines/lerobot_env_h3data
+	--log_freq=10 --wandb.enable=false
+# pyenv keeps it where the PATH does not tell
+PYTHON_3_12 ?= $(shell for each in python3.12 "$$HOME"/.pyenv/versions/3.12.*/bin/python; do \
+	$$each -c "" 2>/dev/null && echo $$each && break; done)
+$(LEROBOT_ENV)/.installed: pyproject.toml $(wildcard $(LEROBOT_FILES)/*.txt) $(LEROBOT_FILES)/absent_cuda.py pipelines/lerobot_env_h3data/pyproject.toml
+	@[ -n "$(PYTHON_3_12)" ] || echo "No Python 3.12 here, which lerobot 0.5 and later need (PYTHON_3_12=... names one): checking lerobot 0.4.4."
+	rm -rf $(LEROBOT_ENV) && $(or $(PYTHON_3_12),$(BIN)/python) -m venv $(LEROBOT_ENV)
+	$(LEROBOT_ENV)/bin/python -m pip install -q --disable-pip-version-check uv
+	@# PyPI's torch without the gigabytes of CUDA that it names: pip would bring them
+	$(LEROBOT_ENV)/bin/uv pip install -q --python $(LEROBOT_ENV)/bin/python $(if $(LEROBOT), \
+		--excludes $(LEROBOT_FILES)/cuda.txt "lerobot[training]" -e ".[env]", \
+		--no-deps -r $(LEROBOT_FILES)/requirements-$(if $(PYTHON_3_12),3.12,3.11).txt -e .) -e pipelines/lerobot_env_h3data
+	$(LEROBOT_ENV)/bin/python $(LEROBOT_FILES)/absent_cuda.py $(LEROBOT_ENV)
 	touch $@
 
-check-lerobot: $(LEROBOT_INSTALLED)  ### lerobot opens datasets and exports, learns from one and is evaluated in its environment; an environment of its own (550 MB)
+check-lerobot: $(INSTALLED) $(LEROBOT_ENV)/.installed  ### lerobot opens datasets and exports, learns from one and is evaluated in its environment; an environment of its own (2.8 GB)
+	@$(LEROBOT_ENV)/bin/uv pip list -q --python $(LEROBOT_ENV)/bin/python | grep -E "^(lerobot|torch|numpy) "
 	$(BIN)/h3data generate social_nav --episodes 2 --seed 5 --max-steps 40 $(LEROBOT_CAMERAS) --force -o out/lerobot/ds
 	$(BIN)/h3data generate rearrange --episodes 1 --seed 5 --force -o out/lerobot/plain
 	$(BIN)/h3data export out/lerobot/ds --to lerobot --force -o out/lerobot/export
 	$(BIN)/h3data export out/lerobot/plain --to lerobot --camera robot_arm --force -o out/lerobot/rearrange
 	$(BIN)/h3data rerender 'out/lerobot/ds#0' 'out/lerobot/ds#1' $(LEROBOT_CAMERAS) --format png --force -o out/lerobot/pictures
 	LEROBOT_BACKEND=pyav $(LEROBOT_CHECK) $(LEROBOT_DATASETS)
-	libs=`$(LEROBOT)/bin/python tests/export/lerobot_loader/link_ffmpeg.py` && \
+	libs=`$(LEROBOT_ENV)/bin/python $(LEROBOT_FILES)/link_ffmpeg.py` && \
 		LEROBOT_BACKEND=torchcodec LD_LIBRARY_PATH=$$libs $(LEROBOT_CHECK) $(LEROBOT_DATASETS)
 	@# from recordings to an evaluation: lerobot learns from a dataset and acts in the environment that shows the same
 	$(BIN)/h3data generate social_nav --scenes small:3 --episodes 3 --seed 5 --max-steps 60 --spawn-distance 2 --force -o out/lerobot/walks
 	$(BIN)/h3data export out/lerobot/walks --to lerobot --camera robot_arm_rgb@64x48 --force -o out/lerobot/demos
 	rm -rf out/lerobot/run out/lerobot/eval
-	$(LEROBOT_RUN)/beside_cpu_torch.py lerobot_train --dataset.repo_id=local/demos --dataset.root=out/lerobot/demos \
+	$(LEROBOT_RUN)/lerobot-train --dataset.repo_id=local/demos --dataset.root=out/lerobot/demos \
 		--dataset.video_backend=pyav $(LEROBOT_ACT) --output_dir=out/lerobot/run
-	$(LEROBOT_RUN)/beside_cpu_torch.py lerobot_eval --policy.path=out/lerobot/run/checkpoints/last/pretrained_model \
-		--policy.device=cpu --env.discover_packages_path=lerobot_env_h3data --env.type=h3data --env.dataset=out/lerobot/demos \
-		--env.episodes=recorded --eval.n_episodes=2 --eval.batch_size=2 --seed=0 --output_dir=out/lerobot/eval
-	$(LEROBOT_RUN)/replay_actions.py out/lerobot/demos out/lerobot/eval
+	$(LEROBOT_RUN)/lerobot-eval --policy.path=out/lerobot/run/checkpoints/last/pretrained_model --policy.device=cpu \
+		$(if $(PYTHON_3_12),,--env.discover_packages_path=lerobot_env_h3data) --env.type=h3data --env.dataset=out/lerobot/demos \
+		--env.episodes=recorded --eval.n_episodes=2 --eval.batch_size=2 --eval.use_async_envs=false --seed=0 --output_dir=out/lerobot/eval
+	$(LEROBOT_RUN)/python $(LEROBOT_FILES)/replay_actions.py out/lerobot/demos out/lerobot/eval
 
 RL := .venv-rl
-$(RL)/.installed: $(DEV)
-	rm -rf $(RL) && $(BIN)/python -m venv --without-pip $(RL)
-	@# what it lacks it takes from .venv: torch, gymnasium
-	site=`$(RL)/bin/python -c "import sysconfig; print(sysconfig.get_path('purelib'))"`; \
+RL_LIBRARIES := sb3 torchrl rllib
+RL_sb3 := stable-baselines3==2.9.2 cloudpickle==3.1.3
+RL_minari := minari==0.5.4 typer==0.29.2 annotated-doc==0.0.7 shellingham==1.5.4
+RL_torchrl := torchrl==0.14.1 tensordict==0.14.3 pyvers==0.2.3 hoptorch==0.1.4 cloudpickle==3.1.3
+RL_rllib := gymnasium==1.2.2 dm-tree==0.1.10 lz4==4.4.5 ormsgpack==1.13.1 # the version of Gymnasium that ray 2.60 wants
+$(RL)/%/.installed: $(DEV)
+	rm -rf $(@D) && $(BIN)/python -m venv --without-pip $(@D)
+	@# what it lacks it takes from .venv: torch, gymnasium, ray
+	site=`$(@D)/bin/python -c "import sysconfig; print(sysconfig.get_path('purelib'))"`; \
 		$(BIN)/python -c "import sysconfig; print(sysconfig.get_path('purelib'))" > $$site/below.pth; \
 		printf '%s\n' $(CURDIR) $(CURDIR)/pipelines $(CURDIR)/viewers > $$site/h3data_source.pth
-	$(BIN)/python -m pip --python $(RL)/bin/python install -q --disable-pip-version-check --no-deps stable-baselines3==2.9.2 cloudpickle
+	$(BIN)/python -m pip --python $(@D)/bin/python install -q --disable-pip-version-check --no-deps $(RL_$*)
 	touch $@
 
-check-rl: $(RL)/.installed  ### Stable-Baselines3 learns in our vector environments, in .venv-rl (examples/sb3_vec_env.py)
-	OMP_NUM_THREADS=1 $(RL)/bin/python tests/sim/envs/check_sb3.py
+check-rl: $(patsubst %,$(RL)/%/.installed,$(RL_LIBRARIES) minari)  ### Stable-Baselines3, TorchRL and RLlib learn in our vector environments (examples/), Minari reads exports; an environment each, 50 MB in all
+	@# without ray's token in the home folder, and its report of use
+	@set -e; for library in $(RL_LIBRARIES); do \
+		OMP_NUM_THREADS=1 RAY_AUTH_MODE=disabled RAY_USAGE_STATS_ENABLED=0 $(RL)/$$library/bin/python tests/sim/envs/check_$$library.py; done
+	OMP_NUM_THREADS=1 $(RL)/minari/bin/python -m pytest -q tests/export/test_minari.py
 
 GLTF := out/gltf
 check-gltf: setup  ### exported animations and scenes pass the Khronos validator (needs npm)
@@ -290,4 +300,4 @@ sbom: wheel  ### what `pip install h3data` brings, as CycloneDX: dist/h3data.cdx
 		-o dist/h3data.cdx.json $(SBOM)/env/bin/python
 
 clean:  ## removes environments and everything that was built
-	rm -rf $(VENV) $(LEROBOT) $(RL) $(LOWEST) out dist build
+	rm -rf $(VENV) .venv-lerobot* $(RL) $(LOWEST) out dist build

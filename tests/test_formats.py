@@ -64,6 +64,7 @@ def test_the_built_in_table_is_sound() -> None:
         "foxglove",
         "gltf",
         "lerobot",
+        "minari",
         "robomimic",
     ]
     for one in FORMATS.load_all().values():
@@ -162,7 +163,7 @@ def test_options_that_a_format_does_not_take_name_those_that_do(
         Recording(episode=Episode(uid="u", episode_id="x", task="t", scene=""), columns=times), tmp_path / "a.mcap"
     )
     options = ("export", tmp_path / "a.mcap", "--to", "csv", "-o", tmp_path / "t", "--agent", "robot")
-    assert "not for csv, but for lerobot and robomimic" in run_json(capsys, *options, code=2)["error"]
+    assert "not for csv, but for lerobot and minari and robomimic" in run_json(capsys, *options, code=2)["error"]
 
 
 def test_a_file_is_read_from_disk_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""Recordings in the formats of other tools: CSV tables, Foxglove, glTF, LeRobot, robomimic."""
+"""Recordings in the formats of other tools: CSV tables, Foxglove, glTF, LeRobot, Minari, robomimic."""
 
 from h3data.formats import Format
 
@@ -21,6 +21,14 @@ ROBOMIMIC = Format(
     title="demonstrations for robomimic",
     write="h3data_exporters.robomimic:export_robomimic",
     write_options=("agent",),
+    many=True,
+)
+MINARI = Format(
+    name="minari",
+    title="a Minari dataset",
+    write="h3data_exporters.minari:export_minari",
+    write_options=("agent",),
+    target="folder",
     many=True,
 )
 CSV = Format(name="csv", title="CSV tables", write="h3data_exporters.csv_tables:export_csv", target="folder")

@@ -14,7 +14,7 @@ from h3data.files import part_file, size_text
 from h3data.formats import Exported, ExportRequest
 from h3data.recording.records import Recording
 from h3data.terminal import counted
-from h3data_exporters.transitions import Transitions, transitions_of
+from h3data_exporters.transitions import Transitions, check_alike, observations_of, transitions_of
 
 
 def write_robomimic(recordings: Iterable[Recording], path: str | Path, *, agent: str | None = None) -> int:
@@ -39,8 +39,8 @@ def write_robomimic(recordings: Iterable[Recording], path: str | Path, *, agent:
         data = file.create_group("data")
         for recording in recordings:
             found = transitions_of(recording, agent=agent)
-            observed = _observations(recording, found)
-            _check_same(shapes, {"actions": found.action, **observed}, recording)
+            observed = observations_of(recording, found)
+            check_alike(shapes, {"actions": found.action, **observed}, recording)
             _add_demo(data.create_group(f"demo_{count}"), recording, found, observed)
             if not count:
                 data.attrs["env_args"] = json.dumps(_env_args(recording, found))
@@ -77,31 +77,6 @@ def _add_demo(group: Any, recording: Recording, found: Transitions, observed: di
         inner = group.create_group(name)
         for key, values in observed.items():
             inner.create_dataset(key, data=values[rows], **options)
-
-
-def _observations(recording: Recording, found: Transitions) -> dict[str, np.ndarray]:
-    """Everything that is observed, [T, width]."""
-    observed: dict[str, np.ndarray] = dict(found.state)
-    for index in range(len(recording.agents)):
-        if index != found.agent:
-            observed[f"agent_{index}.base_pose"] = recording.agent_column(index, "base_pose")
-    if "object_pose" in recording.columns:
-        poses = recording.columns["object_pose"]
-        observed["object_pose"] = poses.reshape(len(poses), -1)
-    return {name: np.nan_to_num(values).astype(np.float32) for name, values in observed.items()}
-
-
-def _check_same(shapes: dict[str, Any], arrays: dict[str, np.ndarray], recording: Recording) -> None:
-    """Refuse demonstrations that cannot be learned from together."""
-    own = {name: values.shape[1:] for name, values in arrays.items()}
-    shapes.update(shapes or own)
-    different = sorted(name for name in shapes.keys() | own.keys() if shapes.get(name) != own.get(name))
-    if different:
-        raise InputError(
-            f"Episode {recording.episode.episode_id!r} differs from the first one in {', '.join(different[:4])}: robomimic "
-            "wants the same observations in all demonstrations. Export such episodes to files of their own.",
-            code="H3-EXPORT-032",
-        )
 
 
 def _env_args(recording: Recording, found: Transitions) -> dict[str, Any]:

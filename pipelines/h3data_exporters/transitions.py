@@ -6,7 +6,7 @@ frame t is row t with the action of row t + 1, and an episode of T rows gives T 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,6 +79,41 @@ def transitions_of(recording: Recording, *, agent: str | None = None) -> Transit
         action_names=who.action_names or tuple(f"action.{k}" for k in range(int(np.prod(action.shape[1:])))),
         reward=_reward(recording),
     )
+
+
+def observations_of(recording: Recording, found: Transitions) -> dict[str, NDArray[np.float32]]:
+    """Compute everything that an agent observes in its transitions, [T, width] each.
+
+    Its own state (``base_pose``, ``joint_pos``, ...), ``object_pose`` (absent bodies as zeros) and every other agent's place
+    ``agent_<i>.base_pose``.
+    """
+    observed: dict[str, NDArray[np.float32]] = dict(found.state)
+    for index in range(len(recording.agents)):
+        if index != found.agent:
+            observed[f"agent_{index}.base_pose"] = recording.agent_column(index, "base_pose")
+    if "object_pose" in recording.columns:
+        poses = recording.columns["object_pose"]
+        observed["object_pose"] = poses.reshape(len(poses), -1)
+    return {name: np.nan_to_num(values).astype(np.float32) for name, values in observed.items()}
+
+
+def check_alike(
+    shapes: dict[str, tuple[int, ...]], arrays: Mapping[str, NDArray[np.float32]], recording: Recording
+) -> None:
+    """Refuse demonstrations that cannot be learned from together; ``shapes`` of the first one are filled in.
+
+    Raises:
+        InputError: names or widths of the arrays differ from those of the first one.
+    """
+    own = {name: values.shape[1:] for name, values in arrays.items()}
+    shapes.update(shapes or own)
+    different = sorted(name for name in shapes.keys() | own.keys() if shapes.get(name) != own.get(name))
+    if different:
+        raise InputError(
+            f"Episode {recording.episode.episode_id!r} differs from the first one in {', '.join(different[:4])}, but all "
+            "demonstrations of a file must have the same observations. Export such episodes to files of their own.",
+            code="H3-EXPORT-032",
+        )
 
 
 def _reward(recording: Recording) -> NDArray[np.float32]:

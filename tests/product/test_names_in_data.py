@@ -49,6 +49,7 @@ READING = {
             "foxglove": ".foxglove.mcap",
             "lerobot": "_lerobot",
             "robomimic": ".hdf5",
+            "minari": "-v0",
             "habitat-episodes": "_episodes",
             "csv": "_csv",
             "rosbag2": "_bag",

@@ -81,8 +81,8 @@ class Export:
     h3data docs export says what each format keeps. gfx-replay: Habitat's own replay (.json, .json.gz) with GLB files beside it.
     gltf: one animated .glb for three.js and Blender. foxglove: a .foxglove.mcap of standard messages for Foxglove and
     Lichtblick. rosbag2: a bag of ROS 2 for RViz, PlotJuggler and ros2 bag play. csv: a folder of tables and NumPy arrays.
-    lerobot and robomimic: demonstrations to learn from, of one or many recordings. habitat-episodes: rearrangement
-    as habitat-lab's episodes, with their scenes.
+    lerobot, robomimic and minari: demonstrations to learn from, of one or many recordings. habitat-episodes:
+    rearrangement as habitat-lab's episodes, with their scenes.
 
     Examples:
         h3data export out/demo/episode.mcap --to gfx-replay -o episode.gfx_replay.json.gz
@@ -93,18 +93,19 @@ class Export:
         h3data export ds/ --to lerobot -o lerobot/ --agent robot
         h3data export ds/ --to lerobot --cameras robot_arm,human_head -o lerobot/
         h3data export ds/ --to robomimic -o demos.hdf5
+        h3data export ds/ --to minari -o walks-v0
         h3data export ds/ --to habitat-episodes -o data/h3
     """
 
     recording: tyro.conf.Positional[Path]
-    """A .mcap file or one episode of a dataset (ds#3); for lerobot, robomimic and habitat-episodes also a dataset or a
-    folder of recordings."""
+    """A .mcap file or one episode of a dataset (ds#3); for lerobot, robomimic, minari and habitat-episodes also a
+    dataset or a folder of recordings."""
     to: Annotated[str, NameOf(export_options)]
     """Format to write: a built-in one, one of an installed plug-in, or module:name."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """The file (gfx-replay, gltf, foxglove, robomimic) or folder (rosbag2, csv, lerobot, habitat-episodes)."""
+    """The file (gfx-replay, gltf, foxglove, robomimic) or folder (rosbag2, csv, lerobot, minari, habitat-episodes)."""
     agent: str | None
-    """Agent whose actions are learned, for lerobot and robomimic (default: the first robot that acts)."""
+    """Agent whose actions are learned, for lerobot, robomimic and minari (default: the first robot that acts)."""
     assets: tuple[Path, ...]
     """Folders below which the recorded asset files are searched (default: H3DATA_ASSETS)."""
     person_detail: PersonDetail

@@ -14,7 +14,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import beside_cpu_torch  # noqa: F401  # first: lerobot imports torchvision
 import numpy as np
 import pyarrow.parquet as pq
 import torch

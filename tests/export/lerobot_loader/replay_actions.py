@@ -12,7 +12,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import beside_cpu_torch  # noqa: F401  # first: lerobot imports torchvision
 import numpy as np
 import torch
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
