@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,3 +44,8 @@ def safe_names(names: Iterable[str], fallback: str) -> list[str]:
             unique = f"{base}_{number}"
         found.append(unique)
     return found
+
+
+def message_time(header: Any, t: int) -> int:
+    """Return the stamp of a message [ns], or its time of recording ``t`` where it has none."""
+    return (header.stamp.sec * 1_000_000_000 + header.stamp.nanosec) or t
