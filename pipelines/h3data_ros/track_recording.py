@@ -19,6 +19,7 @@ from h3data.recording.assets.scenes import scene_records
 from h3data.recording.records import Agent, AssetRef, Body, Episode, Recording
 from h3data.scene import Scene
 from h3data.scene.scene_file import scene_bytes
+from h3data.terminal import counted
 from h3data_motion.walk_synthesis import SYNTHETIC_BODY, walk_columns
 from h3data_ros.transforms import at_times
 
@@ -149,7 +150,8 @@ def rows_at(people: Sequence[Track], robot: Track | None, hz: float | None, told
                 f"{hz:g} rows a second over {(end - start) * 1e-9:.0f} s are too many. Hint: take fewer, or check the stamps.",
                 code="H3-ROS-013",
             )
-        told.facts |= {"rows": "fixed rate", "rate_hz": hz}
+        silent = np.diff(np.unique(np.concatenate(times))) > GAP_S * 1e9
+        told.facts |= {"rows": "fixed rate", "rate_hz": hz, "gaps": int(silent.sum())}
         return start + np.round(np.arange(count) * (1e9 / hz)).astype(np.int64)
     observed = [track.time_ns for track in people if len(track.time_ns)] or times
     rows = np.unique(np.concatenate(observed))
@@ -257,6 +259,11 @@ def record_tracks(
     people_said = "people" if len(walking) <= 8 else f"{len(walking)} people"
     told.facts |= {"people": len(walking), "start_ns": int(rows[0])}
     told.facts |= {"offset_m": offset.tolist()} if offset.any() else {}
+    who = ("" if moving is None else "1 robot, ") + (f"{len(walking)} people" if len(walking) != 1 else "1 person")
+    told.facts["summary"] = (
+        f"{told.facts['rate_hz']:g} Hz ({told.facts['rows']}), {who}, "
+        f"{counted(told.facts['gaps'], 'gap')} in which nobody is observed"
+    )
     info: dict[str, Any] = {
         "source": told.source,
         "profile": "social",

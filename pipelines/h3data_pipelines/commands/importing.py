@@ -154,6 +154,10 @@ def _report(result: ImportResult) -> Outcome:
             f"imported {row['source']} -> {row['recording']}",
             f"         {row['steps']} steps, {row['bodies']} bodies ({row['moving']} moving), agents: {agents}",
         ]
+        told = row["imported"]
+        lines += [f"         {told[name]}" for name in ("summary", "scans") if name in told]
+        if unread := told.get("not_read"):
+            lines.append(f"         not read: {', '.join(unread)}")
         people = [f"{name} {row[name]}" for name in ("participant", "condition") if row[name]]
         lines += [f"         {', '.join(people)}"] if people else []
         if row["missing_assets"]:

@@ -47,6 +47,8 @@ class ReportEpisode:
     tracks: tuple[Track, ...]
     recorded: bool = True
     """False: only its metrics were kept."""
+    imported: str = ""
+    """Rate, people and gaps of a recording that was imported; empty of others."""
 
     @property
     def name(self) -> str:
