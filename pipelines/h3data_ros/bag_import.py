@@ -149,7 +149,7 @@ def _read(bag: _Bag, tracks: ImportRequest) -> Recording:
     told = Import(source={"format": "rosbag2", "file": bag.path.name})
     told.goal = None if not tracks.goal else parse_goal(tracks.goal)
     people_topic = _people_topic(bag, tracks.people)
-    log = _Log.of(bag, people_topic)
+    log = _Log.of(bag, people_topic, joints=bag.topics(JOINTS) if tracks.model else [])
     root, frame = _robot_frame(log, tracks.robot, bag)
     told.facts |= {"people_topic": people_topic, "root": root, "robot": frame}
     if root != "map":
@@ -199,13 +199,13 @@ class _Log:
     """Frame of reference and frame of the robot by topic of odometry and poses."""
 
     @classmethod
-    def of(cls, bag: _Bag, people: str) -> _Log:
-        """Reads transforms, odometry, poses and the topic of people."""
+    def of(cls, bag: _Bag, people: str, joints: Sequence[str]) -> _Log:
+        """Reads transforms, odometry, poses, and the topics of people and joints."""
         log = cls(tree=TransformTree())
         moving = bag.topics(TF)
         others = bag.topics(ODOMETRY, *POSES)
         odometry: list[tuple[str, str, int, Pose]] = []
-        for topic, t, message in bag.messages([*moving, *others, people, *bag.topics(JOINTS)]):
+        for topic, t, message in bag.messages([*moving, *others, people, *joints]):
             kind = bag.kinds[topic]
             if kind == JOINTS:
                 log.joints.add(message, t)
