@@ -44,12 +44,16 @@ class Scan(NamedTuple):
         flat, up = np.cos(self.elevations)[:, None], np.sin(self.elevations)[:, None]
         return np.stack(np.broadcast_arrays(flat * np.cos(turns), up, -flat * np.sin(turns)), -1).reshape(-1, 3)
 
+    def around(self, rows: NDArray[np.integer] | slice | list[int]) -> NDArray[np.float64]:
+        """Points that the rays met in some rows in the scanner's frame, [t, L * R, 3] [m]; NaN where a ray met nothing."""
+        reach = self.met()[rows].astype(np.float64)
+        reach[np.isinf(reach)] = np.nan
+        return reach.reshape(len(reach), -1, 1) * self.directions()
+
     def points(self, recording: Recording, rows: NDArray[np.integer] | slice = slice(None)) -> NDArray[np.float32]:
         """World points that the rays met in some rows, [t, L * R, 3] [m]; NaN where a ray met nothing."""
         base = recording.agent_column(self.agent, "base_pose")[rows].astype(np.float64)
-        reach = self.met()[rows].astype(np.float64).reshape(len(base), -1)
-        reach[np.isinf(reach)] = np.nan
-        x, y, z = np.moveaxis(reach[..., None] * self.directions(), -1, 0)
+        x, y, z = np.moveaxis(self.around(rows), -1, 0)
         heading = heading_from_quat(base[:, 3:])[:, None]
         cos, sin = np.cos(heading), np.sin(heading)
         moved = (x * cos + z * sin, y + self.height_m, z * cos - x * sin)

@@ -411,9 +411,7 @@ class _Export:
 
     def _write_cloud(self, robot: _Mover, scan: Scan, step: int, t: int) -> None:
         """Write the points of a scan in the order of its lasers [L, R]; NaN where a ray met nothing."""
-        reach = scan.met()[step].reshape(-1, 1)
-        reach[np.isinf(reach)] = np.nan
-        points = reach * scan.directions()[:, [0, 2, 1]] * (1, -1, 1)
+        points = scan.around([step])[0][:, [0, 2, 1]] * (1, -1, 1)
         lasers, rays = scan.ranges.shape[1:]
         fields = [
             self._make("sensor_msgs/PointField", name=name, offset=4 * k, datatype=7, count=1)  # 7: float32

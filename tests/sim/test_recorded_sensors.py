@@ -176,6 +176,26 @@ def test_changed_measurements_are_found(cloud: h3data.Recording, sensor: str) ->
     assert (found.difference.step, found.difference.column) == (7, column)
 
 
+def test_foxglove_gets_the_points_of_clouds(cloud: h3data.Recording, tmp_path: Path) -> None:
+    pytest.importorskip("foxglove_schemas_protobuf")
+    from mcap.reader import make_reader
+    from mcap_protobuf.decoder import DecoderFactory
+
+    from h3data_exporters.foxglove.foxglove_file import write_foxglove
+
+    path = tmp_path / "a.foxglove.mcap"
+    write_foxglove(cloud, lambda steps: [], path)
+    with path.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        clouds = [message for *_, message in reader.iter_decoded_messages(topics=["/agents/robot/lidar_3d"])]
+    scan = clouds_of(cloud)[0]
+    expected = scan.around([7])[0]
+    found = np.frombuffer(clouds[7].data, "<f4").reshape(-1, 3)
+    np.testing.assert_allclose(found, expected[np.isfinite(expected).all(1)], atol=1e-5)
+    assert clouds[7].pose.position.y == pytest.approx(scan.height_m)
+    assert [field.offset for field in clouds[7].fields] == [0, 4, 8]
+
+
 @pytest.mark.parametrize("wrong", [{}, {"elevation_deg": 7}, {"elevation_deg": ["a", 1]}, {"height_m": float("nan")}])
 def test_clouds_without_sound_geometry_are_no_clouds(cloud: h3data.Recording, wrong: dict[str, object]) -> None:
     facts = {**cloud.episode.info["sensors"][CLOUD], **wrong} if wrong else None
