@@ -40,7 +40,12 @@ def _draw(pen: ImageDraw.ImageDraw, board: Leaderboard, top: int) -> None:
         ends = [value for cell in cells for name in ("mean", "high") if (value := cell.get(name)) is not None]
         most = max([1.0, *ends])
         unit = "" if metric.unit in ("", "1") else f" {metric.unit}"
-        pen.text((left, top + row + 4 * FINER), f"{metric.name} (0 to {most:.2g}{unit})", "black", font)
+        pen.text(
+            (left, top + row + 4 * FINER),
+            f"{metric.name} (0 to {round(most, 1 if most < 10 else None):g}{unit})",
+            "black",
+            font,
+        )
         for n, (entry, cell) in enumerate(zip(board.entries, cells, strict=True)):
             y = top + row * (n + 2) + row // 2
             if k == 0:
