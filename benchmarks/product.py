@@ -22,7 +22,7 @@ def _wall_s(*command: str) -> float:
     return time.perf_counter() - start
 
 
-def _cpu_s(*command: str) -> float:
+def cpu_s(*command: str) -> float:
     """CPU seconds of a command and the processes that it starts."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     _wall_s(*command)
@@ -107,7 +107,7 @@ def run(emit: Callable[[str, float, str], None]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         _demo(emit, cli, Path(folder))
         checked = _make_run(Path(folder) / "checked", "rollout_expert", VALIDATED, VALIDATED_STEPS)
-        emit(f"validate.{VALIDATED}x{VALIDATED_STEPS}_cpu_s", _cpu_s(*cli, "validate", str(checked)), "s")
+        emit(f"validate.{VALIDATED}x{VALIDATED_STEPS}_cpu_s", cpu_s(*cli, "validate", str(checked)), "s")
         runs = [str(_make_run(Path(folder) / policy, policy)) for policy in REPORT_RUNS]
         out = Path(folder) / "report.html"
         emit(

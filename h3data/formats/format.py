@@ -80,6 +80,8 @@ class ImportRequest:
     """Frame numbers per second in a file of tracks."""
     hz: float | None = None
     """Rows per second; None: a row for each observation."""
+    model: str = ""
+    """Body of the robot: a name, or a file in URDF or another format of robots; empty: a cylinder."""
 
 
 @dataclass(frozen=True, kw_only=True)

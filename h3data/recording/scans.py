@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,8 @@ from h3data.recording.records import Recording
 
 SCANNERS = ("lidar", "lidar_legs", "range_scan")
 """Sensors that are scans: rays at equal angles, the first straight ahead, the others to the left."""
+CLOUDS = ("lidar_3d",)
+"""Sensors that are scans of several lasers, each at an elevation of its own."""
 HEIGHT_M = 0.3
 """Height over the floor at which scans are shown, that of the scanner [m]."""
 
@@ -24,24 +26,38 @@ class Scan(NamedTuple):
     agent: int
     sensor: str
     ranges: NDArray[np.float32]
-    """Measured distances [T, R] [m]."""
+    """Distances [T, R] [m], or [T, L, R] of L lasers, the lowest first."""
     max_m: float
     """Greatest distance that it can measure; rays that long met nothing."""
+    height_m: float = HEIGHT_M
+    """Height of the scanner over the origin of the base."""
+    elevations: tuple[float, ...] = (0.0,)
+    """Elevation of each laser above the horizon [rad]."""
 
     def met(self) -> NDArray[np.float32]:
-        """Distances [T, R] [m] to what the rays met, infinite where that is nothing."""
+        """Distances, in the shape of `ranges` [m], to what the rays met, infinite where that is nothing."""
         return np.where(self.ranges < self.max_m * (1 - 1e-3), self.ranges, np.float32(np.inf))
 
-    def points(self, recording: Recording, rows: NDArray[np.integer] | slice = slice(None)) -> NDArray[np.float32]:
-        """World points that the rays met in some rows, [t, R, 3] [m]; NaN where a ray met nothing."""
-        base = recording.agent_column(self.agent, "base_pose")[rows].astype(np.float64)
+    def directions(self) -> NDArray[np.float64]:
+        """Unit vectors of the rays [L * R, 3] in the scanner's frame: x ahead, y up, z to the right."""
+        turns = np.arange(self.ranges.shape[-1]) * (2 * math.pi / max(self.ranges.shape[-1], 1))
+        flat, up = np.cos(self.elevations)[:, None], np.sin(self.elevations)[:, None]
+        return np.stack(np.broadcast_arrays(flat * np.cos(turns), up, -flat * np.sin(turns)), -1).reshape(-1, 3)
+
+    def around(self, rows: NDArray[np.integer] | slice | list[int]) -> NDArray[np.float64]:
+        """Points that the rays met in some rows in the scanner's frame, [t, L * R, 3] [m]; NaN where a ray met nothing."""
         reach = self.met()[rows].astype(np.float64)
         reach[np.isinf(reach)] = np.nan
-        turns = np.arange(reach.shape[1]) * (2 * math.pi / max(reach.shape[1], 1))
-        headings = heading_from_quat(base[:, 3:])[:, None] + turns
-        x, z = base[:, :1] + reach * np.cos(headings), base[:, 2:3] - reach * np.sin(headings)
-        y = np.where(np.isnan(reach), np.nan, base[:, 1:2] + HEIGHT_M)
-        return np.stack([x, y, z], -1).astype(np.float32)
+        return reach.reshape(len(reach), -1, 1) * self.directions()
+
+    def points(self, recording: Recording, rows: NDArray[np.integer] | slice = slice(None)) -> NDArray[np.float32]:
+        """World points that the rays met in some rows, [t, L * R, 3] [m]; NaN where a ray met nothing."""
+        base = recording.agent_column(self.agent, "base_pose")[rows].astype(np.float64)
+        x, y, z = np.moveaxis(self.around(rows), -1, 0)
+        heading = heading_from_quat(base[:, 3:])[:, None]
+        cos, sin = np.cos(heading), np.sin(heading)
+        moved = (x * cos + z * sin, y + self.height_m, z * cos - x * sin)
+        return (base[:, None, :3] + np.stack(moved, -1)).astype(np.float32)
 
 
 def scan_column(agent: int, sensor: str) -> str:
@@ -50,17 +66,37 @@ def scan_column(agent: int, sensor: str) -> str:
 
 
 def scans_of(recording: Recording) -> list[Scan]:
-    """Returns the scans of a recording, by agent."""
+    """Returns the planar scans of a recording, by agent."""
+    return [scan for scan, _ in _found(recording, SCANNERS, 2)]
+
+
+def clouds_of(recording: Recording) -> list[Scan]:
+    """Returns the scans of several lasers of a recording, by agent, without those whose geometry it does not state."""
+    clouds = []
+    for scan, facts in _found(recording, CLOUDS, 3):
+        try:
+            (low, high), height = facts["elevation_deg"], float(facts["height_m"])
+            lasers = np.radians(np.linspace(float(low), float(high), scan.ranges.shape[1]))
+        except (KeyError, TypeError, ValueError):
+            continue
+        if np.isfinite([*lasers, height]).all():
+            clouds.append(scan._replace(height_m=height, elevations=tuple(lasers.tolist())))
+    return clouds
+
+
+def _found(recording: Recording, sensors: tuple[str, ...], axes: int) -> list[tuple[Scan, Mapping[str, Any]]]:
+    """Returns the columns of some sensors as scans, with the facts that the recording states of each."""
     told = recording.episode.info.get("sensors")
     found = []
     for agent in range(len(recording.agents)):
-        for sensor in SCANNERS:
+        for sensor in sensors:
             column = recording.columns.get(name := scan_column(agent, sensor))
-            if column is None or column.ndim != 2 or not column.shape[1] or column.dtype.kind != "f":
+            if column is None or column.ndim != axes or not column[:1].size or column.dtype.kind != "f":
                 continue
             facts = told.get(name) if isinstance(told, Mapping) else None
-            high = facts.get("high") if isinstance(facts, Mapping) else None
+            facts = facts if isinstance(facts, Mapping) else {}
+            high = facts.get("high")
             known = isinstance(high, int | float) and math.isfinite(high) and high > 0
             max_m = float(high) if known else float(np.nanmax(column, initial=0.0)) or math.inf  # type: ignore[arg-type]
-            found.append(Scan(agent, sensor, column.astype(np.float32), max_m))
+            found.append((Scan(agent, sensor, column.astype(np.float32), max_m), facts))
     return found

@@ -1,4 +1,4 @@
-"""docs/pictures/lidar.jpg: what a laser scanner that sees legs measures, as points in the picture of an episode and from above.
+"""docs/pictures/lidar.jpg: points of a laser scanner that sees legs, in an episode and from above, and those of a 3-D scanner.
 
 python -m bake.lidar_sheet docs/pictures/lidar.jpg
 """
@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 import h3data
 from h3data.geometry import Array
-from h3data.recording.scans import Scan, scans_of
+from h3data.recording.scans import Scan, clouds_of, scans_of
 from h3data.render import Camera
 from h3data.render.image_files import write_jpg
 from h3data.replay import CameraTrack, Replay, camera_at
 
 CAMERAS = ("third_person", "top_down")
-STEP, DOT_PX, COLOR = 150, 2, (232, 30, 160)
+STEP, DOT_PX, COLOR = 150, (2, 1), (232, 30, 160)
 NEARER_M = 0.08
 """Points are drawn if they are not farther than this behind the surface of their pixel."""
 
@@ -35,7 +35,8 @@ def picture(replay: Replay, scan: Scan, name: str) -> NDArray[np.uint8]:
     x, y = _pixels(seen_from, local)
     for k in np.flatnonzero((local[:, 2] > 0.1) & (x >= 0) & (y >= 0) & (x < rgb.shape[1]) & (y < rgb.shape[0])):
         if name == CAMERAS[1] or depth[y[k], x[k]] + NEARER_M > local[k, 2] or depth[y[k], x[k]] == 0:
-            rows, columns = (slice(max(at - DOT_PX, 0), at + DOT_PX + 1) for at in (y[k], x[k]))
+            dot = DOT_PX[scan.ranges.ndim - 2]
+            rows, columns = (slice(max(at - dot, 0), at + dot + 1) for at in (y[k], x[k]))
             rgb[rows, columns] = COLOR
     return rgb
 
@@ -49,9 +50,12 @@ def _pixels(camera: Camera, local: Array) -> tuple[NDArray[np.int64], NDArray[np
 
 def main(out: str) -> None:
     """Plays an episode and writes the picture."""
-    recording = h3data.simulate("social_nav", "small:1", seed=3, max_steps=STEP + 30, sensors=("lidar_legs",))
+    recording = h3data.simulate(
+        "social_nav", "small:1", seed=3, max_steps=STEP + 30, sensors=("lidar_legs", "lidar_3d")
+    )
     replay = Replay(recording, light="baked")
     pictures = [picture(replay, scans_of(recording)[0], name) for name in CAMERAS]
+    pictures.append(picture(replay, clouds_of(recording)[0], CAMERAS[0]))
     height = min(each.shape[0] for each in pictures)
     write_jpg(out, np.hstack([each[(each.shape[0] - height) // 2 :][:height] for each in pictures]))
 

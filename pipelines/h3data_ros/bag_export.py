@@ -12,21 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import load_robot
-from h3data.bodies.robots.robot_files import find_robot
 from h3data.errors import H3DataError, InputError
 from h3data.files import path_inside, size_text
 from h3data.formats import BagStorage, Exported, ExportRequest
-from h3data.geometry import heading_from_quat, pose_from_matrix, pose_multiply, quat_from_axis_angle, wrap_angle
+from h3data.geometry import heading_from_quat, pose_from_matrix, pose_multiply, wrap_angle
 from h3data.recording.mcap.header import log_time, start_time
 from h3data.recording.records import Recording
-from h3data.recording.scans import scans_of
+from h3data.recording.scans import Scan, clouds_of, scans_of
 from h3data.render.camera import Camera
 from h3data.replay import Replay, camera_track
 from h3data.scene import FreeSpace, Scene, load_scene
 from h3data_exporters.posing import drawn_note
-from h3data_ros.frames import pose_to_ros, safe_names
+from h3data_ros.frames import FROM_WORLD, pose_to_ros, safe_names
 from h3data_ros.messages import delivery, message_types, require_rosbags
 from h3data_ros.occupancy import map_of
+from h3data_ros.robot_links import RobotLinks, robot_links
 from h3data_ros.scans import RANGE_M, cast_scans
 from h3data_ros.stored_columns import COLUMNS_TOPIC, EPISODE_TOPIC, carried, episode_text, labels_of, rows_of
 
@@ -45,6 +45,8 @@ PERSON_RADIUS_M = 0.25
 """Radius of people in scans that are cast [m]."""
 LIDAR_HEIGHT_M = 0.3
 """Height of the frame of scans over the floor [m]."""
+CLOUD_FRAME = "base_lidar_3d"
+"""Frame of the scanner whose scans are point clouds."""
 RAYS_MAX = 4096
 JPEG_QUALITY = 90
 Pictures = Iterable[tuple[int, Sequence[NDArray[np.uint8]]]]
@@ -60,6 +62,13 @@ class _RobotScan(NamedTuple):
     """Angle of the first ray from straight ahead, positive to the left; the others follow to the left."""
     most_m: float
     """Greatest distance that can be measured."""
+
+
+class _Described(NamedTuple):
+    """Looks and links of one robot."""
+
+    urdf: str
+    links: RobotLinks
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -221,6 +230,10 @@ class _Export:
         self._scene = load_scene(recording.attachments["scene.glb"]) if "scene.glb" in recording.attachments else None
         self._free = None if self._scene is None else self._floor(self._scene)
         self._scans = self._find_scans(lidar_rays)
+        self._clouds = {scan.agent: scan for scan in clouds_of(recording)}
+        self._described = {
+            robot.number: found for robot in self._robots if (found := self._describe(robot)) is not None
+        }
 
     def write(self, pictures: Pictures) -> None:
         """Write all messages."""
@@ -264,19 +277,16 @@ class _Export:
         for robot in self._robots:
             prefix = robot.frame.removesuffix("base_footprint")
             still.append(self._transform(t, MAP, f"{prefix}odom", _IDENTITY))
-            lift = 0.0
-            model = self._recording.agents[robot.number].model.removeprefix("robot/")
-            if model:
-                try:
-                    urdf = find_robot(model).urdf
-                    lift = load_robot(model).base_height_m
-                    self._put(
-                        self._topic(robot, "robot_description"), "std_msgs/String", t, latched=True,
-                        data=urdf.read_text(encoding="utf-8"),
-                    )  # fmt: skip
-                except (H3DataError, OSError) as fault:
-                    self.notes.append(f"No robot_description of {robot.name}: {fault}")
-            still.append(self._transform(t, robot.frame, f"{prefix}base_link", np.array([0, 0, lift, 0, 0, 0, 1.0])))
+            described = self._described.get(robot.number)
+            if described is None:
+                still.append(self._transform(t, robot.frame, f"{prefix}base_link", _IDENTITY))
+            else:
+                still += [self._transform(t, *edge) for edge in described.links.still]
+                topic = self._topic(robot, "robot_description")
+                self._put(topic, "std_msgs/String", t, latched=True, data=described.urdf)
+            if robot.number in self._clouds:
+                at = np.array([0, 0, self._clouds[robot.number].height_m, 0, 0, 0, 1.0])
+                still.append(self._transform(t, robot.frame, f"{prefix}{CLOUD_FRAME}", at))
             if robot.number in self._scans:
                 at = np.array([0, 0, LIDAR_HEIGHT_M, 0, 0, 0, 1.0])
                 still.append(self._transform(t, robot.frame, f"{prefix}base_scan", at))
@@ -313,12 +323,21 @@ class _Export:
             if robot.known[step]:
                 odom = robot.frame.removesuffix("base_footprint") + "odom"
                 moved.append(self._transform(t, odom, robot.frame, robot.poses[step]))
+                if robot.number in self._described:
+                    links = self._described[robot.number].links
+                    poses = links.poses[step]
+                    known = np.isfinite(poses).all(axis=1)
+                    moved += [
+                        self._transform(t, *edge, pose)
+                        for edge, pose, here in zip(links.moving, poses, known, strict=True)
+                        if here
+                    ]
         moved += [
             self._transform(t, MAP, person.frame, person.poses[step]) for person in self._people if person.known[step]
         ]
         for view, name in zip(self._cameras, self._camera_names, strict=True):
             pose = pose_multiply(
-                _TO_MAP, pose_from_matrix(view.poses[min(step, len(view.poses) - 1)].astype(np.float64))
+                FROM_WORLD, pose_from_matrix(view.poses[min(step, len(view.poses) - 1)].astype(np.float64))
             )
             if np.isfinite(pose).all():
                 moved.append(self._transform(t, MAP, f"{name}_optical_frame", np.asarray(pose, np.float64)))
@@ -386,6 +405,33 @@ class _Export:
                 ranges=np.asarray(ranges, np.float32),
                 intensities=np.zeros(0, np.float32),
             )
+
+        if robot.number in self._clouds:
+            self._write_cloud(robot, self._clouds[robot.number], step, t)
+
+    def _write_cloud(self, robot: _Mover, scan: Scan, step: int, t: int) -> None:
+        """Write the points of a scan in the order of its lasers [L, R]; NaN where a ray met nothing."""
+        points = scan.around([step])[0][:, [0, 2, 1]] * (1, -1, 1)
+        lasers, rays = scan.ranges.shape[1:]
+        fields = [
+            self._make("sensor_msgs/PointField", name=name, offset=4 * k, datatype=7, count=1)  # 7: float32
+            for k, name in enumerate("xyz")
+        ]
+        self._put(
+            self._topic(robot, "points"),
+            "sensor_msgs/PointCloud2",
+            t,
+            best_effort=True,
+            header=self._header(t, robot.frame.removesuffix("base_footprint") + CLOUD_FRAME),
+            height=lasers,
+            width=rays,
+            fields=fields,
+            is_bigendian=False,
+            point_step=12,
+            row_step=12 * rays,
+            data=np.ascontiguousarray(points, "<f4").view(np.uint8).ravel(),
+            is_dense=False,
+        )
 
     def _write_people(self, step: int, t: int) -> None:
         if not self._people:
@@ -470,6 +516,30 @@ class _Export:
             turning=np.nan_to_num(turning, nan=0.0),
             known=np.asarray(known),
         )
+
+    def _describe(self, robot: _Mover) -> _Described | None:
+        """The URDF and the frames of the links of a robot; None, with a note, if there is no such robot here."""
+        agent = self._recording.agents[robot.number]
+        name = agent.model.removeprefix("robot/")
+        joints = self._recording.columns.get(f"agent_{robot.number}.joint_pos")
+        try:
+            model = load_robot(name) if name else None
+            urdf = "" if model is None else model.file.read_text(encoding="utf-8")
+        except (H3DataError, OSError, UnicodeDecodeError) as fault:
+            self.notes.append(f"No robot_description of {robot.name}: {fault}")
+            return None
+        if model is None:
+            return None
+        if "<robot" not in urdf:
+            self.notes.append(f"No robot_description of {robot.name}: its file is no URDF: {model.file}")
+            return None
+        if joints is None or tuple(agent.joint_names) != model.joint_names:
+            self.notes.append(
+                f"Joints of {robot.name} are at rest in /tf: the recording does not hold those of {name}."
+            )
+            joints = np.tile(model.rest, (len(self._times), 1))
+        prefix = robot.frame.removesuffix("base_footprint")
+        return _Described(urdf, robot_links(model, joints, prefix))
 
     def _command(self, robot: _Mover, step: int) -> tuple[float, float] | None:
         """Commanded speed [m/s] and turn [rad/s] that led to a row, None if the recording does not tell them in these units."""
@@ -584,6 +654,5 @@ class _Export:
 
 
 _IDENTITY = np.array([0, 0, 0, 0, 0, 0, 1.0])
-_TO_MAP = np.array([0, 0, 0, *quat_from_axis_angle([1.0, 0, 0], np.pi / 2)])
 _NO_COVARIANCE = np.zeros(36)
 _NOTHING = np.zeros(0)

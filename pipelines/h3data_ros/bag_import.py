@@ -17,7 +17,8 @@ from h3data.files import path_inside
 from h3data.formats import ImportRequest
 from h3data.recording.records import Recording
 from h3data.scene import Scene, load_scene
-from h3data_ros.frames import pose_from_ros
+from h3data_ros.bag_sensors import CLOUD, JOINTS, LASER, JointLog, with_joints, with_scans
+from h3data_ros.frames import message_time, pose_from_ros
 from h3data_ros.messages import message_types, require_rosbags
 from h3data_ros.occupancy import OccupancyMap, read_map, scene_of_map
 from h3data_ros.stored_columns import COLUMNS_TOPIC, EPISODE_TOPIC, RECORDS, columns_from, read_episode
@@ -93,6 +94,9 @@ class _Bag:
     def __init__(self, reader: Reader, path: Path) -> None:
         self._reader, self.path = reader, path
         self.kinds = {connection.topic: connection.msgtype for connection in reader.connections}
+        self.counts: dict[str, int] = {}
+        for connection in reader.connections:
+            self.counts[connection.topic] = self.counts.get(connection.topic, 0) + connection.msgcount
         self._stores: dict[str, Any] = {}
 
     def topics(self, *kinds: str) -> list[str]:
@@ -139,13 +143,13 @@ class _Bag:
 
 
 def _read(bag: _Bag, tracks: ImportRequest) -> Recording:
-    asked = tracks.people or tracks.robot or tracks.hz or tracks.map or tracks.goal
+    asked = tracks.people or tracks.robot or tracks.hz or tracks.map or tracks.goal or tracks.model
     if EPISODE_TOPIC in bag.kinds and COLUMNS_TOPIC in bag.kinds and not asked:
         return _read_own(bag)
     told = Import(source={"format": "rosbag2", "file": bag.path.name})
     told.goal = None if not tracks.goal else parse_goal(tracks.goal)
     people_topic = _people_topic(bag, tracks.people)
-    log = _Log.of(bag, people_topic)
+    log = _Log.of(bag, people_topic, joints=bag.topics(JOINTS) if tracks.model else [])
     root, frame = _robot_frame(log, tracks.robot, bag)
     told.facts |= {"people_topic": people_topic, "root": root, "robot": frame}
     if root != "map":
@@ -160,7 +164,22 @@ def _read(bag: _Bag, tracks: ImportRequest) -> Recording:
     offsets = np.array(log.offsets or [0])
     told.facts |= {"clock_offset_s": round(float(np.median(offsets)) * 1e-9, 6)}
     scene = _scene(bag, tracks, told)
-    return record_tracks(people, robot, told, scene=scene, hz=tracks.hz, task="rosbag2")
+    scans = bag.topics(LASER, CLOUD)[:1]
+    used = {people_topic, *scans, *bag.topics(TF, ODOMETRY, *POSES), *([told.facts.get("map_topic")])}
+    used |= set(bag.topics(JOINTS)) if tracks.model else set()
+    if unread := [
+        f"{topic} ({kind}, {bag.counts[topic]})" for topic, kind in sorted(bag.kinds.items()) if topic not in used
+    ]:
+        told.facts["not_read"] = unread
+    recording = record_tracks(people, robot, told, scene=scene, hz=tracks.hz, task="rosbag2", model=tracks.model)
+    rows = recording.columns["time_ns"] + recording.episode.info["t0_unix_ns"]
+    if tracks.model:
+        recording = with_joints(recording, log.joints, rows)
+    for topic in scans:
+        near = max(gap // 5, recording.episode.dt_ns)
+        recording, count = with_scans(recording, bag.messages([topic]), log.tree, frame, rows, near)
+        told.facts["scans"] = f"{topic} ({bag.kinds[topic]}): {count} rows of {bag.counts[topic]} messages"
+    return recording
 
 
 @dataclass
@@ -174,25 +193,34 @@ class _Log:
     """Id, name of the frame and stamp of people who have frames of their own."""
     offsets: list[int] = field(default_factory=list)
     """Time of recording less stamp of messages about people [ns]."""
+    joints: JointLog = field(default_factory=JointLog)
+    """Positions of joints."""
     odometry: dict[str, tuple[str, str]] = field(default_factory=dict)
     """Frame of reference and frame of the robot by topic of odometry and poses."""
 
     @classmethod
-    def of(cls, bag: _Bag, people: str) -> _Log:
-        """Reads transforms, odometry, poses and the topic of people."""
+    def of(cls, bag: _Bag, people: str, joints: Sequence[str]) -> _Log:
+        """Reads transforms, odometry, poses, and the topics of people and joints."""
         log = cls(tree=TransformTree())
         moving = bag.topics(TF)
         others = bag.topics(ODOMETRY, *POSES)
         odometry: list[tuple[str, str, int, Pose]] = []
-        for topic, t, message in bag.messages([*moving, *others, people]):
+        for topic, t, message in bag.messages([*moving, *others, people, *joints]):
             kind = bag.kinds[topic]
+            if kind == JOINTS:
+                log.joints.add(message, t)
+                continue
             if kind == TF:
                 for one in message.transforms:
                     x, q = one.transform.translation, one.transform.rotation
                     pose = (x.x, x.y, x.z, q.x, q.y, q.z, q.w)
                     still = topic.endswith("tf_static")
                     log.tree.add(
-                        _frame(one.header), one.child_frame_id.lstrip("/"), _time(one.header, t), pose, still=still
+                        _frame(one.header),
+                        one.child_frame_id.lstrip("/"),
+                        message_time(one.header, t),
+                        pose,
+                        still=still,
                     )
             elif topic == people:
                 log._add_people(kind, topic, t, message)
@@ -200,7 +228,7 @@ class _Log:
                 pose = message.pose if kind == POSES[0] else message.pose.pose
                 child = message.child_frame_id.lstrip("/") if kind == ODOMETRY else topic
                 log.odometry[topic] = (_frame(message.header), child)
-                odometry.append((_frame(message.header), child, _time(message.header, t), _pose(pose)))
+                odometry.append((_frame(message.header), child, message_time(message.header, t), _pose(pose)))
         told = {child for _, child, _, _ in odometry if child in log.tree}
         for parent, child, t, pose in odometry:
             if child not in told:
@@ -217,7 +245,7 @@ class _Log:
                 seen.add(name)
                 self._add(name, marker.header, t, (*_pose(marker.pose)[:3], *UNTURNED))
             return
-        stamp = _time(message.header, t)
+        stamp = message_time(message.header, t)
         self.offsets.append(t - stamp)
         if kind == IDS:
             part = "body_" if "bodies" in topic else "face_" if "faces" in topic else "person_"
@@ -231,7 +259,7 @@ class _Log:
                 self._add(one.name or f"unnamed_{number}", message.header, t, (p.x, p.y, p.z, *UNTURNED))
 
     def _add(self, name: str, header: Any, t: int, pose: Pose) -> None:
-        self.places.append((name, _frame(header), _time(header, t), pose))
+        self.places.append((name, _frame(header), message_time(header, t), pose))
 
 
 def _people_topic(bag: _Bag, asked: str) -> str:
@@ -398,7 +426,7 @@ def _read_own(bag: _Bag) -> Recording:
             if one.child_frame_id in frames:
                 x, q = one.transform.translation, one.transform.rotation
                 place = (x.x, x.y, x.z, q.x, q.y, q.z, q.w)
-                poses[frames[one.child_frame_id]].append((_time(one.header, t), place))
+                poses[frames[one.child_frame_id]].append((message_time(one.header, t), place))
     if len({len(row) for row in rows}) > 1 or not rows:
         raise FormatError(
             f"Messages on {COLUMNS_TOPIC} are missing or of different lengths: {bag.path}", code="H3-ROS-038"
@@ -424,12 +452,6 @@ def _read_own(bag: _Bag) -> Recording:
 
 def _frame(header: Any) -> str:
     return header.frame_id.lstrip("/")
-
-
-def _time(header: Any, t: int) -> int:
-    """The stamp [ns], or the time of recording of messages without one."""
-    stamp = header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
-    return stamp or t
 
 
 def _pose(pose: Any) -> Pose:

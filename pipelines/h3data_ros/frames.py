@@ -7,10 +7,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from h3data.geometry import quat_from_axis_angle
+
+FROM_WORLD = np.array([0, 0, 0, *quat_from_axis_angle([1.0, 0, 0], np.pi / 2)])
+"""Pose of our world in the frame ``map``, and of an agent's root in ``base_footprint``: a turn about x [7]."""
 _UNSAFE = re.compile(r"[^A-Za-z0-9_]+")
 
 
@@ -39,3 +44,8 @@ def safe_names(names: Iterable[str], fallback: str) -> list[str]:
             unique = f"{base}_{number}"
         found.append(unique)
     return found
+
+
+def message_time(header: Any, t: int) -> int:
+    """Return the stamp of a message [ns], or its time of recording ``t`` where it has none."""
+    return (header.stamp.sec * 1_000_000_000 + header.stamp.nanosec) or t

@@ -76,7 +76,7 @@ def read_tracks(file: str | os.PathLike[str], *, tracks: ImportRequest) -> Recor
             raise InputError(f"There is no robot {tracks.robot!r} among the ids {names}: {path}", code="H3-ROS-053")
     scene = None if tracks.map is None else scene_of_map(read_map(tracks.map), Path(tracks.map).stem)
     people = [track for track in found if track is not robot]
-    return record_tracks(people, robot, told, scene=scene, hz=tracks.hz, task="tracks")
+    return record_tracks(people, robot, told, scene=scene, hz=tracks.hz, task="tracks", model=tracks.model)
 
 
 def _seconds(table: TrackTable, tracks: ImportRequest, path: Path) -> np.ndarray:

@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import load_humanoid
+from h3data.bodies import load_humanoid, load_robot, robot_digest, robot_name
 from h3data.errors import FormatError, InputError
 from h3data.geometry import ground_pose, heading_from_quat
 from h3data.recording.assets.scenes import scene_records
 from h3data.recording.records import Agent, AssetRef, Body, Episode, Recording
 from h3data.scene import Scene
 from h3data.scene.scene_file import scene_bytes
+from h3data.terminal import counted
 from h3data_motion.walk_synthesis import SYNTHETIC_BODY, walk_columns
 from h3data_ros.transforms import at_times
 
@@ -149,7 +150,8 @@ def rows_at(people: Sequence[Track], robot: Track | None, hz: float | None, told
                 f"{hz:g} rows a second over {(end - start) * 1e-9:.0f} s are too many. Hint: take fewer, or check the stamps.",
                 code="H3-ROS-013",
             )
-        told.facts |= {"rows": "fixed rate", "rate_hz": hz}
+        silent = np.diff(np.unique(np.concatenate(times))) > GAP_S * 1e9
+        told.facts |= {"rows": "fixed rate", "rate_hz": hz, "gaps": int(silent.sum())}
         return start + np.round(np.arange(count) * (1e9 / hz)).astype(np.int64)
     observed = [track.time_ns for track in people if len(track.time_ns)] or times
     rows = np.unique(np.concatenate(observed))
@@ -172,17 +174,30 @@ def rows_at(people: Sequence[Track], robot: Track | None, hz: float | None, told
 
 
 def record_tracks(
-    people: Sequence[Track], robot: Track | None, told: Import, *, scene: Scene | None, hz: float | None, task: str
+    people: Sequence[Track],
+    robot: Track | None,
+    told: Import,
+    *,
+    scene: Scene | None,
+    hz: float | None,
+    task: str,
+    model: str = "",
 ) -> Recording:
     """Return the recording of tracks: the robot first, then the people in the order of their first observation.
 
     Columns ``agent_<i>.recorded`` hold whether a row's pose was observed, and not interpolated. Postures of people are
-    synthesized from their paths (`h3data_motion.walk_synthesis`), headings that nobody observed are those of motion.
+    synthesized from their paths (`h3data_motion.walk_synthesis`), headings that nobody observed are those of motion. A robot
+    is a body of ``model`` (`h3data.bodies.load_robot`) at rest, or without one a cylinder.
 
     Raises:
-        InputError: ``hz`` is not sensible.
+        InputError: ``hz`` is not sensible, there is no robot ``model``, or nobody is the robot.
         FormatError: there is nothing to record, most tracks jump, or they are too long for one recording.
     """
+    if model and robot is None:
+        raise InputError(
+            "--model is the body of the robot, and none of these tracks is one. Hint: --robot ID.", code="H3-ROS-060"
+        )
+    body = load_robot(model) if model else None
     seen = clean_tracks([*people, *([robot] if robot is not None else [])], told)
     own = [track for track in seen if robot is not None and (track.name == robot.name)]
     moving = own[0] if own else None
@@ -205,13 +220,25 @@ def record_tracks(
     if moving is not None:
         base, recorded, made_up = _base(moving, rows, offset)
         columns |= {"agent_0.base_pose": base, "agent_0.recorded": recorded}
-        columns["object_pose"] = (base + np.array([0, HEIGHT_M / 2, 0, 0, 0, 0, 0], np.float32))[:, None]
-        first = base[np.argmax(np.isfinite(base).all(axis=1))]
-        size = np.array([FOOTPRINT_M, HEIGHT_M / 2, FOOTPRINT_M], np.float32)
-        assets.append(AssetRef(name="robot", uri="primitive:cylinderSolid", color=(90, 110, 140)))
-        bodies.append(Body(name="robot", asset="robot", pose=first, scale=size, semantic_id=200, moving=0, agent=0))
-        agents.append(Agent(name=moving.name, kind="robot", semantic_id=200))
-        synthesised[moving.name] = ["shape", *(["heading"] if made_up else [])]
+        synthesised[moving.name] = ["posture" if body is not None else "shape", *(["heading"] if made_up else [])]
+        if body is not None:
+            columns["agent_0.joint_pos"] = np.tile(body.rest.astype(np.float32), (len(rows), 1))
+            agents.append(
+                Agent(
+                    name=moving.name,
+                    kind="robot",
+                    semantic_id=200,
+                    model=f"robot/{robot_name(body)}",
+                    joint_names=body.joint_names,
+                )
+            )
+        else:
+            columns["object_pose"] = (base + np.array([0, HEIGHT_M / 2, 0, 0, 0, 0, 0], np.float32))[:, None]
+            first = base[np.argmax(np.isfinite(base).all(axis=1))]
+            size = np.array([FOOTPRINT_M, HEIGHT_M / 2, FOOTPRINT_M], np.float32)
+            assets.append(AssetRef(name="robot", uri="primitive:cylinderSolid", color=(90, 110, 140)))
+            bodies.append(Body(name="robot", asset="robot", pose=first, scale=size, semantic_id=200, moving=0, agent=0))
+            agents.append(Agent(name=moving.name, kind="robot", semantic_id=200))
     human = load_humanoid(SYNTHETIC_BODY)
     for track in walking:
         number = len(agents)
@@ -232,6 +259,11 @@ def record_tracks(
     people_said = "people" if len(walking) <= 8 else f"{len(walking)} people"
     told.facts |= {"people": len(walking), "start_ns": int(rows[0])}
     told.facts |= {"offset_m": offset.tolist()} if offset.any() else {}
+    who = ("" if moving is None else "1 robot, ") + (f"{len(walking)} people" if len(walking) != 1 else "1 person")
+    told.facts["summary"] = (
+        f"{told.facts['rate_hz']:g} Hz ({told.facts['rows']}), {who}, "
+        f"{counted(told.facts['gaps'], 'gap')} in which nobody is observed"
+    )
     info: dict[str, Any] = {
         "source": told.source,
         "profile": "social",
@@ -240,6 +272,8 @@ def record_tracks(
         "warnings": told.warnings,
         "t0_unix_ns": int(rows[0]),
     }
+    if body is not None and (digest := robot_digest(robot_name(body))):
+        info["robots_sha256"] = {robot_name(body): digest}
     if told.goal is not None:
         info["goal"] = [float(told.goal[0] - offset[0]), float(told.goal[1] - offset[2])]
     name = Path(str(told.source.get("file", task))).stem

@@ -34,6 +34,8 @@ from h3data.scene.kinds import categories_of
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.crowd.people import CrowdPolicy
+from sim_kinematic.sensing.agent_pictures import LIDAR_3D
+from sim_kinematic.sensing.lidar import scanner_facts
 from sim_kinematic.tasks.codec import scene_attachment
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import AgentSensors, Columns, WorldRollout
@@ -92,11 +94,16 @@ class RecordedSensors:
         """Sensor, agent, unit, frame and bounds of each column."""
         self._types: dict[str, type] = {}
         for k in self._robots:
-            known = AgentSensors.of(task, roster[k], objects=0)._replace(pictures=frozenset())
+            known = AgentSensors.of(task, roster[k], objects=0)
+            known = known._replace(pictures=known.pictures & {LIDAR_3D})
             known.check(self._names)
             for name in self._names:
-                sensor, (low, high) = known.sensors[name], known.limits[name]
                 column = scan_column(k, name)
+                if name == LIDAR_3D:
+                    self.facts[column] = {"sensor": name, "agent": k, **scanner_facts(roster[k].body)}
+                    self._types[column] = np.float32
+                    continue
+                sensor, (low, high) = known.sensors[name], known.limits[name]
                 self.facts[column] = {
                     "sensor": name,
                     "agent": k,
@@ -107,6 +114,14 @@ class RecordedSensors:
                 }
                 short = {*sensor.unit} == {"m"} and low.min() >= 0 and high.max() <= SHORT_M
                 self._types[column] = np.float16 if short else np.float32
+
+    @classmethod
+    def again(cls, task: Task, roster: Sequence[AgentSpec], recording: Recording) -> RecordedSensors | None:
+        """The sensors that a recording holds, None if there are none; raises as the constructor does."""
+        told = recording.episode.info.get("sensors")
+        found = [facts for name, facts in told.items() if name in recording.columns] if isinstance(told, dict) else []
+        names = dict.fromkeys(str(facts.get("sensor")) for facts in found if isinstance(facts, dict))
+        return cls(task, roster, tuple(names)) if names else None
 
     def read(self, play: Any) -> dict[str, Any]:
         """Values of the step that has just been played, by column."""

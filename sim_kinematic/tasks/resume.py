@@ -26,7 +26,7 @@ from sim_kinematic.policies.recorded import NotRecorded
 from sim_kinematic.tasks.codec import POLICY_ENTRIES
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import Columns, WorldRollout
-from sim_kinematic.tasks.recorder import Recorder, finished
+from sim_kinematic.tasks.recorder import RecordedSensors, Recorder, finished
 from sim_kinematic.tasks.registry import find_task, task_registry
 from sim_kinematic.tasks.resimulation import (
     Difference,
@@ -289,7 +289,8 @@ class _Played:
     ) -> None:
         self.play: WorldRollout = WorldRollout.of(task, episode, policies, measure=False)
         self.track: dict[str, Any] = {}
-        recorder = Recorder(header_from(recording, "again"), self.play)
+        sensors = RecordedSensors.again(task, episode.roster, recording)
+        recorder = Recorder(header_from(recording, "again"), self.play, sensors=sensors)
         most = episode.spec.max_steps if steps is None else min(steps, episode.spec.max_steps)
         keep = None
         if keeps_people:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -133,6 +133,59 @@ def write(path: Path, messages: list[tuple[int, str, str, Any]], *, storage: str
     return path
 
 
+def laser_scan(t: int, frame: str, ranges: np.ndarray, *, first: float, step: float, most: float = 10.0) -> Any:
+    return make(
+        "sensor_msgs/LaserScan",
+        header=header(t, frame),
+        angle_min=first,
+        angle_max=first + step * (len(ranges) - 1),
+        angle_increment=step,
+        time_increment=0.0,
+        scan_time=0.1,
+        range_min=0.05,
+        range_max=most,
+        ranges=np.asarray(ranges, np.float32),
+        intensities=np.zeros(0, np.float32),
+    )
+
+
+def cloud(t: int, frame: str, points: np.ndarray, *, big: bool = False, kind: str = "f4", **wrong: Any) -> Any:
+    """An unordered cloud of points [N, 3] with an intensity before the coordinates, as drivers write them."""
+    size = np.dtype(kind).itemsize
+    names = [
+        make("sensor_msgs/PointField", name=name, offset=offset, datatype=datatype, count=1)
+        for name, offset, datatype in [
+            ("intensity", 0, 7), *((axis, 4 + k * size, {4: 7, 8: 8}[size]) for k, axis in enumerate("xyz"))
+        ]
+    ]  # fmt: skip
+    order = ">" if big else "<"
+    rows = np.zeros(len(points), [("i", order + "f4"), ("p", order + kind, 3)])
+    rows["p"] = points
+    told = {
+        "height": 1,
+        "width": len(points),
+        "fields": names,
+        "is_bigendian": big,
+        "point_step": rows.itemsize,
+        "row_step": rows.itemsize * len(points),
+        "data": np.frombuffer(rows.tobytes(), np.uint8),
+        "is_dense": True,
+    }
+    return make("sensor_msgs/PointCloud2", header=header(t, frame), **{**told, **wrong})
+
+
+def joint_state(t: int, positions: dict[str, float]) -> Any:
+    values = np.array(list(positions.values()), np.float64)
+    return make(
+        "sensor_msgs/JointState",
+        header=header(t, ""),
+        name=list(positions),
+        position=values,
+        velocity=np.zeros(0),
+        effort=np.zeros(0),
+    )
+
+
 T0 = 1_700_000_000 * 10**9
 
 
@@ -150,11 +203,13 @@ def real_robot(
     kind: str = "people_msgs/People",
     silent: Callable[[str, float], bool] = lambda name, s: False,
     storage: str = "sqlite3",
+    more: Sequence[tuple[float, str, str, Any]] = (),
 ) -> Path:
     """A bag whose robot drives by `robot_at`: tf at 50 Hz with stamps 20 ms before the bag's times, and people in base_link.
 
     Its odometry starts elsewhere and is turned by 0.3 rad, which map -> odom corrects once a second. ``silent(name, s)``
-    leaves out what is called ``tf`` or ``people``, or one person by name, at a time.
+    leaves out what is called ``tf`` or ``people``, or one person by name, at a time. ``more`` are messages of other topics,
+    with their times [s].
     """
     turn, shift = 0.3, np.array([4.0, -1.0])
     back = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
@@ -184,6 +239,8 @@ def real_robot(
             if not silent(f"p{n}", s)
         }
         put(s, "/people", kind, people(t, "base_scan", places))
+    for one in more:
+        put(*one)
     return write(path, messages, storage=storage)
 
 

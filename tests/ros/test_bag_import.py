@@ -127,6 +127,10 @@ def test_gaps_stay_gaps(tmp_path: Path) -> None:
     dark = (seconds > 11.05) & (seconds < 12.95)  # people are seen by the robot, whose place nobody knows
     assert dark.sum() == 1  # one row, empty
     assert np.isnan(robot[dark]).all()
+    assert back.episode.info["imported"]["gaps"] == 1
+    at_rate = read_rosbag2(tmp_path / "bag", tracks=ImportRequest(hz=10))
+    assert at_rate.episode.info["imported"]["gaps"] == 1
+    assert "1 gap " in at_rate.episode.info["imported"]["summary"]
     values = values_of(back, "social")
     assert values["V_max"] == pytest.approx(0.5, abs=0.01)  # nothing is joined across the gap
 
@@ -135,6 +139,7 @@ def test_a_fixed_rate_can_be_asked_for(tmp_path: Path) -> None:
     back = read_rosbag2(bags.real_robot(tmp_path / "bag"), tracks=ImportRequest(hz=4))
     assert set(np.diff(back.columns["time_ns"]).tolist()) == {250_000_000}
     assert back.episode.info["imported"]["rate_hz"] == 4
+    assert back.episode.info["imported"]["gaps"] == 0
     with pytest.raises(InputError, match="H3-ROS-012"):
         read_rosbag2(tmp_path / "bag", tracks=ImportRequest(hz=0))
 
@@ -184,6 +189,8 @@ def test_an_import_is_measured_and_validated_like_any_recording(
     bags.real_robot(tmp_path / "bags" / "morning")
     bags.real_robot(tmp_path / "bags" / "evening", storage="mcap")
     assert main(["import", str(tmp_path / "bags"), "-o", str(tmp_path / "rec"), "--goal", "11,2"]) == 0
+    stated = "10 Hz (times of observations), 1 robot, 2 people, 0 gaps in which nobody is observed"
+    assert capsys.readouterr().out.count(stated) == 2
     assert {p.name for p in (tmp_path / "rec").iterdir()} == {"morning.mcap", "evening.mcap"}
     one = str(tmp_path / "rec" / "morning.mcap")
     capsys.readouterr()
@@ -193,4 +200,6 @@ def test_an_import_is_measured_and_validated_like_any_recording(
     assert "PSC" in capsys.readouterr().out
     assert main(["validate", one]) == 0, capsys.readouterr().out
     assert read_mcap(one).episode.info["source"]["format"] == "rosbag2"
+    assert main(["report", one, "-o", str(tmp_path / "report.html"), "--pictures", "0"]) == 0
+    assert stated in (tmp_path / "report.html").read_text(encoding="utf-8")
     shutil.rmtree(tmp_path / "bags")

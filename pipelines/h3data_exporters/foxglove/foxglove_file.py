@@ -21,7 +21,7 @@ from h3data.recording.log_lines import log_lines
 from h3data.recording.mcap.header import episode_metadata, log_time, start_time
 from h3data.recording.opening import FOXGLOVE_SUFFIX
 from h3data.recording.records import Recording
-from h3data.recording.scans import HEIGHT_M, scans_of
+from h3data.recording.scans import HEIGHT_M, clouds_of, scans_of
 from h3data.recording.schema import Column
 from h3data.render.camera import Camera
 from h3data.replay import Replay, camera_track
@@ -75,7 +75,8 @@ def write_foxglove(
     - ``/scene_update``: SceneUpdate with GLB models. Layers (``ceiling``) have topics below it, so that they can be switched
       off, and so has everything that is away at times. People are cut into rigid pieces, one for each joint.
     - ``/agents/<name>/pose``: PoseInFrame; ``/agents/<name>/joints``: JointStates of robots.
-    - ``/agents/<name>/<sensor>``: LaserScan of a recorded laser scanner; rays that met nothing are infinite.
+    - ``/agents/<name>/<sensor>``: LaserScan of a recorded laser scanner; rays that met nothing are infinite. PointCloud of one
+      of several lasers.
     - ``/metrics``: the per-step scalars, a message of our own to plot. ``/log``: Log, events, skills and raw input.
     - ``/cam/<name>/calibration``: CameraCalibration of perspective cameras; ``/cam/<name>/video``: CompressedVideo (H.264).
 
@@ -150,6 +151,7 @@ class _Export:
         self._streams = [PictureStream(view.camera.width, view.camera.height) for view in cameras]
         self._metrics = _Metrics(recording)
         self._scans = [(scan, scan.met()) for scan in scans_of(recording)]
+        self._clouds = clouds_of(recording)
         self._lines = self._log_lines()
         self._topics: set[str] = set()
         self._count = 0
@@ -202,6 +204,10 @@ class _Export:
         for scan, met in self._scans:
             name = self._scene.agent_frame(scan.agent)
             self._put(f"/agents/{name}/{scan.sensor}", make.laser_scan(t, name, HEIGHT_M, met[step]), t)
+        for scan in self._clouds:
+            name = self._scene.agent_frame(scan.agent)
+            cloud = make.point_cloud(t, name, scan.height_m, scan.around([step])[0])
+            self._put(f"/agents/{name}/{scan.sensor}", cloud, t)
         if self._metrics.names:
             self._put("/metrics", self._metrics.at(step), t)
         for view, frame in zip(self._cameras, self._camera_frames, strict=True):

@@ -15,6 +15,8 @@ from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.LaserScan_pb2 import LaserScan
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.ModelPrimitive_pb2 import ModelPrimitive
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
@@ -110,6 +112,19 @@ def laser_scan(time_ns: int, frame: str, height_m: float, ranges: Array) -> Lase
         start_angle=0.0,
         end_angle=step * (len(ranges) - 1),
         ranges=ranges.tolist(),
+    )
+
+
+def point_cloud(time_ns: int, frame: str, height_m: float, points: Array) -> PointCloud:
+    """Points [N, 3] of a scanner ``height_m`` over an agent's root frame, whose axes they have; without those that are NaN."""
+    known = np.ascontiguousarray(points[np.isfinite(points).all(axis=1)], "<f4")
+    return PointCloud(
+        timestamp=stamp(time_ns),
+        frame_id=frame,
+        pose=_pose(np.array([0.0, height_m, 0.0, 0.0, 0.0, 0.0, 1.0])),
+        point_stride=12,
+        fields=[PackedElementField(name=a, offset=4 * k, type=PackedElementField.FLOAT32) for k, a in enumerate("xyz")],
+        data=known.tobytes(),
     )
 
 

@@ -228,8 +228,8 @@ class Generate:
     """Cards of the task scenarios (h3data docs scenarios): one, several with commas between, or all."""
     overrides: OverridesOption
     sensors: tuple[str, ...]
-    """Sensors of robots that are recorded with every step: lidar, lidar_legs or any other of h3data docs environments; not in
-    rearrange."""
+    """Sensors of robots that are recorded with every step: lidar, lidar_3d or any other of h3data docs environments that is no
+    picture; not in rearrange."""
     cameras: tuple[str, ...]
     """Cameras whose videos are added to the dataset (observation.images.<name>), as in rerender."""
     people: PeopleOption

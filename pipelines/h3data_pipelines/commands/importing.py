@@ -38,6 +38,7 @@ def import_(
     unit: Literal["m", "cm", "mm"] | None = None,
     rate: float | None = None,
     hz: float | None = None,
+    model: str = "",
     strict: bool = False,
     force: bool = False,
 ) -> ImportResult:
@@ -95,6 +96,8 @@ class Import:
     """Frame numbers per second in a file of tracks that has no times."""
     hz: float | None
     """Rows per second of tracks (default: a row for each observation)."""
+    model: str
+    """Body of the robot of a bag or of tracks: a robot by name, its URDF, robot.toml or MJCF (default: a cylinder)."""
     strict: bool
     """Refuse recordings with warnings or missing assets."""
     force: ForceFlag
@@ -117,6 +120,7 @@ class Import:
                 unit=self.unit,
                 rate=self.rate,
                 hz=self.hz,
+                model=self.model,
             ),
             strict=self.strict,
             force=self.force,
@@ -150,6 +154,10 @@ def _report(result: ImportResult) -> Outcome:
             f"imported {row['source']} -> {row['recording']}",
             f"         {row['steps']} steps, {row['bodies']} bodies ({row['moving']} moving), agents: {agents}",
         ]
+        told = row["imported"]
+        lines += [f"         {told[name]}" for name in ("summary", "scans") if name in told]
+        if unread := told.get("not_read"):
+            lines.append(f"         not read: {', '.join(unread)}")
         people = [f"{name} {row[name]}" for name in ("participant", "condition") if row[name]]
         lines += [f"         {', '.join(people)}"] if people else []
         if row["missing_assets"]:

@@ -145,6 +145,7 @@ def summarize(recording: Recording, library: AssetLibrary) -> dict[str, Any]:
         "missing": sorted(missing),
         "participant": str(info.get("participant", "")),
         "condition": str(info.get("condition", "")),
+        "imported": dict(info.get("imported", {})),
         "synthesised": dict(info.get("synthesised", {})),
         "warnings": list(info.get("warnings", ())),
     }

@@ -86,6 +86,7 @@ def _episode(source: AnyPath, index: int, recording: Recording, profile: Profile
         condition=_said(info, "condition"),
         distance_m=_distances(recording),
         tracks=tracks,
+        imported=_said(told, "summary") if isinstance(told := info.get("imported"), Mapping) else "",
     )
 
 

@@ -93,6 +93,10 @@ def _findings(data: ReportData) -> list[str]:
                 said.append(f"{phrase} {_in_words(metrics[name], summary[name].mean)}{share}{beside}")
         if said:
             lines.append(f"{run.name} ({run.size}) {', '.join(said)}.")
+    logs = [episode for episode in data.episodes if episode.imported]
+    lines += [f"Imported {log.metrics.episode_id}: {log.imported}." for log in logs[:_MOST_PATHS]]
+    if len(logs) > _MOST_PATHS:
+        lines.append(f"{len(logs) - _MOST_PATHS} more were imported.")
     return lines
 
 

@@ -11,7 +11,7 @@ import shapely
 from numpy.typing import NDArray
 
 from h3data.recording.records import Recording
-from h3data.recording.scans import scans_of
+from h3data.recording.scans import clouds_of, scans_of
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.freespace.build import choose_method
 from h3data_viewers.rerun.sink import Sink
@@ -66,7 +66,7 @@ def log_scans(sink: Sink, recording: Recording) -> None:
     import rerun as rr
 
     rows = np.arange(0, len(recording), SCAN_EVERY)
-    for scan, color in zip(scans_of(recording), SCAN_COLORS * 9, strict=False):
+    for scan, color in zip([*scans_of(recording), *clouds_of(recording)], SCAN_COLORS * 9, strict=False):
         points = scan.points(recording, rows)
         met = np.isfinite(points).all(-1)
         name = rr.escape_entity_path_part(f"{recording.agents[scan.agent].name}_{scan.sensor}")
