@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from h3data.errors import InputError, MissingExtraError
 from h3data.files import part_file
 from h3data.kernels import kernel, kernel_part
+from h3data.render.ffv1 import Ffv1Encoder
 from h3data.render.raster.vectors import intrinsic
 
 Codec = Literal["h264", "av1", "ffv1"]
@@ -38,14 +39,8 @@ class _Settings(NamedTuple):
 _SETTINGS = {
     "h264": _Settings("libx264", "yuv420p", "mp4", {"preset": "ultrafast", "x264-params": "mbtree=0:threads=1"}),
     "av1": _Settings("libsvtav1", "yuv420p", "mp4", {"preset": "10"}),
-    "ffv1": _Settings(
-        "ffv1",
-        "gray16le",
-        "matroska",
-        {"level": "3", "slices": "4", "slicecrc": "1", "g": "1", "qtable": "greater8bit"},
-    ),
+    "ffv1": _Settings("ffv1", "gray16le", "matroska", {}),  # opens the file; the frames are those of `Ffv1Encoder`
 }
-# FFV1 is lossless; this table of contexts, which tells small differences apart, makes depth in mm a quarter smaller.
 _CRF = {"h264": 23, "av1": 32}
 _BT601, _LIMITED_RANGE = 6, 1
 """FFmpeg's constants for the colour space of `_to_yuv`."""
@@ -124,7 +119,8 @@ class VideoWriter:
             self._stream.height = self.height + (self.height % 2 if even else 0)
             self._stream.pix_fmt = settings.pixels
             if self.codec == "ffv1":
-                self._stream.codec_context.thread_count = 1
+                self._stream.codec_context.open()
+                self._stream.codec_context.extradata = Ffv1Encoder(self.width, self.height).record
             if even:
                 self._stream.codec_context.colorspace = _BT601
                 self._stream.codec_context.color_range = _LIMITED_RANGE
@@ -154,7 +150,9 @@ class VideoWriter:
                 code="H3-RENDER-075",
             )
         if self.codec == "ffv1":
-            return self._encoded(np.ascontiguousarray(image))
+            if not hasattr(self._own, "encoder"):  # of the calling thread
+                self._own.encoder = Ffv1Encoder(self.width, self.height)
+            return self._own.encoder.encoded(image)
         if self.width % 2 or self.height % 2:
             image = np.pad(image, ((0, self.height % 2), (0, self.width % 2), (0, 0)), mode="edge")
         height, width = image.shape[:2]
@@ -162,21 +160,6 @@ class VideoWriter:
         chroma = planes[height:].reshape(2, height // 2, width // 2)
         _to_yuv(np.ascontiguousarray(image), planes[:height], chroma[0], chroma[1])
         return planes
-
-    def _encoded(self, image: NDArray[np.uint16]) -> Any:
-        """The packet of an image, by an encoder of the calling thread.
-
-        An encoder of four slices in four threads takes a sixth more CPU time.
-        """
-        av = _import_av()
-        if not hasattr(self._own, "encoder"):
-            encoder: Any = av.CodecContext.create("ffv1", "w")
-            encoder.width, encoder.height, encoder.pix_fmt = self.width, self.height, _SETTINGS["ffv1"].pixels
-            encoder.time_base, encoder.framerate = 1 / self._rate, self._rate
-            encoder.options, encoder.thread_count = self._options, 1
-            self._own.encoder = encoder
-        (packet,) = self._own.encoder.encode(av.VideoFrame.from_ndarray(image, format=_SETTINGS["ffv1"].pixels))
-        return packet
 
     def write_planes(self, planes: Any) -> None:
         """Appends one frame converted by `planes`."""
@@ -186,9 +169,10 @@ class VideoWriter:
                 code="H3-RENDER-076",
             )
         if self.codec == "ffv1":
-            planes.stream, planes.time_base = self._stream, 1 / self._rate
-            planes.pts = planes.dts = self.frame_count
-            self._container.mux(planes)
+            packet = _import_av().Packet(planes)
+            packet.stream, packet.time_base, packet.is_keyframe = self._stream, 1 / self._rate, True
+            packet.pts = packet.dts = self.frame_count
+            self._container.mux(packet)
         else:
             frame = _import_av().VideoFrame.from_ndarray(planes, format=_SETTINGS[self.codec].pixels)
             for packet in self._stream.encode(frame):
@@ -207,7 +191,7 @@ class VideoWriter:
         with stack:  # likewise if the last frames cannot be written; otherwise renames the file
             if not self.frame_count:
                 raise InputError(f"No frame was written to the video. {self.path}", code="H3-RENDER-078")
-            for packet in self._stream.encode():
+            for packet in self._stream.encode() if self.codec != "ffv1" else ():
                 self._container.mux(packet)
 
 
