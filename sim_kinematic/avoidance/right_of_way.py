@@ -90,6 +90,10 @@ class RightOfWay:
         self._walkers = {walker.number: walker for walker in walkers}
         self._asks = asks
         numbers = [walker.number for walker in walkers]
+        self._beside_m = {w.number: AVOIDANCE.beside_m[w.is_robot] + _size_beyond_default(w) for w in walkers}
+        """How near to an agent's path another is in its way."""
+        self._extent_m = {walker.number: walker.footprint.extent_m for walker in walkers}
+        self._pairs = [(other, me) for me in walkers for other in walkers if other is not me]
         self._stand_offs = None if errand is None else StandOffs(walkers, numbers, errand)
         self._requests: dict[int, _Request] = {}
         self._stalled = dict.fromkeys(self._walkers, 0)
@@ -105,7 +109,7 @@ class RightOfWay:
         for number, walker in self._walkers.items():
             place = x, z, heading = _place(walker)
             was_x, was_z, was_heading = self._place[number]
-            turned = abs(float(wrap_angle(heading - was_heading)))
+            turned = abs(wrap_angle(heading - was_heading))
             # measured from where it last got on, not from step to step: who sways on the spot does not get on
             if math.hypot(x - was_x, z - was_z) > AVOIDANCE.progress_m or turned > AVOIDANCE.progress_rad:
                 self._stalled[number] = self._still[number] = 0
@@ -141,8 +145,7 @@ class RightOfWay:
 
     def _all_are_clear(self) -> bool:
         """Returns whether nobody can be asked to step aside in this step. In homes for two that is so in nine steps of ten."""
-        walkers = self._walkers.values()
-        return not any(self._may_block(other, me) for me in walkers for other in walkers if other is not me)
+        return not any(self._may_block(other, me) for other, me in self._pairs)
 
     # --- rank ----------------------------------------------------------------------------------------------------------
     def _ranked(self, carrying: Sequence[int]) -> list[Walker]:
@@ -206,7 +209,7 @@ class RightOfWay:
         # sums
         (x, z), (other_x, other_z) = start.tolist(), other.xz.tolist()
         reach = AVOIDANCE.asks_moving_m if moves else AVOIDANCE.asks_idle_m
-        reach += AVOIDANCE.beside_m[me.is_robot] + _size_beyond_default(me) + other.footprint.extent_m
+        reach += self._beside_m[me.number] + self._extent_m[other.number]
         return math.hypot(other_x - x, other_z - z) <= reach
 
     def _blocks(self, other: Walker, me: Walker) -> bool:
@@ -220,7 +223,7 @@ class RightOfWay:
         body = discs_of(other)[:, :2]
         nearest = distance_to_path(body, _without_start(ahead))
         gaps = np.hypot(*(body - me.xz).T)
-        beside = AVOIDANCE.beside_m[me.is_robot] + _size_beyond_default(me)
+        beside = self._beside_m[me.number]
         # who is nearer to me than to what lies ahead of me is behind or beside me, and out of the way as I walk
         # on
         return bool(np.any((nearest < beside) & (nearest < gaps)))
