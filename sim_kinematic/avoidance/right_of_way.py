@@ -23,10 +23,13 @@ from numpy.typing import NDArray
 
 from h3data.geometry import wrap_angle
 from h3data.scene import FreeSpace
-from sim_kinematic.avoidance.routes import FloorRoutes, distance_to_path, first_of_path
+from sim_kinematic.avoidance.routes import FloorRoutes, distance_of_paths, distance_to_path, first_of_path, is_ahead
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.stand_offs import StandOffs, TaskProgress
 from sim_kinematic.avoidance.yielding import NO_PATH, Body, discs_of
+
+DOTS_M = 0.2
+"""Points on a path for which distances to another are measured are no farther apart."""
 
 
 class Walker(Body, Protocol):
@@ -219,14 +222,11 @@ class RightOfWay:
         if other.number in me.hindered_by and self._stalled[me.number] >= AVOIDANCE.held_up_steps:
             return True
         moves = len(self.path(other)) > 0
-        ahead = first_of_path(self.path(me), AVOIDANCE.asks_moving_m if moves else AVOIDANCE.asks_idle_m)
-        body = discs_of(other)[:, :2]
-        nearest = distance_to_path(body, _without_start(ahead))
-        gaps = np.hypot(*(body - me.xz).T)
-        beside = self._beside_m[me.number]
+        ahead_m = AVOIDANCE.asks_moving_m if moves else AVOIDANCE.asks_idle_m
         # who is nearer to me than to what lies ahead of me is behind or beside me, and out of the way as I walk
-        # on
-        return bool(np.any((nearest < beside) & (nearest < gaps)))
+        # on, and an agent beside me is not on my path
+        path = np.ascontiguousarray(self.path(me), np.float64)
+        return is_ahead(discs_of(other), path, AVOIDANCE.skips_m, ahead_m, self._beside_m[me.number], *me.xz.tolist())
 
     def _ask(self, other: Walker, me: Walker, first: Sequence[Walker]) -> bool:
         """Asks an agent to step aside for me; returns whether it does."""
@@ -394,10 +394,16 @@ class RightOfWay:
         """Returns whether the path of one agent leads nowhere near another, nor near the other's path."""
         if not len(walker.path):
             return False
-        mine = first_of_path(self._free.path(walker.xz, walker.path[-1], max_snap_m=1.0), AVOIDANCE.keeps_free_m)
         theirs = other.path if len(other.path) else other.xz[None]
-        gap = distance_to_path(np.vstack([walker.xz[None], _dots(mine)]), theirs).min()
-        return float(gap) >= AVOIDANCE.aside_share * aside_distance_m(walker, other)
+        gap = self._gap_m(walker, AVOIDANCE.keeps_free_m, theirs, math.inf)
+        return gap >= AVOIDANCE.aside_share * aside_distance_m(walker, other)
+
+    def _gap_m(self, walker: Walker, length_m: float, theirs: NDArray, their_m: float) -> float:
+        """Distance [m] between the beginnings of an agent's way and of another's path [N, 2], each of a length."""
+        # the shortest path from here, which it will take once it is let go; its old path began elsewhere
+        mine = self._free.path(walker.xz, walker.path[-1], max_snap_m=1.0) if len(walker.path) else NO_PATH
+        paths = np.ascontiguousarray(mine, np.float64), length_m, np.ascontiguousarray(theirs, np.float64), their_m
+        return distance_of_paths(*walker.xz.tolist(), *paths, DOTS_M)
 
     # --- how long ------------------------------------------------------------------------------------------------------
     def _is_over(self, walker: Walker, request: _Request) -> bool:
@@ -412,15 +418,11 @@ class RightOfWay:
         if request.by == walker.number:
             return not len(request.route)
         other = self._walkers[request.by]
-        path = first_of_path(self.path(other), AVOIDANCE.keeps_free_m)
+        path = self.path(other)
         if not len(path):
             return walker.number not in other.hindered_by and (len(walker.path) > 0 or not len(request.route))
-        mine = walker.xz[None]
-        if len(walker.path):
-            # the shortest path from here, which it will take once it is let go; its old path began elsewhere
-            mine = first_of_path(self._free.path(walker.xz, walker.path[-1], max_snap_m=1.0), AVOIDANCE.returns_m)
-            mine = np.vstack([walker.xz[None], _dots(mine)])
-        return float(distance_to_path(mine, path).min()) >= AVOIDANCE.aside_share * aside_distance_m(walker, other)
+        gap = self._gap_m(walker, AVOIDANCE.returns_m, path, AVOIDANCE.keeps_free_m)
+        return gap >= AVOIDANCE.aside_share * aside_distance_m(walker, other)
 
     # --- where to ------------------------------------------------------------------------------------------------------
     def _retreat(
@@ -489,13 +491,7 @@ def _place(walker: Walker) -> tuple[float, float, float]:
     return x, z, float(walker.heading)
 
 
-def _without_start(path: NDArray) -> NDArray[np.float64]:
-    """A path without its first ``skips_m``: an agent beside me is not on it."""
-    start = first_of_path(path, AVOIDANCE.skips_m)
-    return np.vstack([start[-1:], path[len(start) - 1 :]]) if len(path) > 1 else path
-
-
 def _dots(path: NDArray) -> NDArray[np.float64]:
-    """Points on a path, at most 0.2 m apart."""
-    legs = [np.linspace(a, b, 2 + int(np.hypot(*(b - a)) / 0.2)) for a, b in pairwise(path)]
+    """Points on a path, at most `DOTS_M` apart."""
+    legs = [np.linspace(a, b, 2 + int(np.hypot(*(b - a)) / DOTS_M)) for a, b in pairwise(path)]
     return np.concatenate(legs) if legs else path

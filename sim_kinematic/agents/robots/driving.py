@@ -90,6 +90,8 @@ class RobotDriver:
         self._path: NDArray[np.floating] | Callable[[], NDArray[np.floating]] = NO_PATH
         self._goes_around = False
         """Turned away, it goes by ways around who stands, until it gets somewhere."""
+        self._stands: dict[tuple[FreeSpace, BaseSpec, int, bytes], Array] = {}
+        """Stands found before, by floor, base, island and the point to be reached; skills look for the same ones again."""
         self._gave_up: list[NDArray] = []
         """Places [2] that it did not get to; next time it goes elsewhere, if it can."""
         self._held_up = np.full(3, np.inf), 0
