@@ -96,9 +96,9 @@ class GivingWay:
 
     def nearest(self, number: int) -> int:
         """Returns the agent nearest to another, -1 if it is alone."""
+        if len(self.actors) < 3:
+            return 1 - number if len(self.actors) == 2 else -1
         others = [actor for actor in self.actors if actor.number != number]
-        if len(others) < 2:
-            return others[0].number if others else -1
         me = self.actors[number]
         return min(others, key=lambda other: float(np.hypot(*(other.xz - me.xz)))).number
 
