@@ -190,7 +190,9 @@ class Person:
         (`h3data.bodies.people.kernels.attention`) [rad]."""
         self._to_turn = 0.0
         self._closing: dict[Hand, float] = {}
-        self._carry_arms: dict[Hand, tuple[list[int], Array]] = {}
+        self._carry_arms: dict[Hand, Array] = {}
+        self._carried: dict[Hand, tuple[float, Array]] = {}
+        """Rotations of arms that hold something out, and as close to the body as they were last."""
         self._stand()
 
     @property
@@ -581,8 +583,7 @@ class Person:
         for hand in self.held:
             if hand != moving:
                 joints, arm = self._carry_arm(hand)
-                near = CARRY_CLOSE[HANDS.index(hand)]
-                quats[joints] = quat_nlerp(arm, near, np.full(len(joints), self._close[hand]))
+                quats[joints] = arm
         return quats
 
     def _wanted_close(self, hand: Hand, moving: Hand | None = None) -> float:
@@ -603,12 +604,17 @@ class Person:
             self.stride()
             yield
 
-    def _carry_arm(self, hand: Hand) -> tuple[list[int], Array]:
+    def _carry_arm(self, hand: Hand) -> tuple[Array, Array]:
+        """Joints [4] of an arm that carries something, and their rotations [4, 4] as close to the body as it is now."""
+        k, close = HANDS.index(hand), self._close[hand]
+        joints = CARRY_JOINTS[k]
         if hand not in self._carry_arms:
-            joints = CARRY_JOINTS[HANDS.index(hand)].tolist()
             poses = reach_poses(self.body, self._carry_point(hand)[None], hand, trunk=0.0, arm=1.0)
-            self._carry_arms[hand] = joints, poses.quats[0, joints]
-        return self._carry_arms[hand]
+            self._carry_arms[hand] = poses.quats[0, joints]
+        if self._carried.get(hand, (None,))[0] != close:  # it is the same one for most of a walk
+            arm = quat_nlerp(self._carry_arms[hand], CARRY_CLOSE[k], np.full(len(joints), close))
+            self._carried[hand] = close, arm
+        return joints, self._carried[hand][1]
 
 
 def run(person: Person, skill: Skill) -> tuple[list[Frame], MotionResult]:

@@ -69,6 +69,8 @@ DTYPES: dict[str, type] = {
 }
 """dtypes of the columns of a step; those of agents without ``agent_<i>.``."""
 CONTACT = "contact"
+COMMANDED = (CONTROL, *PRIMITIVES)
+"""Skills that move a robot as somebody says."""
 TRACK = 31
 """Past positions of the other agent that a policy sees, the present one included."""
 
@@ -351,8 +353,8 @@ class Household(Team):
     def errand(self, number: int) -> TaskProgress:
         """Progress of an agent with its present task."""
         runner = self.controllers[number]
-        skill, k = runner.action[:2]
-        driven = isinstance(runner.actor, DrivenPerson) or skill in (CONTROL, *PRIMITIVES)
+        skill, k, *_ = runner.action
+        driven = skill in COMMANDED or isinstance(runner.actor, DrivenPerson)
         busy = runner.skill is not None and skill not in IDLE_SKILLS
         return TaskProgress(busy, (skill, k), partial(self._left_m, runner), runner.completed, obeys=not driven)
 
