@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Generator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -168,7 +168,10 @@ class Person:
         """
         self.state = HumanState.zeros(1) if state is None else state
         self.body, self.spec, self.free = body, spec, free
-        self._drawn = HumanState.zeros(1)
+        self.spot: Array = self.state.xz[0]
+        """Position on the floor [2] [m], a view."""
+        self._drawn = replace(self.state, arms=np.zeros((1, 2)))
+        """The same place, and how far the arms are folded in."""
         self.tilts: dict[Hand, float] = {"left": 0.0, "right": 0.0}
         """Share of the hand's tilt by which a held thing turns, 0 (it stays upright) to 1."""
         self._close: dict[Hand, float] = {"left": 0.0, "right": 0.0}
@@ -573,7 +576,6 @@ class Person:
         quats = quats.copy()
         if self.free is not None and self.spec.arms is not None:
             drawn, rate = self._drawn, self.spec.arms.rate
-            drawn.xz[0], drawn.heading[0] = self.state.xz[0], self.state.heading[0]
             draw_arms(drawn, self.free, self.body, self.spec.arms, busy=moving)
             if any(drawn.arms[0].tolist()):
                 draw_in(quats[None], drawn.arms, shoulders_forward=True)

@@ -138,7 +138,7 @@ class PersonActor:
     @property
     def xz(self) -> NDArray:
         """Position on the floor [2] [m]."""
-        return self.person.state.xz[0].copy()
+        return self.person.spot.copy()
 
     @property
     def heading(self) -> float:
