@@ -94,7 +94,7 @@ class RightOfWay:
         self._asks = asks
         numbers = [walker.number for walker in walkers]
         self._beside_m = {w.number: AVOIDANCE.beside_m[w.is_robot] + _size_beyond_default(w) for w in walkers}
-        """How near to an agent's path another is in its way."""
+        """Distance from an agent's path within which another is in its way [m]."""
         self._extent_m = {walker.number: walker.footprint.extent_m for walker in walkers}
         self._pairs = [(other, me) for me in walkers for other in walkers if other is not me]
         self._stand_offs = None if errand is None else StandOffs(walkers, numbers, errand)

@@ -58,7 +58,7 @@ class Control:
         raise NotImplementedError
 
     def accepted(self, play: Any, number: int, choice: Any) -> Any:
-        """What a policy has chosen, in the form that the play takes; by default as `checked`.
+        """A policy's choice in the form that the play takes; by default as `checked`.
 
         Raises:
             InputError: it is malformed.
