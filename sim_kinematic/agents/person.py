@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import JOINT_INDEX, Humanoid
 from h3data.bodies.people.arms import CARRY_CLOSE, CARRY_JOINTS, draw_in
@@ -606,7 +606,7 @@ class Person:
             self.stride()
             yield
 
-    def _carry_arm(self, hand: Hand) -> tuple[Array, Array]:
+    def _carry_arm(self, hand: Hand) -> tuple[NDArray[np.integer], Array]:
         """Joints [4] of an arm that carries something, and their rotations [4, 4] as close to the body as it is now."""
         k, close = HANDS.index(hand), self._close[hand]
         joints = CARRY_JOINTS[k]
