@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from functools import cached_property
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +70,7 @@ class GivingWay:
         """One track for each agent, of which the first `_moments` rows are filled."""
         for track, actor in zip(self._places, actors, strict=True):
             track[0] = actor.xz
+        self._pairs = list(combinations(actors, 2))
         self._avoided = [[other for other in actors if self.avoids(me, other)] for me in actors]
         self.bodies = [agent.body for agent in roster]
         self._capsules = [
@@ -76,8 +78,9 @@ class GivingWay:
         ]
         longer = [robot_span(body) - AVOIDANCE.contact_span_m if isinstance(body, Robot) else 0 for body in self.bodies]
         self._reach_m = [AVOIDANCE.contact_gate_m / 2 + max(extra, 0.0) for extra in longer]
-        self._posed: set[int] = set()
-        self._gated: set[int] = set()
+        self._posed: dict[int, tuple[Any, Any]] = {}
+        self._gated: dict[int, tuple[Any, Any]] = {}
+        """Postures to which the shapes of agents, and the capsules around them, were last moved (`_has_changed`)."""
         self._acted: set[int] = set()
         """Agents that have acted in this step."""
         self._settled: set[int] = set()
@@ -93,9 +96,9 @@ class GivingWay:
 
     def nearest(self, number: int) -> int:
         """Returns the agent nearest to another, -1 if it is alone."""
+        if len(self.actors) < 3:
+            return 1 - number if len(self.actors) == 2 else -1
         others = [actor for actor in self.actors if actor.number != number]
-        if len(others) < 2:
-            return others[0].number if others else -1
         me = self.actors[number]
         return min(others, key=lambda other: float(np.hypot(*(other.xz - me.xz)))).number
 
@@ -118,19 +121,14 @@ class GivingWay:
         """Shows an agent the others before it moves: where they are and how they move."""
         seen, me.hindered_by = [], frozenset()
         for other in self._avoided[me.number]:
-            track = self.track(other.number)
-            moved = other.number in self._acted
-            now = other.xz.copy() if moved else track[-1]
-            first = max(len(track) - AVOIDANCE.velocity_steps - (not moved), 0)
-            steps = len(track) - first - (not moved)
-            velocity = (now - track[first]) / (STEP_S * max(steps, 1))
+            number, count = other.number, self._moments
+            track, is_robot, moved = self._places[number], other.is_robot, number in self._acted
+            now = other.xz.copy() if moved else track[count - 1]
+            first = max(count - AVOIDANCE.velocity_steps - (not moved), 0)
+            velocity = (now - track[first]) / (STEP_S * max(count - first - (not moved), 1))
             steps_aside = self.agreed and other.yields and other.path_start is None
-            settled = other.number in self._settled
-            seen.append(
-                ObservedAgent(
-                    other.number, now, velocity, settled, other.is_robot, other.heading, steps_aside, other.footprint
-                )
-            )
+            settled, heading, footprint = number in self._settled, other.heading, other.footprint
+            seen.append(ObservedAgent(number, now, velocity, settled, is_robot, heading, steps_aside, footprint))
         if len(seen) > 1:
             seen.sort(key=lambda other: float(np.hypot(*(other.xz - me.xz))))
         me.others = tuple(seen)
@@ -138,25 +136,14 @@ class GivingWay:
     def end_turn(self, number: int) -> None:
         """Take note that an agent has acted and has moved."""
         self._acted.add(number)
-        self._forget_posture(number)
-
-    def _forget_posture(self, number: int) -> None:
-        self._posed.discard(number)
-        self._gated.discard(number)
 
     def meets(self, me: AnyActor) -> bool:
         """Returns whether an agent in its present posture touches another that it avoids and did not touch before."""
-        near = [
-            other
-            for other in self._avoided[me.number]
-            if self._is_near(me, other)
-            and (min(me.number, other.number), max(me.number, other.number)) not in self.touching
-        ]
+        near = [other.number for other in self._avoided[me.number] if self._is_near(me, other)]
         if not near:
             return False
-        self._forget_posture(me.number)
-        met = [other.number for other in near if self._touch(*sorted((me.number, other.number)))]
-        self._forget_posture(me.number)
+        pairs = {other: (min(me.number, other), max(me.number, other)) for other in near}
+        met = [other for other, pair in pairs.items() if pair not in self.touching and self._touch(*pair)]
         me.hindered_by |= frozenset(met)
         return bool(met)
 
@@ -197,9 +184,8 @@ class GivingWay:
             track = self.track(actor.number)
             track[-1] = actor.xz
             (self._settled.add if _stays(track) else self._settled.discard)(actor.number)
-        pairs = combinations(self.actors, 2)
         self.touching = [
-            (a.number, b.number) for a, b in pairs if self._is_near(a, b) and self._touch(a.number, b.number)
+            (a.number, b.number) for a, b in self._pairs if self._is_near(a, b) and self._touch(a.number, b.number)
         ]
 
     def _is_near(self, a: AnyActor, b: AnyActor) -> bool:
@@ -219,7 +205,7 @@ class GivingWay:
 
     def _gate(self, actor: AnyActor) -> None:
         """Moves the capsules around an agent to its present pose."""
-        if actor.number in self._gated:
+        if not _has_changed(actor, self._gated):
             return
         capsules = self._capsules[actor.number]
         if isinstance(capsules, RobotCapsules):
@@ -228,11 +214,10 @@ class GivingWay:
         else:
             assert isinstance(actor, PersonActor)
             capsules.pose(actor.person.base, actor.person.quats, actor.person.pelvis)
-        self._gated.add(actor.number)
 
     def _pose(self, actor: AnyActor) -> None:
         """Brings an agent's shapes to where recordings, which are float32, put them."""
-        if actor.number in self._posed:
+        if not _has_changed(actor, self._posed):
             return
         body = self.bodies[actor.number]
         if isinstance(actor, RobotActor):
@@ -241,7 +226,20 @@ class GivingWay:
             frame = actor.person.frame()
             posed = actor.person.body.joint_matrices_free(_stored(frame.root)[None], _stored(frame.joints)[None])
         self._contacts.update(actor.number, shape_frames(body, posed)[0])
-        self._posed.add(actor.number)
+
+
+def _has_changed(actor: AnyActor, kept: dict[int, tuple[Any, Any]]) -> bool:
+    """Returns whether an agent's posture differs from the one that is ``kept`` of it, and keeps it."""
+    place, quats = (*actor.xz.tolist(), actor.heading), None
+    if isinstance(actor, RobotActor):
+        place = (*place, actor.joints.tobytes())
+    else:
+        quats = actor.person.quats  # whatever poses a person makes a new array
+    was = kept.get(actor.number)
+    if was is not None and was[0] == place and was[1] is quats:
+        return False
+    kept[actor.number] = place, quats
+    return True
 
 
 def _stays(track: Array) -> bool:

@@ -16,11 +16,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Generator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import JOINT_INDEX, Humanoid
 from h3data.bodies.people.arms import CARRY_CLOSE, CARRY_JOINTS, draw_in
@@ -168,7 +168,10 @@ class Person:
         """
         self.state = HumanState.zeros(1) if state is None else state
         self.body, self.spec, self.free = body, spec, free
-        self._drawn = HumanState.zeros(1)
+        self.spot: Array = self.state.xz[0]
+        """Position on the floor [2] [m], a view."""
+        self._drawn = replace(self.state, arms=np.zeros((1, 2)))
+        """The same place, and how far the arms are folded in."""
         self.tilts: dict[Hand, float] = {"left": 0.0, "right": 0.0}
         """Share of the hand's tilt by which a held thing turns, 0 (it stays upright) to 1."""
         self._close: dict[Hand, float] = {"left": 0.0, "right": 0.0}
@@ -190,7 +193,9 @@ class Person:
         (`h3data.bodies.people.kernels.attention`) [rad]."""
         self._to_turn = 0.0
         self._closing: dict[Hand, float] = {}
-        self._carry_arms: dict[Hand, tuple[list[int], Array]] = {}
+        self._carry_arms: dict[Hand, Array] = {}
+        self._carried: dict[Hand, tuple[float, Array]] = {}
+        """Rotations of arms that hold something out, and as close to the body as they were last."""
         self._stand()
 
     @property
@@ -571,7 +576,6 @@ class Person:
         quats = quats.copy()
         if self.free is not None and self.spec.arms is not None:
             drawn, rate = self._drawn, self.spec.arms.rate
-            drawn.xz[0], drawn.heading[0] = self.state.xz[0], self.state.heading[0]
             draw_arms(drawn, self.free, self.body, self.spec.arms, busy=moving)
             if any(drawn.arms[0].tolist()):
                 draw_in(quats[None], drawn.arms, shoulders_forward=True)
@@ -581,8 +585,7 @@ class Person:
         for hand in self.held:
             if hand != moving:
                 joints, arm = self._carry_arm(hand)
-                near = CARRY_CLOSE[HANDS.index(hand)]
-                quats[joints] = quat_nlerp(arm, near, np.full(len(joints), self._close[hand]))
+                quats[joints] = arm
         return quats
 
     def _wanted_close(self, hand: Hand, moving: Hand | None = None) -> float:
@@ -603,12 +606,17 @@ class Person:
             self.stride()
             yield
 
-    def _carry_arm(self, hand: Hand) -> tuple[list[int], Array]:
+    def _carry_arm(self, hand: Hand) -> tuple[NDArray[np.integer], Array]:
+        """Joints [4] of an arm that carries something, and their rotations [4, 4] as close to the body as it is now."""
+        k, close = HANDS.index(hand), self._close[hand]
+        joints = CARRY_JOINTS[k]
         if hand not in self._carry_arms:
-            joints = CARRY_JOINTS[HANDS.index(hand)].tolist()
             poses = reach_poses(self.body, self._carry_point(hand)[None], hand, trunk=0.0, arm=1.0)
-            self._carry_arms[hand] = joints, poses.quats[0, joints]
-        return self._carry_arms[hand]
+            self._carry_arms[hand] = poses.quats[0, joints]
+        if self._carried.get(hand, (None,))[0] != close:  # it is the same one for most of a walk
+            arm = quat_nlerp(self._carry_arms[hand], CARRY_CLOSE[k], np.full(len(joints), close))
+            self._carried[hand] = close, arm
+        return joints, self._carried[hand][1]
 
 
 def run(person: Person, skill: Skill) -> tuple[list[Frame], MotionResult]:

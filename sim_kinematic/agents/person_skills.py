@@ -89,6 +89,8 @@ class PersonActor:
     def __post_init__(self) -> None:
         self._gait = HumanState.zeros(1)
         self._announced: NDArray[np.floating] | partial[NDArray[np.floating]] = NO_PATH
+        self._stands: dict[tuple[FreeSpace, Hand, int, bytes], Array] = {}
+        """Stands found before, by floor, hand, island and the point to be reached; skills look for the same ones again."""
         self._trail: deque[Any] = deque(maxlen=BACK_STEPS)
         """Postures before the last steps of a walk."""
         self._held_up = 0
@@ -136,7 +138,7 @@ class PersonActor:
     @property
     def xz(self) -> NDArray:
         """Position on the floor [2] [m]."""
-        return self.person.state.xz[0].copy()
+        return self.person.spot.copy()
 
     @property
     def heading(self) -> float:
@@ -237,7 +239,10 @@ class PersonActor:
     def stands(self, point: NDArray, hand: Hand, free: FreeSpace | None = None) -> Array:
         """Stands ``(x, z, heading)`` [N, 3] that can be walked to, from which a hand reaches a world point [3]."""
         free = free or self.free
-        return person_stands(free, self.person.body, point, hand, island=island_of(free, self.xz))
+        known = free, hand, island_of(free, self.xz), point.tobytes()
+        if known not in self._stands:
+            self._stands[known] = person_stands(free, self.person.body, point, hand, island=known[2])
+        return self._stands[known]
 
     def stands_on(self, free: FreeSpace, point: NDArray) -> Array:
         """Stands for either hand on the floor ``free``."""

@@ -50,6 +50,7 @@ OPENING_SKILLS = ("nav_to_handle", "open", "close")
 """Skills in homes with things that open; their target is the number of a joint."""
 ALL_SKILLS = (*DRIVEN_SKILLS, *OPENING_SKILLS)
 """Skills in the order in which recordings of homes with doors and drawers number them."""
+_WITH_TARGET = (*SKILLS[:4], *OPENING_SKILLS)
 CHOICE_WAIT_STEPS = 5
 """Duration of ``wait`` in `choices` [steps]."""
 REASONS = {
@@ -173,25 +174,28 @@ class Objects:
     def why_not(self, agent: int, action: Action) -> str:
         """The pre-conditions that both kinds of actors share."""
         skill, k = action.skill, action.target
-        known = (*SKILLS, *OPENING_SKILLS) if self.joints else SKILLS
-        if skill not in known:
+        if skill not in SKILLS and not (self.joints and skill in OPENING_SKILLS):
+            known = (*SKILLS, *OPENING_SKILLS) if self.joints else SKILLS
             raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(known)}.", code="H3-SIM-022")
+        if skill not in _WITH_TARGET:
+            return ""
         if skill in OPENING_SKILLS:
             if not 0 <= k < len(self.joints):
                 raise InputError(
                     f"{skill} needs one of the joints 0 to {len(self.joints) - 1}, got {k}.", code="H3-SIM-024"
                 )
             return "hand_full" if skill != "nav_to_handle" and self.held(agent) >= 0 else ""
-        if skill in SKILLS[:4] and not 0 <= k < len(self.names):
+        if not 0 <= k < len(self.names):
             raise InputError(
                 f"{skill} needs one of the objects 0 to {len(self.names) - 1}, got {k}.", code="H3-SIM-023"
             )
-        if skill in ("nav_to_object", "pick") and self.held_by[k] not in (NOBODY, agent):
+        holders = self.held_by.tolist()
+        if skill in ("nav_to_object", "pick") and holders[k] not in (NOBODY, agent):
             return "held_by_other"
-        if skill == "nav_to_object" and self.held_by[k] == agent:
+        if skill == "nav_to_object" and holders[k] == agent:
             return "already_held"
-        if skill == "pick" and self.held(agent) >= 0:
+        if skill == "pick" and agent in holders:
             return "hand_full"
-        if skill == "place" and self.held_by[k] != agent:
+        if skill == "place" and holders[k] != agent:
             return "not_held"
         return ""

@@ -23,10 +23,13 @@ from numpy.typing import NDArray
 
 from h3data.geometry import wrap_angle
 from h3data.scene import FreeSpace
-from sim_kinematic.avoidance.routes import FloorRoutes, distance_to_path, first_of_path
+from sim_kinematic.avoidance.routes import FloorRoutes, distance_of_paths, distance_to_path, first_of_path, is_ahead
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.stand_offs import StandOffs, TaskProgress
 from sim_kinematic.avoidance.yielding import NO_PATH, Body, discs_of
+
+DOTS_M = 0.2
+"""Points on a path for which distances to another are measured are no farther apart."""
 
 
 class Walker(Body, Protocol):
@@ -91,6 +94,10 @@ class RightOfWay:
         self._walkers = {walker.number: walker for walker in walkers}
         self._asks = asks
         numbers = [walker.number for walker in walkers]
+        self._beside_m = {w.number: AVOIDANCE.beside_m[w.is_robot] + _size_beyond_default(w) for w in walkers}
+        """Distance from an agent's path within which another is in its way [m]."""
+        self._extent_m = {walker.number: walker.footprint.extent_m for walker in walkers}
+        self._pairs = [(other, me) for me in walkers for other in walkers if other is not me]
         self._stand_offs = None if errand is None else StandOffs(walkers, numbers, errand)
         self._requests: dict[int, _Request] = {}
         self._stalled = dict.fromkeys(self._walkers, 0)
@@ -106,7 +113,7 @@ class RightOfWay:
         for number, walker in self._walkers.items():
             place = x, z, heading = _place(walker)
             was_x, was_z, was_heading = self._place[number]
-            turned = abs(float(wrap_angle(heading - was_heading)))
+            turned = abs(wrap_angle(heading - was_heading))
             # measured from where it last got on, not from step to step: who sways on the spot does not get on
             if math.hypot(x - was_x, z - was_z) > AVOIDANCE.progress_m or turned > AVOIDANCE.progress_rad:
                 self._stalled[number] = self._still[number] = 0
@@ -142,8 +149,7 @@ class RightOfWay:
 
     def _all_are_clear(self) -> bool:
         """Returns whether nobody can be asked to step aside in this step. In homes for two that is so in nine steps of ten."""
-        walkers = self._walkers.values()
-        return not any(self._may_block(other, me) for me in walkers for other in walkers if other is not me)
+        return not any(self._may_block(other, me) for other, me in self._pairs)
 
     # --- rank ----------------------------------------------------------------------------------------------------------
     def _ranked(self, carrying: Sequence[int]) -> list[Walker]:
@@ -207,7 +213,7 @@ class RightOfWay:
         # sums
         (x, z), (other_x, other_z) = start.tolist(), other.xz.tolist()
         reach = AVOIDANCE.asks_moving_m if moves else AVOIDANCE.asks_idle_m
-        reach += AVOIDANCE.beside_m[me.is_robot] + _size_beyond_default(me) + other.footprint.extent_m
+        reach += self._beside_m[me.number] + self._extent_m[other.number]
         return math.hypot(other_x - x, other_z - z) <= reach
 
     def _blocks(self, other: Walker, me: Walker) -> bool:
@@ -217,14 +223,11 @@ class RightOfWay:
         if other.number in me.hindered_by and self._stalled[me.number] >= AVOIDANCE.held_up_steps:
             return True
         moves = len(self.path(other)) > 0
-        ahead = first_of_path(self.path(me), AVOIDANCE.asks_moving_m if moves else AVOIDANCE.asks_idle_m)
-        body = discs_of(other)[:, :2]
-        nearest = distance_to_path(body, _without_start(ahead))
-        gaps = np.hypot(*(body - me.xz).T)
-        beside = AVOIDANCE.beside_m[me.is_robot] + _size_beyond_default(me)
+        ahead_m = AVOIDANCE.asks_moving_m if moves else AVOIDANCE.asks_idle_m
         # who is nearer to me than to what lies ahead of me is behind or beside me, and out of the way as I walk
-        # on
-        return bool(np.any((nearest < beside) & (nearest < gaps)))
+        # on, and an agent beside me is not on my path
+        path = np.ascontiguousarray(self.path(me), np.float64)
+        return is_ahead(discs_of(other), path, AVOIDANCE.skips_m, ahead_m, self._beside_m[me.number], *me.xz.tolist())
 
     def _ask(self, other: Walker, me: Walker, first: Sequence[Walker]) -> bool:
         """Asks an agent to step aside for me; returns whether it does."""
@@ -392,10 +395,16 @@ class RightOfWay:
         """Returns whether the path of one agent leads nowhere near another, nor near the other's path."""
         if not len(walker.path):
             return False
-        mine = first_of_path(self._free.path(walker.xz, walker.path[-1], max_snap_m=1.0), AVOIDANCE.keeps_free_m)
         theirs = other.path if len(other.path) else other.xz[None]
-        gap = distance_to_path(np.vstack([walker.xz[None], _dots(mine)]), theirs).min()
-        return float(gap) >= AVOIDANCE.aside_share * aside_distance_m(walker, other)
+        gap = self._gap_m(walker, AVOIDANCE.keeps_free_m, theirs, math.inf)
+        return gap >= AVOIDANCE.aside_share * aside_distance_m(walker, other)
+
+    def _gap_m(self, walker: Walker, length_m: float, theirs: NDArray, their_m: float) -> float:
+        """Distance [m] between the beginnings of an agent's way and of another's path [N, 2], each of a length."""
+        # the shortest path from here, which it will take once it is let go; its old path began elsewhere
+        mine = self._free.path(walker.xz, walker.path[-1], max_snap_m=1.0) if len(walker.path) else NO_PATH
+        paths = np.ascontiguousarray(mine, np.float64), length_m, np.ascontiguousarray(theirs, np.float64), their_m
+        return distance_of_paths(*walker.xz.tolist(), *paths, DOTS_M)
 
     # --- how long ------------------------------------------------------------------------------------------------------
     def _is_over(self, walker: Walker, request: _Request) -> bool:
@@ -410,15 +419,11 @@ class RightOfWay:
         if request.by == walker.number:
             return not len(request.route)
         other = self._walkers[request.by]
-        path = first_of_path(self.path(other), AVOIDANCE.keeps_free_m)
+        path = self.path(other)
         if not len(path):
             return walker.number not in other.hindered_by and (len(walker.path) > 0 or not len(request.route))
-        mine = walker.xz[None]
-        if len(walker.path):
-            # the shortest path from here, which it will take once it is let go; its old path began elsewhere
-            mine = first_of_path(self._free.path(walker.xz, walker.path[-1], max_snap_m=1.0), AVOIDANCE.returns_m)
-            mine = np.vstack([walker.xz[None], _dots(mine)])
-        return float(distance_to_path(mine, path).min()) >= AVOIDANCE.aside_share * aside_distance_m(walker, other)
+        gap = self._gap_m(walker, AVOIDANCE.returns_m, path, AVOIDANCE.keeps_free_m)
+        return gap >= AVOIDANCE.aside_share * aside_distance_m(walker, other)
 
     # --- where to ------------------------------------------------------------------------------------------------------
     def _retreat(
@@ -487,13 +492,7 @@ def _place(walker: Walker) -> tuple[float, float, float]:
     return x, z, float(walker.heading)
 
 
-def _without_start(path: NDArray) -> NDArray[np.float64]:
-    """A path without its first ``skips_m``: an agent beside me is not on it."""
-    start = first_of_path(path, AVOIDANCE.skips_m)
-    return np.vstack([start[-1:], path[len(start) - 1 :]]) if len(path) > 1 else path
-
-
 def _dots(path: NDArray) -> NDArray[np.float64]:
-    """Points on a path, at most 0.2 m apart."""
-    legs = [np.linspace(a, b, 2 + int(np.hypot(*(b - a)) / 0.2)) for a, b in pairwise(path)]
+    """Points on a path, at most `DOTS_M` apart."""
+    legs = [np.linspace(a, b, 2 + int(np.hypot(*(b - a)) / DOTS_M)) for a, b in pairwise(path)]
     return np.concatenate(legs) if legs else path

@@ -178,6 +178,59 @@ def _distances(points, path):
     return least
 
 
+@kernel(error_model="numpy")
+def _distance_to_part(x, z, path, begin, end):
+    """Distance of (x, z) to a path [N, 2] between two of its lengths; to its end, if it is shorter than ``begin``."""
+    done, least, last = 0.0, math.inf, len(path) - 1
+    for k in range(last):
+        leg_x, leg_z = path[k + 1, 0] - path[k, 0], path[k + 1, 1] - path[k, 1]
+        length = math.hypot(leg_x, leg_z)
+        first, most = max((begin - done) / max(length, 1e-12), 0.0), min((end - done) / max(length, 1e-12), 1.0)
+        if most < 0.0:
+            break
+        if first <= 1.0:
+            along = ((x - path[k, 0]) * leg_x + (z - path[k, 1]) * leg_z) / max(length * length, 1e-12)
+            along = min(max(along, first), most)
+            least = min(least, math.hypot(x - path[k, 0] - along * leg_x, z - path[k, 1] - along * leg_z))
+        done += length
+    return least if least < math.inf or last < 0 else math.hypot(x - path[last, 0], z - path[last, 1])
+
+
+@kernel(error_model="numpy")
+def is_ahead(points, path, begin, end, within, x, z):
+    """Returns whether one of the points [P, 2] is near a path [N, 2] between two of its lengths [m], but not beside (x, z).
+
+    It is near ``within`` a distance [m], and beside (x, z) if it is nearer to that than to the path.
+    """
+    for p in range(len(points)):
+        gap = _distance_to_part(points[p, 0], points[p, 1], path, begin, end)
+        if gap < within and gap < math.hypot(points[p, 0] - x, points[p, 1] - z):
+            return True
+    return False
+
+
+@kernel(error_model="numpy")
+def distance_of_paths(x, z, mine, length, other, other_length, apart):
+    """Distance between the beginnings, of two lengths [m], of paths [N, 2] and [M, 2].
+
+    The first path, which (x, z) belongs to, counts by points on its legs that are at most ``apart`` [m] from each other.
+    """
+    least, done = _distance_to_part(x, z, other, 0.0, other_length), 0.0
+    for k in range(len(mine) - 1):
+        a_x, a_z = mine[k, 0], mine[k, 1]
+        leg_x, leg_z = mine[k + 1, 0] - a_x, mine[k + 1, 1] - a_z
+        leg = math.hypot(leg_x, leg_z)
+        share = min((length - done) / max(leg, 1e-12), 1.0)
+        if share < 0.0:
+            break
+        count = 1 + int(share * leg / apart)
+        for n in range(count + 1):
+            at = share * n / count
+            least = min(least, _distance_to_part(a_x + at * leg_x, a_z + at * leg_z, other, 0.0, other_length))
+        done += leg
+    return least
+
+
 def first_of_path(path: NDArray, length_m: float) -> NDArray[np.float64]:
     """Returns the beginning of a path [N, 2], of a length [m]."""
     k, share = _leg_at(np.ascontiguousarray(path, np.float64), length_m) if len(path) > 1 else (-1, 0.0)

@@ -24,6 +24,14 @@ from sim_kinematic.motion.step import integrate, is_clear, wrap_angle
 _LEVELS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 # standing still comes first: of equal commands the first one wins
 _CANDIDATES = np.array([(0.0, 0.0), *((forward, turn) for forward in _LEVELS for turn in _LEVELS)])
+_NO_COMMAND = math.nan, math.nan
+_COSTS = (
+    AVOIDANCE.still_margin_m,
+    AVOIDANCE.gap_weight,
+    AVOIDANCE.heading_weight_m,
+    AVOIDANCE.turn_weight_m,
+    AVOIDANCE.change_weight_m,
+)
 
 
 @kernel(error_model="numpy")
@@ -38,33 +46,15 @@ def least_gap(x, z, heading, other_x, other_z, hull, reach):
 
 
 @kernel(error_model="numpy")
-def try_command(
-    sdf,
-    origin,
-    cell,
-    x,
-    z,
-    heading,
-    speed,
-    turn,
-    length,
-    arc,
-    other,
-    velocity,
-    offsets,
-    disc_radius,
-    hull,
-    reach,
-    steps,
-    stride,
-    doubt,
-    dt,
-):
-    """Rolls out a command that is kept for ``length`` [m] and ``arc`` [rad] at most: ``(least gap [m], x, z, heading)``.
+def try_command(sdf, origin, cell, pose, speed, turn, length, arc, others, base, hull, rules, enough, gaps):
+    """Rolls out a command that is kept for ``length`` [m] and ``arc`` [rad] at most: ``(x, z, heading, most lacking)``.
 
-    The base stays where it would touch an obstacle. Later gaps count as wider by ``doubt`` [m/s].
+    The base stays where it would touch an obstacle. The least gap to each other agent goes to ``gaps`` [N]; later gaps count
+    as wider by a doubt [m/s]. The trial ends early where an agent lacks ``enough`` of its margin already.
     """
-    gap = math.inf
+    (x, z, heading), (offsets, disc_radius), (steps, stride, doubt, dt) = pose, base, rules
+    gaps[:] = math.inf
+    lacks = -math.inf
     for step in range(1, steps + 1):
         if abs(speed) * step * dt > length:
             speed = 0.0
@@ -76,67 +66,78 @@ def try_command(
             x, z, heading = nx, nz, nh
         if step % stride == 0:
             t = step * dt
-            now = least_gap(x, z, heading, other[0] + velocity[0] * t, other[1] + velocity[1] * t, hull, reach)
-            gap = min(gap, now + doubt * t)
-    return gap, x, z, heading
+            for n in range(len(others)):
+                to_x, to_z = others[n, 0] + others[n, 2] * t, others[n, 1] + others[n, 3] * t
+                now = least_gap(x, z, heading, to_x, to_z, hull, others[n, 4])
+                gaps[n] = min(gaps[n], now + doubt * t)
+                lacks = max(lacks, others[n, 5] - gaps[n])
+            if lacks > enough:
+                break
+    return x, z, heading, lacks
 
 
 @kernel(error_model="numpy")
-def try_commands(
-    sdf,
-    origin,
-    cell,
-    x,
-    z,
-    heading,
-    speeds,
-    turns,
-    length,
-    arc,
-    others,
-    velocities,
-    reaches,
-    offsets,
-    disc_radius,
-    hull,
-    steps,
-    stride,
-    doubt,
-    dt,
-    out,
+def choose_command(
+    sdf, origin, cell, pose, goal, wanted, length, arc, others, base, hull, limits, rules, costs, before, levels, gaps
 ):
-    """`try_command` for each of C commands against each of N discs, into ``out`` [C, N, 4]."""
-    for c in range(len(speeds)):
-        for n in range(len(reaches)):
-            out[c, n, 0], out[c, n, 1], out[c, n, 2], out[c, n, 3] = try_command(
-                sdf,
-                origin,
-                cell,
-                x,
-                z,
-                heading,
-                speeds[c],
-                turns[c],
-                length,
-                arc,
-                others[n],
-                velocities[n],
-                offsets,
-                disc_radius,
-                hull,
-                reaches[n],
-                steps,
-                stride,
-                doubt,
-                dt,
-            )
+    """Number of the command in ``levels`` [C, 2] that `keep_clear` chooses, -1: the one that is ``wanted``.
+
+    Others [N, 7] are ``(x, z, velocity x, velocity z, sum of both radii, margin, settled)``; ``before`` is NaN where it does
+    not count. ``gaps`` [N] is room to work in.
+    """
+    (max_speed, max_turn), (still_margin, gap_weight, heading_weight, turn_weight, change_weight) = limits, costs
+    # a robot that stands too near to somebody already could not leave if it had to keep more than it has
+    if others[:, 6].any():
+        forward, turn = levels[0, 0] * max_speed, levels[0, 1] * max_turn  # of standing still
+        try_command(
+            sdf, origin, cell, pose, forward, turn, math.inf, math.inf, others, base, hull, rules, math.inf, gaps
+        )
+        for n in range(len(others)):
+            if others[n, 6] != 0.0:
+                others[n, 5] = min(still_margin, gaps[n])
+    forward, turn = wanted[0] * max_speed, wanted[1] * max_turn
+    _, _, _, lacks = try_command(
+        sdf, origin, cell, pose, forward, turn, length, arc, others, base, hull, rules, 0.0, gaps
+    )
+    if lacks <= 0.0:
+        return -1
+    best, least, counts = -1, math.inf, not math.isnan(before[0])
+    for c in range(len(levels)):
+        forward, turn = levels[c]
+        # only the worst gap counts: more room on one side must not make up for less on the other
+        x, z, heading, lacks = try_command(
+            sdf,
+            origin,
+            cell,
+            pose,
+            forward * max_speed,
+            turn * max_turn,
+            math.inf,
+            math.inf,
+            others,
+            base,
+            hull,
+            rules,
+            least / gap_weight,  # no cost is less than this part of it
+            gaps,
+        )
+        left = math.hypot(x - goal[0], z - goal[1])
+        off = abs(wrap_angle(math.atan2(z - goal[1], goal[0] - x) - heading)) if left > 0.1 else 0.0
+        cost = gap_weight * max(lacks, 0.0) + left + heading_weight * off
+        cost += turn_weight * abs(turn)
+        if counts:
+            cost += change_weight * (abs(turn - before[1]) + abs(forward - before[0]))
+        if cost < least:
+            best, least = c, cost
+    return best
 
 
 class ObstacleDisc(NamedTuple):
     """A disc of another agent that a robot keeps clear of."""
 
-    xz: NDArray
-    velocity: NDArray
+    xz: Sequence[float] | NDArray[np.floating]
+    """Position of the disc [2] [m]."""
+    velocity: Sequence[float] | NDArray[np.floating]
     """Velocity of the disc [2] [m/s]."""
     settled: bool = False
     """True if the agent has stood for long and is passed at ``still_margin_m``."""
@@ -160,76 +161,43 @@ def keep_clear(
     That is ``wanted`` itself where it leaves every agent its margin, else the best of 25: first the margin of whoever lacks
     most, then the path to ``towards`` [2], then what differs little from the command ``before``, if that counts.
     """
-    spec, (here_x, here_z), (goal_x, goal_z) = AVOIDANCE, xz.tolist(), towards.tolist()
-    places = [other.xz.tolist() for other in others]
-    # who is far away cannot matter within the horizon, and most steps end here
-    others = [o for o, (x, z) in zip(others, places, strict=True) if np.hypot(x - here_x, z - here_z) <= spec.range_m]
-    if not others:
+    spec, here, goal = AVOIDANCE, tuple(xz.tolist()), tuple(towards.tolist())
+    rows = []
+    for (x, z), velocity, settled, radius_m, margin_m in others:
+        # who is far away cannot matter within the horizon, and most steps end here
+        if math.hypot(x - here[0], z - here[1]) <= spec.range_m:
+            rows.append((x, z, *velocity, base.disc_radius_m + radius_m, margin_m, settled))
+    if not rows:
         return wanted
-    discs = (
-        np.array([other.xz for other in others]),
-        np.array([other.velocity for other in others]),
-        np.array([base.disc_radius_m + other.radius_m for other in others]),
-    )
-    offsets, hull = _discs(base)
-
-    def trials(
-        commands: NDArray[np.float64], length: float = math.inf, arc: float = math.inf
-    ) -> list[list[list[float]]]:
-        """``(least gap, x, z, heading)`` of commands [C, 2] beside each other agent, [C, N, 4]."""
-        out = np.empty((len(commands), len(others), 4))
-        speeds, turns = commands[:, 0] * base.max_speed_mps, commands[:, 1] * base.max_turn_rad_s
-        try_commands(
-            free.sdf,
-            free.origin,
-            free.cell_m,
-            here_x,
-            here_z,
-            heading,
-            speeds,
-            turns,
-            length,
-            arc,
-            *discs,
-            offsets,
-            base.disc_radius_m - spec.wall_tolerance_m,
-            hull,
-            spec.horizon_steps,
-            spec.stride_steps,
-            spec.doubt_mps,
-            STEP_S,
-            out,
-        )
-        return out.tolist()
-
-    margins = [other.margin_m for other in others]
-    # a robot that stands too near to somebody already could not leave if it had to keep more than it has
-    if any(other.settled for other in others):
-        for k, (gap, *_) in enumerate(trials(_CANDIDATES[:1])[0]):  # of standing still
-            margins[k] = min(spec.still_margin_m, gap) if others[k].settled else margins[k]
-    dx, dz = goal_x - here_x, goal_z - here_z
+    dx, dz = goal[0] - here[0], goal[1] - here[1]
     length = math.hypot(dx, dz)
     # close to the goal its bearing turns around with every centimetre
-    arc = abs(wrap_angle(math.atan2(-dz, dx) - heading)) if length > 0.1 else math.inf
-    gaps = trials(np.array([wanted], np.float64), length, arc)[0]
-    if all(gap >= margin for (gap, *_), margin in zip(gaps, margins, strict=True)):
+    arc = abs(wrap_angle.py_func(math.atan2(-dz, dx) - heading)) if length > 0.1 else math.inf
+    levels = _CANDIDATES if before is None else np.concatenate([_CANDIDATES, [before]])
+    offsets, hull = _discs(base)
+    chosen = choose_command(
+        free.sdf,
+        free.origin,
+        free.cell_m,
+        (*here, heading),
+        goal,
+        wanted,
+        length,
+        arc,
+        np.array(rows, np.float64),
+        (offsets, base.disc_radius_m - spec.wall_tolerance_m),
+        hull,
+        (base.max_speed_mps, base.max_turn_rad_s),
+        (spec.horizon_steps, spec.stride_steps, spec.doubt_mps, STEP_S),
+        _COSTS,
+        _NO_COMMAND if before is None else before,
+        levels,
+        np.empty(len(rows)),
+    )
+    if chosen < 0:
         return wanted
-    best, least = wanted, math.inf
-    candidates = _CANDIDATES if before is None else np.vstack([_CANDIDATES, before])
-    for (forward, turn), tried in zip(candidates.tolist(), trials(candidates), strict=True):
-        # only the worst gap counts: more room on one side must not make up for less on the other
-        lacks = max(margin - gap for margin, (gap, *_) in zip(margins, tried, strict=True))
-        # where the base gets does not depend on who is near, so any trial tells
-        _, x, z, new_heading = tried[0]
-        left = math.hypot(x - goal_x, z - goal_z)
-        off = abs(wrap_angle(math.atan2(z - goal_z, goal_x - x) - new_heading)) if left > 0.1 else 0.0
-        cost = spec.gap_weight * max(lacks, 0.0) + left + spec.heading_weight_m * off
-        cost += spec.turn_weight_m * abs(turn)
-        if before is not None:
-            cost += spec.change_weight_m * (abs(turn - before[1]) + abs(forward - before[0]))
-        if cost < least:
-            best, least = (forward, turn), cost
-    return best
+    forward, turn = levels[chosen].tolist()
+    return forward, turn
 
 
 def eased(base: BaseSpec, wanted: tuple[float, float], before: tuple[float, float]) -> tuple[float, float]:
@@ -264,6 +232,6 @@ def _discs(base: BaseSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 def is_crowded(base: BaseSpec, stands: NDArray, other: ObstacleDisc, margin_m: float) -> NDArray[np.bool_]:
     """Returns whether a robot at stands ``(x, z, heading)`` [N, 3] would be within a margin [m] of another agent now, [N]."""
     reach, (_, hull) = base.disc_radius_m + other.radius_m, _discs(base)
-    other_x, other_z = other.xz.tolist()
+    other_x, other_z = other.xz
     gaps = [least_gap(x, z, heading, other_x, other_z, hull, reach) for x, z, heading in stands.tolist()]
     return np.array(gaps) < margin_m

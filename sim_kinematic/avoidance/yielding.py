@@ -62,9 +62,15 @@ class Body(Protocol):
 
 def discs_of(body: Body) -> NDArray[np.float64]:
     """Returns the discs ``(x, z, radius)`` [N, 3] of an agent's footprint in the world."""
-    (x, z), footprint = body.xz.tolist(), body.footprint
+    return np.array(_discs_of(body))
+
+
+def _discs_of(body: Body) -> list[tuple[float, float, float]]:
+    (x, z), (offsets, radius) = body.xz.tolist(), body.footprint
+    if len(offsets) == 1 and not offsets[0]:
+        return [(x, z, radius)]
     c, s = float(np.cos(body.heading)), float(np.sin(body.heading))
-    return np.array([(x + c * offset, z - s * offset, footprint.radius_m) for offset in footprint.offsets_m])
+    return [(x + c * offset, z - s * offset, radius) for offset in offsets]
 
 
 def avoided(others: Sequence[ObservedAgent], *, agreed: bool = False) -> list[ObstacleDisc]:
@@ -76,13 +82,14 @@ def avoided(others: Sequence[ObservedAgent], *, agreed: bool = False) -> list[Ob
     for other in others:
         radius = other.footprint.radius_m if other.is_robot else AVOIDANCE.person_radius_m
         margin = AVOIDANCE.standing_margin_m if agreed and stands(other) else AVOIDANCE.margin_m
-        discs += [ObstacleDisc(disc[:2], other.velocity, other.settled, radius, margin) for disc in discs_of(other)]
+        velocity = other.velocity.tolist()
+        discs += [ObstacleDisc((x, z), velocity, other.settled, radius, margin) for x, z, _ in _discs_of(other)]
     return discs
 
 
 def stands(other: ObservedAgent) -> bool:
     """Returns whether an agent stands."""
-    return float(np.hypot(*other.velocity.tolist())) <= AVOIDANCE.stands_mps
+    return math.hypot(*other.velocity.tolist()) <= AVOIDANCE.stands_mps
 
 
 def waits(number: int, other: ObservedAgent) -> bool:
@@ -98,18 +105,19 @@ def in_the_way(xz: NDArray, towards: NDArray, others: Sequence[ObservedAgent]) -
     others = [o for o in others if math.dist(here, o.xz.tolist()) <= IN_THE_WAY_M + 2 * o.footprint.extent_m]
     if not others:
         return None
-    leg = towards - xz
-    length = float(np.hypot(*leg))
-    ahead = leg / max(length, 1e-9)
+    leg_x, leg_z = (towards - xz).tolist()
+    length = math.hypot(leg_x, leg_z)
+    ahead_x, ahead_z = leg_x / max(length, 1e-9), leg_z / max(length, 1e-9)
     blocker: ObservedAgent | None = None
-    nearest = np.inf
+    nearest = math.inf
     for other in others:
-        for x, z, radius in discs_of(other):
-            gap = np.array([x, z]) - xz
-            # who moves may turn this way in the next step
-            room = AVOIDANCE.person.radius_m + radius + (0.0 if stands(other) else AVOIDANCE.moving_m)
-            along, aside = float(gap @ ahead), float(abs(gap[0] * ahead[1] - gap[1] * ahead[0]))
-            distance = float(np.hypot(*gap))
+        # who moves may turn this way in the next step
+        moving = 0.0 if stands(other) else AVOIDANCE.moving_m
+        for x, z, radius in _discs_of(other):
+            gap_x, gap_z = x - here[0], z - here[1]
+            room = AVOIDANCE.person.radius_m + radius + moving
+            along, aside = gap_x * ahead_x + gap_z * ahead_z, abs(gap_x * ahead_z - gap_z * ahead_x)
+            distance = math.hypot(gap_x, gap_z)
             # people who walk side by side get hardly nearer to each other, and must not wait for it
             nears = distance - aside > AVOIDANCE.beside_nearer_m if along > 0 else False
             if nears and along < min(AVOIDANCE.ahead_m, length) + room and aside < room and distance < nearest:

@@ -74,6 +74,13 @@ class ObservationSet:
             n: (np.asarray(one.low, np.float64), np.asarray(one.high, np.float64)) for n, one in self.limits.items()
         }
         self._noise = {name: model for name, model in (noise or {}).items() if name in self.names}
+        self._plain = [n for n in self.states if n not in self._noise and self.limits[n].dtype == np.float32]
+        """Numbers that are only clipped, which is done for all of them at once."""
+        self._ends = np.cumsum([0, *(self._bounds[n][0].size for n in self._plain)]).tolist()
+        sides = zip(*(self._bounds[n] for n in self._plain), strict=True)
+        self._low, self._high = (
+            (np.concatenate([one.ravel() for one in side]) for side in sides) if self._plain else (0, 0)
+        )
         self._agent = agent
 
     def space(self) -> Dict:
@@ -89,8 +96,13 @@ class ObservationSet:
 
         Noise follows from the episodes' ``seeds`` [W] and ``steps`` [W] alone.
         """
-        shown = {}
+        shown = self._clipped(exact) if self._plain else {}
+        if len(shown) == len(self.names):
+            return shown
         for name in self.names:
+            if name in shown:
+                shown[name] = shown.pop(name)  # in the order of the names
+                continue
             values, limits = exact[name], self.limits[name]
             if name in self._noise:
                 values = self._with_noise(name, values, seeds, steps)
@@ -102,6 +114,14 @@ class ObservationSet:
                 values = np.rint(values) if limits.dtype == np.uint8 else values
             shown[name] = values.astype(limits.dtype, copy=False)
         return shown
+
+    def _clipped(self, exact: Arrays) -> Arrays:
+        """The plain numbers [W, ...] within their bounds."""
+        worlds = len(exact[self._plain[0]])
+        every = np.concatenate([exact[name].reshape(worlds, -1) for name in self._plain], axis=1)
+        every = np.minimum(np.maximum(every, self._low), self._high).astype(np.float32)
+        ends = zip(self._plain, self._ends, self._ends[1:], strict=False)
+        return {name: every[:, a:b].reshape(exact[name].shape) for name, a, b in ends}
 
     def _with_noise(self, name: str, values: NDArray[Any], seeds: Sequence[int], steps: Sequence[int]) -> NDArray[Any]:
         noisy = np.empty(values.shape, np.float64)

@@ -6,6 +6,7 @@ A task names one `Control` (`sim_kinematic.tasks.task.Task.control`). With `Velo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -15,7 +16,7 @@ from h3data.errors import InputError
 from h3data.recording import Agent, Recording
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
-from sim_kinematic.policies.policy import Still, Velocity
+from sim_kinematic.policies.policy import GaitAction, PoseAction, RecordedPose, Still, Velocity, WaypointAction
 from sim_kinematic.policies.recorded import RecordedTrack, RecordedVelocities, deciding_since, recorded_commands
 from sim_kinematic.sensing.table import STATE_OBSERVATIONS
 from sim_kinematic.tasks.episode import Episode
@@ -55,6 +56,14 @@ class Control:
             InputError: it is malformed.
         """
         raise NotImplementedError
+
+    def accepted(self, play: Any, number: int, choice: Any) -> Any:
+        """A policy's choice in the form that the play takes; by default as `checked`.
+
+        Raises:
+            InputError: it is malformed.
+        """
+        return self.checked(play, number, choice)
 
     def idle(self, play: Any, number: int, last: Any) -> Any:
         """The choice of an agent controlled from outside that was told nothing new; ``last`` is its latest command."""
@@ -143,12 +152,31 @@ class VelocityControl(Control):
             InputError: it is malformed.
         """
         del play, number
-        if not hasattr(choice, "forward") and np.shape(choice) == (2,):
-            choice = Velocity(float(choice[0]), float(choice[1]))
-        if not (hasattr(choice, "forward") and hasattr(choice, "turn")):
-            raise InputError(f"Expected a command (forward, turn) in -1..1, got {choice!r}.", code="H3-TASK-064")
-        if not np.isfinite([choice.forward, choice.turn]).all():
+        try:
+            if not hasattr(choice, "forward") and np.shape(choice) == (2,):
+                choice = Velocity(float(choice[0]), float(choice[1]))
+            is_finite = math.isfinite(choice.forward) and math.isfinite(choice.turn)
+        except (AttributeError, TypeError, ValueError):
+            raise InputError(
+                f"Expected a command (forward, turn) in -1..1, got {choice!r}.", code="H3-TASK-064"
+            ) from None
+        if not is_finite:
             raise InputError(f"Actions must be finite, got {(choice.forward, choice.turn)}.", code="H3-TASK-065")
+        return choice
+
+    def accepted(self, play: Any, number: int, choice: Any) -> Any:
+        """A velocity as `checked`, or a way point, a place, a gait or a recorded pose.
+
+        Raises:
+            InputError: it is malformed.
+        """
+        if isinstance(choice, GaitAction):
+            return choice
+        if not isinstance(choice, WaypointAction | PoseAction | RecordedPose):
+            return self.checked(play, number, choice)
+        place = np.append(choice.xz, getattr(choice, "heading", 0.0))
+        if place.shape != (3,) or not np.isfinite(place).all():
+            raise InputError(f"Expected a place of 2 finite numbers [m], got {choice!r}.", code="H3-TASK-082")
         return choice
 
     def idle(self, play: Any, number: int, last: Any) -> Any:

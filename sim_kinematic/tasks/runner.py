@@ -133,7 +133,7 @@ def run(
     while not turns.over:
         if turns.asked is not None:
             number = turns.asked
-            choice = policies[number].policy.act(play.view(number))
+            choice = play.decide(number)
             if note is not None and _needs_note(policies[number].policy, choice):
                 note(number, choice)
             turns.answer(choice)
@@ -174,7 +174,7 @@ def simulate(
         sensors: Names of sensors of robots that are recorded with every step, as columns ``metrics.agent_<i>.<sensor>``.
 
     Raises:
-        InputError: no such policy, agent or sensor.
+        InputError: no such policy, agent or sensor, or a policy returned no valid choice.
     """
     assigned = assign(task, episode, policies)
     measured = RecordedSensors(task, episode.roster, sensors) if sensors else None
@@ -395,9 +395,8 @@ class Session:
                 reason, inbox.reason = inbox.reason, ""
                 _record(self.task, self.recorder, number, choice, reason)
             else:
-                policy = self.policies[number].policy
-                choice = policy.act(self.play.view(number))
-                if _needs_note(policy, choice):
+                choice = self.play.decide(number)
+                if _needs_note(self.policies[number].policy, choice):
                     _record(self.task, self.recorder, number, choice)
             self._turns.answer(choice)
         events_before, skills_before = len(self.recorder.events), len(self.recorder.skills)

@@ -125,7 +125,7 @@ class FreeSpace(FloorMap):
             return ground_pose(xz, heading_rad, self.floor_y)
         return sloped_pose(self.height_at, xz, heading_rad, pitch_over_m)
 
-    @property
+    @cached_property
     def has_stairs(self) -> bool:
         """Returns whether one may walk from one storey to another."""
         return bool(self.heights[:, STEPS].any())

@@ -89,6 +89,8 @@ class RobotDriver:
         self._path: NDArray[np.floating] | Callable[[], NDArray[np.floating]] = NO_PATH
         self._goes_around = False
         """Turned away, it goes by ways around who stands, until it gets somewhere."""
+        self._stands: dict[tuple[FreeSpace, BaseSpec, int, bytes], Array] = {}
+        """Stands found before, by floor, base, island and the point to be reached; skills look for the same ones again."""
         self._gave_up: list[NDArray] = []
         """Places [2] that it did not get to; next time it goes elsewhere, if it can."""
         self._held_up = np.full(3, np.inf), 0
@@ -386,11 +388,8 @@ class RobotDriver:
         state = self.state
         xz, heading, joints = state.xz.copy(), state.heading.copy(), state.joints.copy()
         drive_robots(state, self.free, np.array([self.command]), self.base)
-        most, arm = self.arm_rad_s * STEP_S, joints[0, self._arm]
-        missing = self.arm_goal[self._arm] - arm
-        far = max(map(abs, missing.tolist()), default=0.0)
-        if far > 0.0:
-            self.joints[self._arm] = self.arm_goal[self._arm] if far <= most else arm + missing * (most / far)
+        if joints.tobytes() != self.arm_goal.tobytes():  # most of the time the arm is where it is to be
+            self._move_arm(joints[0])
         if self.meets():
             state.xz[:], state.heading[:] = xz, heading
             if self.base.maneuvers:  # it speeds up from rest
@@ -400,6 +399,14 @@ class RobotDriver:
         k = self.objects.held(self.number)
         if k >= 0:
             self.objects.poses[k] = pose_multiply(self.hand_pose, self.objects.state.grip_pose[0, k])
+
+    def _move_arm(self, joints: NDArray) -> None:
+        """Moves the arm from joint positions [J] by one step towards its goal."""
+        most, arm = self.arm_rad_s * STEP_S, joints[self._arm]
+        missing = self.arm_goal[self._arm] - arm
+        far = max(map(abs, missing.tolist()), default=0.0)
+        if far > 0.0:
+            self.joints[self._arm] = self.arm_goal[self._arm] if far <= most else arm + missing * (most / far)
 
     def _choose_base(self) -> None:
         """Has the base keep clear by what the hand carries too, from where it has the room for that."""

@@ -200,8 +200,11 @@ class RobotActor(RobotDriver):
 
     def stands(self, point: NDArray, base: BaseSpec | None = None, free: FreeSpace | None = None) -> Array:
         """Stands ``(x, z, heading)`` [N, 3] that can be driven to, from which the hand reaches a world point [3]."""
-        free = free or self.free
-        return robot_stands(free, self.robot, base or self.base, point, island=island_of(free, self.xz))
+        free, base = free or self.free, base or self.base
+        known = free, base, island_of(free, self.xz), point.tobytes()
+        if known not in self._stands:
+            self._stands[known] = robot_stands(free, self.robot, base, point, island=known[2])
+        return self._stands[known]
 
     def stands_on(self, free: FreeSpace, point: NDArray) -> Array:
         """Stands on the floor ``free``."""

@@ -115,12 +115,15 @@ class Rearrange(Task):
 
     def judge(self, play: Any) -> StepOutcome:
         """Pays for sub-goals that are reached for the first time; ends with all objects at their goals, or by a contact."""
+        worth = REARRANGE_REWARDS[play.spec.reward]
+        # nothing has changed since a step without any of this, as in ninety-nine steps of a hundred
+        if play.team.is_quiet and play.outcome.columns and play.outcome.reward.item(0) == worth.slack:
+            return play.outcome
         held, at_goal, collides = (
             play.world.state.held_by != NOBODY,
             play.team.at_goal[None],
             np.logical_or.reduce(play.world.touching, axis=1),
         )
-        worth = REARRANGE_REWARDS[play.spec.reward]
         reward, play.memory, done = worth.step(held, at_goal, play.memory, collides.astype(np.float64))
         success = bool(done[0])
         return StepOutcome(

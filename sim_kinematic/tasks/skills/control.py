@@ -74,6 +74,10 @@ class SkillControl(Control):
             choice = (
                 _robot_action(choice, body) if isinstance(body, Robot) else action_of(choice, play.team.objects, number)
             )
+        elif not isinstance(choice.target, int | np.integer):
+            raise InputError(
+                f"Expected the number of an object or a joint as the target, got {choice!r}.", code="H3-TASK-084"
+            )
         elif choice.skill in (*SKILLS, *OPENING_SKILLS) or isinstance(body, Robot):
             play.team.objects.why_not(number, choice)
         if choice.skill == CONTROL and isinstance(body, Robot):

@@ -69,6 +69,8 @@ DTYPES: dict[str, type] = {
 }
 """Types (dtype) of the columns of a step; those of agents without the prefix ``agent_<i>.``."""
 CONTACT = "contact"
+COMMANDED = (CONTROL, *PRIMITIVES)
+"""Skills that move a robot as somebody says."""
 TRACK = 31
 """Past positions of the other agent that a policy sees, the present one included."""
 
@@ -85,6 +87,10 @@ class Household(Team):
         self._joints_moved = False
         self._finishers: frozenset[int] = frozenset()
         """Agents that placed an object at its goal in the last step."""
+        self.is_quiet = False
+        """True if nothing changed hands or came to its goal in the last step, and nobody touched anybody."""
+        self._apart = np.zeros((1, len(play.world.pairs)), np.bool_)
+        """`World.touching` where nobody touches anybody."""
 
     def begin(self, rows: NDArray[np.intp]) -> None:
         """Puts agents and things where the episode begins."""
@@ -240,8 +246,8 @@ class Household(Team):
     def begin_step(self) -> None:
         """Decides who steps aside."""
         super().begin_step()
-        self._held, self._joints = self.objects.held_by.copy(), self.objects.state.joint_pos[0].copy()
-        self.company.begin_step([number for number in self._held.tolist() if number != NOBODY])
+        self._held, self._joints = self.objects.held_by.tolist(), self.objects.state.joint_pos[0].copy()
+        self.company.begin_step([number for number in self._held if number != NOBODY])
 
     def begin_turn(self, number: int) -> None:
         """Shows an agent the others; its policy may interrupt what it does."""
@@ -270,13 +276,18 @@ class Household(Team):
     def move(self, commands: Sequence[Command | None]) -> None:
         """Completes a step in which the agents have moved one after the other."""
         del commands
-        world = self.play.world
+        world, was_at_goal, held_now = self.play.world, self.at_goal, self.objects.held_by.tolist()
         self.company.end_step()
         self.note_places()
-        world.touching = np.array([[pair in self.company.touching for pair in world.pairs]], np.bool_).reshape(1, -1)
+        touching = self.company.touching
+        world.touching = np.array([[pair in touching for pair in world.pairs]], np.bool_) if touching else self._apart
         self.at_goal = self._at_goal()
         self._move_joints(self._joints)
-        self._tell(self._held.tolist(), self.objects.held_by.tolist())
+        self.is_quiet = not touching and held_now == self._held and self.at_goal.tobytes() == was_at_goal.tobytes()
+        if self.is_quiet:
+            self._finishers = frozenset()
+        else:
+            self._tell(self._held, held_now)
 
     @property
     def open_joints(self) -> NDArray[np.bool_]:
@@ -342,8 +353,8 @@ class Household(Team):
     def errand(self, number: int) -> TaskProgress:
         """Progress of an agent with its present task."""
         runner = self.controllers[number]
-        skill, k = runner.action[:2]
-        driven = isinstance(runner.actor, DrivenPerson) or skill in (CONTROL, *PRIMITIVES)
+        skill, k, *_ = runner.action
+        driven = skill in COMMANDED or isinstance(runner.actor, DrivenPerson)
         busy = runner.skill is not None and skill not in IDLE_SKILLS
         return TaskProgress(busy, (skill, k), partial(self._left_m, runner), runner.completed, obeys=not driven)
 
