@@ -5,30 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from h3data.bodies.people.planted_gait import on_stairs
-from h3data.bodies.people.sitting import Sitting, sitting_on
-from h3data.errors import InputError
-from h3data.geometry import Array, heading_from_quat, wrap_angle
+from h3data.bodies.people.sitting import Sitting
+from h3data.geometry import heading_from_quat, wrap_angle
 from h3data.scene.seats import Seat
 from sim_kinematic.agents.person import MotionResult, Person, Skill
+from sim_kinematic.crowd.seating import RISE_S, SIT_S, fit, stand_before
 from sim_kinematic.motion.spec import STEP_S
 
-SIT_S, RISE_S = 2.0, 1.8
-"""Durations of sitting down and of getting up [s]."""
 AWAY_M = tuple(0.3 + 0.1 * k for k in range(8))
 """Distances before the stand, of which the first on free floor is walked to; from there people go straight to it."""
 PLACE_M, HEADING_RAD = 0.06, 0.2
 """A person sits down if they stand this near to where they should."""
-
-
-def seat_stand(person: Person, seat: Seat) -> Array:
-    """Place ``(x, z, heading)`` [3] at which a person stands before they sit down, the back to the seat.
-
-    Raises:
-        InputError: the seat is too high, too low or too shallow for this body.
-    """
-    sitting = _sitting(person, seat)
-    ahead = np.array([np.cos(seat.heading), -np.sin(seat.heading)])
-    return np.append(seat.edge[[0, 2]] - sitting.edge_m * ahead, seat.heading)
 
 
 def sit(person: Person, seat: Seat, seconds: float) -> Skill:
@@ -36,7 +23,7 @@ def sit(person: Person, seat: Seat, seconds: float) -> Skill:
 
     The path goes around furniture where the person knows the floor (`Person.free`), else straight.
     """
-    x, z, heading = seat_stand(person, seat).tolist()
+    x, z, heading = stand_before(person.body, seat).tolist()
     ahead = np.array([[x, z]]) + np.array(AWAY_M)[:, None] * [np.cos(heading), -np.sin(heading)]
     path = ahead[:1]
     if person.free is not None:
@@ -64,37 +51,26 @@ def sit(person: Person, seat: Seat, seconds: float) -> Skill:
 
 def sit_down(person: Person, seat: Seat) -> Skill:
     """Sit down on the seat behind the person."""
-    away = np.linalg.norm(seat_stand(person, seat)[:2] - person.base[[0, 2]])
+    away = np.linalg.norm(stand_before(person.body, seat)[:2] - person.base[[0, 2]])
     turned = abs(wrap_angle(seat.heading - float(heading_from_quat(person.base[3:]))))
     if away > PLACE_M or turned > HEADING_RAD:
         return MotionResult(success=False, reason="not_before_seat", hand_error_m=float(away))
     yield from person.settle()
-    yield from _move(person, _sitting(person, seat), 0.0, 1.0, SIT_S)
+    yield from _move(person, fit(person.body, seat), 0.0, 1.0, SIT_S)
     return MotionResult(success=True)
 
 
 def rest(person: Person, seat: Seat, seconds: float) -> Skill:
     """Remain seated for some time."""
-    yield from _move(person, _sitting(person, seat), 1.0, 1.0, seconds)
+    yield from _move(person, fit(person.body, seat), 1.0, 1.0, seconds)
     return MotionResult(success=True)
 
 
 def get_up(person: Person, seat: Seat) -> Skill:
     """Get up from the seat, and stand."""
-    yield from _move(person, _sitting(person, seat), 1.0, 0.0, RISE_S)
+    yield from _move(person, fit(person.body, seat), 1.0, 0.0, RISE_S)
     yield from person.wait(0.5)
     return MotionResult(success=True)
-
-
-def _sitting(person: Person, seat: Seat) -> Sitting:
-    sitting = sitting_on(person.body, round(seat.height_m, 3))
-    if not sitting.fits(seat.depth_m):
-        raise InputError(
-            f"{person.body.name} needs {sitting.edge_m - sitting.back_m:.2f} m of depth to sit, {seat.name} has "
-            f"{seat.depth_m:.2f} m. Hint: choose a deeper seat.",
-            code="H3-SIM-059",
-        )
-    return sitting
 
 
 def _move(person: Person, sitting: Sitting, start: float, end: float, seconds: float) -> Skill:

@@ -35,6 +35,8 @@ NEAR_END_M = 0.1
 """People who stand somewhere do not step back to it from within this distance."""
 GROUP_S = 0.5
 """Time in which forces of a group become velocities: the time constant of Moussaid et al."""
+SEATED = 3.0
+"""State of people in ``stays`` who sit down, sit or get up: their places are given."""
 BACK_M = 1.5
 """Distance that people in a narrow place go back along their path to let others through."""
 
@@ -191,7 +193,7 @@ def yield_velocity(sdf, origin, cell, x, z, path, cumulative, along, theirs, the
 
 @kernel(error_model="numpy")
 def choose_velocity(
-    sdf, origin, cell, m, places, velocities, radii, body, wx, wz, most, furniture, traits, forces, rules
+    sdf, origin, cell, m, places, velocities, radii, body, stays, wx, wz, most, furniture, traits, forces, rules
 ):
     """Chosen velocity (x, z) [m/s] of person ``m`` who wants ``(wx, wz)``.
 
@@ -204,6 +206,7 @@ def choose_velocity(
         velocities: Their velocities [N, 2] [m/s].
         radii: Their radii [N] [m].
         body: Motion of the crowd's people (`follow`) [M, 4].
+        stays: Who of them stays (`step_crowd`) [M, 3]; who is seated does not make way.
         wx: Wanted velocity [m/s].
         wz: The same along z.
         most: Greatest speed [m/s].
@@ -276,7 +279,7 @@ def choose_velocity(
     for k in range(count):
         j = near[k]
         px, pz = places[j, 0] - x, places[j, 1] - z
-        share = 0.5 if j < len(body) else 1.0
+        share = 0.5 if j < len(body) and stays[j, 2] != SEATED else 1.0
         reach, ahead_s, jx, jz = reach_between(m, j, px, pz, radii, body), horizon, velocities[j, 0], velocities[j, 1]
         if len(body) <= j < len(body) + furniture:
             ahead_s, jx, jz = rules[1], 0.0, 0.0
@@ -411,7 +414,8 @@ def step_crowd(
         claims: Narrow places that people are in or before (`claim_passages`) [M, 6].
         body: Motion of the bodies (`follow`) [M, 4].
         chosen: Chosen velocities [M, 2] [m/s].
-        stays: Place that a person who stands faces (x, z), and 0: walks, 1: stands as they come, 2: stands and faces it [M, 3].
+        stays: Place that a person who stands faces (x, z), and 0: walks, 1: stands as they come, 2: stands and faces it,
+            `SEATED`: is where ``places`` say [M, 3].
         company: Number of the group with which each person walks, -1: none [M].
         moods: Number of each person's reaction, the step in which it began, and 1 while they react (`notice`) [M, 3].
         looks: Place that each person faces (x, z), and 1 if there is one [M, 3].
@@ -438,7 +442,7 @@ def step_crowd(
             best[m, 1] = step
     for m in range(len(counts)):
         pause = max(int(traits[m, 2] / dt + 0.5), 1)
-        if (step + m) % pause != 0:
+        if (step + m) % pause != 0 or stays[m, 2] == SEATED:
             continue
         path, cumulative = paths[m, : counts[m]], lengths[m, : counts[m]]
         x, z, most = places[m, 0], places[m, 1], traits[m, 0]
@@ -492,7 +496,9 @@ def step_crowd(
         walks_up = moods[m, 2] > 0.0 and reaction[5] > 0.0
         furniture = of_robots if walks_up or int(moods[m, 0]) == IMPASSIVE else 0
         chosen[m, 0], chosen[m, 1] = choose_velocity(
-            sdf, origin, cell, m, places, velocities, radii, body, wx, wz, most, furniture, traits, forces, rules
+            sdf, origin, cell, m, places, velocities, radii, body, stays, wx, wz, most, furniture, traits, forces, rules
         )
     for m in range(len(counts)):
+        if stays[m, 2] == SEATED:
+            continue
         follow(sdf, origin, cell, m, places, radii, body, chosen, looks, limits, dt)

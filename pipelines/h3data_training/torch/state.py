@@ -37,7 +37,7 @@ class RobotTensors(NamedTuple):
 
 
 class HumanTensors(NamedTuple):
-    """One person of each world; the fields are those of `HumanState`, but arms, which always swing here."""
+    """One person of each world; the fields are those of `HumanState`, but arms, which always swing here, and seats."""
 
     xz: Tensor
     heading: Tensor

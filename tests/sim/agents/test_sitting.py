@@ -14,7 +14,8 @@ from h3data.recording.records import STEP_NS, Agent, Episode, Recording
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.seats import Seat, seats_of
 from sim_kinematic.agents.person import Person, joint_steps, run
-from sim_kinematic.agents.sitting import get_up, seat_stand, sit, sit_down
+from sim_kinematic.agents.sitting import get_up, sit, sit_down
+from sim_kinematic.crowd.seating import stand_before
 
 SEAT = Seat(name="chair", category="chair", edge=np.array([0.0, 0.46, 0.0]), heading=0.3, depth_m=0.5, height_m=0.46)
 
@@ -26,7 +27,7 @@ def home() -> Scene:
 
 def before(seat: Seat, name: str = "female_0") -> Person:
     person = Person(load_humanoid(name), ground_pose(np.zeros(2), 0.0))
-    x, z, heading = seat_stand(person, seat)
+    x, z, heading = stand_before(person.body, seat)
     return Person(person.body, ground_pose(np.array([x, z]), heading))
 
 
