@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ from sim_kinematic.crowd.company import standing_circle
 from sim_kinematic.crowd.errands import Errand, Guide
 from sim_kinematic.crowd.reactions import REACTIONS
 from sim_kinematic.crowd.roles import ALONE, Role
-from sim_kinematic.crowd.seating import SeatPlace, sit_for
+from sim_kinematic.crowd.seating import Motion, SeatPlace, sit_for
 from sim_kinematic.crowd.step import SEATED, step_crowd, who_decides
 from sim_kinematic.crowd.traits import CrowdSpec, Traits
 from sim_kinematic.motion.randomness import generator
@@ -124,7 +124,7 @@ class Crowd:
         self.seats = np.zeros((people, 2))
         """Height of the seat on which each person sits [m], and share of the path from standing to sitting, [M, 2]."""
         self._taken: dict[Any, SeatPlace] = {} if places is None else places
-        self._sitting: dict[int, Iterator[tuple[Array, float]]] = {}
+        self._sitting: dict[int, tuple[SeatPlace, Motion]] = {}
         """Motion of those who sit down, sit or get up,"""
         self._waits: dict[int, tuple[Array, float]] = {}
         """and their next place, while somebody stands there."""
@@ -206,7 +206,8 @@ class Crowd:
     def _move_seated(self, m: int, places: Array, radii: Array, step: int) -> None:
         """Moves somebody who sits down, sits or gets up by one step, in ``places`` [N, 2], unless somebody is in the way."""
         was, share = places[m].copy(), self.seats[m, 1]
-        moved = self._waits.pop(m, None) or next(self._sitting[m], None)
+        (seat, *_), motion = self._sitting[m]
+        moved = self._waits.pop(m, None) or next(motion, None)
         if moved is None:
             del self._sitting[m]
             self._until[m] = step
@@ -220,10 +221,10 @@ class Crowd:
             return
         places[m] = x, z
         self._body[m] = heading, 0.0, 0.0, heading
-        self.seats[m] = self._errands[m].seat.seat.height_m, now
+        self.seats[m] = seat.height_m, now
         for kind, begins in (("sits_down", share == 0 < now), ("gets_up", share == 1 > now)):
             if begins:
-                self.new_events.append((m, kind, self._errands[m].seat.seat.name, ""))
+                self.new_events.append((m, kind, seat.name, ""))
 
     def _meet(self, xz: Array) -> None:
         """Finds the places of those who stand and talk."""
@@ -249,7 +250,7 @@ class Crowd:
                 if not arrived[m]:
                     continue
                 here = np.append(xz[m], self._body[m, 0])
-                self._sitting[m] = sit_for(here, errand.seat, errand.seconds)
+                self._sitting[m] = errand.seat, sit_for(here, errand.seat, errand.seconds)
             if errand.seconds > 0:
                 if not arrived[m]:
                     self._set_path(m, np.array([xz[m], xz[m]], np.float64))

@@ -121,6 +121,20 @@ class Seats:
             )
         return SeatPlace(seat, before, stand)
 
+    def nearest(self, xz: Array, within_m: float, taken: Sequence[Array] = ()) -> SeatPlace | None:
+        """Return how to use the nearest seat that fits, within a distance [m] of a place [2]; None: there is none."""
+        gaps = {seat.name: float(np.hypot(*(seat.edge[[0, 2]] - xz))) for seat in self._seats}
+        for seat in sorted(self._seats, key=lambda seat: gaps[seat.name]):
+            if gaps[seat.name] > within_m:
+                break
+            try:
+                place = self.place(seat, taken)
+            except InputError:
+                continue
+            if np.isfinite(self._free.geodesic(xz, place.before[:2])):
+                return place
+        return None
+
     def _find_before(self, seat: Seat, stand: Array) -> Array | None:
         """Place ``(x, z, heading)`` from which the person steps back to the seat; None: there is none."""
         sitting, heading = fit(self._body, seat), float(stand[2])
@@ -154,25 +168,38 @@ class Seats:
         return True
 
 
-def sit_for(here: Array, place: SeatPlace, seconds: float) -> Iterator[tuple[Array, float]]:
-    """Yield place ``(x, z, heading)`` [3] and share of sitting [0..1] in each step of a person who sits for some time.
+Motion = Iterator[tuple[Array, float]]
+"""Place ``(x, z, heading)`` [3] of a person and share of sitting, 0 to 1, after each step."""
 
-    Begins and ends before the seat.
-    """
+
+def sit_for(here: Array, place: SeatPlace, seconds: float) -> Motion:
+    """Yield the motion of somebody who comes from a place [3] before a seat, sits for some time, and goes back there."""
+    yield from take_seat(here, place)
+    yield from _shares(place.stand, 1, 1, seconds)
+    yield from leave_seat(place.stand, place, 1.0)
+
+
+def take_seat(here: Array, place: SeatPlace) -> Motion:
+    """Yield the motion of somebody who comes from a place [3] before a seat and sits down."""
     for start, end in ((here, place.before), (place.before, place.stand)):
         yield from ((at, 0.0) for at in _steps(start, end))
-    for start, end, duration in (
-        (0, 0, SETTLE_S),
-        (0, 1, SIT_S),
-        (1, 1, seconds),
-        (1, 0, RISE_S),
-        (0, 0, SETTLE_S / 2),
-    ):
-        steps = max(round(duration / STEP_S), 1)
-        u = np.arange(1, steps + 1) / steps
-        for share in (start + (end - start) * u**3 * (10 - 15 * u + 6 * u * u)).tolist():
-            yield place.stand, share
-    yield from ((at, 0.0) for at in _steps(place.stand, place.before))
+    yield from _shares(place.stand, 0, 0, SETTLE_S)
+    yield from _shares(place.stand, 0, 1, SIT_S)
+
+
+def leave_seat(here: Array, place: SeatPlace, share: float) -> Motion:
+    """Yield the motion of somebody at a place [3], so far on the way to sitting, who gets up and steps away."""
+    if share > 0:
+        yield from _shares(here, share, 0, RISE_S * (0.5 + share / 2))
+        yield from _shares(here, 0, 0, SETTLE_S / 2)
+    yield from ((at, 0.0) for at in _steps(here, place.before))
+
+
+def _shares(at: Array, start: float, end: float, seconds: float) -> Motion:
+    steps = max(round(seconds / STEP_S), 1)
+    u = np.arange(1, steps + 1) / steps
+    for share in (start + (end - start) * u**3 * (10 - 15 * u + 6 * u * u)).tolist():
+        yield at, share
 
 
 def _steps(start: Array, end: Array) -> Iterator[Array]:

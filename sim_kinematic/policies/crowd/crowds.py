@@ -126,7 +126,6 @@ class Crowds:
             Event(step=self._step, agent=own[m], kind=kind, target=target, detail=detail)
             for m, kind, target, detail in self._crowds[model].new_events
         ]
-        for number, place, angle, seat in zip(
-            members, places, headings.tolist(), self._crowds[model].seats.tolist(), strict=True
-        ):
-            self._moved[number] = PoseAction(place, angle, tuple(seat))
+        seats = self._crowds[model].seats.tolist()
+        for number, place, angle, (height, share) in zip(members, places, headings.tolist(), seats, strict=True):
+            self._moved[number] = PoseAction(place, angle, (height, share))

@@ -65,7 +65,7 @@ def living_room() -> Scene:
         Instance(name=name, asset=name, pose=np.array([x, 0.0, z, 0, 0, 0, 1]), motion="static")
         for name, (x, z) in places.items()
     )
-    return replace(room, assets=room.assets | assets, instances=(*room.instances, *placed))
+    return replace(room, assets={**room.assets, **assets}, instances=(*room.instances, *placed))
 
 
 ROOM = living_room()
