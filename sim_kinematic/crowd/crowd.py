@@ -268,7 +268,7 @@ class Crowd:
             self._taken.pop((id(self), m), None)
             if self._company[m] not in (-1, m):
                 goal = np.asarray(self.goals[self._company[m]], np.float64)
-                errands = [self._guides[m](xz[m], goal, self._stands)]
+                errands = [self._guides[m](xz[m], goal, self._taken_from(m))]
             else:
                 compares = stuck[m] and self._errands[m].seconds == 0
                 errands = self._errands_from(m, xz[m], STUCK_PATHS if compares else 1)
@@ -292,7 +292,7 @@ class Crowd:
         """Up to ``most`` errands of a person to goals that they have not reached already."""
         errands: list[Errand] = []
         for _ in range(ATTEMPTS):
-            errand = self._guides[m](np.asarray(xz, np.float64), None, self._stands)
+            errand = self._guides[m](np.asarray(xz, np.float64), None, self._taken_from(m))
             path = errand.path
             if len(path) > 1 and (errand.seconds > 0 or np.hypot(*(path[-1] - xz)) >= ARRIVED_M):
                 errands.append(errand)
@@ -300,10 +300,10 @@ class Crowd:
                 break
         return errands
 
-    @property
-    def _stands(self) -> list[Array]:
-        """Places ``(x, z, heading)`` before seats that somebody has."""
-        return [place.stand for place in self._taken.values()]
+    def _taken_from(self, m: int) -> list[Array]:
+        """Places [2 or 3] where others sit or stay, or go to do so; in all crowds, those before seats."""
+        seats = [place.stand for who, place in self._taken.items() if who != (id(self), m)]
+        return seats + [errand.path[-1] for j, errand in enumerate(self._errands) if errand.seconds > 0 and j != m]
 
     def _set_path(self, m: int, path: NDArray[np.float64]) -> None:
         if len(path) > self._paths.shape[1]:

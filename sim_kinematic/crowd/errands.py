@@ -32,5 +32,5 @@ class Errand(NamedTuple):
 
 
 Guide = Callable[[NDArray[np.float64], NDArray[np.float64] | None, Sequence[Array]], Errand]
-"""Returns the next errand of somebody at a place [2] [m], or the way from there to the goal [2] of their group. Others sit, or
-go to sit, at places ``(x, z, heading)``."""
+"""Returns the next errand of somebody at a place [2] [m], or the way from there to the goal [2] of their group. Others sit or
+stay, or go to do so, at places ``(x, z, ...)``."""

@@ -60,9 +60,11 @@ MORNING = ("wash", "dress", "put_on_shoes", "fetch", "cook", "eat", "look_out", 
 """Order of a morning, of which each person leaves out some."""
 KEPT = 0.7
 """Share of activities that a person does not leave out."""
+PERSON_M = 1.0
+"""Distance from others within which nobody stays."""
 POSTURES = ("stand", "sit")
 """Postures that people of crowds have."""
-BESIDE_M, ROOM_M, BEARINGS = 0.9, 0.27, 48
+BESIDE_M, ROOM_M, BEARINGS = 0.9, 0.33, 48
 """People stand at most so far from a thing, with so much room; directions that are tried."""
 
 
@@ -88,7 +90,7 @@ def place_beside(
     angles = 2 * np.pi * np.arange(BEARINGS) / BEARINGS
     away = np.stack([np.cos(angles), np.sin(angles)], 1)
     edge = np.clip((low + high) / 2 + away * np.hypot(*(high - low)), low, high)
-    at = np.concatenate([edge + gap * away for gap in (0.3, 0.45, 0.6, BESIDE_M)])
+    at = np.concatenate([edge + gap * away for gap in (0.4, 0.5, 0.6, BESIDE_M)])
     faced = np.tile(edge, (4, 1))
     far = free.geodesic(np.broadcast_to(near, at.shape), at)
     fits = np.flatnonzero(np.isfinite(far) & (free.signed_distance(at) >= ROOM_M))
@@ -147,7 +149,8 @@ class Routine:
     ) -> tuple[NDArray[np.float64], Errand] | None:
         """Place [2] of the next stop that somebody at a place [2] can walk to, and its errand, whose path is to be found.
 
-        They sit if the activity is one of sitting and the place has a seat for them which is not ``taken`` [K, 3].
+        They sit if the activity is one of sitting and the place has a seat for them. An entry whose place others have ``taken``
+        ``(x, z, ...)`` waits for its next turn.
         """
         for _ in self.stops:
             stop = self.stops[self._next % len(self.stops)]
@@ -164,7 +167,7 @@ class Routine:
                         at = np.asarray(place.before[:2], np.float64)
                         return at, Errand(np.zeros((0, 2)), stop.seconds, None, stop.activity, stop.place, place)
             beside = place_beside(self._scene, self._free, stop.place, xz)
-            if beside is not None:
+            if beside is not None and all(np.hypot(*(beside[0] - other[:2])) >= PERSON_M for other in taken):
                 at, (x, z) = beside
                 look = float(x), float(z)
                 return at, Errand(np.zeros((0, 2)), stop.seconds, look, stop.activity, stop.place, None, refused)

@@ -1,7 +1,7 @@
 """Seats that a person can use, and the motion to them: back to the seat, a step back, down; later up and away.
 
 A place before the seat is sought on the floor on which people walk. From there a person steps straight to the seat with the
-back to it, also sideways between a sofa and its table. A seat is refused where the body would be in a thing on this path.
+back to it. A seat is refused where the body would be in a thing on this path.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ STEP_MPS, TURN_RAD_S = 0.35, 1.2
 """Mean speeds of steps and of turns before a seat."""
 AWAY_M = tuple(0.1 * k for k in range(1, 13))
 """Distances from where people stand before they sit to where they turn, of which the first with room is taken."""
-SIDES_RAD = tuple(math.radians(angle) for angle in (0, 20, -20, 40, -40, 60, -60, 80, -80))
-"""Directions of this step, from straight ahead of the seat on."""
+SIDES_RAD = tuple(math.radians(angle) for angle in (0, 20, -20, 40, -40))
+"""Directions of this step, from straight ahead of the seat on. Feet that step farther sideways would get into the seat."""
 ROOM_M = 0.27
 """Room that the place has."""
 DEPTH_M = 0.018
@@ -99,7 +99,7 @@ class Seats:
         return [self._seats[k] for k in np.argsort(gaps, kind="stable") if gaps[k] < BESIDE_M]
 
     def place(self, seat: Seat, taken: Sequence[Array] = ()) -> SeatPlace:
-        """Return how to use a seat, while others stand before seats or sit there at ``taken`` ``(x, z, heading)``.
+        """Return how to use a seat, while others have the places ``taken`` ``(x, z, ...)``.
 
         Raises:
             InputError: the seat does not fit the body, somebody has it, or there is no room before it.

@@ -21,6 +21,9 @@ from sim_kinematic.motion.stride import point_along, progress_along, slide_along
 
 WALL_M = 0.25
 """Radius with which people keep clear of walls and furniture, beside which their arms fold."""
+FOOT_M, FOOT_S, FOOT_ROOM_M = 0.2, 0.1, 0.17
+"""Distance ahead of a person who stands at which a foot steps, time by whose way it is farther when they walk, and the room
+that a foot needs there."""
 CREEP_MPS = 0.25
 """At this speed people step in any direction, whatever they look at."""
 AHEAD_M = 0.1
@@ -29,8 +32,8 @@ PROGRESS_M = 0.25
 """Who has got on along the path by this much is not stuck."""
 SLIDES = 3
 """Attempts to go past others whom a step would touch."""
-STRIDE_M, STRIDE_MPS = 0.2, 0.1
-"""Feet and hands of people who walk faster than this reach so much farther ahead and behind than sideways."""
+STRIDE_M = 0.2
+"""Feet and hands of people reach so much farther ahead and behind than sideways."""
 NEAR_END_M = 0.1
 """People who stand somewhere do not step back to it from within this distance."""
 GROUP_S = 0.5
@@ -59,11 +62,12 @@ def sees(sdf, origin, cell, ax, az, bx, bz):
 def reach_between(m, j, px, pz, radii, body):
     """Least distance [m] between person ``m`` and disc ``j`` at ``(px, pz)`` from them.
 
-    It is the sum of both radii, and more along the line in which somebody walks.
+    It is the sum of both radii, and more along the line in which somebody looks: feet and hands reach ahead and behind at once
+    when they set off.
     """
     reach, line = radii[m] + radii[j], math.atan2(-pz, px)
     for k in (m, j):
-        if k < len(body) and body[k, 2] > STRIDE_MPS:
+        if k < len(body):
             reach += STRIDE_M * math.cos(body[k, 0] - line) ** 2
     return reach
 
@@ -273,9 +277,16 @@ def choose_velocity(
         span = traits[m, 2]
         wx, wz = vx + ax * span, vz + az * span
         horizon = rules[2]
-    planes = np.empty((count + 1, 3))
+    planes = np.empty((count + 2, 3))
     planes[0, 0], planes[0, 1] = gx, gz
     planes[0, 2] = -(clear - WALL_M) / rules[1]
+    # the foot ahead comes no nearer to what it would step into
+    ahead = FOOT_M + FOOT_S * body[m, 2]
+    fx, fz = x + ahead * math.cos(body[m, 0]), z - ahead * math.sin(body[m, 0])
+    gx, gz = sdf_gradient(sdf, origin, cell, fx, fz)
+    steep = max(math.hypot(gx, gz), 1e-9)
+    planes[1, 0], planes[1, 1] = gx / steep, gz / steep
+    planes[1, 2] = min(FOOT_ROOM_M - sample_sdf(sdf, origin, cell, fx, fz), 0.0) / rules[1]
     for k in range(count):
         j = near[k]
         px, pz = places[j, 0] - x, places[j, 1] - z
@@ -286,8 +297,8 @@ def choose_velocity(
         else:
             reach += rules[4]
         nx, nz, offset = half_plane(px, pz, vx - jx, vz - jz, reach, ahead_s, 0.5, share)
-        planes[k + 1, 0], planes[k + 1, 1], planes[k + 1, 2] = nx, nz, offset + nx * vx + nz * vz
-    return nearest_velocity(planes, count + 1, wx, wz, most)
+        planes[k + 2, 0], planes[k + 2, 1], planes[k + 2, 2] = nx, nz, offset + nx * vx + nz * vz
+    return nearest_velocity(planes, count + 2, wx, wz, most)
 
 
 @kernel(error_model="numpy")

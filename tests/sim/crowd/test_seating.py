@@ -45,7 +45,7 @@ def _box(low: tuple[float, ...], high: tuple[float, ...]) -> Box:
 def living_room() -> Scene:
     """A hall of 6 x 5 m with a sofa of two places, a chair under a table, and a bench of 0.68 m."""
     room = hall(6.0, 5.0)
-    seat = _box((-0.65, 0.0, -0.4), (0.65, 0.45, 0.4)), _box((-0.65, 0.0, -0.4), (0.65, 0.9, -0.2))
+    seat = _box((-0.85, 0.0, -0.4), (0.85, 0.45, 0.4)), _box((-0.85, 0.0, -0.4), (0.85, 0.9, -0.2))
     things = {
         SOFA: ("sofa", seat),
         TUCKED: ("chair", (_box((-0.2, 0, -0.25), (0.2, 0.46, 0.25)),)),
@@ -141,7 +141,7 @@ def test_refused_seats_say_why():
     first = room.place(seats["sofa:0"])
     for name, taken, code in (
         ("sofa:0", [first.stand], "H3-SIM-064"),
-        ("sofa:1", [first.stand], "H3-SIM-064"),
+        ("sofa:1", [first.stand - [0.3, 0, 0]], "H3-SIM-064"),
         (TUCKED, [], "H3-SIM-065"),
         (HIGH, [], "H3-BODY-178"),
     ):
