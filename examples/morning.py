@@ -16,22 +16,27 @@ import h3data
 from h3data.recording import Recording, write_mcap
 from h3data.render.image_files import write_png
 from h3data.render.video import VideoWriter
-from h3data.replay import CameraTrack, Replay, camera_track
+from h3data.replay import Replay, camera_track
 from sim_kinematic.crowd.routines import Routine, Stop
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 
-SCENE, SEED, SECONDS, FPS = "medium2:1", 3, 60, 30
+SCENE, SEED, SECONDS, FPS = "medium2:1", 11, 60, 30
 ROSTER = ("robot", "female_1", "male_2", "female_3")
-SIZE = 1280, 720
+SIZE = 640, 360
 ROUTINES = {
     1: (Stop("kitchen_counter_0", "cook", 9.0), Stop("sofa_0", "read", 12.0), Stop("window_2", "look_out", 6.0)),
     2: (Stop("fridge_0", "fetch", 5.0), Stop("sofa_0", "read", 16.0), Stop("kitchen_counter_0", "cook", 9.0)),
     3: (Stop("sofa_0", "read", 12.0), Stop("fridge_0", "fetch", 5.0), Stop("window_2", "look_out", 6.0)),
 }
 """Places, activities and seconds of each person."""
-SHOTS = ((0, "human_1/third_person"), (20, "living.toml"), (45, "human_2/third_person"))
-"""Cameras, and the seconds at which their shots begin."""
-LIVING = "eye = [4.6, 2.2, 7.6]\ntarget = [7.6, 0.7, 10.4]\nhfov_deg = 75\n"
+CAMERAS = {
+    "kitchen": "eye = [5.2, 2.3, 6.3]\ntarget = [7.2, 0.5, 3.8]\nhfov_deg = 80\n",
+    "stove": "eye = [8.8, 2.3, 6.2]\ntarget = [6.2, 0.5, 3.9]\nhfov_deg = 80\n",
+    "sofa": "eye = [5.3, 2.2, 12.4]\ntarget = [7.9, 0.5, 9.6]\nhfov_deg = 80\n",
+    "living": "eye = [5.2, 2.3, 7.2]\ntarget = [7.6, 0.5, 10.2]\nhfov_deg = 80\n",
+}
+SHOTS = ((0, "kitchen"), (7, "sofa"), (25, "living"), (32, "third_person"), (38, "sofa"), (46, "stove"))
+"""Seconds at which the shots begin, and their cameras: `CAMERAS`, or named ones."""
 
 
 def resident(task: Any, episode: Any, number: int) -> CrowdPolicy:
@@ -43,7 +48,7 @@ def resident(task: Any, episode: Any, number: int) -> CrowdPolicy:
 
 def play(seed: int = SEED) -> Recording:
     """Simulates the minute."""
-    agents = {"human": f"{__name__}:resident", "robot": "wander"}
+    agents = {"human": f"{Path(__file__).stem}:resident", "robot": "wander"}
     return h3data.simulate(
         "wander", SCENE, roster=ROSTER, agents=agents, seed=seed, max_steps=SECONDS * FPS, spawn_distance_m=1.0
     )
@@ -52,16 +57,17 @@ def play(seed: int = SEED) -> Recording:
 def film(recording: Recording, folder: Path) -> None:
     """Renders the shots one after the other, and a sheet of every twelve seconds."""
     replay = Replay(recording, light="baked")
-    (folder / "living.toml").write_text(LIVING)
-    cut = [start * FPS for start, _ in SHOTS] + [len(recording)]
+    for name, text in CAMERAS.items():
+        (folder / f"{name}.toml").write_text(text)
+    cut = [*(start * FPS for start, _ in SHOTS), len(recording)]
     frames = []
     with VideoWriter(folder / "morning.mp4", fps=FPS, width=SIZE[0], height=SIZE[1]) as video:
         for (_, name), start, end in zip(SHOTS, cut[:-1], cut[1:], strict=True):
-            track: CameraTrack = camera_track(replay, str(folder / name) if name.endswith(".toml") else name)
-            for step, (outputs,) in replay.frames([track.resized(*SIZE)], range(start, end), samples=4, threads=2):
+            track = camera_track(replay, str(folder / f"{name}.toml") if name in CAMERAS else name).resized(*SIZE)
+            for step, (outputs,) in replay.frames([track], range(start, end), samples=4, threads=2):
                 video.write(outputs["rgb"])
                 if step % FPS == 0:
-                    frames.append(outputs["rgb"][::3, ::3])
+                    frames.append(outputs["rgb"])
     for k in range(0, len(frames), 12):
         rows = [np.hstack(frames[j : j + 4]) for j in range(k, k + 12, 4)]
         write_png(folder / f"sheet_{k // 12}.png", np.vstack(rows))

@@ -90,7 +90,7 @@ def place_beside(
     angles = 2 * np.pi * np.arange(BEARINGS) / BEARINGS
     away = np.stack([np.cos(angles), np.sin(angles)], 1)
     edge = np.clip((low + high) / 2 + away * np.hypot(*(high - low)), low, high)
-    at = np.concatenate([edge + gap * away for gap in (0.4, 0.5, 0.6, BESIDE_M)])
+    at = np.concatenate([edge + gap * away for gap in (0.5, 0.6, 0.75, BESIDE_M)])
     faced = np.tile(edge, (4, 1))
     far = free.geodesic(np.broadcast_to(near, at.shape), at)
     fits = np.flatnonzero(np.isfinite(far) & (free.signed_distance(at) >= ROOM_M))

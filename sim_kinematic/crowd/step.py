@@ -21,7 +21,7 @@ from sim_kinematic.motion.stride import point_along, progress_along, slide_along
 
 WALL_M = 0.25
 """Radius with which people keep clear of walls and furniture, beside which their arms fold."""
-FOOT_M, FOOT_S, FOOT_ROOM_M = 0.2, 0.1, 0.17
+FOOT_M, FOOT_S, FOOT_ROOM_M = 0.2, 0.1, 0.22
 """Distance ahead of a person who stands at which a foot steps, time by whose way it is farther when they walk, and the room
 that a foot needs there."""
 CREEP_MPS = 0.25
