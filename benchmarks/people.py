@@ -8,7 +8,8 @@ Measured pedestrians (ETH and UCY data sets, our own statistics) give the ranges
     Mean and standard deviation, between people, of the median speed of those who walk with nobody within 2 m: 0.84 to 1.48
     and 0.30 to 0.42 outdoors. Homes make people turn, so the hall's figure is the one to compare.
 ``speed_drop_mps``
-    Loss of speed for each 0.1 person/m2 within 2.5 m: 0.02 to 0.09.
+    Loss of speed for each 0.1 person/m2 of floor within 2.5 m: 0.02 to 0.09 outdoors, where all of this circle is floor. In
+    homes about half of it is walls, furniture, or other sides of them.
 ``speed_drop_open_mps``, ``narrow_share``
     The same of those who are 0.8 m from walls and furniture or more; share of walking nearer than 0.55 m, where two people
     cannot pass each other.
@@ -20,7 +21,8 @@ Measured pedestrians (ETH and UCY data sets, our own statistics) give the ranges
 ``standing``
     Share of person-steps slower than 0.1 m/s: 0.05 to 0.34.
 ``contacts_per_person_hour``, ``gridlocks_per_person_hour``
-    Steps in which bodies touch, by FCL; periods of 20 s in which nobody gets on by 0.5 m. Both should be 0.
+    Steps in which bodies touch, by FCL; periods of 20 s in which nobody of those who are on the way all the time gets on by
+    0.5 m, while others may stay somewhere on purpose, as people do who talk. Both should be 0.
 
 ``people.<model>.p8_steps_per_cpu_s``, ``p24_steps_per_cpu_s``: steps of 8 and 24 people in a large home, with contact and
 recording. ``people.<model>.w16_p4_env_steps_per_cpu_s``: steps of 16 worlds of ``crowd_nav`` with 4 people each, all worlds
@@ -60,6 +62,8 @@ NEAR_M, ALONE_M, AROUND_M = 3.0, 2.0, 2.5
 COMPANY = {"company": ("walk1", "walk1", "talk1", "talk1"), "mornings": ("morning",) * 4}
 """People in company in the same homes, and people who follow a routine."""
 OPEN_M = 0.8
+POINTS, EVERY = 200, 5
+"""Points by which the floor around somebody is measured, in every fifth step."""
 GRIDLOCK_S, GETS_ON_M = 20, 0.5
 
 
@@ -111,14 +115,36 @@ class Walks(NamedTuple):
     """Whether anybody touches anybody [T]."""
     room: Array
     """Distance to walls and furniture [T, P] [m]."""
+    floor: Array
+    """Area of the floor on which people can walk within `AROUND_M` of each person [T, P] [m2]."""
+    goes: Array
+    """Whether each person is on the way, rather than staying somewhere to do something [T, P]."""
 
     @classmethod
-    def of(cls, recording: Recording, free: FreeSpace) -> Walks:
-        """Positions and velocities of a recording's people."""
+    def of(cls, recording: Recording, scene: Scene, free: FreeSpace) -> Walks:
+        """Positions and velocities of a recording's people in a home and on its floor."""
         columns, people = recording.columns, len(recording.agents)
         xz = np.stack([columns[f"agent_{k}.base_pose"][:, [0, 2]] for k in range(people)], 1).astype(np.float64)
         room = free.signed_distance(xz.reshape(-1, 2)).reshape(xz.shape[:2])
-        return cls(xz, np.diff(xz, axis=0) * RATE, np.asarray(columns["metrics.collision"]), room)
+        goes = np.ones(room.shape, np.bool_)
+        for event in recording.events:
+            if event.kind in ("activity", "walks_to"):
+                goes[event.step :, event.agent] = event.kind == "walks_to"
+        touching = np.asarray(columns["metrics.collision"])
+        return cls(xz, np.diff(xz, axis=0) * RATE, touching, room, floor_around(scene, free, xz), goes)
+
+
+def floor_around(scene: Scene, free: FreeSpace, xz: Array) -> Array:
+    """Area [T, P] [m2] of the free floor of rooms within `AROUND_M` of places [T, P, 2], by points of a sunflower."""
+    k = np.arange(POINTS) + 0.5
+    ring = AROUND_M * np.sqrt(k / POINTS) * np.stack([np.cos(2.4 * k), np.sin(2.4 * k)])
+    at = xz[::EVERY, :, None] + ring.T
+    rooms = np.concatenate([room.rectangles for room in scene.rooms])
+    inside = np.zeros(at.shape[:-1], np.bool_)
+    for x0, z0, x1, z1 in rooms:
+        inside |= (at[..., 0] > x0) & (at[..., 0] < x1) & (at[..., 1] > z0) & (at[..., 1] < z1)
+    area = np.pi * AROUND_M**2 * (inside & (free.signed_distance(at) > 0)).mean(-1)
+    return np.repeat(area, EVERY, axis=0)[: len(xz)]
 
 
 def describe(walks: Sequence[Walks]) -> dict[str, tuple[float, str]]:
@@ -127,7 +153,7 @@ def describe(walks: Sequence[Walks]) -> dict[str, tuple[float, str]]:
     density, speeds, standing, rooms = [], [], [], []
     contacts = gridlocks = 0
     hours = 0.0
-    for xz, velocity, touching, room in walks:
+    for xz, velocity, touching, room, floor, goes in walks:
         speed = np.hypot(*velocity.transpose(2, 0, 1))
         gaps = np.hypot(*(xz[:-1, :, None] - xz[:-1, None]).transpose(3, 0, 1, 2))
         gaps[:, np.arange(xz.shape[1]), np.arange(xz.shape[1])] = np.inf
@@ -135,7 +161,7 @@ def describe(walks: Sequence[Walks]) -> dict[str, tuple[float, str]]:
         free_speeds += [
             float(np.median(speed[rows, k])) for k, rows in enumerate((walking & alone).T) if rows.sum() > 60
         ]
-        density.append((((gaps < AROUND_M).sum(2) + 1) / (np.pi * AROUND_M**2))[walking])
+        density.append((((gaps < AROUND_M).sum(2) + 1) / floor[:-1])[walking])
         speeds.append(speed[walking])
         rooms.append(room[:-1][walking])
         standing.append((speed < 0.1).ravel())
@@ -143,7 +169,9 @@ def describe(walks: Sequence[Walks]) -> dict[str, tuple[float, str]]:
         hours += xz.shape[0] * xz.shape[1] / RATE / 3600
         window = GRIDLOCK_S * RATE
         for start in range(0, len(xz) - window, window):
-            gridlocks += bool((np.ptp(xz[start : start + window], axis=0).max(1) < GETS_ON_M).all())
+            rows = slice(start, start + window)
+            wants = goes[rows].all(0)
+            gridlocks += bool(wants.any() and (np.ptp(xz[rows][:, wants], axis=0).max(1) < GETS_ON_M).all())
         for a, b in combinations(range(xz.shape[1]), 2):
             near = np.flatnonzero(np.diff(np.concatenate([[0], gaps[:, a, b] < NEAR_M, [0]])))
             for first, last in zip(near[::2], near[1::2], strict=True):
@@ -208,15 +236,15 @@ def run(emit: Emit, *, episodes: int = 2) -> None:
             emit(f"people.{model}.p{count}_steps_per_cpu_s", 1800 / (time.process_time() - began), "steps/s")
         emit(f"people.{model}.w16_p4_env_steps_per_cpu_s", _env_speed(model), "steps/s")
         places = {
-            "hall": [Walks.of(walk(room, floor, 24, model, 100 + k, steps), floor) for k in range(episodes)],
+            "hall": [Walks.of(walk(room, floor, 24, model, 100 + k, steps), room, floor) for k in range(episodes)],
             "homes": [
-                Walks.of(walk(*home, 4, model, 100 + k, steps), home[1]) for home in homes for k in range(episodes)
+                Walks.of(walk(*home, 4, model, 100 + k, steps), *home) for home in homes for k in range(episodes)
             ],
         }
         for name, words in COMPANY.items():
             partner = ",".join(f"{model}+{word}" for word in words)
             places[name] = [
-                Walks.of(walk(*home, 4, partner, 100 + k, steps), home[1]) for home in homes for k in range(episodes)
+                Walks.of(walk(*home, 4, partner, 100 + k, steps), *home) for home in homes for k in range(episodes)
             ]
         for place, walks in places.items():
             for name, (value, unit) in describe(walks).items():

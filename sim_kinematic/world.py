@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
+from h3data.bodies.people.sitting import take_seats
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, Array, ground_pose, quat_conjugate, quat_rotate
 from h3data.kernels import kernel
@@ -68,6 +69,8 @@ class PoseCommand(NamedTuple):
     """Places on the floor [W, 2] [m]."""
     headings: Array
     """Headings [W] [rad]."""
+    seats: Array | float = 0.0
+    """Seats that they sit down on, as in `HumanState.seat`, [W, 2]."""
 
 
 class GaitCommand(NamedTuple):
@@ -98,6 +101,8 @@ class Posture(NamedTuple):
     """Weight of the clip over standing, 0..1."""
     arms: Array
     """Fold of the left and the right arm, from 0 (out) to 1 (in), [W, 2]."""
+    seat: Array
+    """As `HumanState.seat`, [W, 2]."""
 
 
 Command = DriveCommand | WaypointCommand | PoseCommand | GaitCommand | RecordedPoseCommand
@@ -239,6 +244,7 @@ class World:
             if isinstance(command, PoseCommand):  # wherever they walk, the map does not change it
                 assert isinstance(own, HumanState)
                 move_people(own, command.points, command.headings, self.walker)
+                own.seat[:] = command.seats
         alone = len(self.groups) == 1
         for free, rows in self.groups:
             # one pass over the agents, in any order: what they do in a step depends on the map alone, not on the others
@@ -329,7 +335,7 @@ class World:
         """A person's posture in the worlds ``rows`` [n], in float32 precision, as it is recorded."""
         if agent in self._kept:
             kept = self._kept[agent]
-            return Posture(kept.clip[rows], kept.phase[rows], kept.blend[rows], kept.arms[rows])
+            return Posture(*(values[rows] for values in kept))
         own, body = self.state.agents[agent], self.roster[agent].body
         assert isinstance(own, HumanState)
         assert isinstance(body, Humanoid)
@@ -337,7 +343,7 @@ class World:
         walk = body.clips[clip]
         phase = cycle_phase(walk, own.distance[rows], own.set_off[rows])
         return Posture(
-            np.full(len(rows), clip), _recorded(phase), _recorded(own.blend[rows]), _recorded(own.arms[rows])
+            np.full(len(rows), clip), *map(_recorded, (phase, own.blend[rows], own.arms[rows], own.seat[rows]))
         )
 
     # --- parts of a step ----------------------------------------------------------------------------------------------
@@ -366,7 +372,7 @@ class World:
                     code="H3-SIM-053",
                 )
             checked.append(
-                PoseCommand(values, command.headings) if isinstance(command, PoseCommand) else type(command)(values)
+                command._replace(points=values) if isinstance(command, PoseCommand) else type(command)(values)
             )
         return checked
 
@@ -377,8 +383,9 @@ class World:
             if k == agent:
                 continue
             if legs and isinstance(member.body, Humanoid):
-                clip, phase, blend, _ = self.posture(k, self.rows)
+                clip, phase, blend, _, seat = self.posture(k, self.rows)
                 posture = member.body.clip_pose(clip, phase, blend)
+                take_seats(member.body, *posture, seat)
                 joints = member.body.joint_matrices(np.tile(IDENTITY_POSE, (self.worlds, 1)), *posture)
                 discs.append(legs_at(np, was.xz, was.heading, shins(joints)))
                 continue

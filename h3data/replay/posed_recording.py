@@ -15,6 +15,7 @@ from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.bodies.people.arms import draw_in
 from h3data.bodies.people.planted_gait import on_stairs, planted_states, pose_planted
 from h3data.bodies.people.rigid_parts import PeopleStyle, rigid_parts
+from h3data.bodies.people.sitting import take_seats
 from h3data.bodies.robots.trot import legs_are_posed, trot
 from h3data.errors import FormatError, InputError
 from h3data.geometry import Array, pose_to_matrix
@@ -325,13 +326,11 @@ class PosedRecording:
             quats, pelvis = pose_planted(on_stairs(body.gait_tables, self.heights), self._gait_of(agent, body)[steps])
             if arms is not None:
                 draw_in(quats, arms, shoulders_forward=True)
-            return body.joint_matrices(columns[prefix + "base_pose"][steps], quats, pelvis)
-        quats, pelvis = body.clip_pose(
-            columns[prefix + "motion_id"][steps],
-            columns[prefix + "motion_phase"][steps],
-            columns[prefix + "motion_blend"][steps],
-            arms=arms,
-        )
+        else:
+            motion = (columns[prefix + name][steps] for name in ("motion_id", "motion_phase", "motion_blend"))
+            quats, pelvis = body.clip_pose(*motion, arms=arms)
+        if prefix + "motion_seat" in columns:
+            take_seats(body, quats, pelvis, columns[prefix + "motion_seat"][steps])
         return body.joint_matrices(columns[prefix + "base_pose"][steps], quats, pelvis)
 
     @cached_property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -65,7 +65,9 @@ class ScriptedPerson:
         self._time, self._robot = view.step * STEP_S, view.places[0, :2].copy()
         return view.crowds().move(self.member, view.agent, view.step)
 
-    def _guide(self, xz: NDArray[np.float64], _group_goal: NDArray[np.float64] | None) -> Errand:
+    def _guide(
+        self, xz: NDArray[np.float64], _group_goal: NDArray[np.float64] | None, _taken: Sequence[Array]
+    ) -> Errand:
         goal = self._find_goal(xz)
         if goal is None:
             return Errand(np.zeros((0, 2)))

@@ -1,108 +1,46 @@
-"""People who sit down, sit and get up: skills of a `sim_kinematic.agents.person.Person` on a seat of a home."""
+"""People under control who sit down, sit and get up: motion of a `sim_kinematic.agents.person.Person` on a seat of a home."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
 
 import numpy as np
 
 from h3data.bodies.people.planted_gait import on_stairs
-from h3data.bodies.people.sitting import Sitting, sitting_on
-from h3data.errors import InputError
-from h3data.geometry import Array, heading_from_quat, wrap_angle
-from h3data.scene.seats import Seat
+from h3data.bodies.people.sitting import take_seats
+from h3data.geometry import Array
 from sim_kinematic.agents.person import MotionResult, Person, Skill
-from sim_kinematic.motion.spec import STEP_S
-
-SIT_S, RISE_S = 2.0, 1.8
-"""Durations of sitting down and of getting up [s]."""
-AWAY_M = tuple(0.3 + 0.1 * k for k in range(8))
-"""Distances before the stand, of which the first on free floor is walked to; from there people go straight to it."""
-PLACE_M, HEADING_RAD = 0.06, 0.2
-"""A person sits down if they stand this near to where they should."""
+from sim_kinematic.crowd.seating import SeatPlace, sit_for
+from sim_kinematic.motion.state import HumanState
 
 
-def seat_stand(person: Person, seat: Seat) -> Array:
-    """Place ``(x, z, heading)`` [3] at which a person stands before they sit down, the back to the seat.
-
-    Raises:
-        InputError: the seat is too high, too low or too shallow for this body.
-    """
-    sitting = _sitting(person, seat)
-    ahead = np.array([np.cos(seat.heading), -np.sin(seat.heading)])
-    return np.append(seat.edge[[0, 2]] - sitting.edge_m * ahead, seat.heading)
-
-
-def sit(person: Person, seat: Seat, seconds: float) -> Skill:
-    """Walk to a seat, turn the back to it, sit down, sit for some time, get up, and step away.
-
-    The path goes around furniture where the person knows the floor (`Person.free`), else straight.
-    """
-    x, z, heading = seat_stand(person, seat).tolist()
-    ahead = np.array([[x, z]]) + np.array(AWAY_M)[:, None] * [np.cos(heading), -np.sin(heading)]
-    path = ahead[:1]
-    if person.free is not None:
-        here = person.free.island(person.base[[0, 2]])
-        free = ahead[person.free.island(ahead) == here]
-        path = person.free.path(person.base[[0, 2]], free[0])[1:] if len(free) else free
-        if not len(path):
-            return MotionResult(success=False, reason="no_way")
-    yield from person.walk_to(path)
+def sit(person: Person, place: SeatPlace, seconds: float) -> Skill:
+    """Skill that sits down from where the person stands before a seat, sits for some time, gets up and steps away."""
     floor = person.walk.tables
     # feet that keep out of furniture would be pushed away from the seat that they stand close to
     person.walk.tables = on_stairs(person.body.gait_tables, floor.heights)
     try:
-        yield from person.walk_to([x, z])
-        yield from person.turn(heading)
-        for part in (sit_down(person, seat), rest(person, seat, seconds), get_up(person, seat)):
-            result = yield from part
-            if not result.success:
-                return result
-        yield from person.walk_to(path[-1])
+        here = np.append(person.base[[0, 2]], person.heading)
+        yield from move_to_seat(person, place, sit_for(here, place, seconds))
     finally:
         person.walk.tables = floor
     return MotionResult(success=True)
 
 
-def sit_down(person: Person, seat: Seat) -> Skill:
-    """Sit down on the seat behind the person."""
-    away = np.linalg.norm(seat_stand(person, seat)[:2] - person.base[[0, 2]])
-    turned = abs(wrap_angle(seat.heading - float(heading_from_quat(person.base[3:]))))
-    if away > PLACE_M or turned > HEADING_RAD:
-        return MotionResult(success=False, reason="not_before_seat", hand_error_m=float(away))
-    yield from person.settle()
-    yield from _move(person, _sitting(person, seat), 0.0, 1.0, SIT_S)
-    return MotionResult(success=True)
-
-
-def rest(person: Person, seat: Seat, seconds: float) -> Skill:
-    """Remain seated for some time."""
-    yield from _move(person, _sitting(person, seat), 1.0, 1.0, seconds)
-    return MotionResult(success=True)
-
-
-def get_up(person: Person, seat: Seat) -> Skill:
-    """Get up from the seat, and stand."""
-    yield from _move(person, _sitting(person, seat), 1.0, 0.0, RISE_S)
-    yield from person.wait(0.5)
-    return MotionResult(success=True)
-
-
-def _sitting(person: Person, seat: Seat) -> Sitting:
-    sitting = sitting_on(person.body, round(seat.height_m, 3))
-    if not sitting.fits(seat.depth_m):
-        raise InputError(
-            f"{person.body.name} needs {sitting.edge_m - sitting.back_m:.2f} m of depth to sit, {seat.name} has "
-            f"{seat.depth_m:.2f} m. Hint: choose a deeper seat.",
-            code="H3-SIM-059",
-        )
-    return sitting
-
-
-def _move(person: Person, sitting: Sitting, start: float, end: float, seconds: float) -> Skill:
-    steps = max(round(seconds / STEP_S), 1)
-    u = np.arange(1, steps + 1) / steps
-    share = start + (end - start) * u**3 * (10 - 15 * u + 6 * u * u)
-    for quats, pelvis in zip(*sitting.pose(share), strict=True):
-        person.walk.step(person.base)
-        person.show("sit", quats, pelvis)
+def move_to_seat(person: Person, place: SeatPlace, motion: Iterable[tuple[Array, float]]) -> Skill:
+    """Skill that follows places ``(x, z, heading)`` [3] and shares of sitting."""
+    for at, share in motion:
+        show_seated(person, place, at, share)
         yield
     return MotionResult(success=True)
+
+
+def show_seated(person: Person, place: SeatPlace, at: Array, share: float) -> None:
+    """Puts a person at a place ``(x, z, heading)`` [3], so far on the way from standing (0) to sitting (1)."""
+    gait = HumanState.zeros(1)
+    gait.xz[0], gait.heading[0] = at[:2], at[2]
+    person.base = person.root_at(gait)
+    quats, pelvis = person.walk.stride(person.base, person.heading)
+    quats = person.with_arms(quats)
+    take_seats(person.body, quats[None], pelvis[None], [(place.seat.height_m, share)])
+    person.show("walk", quats, pelvis)

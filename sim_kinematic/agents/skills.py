@@ -48,7 +48,9 @@ DRIVEN_SKILLS = (*SKILLS, "drop", "hand_over")
 """Skills of a person who is driven from outside, in the order in which their recordings number them."""
 OPENING_SKILLS = ("nav_to_handle", "open", "close")
 """Skills in homes with things that open; their target is the number of a joint."""
-ALL_SKILLS = (*DRIVEN_SKILLS, *OPENING_SKILLS)
+SIT = "sit"
+"""Skill of a person who is driven from outside: walks to the nearest seat and sits there until something else is asked."""
+ALL_SKILLS = (*DRIVEN_SKILLS, *OPENING_SKILLS, SIT)
 """Skills in the order in which recordings of homes with doors and drawers number them."""
 _WITH_TARGET = (*SKILLS[:4], *OPENING_SKILLS)
 CHOICE_WAIT_STEPS = 5
@@ -66,6 +68,7 @@ REASONS = {
     "missed": "The hand did not get there.",
     "no_joint": "There is no such door or drawer.",
     "no_room": "Something is in the way of the arm or the body.",
+    "no_seat": "There is no free seat near by that fits.",
     "no_space": "There is no space for it: something else is there.",
     "no_support": "There is nothing there to put it on.",
     "no_way": "No path leads to where it can be reached.",

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import Humanoid, Robot
+from h3data.bodies.people.sitting import take_seats
 from h3data.geometry import IDENTITY_POSE, Array, pose_to_matrix
 from h3data.scene import Scene
 from h3data.scene.shape_bounds import bounding_capsule, bounding_sphere
@@ -65,6 +66,7 @@ class RobotHumanContact:
         phase: float,
         blend: float,
         arms: tuple[float, float] = (0.0, 0.0),
+        seat: tuple[float, float] = (0.0, 0.0),
     ) -> bool:
         """Returns whether robot and person touch.
 
@@ -75,8 +77,9 @@ class RobotHumanContact:
             phase: position within the clip.
             blend: weight of the clip.
             arms: how far each arm is folded in, left and right.
+            seat: height of a seat [m] and share of the path to it (`h3data.bodies.people.sitting.take_seats`).
         """
-        at = np.array([clip]), np.array([phase]), np.array([blend]), np.array([arms])
+        at = np.array([clip]), np.array([phase]), np.array([blend]), np.array([arms]), np.array([seat])
         return bool(self.touching_many(robot_base[None], human_base[None], *at)[0])
 
     def touching_many(
@@ -87,11 +90,12 @@ class RobotHumanContact:
         phase: NDArray,
         blend: NDArray,
         arms: NDArray | None = None,
+        seats: NDArray | None = None,
     ) -> NDArray[np.bool_]:
         """Returns whether robot and person touch in each of N cases, [N].
 
-        Arguments are those of `touching` with a first axis N: base poses [N, 7], frames of clips [N], arms [N, 2]. The
-        people are posed together.
+        Arguments are those of `touching` with a first axis N: base poses [N, 7], frames of clips [N], arms and seats [N, 2].
+        The people are posed together.
         """
         gap = robot_base[:, [0, 2]] - human_base[:, [0, 2]]
         near = np.flatnonzero(np.hypot(gap[:, 0], gap[:, 1]) <= self.gate_m)
@@ -99,6 +103,8 @@ class RobotHumanContact:
         if not len(near):
             return result
         posture = self._human.clip_pose(clip[near], phase[near], blend[near], arms=None if arms is None else arms[near])
+        if seats is not None:
+            take_seats(self._human, *posture, seats[near])
         joints = self._human.joint_matrices(human_base[near], *posture)
         people = shape_frames(self._human, joints, self._person_contact)
         bases = pose_to_matrix(robot_base[near].astype(np.float64))

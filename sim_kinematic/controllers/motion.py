@@ -66,7 +66,8 @@ def command_of(choices: Sequence[Any], name: str) -> Command:
     if isinstance(first, WaypointAction):
         return WaypointCommand(_rows([choice.xz for choice in choices]))
     if isinstance(first, PoseAction):
-        return PoseCommand(_rows([choice.xz for choice in choices]), np.array([choice.heading for choice in choices]))
+        headings, seats = (np.array([getattr(choice, part) for choice in choices]) for part in ("heading", "seat"))
+        return PoseCommand(_rows([choice.xz for choice in choices]), headings, seats)
     if isinstance(first, GaitAction):
         if len(choices) == 1:
             return GaitCommand(first.gait)
@@ -75,7 +76,7 @@ def command_of(choices: Sequence[Any], name: str) -> Command:
             gait.put([w], choice.gait)
         return GaitCommand(gait)
     if isinstance(first, RecordedPose):
-        parts = ([getattr(choice, part) for choice in choices] for part in ("clip", "phase", "blend", "arms"))
+        parts = ([getattr(choice, part) for choice in choices] for part in Posture._fields)
         posture = Posture(*map(np.array, parts))
         return RecordedPoseCommand(
             _rows([choice.xz for choice in choices]), np.array([c.heading for c in choices]), posture

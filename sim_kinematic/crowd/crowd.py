@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,8 @@ from sim_kinematic.crowd.company import standing_circle
 from sim_kinematic.crowd.errands import Errand, Guide
 from sim_kinematic.crowd.reactions import REACTIONS
 from sim_kinematic.crowd.roles import ALONE, Role
-from sim_kinematic.crowd.step import step_crowd, who_decides
+from sim_kinematic.crowd.seating import Motion, SeatPlace, sit_for
+from sim_kinematic.crowd.step import SEATED, step_crowd, who_decides
 from sim_kinematic.crowd.traits import CrowdSpec, Traits
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S, StrideSpec
@@ -29,6 +30,10 @@ STUCK_PATHS, AWAY_M = 4, 1.0
 """People who are stuck compare so many goals by how near others are to the path at this distance."""
 CLOSE_M = 1.5
 """Distance from their destination within which people who are stuck stay where they are, as somebody else stands there [m]."""
+
+SEAT_M, SLOW_MPS, STEP_ROOM_M = 0.2, 0.35, 0.08
+"""People begin to sit down within the first distance of the place before the seat, slower than the second speed. They wait
+while a step would bring them nearer than the third to somebody's outline."""
 
 
 class Discs(NamedTuple):
@@ -64,7 +69,9 @@ def _room_on(path: Array, others: Array) -> float:
 
 def _talking(guide: Guide, place: NDArray[np.float64], centre: tuple[float, float], group: str) -> Guide:
     """The guide of somebody who goes to a place [2] and stays there, facing the centre of their company."""
-    return lambda xz, goal: Errand(guide(xz, place if goal is None else goal).path, np.inf, centre, "talk", group)
+    return lambda xz, goal, taken: Errand(
+        guide(xz, place if goal is None else goal, taken).path, np.inf, centre, "talk", group
+    )
 
 
 class Crowd:
@@ -84,6 +91,7 @@ class Crowd:
         seed: int = 0,
         spec: CrowdSpec | None = None,
         stride: StrideSpec | None = None,
+        places: dict[Any, SeatPlace] | None = None,
     ) -> None:
         """Creates a crowd that stands still and has no goals yet.
 
@@ -96,6 +104,7 @@ class Crowd:
             seed: Seed of the episode, from which conversations have their places.
             spec: Constants of avoidance.
             stride: Limits of walking.
+            places: Seats that people of all crowds of a world have, by who has them; this crowd keeps its own there.
         """
         people = len(traits)
         self._free, self._seed = free, seed
@@ -112,6 +121,13 @@ class Crowd:
         self._errands = [Errand(np.zeros((0, 2)))] * people
         self._until = np.full(people, -1.0)
         """Step until which each person stays where they are, -1: they walk."""
+        self.seats = np.zeros((people, 2))
+        """Height of the seat on which each person sits [m], and share of the path from standing to sitting, [M, 2]."""
+        self._taken: dict[Any, SeatPlace] = {} if places is None else places
+        self._sitting: dict[int, tuple[SeatPlace, Motion]] = {}
+        """Motion of those who sit down, sit or get up,"""
+        self._waits: dict[int, tuple[Array, float]] = {}
+        """and their next place, while somebody stands there."""
         self._stays, self._looks, self._moods = (np.zeros((people, 3)) for _ in range(3))
         self._moods[:, 0] = [list(REACTIONS).index(role.reaction) for role in self._roles]
         self._moods[:, 1] = -1.0
@@ -153,6 +169,8 @@ class Crowd:
         places = np.concatenate([xz, others.xz])
         velocities = (places - np.concatenate([before, others.before])) / STEP_S
         radii = np.concatenate([self._traits[:, 3], others.radius])
+        for m in list(self._sitting):
+            self._move_seated(m, places, radii, step)
         step_crowd(
             *self._grid,
             places,
@@ -185,6 +203,29 @@ class Crowd:
             self.new_events.append((m, kind, self._roles[m].reaction, ""))
         return places[:people], self._body[:, 0].copy()
 
+    def _move_seated(self, m: int, places: Array, radii: Array, step: int) -> None:
+        """Moves somebody who sits down, sits or gets up by one step, in ``places`` [N, 2], unless somebody is in the way."""
+        was, share = places[m].copy(), self.seats[m, 1]
+        (seat, *_), motion = self._sitting[m]
+        moved = self._waits.pop(m, None) or next(motion, None)
+        if moved is None:
+            del self._sitting[m]
+            self._until[m] = step
+            return
+        (x, z, heading), now = moved[0].tolist(), moved[1]
+        gaps = np.hypot(*(places - (x, z)).T) - radii - radii[m]
+        closer = np.hypot(*(places - (x, z)).T) < np.hypot(*(places - was).T)
+        closer[m] = False
+        if (closer & (gaps < STEP_ROOM_M)).any():
+            self._waits[m] = moved
+            return
+        places[m] = x, z
+        self._body[m] = heading, 0.0, 0.0, heading
+        self.seats[m] = seat.height_m, now
+        for kind, begins in (("sits_down", share == 0 < now), ("gets_up", share == 1 > now)):
+            if begins:
+                self.new_events.append((m, kind, seat.name, ""))
+
     def _meet(self, xz: Array) -> None:
         """Finds the places of those who stand and talk."""
         for word in sorted({role.group for role in self._roles if role.group.startswith("talk")}):
@@ -204,11 +245,18 @@ class Crowd:
         stuck = ~stays & ((step - self._best[:, 1]) * STEP_S > self._traits[:, 5])
         for m in np.flatnonzero((arrived | stuck & (left < CLOSE_M)) & (self._counts > 1)).tolist():
             errand = self._errands[m]
+            if errand.seat is not None:
+                arrived[m] &= left[m] < SEAT_M and self._body[m, 2] < SLOW_MPS
+                if not arrived[m]:
+                    continue
+                here = np.append(xz[m], self._body[m, 0])
+                self._sitting[m] = errand.seat, sit_for(here, errand.seat, errand.seconds)
             if errand.seconds > 0:
                 if not arrived[m]:
                     self._set_path(m, np.array([xz[m], xz[m]], np.float64))
-                self._until[m] = step + errand.seconds / STEP_S
+                self._until[m] = step + (np.inf if errand.seat is not None else errand.seconds / STEP_S)
                 self._stays[m] = (*errand.look, 2.0) if errand.look is not None else (0.0, 0.0, 1.0)
+                self._stays[m, 2] = SEATED if errand.seat is not None else self._stays[m, 2]
                 self.new_events.append((m, "activity", errand.activity, errand.place))
                 arrived[m] = stuck[m] = False
         done = stays & (self._until <= step)
@@ -217,8 +265,10 @@ class Crowd:
         for first in set(self._company[chooses].tolist()) - {-1}:
             chooses |= self._company == first
         for m in np.flatnonzero(chooses).tolist():
+            self._taken.pop((id(self), m), None)
             if self._company[m] not in (-1, m):
-                errands = [self._guides[m](xz[m], np.asarray(self.goals[self._company[m]], np.float64))]
+                goal = np.asarray(self.goals[self._company[m]], np.float64)
+                errands = [self._guides[m](xz[m], goal, self._taken_from(m))]
             else:
                 compares = stuck[m] and self._errands[m].seconds == 0
                 errands = self._errands_from(m, xz[m], STUCK_PATHS if compares else 1)
@@ -228,6 +278,10 @@ class Crowd:
                 chosen = max(errands, key=lambda e: _room_on(e.path, others)) if len(errands) > 1 else errands[0]
                 self._errands[m] = chosen
                 self._set_path(m, chosen.path)
+                if chosen.seat is not None:
+                    self._taken[id(self), m] = chosen.seat
+                if chosen.refused[0]:
+                    self.new_events.append((m, "refused", *chosen.refused))
                 x, z = chosen.path[-1].tolist()
                 self.new_events.append((m, "walks_to", chosen.place, f"({x:.2f}, {z:.2f})"))
             elif self._counts[m] < 2:  # who finds no goal at all stands where they are
@@ -238,13 +292,18 @@ class Crowd:
         """Up to ``most`` errands of a person to goals that they have not reached already."""
         errands: list[Errand] = []
         for _ in range(ATTEMPTS):
-            errand = self._guides[m](np.asarray(xz, np.float64), None)
+            errand = self._guides[m](np.asarray(xz, np.float64), None, self._taken_from(m))
             path = errand.path
             if len(path) > 1 and (errand.seconds > 0 or np.hypot(*(path[-1] - xz)) >= ARRIVED_M):
                 errands.append(errand)
             if len(errands) == most:
                 break
         return errands
+
+    def _taken_from(self, m: int) -> list[Array]:
+        """Places [2 or 3] where others sit or stay, or go to do so; in all crowds, those before seats."""
+        seats = [place.stand for who, place in self._taken.items() if who != (id(self), m)]
+        return seats + [errand.path[-1] for j, errand in enumerate(self._errands) if errand.seconds > 0 and j != m]
 
     def _set_path(self, m: int, path: NDArray[np.float64]) -> None:
         if len(path) > self._paths.shape[1]:

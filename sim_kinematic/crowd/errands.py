@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from h3data.geometry import Array
+from sim_kinematic.crowd.seating import SeatPlace
 
 
 class Errand(NamedTuple):
@@ -22,7 +25,12 @@ class Errand(NamedTuple):
     """Activity there, which is a posture that they may have; those without it stand."""
     place: str = ""
     """Name of the place."""
+    seat: SeatPlace | None = None
+    """Seat on which they sit there."""
+    refused: tuple[str, str] = ("", "")
+    """Seat that they wanted and stand instead, and the sentence that says why."""
 
 
-Guide = Callable[[NDArray[np.float64], NDArray[np.float64] | None], Errand]
-"""Returns the next errand of somebody at a place [2] [m], or the way from there to the goal [2] of their group."""
+Guide = Callable[[NDArray[np.float64], NDArray[np.float64] | None, Sequence[Array]], Errand]
+"""Returns the next errand of somebody at a place [2] [m], or the way from there to the goal [2] of their group. Others sit or
+stay, or go to do so, at places ``(x, z, ...)``."""

@@ -13,10 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.bodies import Humanoid
 from h3data.errors import InputError, SceneError
+from h3data.geometry import Array
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.records import instance_bounds
 from sim_kinematic.crowd.errands import Errand
+from sim_kinematic.crowd.seating import Seats
 from sim_kinematic.motion.randomness import generator
 
 
@@ -47,16 +50,21 @@ ACTIVITIES: dict[str, Activity] = {
     "fetch": Activity(("fridge",), 5.0, 12.0),
     "cook": Activity(("kitchen_counter", "stove"), 30.0, 90.0),
     "eat": Activity(("dining_table",), 40.0, 120.0, "sit"),
-    "read": Activity(("shelf", "sofa", "armchair"), 20.0, 60.0, "sit"),
+    "put_on_shoes": Activity(("bed", "bench", "stool"), 10.0, 30.0, "sit"),
+    "read": Activity(("sofa", "armchair", "rocking_chair"), 20.0, 60.0, "sit"),
     "work": Activity(("desk",), 40.0, 120.0, "sit"),
     "look_out": Activity(("window",), 5.0, 20.0),
 }
 """Activities by name."""
-MORNING = ("wash", "dress", "fetch", "cook", "eat", "look_out", "read", "work")
+MORNING = ("wash", "dress", "put_on_shoes", "fetch", "cook", "eat", "look_out", "read", "work")
 """Order of a morning, of which each person leaves out some."""
 KEPT = 0.7
 """Share of activities that a person does not leave out."""
-BESIDE_M, ROOM_M, BEARINGS = 0.9, 0.27, 48
+PERSON_M = 1.0
+"""Distance from others within which nobody stays."""
+POSTURES = ("stand", "sit")
+"""Postures that people of crowds have."""
+BESIDE_M, ROOM_M, BEARINGS = 0.9, 0.33, 48
 """People stand at most so far from a thing, with so much room; directions that are tried."""
 
 
@@ -82,7 +90,7 @@ def place_beside(
     angles = 2 * np.pi * np.arange(BEARINGS) / BEARINGS
     away = np.stack([np.cos(angles), np.sin(angles)], 1)
     edge = np.clip((low + high) / 2 + away * np.hypot(*(high - low)), low, high)
-    at = np.concatenate([edge + gap * away for gap in (0.3, 0.45, 0.6, BESIDE_M)])
+    at = np.concatenate([edge + gap * away for gap in (0.5, 0.6, 0.75, BESIDE_M)])
     faced = np.tile(edge, (4, 1))
     far = free.geodesic(np.broadcast_to(near, at.shape), at)
     fits = np.flatnonzero(np.isfinite(far) & (free.signed_distance(at) >= ROOM_M))
@@ -118,8 +126,8 @@ def make_morning(scene: Scene, seed: int, number: int) -> tuple[Stop, ...]:
 class Routine:
     """A routine under way: the next errand, and after the last one the first again."""
 
-    def __init__(self, scene: Scene, free: FreeSpace, stops: Sequence[Stop]) -> None:
-        """Checks the stops.
+    def __init__(self, scene: Scene, free: FreeSpace, stops: Sequence[Stop], body: Humanoid | None = None) -> None:
+        """Checks the stops. Without a ``body`` the person stands everywhere.
 
         Raises:
             InputError: there is none, or one names no thing of the home or lasts no finite time.
@@ -134,14 +142,33 @@ class Routine:
             )
         self.stops = tuple(stops)
         self._scene, self._free, self._next = scene, free, 0
+        self._seats = None if body is None else Seats(scene, free, body)
 
-    def next_stop(self, xz: NDArray[np.float64]) -> tuple[NDArray[np.float64], Errand] | None:
-        """Place [2] of the next stop that somebody at a place [2] can walk to, and its errand, whose path is to be found."""
+    def next_stop(
+        self, xz: NDArray[np.float64], taken: Sequence[Array] = ()
+    ) -> tuple[NDArray[np.float64], Errand] | None:
+        """Place [2] of the next stop that somebody at a place [2] can walk to, and its errand, whose path is to be found.
+
+        They sit if the activity is one of sitting and the place has a seat for them. An entry whose place others have ``taken``
+        ``(x, z, ...)`` waits for its next turn.
+        """
         for _ in self.stops:
             stop = self.stops[self._next % len(self.stops)]
             self._next += 1
+            refused = "", ""
+            if self._seats is not None and posture_of(stop.activity, POSTURES) == "sit":
+                for seat in self._seats.at(stop.place):
+                    try:
+                        place = self._seats.place(seat, taken)
+                    except InputError as fault:
+                        refused = refused if refused[0] else (seat.name, f"{fault.code}: {fault}")
+                        continue
+                    if np.isfinite(self._free.geodesic(xz, place.before[:2])):
+                        at = np.asarray(place.before[:2], np.float64)
+                        return at, Errand(np.zeros((0, 2)), stop.seconds, None, stop.activity, stop.place, place)
             beside = place_beside(self._scene, self._free, stop.place, xz)
-            if beside is not None:
+            if beside is not None and all(np.hypot(*(beside[0] - other[:2])) >= PERSON_M for other in taken):
                 at, (x, z) = beside
-                return at, Errand(np.zeros((0, 2)), stop.seconds, (float(x), float(z)), stop.activity, stop.place)
+                look = float(x), float(z)
+                return at, Errand(np.zeros((0, 2)), stop.seconds, look, stop.activity, stop.place, None, refused)
         return None

@@ -21,6 +21,9 @@ from sim_kinematic.motion.stride import point_along, progress_along, slide_along
 
 WALL_M = 0.25
 """Radius with which people keep clear of walls and furniture, beside which their arms fold."""
+FOOT_M, FOOT_S, FOOT_ROOM_M = 0.2, 0.1, 0.22
+"""Distance ahead of a person who stands at which a foot steps, time by whose way it is farther when they walk, and the room
+that a foot needs there."""
 CREEP_MPS = 0.25
 """Speed up to which people step in any direction, whatever they look at [m/s]."""
 AHEAD_M = 0.1
@@ -29,12 +32,14 @@ PROGRESS_M = 0.25
 """Progress along the path by which a person does not count as stuck [m]."""
 SLIDES = 3
 """Number of attempts to go past others whom a step would touch."""
-STRIDE_M, STRIDE_MPS = 0.2, 0.1
-"""Feet and hands of people who walk faster than this reach so much farther ahead and behind than sideways."""
+STRIDE_M = 0.2
+"""Distance by which feet and hands of people reach farther ahead and behind than sideways [m]."""
 NEAR_END_M = 0.1
 """People who stand somewhere do not step back to it from within this distance."""
 GROUP_S = 0.5
 """Time in which forces of a group become velocities: the time constant of Moussaid et al."""
+SEATED = 3.0
+"""State of people in ``stays`` who sit down, sit or get up: their places are given."""
 BACK_M = 1.5
 """Distance that people in a narrow place go back along their path to let others through."""
 
@@ -57,11 +62,12 @@ def sees(sdf, origin, cell, ax, az, bx, bz):
 def reach_between(m, j, px, pz, radii, body):
     """Return the least distance [m] between person ``m`` and disc ``j`` at ``(px, pz)`` from them.
 
-    It is the sum of both radii, and more along the line in which somebody walks.
+    It is the sum of both radii, and more along the line in which somebody looks: feet and hands reach ahead and behind at once
+    when they set off.
     """
     reach, line = radii[m] + radii[j], math.atan2(-pz, px)
     for k in (m, j):
-        if k < len(body) and body[k, 2] > STRIDE_MPS:
+        if k < len(body):
             reach += STRIDE_M * math.cos(body[k, 0] - line) ** 2
     return reach
 
@@ -191,7 +197,7 @@ def yield_velocity(sdf, origin, cell, x, z, path, cumulative, along, theirs, the
 
 @kernel(error_model="numpy")
 def choose_velocity(
-    sdf, origin, cell, m, places, velocities, radii, body, wx, wz, most, furniture, traits, forces, rules
+    sdf, origin, cell, m, places, velocities, radii, body, stays, wx, wz, most, furniture, traits, forces, rules
 ):
     """Chosen velocity (x, z) [m/s] of person ``m`` who wants ``(wx, wz)``.
 
@@ -204,6 +210,7 @@ def choose_velocity(
         velocities: Their velocities [N, 2] [m/s].
         radii: Their radii [N] [m].
         body: Motion of the crowd's people (`follow`) [M, 4].
+        stays: Who of them stays (`step_crowd`) [M, 3]; who is seated does not make way.
         wx: Wanted velocity [m/s].
         wz: The same along z.
         most: Greatest speed [m/s].
@@ -270,21 +277,28 @@ def choose_velocity(
         span = traits[m, 2]
         wx, wz = vx + ax * span, vz + az * span
         horizon = rules[2]
-    planes = np.empty((count + 1, 3))
+    planes = np.empty((count + 2, 3))
     planes[0, 0], planes[0, 1] = gx, gz
     planes[0, 2] = -(clear - WALL_M) / rules[1]
+    # the foot ahead comes no nearer to what it would step into
+    ahead = FOOT_M + FOOT_S * body[m, 2]
+    fx, fz = x + ahead * math.cos(body[m, 0]), z - ahead * math.sin(body[m, 0])
+    gx, gz = sdf_gradient(sdf, origin, cell, fx, fz)
+    steep = max(math.hypot(gx, gz), 1e-9)
+    planes[1, 0], planes[1, 1] = gx / steep, gz / steep
+    planes[1, 2] = min(FOOT_ROOM_M - sample_sdf(sdf, origin, cell, fx, fz), 0.0) / rules[1]
     for k in range(count):
         j = near[k]
         px, pz = places[j, 0] - x, places[j, 1] - z
-        share = 0.5 if j < len(body) else 1.0
+        share = 0.5 if j < len(body) and stays[j, 2] != SEATED else 1.0
         reach, ahead_s, jx, jz = reach_between(m, j, px, pz, radii, body), horizon, velocities[j, 0], velocities[j, 1]
         if len(body) <= j < len(body) + furniture:
             ahead_s, jx, jz = rules[1], 0.0, 0.0
         else:
             reach += rules[4]
         nx, nz, offset = half_plane(px, pz, vx - jx, vz - jz, reach, ahead_s, 0.5, share)
-        planes[k + 1, 0], planes[k + 1, 1], planes[k + 1, 2] = nx, nz, offset + nx * vx + nz * vz
-    return nearest_velocity(planes, count + 1, wx, wz, most)
+        planes[k + 2, 0], planes[k + 2, 1], planes[k + 2, 2] = nx, nz, offset + nx * vx + nz * vz
+    return nearest_velocity(planes, count + 2, wx, wz, most)
 
 
 @kernel(error_model="numpy")
@@ -411,7 +425,8 @@ def step_crowd(
         claims: Narrow places that people are in or before (`claim_passages`) [M, 6].
         body: Motion of the bodies (`follow`) [M, 4].
         chosen: Chosen velocities [M, 2] [m/s].
-        stays: Place that a person who stands faces (x, z), and 0: walks, 1: stands as they come, 2: stands and faces it [M, 3].
+        stays: Place that a person who stands faces (x, z), and 0: walks, 1: stands as they come, 2: stands and faces it,
+            `SEATED`: is where ``places`` say [M, 3].
         company: Number of the group with which each person walks, -1: none [M].
         moods: Number of each person's reaction, the step in which it began, and 1 while they react (`notice`) [M, 3].
         looks: Place that each person faces (x, z), and 1 if there is one [M, 3].
@@ -438,7 +453,7 @@ def step_crowd(
             best[m, 1] = step
     for m in range(len(counts)):
         pause = max(int(traits[m, 2] / dt + 0.5), 1)
-        if (step + m) % pause != 0:
+        if (step + m) % pause != 0 or stays[m, 2] == SEATED:
             continue
         path, cumulative = paths[m, : counts[m]], lengths[m, : counts[m]]
         x, z, most = places[m, 0], places[m, 1], traits[m, 0]
@@ -492,7 +507,9 @@ def step_crowd(
         walks_up = moods[m, 2] > 0.0 and reaction[5] > 0.0
         furniture = of_robots if walks_up or int(moods[m, 0]) == IMPASSIVE else 0
         chosen[m, 0], chosen[m, 1] = choose_velocity(
-            sdf, origin, cell, m, places, velocities, radii, body, wx, wz, most, furniture, traits, forces, rules
+            sdf, origin, cell, m, places, velocities, radii, body, stays, wx, wz, most, furniture, traits, forces, rules
         )
     for m in range(len(counts)):
+        if stays[m, 2] == SEATED:
+            continue
         follow(sdf, origin, cell, m, places, radii, body, chosen, looks, limits, dt)

@@ -94,6 +94,8 @@ class HumanState(_Arrays):
     """Share of walking in the motion: 0 = standing, 1 = walking, shape [W]."""
     arms: NDArray[np.float64]
     """Fold of the left and the right arm, from 0 (out) to 1 (in), shape [W, 2]."""
+    seat: NDArray[np.float64]
+    """Height of a seat above the floor [m], and share of the path from standing (0) to sitting on it (1), shape [W, 2]."""
 
     @classmethod
     def zeros(cls, worlds: int) -> HumanState:
@@ -101,6 +103,7 @@ class HumanState(_Arrays):
         return cls(
             xz=np.zeros((worlds, 2)),
             arms=np.zeros((worlds, 2)),
+            seat=np.zeros((worlds, 2)),
             **{n: np.zeros(worlds) for n in ("heading", "distance", "set_off", "blend")},
         )
 

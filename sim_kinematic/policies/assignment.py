@@ -45,7 +45,8 @@ def _crowd(model: CrowdModel, task: Task, episode: Episode, number: int, words: 
     role = read_role(words, episode.seed, number)
     routine = None
     if role.routine:
-        routine = Routine(episode.scene, episode.free, make_morning(episode.scene, episode.seed, number))
+        stops = make_morning(episode.scene, episode.seed, number)
+        routine = Routine(episode.scene, episode.free, stops, episode.roster[number].body)
     return CrowdPolicy(model, episode.free, episode.seed, number, episode.spec.human, role, routine)
 
 

@@ -45,6 +45,8 @@ class PoseAction(NamedTuple):
     xz: Array
     """Place on the floor ``(x, z)`` [m]."""
     heading: float
+    seat: tuple[float, float] = (0.0, 0.0)
+    """Height of a seat above the floor [m], and share of the path from standing (0) to sitting on it (1)."""
 
 
 class GaitAction(NamedTuple):
@@ -63,6 +65,7 @@ class RecordedPose(NamedTuple):
     phase: float
     blend: float
     arms: tuple[float, float]
+    seat: tuple[float, float] = (0.0, 0.0)
 
 
 # --- the protocol -----------------------------------------------------------------------------------------------------

@@ -179,7 +179,9 @@ class RecordedTrack:
             raise InputError(
                 f"Expected agent_{number}.motion_arms [T, 2], got shape {list(self._arms.shape)}.", code="H3-POLICY-048"
             )
-        if not all(np.isfinite(array).all() for array in (base, self._arms, *self._motion)):
+        self.sits = f"agent_{number}.motion_seat" in recording.columns
+        self._seats = recording.columns.get(f"agent_{number}.motion_seat", np.zeros((len(recording), 2), np.float32))
+        if not all(np.isfinite(array).all() for array in (base, self._arms, self._seats, *self._motion)):
             raise InputError("The person's track must be finite at every step.", code="H3-POLICY-049")
         clips = len(body.clips)
         if ((self._motion[0] < 0) | (self._motion[0] >= clips)).any():
@@ -195,9 +197,15 @@ class RecordedTrack:
         """Recorded pose and motion clip of this step."""
         step = view.step
         clip, phase, blend = (array[step] for array in self._motion)
-        left, right = self._arms[step].tolist()
+        (left, right), (height, share) = self._arms[step].tolist(), self._seats[step].tolist()
         return RecordedPose(
-            self._xz[step], float(self._heading[step]), int(clip), float(phase), float(blend), (left, right)
+            self._xz[step],
+            float(self._heading[step]),
+            int(clip),
+            float(phase),
+            float(blend),
+            (left, right),
+            (height, share),
         )
 
 

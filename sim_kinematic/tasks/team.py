@@ -229,7 +229,7 @@ class MotionTeam(Team):
                 walks = distance > was.distance.item(0)
                 code = words.index("walk" if walks else "turn") if words else -1
                 since = distance - own.set_off.item(0)
-                numbers += (x, z, heading, since, own.blend.item(0), *own.arms[0].tolist(), code)
+                numbers += (x, z, heading, since, own.blend.item(0), *own.arms[0].tolist(), *own.seat[0].tolist(), code)
         return numbers
 
     def columns(self, snapshots: Sequence[list[float]]) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:
@@ -239,7 +239,7 @@ class MotionTeam(Team):
         places, contact, at = [], [], 0
         for k, member in enumerate(self.play.world.roster):
             agent, body = f"agent_{k}.", member.body
-            own = numbers[:, at : at + (7 if isinstance(body, Robot) else 8)].T
+            own = numbers[:, at : at + (7 if isinstance(body, Robot) else 10)].T
             at += len(own)
             xz = np.stack([own[0], own[1]], -1)
             places.append(xz)
@@ -265,6 +265,8 @@ class MotionTeam(Team):
         }
         if self.play.spec.human.arms is not None:
             columns["motion_arms"] = np.stack([own[5], own[6]], -1).astype(np.float32)
+        if self.play.policies and getattr(self.play.policies[k].policy, "sits", False):
+            columns["motion_seat"] = np.stack([own[7], own[8]], -1).astype(np.float32)
         return columns
 
 

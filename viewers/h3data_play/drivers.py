@@ -28,11 +28,13 @@ from h3data_play.messages import (
     Open,
     Pick,
     Place,
+    Sit,
     Stop,
 )
 from sim_kinematic.agents.driven.commands import Drop as DropSkill
 from sim_kinematic.agents.driven.commands import HandOver, HandTarget, PersonCommand
 from sim_kinematic.agents.driven.commands import Place as PlaceSkill
+from sim_kinematic.agents.driven.commands import Sit as SitSkill
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.skills import Action, sentence
 from sim_kinematic.motion.spec import BaseSpec
@@ -338,6 +340,11 @@ class PersonDriver(SkillDriver):
         if isinstance(message, Head):
             self.head = message.yaw, message.pitch
             return ""
+        if isinstance(message, Sit):
+            sits = self.body.seat is not None
+            self.do([])
+            self.queue = [] if sits else [SitSkill()]
+            return ""
         return super().follow(message)
 
     def walking(self, forward: float, turn: float) -> PersonCommand:
@@ -368,6 +375,11 @@ class PersonDriver(SkillDriver):
     def can_place(self, point: Any) -> str:
         """Reason why the object in hand cannot be placed at a world point, as a sentence; empty if it can."""
         return self.session.refusal(self.name, PlaceSkill(tuple(point))) or ""
+
+    @property
+    def busy(self) -> bool:
+        """Returns whether a skill or walk is running or queued, or the person sits or gets up."""
+        return super().busy or self.body.seat is not None
 
     @property
     def body(self) -> DrivenPerson:

@@ -91,6 +91,10 @@ class Close(Message, frozen=True, tag="close"):
     lead: bool = False
 
 
+class Sit(Message, frozen=True, tag="sit"):
+    """Walks to the nearest free seat and sits down, or gets up."""
+
+
 class Hand(Message, frozen=True, tag="hand"):
     """Position of the palm of a hand, in the person's root frame; without a point the arm is free again."""
 
@@ -122,7 +126,7 @@ class Can(msgspec.Struct, frozen=True, tag_field="k", tag="can"):
     p: Point
 
 
-Act = Move | GoTo | Stop | Pick | Place | Drop | Give | Open | Close | Hand | Head | Leave
+Act = Move | GoTo | Stop | Pick | Place | Drop | Give | Open | Close | Sit | Hand | Head | Leave
 """Messages that are recorded."""
 _DECODER: msgspec.json.Decoder[Act | Ping | Can] = msgspec.json.Decoder(Act | Ping | Can)
 MOST_DEEP = 32

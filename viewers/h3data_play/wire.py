@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.bodies.people.arms import draw_in
 from h3data.bodies.people.planted_gait import PlantedWalk, on_stairs
+from h3data.bodies.people.sitting import take_seats
 from h3data.geometry import Array, heading_from_quat, pose_multiply
 from h3data.recording import RecordingHeader
 from h3data.recording.records import JOINTS
@@ -156,6 +157,8 @@ class StatePacker:
         quats, pelvis = walk.pose()
         if agent + "motion_arms" in columns:
             draw_in(quats[None], columns[agent + "motion_arms"][-1:], shoulders_forward=True)
+        if agent + "motion_seat" in columns:
+            take_seats(body, quats[None], pelvis[None], columns[agent + "motion_seat"][-1:])
         return pose_multiply(base, np.concatenate([pelvis, quats[0]])), quats[1:]
 
 

@@ -43,6 +43,7 @@ from h3data_play.messages import (
     Open,
     Pick,
     Place,
+    Sit,
     decode,
 )
 from h3data_play.plan import GameOrder, PlayPlan, prepared_key
@@ -549,6 +550,7 @@ def rehearse(table: EpisodeFactory) -> None:
         (Head(yaw=0.2, pitch=0.1), 3),
         (Pick(o=0, lead=True), 150),
         (Drop(), 20),
+        (Sit(), 150),
         (Open(j=0, lead=True), 90 if joints_of(game.session.episode.scene) else 0),
         (GoTo(p=(float(game.session.episode.starts[0, 0]), 0.0, float(game.session.episode.starts[0, 1]))), 60),
     ):

@@ -8,7 +8,7 @@ sitting the hips go back before they go down, and the trunk leans forward meanwh
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,6 +50,10 @@ HAND_ALONG, HAND_OVER_M, HAND_OUT_M = 0.6, 0.12, 0.02
 """Place of a wrist along the thigh, as a share, above its axis, and outwards."""
 TWIST_DEG, WRIST_DEG = 35.0, 22.0
 """Twist of forearm and of wrist that turns palms down, and the extension of the wrist."""
+TABLE = 61
+"""Poses between standing and sitting that are computed for one seat; between them they are interpolated."""
+EARLY = 0.05
+"""Share of the path over which a standing person's own pose goes over into it."""
 _ARMS = [JOINT_INDEX[f"{side}_{name}"] for side, _, _ in SIDES for name in ("shoulder", "elbow", "wrist")]
 _HIPS = [JOINT_INDEX[name] for name in ("pelvis", "left_hip", "right_hip")]
 
@@ -94,9 +98,47 @@ class Sitting:
         mixed[:, _ARMS] = quat_nlerp(hanging, laid.reshape(-1, 4), early * early * (3 - 2 * early)).reshape(laid.shape)
         return mixed, path
 
+    @cached_property
+    def table(self) -> tuple[Array, Array]:
+        """`pose` at `TABLE` equal shares of the path."""
+        return self.pose(np.linspace(0, 1, TABLE))
+
     def fits(self, depth_m: float) -> bool:
         """Returns whether the hips are over a seat of this depth [m] and the back is before what is behind the seat."""
         return self.edge_m - self.back_m <= depth_m + SINK_M
+
+
+def take_seats(body: Humanoid, quats: Array, pelvis: Array, seats: ArrayLike) -> None:
+    """Sets poses of standing people down on seats, in place.
+
+    Args:
+        body: Their body.
+        quats: Local rotations [T, 55, 4].
+        pelvis: Places of the pelvis in the agent root frame [T, 3].
+        seats: Height of the seat above the floor [m], and share of the path from standing (0) to sitting (1), [T, 2].
+
+    Raises:
+        InputError: there are not two finite numbers for each pose, or a seat does not fit the legs of this body.
+    """
+    seats = np.asarray(seats, np.float64)
+    if seats.shape != (len(quats), 2) or not np.isfinite(seats).all() or (seats[:, 1] > 1).any():
+        raise InputError(
+            f"Expected the height of a seat and a share of at most 1 for {len(quats)} poses, finite numbers of shape "
+            f"[{len(quats)}, 2], got shape {list(seats.shape)}.",
+            code="H3-BODY-179",
+        )
+    rows = np.flatnonzero(seats[:, 1] > 0)
+    for height in np.unique(seats[rows, 0].round(3)).tolist():
+        own = rows[seats[rows, 0].round(3) == height]
+        turns, places = sitting_on(body, height).table
+        at = seats[own, 1] * (TABLE - 1)
+        low = np.minimum(at.astype(np.intp), TABLE - 2)
+        share = (at - low)[:, None]
+        early = np.minimum(seats[own, 1] / EARLY, 1.0)[:, None]
+        early = early * early * (3 - 2 * early)
+        quats[own] = quat_nlerp(quats[own], quat_nlerp(turns[low], turns[low + 1], share), early)
+        place = places[low] + share * (places[low + 1] - places[low])
+        pelvis[own] += early * (place - pelvis[own])
 
 
 @lru_cache(maxsize=256)

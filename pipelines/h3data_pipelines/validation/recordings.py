@@ -122,6 +122,7 @@ def _schema(rec: Recording) -> Iterator[Finding]:
             "motion_phase": ("float32", (), (0, 1)),
             "motion_blend": ("float32", (), (0, 1)),
             "motion_arms": ("float32", (2,), (0, 1)),
+            "motion_seat": ("float32", (2,), (0, 1)),
         }
         kind, shape, limits = kinds.get(match[2], (array.dtype.name, array.shape[1:], None))
         if not _is(array, kind, shape):

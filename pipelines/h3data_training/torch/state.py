@@ -37,7 +37,7 @@ class RobotTensors(NamedTuple):
 
 
 class HumanTensors(NamedTuple):
-    """State of one person in each world; the fields are those of `HumanState`, but arms, which always swing here."""
+    """State of one person in each world; the fields are those of `HumanState`, but arms, which always swing here, and seats."""
 
     xz: Tensor
     heading: Tensor

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from h3data.errors import InputError
-from sim_kinematic.agents.skills import CONTROL, Action, Objects
+from sim_kinematic.agents.skills import CONTROL, SIT, Action, Objects
 
 HEAD_YAW_RAD, HEAD_PITCH_RAD = float(np.radians(75.0)), float(np.radians(50.0))
 """The head turns this far from the direction of the chest at most."""
@@ -76,7 +76,12 @@ class Close:
     """Door or drawer to close, as for `Open`."""
 
 
-Do = Pick | Place | Drop | HandOver | Open | Close
+@dataclass(frozen=True)
+class Sit:
+    """Walks to the nearest free seat within 3 m and sits down; any other command gets up again."""
+
+
+Do = Pick | Place | Drop | HandOver | Open | Close | Sit
 
 
 @dataclass(frozen=True)
@@ -125,8 +130,10 @@ def action_of(command: Any, objects: Objects, agent: int) -> Action:
         return Action("hand_over", objects.held(agent), command=(int(do.agent),))
     if isinstance(do, Open | Close):
         return Action("open" if isinstance(do, Open) else "close", _joint(do.joint, objects))
+    if isinstance(do, Sit):
+        return Action(SIT)
     if do is not None:
-        raise InputError(f"Expected Pick, Place, Drop, HandOver, Open or Close, got {do!r}.", code="H3-SIM-001")
+        raise InputError(f"Expected Pick, Place, Drop, HandOver, Open, Close or Sit, got {do!r}.", code="H3-SIM-001")
     if not hasattr(given, "forward") and np.shape(given) == (2,):
         given = PersonCommand(*given)
     if not (hasattr(given, "forward") and hasattr(given, "turn")):

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies.people.kernels.hands import lead_arm, turn_head
+from h3data.bodies.people.planted_gait import on_stairs
 from h3data.bodies.people.reach import Hand, reacher
 from h3data.geometry import (
     Array,
@@ -28,8 +31,10 @@ from sim_kinematic.agents.person import FADE_STEPS
 from sim_kinematic.agents.person_skills import HANDS as HANDS_TRIED
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.skills import RobotActor
-from sim_kinematic.agents.skills import CONTROL, Action, Skill, SkillResult
+from sim_kinematic.agents.sitting import show_seated
+from sim_kinematic.agents.skills import CONTROL, SIT, Action, Skill, SkillResult
 from sim_kinematic.agents.stands import nearest_stand
+from sim_kinematic.crowd.seating import Motion, SeatPlace, Seats, leave_seat, take_seat
 from sim_kinematic.motion.gait import drive_people
 from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.motion.state import HumanState
@@ -44,6 +49,10 @@ MEETING_M = 0.12
 """A hand that gives comes this near to the robot's, and no nearer: the object is between them."""
 DRAWS_IN_MPS = 0.4
 """Speed at which the robot's hand closes around what it is given."""
+EYES_M = 1.4
+"""Height at which somebody looks ahead who is about to sit down."""
+SEAT_WITHIN_M = 3.0
+"""A person who is told to sit takes the nearest seat within this distance."""
 _NO_TURN = np.array([0.0, 0.0, 0.0, 1.0])
 
 
@@ -57,6 +66,15 @@ class DrivenPerson(PersonActor):
     """Radius of the disc that keeps clear of obstacles [m]."""
     command: tuple[float, float] = (0.0, 0.0)
     """Forward and left turn of the last step, -1..1; zero while a skill runs."""
+    seats: Seats | None = None
+    """Seats of the home; None: the person sits nowhere."""
+    seat: SeatPlace | None = None
+    """Seat on which the person sits down, sits, or from which they get up."""
+    _leaving: Motion | None = None
+    _tables: Any = None
+    """Tables of the feet before they went to the seat."""
+    _seated: tuple[Array, float] = field(default_factory=lambda: (np.zeros(3), 0.0))
+    """Last place ``(x, z, heading)`` before the seat, and share of sitting."""
     _shares: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
     """Progress of the left and the right arm towards their targets, 0..1."""
     _targets: list[HandTarget] = field(default_factory=lambda: [HandTarget((0.0, 0.0, 0.0))] * 2)
@@ -80,6 +98,8 @@ class DrivenPerson(PersonActor):
         k, skill = action.target, action.skill
         if skill == CONTROL:
             return ""
+        if skill == SIT:
+            return "hand_full" if self.person.held else "" if self._nearest_seat() is not None else "no_seat"
         if skill in ("drop", "hand_over") or (skill == "place" and action.command):
             held = self.objects.held(self.number)
             if held < 0 or held != k:
@@ -170,6 +190,8 @@ class DrivenPerson(PersonActor):
         self._drives = False
         if action.skill == "drop":
             return (yield from self._drop(action.target))
+        if action.skill == SIT:
+            return (yield from self._sit())
         if action.skill == "hand_over":
             return (yield from self._give(action))
         if action.skill == "place" and action.command:
@@ -181,7 +203,53 @@ class DrivenPerson(PersonActor):
         """Returns whether something of the last commands is still to be seen: a step, a turn, a hand, the head."""
         person = self.person
         moves = self._gait.blend[0] > 0 or not person.walk.stands or person.transition.left > 0
-        return self._drives and bool(moves or self._shares.any() or self._head.any())
+        return self._drives and bool(moves or self.seat is not None or self._shares.any() or self._head.any())
+
+    def _nearest_seat(self) -> SeatPlace | None:
+        """The nearest seat that the person can use; None: there is none within `SEAT_WITHIN_M`."""
+        others = () if self.company is None else self.company.actors
+        taken = [other.seat.stand for other in others if getattr(other, "seat", None) is not None]
+        return None if self.seats is None else self.seats.nearest(self.xz, SEAT_WITHIN_M, taken)
+
+    def _sit(self) -> Skill:
+        """Walks before the nearest seat, sits down and remains there; whatever is asked next gets up first."""
+        place = self._nearest_seat()
+        if place is None:
+            return SkillResult("failed", "no_seat")
+        x, z, heading = place.before.tolist()
+        ahead = np.array([x + math.cos(heading), self.person.base[1] + EYES_M, z - math.sin(heading)])
+        walked = yield from self._go_to(place.before, ahead)
+        self.person.look_at = None
+        if walked.outcome != "done":
+            return walked
+        yield from self.person.settle()
+        walk = self.person.walk
+        # feet that keep out of furniture would be pushed away from the seat that they stand close to
+        self._tables, walk.tables = walk.tables, on_stairs(self.person.body.gait_tables, walk.tables.heights)
+        self.seat, self._drives = place, True
+        try:
+            motion = take_seat(np.append(self.xz, self.heading), place)
+            for at, share in motion:
+                self._seated = at, share
+                show_seated(self.person, place, at, share)
+                self._follow()
+                yield
+            while True:
+                show_seated(self.person, place, place.stand, 1.0)
+                yield
+        finally:
+            self._leaving = leave_seat(self._seated[0], place, self._seated[1])
+
+    def _leave_seat(self) -> bool:
+        """Makes one step of getting up; False: the person stands before the seat."""
+        moved = None if self.seat is None or self._leaving is None else next(self._leaving, None)
+        if self.seat is None or moved is None:
+            self.seat, self.person.walk.tables = None, self._tables
+            return False
+        self._drives, self.command, self._seated = True, (0.0, 0.0), moved
+        show_seated(self.person, self.seat, *moved)
+        self._follow()
+        return True
 
     def _drop(self, k: int) -> Skill:
         person, name = self.person, self.objects.names[k]
@@ -245,6 +313,8 @@ class DrivenPerson(PersonActor):
         A motion that would touch an agent that the person avoids is not made. Where other agents are solid, contact is
         decided by their discs at the places where the player's page shows them.
         """
+        if self.seat is not None and self._leave_seat():
+            return
         self._drives, self.person.look_at = True, None
         gait, before = self._gait_here(), self._posture()
         self._lead(command)

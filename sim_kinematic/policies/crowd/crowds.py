@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from h3data.scene import FreeSpace
 from sim_kinematic.crowd.crowd import NO_DISCS, Crowd, CrowdModel, Discs, robot_discs
 from sim_kinematic.crowd.errands import Guide
 from sim_kinematic.crowd.roles import Role
+from sim_kinematic.crowd.seating import SeatPlace
 from sim_kinematic.crowd.traits import Traits
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.policies.policy import PoseAction
@@ -71,6 +72,8 @@ class Crowds:
         self._members: dict[CrowdModel, dict[int, CrowdMember]] = {}
         self._crowds: dict[CrowdModel, Crowd] = {}
         self._moved: dict[int, PoseAction] = {}
+        self._places: dict[Any, SeatPlace] = {}
+        """Seats that people have."""
         self.new_events: list[Event] = []
         """Reactions to robots and activities that people of the crowds began in the last step."""
 
@@ -100,6 +103,7 @@ class Crowds:
                 roles=[person.role for person in people],
                 seed=people[0].seed,
                 stride=people[0].walker.stride,
+                places=self._places,
             )
         xz, heading, was_xz, was_heading = (values[w] for values in self._moment())
         discs, robots, count = [NO_DISCS], [], 0
@@ -122,5 +126,6 @@ class Crowds:
             Event(step=self._step, agent=own[m], kind=kind, target=target, detail=detail)
             for m, kind, target, detail in self._crowds[model].new_events
         ]
-        for number, place, angle in zip(members, places, headings.tolist(), strict=True):
-            self._moved[number] = PoseAction(place, angle)
+        seats = self._crowds[model].seats.tolist()
+        for number, place, angle, (height, share) in zip(members, places, headings.tolist(), seats, strict=True):
+            self._moved[number] = PoseAction(place, angle, (height, share))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.geometry import Array
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.waypoint_walker import WaypointHuman, walking_path
 from sim_kinematic.crowd.crowd import CrowdModel
@@ -45,6 +47,11 @@ class CrowdPolicy:
             model=model, free=free, traits=traits, walker=walker, guide=self._guide, role=role, seed=seed
         )
 
+    @property
+    def sits(self) -> bool:
+        """Returns whether the person may sit down."""
+        return self._routine is not None
+
     def act(self, view: AgentView) -> PoseAction:
         """Place after the next step."""
         return self.move(view.crowds(), view.agent, view.step)
@@ -59,9 +66,9 @@ class CrowdPolicy:
         facts = {"model": self.member.model, **self.member.traits._asdict(), **self.member.role._asdict()}
         return facts | {"routine": [list(stop) for stop in self._routine.stops] if self._routine else []}
 
-    def _guide(self, xz: NDArray[np.float64], goal: NDArray[np.float64] | None) -> Errand:
+    def _guide(self, xz: NDArray[np.float64], goal: NDArray[np.float64] | None, taken: Sequence[Array]) -> Errand:
         if goal is None and self._routine is not None:
-            stop = self._routine.next_stop(xz)
+            stop = self._routine.next_stop(xz, taken)
             if stop is not None:
                 return stop[1]._replace(path=walking_path(self.member.free, xz, stop[0], self.member.walker))
         goal = self._goals.next_goal(xz) if goal is None else goal

@@ -16,7 +16,7 @@ from sim_kinematic.agents.driven.commands import STAND, action_of, command_from_
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.robots.skills import checked_command
 from sim_kinematic.agents.roster import AgentSpec
-from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, DRIVEN_SKILLS, OPENING_SKILLS, SKILLS, Action, sentence
+from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, SKILLS, Action, sentence
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.rearrange import (
     planner,
@@ -120,7 +120,7 @@ class SkillControl(Control):
     def recorded_agent(self, agent: Agent, episode: Episode, *, is_external: bool) -> Agent:
         """An agent with its skills: in scenes with doors or drawers they include opening and closing."""
         if is_external and agent.kind == "human":
-            agent = replace(agent, skill_names=DRIVEN_SKILLS, action_names=("forward", "turn_left"))
+            agent = replace(agent, skill_names=ALL_SKILLS, action_names=("forward", "turn_left"))
         return replace(agent, skill_names=ALL_SKILLS) if episode.scene.articulations else agent
 
     def needed_columns(self, recording: Recording) -> list[str]:

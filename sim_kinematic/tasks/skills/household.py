@@ -45,6 +45,7 @@ from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.avoidance.stand_offs import TaskProgress
 from sim_kinematic.controllers.skill import IDLE_SKILLS, SkillController
+from sim_kinematic.crowd.seating import Seats
 from sim_kinematic.motion.state import NOBODY, HumanState
 from sim_kinematic.policies.rearrange_observations import exact
 from sim_kinematic.policies.skills.names import skills_of
@@ -179,6 +180,7 @@ class Household(Team):
             room,
             object_room=ObjectRoom(world.scene, self.objects.names, world.free.floor_y),
             radius_m=spec.agent_radius_m,
+            seats=Seats(world.scene, world.free, body),
         )
 
     def _openables(self) -> ArticulatedParts | None:

@@ -1,22 +1,28 @@
-"""People who sit down on the seats of a home."""
+"""People under control who sit down on the seats of a home."""
+
+from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import h3data
 from h3data.bodies import load_humanoid
-from h3data.errors import InputError
-from h3data.geometry import ground_pose
+from h3data.geometry import ground_pose, quat_from_heading
 from h3data.recording import write_mcap
 from h3data.recording.records import STEP_NS, Agent, Episode, Recording
 from h3data.scene import FreeSpace, Scene
-from h3data.scene.seats import Seat, seats_of
+from h3data.scene.seats import seats_of
+from sim_kinematic.agents.driven.commands import PersonCommand, Sit
+from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.person import Person, joint_steps, run
-from sim_kinematic.agents.sitting import get_up, seat_stand, sit, sit_down
-
-SEAT = Seat(name="chair", category="chair", edge=np.array([0.0, 0.46, 0.0]), heading=0.3, depth_m=0.5, height_m=0.46)
+from sim_kinematic.agents.sitting import sit
+from sim_kinematic.crowd.seating import SeatPlace, Seats
+from sim_kinematic.policies.policy import External
+from sim_kinematic.tasks.resume import verify
+from sim_kinematic.tasks.runner import Session
 
 
 @pytest.fixture(scope="module")
@@ -24,10 +30,10 @@ def home() -> Scene:
     return h3data.load_scene("medium:1")
 
 
-def before(seat: Seat, name: str = "female_0") -> Person:
-    person = Person(load_humanoid(name), ground_pose(np.zeros(2), 0.0))
-    x, z, heading = seat_stand(person, seat)
-    return Person(person.body, ground_pose(np.array([x, z]), heading))
+@pytest.fixture(scope="module")
+def bed(home: Scene) -> SeatPlace:
+    free = FreeSpace.from_scene(home, radius_m=0.25)
+    return Seats(home, free, load_humanoid("female_0")).place(next(s for s in seats_of(home) if s.name == "bed_0:0"))
 
 
 def test_seats_of_a_home(home: Scene) -> None:
@@ -37,49 +43,17 @@ def test_seats_of_a_home(home: Scene) -> None:
     assert len({seat.name for seat in seats}) == len(seats)
 
 
-def test_walks_sits_and_gets_up(home: Scene) -> None:
-    free = FreeSpace.from_scene(home, radius_m=0.25)
-    start = free.sample(np.random.default_rng(1), 1)[0]
-    reached = 0
-    for seat in [s for s in seats_of(home) if s.name in ("chair_0", "bed_0:0", "armchair_1", "sofa_0:0")]:
-        person = Person(load_humanoid("female_0"), free.root_pose(start, 0.0), free=free)
-        frames, result = run(person, sit(person, seat, 1.0))
-        reached += result.success
-        low = min(frames, key=lambda frame: frame.root[1])
-        assert abs(low.root[1] - seat.height_m) < 0.2
-        assert np.hypot(*(low.root[[0, 2]] - seat.edge[[0, 2]])) < 0.35
-        assert frames[-1].root[1] > 0.8
-    assert reached == 4
-
-
-@pytest.mark.parametrize("name", ["male_1", "older_0"])
-def test_has_no_pop(name: str) -> None:
-    person = before(SEAT, name)
-    for part in (sit_down, get_up):
-        frames, result = run(person, part(person, SEAT))
-        assert result.success
-        turns = joint_steps(np.stack([np.vstack([frame.root[3:], frame.joints]) for frame in frames]))
-        assert np.degrees(turns.max()) < 20
-    joints = person.body.joint_matrices_free(person.frame().root[None], person.frame().joints[None])
-    np.testing.assert_allclose(joints[0], person.joint_matrices, atol=1e-6)
-
-
-def test_sits_only_before_the_seat() -> None:
-    person = Person(load_humanoid("female_0"), ground_pose(np.array([2.0, 0.0]), 0.0))
-    _, result = run(person, sit_down(person, SEAT))
-    assert not result.success
-    assert result.reason == "not_before_seat"
-
-
-def test_shallow_seat() -> None:
-    with pytest.raises(InputError) as caught:
-        before(SEAT._replace(depth_m=0.1))
-    assert caught.value.code == "H3-SIM-059"
-
-
-def test_frames_are_recorded(tmp_path: Path) -> None:
-    person = before(SEAT)
-    frames, _ = run(person, sit_down(person, SEAT))
+def test_sits_and_gets_up_without_a_pop(bed: SeatPlace, tmp_path: Path) -> None:
+    body = load_humanoid("female_0")
+    person = Person(body, ground_pose(bed.before[:2], bed.before[2] + 0.4))
+    frames, result = run(person, sit(person, bed, 1.0))
+    assert result.success
+    low = min(frames, key=lambda frame: frame.root[1])
+    assert abs(low.root[1] - bed.seat.height_m) < 0.2
+    assert np.hypot(*(low.root[[0, 2]] - bed.seat.edge[[0, 2]])) < 0.35
+    assert frames[-1].root[1] > 0.8
+    turns = joint_steps(np.stack([np.vstack([frame.root[3:], frame.joints]) for frame in frames]))
+    assert np.degrees(turns.max()) < 25
     columns = {
         "time_ns": np.arange(len(frames), dtype=np.int64) * STEP_NS,
         "agent_0.base_pose": np.stack([frame.base for frame in frames]).astype(np.float32),
@@ -92,8 +66,91 @@ def test_frames_are_recorded(tmp_path: Path) -> None:
         columns=columns,
     )
     write_mcap(recording, tmp_path / "sit.mcap")
-    posed = h3data.load_recording(tmp_path / "sit.mcap")
-    joints = person.body.joint_matrices_free(*(posed.columns[f"agent_0.{n}"] for n in ("root_pose", "joint_quat")))
-    np.testing.assert_allclose(joints[-1], person.joint_matrices, atol=1e-4)
     h3data.export(tmp_path / "sit.mcap", tmp_path / "sit.glb", to="gltf")
     assert (tmp_path / "sit.glb").stat().st_size > 100_000
+
+
+# --- driven from outside ----------------------------------------------------------------------------------------------
+def begun(**options: Any) -> tuple[Session, DrivenPerson]:
+    agents = {"person": External(), "robot": "still"}
+    session = h3data.session("rearrange", "medium:1", agents=agents, **options)
+    person = session.play.team.people[0]
+    assert isinstance(person, DrivenPerson)
+    return session, person
+
+
+def put_before(person: DrivenPerson, place: SeatPlace) -> None:
+    """Puts the person 0.4 m ahead of the place before a seat."""
+    x, z, heading = place.before.tolist()
+    at = [x + 0.4 * np.cos(heading), z - 0.4 * np.sin(heading)]
+    person.person.set_pose(person.person.quats, person.person.pelvis, ground_pose(np.array(at), heading + 1.0))
+
+
+def test_a_driven_person_sits_until_a_key_moves_them(bed: SeatPlace) -> None:
+    session, person = begun()
+    put_before(person, bed)
+    session.act("person", Sit())
+    for _ in range(300):
+        session.step()
+    assert person.seat is not None
+    assert person.seat.seat.category == "bed"
+    assert person._seated[1] == 1
+    hips = person.person.frame().root
+    assert abs(hips[1] - person.seat.seat.height_m) < 0.2
+    heights = []
+    for _ in range(150):
+        session.act("person", PersonCommand(forward=0.5))
+        session.step()
+        heights.append(person.person.frame().root[1])
+    assert person.seat is None
+    assert heights[-1] > 0.8
+    assert np.abs(np.diff(heights)).max() < 0.03
+    base = session.recorder.columns()["agent_1.base_pose"]
+    assert np.hypot(*(base[-1] - base[-140])[[0, 2]]) > 0.3
+
+
+def test_a_driven_person_who_is_stopped_on_the_way_down_gets_up() -> None:
+    session, person = begun(seed=3)
+    place = person.seats.nearest(person.xz, 30.0)  # type: ignore[union-attr]
+    assert place is not None
+    person.person.set_pose(
+        person.person.quats,
+        person.person.pelvis,
+        np.append(ground_pose(place.before[:2], place.before[2])[:3], quat_from_heading(place.before[2])),
+    )
+    session.act("person", Sit())
+    while person._seated[1] < 0.5:
+        session.step()
+    joints = [person.person.frame().joints]
+    session.act("person", PersonCommand(turn=0.2))
+    for _ in range(120):
+        session.step()
+        joints.append(person.person.frame().joints)
+    assert person.seat is None
+    assert np.degrees(joint_steps(np.stack(joints)).max()) < 25
+
+
+def test_nobody_sits_where_no_seat_is_near() -> None:
+    session, person = begun(seed=1)
+    person.seats = None
+    assert "no free seat" in (session.refusal("person", Sit()) or "")
+    result = session.act("person", Sit())
+    assert result is None or "no free seat" in str(result)
+
+
+def test_a_recording_of_sitting_verifies() -> None:
+    for seed in range(1, 12):
+        session, person = begun(seed=seed)
+        if session.refusal("person", Sit()) in (None, ""):
+            break
+    session.act("person", Sit())
+    for _ in range(320):
+        session.step()
+    seated = person._seated[1]
+    session.act("person", PersonCommand(forward=0.6))
+    for _ in range(100):
+        session.step()
+    recording = session.close()
+    assert seated == 1
+    assert recording.agents[1].skill_names[-1] == "sit"
+    assert verify(recording).difference is None

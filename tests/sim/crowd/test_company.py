@@ -32,7 +32,7 @@ def person(speed: float = 1.3) -> Traits:
 
 def path_to(*goals: tuple[float, float]) -> Guide:
     left = list(goals)
-    return lambda xz, given: Errand(
+    return lambda xz, given, taken: Errand(
         np.array([xz, given if given is not None else left.pop(0) if len(left) > 1 else left[0]])
     )
 

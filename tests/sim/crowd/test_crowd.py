@@ -28,7 +28,7 @@ def person(speed: float = 1.3, side: float = 1.0, patience_s: float = 6.0) -> Tr
 
 
 def path_to(goal: tuple[float, float]) -> Guide:
-    return lambda xz, given: Errand(np.array([xz, goal if given is None else given]))
+    return lambda xz, given, taken: Errand(np.array([xz, goal if given is None else given]))
 
 
 def walk(crowd: Crowd, starts: list[tuple[float, float]], headings: list[float], steps: int, others: Discs = NO_DISCS):
@@ -91,7 +91,7 @@ def test_who_walks_alone_walks_at_their_own_speed(floor: FreeSpace, model: Crowd
 @pytest.mark.parametrize("model", MODELS)
 def test_who_finds_no_goal_stands_and_others_walk_round_them(floor: FreeSpace, model: CrowdModel):
     nowhere = Errand(np.zeros((0, 2)))
-    crowd = Crowd(floor, [person(), person()], [path_to((15.0, 6.0)), lambda xz, given: nowhere], model)
+    crowd = Crowd(floor, [person(), person()], [path_to((15.0, 6.0)), lambda xz, given, taken: nowhere], model)
     track = walk(crowd, [(3.0, 6.0), (9.0, 6.0)], [0.0, 0.0], 420)
     assert np.hypot(*(track[:, 0] - [15.0, 6.0]).T).min() < 0.5
     assert np.isfinite(track).all()

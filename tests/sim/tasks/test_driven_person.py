@@ -34,7 +34,7 @@ from sim_kinematic.agents.driven.commands import (
     command_to_json,
 )
 from sim_kinematic.agents.driven.person import DrivenPerson
-from sim_kinematic.agents.skills import DRIVEN_SKILLS, Action
+from sim_kinematic.agents.skills import ALL_SKILLS, Action
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.policies.policy import External, Velocity
 from sim_kinematic.tasks.resume import counterfactual, resume, verify
@@ -138,7 +138,7 @@ def test_robots_beside_the_track_of_a_driven_person(whole: Path) -> None:
 def test_its_columns_say_what_was_commanded(whole: Path) -> None:
     recording = open_recording(whole)
     agent, action = recording.agents[1], recording.columns["agent_1.action"]
-    assert (agent.action_names, agent.skill_names) == (("forward", "turn_left"), DRIVEN_SKILLS)
+    assert (agent.action_names, agent.skill_names) == (("forward", "turn_left"), ALL_SKILLS)
     for event in recording.inputs[:40]:
         data = json.loads(event.payload)
         command = data["choice"]["command"]

@@ -170,6 +170,7 @@ export class Game {
   private doSomething(wish: Wish, now: Situation): void {
     if (wish === "cancel") this.stopWalkingTo(true);
     else if (wish === "drop" || wish === "give") this.letGo(wish, now);
+    else if (wish === "sit") this.net.send({ k: "sit" });
     else if (wish === "turn") {
       if (now.joint >= 0) this.turn(now.joint);
       else this.hud.toast(say("nothing_opens"));

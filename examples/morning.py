@@ -1,0 +1,86 @@
+"""Film of a minute of a morning: three people and a robot in a home; they cook, fetch things, and sit down to read.
+
+python examples/morning.py out/morning           # episode.mcap, morning.mp4 and sheets of 12 frames each
+h3data replay out/morning/episode.mcap --verify  # simulates it again, bit for bit
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import h3data
+from h3data.recording import Recording, write_mcap
+from h3data.render.image_files import write_png
+from h3data.render.video import VideoWriter
+from h3data.replay import Replay, camera_track
+from sim_kinematic.crowd.routines import Routine, Stop
+from sim_kinematic.policies.crowd.people import CrowdPolicy
+
+SCENE, SEED, SECONDS, FPS = "medium2:1", 11, 60, 30
+ROSTER = ("robot", "female_1", "male_2", "female_3")
+SIZE = 640, 360
+ROUTINES = {
+    1: (Stop("kitchen_counter_0", "cook", 9.0), Stop("sofa_0", "read", 12.0), Stop("window_2", "look_out", 6.0)),
+    2: (Stop("fridge_0", "fetch", 5.0), Stop("sofa_0", "read", 16.0), Stop("kitchen_counter_0", "cook", 9.0)),
+    3: (Stop("sofa_0", "read", 12.0), Stop("fridge_0", "fetch", 5.0), Stop("window_2", "look_out", 6.0)),
+}
+"""Places, activities and seconds of each person."""
+CAMERAS = {
+    "kitchen": "eye = [5.2, 2.3, 6.3]\ntarget = [7.2, 0.5, 3.8]\nhfov_deg = 80\n",
+    "stove": "eye = [8.8, 2.3, 6.2]\ntarget = [6.2, 0.5, 3.9]\nhfov_deg = 80\n",
+    "sofa": "eye = [5.3, 2.2, 12.4]\ntarget = [7.9, 0.5, 9.6]\nhfov_deg = 80\n",
+    "living": "eye = [5.2, 2.3, 7.2]\ntarget = [7.6, 0.5, 10.2]\nhfov_deg = 80\n",
+}
+SHOTS = ((0, "kitchen"), (7, "sofa"), (25, "living"), (32, "third_person"), (38, "sofa"), (46, "stove"))
+"""Seconds at which the shots begin, and their cameras: `CAMERAS`, or named ones."""
+
+
+def resident(task: Any, episode: Any, number: int) -> CrowdPolicy:
+    """Policy of a person who follows their routine."""
+    own = episode.roster[number].body
+    routine = Routine(episode.scene, episode.free, ROUTINES[number], own)
+    return CrowdPolicy("orca", episode.free, episode.seed, number, episode.spec.human, routine=routine)
+
+
+def play(seed: int = SEED) -> Recording:
+    """Simulates the minute."""
+    agents = {"human": f"{Path(__file__).stem}:resident", "robot": "wander"}
+    return h3data.simulate(
+        "wander", SCENE, roster=ROSTER, agents=agents, seed=seed, max_steps=SECONDS * FPS, spawn_distance_m=1.0
+    )
+
+
+def film(recording: Recording, folder: Path) -> None:
+    """Renders the shots one after the other, and a sheet of every twelve seconds."""
+    replay = Replay(recording, light="baked")
+    for name, text in CAMERAS.items():
+        (folder / f"{name}.toml").write_text(text)
+    cut = [*(start * FPS for start, _ in SHOTS), len(recording)]
+    frames = []
+    with VideoWriter(folder / "morning.mp4", fps=FPS, width=SIZE[0], height=SIZE[1]) as video:
+        for (_, name), start, end in zip(SHOTS, cut[:-1], cut[1:], strict=True):
+            track = camera_track(replay, str(folder / f"{name}.toml") if name in CAMERAS else name).resized(*SIZE)
+            for step, (outputs,) in replay.frames([track], range(start, end), samples=4, threads=2):
+                video.write(outputs["rgb"])
+                if step % FPS == 0:
+                    frames.append(outputs["rgb"])
+    for k in range(0, len(frames), 12):
+        rows = [np.hstack(frames[j : j + 4]) for j in range(k, k + 12, 4)]
+        write_png(folder / f"sheet_{k // 12}.png", np.vstack(rows))
+
+
+def main(out: str) -> None:
+    """Plays, records and renders."""
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    recording = play()
+    write_mcap(recording, folder / "episode.mcap", overwrite=True)
+    film(recording, folder)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,212 @@
+"""Seats that a person can use, and the motion to them: back to the seat, a step back, down; later up and away.
+
+A place before the seat is sought on the floor on which people walk. From there a person steps straight to the seat with the
+back to it. A seat is refused where the body would be in a thing on this path.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from h3data.bodies import Humanoid
+from h3data.bodies.people.sitting import Sitting, sitting_on
+from h3data.errors import InputError
+from h3data.geometry import Array, ground_pose, wrap_angle
+from h3data.scene import FreeSpace, Scene
+from h3data.scene.records import Capsule, instance_bounds
+from h3data.scene.seats import Seat, seats_of
+from sim_kinematic.contact import MovingShapes, collide
+from sim_kinematic.contact.clearance import scenery_of
+from sim_kinematic.contact.frames import body_shapes, shape_frames
+from sim_kinematic.motion.spec import STEP_S
+
+SIT_S, RISE_S, SETTLE_S = 2.0, 1.8, 1.5
+"""Durations of sitting down, of getting up, and of standing still before [s]."""
+STEP_MPS, TURN_RAD_S = 0.35, 1.2
+"""Mean speeds of steps and of turns before a seat."""
+AWAY_M = tuple(0.1 * k for k in range(1, 13))
+"""Distances from where people stand before they sit to where they turn, of which the first with room is taken."""
+SIDES_RAD = tuple(math.radians(angle) for angle in (0, 20, -20, 40, -40))
+"""Directions of this step, from straight ahead of the seat on. Feet that step farther sideways would get into the seat."""
+ROOM_M = 0.27
+"""Room that the place has."""
+DEPTH_M = 0.018
+"""Depth by which the collision shapes of somebody who sits may be in the seat, as cushions give way."""
+BESIDE_M = 0.8
+"""Seats within this distance of a table or desk belong to it."""
+APART_M = 0.75
+"""People who sit side by side are at least so far apart."""
+
+
+class SeatPlace(NamedTuple):
+    """A seat that a person can use."""
+
+    seat: Seat
+    before: Array
+    """Place ``(x, z, heading)`` [3] at which they turn the back to the seat,"""
+    stand: Array
+    """and from which they sit down."""
+
+
+def fit(body: Humanoid, seat: Seat) -> Sitting:
+    """Return the motion by which a body sits down on a seat.
+
+    Raises:
+        InputError: the seat is too high, too low or too shallow for this body.
+    """
+    sitting = sitting_on(body, round(seat.height_m, 3))
+    if not sitting.fits(seat.depth_m):
+        raise InputError(
+            f"{body.name} needs {sitting.edge_m - sitting.back_m:.2f} m of depth to sit, {seat.name} has "
+            f"{seat.depth_m:.2f} m. Hint: choose a deeper seat.",
+            code="H3-SIM-059",
+        )
+    return sitting
+
+
+def stand_before(body: Humanoid, seat: Seat) -> Array:
+    """Place ``(x, z, heading)`` [3] at which a person stands before they sit down, the back to the seat.
+
+    Raises:
+        InputError: the seat is too high, too low or too shallow for this body.
+    """
+    ahead = np.array([np.cos(seat.heading), -np.sin(seat.heading)])
+    return np.append(seat.edge[[0, 2]] - fit(body, seat).edge_m * ahead, seat.heading)
+
+
+class Seats:
+    """Seats of a home as one person can use them."""
+
+    def __init__(self, scene: Scene, free: FreeSpace, body: Humanoid) -> None:
+        """``free`` is the floor on which the person walks."""
+        self._scene, self._free, self._body = scene, free, body
+        self._seats = seats_of(scene)
+        self._before: dict[str, Array | None] = {}
+
+    def at(self, thing: str) -> list[Seat]:
+        """Seats of a thing in the home, or those beside it, the nearest first."""
+        own = [seat for seat in self._seats if seat.name.partition(":")[0] == thing or seat.name == thing]
+        if own:
+            return own
+        instance = next(instance for instance in self._scene.instances if instance.name == thing)
+        low, high = instance_bounds(self._scene, instance)[:, [0, 2]]
+        gaps = [np.hypot(*(np.clip(seat.edge[[0, 2]], low, high) - seat.edge[[0, 2]])) for seat in self._seats]
+        return [self._seats[k] for k in np.argsort(gaps, kind="stable") if gaps[k] < BESIDE_M]
+
+    def place(self, seat: Seat, taken: Sequence[Array] = ()) -> SeatPlace:
+        """Return how to use a seat, while others have the places ``taken`` ``(x, z, ...)``.
+
+        Raises:
+            InputError: the seat does not fit the body, somebody has it, or there is no room before it.
+        """
+        x, z, heading = stand_before(self._body, seat).tolist()
+        if any(math.hypot(other[0] - x, other[1] - z) < APART_M for other in taken):
+            raise InputError(
+                f"{seat.name} is taken, or the seat beside it. Hint: choose another one.", code="H3-SIM-064"
+            )
+        stand = np.array([x, z, heading])
+        if seat.name not in self._before:
+            self._before[seat.name] = self._find_before(seat, stand)
+        before = self._before[seat.name]
+        if before is None:
+            raise InputError(
+                f"There is no room for {self._body.name} to sit down on {seat.name} from the floor before it. Hint: choose a "
+                "seat that is not pushed under a table.",
+                code="H3-SIM-065",
+            )
+        return SeatPlace(seat, before, stand)
+
+    def nearest(self, xz: Array, within_m: float, taken: Sequence[Array] = ()) -> SeatPlace | None:
+        """Return how to use the nearest seat that fits, within a distance [m] of a place [2]; None: there is none."""
+        gaps = {seat.name: float(np.hypot(*(seat.edge[[0, 2]] - xz))) for seat in self._seats}
+        for seat in sorted(self._seats, key=lambda seat: gaps[seat.name]):
+            if gaps[seat.name] > within_m:
+                break
+            try:
+                place = self.place(seat, taken)
+            except InputError:
+                continue
+            if np.isfinite(self._free.geodesic(xz, place.before[:2])):
+                return place
+        return None
+
+    def _find_before(self, seat: Seat, stand: Array) -> Array | None:
+        """Place ``(x, z, heading)`` from which the person steps back to the seat; None: there is none."""
+        sitting, heading = fit(self._body, seat), float(stand[2])
+        shares = np.linspace(0, 1, 7)
+        if self._is_clear(np.tile(stand, (len(shares), 1)), *sitting.pose(shares), depth_m=DEPTH_M):
+            for side in SIDES_RAD:
+                out = np.array([math.cos(heading + side), -math.sin(heading + side)])
+                for away in AWAY_M:
+                    at = stand[:2] + away * out
+                    if self._free.signed_distance(at) < ROOM_M:
+                        continue
+                    steps = np.arange(0.1, away + 0.1, 0.1)[:, None] * out + stand[:2]
+                    track = np.column_stack([steps, np.full(len(steps), heading)])
+                    standing = self._body.clip_pose(np.zeros(len(track), np.int64), np.zeros(len(track)))
+                    if self._is_clear(track, *standing):
+                        return np.append(at, heading)
+                    break
+        return None
+
+    def _is_clear(self, track: Array, quats: Array, pelvis: Array, depth_m: float = 0.0) -> bool:
+        """Returns whether the body in poses [T] at places [T, 3] is in nothing, or no deeper than ``depth_m``."""
+        body = self._body
+        roots = ground_pose(track[:, :2], track[:, 2], self._free.height_at(track[:, :2]))
+        frames = shape_frames(body, body.joint_matrices(roots, quats, pelvis))
+        capsules = [shape for shape in body_shapes(body) if isinstance(shape, Capsule)]
+        shapes = MovingShapes([replace(shape, radius=shape.radius - depth_m) for shape in capsules])
+        for pose in frames:
+            shapes.set_transforms(pose)
+            if collide(scenery_of(self._scene), shapes):
+                return False
+        return True
+
+
+Motion = Iterator[tuple[Array, float]]
+"""Place ``(x, z, heading)`` [3] of a person and share of sitting, 0 to 1, after each step."""
+
+
+def sit_for(here: Array, place: SeatPlace, seconds: float) -> Motion:
+    """Yield the motion of somebody who comes from a place [3] before a seat, sits for some time, and goes back there."""
+    yield from take_seat(here, place)
+    yield from _shares(place.stand, 1, 1, seconds)
+    yield from leave_seat(place.stand, place, 1.0)
+
+
+def take_seat(here: Array, place: SeatPlace) -> Motion:
+    """Yield the motion of somebody who comes from a place [3] before a seat and sits down."""
+    for start, end in ((here, place.before), (place.before, place.stand)):
+        yield from ((at, 0.0) for at in _steps(start, end))
+    yield from _shares(place.stand, 0, 0, SETTLE_S)
+    yield from _shares(place.stand, 0, 1, SIT_S)
+
+
+def leave_seat(here: Array, place: SeatPlace, share: float) -> Motion:
+    """Yield the motion of somebody at a place [3], so far on the way to sitting, who gets up and steps away."""
+    if share > 0:
+        yield from _shares(here, share, 0, RISE_S * (0.5 + share / 2))
+        yield from _shares(here, 0, 0, SETTLE_S / 2)
+    yield from ((at, 0.0) for at in _steps(here, place.before))
+
+
+def _shares(at: Array, start: float, end: float, seconds: float) -> Motion:
+    steps = max(round(seconds / STEP_S), 1)
+    u = np.arange(1, steps + 1) / steps
+    for share in (start + (end - start) * u**3 * (10 - 15 * u + 6 * u * u)).tolist():
+        yield at, share
+
+
+def _steps(start: Array, end: Array) -> Iterator[Array]:
+    turn = float(wrap_angle(end[2] - start[2]))
+    gap = end[:2] - start[:2]
+    steps = math.ceil(max(math.hypot(*gap) / STEP_MPS, abs(turn) / TURN_RAD_S) / STEP_S)
+    for k in range(1, steps + 1):
+        u = k / steps
+        u = u * u * (3 - 2 * u)
+        yield np.append(start[:2] + u * gap, start[2] + u * turn)
