@@ -335,7 +335,7 @@ class World:
         """A person's posture in the worlds ``rows`` [n], in float32 precision, as it is recorded."""
         if agent in self._kept:
             kept = self._kept[agent]
-            return Posture(*(values[rows] for values in kept))
+            return Posture(kept.clip[rows], kept.phase[rows], kept.blend[rows], kept.arms[rows], kept.seat[rows])
         own, body = self.state.agents[agent], self.roster[agent].body
         assert isinstance(own, HumanState)
         assert isinstance(body, Humanoid)

@@ -62,6 +62,8 @@ KEPT = 0.7
 """Share of activities that a person does not leave out."""
 PERSON_M = 1.0
 """Distance from others within which nobody stays."""
+BETWEEN = np.linspace(0.2, 0.9, 6)
+"""Shares of the line to a thing that are free floor."""
 POSTURES = ("stand", "sit")
 """Postures that people of crowds have."""
 BESIDE_M, ROOM_M, BEARINGS = 0.9, 0.33, 48
@@ -93,7 +95,9 @@ def place_beside(
     at = np.concatenate([edge + gap * away for gap in (0.5, 0.6, 0.75, BESIDE_M)])
     faced = np.tile(edge, (4, 1))
     far = free.geodesic(np.broadcast_to(near, at.shape), at)
-    fits = np.flatnonzero(np.isfinite(far) & (free.signed_distance(at) >= ROOM_M))
+    between = at[:, None] + BETWEEN[:, None] * (faced - at)[:, None]
+    seen = (free.signed_distance(between) > 0).all(1)  # not across a wall
+    fits = np.flatnonzero(np.isfinite(far) & (free.signed_distance(at) >= ROOM_M) & seen)
     if not len(fits):
         return None
     best = fits[np.argmin(np.hypot(*(at[fits] - faced[fits]).T) + 1e-3 * far[fits])]
@@ -152,10 +156,10 @@ class Routine:
         They sit if the activity is one of sitting and the place has a seat for them. An entry whose place others have ``taken``
         ``(x, z, ...)`` waits for its next turn.
         """
+        refused = "", ""
         for _ in self.stops:
             stop = self.stops[self._next % len(self.stops)]
             self._next += 1
-            refused = "", ""
             if self._seats is not None and posture_of(stop.activity, POSTURES) == "sit":
                 for seat in self._seats.at(stop.place):
                     try:
@@ -165,7 +169,9 @@ class Routine:
                         continue
                     if np.isfinite(self._free.geodesic(xz, place.before[:2])):
                         at = np.asarray(place.before[:2], np.float64)
-                        return at, Errand(np.zeros((0, 2)), stop.seconds, None, stop.activity, stop.place, place)
+                        return at, Errand(
+                            np.zeros((0, 2)), stop.seconds, None, stop.activity, stop.place, place, refused
+                        )
             beside = place_beside(self._scene, self._free, stop.place, xz)
             if beside is not None and all(np.hypot(*(beside[0] - other[:2])) >= PERSON_M for other in taken):
                 at, (x, z) = beside

@@ -141,7 +141,7 @@ def test_refused_seats_say_why():
     first = room.place(seats["sofa:0"])
     for name, taken, code in (
         ("sofa:0", [first.stand], "H3-SIM-064"),
-        ("sofa:1", [first.stand - [0.3, 0, 0]], "H3-SIM-064"),
+        ("sofa:1", [first.stand + np.array([0.3, 0, 0])], "H3-SIM-064"),
         (TUCKED, [], "H3-SIM-065"),
         (HIGH, [], "H3-BODY-178"),
     ):
