@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from h3data.policies import Action, RearrangeView
-from h3data_language.episode import Errand
+from h3data_language.episode import DETOUR, Errand
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.policies.rearrange import errand as next_action
 from sim_kinematic.policies.rearrange import persons_object
@@ -34,8 +34,6 @@ LATE = 600
 TRIES = 3
 MOST_ORDERS = 720
 """So many orders of the errands are compared; of more errands than fit, the nearest comes first."""
-DETOUR = 1.4
-"""Length of a path over the straight line, about."""
 WORK_M = 4.0
 """Time that an errand takes at its places, as the path that one could walk in it [m]."""
 

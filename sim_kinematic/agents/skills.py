@@ -105,6 +105,24 @@ class Action(NamedTuple):
     [m], of ``hand_over`` the robot's number."""
 
 
+class Destination(NamedTuple):
+    """`Action.command` of a ``wait`` of no steps that gives its object another goal, where the task allows it."""
+
+    place: str
+    """Name of a piece of furniture or a room; ``inside NAME`` for a drawer or a cupboard of the furniture."""
+    next_to: str = ""
+    """Name of the object next to which it goes; empty: anywhere."""
+
+    def __str__(self) -> str:
+        return f"{self.place} next to {self.next_to}" if self.next_to else self.place
+
+    @classmethod
+    def of(cls, text: str) -> Destination:
+        """The destination that ``str`` wrote."""
+        place, _, next_to = text.partition(" next to ")
+        return cls(place, next_to)
+
+
 class SkillResult(NamedTuple):
     """Result of a skill."""
 

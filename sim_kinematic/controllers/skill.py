@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from h3data.recording import SkillSpan
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.giving_way import AnyActor
-from sim_kinematic.agents.skills import CONTROL, OPENING_SKILLS, PRIMITIVES, Action, Skill, SkillResult
+from sim_kinematic.agents.skills import CONTROL, OPENING_SKILLS, PRIMITIVES, Action, Destination, Skill, SkillResult
 from sim_kinematic.avoidance.yielding import NO_PATH
 from sim_kinematic.controllers.controller import Status
 from sim_kinematic.world import World
@@ -34,6 +34,8 @@ class SkillController:
     names: tuple[str, ...]
     joints: tuple[str, ...] = ()
     """Names of doors and drawers."""
+    aim: Callable[[int, Action], str] | None = None
+    """`sim_kinematic.tasks.skills.household.Household.aim`."""
     action: Action = field(default_factory=lambda: Action("wait"))
     ending: SkillResult | None = None
     skill: Skill | None = None
@@ -79,6 +81,8 @@ class SkillController:
             self._end_drive(self._step - 1)
         self.action, self.begun = chosen, self._step
         why = self.actor.infeasible(chosen)
+        if not why and self.aim is not None and isinstance(chosen.command, Destination):
+            why = self.aim(self.number, chosen)
         if why:
             self._end(self._step, SkillResult("failed", why))
             self._left = 0

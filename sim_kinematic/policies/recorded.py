@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.geometry import heading_from_quat
 from h3data.recording import Recording, SkillSpan
-from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, SKILLS, Action
+from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, SKILLS, Action, Destination
 from sim_kinematic.policies.policy import RecordedPose, Velocity
 from sim_kinematic.policies.rearrange import HighLevelPolicy
 from sim_kinematic.policies.views import RearrangeView
@@ -222,6 +222,8 @@ class RecordedPolicy:
     """the policy ``own``, which decides since this step; before it somebody else did."""
     joints: tuple[str, ...] = ()
     """Names of the doors and drawers of the home."""
+    destinations: Mapping[tuple[int, int], Destination] = field(default_factory=dict)
+    """Other goals that the agent gave to objects, by the step and the index of the object."""
     _next: int = 0
     _running: Action = field(default_factory=lambda: Action("wait"))
 
@@ -261,7 +263,10 @@ class RecordedPolicy:
             endless = len(self.now) + self._next
             steps = 0 if at_once else lasted if span.outcome == "done" else endless
             names = self.joints if span.name in OPENING_SKILLS else self.objects
-            action = Action(span.name, names.index(span.target) if span.target else -1, steps)
+            target = names.index(span.target) if span.target else -1
+            action = Action(span.name, target, steps)
+            if span.name == "wait" and (step, target) in self.destinations:
+                return Action("wait", target, 0, self.destinations[step, target])
         else:
             skill, target = self.now[min(step, len(self.now) - 1)].tolist()
             action = Action(ALL_SKILLS[skill], target, len(self.now) + 1)

@@ -16,7 +16,16 @@ from sim_kinematic.agents.driven.commands import STAND, action_of, command_from_
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.robots.skills import checked_command
 from sim_kinematic.agents.roster import AgentSpec
-from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, DRIVEN_SKILLS, OPENING_SKILLS, SKILLS, Action, sentence
+from sim_kinematic.agents.skills import (
+    ALL_SKILLS,
+    CONTROL,
+    DRIVEN_SKILLS,
+    OPENING_SKILLS,
+    SKILLS,
+    Action,
+    Destination,
+    sentence,
+)
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.rearrange import (
     planner,
@@ -158,6 +167,11 @@ class SkillControl(Control):
                     until=until,
                     since=since,
                     joints=joints,
+                    destinations={
+                        (event.step, objects.index(event.target)): Destination.of(event.detail)
+                        for event in recording.events
+                        if event.kind == "aim" and event.agent == k and event.target in objects
+                    },
                 )
                 if assigned.policy is not None:
                     begins = until if (changed and changed[k]) or is_remote(assigned.policy) else min(since, until)

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Robot
 from h3data.errors import InputError
-from h3data.geometry import Array
+from h3data.geometry import Array, transform_points
 from h3data.kernels import kernel
 from h3data.recording import Event
 from h3data.recording.records import JOINTS
 from h3data.scene import FreeSpace, Scene
-from h3data.scene.articulation import AJAR, joint_names
+from h3data.scene.articulation import AJAR, joint_names, joints_of
 from sim_kinematic.agents.driven.object_room import ObjectRoom, grip_radii
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.giving_way import AnyActor, GivingWay
@@ -103,9 +103,14 @@ class Household(Team):
         self.people = [actor for actor in self.actors if isinstance(actor, PersonActor)]
         self.robots = [actor for actor in self.actors if isinstance(actor, RobotActor)]
         self.order = [actor.number for actor in (*self.people, *self.robots)]  # people first: robots see where to
-        self.controllers = [SkillController(actor.number, actor, play.spans, names, joints) for actor in self.actors]
+        self.controllers = [
+            SkillController(actor.number, actor, play.spans, names, joints, self.aim) for actor in self.actors
+        ]
         self.company = self._introduced()
         self.objects.openables = self._openables()
+        owner = joints_of(episode.scene).owner
+        self._carriers = [owner.get(t.destination.partition("|")[0], -1) for t in episode.targets]
+        self._goals = goals.copy()
         self.bodies = np.append(body_indices(episode), -1)
         self.at_goal = self._at_goal()
         self._places: list[list[float]] = episode.starts.tolist()
@@ -215,9 +220,31 @@ class Household(Team):
                 )
         if (before != after).any():
             self._joints_moved = True
+            self._carry_goals()
         elif self._joints_moved:
             self._joints_moved = False
             self._show_scene(openables.scene_now())
+
+    def set_goal(self, k: int, goal: Array, receptacle: str) -> None:
+        """Give object ``k`` another goal, a world point [3] on a receptacle while doors and drawers are at rest."""
+        self._goals[k] = self.objects.goals[k] = goal
+        self._carriers[k] = joints_of(self.episode.scene).owner.get(receptacle.partition("|")[0], -1)
+        self._carry_goals()
+
+    def aim(self, number: int, action: Action) -> str:
+        """Give an object the goal of a `Destination`; returns the reason if this is impossible, which it is in most tasks."""
+        del number, action
+        return "no_space"
+
+    def _carry_goals(self) -> None:
+        """Moves the goals that are in drawers with these."""
+        openables = self.objects.openables
+        if openables is None or max(self._carriers, default=-1) < 0:
+            return
+        motions = openables.joints.motions(openables.positions)
+        for k, joint in enumerate(self._carriers):
+            if joint >= 0:
+                self.objects.goals[k] = transform_points(motions[joint], self._goals[k][None])[0]
 
     def _show_scene(self, scene: Scene) -> None:
         world, floor_y, self.objects.scene = self.episode, self.episode.free.floor_y, scene
