@@ -39,7 +39,7 @@ from h3data_language.experts import EXPERTS, expert
 from h3data_language.grounding import home_of
 from sim_kinematic.agents.driven.object_room import object_extent
 from sim_kinematic.agents.roster import kinds_of
-from sim_kinematic.agents.skills import Destination, sentence
+from sim_kinematic.agents.skills import INSIDE, Destination, sentence
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.tasks.codec import EpisodePlace, SceneAndMap, malformed_info, require_info, uid_of
@@ -48,8 +48,6 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.skills.household import Household
 from sim_kinematic.tasks.social_nav.episode import Starts
 
-INSIDE = "inside "
-"""Begins the names of places behind doors and in drawers."""
 HANDLING_STEPS = 12
 """Steps that a person takes to clean, fill, pour out or switch something [1/30 s]."""
 HANDLING_M = 1.5

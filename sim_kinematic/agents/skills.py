@@ -48,7 +48,9 @@ DRIVEN_SKILLS = (*SKILLS, "drop", "hand_over")
 """Skills of a person who is driven from outside, in the order in which their recordings number them."""
 OPENING_SKILLS = ("nav_to_handle", "open", "close")
 """Skills in homes with things that open; their target is the number of a joint."""
-ALL_SKILLS = (*DRIVEN_SKILLS, *OPENING_SKILLS)
+SEARCH = "nav_to_place"
+"""Skill of agents that know only what they have seen; its target is the number of a surface (`Scene.receptacles`)."""
+ALL_SKILLS = (*DRIVEN_SKILLS, *OPENING_SKILLS, SEARCH)
 """All skills, as recordings in such homes number them."""
 CHOICE_WAIT_STEPS = 5
 """Duration of ``wait`` in `choices` [steps]."""
@@ -70,6 +72,7 @@ REASONS = {
     "no_way": "No path leads to where it can be reached.",
     "not_a_robot": "Things can only be handed over to a robot.",
     "obstructed": "Something stands before it, or in its way.",
+    "not_seen": "It has not seen where it is.",
     "not_held": "The hand holds no such thing.",
     "not_of_a_person": "People cannot do this.",
     "out_of_reach": "It is too far away to reach from here.",
@@ -103,6 +106,10 @@ class Action(NamedTuple):
     """Command of ``control``: forward and left turn of the base, each arm joint, grip; -1..1 of what a step allows; of a
     person a `sim_kinematic.agents.driven.commands.PersonCommand`. Of a driven person's ``place`` the point in the world [3]
     [m], of ``hand_over`` the robot's number."""
+
+
+INSIDE = "inside "
+"""Begins the names of places behind doors and in drawers."""
 
 
 class Destination(NamedTuple):
@@ -172,6 +179,17 @@ class Objects:
     """The home, with doors and drawers where they last stood still."""
     openables: Any = None
     """Its doors and drawers, `sim_kinematic.agents.opening.openables.ArticulatedParts`; None: nothing opens."""
+    sight: Any = None
+    """Memories of what each agent has seen, `sim_kinematic.sensing.sight.Sight`; None: all know everything."""
+
+    def destination(self, agent: int, action: Action) -> NDArray[np.float64]:
+        """World point [3] to which an agent goes by ``nav_to_object``, ``nav_to_goal`` or `SEARCH`, as far as it knows."""
+        k = action.target
+        if action.skill == SEARCH:
+            return self.sight.points[k]
+        if action.skill == "nav_to_goal":
+            return self.goals[k]
+        return self.poses[k, :3] if self.sight is None else self.sight.where[agent, k]
 
     @property
     def poses(self) -> NDArray[np.float64]:
@@ -191,7 +209,7 @@ class Objects:
     def why_not(self, agent: int, action: Action) -> str:
         """The pre-conditions that both kinds of actors share."""
         skill, k = action.skill, action.target
-        known = (*SKILLS, *OPENING_SKILLS) if self.joints else SKILLS
+        known = (*SKILLS, *(OPENING_SKILLS if self.joints else ()), *(() if self.sight is None else (SEARCH,)))
         if skill not in known:
             raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(known)}.", code="H3-SIM-022")
         if skill in OPENING_SKILLS:
@@ -200,12 +218,20 @@ class Objects:
                     f"{skill} needs one of the joints 0 to {len(self.joints) - 1}, got {k}.", code="H3-SIM-024"
                 )
             return "hand_full" if skill != "nav_to_handle" and self.held(agent) >= 0 else ""
+        if skill == SEARCH:
+            if not 0 <= k < len(self.sight.points):
+                raise InputError(
+                    f"{skill} needs one of the surfaces 0 to {len(self.sight.points) - 1}, got {k}.", code="H3-SIM-065"
+                )
+            return ""
         if skill in SKILLS[:4] and not 0 <= k < len(self.names):
             raise InputError(
                 f"{skill} needs one of the objects 0 to {len(self.names) - 1}, got {k}.", code="H3-SIM-023"
             )
         if skill in ("nav_to_object", "pick") and self.held_by[k] not in (NOBODY, agent):
             return "held_by_other"
+        if skill in ("nav_to_object", "pick") and self.sight is not None and not self.sight.known[agent, k]:
+            return "not_seen"
         if skill == "nav_to_object" and self.held_by[k] == agent:
             return "already_held"
         if skill == "pick" and self.held(agent) >= 0:

@@ -49,6 +49,7 @@ from sim_kinematic.motion.state import NOBODY, HumanState
 from sim_kinematic.policies.rearrange_observations import exact
 from sim_kinematic.policies.skills.names import skills_of
 from sim_kinematic.policies.views import RearrangeView
+from sim_kinematic.sensing.sight import LOOK_STEPS, Places, Sight
 from sim_kinematic.sensing.table import Sensor
 from sim_kinematic.tasks.rearrange.episode import body_indices
 from sim_kinematic.tasks.skills.errands import errands_of
@@ -111,9 +112,15 @@ class Household(Team):
         owner = joints_of(episode.scene).owner
         self._carriers = [owner.get(t.destination.partition("|")[0], -1) for t in episode.targets]
         self._goals = goals.copy()
+        if episode.spec.observe == "seen":
+            kinds = kinds_of(episode.roster)
+            self.objects.sight = sight = Sight(episode.scene, kinds, len(names), episode.free.floor_y)
+            for controller in self.controllers:
+                controller.surfaces = sight.names
         self.bodies = np.append(body_indices(episode), -1)
         self.at_goal = self._at_goal()
         self._places: list[list[float]] = episode.starts.tolist()
+        self._look()
 
     def _introduced(self) -> GivingWay:
         """The agents, and whether they heed each other.
@@ -225,6 +232,22 @@ class Household(Team):
             self._joints_moved = False
             self._show_scene(openables.scene_now())
 
+    def _look(self) -> None:
+        """Has agents take in what they see, and tells what they find or miss as events."""
+        sight, openables, held_by = self.objects.sight, self.objects.openables, self.objects.held_by
+        if sight is None:
+            return
+        changed = not self.play.step or self._joints_moved or bool((self._held != held_by).any())
+        if changed and openables is not None:
+            sight.open(openables.joints.is_open(openables.positions))
+            sight.hidden[:] = [openables.barrier_of(k) >= 0 for k in range(len(held_by))]
+        if not changed and self.play.step % LOOK_STEPS:
+            return
+        for agent, k, found in sight.look(np.array(self._places), self.objects.poses[:, :3], held_by):
+            kind = "see" if found else "miss"
+            event = Event(step=self.play.step, agent=agent, kind=kind, target=self.objects.names[k])
+            self.play.events.append(event)
+
     def set_goal(self, k: int, goal: Array, receptacle: str) -> None:
         """Give object ``k`` another goal, a world point [3] on a receptacle while doors and drawers are at rest."""
         self._goals[k] = self.objects.goals[k] = goal
@@ -276,7 +299,8 @@ class Household(Team):
         self.company.begin_turn(controller.actor)
         # a command lasts one step: there is nothing to abort
         policy = self.play.policies[number].policy
-        interrupts = None if controller.is_free else getattr(policy, "interrupts", None)
+        rests = self.play.step % getattr(policy, "interrupts_every", 1)
+        interrupts = None if controller.is_free or rests else getattr(policy, "interrupts", None)
         # most of the time nobody is close, and a view takes far longer than to find that out
         if interrupts is None or (getattr(policy, "interrupts_only_when_close", False) and not self._is_close(number)):
             return
@@ -303,6 +327,7 @@ class Household(Team):
         world.touching = np.array([[pair in self.company.touching for pair in world.pairs]], np.bool_).reshape(1, -1)
         self.at_goal = self._at_goal()
         self._move_joints(self._joints)
+        self._look()
         self._tell(self._held.tolist(), self.objects.held_by.tolist())
 
     @property
@@ -332,6 +357,7 @@ class Household(Team):
         track = self.company.track(other) if other >= 0 else np.full((1, 2), np.nan)
         other_xz = self.actors[other].xz.copy() if other >= 0 else track[-1]
         xz, heading = me.xz.copy(), me.heading  # of a person they are computed
+        known = self._known(runner.number)
         return RearrangeView(
             step=self.play.step,
             free=self.doorways.open_floor,
@@ -341,13 +367,15 @@ class Household(Team):
             other_xz=other_xz,
             other_track=track[-TRACK:].copy(),
             close=self._is_close(agent),
-            objects=self.objects.poses[:, :3].copy(),
+            objects=known[0],
             goals=self.objects.goals,
-            held_by=self.objects.held_by.copy(),
-            at_goal=self._at_goal(),
+            held_by=known[1],
+            at_goal=known[2],
             action=runner.action,
             last=runner.ending,
-            starts=self.starts,
+            starts=self.starts
+            if known[3] is None
+            else np.where(self.objects.sight.known[agent, :, None], self.starts, np.nan),
             hand=lambda: me.hand_pose,
             arm=me.arm,
             start=self.episode.starts[runner.number],
@@ -356,6 +384,23 @@ class Household(Team):
             contact=isinstance(me, RobotActor) and bool(me.state.contact[0]),
             barrier=partial(self.barrier, me),
             observe=partial(self.play.observe, runner.number, 0),
+            places=known[3],
+        )
+
+    def _known(self, agent: int) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_], Places | None]:
+        """Positions, holders, and which are at their goals, of all things as an agent knows them, and places to look at."""
+        objects, sight = self.objects, self.objects.sight
+        if sight is None:
+            return objects.poses[:, :3].copy(), objects.held_by.copy(), self._at_goal(), None
+        mine = objects.held_by == agent
+        where = np.where(mine[:, None], objects.poses[:, :3], sight.where[agent])
+        held = np.where(mine, agent, np.where(sight.held[agent] == agent, NOBODY, sight.held[agent]))
+        near = np.linalg.norm(where - objects.goals, axis=1) < self.episode.spec.at_goal_m
+        return (
+            where,
+            held,
+            near & (held == NOBODY),
+            Places(sight.points, sight.looked[agent], sight.shut),
         )
 
     def _is_close(self, agent: int) -> bool:
@@ -383,7 +428,7 @@ class Household(Team):
             assert self.objects.openables is not None
             point = self.objects.openables.handles(self.objects.openables.positions)[k]
         else:
-            point = self.objects.goals[k] if skill == "nav_to_goal" else self.objects.poses[k, :3]
+            point = self.objects.destination(runner.number, runner.action)
         return float(self.floor.geodesic(runner.actor.xz, point[[0, 2]], max_snap_m=2.0))
 
     def barrier(self, actor: AnyActor, k: int, at_goal: bool, *, detour_m: float = DETOUR_M) -> int:
@@ -433,7 +478,8 @@ class Household(Team):
 
     def exact(self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor]) -> dict[str, Array]:
         """The named observations of an agent in the only world."""
-        return {name: values[None] for name, values in exact(self.view(agent), names, sensors).items()}
+        shown = exact(self.view(agent), names, sensors)
+        return {name: np.nan_to_num(values)[None] for name, values in shown.items()}  # unknown things: 0
 
     def info(self, number: int, known: Sequence[Action]) -> dict[str, Any]:
         """Facts about an agent's last skill, the objects, and which of the choices that it knows are possible now."""
