@@ -46,7 +46,7 @@ class LanguageVerify:
     """Sample tasks in words and play each: a person alone, then a robot and a person. Lists what could not be done.
 
     Tasks are those of `h3data generate language` with the same scenes and seed. The digest is that of the
-    identities of all tasks. The first example plays other tasks than the second, which has those of the benchmark h3-language@1.
+    identities of all tasks. The second example has the tasks of the benchmark h3-language@1.
 
     Examples:
         h3data language verify --scenes h3-homes/val --episodes 20

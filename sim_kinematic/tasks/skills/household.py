@@ -105,7 +105,7 @@ class Household(Team):
         self.robots = [actor for actor in self.actors if isinstance(actor, RobotActor)]
         self.order = [actor.number for actor in (*self.people, *self.robots)]  # people first: robots see where to
         self.controllers = [
-            SkillController(actor.number, actor, play.spans, names, joints, self.aim) for actor in self.actors
+            SkillController(actor.number, actor, play.spans, names, joints, aim=self.aim) for actor in self.actors
         ]
         self.company = self._introduced()
         self.objects.openables = self._openables()
