@@ -23,7 +23,7 @@ from h3data_language.templates import HANDLING, KINDS, TEMPLATES, Template, affo
 from sim_kinematic.agents.driven.object_room import object_extent
 from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.motion.randomness import generator
-from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec, Target, free_spot
 from sim_kinematic.tasks.social_nav.episode import Starts, sample_pair_starts
 
@@ -32,6 +32,12 @@ ATTEMPTS = 60
 NEXT_TO_TRIES = 10
 BESIDE_M = 0.8 * NEXT_TO_M
 """Distance between things that are placed next to each other [m], well within the limit of the proposition."""
+IN_TIME = 0.8
+"""Share of the longest duration in which a person alone does the work, as far as straight lines tell."""
+DETOUR = 1.4
+"""Approximate length of a path over the straight line."""
+ERRAND_S = 8.0
+"""Approximate time to take and to put down one thing, doors and turning included [s]."""
 STATES = ("clean", "filled", "powered")
 
 
@@ -108,7 +114,7 @@ def sample_task(
         rng = generator(seed, "language", step=attempt)
         allowed = spec.templates(kind if attempt < ATTEMPTS // 2 else "")
         template = allowed[int(rng.integers(len(allowed)))]
-        task = _Draw(home, free, spec, robot, human, rng, template).task(starts)
+        task = _Draw(SpotFinder(home, free, spec, robot, human, rng), template).task(starts)
         if task is not None:
             return task
     raise SceneError(
@@ -119,8 +125,8 @@ def sample_task(
 
 
 @dataclass(eq=False)
-class _Draw:
-    """One attempt to fill the slots of a template."""
+class SpotFinder:
+    """Free spots for things in a home that robot and person reach."""
 
     home: Home
     free: FreeSpace
@@ -128,22 +134,70 @@ class _Draw:
     robot: Robot
     human: Humanoid
     rng: np.random.Generator
-    template: Template
     taken: list[tuple[Array, float]] = field(default_factory=list)
+    """Positions [3] and radii of other things [m]; each spot that is found is added."""
+
+    def find(
+        self,
+        thing: str,
+        furniture: Sequence[str],
+        *,
+        inside: bool = False,
+        other: str = "",
+        anchor: tuple[Array, str] | None = None,
+    ) -> tuple[Array, str] | None:
+        """A free spot [3] for a thing on or inside some furniture, and its receptacle; None: there is none.
+
+        With ``anchor``, the spot and receptacle of the thing ``other``, it is next to that.
+        """
+        surfaces = [
+            each for n in furniture for each in (self.home.enclosed if inside else self.home.surfaces).get(n, ())
+        ]
+        if not surfaces:
+            return None
+        instance = next(i for i in self.home.scene.instances if i.name == thing)
+        for _ in range(NEXT_TO_TRIES if anchor else 1):
+            before = len(self.taken)
+            spot = free_spot(
+                self.home.scene, self.free, self.spec, self.robot, self.human, surfaces, self.rng, instance, self.taken
+            )
+            if spot is None or anchor is None or self._near(thing, spot[0], other, anchor[0]):
+                return spot
+            del self.taken[before:]
+        return None
+
+    def _near(self, thing: str, at: Array, other: str, there: Array) -> bool:
+        boxes = [self.home.layout.things[name] for name in (thing, other)]
+        sizes = [np.array([[np.hypot(b.half[0], b.half[2]), b.half[1], np.hypot(b.half[0], b.half[2])]]) for b in boxes]
+        centers = [np.array([np.add(p, (0, b.center[1], 0))]) for p, b in zip((at, there), boxes, strict=True)]
+        return bool(next_to(centers[0], sizes[0] * 0.5, centers[1], sizes[1] * 0.5, BESIDE_M)[0])
+
+
+@dataclass(eq=False)
+class _Draw:
+    """One attempt to fill the slots of a template."""
+
+    spots: SpotFinder
+    template: Template
+
+    def __post_init__(self) -> None:
+        self.home, self.spec, self.rng = self.spots.home, self.spots.spec, self.spots.rng
 
     def task(self, starts: Starts) -> LanguageTask | None:
         """The task; None if the home has nothing for a slot, or no room, or the result fails a check."""
         slots = sorted({slot for clause in self.template.clauses for each in clause_parts(clause)[2] for slot in each})
-        things, places, rooms = ([s for s in slots if s in kind] for kind in ("abc", "pq", "rs"))
+        things, places, rooms, insides = ([s for s in slots if s in kind] for kind in ("abc", "pq", "rs", "uv"))
         more = self.spec.objects - len(things)
         if more < 0:
             return None
         chosen = self._things([*things, *(f"more_{k}" for k in range(more))])
         where = self._pick(list(self.home.places), places)
         room = self._pick(list(self.home.rooms), rooms)
-        if chosen is None or where is None or room is None:
+        within = self._pick(list(self.home.insides), insides)
+        if chosen is None or where is None or room is None or within is None:
             return None
         spots = {slot: self.home.places[words] for slot, words in where.items()}
+        spots |= {slot: self.home.insides[words] for slot, words in within.items()}
         began = self._starts(chosen, spots, {self.home.rooms[words] for words in room.values()})
         if began is None:
             return None
@@ -153,7 +207,7 @@ class _Draw:
         goals = self._goals(chosen, began, spots, {s: self.home.rooms[w] for s, w in room.items()})
         if goals is None:
             return None
-        return self._checked(chosen, began, goals, names, {**where, **room}, starts)
+        return self._checked(chosen, began, goals, names, {**where, **room, **within}, starts)
 
     def _pick(self, known: list[str], slots: Sequence[str]) -> dict[str, str] | None:
         if len(known) < len(slots):
@@ -182,24 +236,12 @@ class _Draw:
             else:
                 return None
         moved = set(found.values())
-        self.taken = [
+        self.spots.taken = [
             (i.pose[:3], object_extent(scene, i)[0])
             for i in scene.instances
             if i.motion == "kinematic" and i.name not in moved
         ]
         return found
-
-    def _spot(self, thing: str, furniture: Sequence[str]) -> tuple[Array, str] | None:
-        """A free spot on some furniture that both bodies reach, and its receptacle."""
-        surfaces = [each for name in furniture for each in self.home.surfaces.get(name, ())]
-        instance = next(i for i in self.home.scene.instances if i.name == thing)
-        return (
-            free_spot(
-                self.home.scene, self.free, self.spec, self.robot, self.human, surfaces, self.rng, instance, self.taken
-            )
-            if surfaces
-            else None
-        )
 
     def _starts(
         self, chosen: Mapping[str, str], spots: Mapping[str, Place], rooms: set[str]
@@ -226,7 +268,7 @@ class _Draw:
                 if place.words not in crowded
                 and (name in fixed[slot].names if slot in fixed else name not in asked and place.room not in rooms)
             ]
-            spot = self._spot(thing, allowed)
+            spot = self.spots.find(thing, allowed)
             if spot is None:
                 return None
             began[slot] = spot
@@ -241,7 +283,7 @@ class _Draw:
     ) -> dict[str, list[tuple[Array, str]]] | None:
         """Goals of each thing, one after the other; none for those that stay."""
         beside: dict[str, str] = {}
-        asked: list[tuple[str, list[str]]] = []
+        asked: list[tuple[str, list[str], bool]] = []
         either = int(self.rng.integers(2))
         for clause in self.template.clauses:
             number, verb, lists = clause_parts(clause)
@@ -249,44 +291,28 @@ class _Draw:
                 beside |= dict.fromkeys(lists[0], lists[1][0])
             elif verb == "near":
                 beside |= dict.fromkeys(lists[0][1:], lists[0][0])
-            elif verb == "on":
+            elif verb in ("on", "inside"):
                 options = [spots[s] for s in lists[1]]
                 turn = either + (len(asked) if self.template.relation == "different" else 0)
                 place = options[turn % len(options)]
-                asked += [(slot, list(place.names)) for slot in lists[0][: number or len(lists[0])]]
+                asked += [(s, list(place.names), verb == "inside") for s in lists[0][: number or len(lists[0])]]
             elif verb == "in":
-                inside = [n for n, place in self.home.place_of.items() if place.room == rooms[lists[1][0]]]
-                asked += [(slot, inside) for slot in lists[0]]
-        asked += [(slot, []) for slot in beside if slot not in dict(asked)]
+                there = [n for n, place in self.home.place_of.items() if place.room == rooms[lists[1][0]]]
+                asked += [(slot, there, False) for slot in lists[0]]
+        asked += [(slot, [], False) for slot in beside if slot not in {each[0] for each in asked}]
         asked.sort(key=lambda each: each[0] in beside)  # what others come to stand beside, first
         goals: dict[str, list[tuple[Array, str]]] = {}
-        for slot, furniture in asked:
+        for slot, furniture, inside in asked:
             anchor = None
             if slot in beside:
                 anchor = (goals.get(beside[slot]) or [began[beside[slot]]])[-1]
                 furniture = [anchor[1].partition("|")[0]]
-            spot = self._beside(chosen[slot], furniture, chosen.get(beside.get(slot, ""), ""), anchor)
+            other = chosen.get(beside.get(slot, ""), "")
+            spot = self.spots.find(chosen[slot], furniture, inside=inside, other=other, anchor=anchor)
             if spot is None:
                 return None
             goals.setdefault(slot, []).append(spot)
         return goals
-
-    def _beside(
-        self, thing: str, furniture: Sequence[str], other: str, anchor: tuple[Array, str] | None
-    ) -> tuple[Array, str] | None:
-        for _ in range(NEXT_TO_TRIES):
-            before = len(self.taken)
-            spot = self._spot(thing, furniture)
-            if spot is None or anchor is None or self._near(thing, spot[0], other, anchor[0]):
-                return spot
-            del self.taken[before:]
-        return None
-
-    def _near(self, thing: str, at: Array, other: str, there: Array) -> bool:
-        boxes = [self.home.layout.things[name] for name in (thing, other)]
-        sizes = [np.array([[np.hypot(b.half[0], b.half[2]), b.half[1], np.hypot(b.half[0], b.half[2])]]) for b in boxes]
-        centers = [np.array([np.add(p, (0, b.center[1], 0))]) for p, b in zip((at, there), boxes, strict=True)]
-        return bool(next_to(centers[0], sizes[0] * 0.5, centers[1], sizes[1] * 0.5, BESIDE_M)[0])
 
     # --- the result ---------------------------------------------------------------------------------------------------
     def _checked(
@@ -320,7 +346,7 @@ class _Draw:
             for s in order
         )
         states, uses = self._states(order)
-        layout = Layout.of_scene(self.home.scene, [chosen[s] for s in order], self.free.floor_y)
+        layout = Layout.of_scene(self.home.scene, [chosen[s] for s in order], self.spots.free.floor_y)
         told = evaluation_of(self.template, names)
         errands = errands_of(self.template, order, goals)
         later = {chosen[s]: [spot[0].tolist() for spot in goals[s][1:]] for s in order if len(goals.get(s, ())) > 1}
@@ -339,9 +365,11 @@ class _Draw:
             "abc": {phrases[s]: names[s] for s in order},
             "pq": {place: p.names for place, p in self.home.places.items()},
             "rs": {room: (name,) for room, name in self.home.rooms.items()},
+            "uv": {place: p.names for place, p in self.home.insides.items()},
         }
         evaluation = Evaluation.of(told)
         sound = parse(instruction, means) == [evaluation] and can_be_done(task)
+        sound = sound and steps_alone(task, self.spec) <= IN_TIME * max(self.spec.max_steps, LanguageSpec.max_steps)
         return task if sound else None
 
     def _states(self, order: Sequence[str]) -> tuple[dict[str, list[bool]], list[list[Any]]]:
@@ -379,6 +407,19 @@ def errands_of(
     edges = template.order + (((0, 1),) if template.moves_twice else ())
     after = {k: {e for a, b in edges if k in of_clause[b] for e in of_clause[a] if e != k} for k in range(len(found))}
     return tuple(msgspec.structs.replace(e, after=tuple(sorted(after[k]))) for k, e in enumerate(found))
+
+
+def steps_alone(task: LanguageTask, spec: LanguageSpec) -> float:
+    """About how many steps a person alone takes for a task's errands, one after the other."""
+    here, length = task.starts.human_xz, 0.0
+    errands = msgspec.convert(task.extra["errands"], list[Errand])
+    for errand in errands:
+        target = task.targets[errand.thing]
+        goal = [target.goal, *task.extra["later_goals"].get(target.name, ())][0 if errand.handle else errand.stage]
+        for point in (target.start, goal):
+            there = np.asarray(point)[[0, 2]]
+            length, here = length + DETOUR * float(np.hypot(*(there - here))), there
+    return (length / spec.human.speed_mps + ERRAND_S * len(errands)) / STEP_S
 
 
 def can_be_done(task: LanguageTask) -> bool:

@@ -1,7 +1,7 @@
 """Experts for tasks in words, which know the errands of a task and share them out, or each take the nearest.
 
 ``language_expert`` is one plan for all agents who follow it: alone, or in a pair. ``language_greedy`` decides for itself,
-and leaves to others what they hold or head for. Both see everything.
+and leaves to others what they hold or head for. With the rule ``observe=seen`` both search for things that they have not seen.
 """
 
 from __future__ import annotations
@@ -15,10 +15,13 @@ import msgspec
 import numpy as np
 
 from h3data.policies import Action, RearrangeView
-from h3data_language.episode import Errand
+from h3data_language.episode import DETOUR, Errand
+from h3data_language.evaluation.records import STATES, Evaluation
+from sim_kinematic.agents.skills import INSIDE, SEARCH, Destination
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.policies.rearrange import errand as next_action
 from sim_kinematic.policies.rearrange import persons_object
+from sim_kinematic.policies.searching import Search, is_search
 
 EXPERTS = ("language_expert", "language_greedy", "language_still")
 HANDLING_M = 1.4
@@ -31,11 +34,10 @@ AVOID = 90
 """Steps for which an errand is left after failures."""
 LATE = 600
 """Number of steps after which an agent without an errand takes over one whose thing nobody has taken yet."""
+PLACED = ("is_on_top", "is_inside", "is_in_room")
 TRIES = 3
 MOST_ORDERS = 720
 """Largest number of orders of the errands that are compared; of more errands, the nearest comes first."""
-DETOUR = 1.4
-"""Length of a path over the straight line, about."""
 WORK_M = 4.0
 """Time that an errand takes at its places, as the path that one could walk in it [m]."""
 
@@ -48,6 +50,8 @@ class Plan:
         self.goals = [[t.goal, *map(np.array, episode.extra["later_goals"].get(t.name, ()))] for t in episode.targets]
         self.kinds = kinds
         self.handled: set[int] = set()
+        self.brought: set[int] = set()
+        """Errands whose things have been put at their goals, where they are as long as nobody sees them elsewhere."""
         self.doing: dict[int, int] = {}
         """Errand of each agent."""
         self.begun: dict[int, int] = {}
@@ -56,12 +60,13 @@ class Plan:
         """Step until which an agent leaves an errand."""
         self.asked_at: dict[int, int] = {}
         """Step at which each agent who follows the plan was last asked."""
+        self.paths: dict[tuple[float, ...], float] = {}
         self.places: dict[int, Any] = {}
         """Last known place of each agent who follows the plan."""
 
     def done(self, view: RearrangeView) -> set[int]:
         """Return the errands that are done, from the view of an agent."""
-        found = set(self.handled)
+        found = self.handled | {n for n in self.brought if not view.is_known(self.errands[n].thing)}
         for n, errand in enumerate(self.errands):
             if not errand.handle:
                 goals = self.goals[errand.thing]
@@ -79,16 +84,39 @@ class Plan:
             if n not in done
             and set(errand.after) <= done
             and errand.thing not in others
+            and view.is_known(errand.thing)
             and view.held_by[errand.thing] in (NOBODY, agent)
             and (self.kinds[agent] == "human" or not errand.handle)
+            and (self.avoided.get((agent, n), 0) <= view.step or view.held_by[errand.thing] == agent)
+        ]
+
+    def early(self, view: RearrangeView, agent: int) -> int:
+        """The nearest errand whose thing an agent can fetch while others do what has to be done before; -1: none."""
+        done, theirs = self.done(view), {n for a, n in self.doing.items() if a != agent}
+        things = {self.errands[n].thing for n in theirs}
+        found = [
+            n
+            for n, errand in enumerate(self.errands)
+            if not errand.handle
+            and not errand.stage
+            and set(errand.after) <= done | theirs
+            and n not in done | theirs
+            and errand.thing not in things
+            and view.is_known(errand.thing)
+            and view.held_by[errand.thing] in (NOBODY, agent)
             and self.avoided.get((agent, n), 0) <= view.step
         ]
+        return min(found, key=lambda n: self.length(view, view.xz, n)[0], default=-1)
+
+    def waits(self, view: RearrangeView, n: int) -> bool:
+        """Return whether something has to be done before an errand."""
+        return not set(self.errands[n].after) <= self.done(view)
 
     def rescue(self, view: RearrangeView, agent: int) -> int:
         """The errand of somebody who has been on the way to its thing for long, for an agent without one; -1: none."""
         for other, n in self.doing.items():
             thing = self.errands[n].thing
-            late = view.step - self.begun[other] > LATE and view.held_by[thing] == NOBODY
+            late = view.step - self.begun[other] > LATE and view.held_by[thing] == NOBODY and view.is_known(thing)
             if other != agent and late and (self.kinds[agent] == "human" or not self.errands[n].handle):
                 del self.doing[other]
                 return n
@@ -98,11 +126,19 @@ class Plan:
         """Path of an errand from somewhere, its work included [m], and where it ends."""
         errand = self.errands[n]
         start = view.objects[errand.thing, [0, 2]]
-        length = float(np.hypot(*(start - here))) * DETOUR + WORK_M
+        length = self._path(view, here, start) + WORK_M
         if errand.handle:
             return length, start
         goal = self.goals[errand.thing][errand.stage][[0, 2]]
-        return length + float(np.hypot(*(goal - start))) * DETOUR, goal
+        return length + self._path(view, start, goal), goal
+
+    def _path(self, view: RearrangeView, start: Any, end: Any) -> float:
+        """Length of the shortest path between two floor points [2] that may be in furniture [m]."""
+        key = (*np.round(start, 2).tolist(), *np.round(end, 2).tolist())
+        if key not in self.paths:
+            length = float(view.free.geodesic(start, end, max_snap_m=2.0))
+            self.paths[key] = length if np.isfinite(length) else DETOUR * float(np.hypot(*(end - start)))
+        return self.paths[key]
 
     def choose(self, view: RearrangeView, agent: int) -> int:
         """The errand that an agent does next; -1: none."""
@@ -114,7 +150,11 @@ class Plan:
             return min(held, key=lambda n: not self.errands[n].handle)
         partners = [a for a in range(len(self.kinds)) if a != agent and (a in self.asked_at or not view.step)]
         done = self.done(view)
-        left = [n for n in range(len(self.errands)) if n not in done and n not in self.doing.values()]
+        left = [
+            n
+            for n, errand in enumerate(self.errands)
+            if n not in done and n not in self.doing.values() and view.is_known(errand.thing)
+        ]
         if not partners or len(left) > 6:
             return min(mine, key=lambda n: self.length(view, view.xz, n)[0])
         best, chosen = np.inf, -1
@@ -151,8 +191,9 @@ class Expert:
 
     def __init__(self, episode: Any, number: int, kinds: Sequence[str], *, greedy: bool) -> None:
         self.plan: Plan = Plan(episode, kinds)
+        self.search = Search()
         self.number, self.greedy = number, greedy
-        self.episode, self.failures, self.begun = episode, 0, False
+        self.episode, self.failures, self.moved, self.begun = episode, 0, 0, False
 
     def _begin(self, view: RearrangeView) -> None:
         """Joins the plan of those who play this episode now; one of an earlier play has been asked for later steps."""
@@ -171,15 +212,24 @@ class Expert:
         plan.places[self.number], plan.asked_at[self.number] = view.xz, view.step
         self._note(view)
         now = plan.doing.get(self.number, -1)
-        if now < 0 or now not in plan.open(view, self.number):
+        holds = now >= 0 and view.held_by[plan.errands[now].thing] == self.number
+        if now < 0 or (now not in plan.open(view, self.number) and not (holds and plan.waits(view, now))):
             plan.doing.pop(self.number, None)
             now = self._nearest(view) if self.greedy else plan.choose(view, self.number)
+            now = now if now >= 0 else plan.early(view, self.number)
             now = now if now >= 0 else plan.rescue(view, self.number)
             if now < 0:
-                return Action("wait", steps=PAUSE)
+                done = plan.done(view)
+                seeks = any(n not in done and not view.is_known(e.thing) for n, e in enumerate(plan.errands))
+                return self.search.act(view) if seeks else Action("wait", steps=PAUSE)
             plan.doing[self.number], plan.begun[self.number] = now, view.step
         errand = plan.errands[now]
+        if self.failures >= TRIES:  # with the thing in its hand
+            self.failures = 0
+            return self._elsewhere(errand.thing)
         action = next_action(view, errand.thing)
+        if action.skill in ("nav_to_goal", "place") and plan.waits(view, now):
+            return Action("wait", steps=PAUSE)
         if errand.handle and action.skill in ("pick", "place", "nav_to_goal"):
             near = self._is_near(view, errand.thing)
             return Action("wait", errand.thing, HANDLING_WAIT) if near else Action("nav_to_object", errand.thing)
@@ -188,6 +238,9 @@ class Expert:
     def interrupts(self, view: RearrangeView) -> str:
         """Reason to stop: somebody else has taken the thing to which the agent is going; empty if there is none."""
         action = view.action
+        if action is not None and is_search(action) and self.number not in self.plan.doing:
+            over = action.skill == SEARCH and self.search.is_over(view)
+            return "found" if over or self.plan.open(view, self.number) else ""
         if action is None or action.skill not in ("nav_to_object", "pick"):
             return ""
         if self.number not in self.plan.doing:
@@ -206,15 +259,30 @@ class Expert:
             return
         if view.last.outcome == "failed":
             self.failures += 1
-            if self.failures >= TRIES:
+            if self.failures >= TRIES and view.held_by[self.plan.errands[now].thing] != self.number:
                 self.plan.avoided[self.number, now] = view.step + AVOID
                 self.plan.doing.pop(self.number)
                 self.failures = 0
         elif view.last.outcome == "done":
             self.failures = 0
             thing = self.plan.errands[now].thing
-            if view.action[:2] == ("wait", thing) and self._is_near(view, thing):
+            if view.action[:2] == ("place", thing):
+                self.plan.brought.add(now)
+            if view.action[:2] == ("wait", thing) and view.action.steps and self._is_near(view, thing):
                 self.plan.handled.add(now)
+
+    def _elsewhere(self, thing: int) -> Action:
+        """Chooses another spot, where the task allows it, for a thing that does not get to its goal."""
+        name, beside, places = self.episode.targets[thing].name, False, list[str]()
+        for p in Evaluation.of(self.episode.extra).propositions:
+            if name in p.things[0] and p.function_name in PLACED:
+                places += [f"{INSIDE if p.function_name == 'is_inside' else ''}{place}" for place in p.things[1]]
+            elif any(name in names for names in p.things) and p.function_name not in STATES:
+                beside = True
+        if beside or name in self.episode.extra["later_goals"] or not places:
+            return Action("wait", steps=PAUSE)
+        self.moved += 1
+        return Action("wait", thing, 0, Destination(places[self.moved % len(places)]))
 
     def _nearest(self, view: RearrangeView) -> int:
         theirs = persons_object(view) if np.isfinite(view.other_xz).all() else -1

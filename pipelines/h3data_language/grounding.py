@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import NamedTuple
@@ -14,7 +14,7 @@ import numpy as np
 from h3data.errors import InputError
 from h3data.scene import Instance, Receptacle, Scene
 from h3data.scene.articulation import joints_of
-from h3data_language.evaluation.layout import FurnitureBox, Layout
+from h3data_language.evaluation.layout import FurnitureBox, Layout, owner_of
 from h3data_language.evaluation.predicates import Rows, truth_of
 from h3data_language.evaluation.records import Evaluation, Proposition
 from h3data_language.templates import HANDLING, PREDICATES, TEMPLATES, Template
@@ -41,10 +41,14 @@ class Home:
     """Layout of the home with all things that can be moved."""
     places: Mapping[str, Place]
     """Places on which things can be put, by words."""
+    insides: Mapping[str, Place]
+    """Furniture in which things can be put behind doors or in drawers, by words."""
     rooms: Mapping[str, str]
     """Rooms by words."""
     surfaces: Mapping[str, list[tuple[Instance, Receptacle]]]
     """Open surfaces by the name of their furniture."""
+    enclosed: Mapping[str, list[tuple[Instance, Receptacle]]]
+    """Surfaces behind its doors and in its drawers, by the name of the furniture."""
     lies_on: Mapping[str, str]
     """Furniture on which each thing lies in the scene."""
     categories: Mapping[str, str]
@@ -69,28 +73,21 @@ def room_words(room: str) -> str:
 
 @lru_cache(maxsize=8)
 def home_of(scene: Scene, open_m: float) -> Home:
-    """Return a home with words; surfaces with less than ``open_m`` [m] above them, and those behind doors, take nothing."""
+    """Describe a home in words; open surfaces with less than ``open_m`` [m] above them take nothing."""
     things = [i.name for i in scene.instances if i.motion == "kinematic" and len(scene.assets[i.asset].mesh.vertices)]
     layout, enclosed = Layout.of_scene(scene, things), joints_of(scene).enclosing
     by_name = {i.name: i for i in scene.instances}
     category = {name: scene.assets[i.asset].category for name, i in by_name.items()}
     surfaces: dict[str, list[tuple[Instance, Receptacle]]] = {}
+    closed: dict[str, list[tuple[Instance, Receptacle]]] = {}
     for instance, receptacle in scene.receptacles():
-        usual = instance.name in layout.furniture and category[instance.name] not in _UNNAMED
-        if usual and receptacle.clearance_m >= open_m and f"{instance.name}|{receptacle.name}" not in enclosed:
-            surfaces.setdefault(instance.name, []).append((instance, receptacle))
-    groups: dict[tuple[str, str], list[str]] = {}
-    for name in surfaces:
-        room = room_at(layout, layout.furniture[name])
-        if room:
-            groups.setdefault((category[name], room), []).append(name)
-    kinds = Counter(kind for kind, _ in groups)
-    places = {}
-    for (kind, room), names in groups.items():
-        words = spoken(kind)
-        article = "the" if len(names) == 1 else "an" if words[0] in "aeiou" else "a"
-        where = f" in {room_words(room)}" if kinds[kind] > 1 else ""
-        places[f"{article} {words}{where}"] = Place(tuple(names), f"{article} {words}{where}", room)
+        owner = owner_of(scene, instance.name)
+        usual = owner in layout.furniture and category[owner] not in _UNNAMED
+        if usual and enclosed.get(f"{instance.name}|{receptacle.name}"):
+            closed.setdefault(owner, []).append((instance, receptacle))
+        elif usual and owner == instance.name and receptacle.clearance_m >= open_m:
+            surfaces.setdefault(owner, []).append((instance, receptacle))
+    places, insides = (_places(some, layout, category) for some in (surfaces, closed))
     poses = np.array([by_name[t].pose for t in things], np.float64).reshape(1, -1, 7)
     rows = Rows(layout, poses, np.zeros((1, len(things)), np.bool_))
     lies_on = {}
@@ -103,12 +100,30 @@ def home_of(scene: Scene, open_m: float) -> Home:
         scene=scene,
         layout=layout,
         places=places,
+        insides=insides,
         rooms={room_words(room): room for room in layout.rooms if {p.room for p in places.values()} & {room}},
         surfaces=surfaces,
+        enclosed=closed,
         lies_on=lies_on,
         categories={t: category[t] for t in things},
         place_of={name: place for place in places.values() for name in place.names},
     )
+
+
+def _places(names: Iterable[str], layout: Layout, category: Mapping[str, str]) -> dict[str, Place]:
+    """Pieces of furniture by words for them, those of one kind in one room together."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for name in names:
+        room = room_at(layout, layout.furniture[name])
+        if room:
+            groups.setdefault((category[name], room), []).append(name)
+    kinds, places = Counter(kind for kind, _ in groups), {}
+    for (kind, room), found in groups.items():
+        words = spoken(kind)
+        article = "the" if len(found) == 1 else "an" if words[0] in "aeiou" else "a"
+        where = f" in {room_words(room)}" if kinds[kind] > 1 else ""
+        places[f"{article} {words}{where}"] = Place(tuple(found), f"{article} {words}{where}", room)
+    return places
 
 
 def room_at(layout: Layout, furniture: FurnitureBox) -> str:
@@ -147,7 +162,10 @@ def proposition_of(clause: str, slots: Mapping[str, tuple[str, ...]]) -> Proposi
         return Proposition(PREDICATES[verb], {"object_handles": first, "number": number or len(first)})
     if verb == "next":
         return Proposition("is_next_to", {"entity_handles_a": first, "entity_handles_b": rest[0], "number": len(first)})
-    name, second = ("is_in_room", "room_ids") if verb == "in" else ("is_on_top", "receptacle_handles")
+    if verb == "in":
+        name, second = "is_in_room", "room_ids"
+    else:
+        name, second = "is_inside" if verb == "inside" else "is_on_top", "receptacle_handles"
     return Proposition(name, {"object_handles": first, second: rest[0], "number": number or len(first)})
 
 
@@ -180,7 +198,7 @@ def evaluation_of(template: Template, slots: Mapping[str, tuple[str, ...]]) -> d
 
 
 Words = Mapping[str, Mapping[str, tuple[str, ...]]]
-"""Names that phrases mean, by the slots in which they stand: ``abc`` things, ``pq`` places, ``rs`` rooms."""
+"""Names that phrases mean, by the slots in which they stand: ``abc`` things, ``pq`` places, ``rs`` rooms, ``uv`` what opens."""
 
 
 def parse(instruction: str, words: Words) -> list[Evaluation]:

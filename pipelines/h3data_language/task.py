@@ -10,8 +10,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Humanoid, Robot
-from h3data.errors import InputError
+from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
+from h3data.errors import InputError, suggest
+from h3data.geometry import transform_points
 from h3data.policies import Action, AssignedPolicy, PolicyMaker
 from h3data.recording import Event, Recording
 from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode as FileEntry
@@ -29,16 +30,22 @@ from h3data.tasks import (
     TaskUsage,
     WorldRollout,
 )
-from h3data_language.episode import STATES, LanguageSpec, sample_task
+from h3data_language.episode import STATES, LanguageSpec, SpotFinder, sample_task
 from h3data_language.evaluation.engine import STATE_COLUMNS, evaluate
 from h3data_language.evaluation.layout import LAYOUT, Layout
 from h3data_language.evaluation.predicates import Rows, check_names
 from h3data_language.evaluation.records import CONSTRAINTS, DEPENDENCIES, PROPOSITIONS, Evaluation
 from h3data_language.experts import EXPERTS, expert
+from h3data_language.grounding import home_of
+from sim_kinematic.agents.driven.object_room import object_extent
 from sim_kinematic.agents.roster import kinds_of
+from sim_kinematic.agents.skills import INSIDE, Destination, sentence
+from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.state import NOBODY
-from sim_kinematic.tasks.codec import EpisodePlace, SceneAndMap, malformed_info, require_info
+from sim_kinematic.tasks.codec import EpisodePlace, SceneAndMap, malformed_info, require_info, uid_of
+from sim_kinematic.tasks.rearrange.codec import goal_record
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
+from sim_kinematic.tasks.skills.household import Household
 from sim_kinematic.tasks.social_nav.episode import Starts
 
 HANDLING_STEPS = 12
@@ -103,6 +110,12 @@ class LanguageCodec(RearrangeCodec):
         stored = {name: extra.pop(name) for name in _STORED}
         return {**super().info(episode, policies), **stored, "extra": extra}
 
+    def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
+        """Identifier derived from that of rearrangement, from starts and goals, and from propositions, layout and states."""
+        assert isinstance(episode, RearrangeEpisode)
+        what = msgspec.json.encode([episode.wording, [goal_record(t) for t in episode.targets], plain(episode.extra)])
+        return uid_of(f"{super().uid(episode, policies)}:{what.decode()}")
+
     def final_info(self, episode: Episode, play: WorldRollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         """The reason why the episode ended."""
         del episode, policies
@@ -137,8 +150,15 @@ def check_extra(extra: Mapping[str, Any], things: int) -> None:
 class LanguageControl(SkillControl):
     """Control by skills; people also handle things: they ``wait`` with a thing as the target, in their hand or beside it."""
 
+    def team(self, play: Any) -> Household:
+        """Agents who choose where things go."""
+        return LanguageHousehold(play)
+
     def refusal(self, play: Any, number: int, choice: Any) -> str | None:
         """Reason why a choice is infeasible now, as a sentence; None if it is feasible."""
+        if isinstance(choice, Action) and isinstance(choice.command, Destination):
+            why = play.team.spot_for(choice.target, choice.command)
+            return sentence(why) if isinstance(why, str) else None
         if isinstance(choice, Action) and choice.skill == "wait" and choice.target >= 0:
             return why_not(play, number, choice.target)
         return super().refusal(play, number, choice)
@@ -155,6 +175,82 @@ def why_not(play: Any, number: int, thing: int) -> str | None:
         return "Somebody else holds it."
     far = np.hypot(*(state.object_pose[0, thing, [0, 2]] - state.agents[number].xz[0])) > HANDLING_M
     return "It is too far away to reach from here." if far else None
+
+
+class LanguageHousehold(Household):
+    """Agents who also put things elsewhere than at the goals of the task."""
+
+    def aim(self, number: int, action: Action) -> str:
+        """Give a thing a free spot at a destination as its goal, and tell it as an event."""
+        assert isinstance(action.command, Destination)
+        name, found = self.objects.names[action.target], self.spot_for(action.target, action.command)
+        event = Event(step=self.play.step, agent=number, kind="aim", target=name, detail=str(action.command))
+        self.play.events.append(event)
+        if isinstance(found, str):
+            return found
+        self.set_goal(action.target, *found)
+        self.at_goal = self._at_goal()
+        return ""
+
+    def spot_for(self, k: int, to: Destination) -> tuple[NDArray[np.float64], str] | str:
+        """A free spot [3] for thing ``k`` and its receptacle, or the reason why there is none.
+
+        It follows from the episode's seed, the step and where things are now.
+
+        Raises:
+            InputError: there is no such furniture, room or thing.
+        """
+        episode, names = self.episode, self.objects.names
+        if not 0 <= k < len(names):
+            raise InputError(f"Expected one of {len(names)} things, got {k}.", code="H3-LANGUAGE-017")
+        home = home_of(episode.scene, episode.spec.open_m)
+        inside, place = to.place.startswith(INSIDE), to.place.removeprefix(INSIDE)
+        known: Mapping[str, Any] = home.enclosed if inside else home.surfaces
+        furniture = [n for n, p in home.place_of.items() if p.room == place] if place not in known else [place]
+        if not furniture or (to.next_to and to.next_to not in names):
+            missing, there = (to.next_to, names) if furniture else (place, (*known, *home.rooms.values()))
+            raise InputError(
+                f"There is no {missing!r} where things can be put in this home.{suggest(missing, list(there))}",
+                code="H3-LANGUAGE-018",
+            )
+        anchor = (self.objects.poses[names.index(to.next_to), :3], "") if to.next_to else None
+        lying = [n for n in range(len(names)) if n != k and self.objects.held_by[n] == NOBODY]
+        by_name = {i.name: i for i in episode.scene.instances}
+        taken = [(i.pose[:3], i.name) for i in by_name.values() if i.motion == "kinematic" and i.name not in names]
+        taken += [(self.objects.poses[n, :3].copy(), names[n]) for n in lying]
+        if self.objects.openables is not None:  # where they are once drawers are closed, as spots are
+            for back in np.linalg.inv(self.objects.openables.joints.motions(self.objects.openables.positions)):
+                moved = [(transform_points(back, self.objects.poses[[n], :3])[0], names[n]) for n in lying]
+                taken += moved if inside and (back != np.eye(4)).any() else []
+        finder = SpotFinder(
+            home,
+            episode.free,
+            episode.spec,
+            load_robot(episode.pair[0]),
+            load_humanoid(episode.pair[1]),
+            generator(episode.seed, f"put/{k}", step=self.play.step),
+            [(point, object_extent(episode.scene, by_name[name])[0]) for point, name in taken],
+        )
+        spot = finder.find(names[k], furniture, inside=inside, other=to.next_to, anchor=anchor)
+        return "no_space" if spot is None else spot
+
+
+def put(things: Sequence[str], thing: str, place: str, next_to: str = "") -> Action:
+    """The choice by which a thing goes to another place: it takes no time, and ``nav_to_goal`` and ``place`` then go there.
+
+    Args:
+        things: Names of the things of the task, as `Objects.names` has them.
+        thing: Name of the thing.
+        place: Name of a piece of furniture or a room; ``inside NAME`` for a drawer or a cupboard of the furniture.
+        next_to: Name of another thing, next to which it goes.
+
+    Raises:
+        InputError: there is no such thing.
+    """
+    for name in (thing, next_to):
+        if name and name not in things:
+            raise InputError(f"There is no thing {name!r} in this task.{suggest(name, things)}", code="H3-LANGUAGE-019")
+    return Action("wait", list(things).index(thing), 0, Destination(place, next_to))
 
 
 class Language(Rearrange):

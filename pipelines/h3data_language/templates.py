@@ -1,9 +1,9 @@
 """Templates of tasks in words: their wordings, and what each asks for in clauses.
 
 A clause is a line of words: ``on a,b p`` (things a and b on furniture p), ``on a p|q`` (on p or q), ``2 on a,b,c p`` (any
-two of them), ``in a r`` (in a room), ``next a b``, ``near a,b,c`` (all together), ``clean a``, ``fill a``, ``pour a``,
-``power a``, and ``at b p``, which asks for nothing: b lies on p from the start. Slots a, b, c are things, p and q furniture,
-r and s rooms.
+two of them), ``inside a u`` (in a drawer or behind a door of furniture u), ``in a r`` (in a room), ``next a b``,
+``near a,b,c`` (all together), ``clean a``, ``fill a``, ``pour a``, ``power a``, and ``at b p``, which asks for nothing: b lies
+on p from the start. Slots a, b, c are things, p and q furniture, r and s rooms, u and v furniture with doors or drawers.
 """
 
 from __future__ import annotations
@@ -80,6 +80,9 @@ TEMPLATES: tuple[Template, ...] = (
         "Put one of {a} and {b} on {p} and the other on {q}.",
         relation="different",
     ),
+    _free("inside", ("inside a u",), "Put {a} inside {u}.", "{a} belongs inside {u}."),
+    _free("two_inside", ("inside a u", "inside b u"), "Put {a} and {b} inside {u}."),
+    _free("inside_and_place", ("inside a u", "on b p"), "Put {a} inside {u} and {b} on {p}."),
     _spatial(
         "next_to_there",
         ("on a p", "next a b", "at b p"),
@@ -142,6 +145,7 @@ TEMPLATES: tuple[Template, ...] = (
         "First put {a} on {p}, then put {b} next to it there.",
         order=((0, 1), (0, 2)),
     ),
+    _temporal("inside_then_place", ("inside a u", "on b p"), "First put {a} inside {u}, then put {b} on {p}."),
     Template(
         "twice",
         "temporal",
@@ -173,6 +177,7 @@ TEMPLATES: tuple[Template, ...] = (
         "First wash {a}, then put it and {b} on {p}.",
         order=((0, 1), (0, 2)),
     ),
+    _mixed("wash_and_inside", ("clean a", "inside a u"), "Wash {a} and put it inside {u}."),
     _mixed("switch_on", ("power a",), "Switch on {a}.", "Turn {a} on."),
     _mixed("switch_on_there", ("on a p", "power a"), "Put {a} on {p}, and switch it on there.", order=((0, 1),)),
 )

@@ -21,7 +21,7 @@ from sim_kinematic.agents.opening.skills import Leading, full_travel, handle_pat
 from sim_kinematic.agents.person import MotionResult, Person, Transition
 from sim_kinematic.agents.person import Skill as Motion
 from sim_kinematic.agents.person_clearance import BodyClearance
-from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Objects, Skill, SkillResult
+from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, SEARCH, Action, Objects, Skill, SkillResult
 from sim_kinematic.agents.stands import island_of, nearest_stand, person_stands
 from sim_kinematic.agents.waypoint_walker import walking_path
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
@@ -194,8 +194,8 @@ class PersonActor:
         if action.skill in ("open", "close"):
             return self._move_part(k, opens=action.skill == "open")
         if action.skill.startswith("nav"):
-            to_goal = action.skill == "nav_to_goal"
-            return self._navigate(self.objects.goals[k] if to_goal else self.objects.poses[k, :3], self._hands(k))
+            point = self.objects.destination(self.number, action)
+            return self._look_at(point) if action.skill == SEARCH else self._navigate(point, self._hands(k))
         return self._handle(k, None if action.skill == "pick" else self.objects.goals[k])
 
     def idle(self) -> None:
@@ -235,6 +235,14 @@ class PersonActor:
         else:
             return SkillResult("failed", "no_room" if gets_there else "no_way")
         return (yield from self._go_to(stands[k], point))
+
+    def _look_at(self, point: NDArray) -> Skill:
+        """Walk to the floor before a world point [3], and turn to it."""
+        goal = self.free.snap(point[[0, 2]])
+        if not np.isfinite(self.free.geodesic(self.xz, goal)):
+            return SkillResult("failed", "no_way")
+        x, z = point[[0, 2]] - goal
+        return (yield from self._go_to(np.append(goal, np.arctan2(-z, x)), point))
 
     def stands(self, point: NDArray, hand: Hand, free: FreeSpace | None = None) -> Array:
         """Stands ``(x, z, heading)`` [N, 3] that can be walked to, from which a hand reaches a world point [3]."""

@@ -50,9 +50,11 @@ OPENING_SKILLS = ("nav_to_handle", "open", "close")
 """Skills in homes with things that open; their target is the number of a joint."""
 SIT = "sit"
 """Skill of a person who is driven from outside: walks to the nearest seat and sits there until something else is asked."""
-ALL_SKILLS = (*DRIVEN_SKILLS, *OPENING_SKILLS, SIT)
+SEARCH = "nav_to_place"
+"""Skill of agents that know only what they have seen; its target is the number of a surface (`Scene.receptacles`)."""
+ALL_SKILLS = (*DRIVEN_SKILLS, *OPENING_SKILLS, SIT, SEARCH)
 """Skills in the order in which recordings of homes with doors and drawers number them."""
-_WITH_TARGET = (*SKILLS[:4], *OPENING_SKILLS)
+_WITH_TARGET = (*SKILLS[:4], *OPENING_SKILLS, SEARCH)
 CHOICE_WAIT_STEPS = 5
 """Duration of ``wait`` in `choices` [steps]."""
 REASONS = {
@@ -74,6 +76,7 @@ REASONS = {
     "no_way": "No path leads to where it can be reached.",
     "not_a_robot": "Things can only be handed over to a robot.",
     "obstructed": "Something stands before it, or in its way.",
+    "not_seen": "It has not seen where it is.",
     "not_held": "The hand holds no such thing.",
     "not_of_a_person": "People cannot do this.",
     "out_of_reach": "It is too far away to reach from here.",
@@ -107,6 +110,28 @@ class Action(NamedTuple):
     """Command of ``control``: forward and left turn of the base, each arm joint, grip; -1..1 of what a step allows; of a
     person a `sim_kinematic.agents.driven.commands.PersonCommand`. Of a driven person's ``place`` the point in the world [3]
     [m], of ``hand_over`` the robot's number."""
+
+
+INSIDE = "inside "
+"""Begins the names of places behind doors and in drawers."""
+
+
+class Destination(NamedTuple):
+    """`Action.command` of a ``wait`` of no steps that gives its object another goal, where the task allows it."""
+
+    place: str
+    """Name of a piece of furniture or a room; ``inside NAME`` for a drawer or a cupboard of the furniture."""
+    next_to: str = ""
+    """Name of the object next to which it goes; empty: anywhere."""
+
+    def __str__(self) -> str:
+        return f"{self.place} next to {self.next_to}" if self.next_to else self.place
+
+    @classmethod
+    def of(cls, text: str) -> Destination:
+        """The destination that ``str`` wrote."""
+        place, _, next_to = text.partition(" next to ")
+        return cls(place, next_to)
 
 
 class SkillResult(NamedTuple):
@@ -158,6 +183,17 @@ class Objects:
     """The home, with doors and drawers where they last stood still."""
     openables: Any = None
     """Doors and drawers of the home, `sim_kinematic.agents.opening.openables.ArticulatedParts`; None if nothing opens."""
+    sight: Any = None
+    """Memories of what each agent has seen, `sim_kinematic.sensing.sight.Sight`; None if all know everything."""
+
+    def destination(self, agent: int, action: Action) -> NDArray[np.float64]:
+        """World point [3] to which an agent goes by ``nav_to_object``, ``nav_to_goal`` or `SEARCH`, as far as it knows."""
+        k = action.target
+        if action.skill == SEARCH:
+            return self.sight.points[k]
+        if action.skill == "nav_to_goal":
+            return self.goals[k]
+        return self.poses[k, :3] if self.sight is None else self.sight.where[agent, k]
 
     @property
     def poses(self) -> NDArray[np.float64]:
@@ -177,8 +213,9 @@ class Objects:
     def why_not(self, agent: int, action: Action) -> str:
         """The pre-conditions that both kinds of actors share."""
         skill, k = action.skill, action.target
-        if skill not in SKILLS and not (self.joints and skill in OPENING_SKILLS):
-            known = (*SKILLS, *OPENING_SKILLS) if self.joints else SKILLS
+        is_known = skill in SKILLS or (self.joints and skill in OPENING_SKILLS)
+        if not is_known and not (skill == SEARCH and self.sight is not None):
+            known = (*SKILLS, *(OPENING_SKILLS if self.joints else ()), *(() if self.sight is None else (SEARCH,)))
             raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(known)}.", code="H3-SIM-022")
         if skill not in _WITH_TARGET:
             return ""
@@ -188,6 +225,12 @@ class Objects:
                     f"{skill} needs one of the joints 0 to {len(self.joints) - 1}, got {k}.", code="H3-SIM-024"
                 )
             return "hand_full" if skill != "nav_to_handle" and self.held(agent) >= 0 else ""
+        if skill == SEARCH:
+            if not 0 <= k < len(self.sight.points):
+                raise InputError(
+                    f"{skill} needs one of the surfaces 0 to {len(self.sight.points) - 1}, got {k}.", code="H3-SIM-066"
+                )
+            return ""
         if not 0 <= k < len(self.names):
             raise InputError(
                 f"{skill} needs one of the objects 0 to {len(self.names) - 1}, got {k}.", code="H3-SIM-023"
@@ -195,6 +238,8 @@ class Objects:
         holders = self.held_by.tolist()
         if skill in ("nav_to_object", "pick") and holders[k] not in (NOBODY, agent):
             return "held_by_other"
+        if skill in ("nav_to_object", "pick") and self.sight is not None and not self.sight.known[agent, k]:
+            return "not_seen"
         if skill == "nav_to_object" and holders[k] == agent:
             return "already_held"
         if skill == "pick" and agent in holders:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 from h3data.recording import SkillSpan
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.giving_way import AnyActor
-from sim_kinematic.agents.skills import CONTROL, OPENING_SKILLS, PRIMITIVES, Action, Skill, SkillResult
+from sim_kinematic.agents.skills import (
+    CONTROL,
+    OPENING_SKILLS,
+    PRIMITIVES,
+    SEARCH,
+    Action,
+    Destination,
+    Skill,
+    SkillResult,
+)
 from sim_kinematic.avoidance.yielding import NO_PATH
 from sim_kinematic.controllers.controller import Status
 from sim_kinematic.world import World
@@ -34,6 +43,10 @@ class SkillController:
     names: tuple[str, ...]
     joints: tuple[str, ...] = ()
     """Names of doors and drawers."""
+    surfaces: tuple[str, ...] = ()
+    """Names of the surfaces at which it may look, if it knows only what it has seen."""
+    aim: Callable[[int, Action], str] | None = None
+    """`sim_kinematic.tasks.skills.household.Household.aim`."""
     action: Action = field(default_factory=lambda: Action("wait"))
     ending: SkillResult | None = None
     skill: Skill | None = None
@@ -79,6 +92,8 @@ class SkillController:
             self._end_drive(self._step - 1)
         self.action, self.begun = chosen, self._step
         why = self.actor.infeasible(chosen)
+        if not why and self.aim is not None and isinstance(chosen.command, Destination):
+            why = self.aim(self.number, chosen)
         if why:
             self._end(self._step, SkillResult("failed", why))
             self._left = 0
@@ -132,7 +147,7 @@ class SkillController:
 
     def _write(self, step: int, outcome: str, reason: str) -> None:
         """Reports the action up to ``step``."""
-        names = self.joints if self.action.skill in OPENING_SKILLS else self.names
+        names = {**dict.fromkeys(OPENING_SKILLS, self.joints), SEARCH: self.surfaces}.get(self.action.skill, self.names)
         self.spans.append(
             SkillSpan(
                 agent=self.number,

@@ -129,6 +129,11 @@ class Planner:
         blocked = view.last is not None and view.last[:2] == ("failed", "blocked")
         if rest and blocked and view.held_by[rest[0]] != view.agent:  # who keeps it from there goes away some day
             self.objects, self._tries = (*done, *rest[1:], rest[0]), 0
+        if rest and not view.is_known(rest[0]):
+            known = [k for k in rest if view.is_known(k)]
+            self.objects, self._tries = (*done, *known, *(k for k in rest if k not in known)), 0
+            if not known:
+                return Action("wait", steps=5)
         failed = view.last is not None and view.last.outcome == "failed" and view.last.reason != "blocked"
         order = np.array([(*self.objects, *(-1 for _ in range(len(view.held_by) - len(self.objects))))])
         plan = Plan(order, np.array([self._passed]), np.array([self._tries]))
@@ -194,7 +199,8 @@ def persons_object(view: RearrangeView) -> int:
     held = np.flatnonzero(np.isin(view.held_by, (NOBODY, view.agent), invert=True))
     if len(held):
         return int(held[0])
-    left = [k for k in range(len(view.objects)) if not view.at_goal[k] and view.held_by[k] == NOBODY]
+    some = range(len(view.objects))
+    left = [k for k in some if not view.at_goal[k] and view.held_by[k] == NOBODY and view.is_known(k)]
     before = view.other_track[max(len(view.other_track) - STRAIGHT_ON_STEPS, 0)]
     moved = float(np.hypot(*(view.other_xz - before)))
     if not left:

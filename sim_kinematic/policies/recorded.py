@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.geometry import heading_from_quat
 from h3data.recording import Recording, SkillSpan
-from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, SKILLS, Action
+from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, SEARCH, SKILLS, Action, Destination
 from sim_kinematic.policies.policy import RecordedPose, Velocity
 from sim_kinematic.policies.rearrange import HighLevelPolicy
 from sim_kinematic.policies.views import RearrangeView
@@ -230,6 +230,10 @@ class RecordedPolicy:
     """Step from which on the policy ``own`` decides; before it, somebody else did."""
     joints: tuple[str, ...] = ()
     """Names of the doors and drawers of the home."""
+    surfaces: tuple[str, ...] = ()
+    """Names of the surfaces at which agents look for things."""
+    destinations: Mapping[tuple[int, int], Destination] = field(default_factory=dict)
+    """Other goals that the agent gave to objects, by the step and the index of the object."""
     _next: int = 0
     _running: Action = field(default_factory=lambda: Action("wait"))
 
@@ -268,12 +272,22 @@ class RecordedPolicy:
             # of those that were cut short, each waits for another time: an equal action would go on with the last one
             endless = len(self.now) + self._next
             steps = 0 if at_once else lasted if span.outcome == "done" else endless
-            names = self.joints if span.name in OPENING_SKILLS else self.objects
-            action = Action(span.name, names.index(span.target) if span.target else -1, steps)
+            names = targets_of(span.name, self.objects, self.joints, self.surfaces)
+            target = names.index(span.target) if span.target else -1
+            action = Action(span.name, target, steps)
+            if span.name == "wait" and (step, target) in self.destinations:
+                return Action("wait", target, 0, self.destinations[step, target])
         else:
             skill, target = self.now[min(step, len(self.now) - 1)].tolist()
             action = Action(ALL_SKILLS[skill], target, len(self.now) + 1)
         return choice if choice is not None and choice[:2] == action[:2] else action
+
+
+def targets_of(
+    skill: str, objects: tuple[str, ...], joints: tuple[str, ...], surfaces: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Names of what a skill can be about."""
+    return joints if skill in OPENING_SKILLS else surfaces if skill == SEARCH else objects
 
 
 def deciding_since(recording: Recording) -> list[int]:
@@ -295,7 +309,13 @@ def deciding_since(recording: Recording) -> list[int]:
 
 
 def recorded_choices(
-    recording: Recording, number: int, objects: tuple[str, ...], since: int = 0, *, joints: tuple[str, ...] = ()
+    recording: Recording,
+    number: int,
+    objects: tuple[str, ...],
+    since: int = 0,
+    *,
+    joints: tuple[str, ...] = (),
+    surfaces: tuple[str, ...] = (),
 ) -> tuple[list[SkillSpan], NDArray]:
     """Skill spans of an agent, and its skills and targets step by step [T, 2].
 
@@ -308,7 +328,7 @@ def recorded_choices(
     spans = [span for span in recording.skills if span.agent == number and (not since or span.end_step >= since)]
     now = np.stack([recording.columns[f"agent_{number}.{name}"] for name in ("skill", "skill_target")], axis=-1)
     now[:since] = SKILLS.index("wait"), -1
-    known = (*SKILLS, *OPENING_SKILLS) if joints else SKILLS
+    known = (*SKILLS, *(OPENING_SKILLS if joints else ()), *((SEARCH,) if surfaces else ()))
     codes = {k: name for k, name in enumerate(ALL_SKILLS) if name in known}
     names = {span.name for span in spans} | {codes[c] for c in now[:, 0].tolist() if c in codes}
     if CONTROL in names:
@@ -317,9 +337,9 @@ def recorded_choices(
             code="H3-POLICY-041",
         )
     strange: set[Any] = names - set(known) | {c for c in now[:, 0].tolist() if c not in codes}
-    strange |= {s.target for s in spans if s.target not in ("", *(joints if s.name in OPENING_SKILLS else objects))}
+    strange |= {s.target for s in spans if s.target not in ("", *targets_of(s.name, objects, joints, surfaces))}
     for code, target in now.tolist():
-        most = len(joints) if codes.get(code) in OPENING_SKILLS else len(objects)
+        most = len(targets_of(codes.get(code, ""), objects, joints, surfaces))
         strange |= set() if -1 <= target < most else {target}
     if strange or now.ndim != 2:
         raise InputError(
@@ -328,7 +348,7 @@ def recorded_choices(
             code="H3-POLICY-042",
         )
     for span in spans:
-        if span.name in (*SKILLS[:4], *OPENING_SKILLS) and not span.target:
+        if span.name in (*SKILLS[:4], *OPENING_SKILLS, SEARCH) and not span.target:
             raise InputError(
                 f"The skill {span.name} of agent_{number} at step {span.start_step} names no object.",
                 code="H3-POLICY-051",

@@ -13,6 +13,7 @@ from h3data.scene import FreeSpace
 from sim_kinematic.agents.skills import Action, SkillResult
 from sim_kinematic.motion.spec import BaseSpec, WalkerSpec
 from sim_kinematic.motion.state import NOBODY
+from sim_kinematic.sensing.sight import Places
 
 if TYPE_CHECKING:
     from sim_kinematic.policies.crowd.crowds import Crowds
@@ -136,7 +137,16 @@ class RearrangeView(NamedTuple):
     its goal; -1: none."""
     observe: Observe | None = None
     """Function that returns the agent's observation of a name; None if observations are not computed."""
+    places: Places | None = None
+    """Surfaces on which things may lie, if the agent knows only what it has seen: then the positions of unknown things are
+    NaN, and they count as not at their goals and in nobody's hand. None: it knows everything."""
+
+    def is_known(self, k: int) -> bool:
+        """Returns whether the agent knows where an object is."""
+        return bool(np.isfinite(self.objects[k, 0]))
 
     def left_to_do(self) -> list[int]:
-        """Objects that are not at their goals and that the other does not hold."""
-        return [k for k in range(len(self.objects)) if not self.at_goal[k] and self.held_by[k] in (NOBODY, self.agent)]
+        """Objects that are known, not at their goals and not in the other's hand."""
+        some = range(len(self.objects))
+        mine = (NOBODY, self.agent)
+        return [k for k in some if not self.at_goal[k] and self.held_by[k] in mine and self.is_known(k)]

@@ -11,19 +11,25 @@ import pytest
 
 import h3data
 from h3data.errors import InputError
-from h3data.policies import Action
+from h3data.policies import Action, External
 from h3data.recording.task_episodes.stored_episodes import info_block
 from h3data.scene import FreeSpace
 from h3data_language.episode import LanguageSpec, can_be_done
+from h3data_language.evaluation.layout import Layout
+from h3data_language.evaluation.predicates import Rows, truth_of
 from h3data_language.evaluation.profile import verdict_of
-from h3data_language.evaluation.records import Evaluation
+from h3data_language.evaluation.records import Evaluation, Proposition
 from h3data_language.grounding import home_of, parse
-from h3data_language.task import HANDLING_STEPS, Language, check_extra
+from h3data_language.task import HANDLING_STEPS, Language, check_extra, put
 from h3data_language.templates import KINDS, TEMPLATES, affords
-from h3data_language.verification import rows_of_kinds, verify_task
+from h3data_language.verification import VerifiedTask, rows_of_kinds, verify_task
 from h3data_pipelines.cli import main
+from sim_kinematic.agents.skills import Destination
+from sim_kinematic.policies.rearrange import errand
+from sim_kinematic.tasks.resume import verify
+from sim_kinematic.tasks.runner import simulate
 
-HOME = "h3-homes/val#3"
+HOME, OPEN_HOME, DRAWERS = "h3-homes/val#3", "small2-open:0", "kitchen_counter_2"
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: object, code: int = 0) -> str:
@@ -46,10 +52,10 @@ def episode(template: str, seed: int = 0, **rules: Any) -> Any:
     return Language().episode(scene, free=free, seed=seed, spec=LanguageSpec(template=template, **rules))
 
 
-NOTHING_TO_SWITCH = [t.name for t in TEMPLATES if t.name.startswith("switch")]
+NOT_IN_THIS_HOME = [t.name for t in TEMPLATES if t.name.startswith("switch") or "inside" in t.name]
 
 
-@pytest.mark.parametrize("template", [t.name for t in TEMPLATES if t.name not in NOTHING_TO_SWITCH])
+@pytest.mark.parametrize("template", [t.name for t in TEMPLATES if t.name not in NOT_IN_THIS_HOME])
 def test_each_template_gives_a_task_that_can_be_done_and_is_not_done(template: str) -> None:
     """Sampling checks each task itself; here the checks are made again from what is recorded."""
     sampled = episode(template)
@@ -122,7 +128,7 @@ def test_wordings_name_all_slots_once() -> None:
 
     assert len({t.name for t in TEMPLATES}) == len(TEMPLATES)
     for template in TEMPLATES:
-        asked = {slot for clause in template.clauses for slot in re.findall(r"\b[a-cp-s]\b", clause)}
+        asked = {slot for clause in template.clauses for slot in re.findall(r"\b[a-cp-su-v]\b", clause)}
         for wording in template.wordings:
             assert sorted(re.findall(r"\{(\w)\}", wording)) == sorted(asked), template.name
     assert {t.kind for t in TEMPLATES} == set(KINDS)
@@ -133,7 +139,7 @@ def test_the_expert_does_a_task_alone_and_in_a_pair(template: str) -> None:
     alone, pair = verify_task(Language(), episode(template))
     assert alone.success
     assert pair.success
-    rows = rows_of_kinds([("free", alone, pair)])
+    rows = rows_of_kinds([VerifiedTask(0, "", "free", "", alone, pair)])
     assert rows[1][2] == rows[1][4] == "1.00"
 
 
@@ -206,6 +212,73 @@ def test_only_people_beside_a_thing_can_handle_it() -> None:
     assert "Somebody else" in str(task.control.refusal(play, 1, wait))
     assert "nothing to do" in str(task.control.refusal(play, 1, Action("wait", other)))
     assert task.control.refusal(play, 1, Action("wait")) is None
+
+
+class Porter:
+    """Puts things at places, one after the other."""
+
+    def __init__(self, puts: list[Action]) -> None:
+        self.puts, self.now, self.said = puts, 0, False
+
+    def act(self, view: Any) -> Action:
+        """First says where a thing goes, then brings it there."""
+        if self.said and view.at_goal[self.puts[self.now].target]:
+            self.now, self.said = self.now + 1, False
+        if self.now == len(self.puts):
+            return Action("wait")
+        if not self.said:
+            self.said = True
+            return self.puts[self.now]
+        return errand(view, self.puts[self.now].target)
+
+
+def test_things_are_put_where_somebody_says_and_replays_do_the_same() -> None:
+    spec = LanguageSpec(template="inside", max_steps=2500)
+    sampled = Language().episode(h3data.load_scene(OPEN_HOME), seed=3, spec=spec)
+    things = [t.name for t in sampled.targets]
+    jar, paste, pepper = things
+    puts = put(things, pepper, f"inside {DRAWERS}"), put(things, paste, "bed_0"), put(things, jar, "bed_0", paste)
+    porter = Porter(list(puts))
+    recording = simulate(Language(), sampled, {"robot": porter, "human": "language_still"})
+    assert porter.now == 3
+    said = [event.detail for event in recording.events if event.kind == "aim"]
+    assert said == [f"inside {DRAWERS}", "bed_0", f"bed_0 next to {paste}"]
+    rows = Rows(
+        Layout.of_info(recording.episode.info), recording.columns["object_pose"][-1:], np.zeros((1, 3), np.bool_)
+    )
+    for name, thing, there in (
+        ("is_inside", pepper, DRAWERS),
+        ("is_on_top", paste, "bed_0"),
+        ("is_on_top", jar, "bed_0"),
+    ):
+        asked = {"object_handles": [thing], "receptacle_handles": [there]}
+        assert truth_of(Proposition(name, asked), rows)[0][0], (name, thing)
+    near = Proposition("is_next_to", {"entity_handles_a": [paste], "entity_handles_b": [jar]})
+    assert truth_of(near, rows)[0][0]
+    assert verify(recording).equal
+
+
+def test_destinations_that_do_not_exist_or_are_full_are_refused() -> None:
+    session = h3data.session(
+        Language(), scenes=OPEN_HOME, seed=3, spec=LanguageSpec(template="inside"), agents={"robot": External()}
+    )
+    things = session.play.team.objects.names
+    for place, next_to, code in (("moon_0", "", "018"), ("inside bed_0", "", "018"), ("bed_0", "spoon", "019")):
+        with pytest.raises(InputError, match=f"H3-LANGUAGE-{code}"):
+            session.refusal("robot", put(things, things[0], place, next_to))
+    with pytest.raises(InputError, match="H3-LANGUAGE-019"):
+        put(things, "spoon", "bed_0")
+    assert session.refusal("robot", put(things, things[0], "bed_0")) is None
+    assert Destination.of(str(Destination("inside fridge_0", "mug_1"))) == ("inside fridge_0", "mug_1")
+
+
+@pytest.mark.parametrize("template", [t.name for t in TEMPLATES if "inside" in t.name])
+def test_goals_in_drawers_and_cupboards_are_reached(template: str) -> None:
+    sampled = Language().episode(h3data.load_scene(OPEN_HOME), seed=1, spec=LanguageSpec(template=template))
+    assert can_be_done(sampled_task(sampled))
+    assert {p.function_name for p in Evaluation.of(sampled.extra).propositions} >= {"is_inside"}
+    _, pair = verify_task(Language(), sampled)
+    assert pair.success
 
 
 @pytest.mark.parametrize(

@@ -137,7 +137,7 @@ def test_shipped_benchmarks_are_whole() -> None:
             assert entry.row.played == entry.row.expected
             assert entry.result.definition_sha256 == benchmark.sha256
     assert find_benchmark("h3-social-nav").label == "h3-social-nav@1"
-    assert {"h3-social-nav@1", "h3-rearrange@1", "h3-crowd@1"} <= {
+    assert {"h3-social-nav@1", "h3-rearrange@1", "h3-crowd@1", "h3-language@1"} <= {
         path.name for path in (builtin_root() / "benchmarks").iterdir()
     }
 

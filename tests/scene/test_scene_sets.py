@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -266,6 +267,18 @@ def test_scenes_in_files(tmp_path: Path) -> None:
     assert open_scene(ours.source) is open_scene(ours.source)
 
 
+def test_homes_that_open_are_those_of_the_second_generation() -> None:
+    for split in ("train", "val", "test"):
+        second, opening = find_scene_set(f"h3-homes-v2/{split}"), find_scene_set(f"h3-homes-open/{split}")
+        assert second is not None
+        assert opening is not None
+        assert opening.social_nav.episodes_per_scene == 20
+        assert [(e.id, e.source) for e in opening.scenes] == [
+            (e.id, replace(e.source, articulated=True))
+            for e in second.scenes  # type: ignore[type-var]
+        ]
+
+
 def test_large_homes_begin_where_the_middle_of_the_others_ends() -> None:
     assert builtin_sets()["h3-homes-large"] == ("train", "val", "test")
     for split in ("train", "val", "test"):
@@ -283,5 +296,6 @@ def test_large_homes_begin_where_the_middle_of_the_others_ends() -> None:
     seeds = {
         name: {e.source.seed for split in splits for e in find_scene_set(f"{name}/{split}").scenes}  # type: ignore[union-attr]
         for name, splits in builtin_sets().items()
+        if name != "h3-homes-open"
     }
     assert len(set().union(*seeds.values())) == sum(map(len, seeds.values())) == 59 * len(seeds)

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
 
 from h3data.commands import Group, JsonFlag, Outcome
+from h3data.commands.executors import opened
 from h3data.errors import InputError
 from h3data.progress import progress
 from h3data.terminal import aligned
+
+if TYPE_CHECKING:
+    from h3data_language.verification import VerifiedTask
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,44 +45,55 @@ class LanguageTemplates:
 class LanguageVerify:
     """Sample tasks in words and play each: a person alone, then a robot and a person. Lists what could not be done.
 
-    Tasks are sampled as by `h3data.session("language", scenes, seed=seed)`: episode 0, 1, ... of the run with this seed.
+    Tasks are those of `h3data generate language` with the same scenes and seed. The digest is that of the
+    identities of all tasks. The second example has the tasks of the benchmark h3-language@1.
 
     Examples:
         h3data language verify --scenes h3-homes/val --episodes 20
+        h3data language verify --scenes h3-homes-open/test --episodes 200 --workers 2
     """
 
-    scenes: tuple[str, ...] = ("h3-homes/val",)
+    scenes: str = "h3-homes/val"
     """Homes, as in generate."""
     episodes: int = 20
     """Number of tasks."""
     seed: int = 0
     """Seed of everything random."""
+    workers: int = 1
+    """Number of processes."""
     json: JsonFlag = False
 
     def run(self) -> Outcome:
         """A table by type of task; exit code 1 if a task could not be done."""
         from h3data_language.task import Language
-        from h3data_language.verification import rows_of_kinds, verify_task
-        from sim_kinematic.tasks.sources import EpisodeSource
+        from h3data_language.verification import digest_of, rows_of_kinds, tasks_in, verify_home
 
         if self.episodes < 1:
             raise InputError(f"Expected --episodes of at least 1, got {self.episodes}.", code="H3-LANGUAGE-016")
-        task = Language()
-        source = EpisodeSource(task, list(self.scenes))
-        played, failed = [], []
-        for k in progress(range(self.episodes), desc="verify", unit="task"):
-            episode = source.sample(self.seed, k)
-            alone, pair = verify_task(task, episode)
-            played.append((str(episode.extra["kind"]), alone, pair))
-            for who, result in (("a person alone", alone), ("robot and person", pair)):
-                if not result.success:
-                    words = task.codec.instruction(episode)
-                    failed.append(f"{k} ({who}, {result.complete:.0%} in {result.steps} steps): {words}")
+        homes = tasks_in(self.scenes, episodes=self.episodes, seed=self.seed)
+        tasks: list[VerifiedTask] = []
+        with (
+            opened("local", self.workers) as workforce,
+            progress(total=self.episodes, desc="verify", unit="task") as bar,
+            closing(workforce.run(partial(verify_home, Language()), homes)) as results,
+        ):
+            for some in results:
+                tasks += some
+                bar.update(len(some))
+        tasks.sort()
+        failed = [
+            f"{t.number} ({who}, {played.complete:.0%} in {played.steps} steps): {t.instruction}"
+            for t in tasks
+            for who, played in (("a person alone", t.alone), ("robot and person", t.pair))
+            if not played.success
+        ]
+        digest = digest_of(tasks)
         return Outcome(
-            text="\n".join([aligned(rows_of_kinds(played)), *failed]),
+            text="\n".join([aligned(rows_of_kinds(tasks)), *failed, f"sha256 {digest}"]),
             data={
-                "tasks": [{"type": t, "alone": a._asdict(), "pair": b._asdict()} for t, a, b in played],
+                "tasks": [{**t._asdict(), "alone": t.alone._asdict(), "pair": t.pair._asdict()} for t in tasks],
                 "failed": failed,
+                "sha256": digest,
             },
             exit_code=int(bool(failed)),
         )

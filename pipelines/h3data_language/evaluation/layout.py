@@ -114,7 +114,7 @@ class Layout(msgspec.Struct, frozen=True):
                 surfaces.append(
                     Surface(_rounded(center), _rounded(half), round(heading, 6), round(r.clearance_m, 4), enclosed)
                 )
-            owner = _owner(scene, instance.name)
+            owner = owner_of(scene, instance.name)
             known = furniture.get(owner)
             if known is not None:
                 low = np.minimum(low, np.subtract(known.center, known.half))
@@ -145,7 +145,7 @@ class Layout(msgspec.Struct, frozen=True):
             )
 
 
-def _owner(scene: Scene, name: str) -> str:
+def owner_of(scene: Scene, name: str) -> str:
     """The thing that a part belongs to: a drawer to its cabinet."""
     for thing in scene.articulations:
         if any(name in part.instances for part in thing.parts):

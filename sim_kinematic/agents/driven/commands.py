@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from h3data.errors import InputError
-from sim_kinematic.agents.skills import CONTROL, SIT, Action, Objects
+from sim_kinematic.agents.skills import CONTROL, SIT, Action, Destination, Objects
 
 HEAD_YAW_RAD, HEAD_PITCH_RAD = float(np.radians(75.0)), float(np.radians(50.0))
 """The head turns this far from the direction of the chest at most."""
@@ -156,7 +156,7 @@ def action_of(command: Any, objects: Objects, agent: int) -> Action:
 
 def command_to_json(action: Action) -> dict[str, Any]:
     """An action as JSON types, for the recorded raw input."""
-    command = msgspec.to_builtins(action.command)
+    command = str(action.command) if isinstance(action.command, Destination) else msgspec.to_builtins(action.command)
     if isinstance(command, dict):
         del command["do"]  # an action is one or the other
     return {"skill": action.skill, "target": action.target, "steps": action.steps, "command": command}
@@ -164,8 +164,10 @@ def command_to_json(action: Action) -> dict[str, Any]:
 
 def command_from_json(data: Any) -> Action:
     """The action that `command_to_json` wrote."""
-    given, command = data["command"], ()
-    if isinstance(given, dict):
+    given = data["command"]
+    if isinstance(given, str):
+        command: Any = Destination.of(given)
+    elif isinstance(given, dict):
         left, right = (msgspec.convert(given[side], HandTarget | None) for side in ("left", "right"))
         head = msgspec.convert(given["head"], tuple[float, float] | None)
         command = PersonCommand(float(given["forward"]), float(given["turn"]), left, right, head)

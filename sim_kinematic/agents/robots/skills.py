@@ -27,7 +27,7 @@ from sim_kinematic.agents.robots.hand_reach import (
     reach_distances,
     reach_posture,
 )
-from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, LearnedSkill, Skill, SkillResult
+from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, SEARCH, Action, LearnedSkill, Skill, SkillResult
 from sim_kinematic.agents.stands import (
     CROWDED_M,
     handle_stands,
@@ -46,6 +46,8 @@ HORIZON_M = 1000.0
 """Distance of a point that lies in the same direction from everywhere in a home [m]."""
 TRIED, TURN_M_RAD = 24, 1.0
 """Number of nearest stands that are compared, and length of path that counts as much as turning by one radian [m]."""
+LOOK_M = 0.5
+"""So near to the floor before a place a robot looks at it [m]."""
 ARM_OUT_M = 0.05
 """A base stands while the hand is farther from its middle than this beyond the folded arm's."""
 
@@ -120,10 +122,10 @@ class RobotActor(RobotDriver):
             return self._control(action.command)
         if action.skill == "wait":
             return self._wait(action.steps)
+        if action.skill == SEARCH:
+            return self._look_at(self.objects.destination(self.number, action))
         if action.skill.startswith("nav"):
-            return self._navigate(
-                self.objects.poses[k, :3] if action.skill == "nav_to_object" else self.objects.goals[k]
-            )
+            return self._navigate(self.objects.destination(self.number, action))
         return self._reach(self._pick(k) if action.skill == "pick" else self._place(k))
 
     def _control(self, command: ArrayLike) -> Skill:
@@ -197,6 +199,14 @@ class RobotActor(RobotDriver):
         if ending.outcome == "failed" and self.base.maneuvers:
             self._gave_up.append(goal.copy())
         return ending
+
+    def _look_at(self, point: NDArray) -> Skill:
+        """Drives to the floor before a world point [3], and turns to it."""
+        goal = self.free.snap(point[[0, 2]])
+        if not np.isfinite(self.free.geodesic(self.xz, goal)):
+            return SkillResult("failed", "no_way")
+        yield from self._fold_arm()
+        return (yield from self.drive_to(goal, facing=point[[0, 2]], within_m=LOOK_M))
 
     def stands(self, point: NDArray, base: BaseSpec | None = None, free: FreeSpace | None = None) -> Array:
         """Stands ``(x, z, heading)`` [N, 3] that can be driven to, from which the hand reaches a world point [3]."""

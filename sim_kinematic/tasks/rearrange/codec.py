@@ -452,6 +452,8 @@ def target_of(goal: StoredGoal, origin: Array | None = None) -> Target:
 def rules_to_json(spec: RearrangeSpec) -> dict[str, Any]:
     """The rules as JSON types; an infinitely fast arm has null as its speed."""
     rules = rules_dict(spec)
+    if rules.get("observe") == "full":  # as in recordings from before there was a choice
+        del rules["observe"]
     if not np.isfinite(spec.arm_rad_s):
         rules["arm_rad_s"] = None
     return rules

@@ -120,13 +120,17 @@ class RearrangeSpec:
     something opens; those from before 0.3 know nothing of it."""
     oracle: OracleSpec | None = field(default=None, repr=False)
     """Simplification of skills to those of Habitat's oracles; None for full skills. `ORACLE_RULES` are the rules for them."""
+    observe: str = field(default="full", repr=False)
+    """``full``: policies know where all things are; ``seen``: only of those that the agent itself has seen
+    (`sim_kinematic.sensing.sight`)."""
     skills: str = field(default="", repr=False)
     """Learned skills of robots, with digests (`sim_kinematic.policies.skills.names.recorded_skills`). Those that it does not
     name know all."""
 
     def __repr__(self) -> str:
         # uids of episodes are made of it: those from before there were oracle skills stay as they were
-        shown = [f for f in fields(self) if f.repr or (f.name == "oracle" and self.oracle is not None)]
+        later = {"oracle": None, "observe": "full"}
+        shown = [f for f in fields(self) if f.repr or (f.name in later and getattr(self, f.name) != later[f.name])]
         return f"RearrangeSpec({', '.join(f'{f.name}={getattr(self, f.name)!r}' for f in shown)})"
 
     def __post_init__(self) -> None:
@@ -134,6 +138,8 @@ class RearrangeSpec:
             object.__setattr__(self, "people_give_way", self.robot.slide != "habitat")
         if self.skills:
             object.__setattr__(self, "skills", recorded_skills(self.skills))
+        if self.observe not in ("full", "seen"):
+            raise InputError(f"Expected observe=full or observe=seen, got {self.observe!r}.", code="H3-TASK-085")
         if self.reward not in REARRANGE_REWARDS:
             raise InputError(
                 f"Unknown reward {self.reward!r}. Expected one of: {', '.join(REARRANGE_REWARDS)}.", code="H3-TASK-011"

@@ -26,10 +26,13 @@ from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS, naming
 from sim_kinematic.policies.rearrange import (
     PARTNERS,
     ROBOT_POLICIES,
+    Chooser,
+    Planner,
     partner_plan,
     partner_policy,
     robot_policy,
 )
+from sim_kinematic.policies.searching import Seeking
 from sim_kinematic.sensing.table import SENSES, Sensor
 from sim_kinematic.tasks.control import Control
 from sim_kinematic.tasks.episode import Episode, StepOutcome
@@ -170,6 +173,8 @@ def _made_policy(name: str, episode: Episode, number: int) -> AssignedPolicy:
         policy, plan = partner_policy(name, seed, objects), partner_plan(name, seed)
     else:
         policy, plan = robot_policy(name, objects), ""
+    if episode.spec.observe == "seen" and isinstance(policy, Planner | Chooser) and plan != "still" and name != "still":
+        policy = Seeking(policy)
     if isinstance(policy, RecurrentSkillPolicy):
         policy.seed = seed
         if kind == "robot":

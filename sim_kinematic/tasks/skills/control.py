@@ -16,7 +16,7 @@ from sim_kinematic.agents.driven.commands import STAND, action_of, command_from_
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.robots.skills import checked_command
 from sim_kinematic.agents.roster import AgentSpec
-from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, SKILLS, Action, sentence
+from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, SKILLS, Action, Destination, sentence
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.rearrange import (
     planner,
@@ -29,6 +29,7 @@ from sim_kinematic.policies.recorded import (
     recorded_choices,
     recorded_commands,
 )
+from sim_kinematic.sensing.sight import surface_names
 from sim_kinematic.sensing.table import STATE_SENSES
 from sim_kinematic.tasks.control import Control
 from sim_kinematic.tasks.episode import Episode
@@ -121,7 +122,8 @@ class SkillControl(Control):
         """An agent with its skills: in scenes with doors or drawers they include opening and closing."""
         if is_external and agent.kind == "human":
             agent = replace(agent, skill_names=ALL_SKILLS, action_names=("forward", "turn_left"))
-        return replace(agent, skill_names=ALL_SKILLS) if episode.scene.articulations else agent
+        seen = getattr(episode.spec, "observe", "full") == "seen"
+        return replace(agent, skill_names=ALL_SKILLS) if seen or episode.scene.articulations else agent
 
     def needed_columns(self, recording: Recording) -> list[str]:
         """Skill and skill target of every agent."""
@@ -150,6 +152,7 @@ class SkillControl(Control):
         """Policies that repeat the recorded skills of each agent until step ``until``, then continue with ``own``."""
         assert isinstance(episode, RearrangeEpisode)
         objects, joints = tuple(target.name for target in episode.targets), joint_names(episode.scene)
+        surfaces = surface_names(episode.scene) if episode.spec.observe == "seen" else ()
         commands, policies = recorded_commands(recording, self.from_json), []
         for k, (assigned, since) in enumerate(zip(own, deciding_since(recording), strict=True)):
             policy: Any = assigned.policy
@@ -158,10 +161,16 @@ class SkillControl(Control):
             on_track = is_counterfactual(recording) and agent.kind == "human" and bool(agent.action_names)
             if not on_track and (k not in commands or 0 < since < until):
                 policy = RecordedPolicy(
-                    *_checked(recording, k, objects, since if k in commands else 0, joints),
+                    *_checked(recording, k, objects, since if k in commands else 0, joints, surfaces),
                     until=until,
                     since=since,
                     joints=joints,
+                    surfaces=surfaces,
+                    destinations={
+                        (event.step, objects.index(event.target)): Destination.of(event.detail)
+                        for event in recording.events
+                        if event.kind == "aim" and event.agent == k and event.target in objects
+                    },
                 )
                 if assigned.policy is not None:
                     begins = until if (changed and changed[k]) or is_remote(assigned.policy) else min(since, until)
@@ -215,7 +224,12 @@ def _track_from(recording: Recording) -> int:
 
 
 def _checked(
-    recording: Recording, k: int, objects: tuple[str, ...], since: int, joints: tuple[str, ...]
+    recording: Recording,
+    k: int,
+    objects: tuple[str, ...],
+    since: int,
+    joints: tuple[str, ...],
+    surfaces: tuple[str, ...],
 ) -> tuple[Any, tuple[str, ...], Any]:
-    spans, now = recorded_choices(recording, k, objects, since, joints=joints)
+    spans, now = recorded_choices(recording, k, objects, since, joints=joints, surfaces=surfaces)
     return spans, objects, now

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Robot
 from h3data.errors import InputError
-from h3data.geometry import Array
+from h3data.geometry import Array, transform_points
 from h3data.kernels import kernel
 from h3data.recording import Event
 from h3data.recording.records import JOINTS
 from h3data.scene import FreeSpace, Scene
-from h3data.scene.articulation import AJAR, joint_names
+from h3data.scene.articulation import AJAR, joint_names, joints_of
 from sim_kinematic.agents.driven.object_room import ObjectRoom, grip_radii
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.giving_way import AnyActor, GivingWay
@@ -50,6 +50,7 @@ from sim_kinematic.motion.state import NOBODY, HumanState
 from sim_kinematic.policies.rearrange_observations import exact
 from sim_kinematic.policies.skills.names import skills_of
 from sim_kinematic.policies.views import RearrangeView
+from sim_kinematic.sensing.sight import LOOK_STEPS, Places, Sight
 from sim_kinematic.sensing.table import Sensor
 from sim_kinematic.tasks.rearrange.episode import body_indices
 from sim_kinematic.tasks.skills.errands import errands_of
@@ -110,12 +111,23 @@ class Household(Team):
         self.people = [actor for actor in self.actors if isinstance(actor, PersonActor)]
         self.robots = [actor for actor in self.actors if isinstance(actor, RobotActor)]
         self.order = [actor.number for actor in (*self.people, *self.robots)]  # people first: robots see where to
-        self.controllers = [SkillController(actor.number, actor, play.spans, names, joints) for actor in self.actors]
+        self.controllers = [
+            SkillController(actor.number, actor, play.spans, names, joints, aim=self.aim) for actor in self.actors
+        ]
         self.company = self._introduced()
         self.objects.openables = self._openables()
+        owner = joints_of(episode.scene).owner
+        self._carriers = [owner.get(t.destination.partition("|")[0], -1) for t in episode.targets]
+        self._goals = goals.copy()
+        if episode.spec.observe == "seen":
+            kinds = kinds_of(episode.roster)
+            self.objects.sight = sight = Sight(episode.scene, kinds, len(names), episode.free.floor_y)
+            for controller in self.controllers:
+                controller.surfaces = sight.names
         self.bodies = np.append(body_indices(episode), -1)
         self.at_goal = self._at_goal()
         self._places: list[list[float]] = episode.starts.tolist()
+        self._look()
 
     def _introduced(self) -> GivingWay:
         """The agents, and whether they heed each other.
@@ -223,9 +235,47 @@ class Household(Team):
                 )
         if (before != after).any():
             self._joints_moved = True
+            self._carry_goals()
         elif self._joints_moved:
             self._joints_moved = False
             self._show_scene(openables.scene_now())
+
+    def _look(self) -> None:
+        """Has agents take in what they see, and tells what they find or miss as events."""
+        sight, openables, held_by = self.objects.sight, self.objects.openables, self.objects.held_by
+        if sight is None:
+            return
+        changed = not self.play.step or self._joints_moved or bool((self._held != held_by).any())
+        if changed and openables is not None:
+            sight.open(openables.joints.is_open(openables.positions))
+            sight.hidden[:] = [openables.barrier_of(k) >= 0 for k in range(len(held_by))]
+        if not changed and self.play.step % LOOK_STEPS:
+            return
+        for agent, k, found in sight.look(np.array(self._places), self.objects.poses[:, :3], held_by):
+            kind = "see" if found else "miss"
+            event = Event(step=self.play.step, agent=agent, kind=kind, target=self.objects.names[k])
+            self.play.events.append(event)
+
+    def set_goal(self, k: int, goal: Array, receptacle: str) -> None:
+        """Give object ``k`` another goal, a world point [3] on a receptacle while doors and drawers are at rest."""
+        self._goals[k] = self.objects.goals[k] = goal
+        self._carriers[k] = joints_of(self.episode.scene).owner.get(receptacle.partition("|")[0], -1)
+        self._carry_goals()
+
+    def aim(self, number: int, action: Action) -> str:
+        """Give an object the goal of a `Destination`; returns the reason if this is impossible, which it is in most tasks."""
+        del number, action
+        return "no_space"
+
+    def _carry_goals(self) -> None:
+        """Moves the goals that are in drawers with these."""
+        openables = self.objects.openables
+        if openables is None or max(self._carriers, default=-1) < 0:
+            return
+        motions = openables.joints.motions(openables.positions)
+        for k, joint in enumerate(self._carriers):
+            if joint >= 0:
+                self.objects.goals[k] = transform_points(motions[joint], self._goals[k][None])[0]
 
     def _show_scene(self, scene: Scene) -> None:
         world, floor_y, self.objects.scene = self.episode, self.episode.free.floor_y, scene
@@ -257,7 +307,8 @@ class Household(Team):
         self.company.begin_turn(controller.actor)
         # a command lasts one step: there is nothing to abort
         policy = self.play.policies[number].policy
-        interrupts = None if controller.is_free else getattr(policy, "interrupts", None)
+        rests = self.play.step % getattr(policy, "interrupts_every", 1)
+        interrupts = None if controller.is_free or rests else getattr(policy, "interrupts", None)
         # most of the time nobody is close, and a view takes far longer than to find that out
         if interrupts is None or (getattr(policy, "interrupts_only_when_close", False) and not self._is_close(number)):
             return
@@ -285,6 +336,7 @@ class Household(Team):
         world.touching = np.array([[pair in touching for pair in world.pairs]], np.bool_) if touching else self._apart
         self.at_goal = self._at_goal()
         self._move_joints(self._joints)
+        self._look()
         self.is_quiet = not touching and held_now == self._held and self.at_goal.tobytes() == was_at_goal.tobytes()
         if self.is_quiet:
             self._finishers = frozenset()
@@ -318,6 +370,7 @@ class Household(Team):
         track = self.company.track(other) if other >= 0 else np.full((1, 2), np.nan)
         other_xz = self.actors[other].xz.copy() if other >= 0 else track[-1]
         xz, heading = me.xz.copy(), me.heading  # of a person they are computed
+        known = self._known(runner.number)
         return RearrangeView(
             step=self.play.step,
             free=self.doorways.open_floor,
@@ -327,13 +380,15 @@ class Household(Team):
             other_xz=other_xz,
             other_track=track[-TRACK:].copy(),
             close=self._is_close(agent),
-            objects=self.objects.poses[:, :3].copy(),
+            objects=known[0],
             goals=self.objects.goals,
-            held_by=self.objects.held_by.copy(),
-            at_goal=self._at_goal(),
+            held_by=known[1],
+            at_goal=known[2],
             action=runner.action,
             last=runner.ending,
-            starts=self.starts,
+            starts=self.starts
+            if known[3] is None
+            else np.where(self.objects.sight.known[agent, :, None], self.starts, np.nan),
             hand=lambda: me.hand_pose,
             arm=me.arm,
             start=self.episode.starts[runner.number],
@@ -342,6 +397,23 @@ class Household(Team):
             contact=isinstance(me, RobotActor) and bool(me.state.contact[0]),
             barrier=partial(self.barrier, me),
             observe=partial(self.play.observe, runner.number, 0),
+            places=known[3],
+        )
+
+    def _known(self, agent: int) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_], Places | None]:
+        """Positions, holders, and which are at their goals, of all things as an agent knows them, and places to look at."""
+        objects, sight = self.objects, self.objects.sight
+        if sight is None:
+            return objects.poses[:, :3].copy(), objects.held_by.copy(), self._at_goal(), None
+        mine = objects.held_by == agent
+        where = np.where(mine[:, None], objects.poses[:, :3], sight.where[agent])
+        held = np.where(mine, agent, np.where(sight.held[agent] == agent, NOBODY, sight.held[agent]))
+        near = np.linalg.norm(where - objects.goals, axis=1) < self.episode.spec.at_goal_m
+        return (
+            where,
+            held,
+            near & (held == NOBODY),
+            Places(sight.points, sight.looked[agent], sight.shut),
         )
 
     def _is_close(self, agent: int) -> bool:
@@ -369,7 +441,7 @@ class Household(Team):
             assert self.objects.openables is not None
             point = self.objects.openables.handles(self.objects.openables.positions)[k]
         else:
-            point = self.objects.goals[k] if skill == "nav_to_goal" else self.objects.poses[k, :3]
+            point = self.objects.destination(runner.number, runner.action)
         return float(self.floor.geodesic(runner.actor.xz, point[[0, 2]], max_snap_m=2.0))
 
     def barrier(self, actor: AnyActor, k: int, at_goal: bool, *, detour_m: float = DETOUR_M) -> int:
@@ -419,7 +491,8 @@ class Household(Team):
 
     def exact(self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor]) -> dict[str, Array]:
         """The named observations of an agent in the only world."""
-        return {name: values[None] for name, values in exact(self.view(agent), names, sensors).items()}
+        shown = exact(self.view(agent), names, sensors)
+        return {name: np.nan_to_num(values)[None] for name, values in shown.items()}  # unknown things: 0
 
     def info(self, number: int, known: Sequence[Action]) -> dict[str, Any]:
         """Facts about an agent's last skill, the objects, and which of the choices that it knows are possible now."""

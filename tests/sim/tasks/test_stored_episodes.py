@@ -280,7 +280,7 @@ def test_lists_of_sets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
         f"{name}/{split}": count
         for name in ("h3-homes", "h3-homes-v2", "h3-homes-large")
         for split, count in episodes.items()
-    }
+    } | {"h3-homes-open/train": 740, "h3-homes-open/val": 240, "h3-homes-open/test": 200}
     assert [p["preset"] for p in data["presets"]] == [
         *("small", "medium", "large", "small2", "medium2", "large2"),
         *("small2-storeys", "medium2-storeys"),

@@ -1,0 +1,122 @@
+"""Search for things in a home: which place an agent looks at next, and planners that search when they know of nothing to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sim_kinematic.agents.skills import SEARCH, Action
+from sim_kinematic.motion.state import NOBODY
+from sim_kinematic.policies.views import RearrangeView
+from sim_kinematic.sensing.sight import LOOK_STEPS
+
+GROUP_M = 1.5
+"""Places this near to each other are looked at together [m]."""
+STAND_M, OPENING_M = 3.0, 12.0
+"""Length of path that a stop at a place costs, and the opening of what shuts it [m]."""
+THEIRS = 0.4
+"""Weight of a place that is nearer to the other agent, who may look at it."""
+COMPARED = 8
+"""So many places, the best by straight lines, are compared by paths."""
+AVOID_STEPS = 900
+"""Steps for which a place that could not be reached is left."""
+PAUSE = 15
+
+
+@dataclass
+class Search:
+    """The places at which one agent looks, one after the other: where much can be seen soon."""
+
+    _place: int = -1
+    _avoid: dict[int, int] = field(default_factory=dict)
+    """Step until which a place is left."""
+
+    def act(self, view: RearrangeView) -> Action:
+        """The next action of the search: to go to a place, or to open what shuts it."""
+        assert view.places is not None
+        looked, shut = view.places.looked, view.places.shut
+        now, ended = self._place, view.last
+        if now >= 0 and ended is not None and view.action is not None and is_search(view.action):
+            arrived = ended.outcome == "done" and view.action.skill == SEARCH
+            if ended.outcome == "failed" or (arrived and not looked[now]):
+                same = shut == shut[now] if shut[now] >= 0 else np.arange(len(shut)) == now
+                self._avoid |= dict.fromkeys(np.flatnonzero(same).tolist(), view.step + AVOID_STEPS)
+        if now < 0 or looked[now] or self._avoid.get(now, 0) > view.step:
+            self._place = now = self._best(view)
+        if now < 0:
+            return Action("wait", steps=PAUSE)
+        if shut[now] < 0:
+            return Action(SEARCH, now)
+        joint = int(shut[now])
+        there = ended is not None and ended.outcome == "done" and view.action is not None
+        at_handle = there and view.action is not None and view.action[:2] == ("nav_to_handle", joint)
+        return Action("open" if at_handle else "nav_to_handle", joint)
+
+    def is_over(self, view: RearrangeView) -> bool:
+        """Return whether the agent has seen the place to which it is going on the way."""
+        return view.places is not None and self._place >= 0 and bool(view.places.looked[self._place])
+
+    def _best(self, view: RearrangeView) -> int:
+        """The place with the most that is seen from there for the length of the path; -1: nothing is left."""
+        assert view.places is not None
+        points, looked, shut = view.places
+        full = bool((view.held_by == view.agent).any())
+        left = [
+            s
+            for s in np.flatnonzero(~looked).tolist()
+            if self._avoid.get(s, 0) <= view.step and not (full and shut[s] >= 0)
+        ]
+        if not left:
+            return -1
+        floor = points[left][:, [0, 2]]
+        together = (np.hypot(*(floor[:, None] - floor).transpose(2, 0, 1)) < GROUP_M) & (
+            shut[left][:, None] == shut[left]
+        )
+        gain = together.sum(1).astype(np.float64)
+        mine = np.hypot(*(floor - view.xz).T)
+        if np.isfinite(view.other_xz).all():
+            gain *= np.where(np.hypot(*(floor - view.other_xz).T) < mine, THEIRS, 1.0)
+        cost = STAND_M + OPENING_M * (shut[left] >= 0)
+        best = np.argsort(-gain / (mine + cost), kind="stable")[:COMPARED]
+        ways = view.free.geodesic(np.broadcast_to(view.xz, (len(best), 2)), floor[best], max_snap_m=2.0)
+        return left[int(best[np.argmax(gain[best] / (ways + cost[best]))])]
+
+
+def is_search(action: Action) -> bool:
+    """Return whether an action may be one of a search."""
+    return action.skill in (SEARCH, "nav_to_handle", "open")
+
+
+@dataclass
+class Seeking:
+    """A planner that searches while it knows of nothing to do, and not where everything is."""
+
+    interrupts_every = LOOK_STEPS
+    """Steps from one question whether it stops to the next."""
+    policy: Any
+    search: Search = field(default_factory=Search)
+    _searches: bool = False
+    _known: int = 0
+    """Number of things that it knew when the search went on."""
+
+    def act(self, view: RearrangeView) -> Action:
+        """The planner's action, or the next of the search."""
+        own = view._replace(last=None) if self._searches else view  # an end of the search is none of the planner's
+        choice = self.policy.act(own)
+        left = [k for k in range(len(view.objects)) if not view.is_known(k) and view.held_by[k] == NOBODY]
+        self._searches, self._known = choice.skill == "wait" and bool(left), len(view.objects) - len(left)
+        return self.search.act(view) if self._searches else choice
+
+    def interrupts(self, view: RearrangeView) -> str:
+        """Reason to stop: a thing or the place has been seen, or one of the planner's own."""
+        if view.step % LOOK_STEPS:
+            return ""
+        if not self._searches:
+            own = getattr(self.policy, "interrupts", None)
+            return own(view) if own is not None else ""
+        if view.action is None or not is_search(view.action):
+            return ""
+        known = sum(view.is_known(k) for k in range(len(view.objects)))
+        return "found" if known > self._known or (view.action.skill == SEARCH and self.search.is_over(view)) else ""
