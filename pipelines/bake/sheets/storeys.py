@@ -1,6 +1,6 @@
 """docs/pictures/storeys.jpg and stairs.jpg: a home with two storeys, and agents on its stairs frame by frame.
 
-    PYTHONPATH=pipelines python -m bake.storeys_sheet docs/pictures
+    PYTHONPATH=pipelines python -m bake.sheets.storeys docs/pictures
 
 The first: cut open from the side, from above, and the stairs seen from both landings. The second: a person who goes up, one who
 comes down, and a robot, seen through the wall of the stairwell; frames are 1/5 s (people) and 4/15 s (robot) apart.

@@ -1,6 +1,6 @@
 """docs/pictures/scenarios.png: an episode of each scenario card from above, with the tracks of the robot and of people.
 
-    PYTHONPATH=pipelines python -m bake.scenario_sheet docs/pictures/scenarios.png
+    PYTHONPATH=pipelines python -m bake.sheets.scenario docs/pictures/scenarios.png
 
 Each is played under `dwa` in a home where the card fits, otherwise in its plan. Outlines are the bodies at every second; the
 robot's goal is a cross.

@@ -1,6 +1,6 @@
 """docs/pictures/benchmark.png: the baselines of the benchmarks, each mean with its 95% interval.
 
-python -m bake.benchmark_sheet docs/pictures/benchmark.png
+python -m bake.sheets.benchmark docs/pictures/benchmark.png
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """docs/pictures/mjcf.jpg: a robot from an MJCF file of our own, from three sides.
 
-python -m bake.mjcf_sheet tests/data/mjcf/barrow.xml docs/pictures/mjcf.jpg
+python -m bake.sheets.mjcf tests/data/mjcf/barrow.xml docs/pictures/mjcf.jpg
 """
 
 from __future__ import annotations

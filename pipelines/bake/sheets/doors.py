@@ -1,6 +1,6 @@
 """docs/pictures/doors.jpg: doors of the generator, closed, half open and open; above those that swing, below those that slide.
 
-python -m bake.doors_sheet docs/pictures/doors.jpg
+python -m bake.sheets.doors docs/pictures/doors.jpg
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The tracks and the map are those of one of our own episodes, written as a table of places and as an occupancy map.
 
-python -m bake.ros_sheet docs/pictures/ros.jpg
+python -m bake.sheets.ros docs/pictures/ros.jpg
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """docs/pictures/lerobot.jpg: frames of a dataset's video, and the environment of that dataset after the same actions.
 
-python -m bake.lerobot_sheet docs/pictures/lerobot.jpg
+python -m bake.sheets.lerobot docs/pictures/lerobot.jpg
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """docs/pictures/usd.jpg: a home of ours, the same home read back from USD, and how many pixels differ.
 
-python -m bake.usd_sheet docs/pictures/usd.jpg
+python -m bake.sheets.usd docs/pictures/usd.jpg
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """docs/pictures/crowd.jpg: a robot of `crowd_nav` among four people, over its shoulder in four moments.
 
-python -m bake.crowd_sheet docs/pictures/crowd.jpg
+python -m bake.sheets.crowd docs/pictures/crowd.jpg
 """
 
 from __future__ import annotations

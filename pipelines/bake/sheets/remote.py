@@ -3,7 +3,7 @@
 The server speaks openpi's protocol and follows the person by the numbers that it is sent; the pictures are those of the adapter
 ``openpi``.
 
-python -m bake.remote_sheet docs/pictures/remote.jpg
+python -m bake.sheets.remote docs/pictures/remote.jpg
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """docs/pictures/lidar.jpg: points of a laser scanner that sees legs, in an episode and from above, and those of a 3-D scanner.
 
-python -m bake.lidar_sheet docs/pictures/lidar.jpg
+python -m bake.sheets.lidar docs/pictures/lidar.jpg
 """
 
 from __future__ import annotations

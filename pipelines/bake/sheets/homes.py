@@ -1,6 +1,6 @@
 """Contact sheets of homes of the second generation.
 
-``python -m bake.home_sheets docs/pictures`` writes ``kinds.jpg``, ``styles.jpg``, ``room_kinds.jpg`` and
+``python -m bake.sheets.homes docs/pictures`` writes ``kinds.jpg``, ``styles.jpg``, ``room_kinds.jpg`` and
 ``generations.jpg``; further words choose some of them.
 """
 

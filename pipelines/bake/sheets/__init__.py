@@ -1,0 +1,1 @@
+"""Scripts that make pictures of the documentation."""
