@@ -24,6 +24,8 @@ from sim_kinematic.contact import FclScene, MovingShapes, capsule_transforms, co
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.motion.state import NOBODY, WorldState
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
+from sim_kinematic.tasks.rearrange.task import Rearrange
+from sim_kinematic.tasks.sources import EpisodeSource
 from tests.simulated import rearrange_episode, simulate_rearrange
 
 DEEPEST_M = TOLERANCE_M + 0.01
@@ -69,14 +71,10 @@ def test_in_recorded_episodes_her_body_keeps_out_of_the_home(home: Scene, world:
 
 
 @pytest.mark.slow
-def test_in_many_homes_her_body_keeps_out(capsys: pytest.CaptureFixture[str]) -> None:
-    from h3data_pipelines.jobs.rearrange_jobs import rearrange_jobs, rules
-
-    jobs = rearrange_jobs(
-        "h3-homes/test", episodes=None, seed=0, policy="solo", partner="both", human=None, spec=rules()
-    )
-    for job in jobs[::15]:
-        played = job.world()
+def test_in_many_homes_her_body_keeps_out() -> None:
+    source = EpisodeSource(Rearrange(), "h3-homes/test")
+    for number in range(0, 150, 15):
+        played = source.sample(0, number)
         recording = simulate_rearrange(played, policy="solo", partner="both", solo_steps=1)
         inside = parts_inside(recording, played.scene, deeper_than_m=DEEPEST_M)
         assert {part for part, _ in inside} <= {*REACHING_PARTS["right"], *REACHING_PARTS["left"]}
