@@ -39,7 +39,7 @@ def write_minari(recordings: Iterable[Recording], folder: str | Path, *, agent: 
         raise InputError(
             "Expected a folder whose name Minari takes as an id: letters, digits, - and _, then -v and a version, such as "
             f"walks-v0. Got: {folder}",
-            code="H3-EXPORT-040",
+            code="H3-EXPORT-039",
         )
     rest = iter(recordings)
     if (first := next(rest, None)) is None:
@@ -128,6 +128,6 @@ def _import_minari() -> tuple[Any, Any]:
         import minari.dataset.minari_storage  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise MissingExtraError(
-            'Minari datasets need minari. Hint: pip install "h3data[minari]"', code="H3-EXPORT-041"
+            'Minari datasets need minari. Hint: pip install "h3data[minari]"', code="H3-EXPORT-040"
         ) from None
     return minari, gymnasium.spaces

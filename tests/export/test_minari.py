@@ -78,7 +78,7 @@ def test_the_dataset_says_where_each_episode_is_from(
 
 @pytest.mark.parametrize("name", ["walks", "walks-v", "walks v0", "walks-v0.h5", "-v1.", "wälks-v0/x"])
 def test_a_name_that_is_no_id_is_refused(name: str, recordings: list[Recording], tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="H3-EXPORT-040"):
+    with pytest.raises(InputError, match="H3-EXPORT-039"):
         write_minari(recordings, tmp_path / name)
     assert not list(tmp_path.iterdir())
 

@@ -116,7 +116,7 @@ def observed(view: RearrangeView, card: PolicyCard) -> dict[str, NDArray[np.floa
     shown = observe(view, [name for name in card.observations if name in SENSES])
     taken = [name for name in card.observations if name not in SENSES]
     if taken and view.observe is None:
-        raise InputError("This policy sees, and nobody takes pictures here.", code="H3-POLICY-067")
+        raise InputError("This policy sees, and nobody takes pictures here.", code="H3-POLICY-066")
     return shown | view.observe(taken, size=card.picture_size) if taken and view.observe else shown
 
 

@@ -357,6 +357,7 @@ def test_a_planner_comes_back_to_what_others_kept_it_from() -> None:
         agent=1,
         at_goal=np.zeros(2, np.bool_),
         barrier=lambda k, at: -1,
+        is_known=lambda k: True,
     )
     for reason, goes_on in (("blocked", True), ("stuck", False)):
         planner = Planner((0,))
@@ -373,6 +374,7 @@ def test_a_planner_does_first_what_nobody_keeps_it_from() -> None:
         agent=1,
         at_goal=np.zeros(2, np.bool_),
         barrier=lambda k, at: -1,
+        is_known=lambda k: True,
     )
     planner = Planner((0, 1))
     assert planner.act(view).target == 0

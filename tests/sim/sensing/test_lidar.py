@@ -98,7 +98,7 @@ def test_legs_are_where_a_posed_body_has_them(free: FreeSpace) -> None:
     assert (legs[..., 2] == LEG_RADIUS_M).all()
     body: Any = world.roster[1].body
     own = world.state.agents[1]
-    clip, phase, blend, _ = world.posture(1, np.arange(3))
+    clip, phase, blend, *_ = world.posture(1, np.arange(3))
     roots = ground_pose(own.xz, own.heading, np.zeros(3))
     points = body.skin(body.joint_matrices(roots, *body.clip_pose(clip, phase, blend)))
     for w in range(3):

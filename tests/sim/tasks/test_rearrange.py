@@ -257,9 +257,9 @@ def test_infeasible_skills_are_reported_no_ops(world: RearrangeEpisode) -> None:
     turned = 2 * np.arccos(np.clip(np.abs(np.sum(base[1, 3:] * base[3, 3:])), 0, 1))
     assert turned == pytest.approx(2 * 2.5 / 30, abs=1e-3)  # 9.55 degrees
     assert script.ended[:2] == ["out_of_reach", "not_held"]
-    with pytest.raises(InputError, match=r"(?s)nav_to_object.*H3-SIM-022"):
+    with pytest.raises(InputError, match=r"(?s)nav_to_object.*H3-TASK-083"):
         simulate_rearrange(short, policy=Scripted([Action("fly")]), partner="still", solo_steps=1)
-    with pytest.raises(InputError, match=r"(?s)0.*1.*H3-SIM-023"):
+    with pytest.raises(InputError, match=r"(?s)0.*1.*H3-TASK-083"):
         simulate_rearrange(short, policy=Scripted([Action("pick", 2)]), partner="still", solo_steps=1)
 
 
