@@ -192,7 +192,7 @@ class LanguageHousehold(Household):
         self.at_goal = self._at_goal()
         return ""
 
-    def spot_for(self, k: int, to: Destination) -> tuple[NDArray[np.float64], str] | str:
+    def spot_for(self, k: int, to: Destination) -> tuple[NDArray[np.floating], str] | str:
         """A free spot [3] for thing ``k`` and its receptacle, or the reason why there is none.
 
         It follows from the episode's seed, the step and where things are now.

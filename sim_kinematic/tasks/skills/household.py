@@ -400,7 +400,7 @@ class Household(Team):
             places=known[3],
         )
 
-    def _known(self, agent: int) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_], Places | None]:
+    def _known(self, agent: int) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_], Places | None]:
         """Positions, holders, and which are at their goals, of all things as an agent knows them, and places to look at."""
         objects, sight = self.objects, self.objects.sight
         if sight is None:
