@@ -109,7 +109,7 @@ class TensorSkillPolicy:
         asked, view = self._asked(view)
         names, objects = self._observations, self._sim.bank.objects
         shown = observed(view, tuple(name for name in names if name in SENSES))
-        pictures, told = depth[:, :0, :0].half(), depth[:, :0, 0]
+        pictures, told = depth[:, :0, :0].half(), depth[:, :0, 0].float()
         if self._sees:
             pictures = depth.float().sqrt().half()
             shown = shown | {DETECTOR: found.float()}
