@@ -272,7 +272,14 @@ def test_destinations_that_do_not_exist_or_are_full_are_refused() -> None:
     assert Destination.of(str(Destination("inside fridge_0", "mug_1"))) == ("inside fridge_0", "mug_1")
 
 
-@pytest.mark.parametrize("template", [t.name for t in TEMPLATES if "inside" in t.name])
+@pytest.mark.parametrize(
+    "template",
+    [
+        pytest.param(t.name, marks=[] if t.name == "inside" else pytest.mark.slow)
+        for t in TEMPLATES
+        if "inside" in t.name
+    ],
+)
 def test_goals_in_drawers_and_cupboards_are_reached(template: str) -> None:
     sampled = Language().episode(h3data.load_scene(OPEN_HOME), seed=1, spec=LanguageSpec(template=template))
     assert can_be_done(sampled_task(sampled))
