@@ -492,7 +492,9 @@ class Household(Team):
     def exact(self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor]) -> dict[str, Array]:
         """The named observations of an agent in the only world."""
         shown = exact(self.view(agent), names, sensors)
-        return {name: np.nan_to_num(values)[None] for name, values in shown.items()}  # unknown things: 0
+        if self.objects.sight is not None:
+            shown = {name: np.nan_to_num(values) for name, values in shown.items()}  # of things that it has not seen
+        return {name: values[None] for name, values in shown.items()}
 
     def info(self, number: int, known: Sequence[Action]) -> dict[str, Any]:
         """Facts about an agent's last skill, the objects, and which of the choices that it knows are possible now."""
