@@ -85,6 +85,12 @@ class SkillControl(Control):
             checked_command(choice.command, body)  # type: ignore[arg-type]
         return choice
 
+    def accepted(self, play: Any, number: int, choice: Any) -> Action:
+        """As `checked`; recorded commands of a driven person may be impossible, which they themselves refuse again."""
+        if isinstance(choice, Action) and isinstance(play.team.actors[number], DrivenPerson):
+            return choice
+        return self.checked(play, number, choice)
+
     def idle(self, play: Any, number: int, last: Any) -> Action:
         """Choice to continue the running skill or the last velocity, otherwise to stand for a step."""
         runner = play.team.controllers[number]

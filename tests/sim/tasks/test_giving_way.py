@@ -46,7 +46,7 @@ def test_only_a_driven_person_and_habitats_heed_nobody(home: Scene, free: FreeSp
     for spec, heeds in ((RearrangeSpec(), True), (HABITAT, False)):
         episode = rearrange_episode(home, seed=1, spec=spec, free=free)
         play = rollout(REARRANGE, episode, {"robot": "complement", "human": "both"})
-        assert (play.right_of_way is not None) == heeds  # type: ignore[attr-defined]
+        assert (play.team.company.right_of_way is not None) == heeds  # type: ignore[attr-defined]
         person = play.team.people[0]  # type: ignore[attr-defined]
         assert play.team.company.avoids(person, play.team.robots[0]) == heeds  # type: ignore[attr-defined]
 
