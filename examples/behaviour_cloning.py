@@ -27,7 +27,7 @@ print(windows)
 
 
 def person_seen(window: dict[str, Tensor]) -> Tensor:
-    """Where the person was in the robot's frame in the past steps: forward and right [m], flattened."""
+    """Return the positions of the person in the robot's frame in the past steps: forward and right [m], flattened."""
     robot, person = (window[f"agent_{i}.base_pose"][:, :HISTORY] for i in range(2))
     heading = 2 * torch.atan2(robot[..., 4], robot[..., 6])
     x, z = (person - robot)[..., 0], (person - robot)[..., 2]

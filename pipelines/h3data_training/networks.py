@@ -67,12 +67,12 @@ def picture_layers(
     return convolutions, nn.Linear(channels[-1] * picture_length(size), features)
 
 
-def picture_features(convolutions: nn.ModuleList, last: nn.Linear, pixels: Tensor) -> Tensor:
-    """Features [n, F] of pictures whose squares are channels, as of `picture`."""
+def picture_features(weights: Mapping[str, Tensor], pixels: Tensor) -> Tensor:
+    """Features [n, F] of pictures whose squares are channels, as of `picture`, by weights named as in `picture_arrays`."""
     x = (pixels if pixels.is_cuda else pixels.float()).contiguous(memory_format=torch.channels_last)
-    for convolution in convolutions:
-        x = F.relu(convolution(x))
-    return F.relu(last(x.flatten(1)))
+    for k, stride in enumerate(STRIDES):
+        x = F.relu(F.conv2d(x, weights[f"conv_{k}.weight"], weights[f"conv_{k}.bias"], stride, 1))
+    return F.relu(F.linear(x.flatten(1), weights["picture.weight"], weights["picture.bias"]))
 
 
 def picture_arrays(convolutions: nn.ModuleList, last: nn.Linear) -> dict[str, Tensor]:
@@ -131,7 +131,7 @@ class ActorCritic(nn.Module):
         if pixels is None:
             return numbers
         with torch.autocast(pixels.device.type, torch.bfloat16, enabled=pixels.is_cuda):
-            seen = picture_features(self.convolutions, self.picture, pixels)
+            seen = picture_features(picture_arrays(self.convolutions, self.picture), pixels)
         return torch.cat([seen.float(), numbers], -1)
 
     def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:

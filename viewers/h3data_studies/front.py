@@ -416,7 +416,7 @@ class StudyServer(WebServer):
         return token if len(token) == TOKEN_LENGTH else ""
 
     def _participant(self, request: web.Request, ids: dict[str, str] | None = None) -> Participant | None:
-        """Who has the browser's seat; nobody, if that is somebody who has finished and the link's ids are another's."""
+        """Return the participant in the browser's seat; None also if they have finished and the link's ids are another's."""
         token = self._token(request)
         seat = self.journal.owner(token, 0) if token else None
         participant = None if seat is None else self.journal.participants.get(seat.place)

@@ -108,7 +108,7 @@ class Metrics:
 
     @contextmanager
     def _by(self) -> Iterator[dict[str, Any]]:
-        """Who does the work, as `h3data.metrics.batch` takes it: threads, which do as well here as processes, or Ray."""
+        """Yield the workers as `h3data.metrics.batch` takes them: threads, which do as well here as processes, or Ray."""
         from h3data.metrics.batch import lost_part
 
         check_workers(self.executor, self.workers)

@@ -11,11 +11,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from h3data.bodies import load_humanoid, load_robot
+from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.errors import InputError
 from h3data.render.light.sources import LightMode, check_light
 from h3data_training.envs.torch_env import Tensors, TorchEnv
 from h3data_training.torch.task_worlds import Play, TaskTensors
+from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.sensing.sensor import DETECTED_PIXELS, HUMAN_ID, scaled_depth
 from sim_kinematic.sensing.table import STATE_OBSERVATIONS, Sensor
 from sim_kinematic.tasks.describe import in_words
@@ -61,19 +62,21 @@ def arm_pictures(cameras: TensorCameras, names: Collection[str]) -> Tensors:
     return shown
 
 
-def common_height(floors: Sequence[Any]) -> float:
-    """Height of all floors of a bank [m].
+def cameras_of(bank: Any, robot: Robot, human: Humanoid, walker: WalkerSpec, **options: Any) -> TensorCameras:
+    """Cameras in the homes of a bank; ``options`` are those of `h3data_training.torch.cameras.TensorCameras`.
 
     Raises:
-        InputError: they are at several heights.
+        InputError: the floors are at several heights, or there is no GPU.
     """
-    heights = sorted({floor.floor_y for floor in floors})
+    from h3data_training.torch.cameras import TensorCameras
+
+    heights = sorted({floor.floor_y for floor in bank.floors})
     if len(heights) != 1:
         raise InputError(
             f"Pictures on a device need floors at one height, the scenes have {heights} m. Hint: name one scene.",
             code="H3-ENV-012",
         )
-    return heights[0]
+    return TensorCameras(bank.scenes, robot, human, walker, floor_y=heights[0], **options)
 
 
 class TaskTorchEnv(TorchEnv[Play]):
@@ -212,21 +215,18 @@ class TaskTorchEnv(TorchEnv[Play]):
         return self.sim.observations([name for name in self._names if name not in PICTURED], self.play)
 
     def _make_cameras(self, size: tuple[int, int] | None, *, compile: bool, robot: str, human: str) -> TensorCameras:
-        from h3data_training.torch.cameras import TensorCameras
-
         if "arm_rgb" in self._names and self._light == "baked":
             raise InputError(NO_BAKED_LIGHT, code="H3-ENV-011")
         if "arm_rgb" in self._names and self._light is None:
             log.warning(
                 "arm_rgb on a device is in flat light, that of environments on the CPU in baked light. %s", ASKED
             )
-        return TensorCameras(
-            self.bank.scenes,
+        return cameras_of(
+            self.bank,
             load_robot(robot),
             load_humanoid(human),
             self.sim.spec.human,
             worlds=self.num_envs,
-            floor_y=common_height(self.bank.floors),
             views=arm_cameras(self._names),
             size=size,
             device=self.device,

@@ -61,7 +61,7 @@ class Chooser(nn.Module):
         """
         if self.sees:
             pixels = F.pixel_unshuffle(pictures.flatten(0, 1)[:, None].float(), PATCH)
-            features = picture_features(self.convolutions, self.picture, pixels)
+            features = picture_features(picture_arrays(self.convolutions, self.picture), pixels)
             rest = torch.cat([features.unflatten(0, rest.shape[:2]), rest], -1)
         numbers = torch.eye(self.objects, device=each.device).expand(*each.shape[:2], -1, -1)
         things = F.relu(self.object(torch.cat([each, numbers], -1)))

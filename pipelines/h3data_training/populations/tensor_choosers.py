@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from h3data_training.networks import picture_features
 from h3data_training.populations.playing import Decisions, Job
 from h3data_training.torch.graph import keep_row
 from h3data_training.torch.rearrange.observations import Paths, View, observed
@@ -28,7 +29,7 @@ from sim_kinematic.policies.choosers.chooser_network import (
     rest_count,
 )
 from sim_kinematic.policies.choosers.recurrent_chooser import ALERT_M, ALERT_STEPS
-from sim_kinematic.policies.visual_policy import PATCH, STRIDES
+from sim_kinematic.policies.visual_policy import PATCH
 from sim_kinematic.sensing.encodings import DETECTOR, OF_CHOICES
 from sim_kinematic.sensing.table import SENSES
 
@@ -212,14 +213,9 @@ def encode(
 
 
 def features(arrays: Arrays, roots: Tensor) -> Tensor:
-    """Features [W, F] of the roots of depth [W, H, W'], by the only network of P.
-
-    They are those of `sim_kinematic.policies.visual_policy.picture_features`.
-    """
-    x = functional.pixel_unshuffle(roots[:, None], PATCH)
-    for k, stride in enumerate(STRIDES):
-        x = functional.conv2d(x, arrays[f"conv_{k}.weight"][0], arrays[f"conv_{k}.bias"][0], stride, 1).relu()
-    return functional.linear(x.flatten(1), arrays["picture.weight"][0], arrays["picture.bias"][0]).relu()
+    """Features [W, F] of the roots of depth [W, H, W'], by the only network of P."""
+    pixels = functional.pixel_unshuffle(roots[:, None], PATCH)
+    return picture_features({name: array[0] for name, array in arrays.items()}, pixels)
 
 
 def scored(arrays: Arrays, each: Tensor, rest: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from h3data_training.cpu_cameras import CpuCameras
-from h3data_training.envs.task_torch_env import arm_cameras, arm_pictures, common_height
+from h3data_training.envs.task_torch_env import arm_cameras, arm_pictures, cameras_of
 from h3data_training.populations.playing import Batch, Decisions, Job, Played
 from h3data_training.populations.settings import ROBOT
 from h3data_training.populations.tensor_choosers import Row, TensorSkillPolicy
@@ -216,27 +216,12 @@ class _Worlds:
 
 def _cameras(bank: RearrangeBank, worlds: int, size: tuple[int, int], device: torch.device, compiles: bool) -> Any:
     """Cameras on the robots' arms; on a CPU those that are slow."""
-    views = arm_cameras(SEEN)
-    if device.type != "cuda":
-        floors = [floor.floor_y for floor in bank.floors]
-        return CpuCameras(
-            bank.scenes, bank.robot.name, bank.human.name, bank.spec.human, floors=floors, views=views, size=size
-        )
-    from h3data_training.torch.cameras import TensorCameras
-
-    height = common_height(bank.floors)
-    return TensorCameras(
-        bank.scenes,
-        bank.robot,
-        bank.human,
-        bank.spec.human,
-        worlds=worlds,
-        floor_y=height,
-        views=views,
-        size=size,
-        device=device,
-        compile=compiles,
-    )
+    views, walker = arm_cameras(SEEN), bank.spec.human
+    if device.type == "cuda":
+        options = {"worlds": worlds, "views": views, "size": size, "device": device, "compile": compiles}
+        return cameras_of(bank, bank.robot, bank.human, walker, **options)
+    floors = [floor.floor_y for floor in bank.floors]
+    return CpuCameras(bank.scenes, bank.robot.name, bank.human.name, walker, floors=floors, views=views, size=size)
 
 
 def _orders(jobs: Sequence[Job], objects: int, device: torch.device) -> Tensor:
