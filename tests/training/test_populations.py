@@ -214,7 +214,8 @@ def test_it_gives_what_pytorch_gives(name: str, without: tuple[str, ...], pixels
         scores.append(score)
     assert (network.sees == "arm_depth") == (pixels and name == ROBOT)
     assert (each.shape[-1], rest.shape[-1]) == input_lengths(agent, seen)
-    np.testing.assert_allclose(scores, expected, rtol=2e-5, atol=2e-5)
+    # Sums of float32 differ by the order that a processor adds in, so an error is measured by the largest score.
+    np.testing.assert_allclose(scores, expected, rtol=2e-5, atol=2e-6 * np.abs(expected).max())
 
 
 def test_objects_are_alike_but_for_their_numbers() -> None:
