@@ -62,6 +62,7 @@ def _run(folder: Path, *, factor: int, size: int, script: str = SCRIPT) -> str:
     return done.stdout.strip()
 
 
+@pytest.mark.slow
 def test_a_kernel_follows_changes_in_the_files_it_imports(tmp_path: Path):
     assert _run(tmp_path, factor=2, size=3) == "6.0 0"
     assert _run(tmp_path, factor=2, size=3) == "6.0 1"  # from the cache

@@ -50,6 +50,7 @@ def _python(*arguments: str, environment: dict[str, str]) -> subprocess.Complete
     return subprocess.run([sys.executable, *arguments], env=environment, capture_output=True, text=True, check=True)
 
 
+@pytest.mark.slow
 def test_processes_that_start_together_compile_a_kernel_once(environment: dict[str, str]) -> None:
     command = [sys.executable, "-c", COMPILE]
     processes = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]

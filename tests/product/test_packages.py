@@ -91,13 +91,13 @@ def run_without(package: str, tree: Path, commands: list[list[str]]) -> dict[str
 @pytest.mark.parametrize(
     ("package", "lost"),
     [
-        ("h3data_viewers", {"view", "report"}),
         ("h3data_play", {"play", "study"}),
-        ("h3data_studies", {"study"}),
-        ("h3data_training", {"train"}),
-        ("h3data_motion", {"motion"}),
-        ("h3data_remote", {"serve"}),
-        ("h3data_language", {"language"}),
+        pytest.param("h3data_viewers", {"view", "report"}, marks=pytest.mark.slow),
+        pytest.param("h3data_studies", {"study"}, marks=pytest.mark.slow),
+        pytest.param("h3data_training", {"train"}, marks=pytest.mark.slow),
+        pytest.param("h3data_motion", {"motion"}, marks=pytest.mark.slow),
+        pytest.param("h3data_remote", {"serve"}, marks=pytest.mark.slow),
+        pytest.param("h3data_language", {"language"}, marks=pytest.mark.slow),
     ],
 )
 def test_a_package_that_is_not_there_costs_only_its_commands(package: str, lost: set[str], tmp_path: Path) -> None:
@@ -130,7 +130,9 @@ CALLS = [
 """Packages, and what is refused in Python without them."""
 
 
-@pytest.mark.parametrize(("package", "call"), CALLS)
+@pytest.mark.parametrize(
+    ("package", "call"), [CALLS[0], *(pytest.param(*each, marks=pytest.mark.slow) for each in CALLS[1:])]
+)
 def test_a_call_names_the_package_that_it_needs(package: str, call: str, tmp_path: Path) -> None:
     script = SCRIPT.replace(
         "for words in commands:",
@@ -171,6 +173,7 @@ def test_what_makes_homes_names_their_package_and_leaves_no_folder(tmp_path: Pat
     assert not Path(out).exists()
 
 
+@pytest.mark.slow
 def test_what_writes_files_of_viewers_names_their_package(tmp_path: Path) -> None:
     tree, out = tmp_path / "tree", tmp_path / "demo"
     tree.mkdir()
@@ -208,6 +211,7 @@ def test_files_of_habitat_name_their_package(tmp_path: Path) -> None:
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_exports_name_their_package(tmp_path: Path) -> None:
     tree, out = tmp_path / "tree", tmp_path / "out"
     tree.mkdir()

@@ -108,6 +108,7 @@ def test_rolling_resets_where_episodes_begin() -> None:
         torch.testing.assert_close(rolled[t], out[0])
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:TF32 acceleration on top of oneDNN")
 def test_norms_of_sixteen_bits_are_as_near(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where convolutions have 16 bits, as on a GPU, norms of 16 are no farther from the exact features and gradients than norms
@@ -138,6 +139,7 @@ def test_a_decision_waits_for_nothing() -> None:
         net.step(pixels, numbers, state)
 
 
+@pytest.mark.slow
 def test_its_benchmark_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """As on a GPU, in two small worlds: each case gives its lines, nothing after the time is over."""
     monkeypatch.setattr(training, "ROLLOUT", 2)

@@ -40,7 +40,7 @@ def test_rays_agree_with_points_along_them() -> None:
     least, most = sight.points.min(0), sight.points.max(0)
     some = np.ones(len(sight._centers), np.bool_)
     wrong = opened = 0
-    for _ in range(30):
+    for _ in range(10):
         eye = rng.uniform(least, most) * (1, 0, 1) + (0, 1.5, 0)
         points = rng.uniform(least, most, (20, 3))
         for point, found in zip(points, sight._open(eye, points, some), strict=True):
@@ -52,8 +52,8 @@ def test_rays_agree_with_points_along_them() -> None:
             expected = not ((np.abs(inside) < sight._halves).all(-1) & ~about).any()
             wrong += found != expected
             opened += found
-    assert 60 < opened < 540
-    assert wrong <= 4  # a ray may cut a corner between two points
+    assert 20 < opened < 180
+    assert wrong <= 2  # a ray may cut a corner between two points
 
 
 def test_agents_see_what_is_before_them_and_not_what_is_far_or_behind() -> None:
