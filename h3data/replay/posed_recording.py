@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.bodies.people.arms import draw_in
+from h3data.bodies.people.gestures import add_gestures
 from h3data.bodies.people.planted_gait import on_stairs, planted_states, pose_planted
 from h3data.bodies.people.rigid_parts import PeopleStyle, rigid_parts
 from h3data.bodies.people.sitting import take_seats
@@ -26,6 +27,7 @@ from h3data.recording.assets.library import AssetLibrary
 from h3data.recording.records import JOINTS
 from h3data.render.light.sources import LightMode, check_light
 from h3data.replay.link_poses import LinkPoses
+from h3data.replay.recorded_gestures import recorded_gestures
 from h3data.replay.recorded_robots import check_recorded_robots
 from h3data.replay.records import (
     BodyTrack,
@@ -54,8 +56,9 @@ class PosedRecording:
         detail: True uses the full meshes of people, False the reduced ones. By default, images use whichever is
             sufficient for the camera (`Humanoid.light_enough`), everything else the full ones.
         people: Appearance of people: ``skin``, ``capsules`` (those that decide contact) or ``bones``.
-        stepping: If true, legs that were recorded in their resting posture trot (`h3data.bodies.robots.trot`), and people
-            who were recorded by clips walk with planted feet. Affects appearance only.
+        stepping: If true, legs that were recorded in their resting posture trot (`h3data.bodies.robots.trot`), people who
+            were recorded by clips walk with planted feet, and hands move in recorded activities (`recorded_gestures`).
+            Affects appearance only.
         light: Light in images: ``flat``, the same everywhere, or ``baked``, from windows, sun and lamps
             (`h3data.render.light`).
         stand_ins: True replaces missing assets by plain ones instead of marked ones: built-in robots and people in the
@@ -331,6 +334,8 @@ class PosedRecording:
             quats, pelvis = body.clip_pose(*motion, arms=arms)
         if prefix + "motion_seat" in columns:
             take_seats(body, quats, pelvis, columns[prefix + "motion_seat"][steps])
+        if self.stepping and (gestures := self._gestures_of(agent)) is not None:
+            add_gestures(body, quats, pelvis, gestures[steps])
         return body.joint_matrices(columns[prefix + "base_pose"][steps], quats, pelvis)
 
     @cached_property
@@ -347,6 +352,15 @@ class PosedRecording:
             time_s = self.recording.columns["time_ns"].astype(np.float64) * 1e-9
             self._gaits[agent] = planted_states(on_stairs(body.gait_tables, self.heights), base, time_s)
         return self._gaits[agent]
+
+    def _gestures_of(self, agent: int) -> Array | None:
+        if agent not in self._gestures:
+            self._gestures[agent] = recorded_gestures(self.recording, agent)
+        return self._gestures[agent]
+
+    @cached_property
+    def _gestures(self) -> dict[int, Array | None]:
+        return {}
 
     @cached_property
     def _gaits(self) -> dict[int, Array]:

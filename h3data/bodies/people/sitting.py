@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from h3data.bodies.people.arms import ARM_JOINTS, bend_arms
 from h3data.bodies.people.clips import TO_ROOT
 from h3data.bodies.people.gait import stand_posture
-from h3data.bodies.people.legs import SIDES, Posture, X, Y, Z, rotation, solve_legs
+from h3data.bodies.people.legs import SIDES, Posture, X, rotation, solve_legs
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, Array, normalized, quat_from_matrix, quat_multiply, quat_nlerp, quat_rotate
@@ -50,11 +51,13 @@ HAND_ALONG, HAND_OVER_M, HAND_OUT_M = 0.6, 0.12, 0.02
 """Place of a wrist along the thigh, as a share, above its axis, and outwards."""
 TWIST_DEG, WRIST_DEG = 35.0, 22.0
 """Twist of forearm and of wrist that turns palms down, and the extension of the wrist."""
+ELBOWS = (-0.6, -0.2, 0.55)
+"""Direction of the elbows: back, down and outwards."""
 TABLE = 61
 """Poses between standing and sitting that are computed for one seat; between them they are interpolated."""
 EARLY = 0.05
 """Share of the path over which a standing person's own pose goes over into it."""
-_ARMS = [JOINT_INDEX[f"{side}_{name}"] for side, _, _ in SIDES for name in ("shoulder", "elbow", "wrist")]
+_ARMS = [JOINT_INDEX[f"{side}_{name}"] for side, _, _ in SIDES for name in ARM_JOINTS]
 _HIPS = [JOINT_INDEX[name] for name in ("pelvis", "left_hip", "right_hip")]
 
 
@@ -196,42 +199,16 @@ def _skin(body: Humanoid, quats: Array, pelvis: Array) -> NDArray[np.floating]:
 
 
 def _hands_on_thighs(body: Humanoid, frames: Array) -> Array:
-    """Rotations [T, 6, 4] of `_ARMS` with the hands on the thighs, for joint frames [T, 55, 4, 4] in the agent root frame.
-
-    Two-bone arms in closed form, the elbows back and out.
-    """
-    places, turns = frames[..., :3, 3], []
+    """Rotations [T, 6, 4] of `_ARMS` with the hands on the thighs, for joint frames [T, 55, 4, 4] in the agent root frame."""
+    places, targets = frames[..., :3, 3], []
     for side, sign, _ in SIDES:
-        collar, shoulder, elbow, wrist, hip, knee = (
-            JOINT_INDEX[f"{side}_{name}"] for name in ("collar", "shoulder", "elbow", "wrist", "hip", "knee")
-        )
-        upper, fore = body.joint_offsets[elbow], body.joint_offsets[wrist]
-        a, b = float(np.linalg.norm(upper)), float(np.linalg.norm(fore))
+        hip, knee = (JOINT_INDEX[f"{side}_{name}"] for name in ("hip", "knee"))
         thigh = places[:, knee] - places[:, hip]
         over = np.cross(thigh, np.array([0.0, 0.0, 1.0]))
         target = places[:, hip] + HAND_ALONG * thigh - HAND_OVER_M * normalized(over)
         target[:, 2] -= sign * HAND_OUT_M
-        way = target - places[:, shoulder]
-        reach = np.minimum(np.linalg.norm(way, axis=1), 0.98 * (a + b))[:, None]
-        ahead = normalized(way)
-        out = np.array([-0.6, -0.2, -0.55 * sign])
-        out = normalized(out - (ahead @ out)[:, None] * ahead)
-        cosine = np.clip((a * a + reach * reach - b * b) / (2 * a * reach), -1, 1)
-        bone = cosine * ahead + np.sqrt(1 - cosine * cosine) * out
-        forearm = normalized(reach * ahead - a * bone)
-        along = np.sum(bone * forearm, axis=1, keepdims=True)
-        bend = np.degrees(np.arccos(np.clip(along[:, 0], -1, 1)))
-        hinge = sign * np.cross(normalized(forearm - along * bone), bone)
-        rest = normalized(upper)
-        shoulders = _basis(bone, hinge) @ _basis(rest, normalized(Y - (Y @ rest) * rest)).T
-        hand = rotation(X, TWIST_DEG) @ rotation(Z, sign * WRIST_DEG)
-        turns += [
-            quat_from_matrix(frames[:, collar, :3, :3].swapaxes(1, 2) @ shoulders),
-            quat_from_matrix(rotation(Y, -sign * bend) @ rotation(X, TWIST_DEG)),
-            np.tile(quat_from_matrix(hand), (len(frames), 1)),
-        ]
-    return np.stack(turns, axis=1)
-
-
-def _basis(first: Array, second: Array) -> Array:
-    return np.stack([first, second, np.cross(first, second)], axis=-1)
+        targets.append(target)
+    turns = bend_arms(
+        body.joint_offsets, frames, np.stack(targets, 1), pole=ELBOWS, twist_deg=TWIST_DEG, wrist_deg=WRIST_DEG
+    )
+    return turns.reshape(-1, len(_ARMS), 4)

@@ -1,0 +1,46 @@
+"""Gestures of people from the events of a recording: what somebody does at a place moves their hands while they are there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from h3data.bodies.people.gestures import NAMES
+from h3data.geometry import Array
+from h3data.recording import Recording
+
+BEGINS, ENDS = "activity", ("activity", "walks_to", "gets_up")
+"""Kinds of the events that begin and end a gesture; the target of the first is the name of the activity."""
+RAMP_S = 0.8
+"""Time in which the hands go from where they are to the gesture, and back before it ends."""
+APART_S = 1.9
+"""Gestures of agents with successive numbers are so far apart in time: who talk to each other do not move alike."""
+
+
+def recorded_gestures(recording: Recording, agent: int) -> Array | None:
+    """Return the gestures of an agent at all steps as `h3data.bodies.people.gestures.add_gestures` takes them, [T, 3].
+
+    A person who sits down for an activity begins when they sit. None: the agent does nothing that has a gesture.
+    """
+    turns = [event for event in recording.events if event.agent == agent and event.kind in ENDS]
+    if not any(event.kind == BEGINS and event.target in NAMES for event in turns):
+        return None
+    seconds = recording.columns["time_ns"].astype(np.float64) * 1e-9
+    seats = recording.columns.get(f"agent_{agent}.motion_seat")
+    out = np.zeros((len(seconds), 3))
+    for k, event in enumerate(turns):
+        begin = max(event.step, 0)
+        end = next((after.step for after in turns[k + 1 :] if after.step > begin), len(seconds))
+        if event.kind != BEGINS or event.target not in NAMES or begin >= end:
+            continue
+        seated = np.zeros(0) if seats is None else np.flatnonzero(seats[begin:end, 1] >= 1)
+        if len(seated):
+            begin += int(seated[0])
+        elif seats is not None and seats[begin:end, 1].any():
+            continue  # the recording ends before they sit
+        rows = slice(begin, end)
+        since, left = seconds[rows] - seconds[begin], seconds[end - 1] - seconds[rows]
+        u = np.clip(np.minimum(since, left if end < len(seconds) else np.inf) / RAMP_S, 0.0, 1.0)
+        out[rows] = np.column_stack(
+            [np.full(len(u), NAMES.index(event.target)), since + APART_S * agent, u * u * (3 - 2 * u)]
+        )
+    return out
