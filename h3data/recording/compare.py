@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,7 @@ def recordings_equal(a: Recording, b: Recording) -> list[str]:
 
 def _episode(rec: Recording) -> dict[str, Any]:
     values = episode_to_dict(rec.episode)
+    # sorted, because the order of a mapping means nothing and differs between writers
     values["info"] = json.dumps(json.loads(values["info"]), sort_keys=True)
     return values
 
@@ -62,10 +63,12 @@ def _array_differences(name: str, a: NDArray[Any], b: NDArray[Any]) -> list[str]
         return [f"{name}: {a.dtype} {list(a.shape)} and {b.dtype} {list(b.shape)}"]
     if not a.size:
         return []
+    # as unsigned integers of the same bits, so that -0.0 differs from 0.0, which == would call equal
     x, y = (np.ascontiguousarray(v, v.dtype.newbyteorder("=")) for v in (a, b))
     unsigned = np.dtype(f"u{x.dtype.itemsize}")
     differ = x.view(unsigned) != y.view(unsigned)
     if x.dtype.kind == "f":
+        # the bits of a NaN carry nothing, and differ between processors
         differ &= ~(np.isnan(x) & np.isnan(y))
     if not differ.any():
         return []
@@ -81,24 +84,20 @@ def state_hash(columns: Mapping[str, NDArray[Any]], previous: int = 0) -> NDArra
     but ``time_ns``, ``state_hash``, ``metrics.*``, ``input.*`` and ``agent_*.action``: measurements and commands are not state.
     """
     names = sorted(n for n in columns if topic_of(n) == "state" and n not in ("time_ns", "state_hash"))
+    # for its check alone: it refuses dtypes that no file can hold
     layout_of({n: columns[n] for n in names})
     steps = len(next(iter(columns.values()))) if columns else 0
-    rows = _row_bytes([np.asarray(columns[n]) for n in names], steps)
+    # little-endian on every machine, so that hashes can be compared between machines; columns of width 0 have no bytes
+    parts = [
+        np.ascontiguousarray(a, a.dtype.newbyteorder("<")).reshape(steps, -1).view(np.uint8)
+        for a in (np.asarray(columns[n]) for n in names)
+        if a.size
+    ]
+    joined = np.concatenate(parts, axis=1) if parts else np.empty((steps, 0), np.uint8)
+    whole, width = joined.tobytes(), joined.shape[1]
     out = np.empty(steps, np.uint64)
     digest = int(previous).to_bytes(8, "little")
     for k in range(steps):
-        digest = hashlib.blake2b(digest + rows[k], digest_size=8).digest()
+        digest = hashlib.blake2b(digest + whole[k * width : (k + 1) * width], digest_size=8).digest()
         out[k] = int.from_bytes(digest, "little")
     return out
-
-
-def _row_bytes(arrays: Sequence[NDArray[Any]], steps: int) -> list[bytes]:
-    parts = [
-        np.ascontiguousarray(a, a.dtype.newbyteorder("<")).view(np.uint8).reshape(steps, -1)
-        for a in (x.reshape(steps, -1) for x in arrays if x.size)
-    ]
-    if not parts:
-        return [b""] * steps
-    joined = np.concatenate(parts, axis=1)
-    whole, width = joined.tobytes(), joined.shape[1]
-    return [whole[k * width : (k + 1) * width] for k in range(steps)]

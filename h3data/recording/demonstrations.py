@@ -119,6 +119,7 @@ def read_demonstrations(root: AnyPath) -> Demonstrations:
         raise FormatError(
             f"{FILE} is damaged ({str(error).replace('`', '')}): {root}", code="H3-RECORDING-133"
         ) from None
+    # fields may be added without a new version: msgspec passes over those that it does not know
     if found.version > VERSION:
         raise FormatError(
             f"{FILE} has version {found.version}, this h3data reads up to {VERSION}. Hint: install a newer one: {root}",

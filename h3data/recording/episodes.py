@@ -43,6 +43,7 @@ class StoredEpisode:
         """Facts known without reading the steps: uid, task, scene, seed, length, ``info``, and the entries of ``info``."""
         row = self.read_facts()
         info = json.loads(row["info"]) if isinstance(row["info"], str) else row["info"]
+        # the row goes last: where info has a key such as seed, the seed of the episode counts
         return {**info, **row, "info": info}
 
 
@@ -147,9 +148,11 @@ class Episodes(Sequence[Recording]):
                 code="H3-RECORDING-001",
             )
         facts = self.facts
+        # in the order of the episodes: a set of texts has another order in each process
         groups = list(dict.fromkeys(str(of.get(by)) for of in facts))
         order = np.random.default_rng(seed).permutation(len(groups))
         ends = [round(end * len(groups)) for end in np.cumsum(shares)]
+        # shares such as 0.7, 0.2, 0.1 add up to a little less than 1, and leave no last part
         if sum(shares) < 1 - 1e-9:
             ends.append(len(groups))
         part_of = {groups[g]: int(np.searchsorted(ends, place, side="right")) for place, g in enumerate(order)}
@@ -177,6 +180,7 @@ class Episodes(Sequence[Recording]):
             raise InputError(f"There are no episodes to write: {root}", code="H3-RECORDING-002")
         rate = round(1e9 / max(self[0].episode.dt_ns, 1))
         cameras = common_cameras(self.stored)
+        # `like` reads every episode once more, so that the columns fit the widest one from the beginning
         with DatasetWriter(root, fps=rate, overwrite=overwrite, like=self) as writer:
             for of in self.stored:
                 writer.add(of.read(), videos=[video for video in of.read_videos() if video.feature.camera in cameras])

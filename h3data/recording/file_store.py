@@ -30,11 +30,13 @@ class FileStore:
 
         A damaged file of that name is replaced.
         """
+        # names come from recordings of others: nothing but a few letters and digits reaches the disk
         suffix = "".join(c for c in Path(name).suffix[1:9].lower() if c.isascii() and c.isalnum())
         digest = hashlib.sha256(data).hexdigest()
         stored = f"{digest}.{suffix}" if suffix else digest
         if stored not in self._sound:
             path = self.folder / stored
+            # compared once with what lies there: most homes were stored by an earlier episode
             if not path.exists() or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
                 write_atomic(path, bytes(data))
             self._sound.add(stored)
@@ -53,6 +55,7 @@ class FileStore:
         """
         if (kept := self._read.get(stored)) is not None:
             return kept
+        # the name alone: a record from elsewhere must not lead out of this folder
         path = self.folder / Path(stored).name
         try:
             data = path.read_bytes()

@@ -20,6 +20,7 @@ from h3data.recording.storage import AnyPath, RemotePath, place
 def find_sources(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> Iterator[AnyPath]:
     """Yields datasets and MCAP logs; any other folder stands for the logs, then the datasets, anywhere below it."""
     for path in map(place, paths):
+        # a folder with `meta` is taken for a dataset even without info.json, so that its damage is reported
         if not path.is_dir() or (path / "meta").is_dir() or is_dataset(path):
             yield path
             continue
@@ -52,48 +53,41 @@ def find_episodes(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> list[
 
 def stored_log(path: AnyPath) -> StoredEpisode:
     """The episode in a log, or one of a dataset (``ds#3``), which is opened when it is read."""
-    return StoredEpisode(
-        str(path), path, lambda: _read(path), lambda: _read_facts(path), read_videos=lambda: _read_videos(path)
-    )
 
+    def in_dataset() -> tuple[Dataset, int] | None:
+        root, sign, number = str(path).rpartition("#")
+        # a file of that very name is a file, although its name ends like the number of an episode
+        return (Dataset(root), int(number)) if sign and number.isdecimal() and not path.exists() else None
 
-def _read(path: AnyPath) -> Recording:
-    opened = open_recording(path)
-    if isinstance(opened, Dataset):
-        raise InputError(f"Expected a recording (.mcap), this is a dataset: {path}", code="H3-RECORDING-006")
-    return opened
+    def read() -> Recording:
+        opened = open_recording(path)
+        if isinstance(opened, Dataset):
+            raise InputError(f"Expected a recording (.mcap), this is a dataset: {path}", code="H3-RECORDING-006")
+        return opened
 
+    def read_facts() -> Mapping[str, Any]:
+        if found := in_dataset():
+            return found[0].row(found[1])
+        with open_steps(path) as steps:
+            episode = steps.recording(0, 0).episode
+            # `Steps.recording` notes the window of steps that it cut out, which is no fact of the episode
+            info = {name: value for name, value in episode.info.items() if name != "window"}
+            return {**episode_to_dict(episode), "info": info, "length": len(steps)}
 
-def _in_dataset(path: AnyPath) -> tuple[Dataset, int] | None:
-    """The dataset and number of an episode ``ds#3``."""
-    root, sign, number = str(path).rpartition("#")
-    return (Dataset(root), int(number)) if sign and number.isdecimal() and not path.exists() else None
+    def read_videos() -> Sequence[EpisodeVideo]:
+        return found[0].videos(found[1]) if (found := in_dataset()) else ()
 
-
-def _read_videos(path: AnyPath) -> Sequence[EpisodeVideo]:
-    found = _in_dataset(path)
-    return found[0].videos(found[1]) if found else ()
-
-
-def _read_facts(path: AnyPath) -> Mapping[str, Any]:
-    found = _in_dataset(path)
-    if found:
-        return found[0].row(found[1])
-    with open_steps(path) as steps:
-        episode = steps.recording(0, 0).episode
-        info = {name: value for name, value in episode.info.items() if name != "window"}
-        return {**episode_to_dict(episode), "info": info, "length": len(steps)}
+    return StoredEpisode(str(path), path, read, read_facts, read_videos=read_videos)
 
 
 def _of_dataset(root: AnyPath) -> list[StoredEpisode]:
     try:
         return list(Dataset(root).all().stored)
-    except H3DataError as fault:
-        return [_broken(root, fault)]
+    except H3DataError as error:
+        fault = error  # Python deletes the name of the `except` at its end
 
-
-def _broken(root: AnyPath, fault: H3DataError) -> StoredEpisode:
     def fail() -> Any:
         raise fault
 
-    return StoredEpisode(str(root), root, fail, fail)
+    # one entry that fails when it is read: jobs over many datasets report it and go on with the others
+    return [StoredEpisode(str(root), root, fail, fail)]

@@ -20,8 +20,6 @@ CLIENT, CONNECTED, DISCONNECTED, SLIP = "client", "connected", "disconnected", "
 """Kinds of raw input: a message as it came, somebody who came or went, steps that were not played in time."""
 NOTHING, AWAY, STEERS = "-", "away", "steers"
 """Wishes of a player at a step, besides the kind of the last message: nothing, not connected, moving by keys or sticks."""
-_STREAMS = ("hand", "head")
-"""Messages that are sent all the time beside others."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,6 +71,7 @@ def _of(recording: Recording, user: int, events: Sequence[InputEvent]) -> LiveIn
     for event, until in zip(events, at.tolist(), strict=True):
         asked[row:until] = [now] * (until - row)
         row, now = until, _asked(event, now)
+    # the last wish holds until the episode ends
     asked[row:rows] = [now] * (rows - row)
     rtt = recording.columns.get(rtt_column(user), np.full(rows, np.nan, np.float32))
     messages = sum(event.kind == CLIENT for event in events)
@@ -86,8 +85,10 @@ def _asked(event: InputEvent, now: str) -> str:
     if not isinstance(message, dict):
         return now
     kind = message.get("k")
-    if not isinstance(kind, str) or kind in _STREAMS:
+    # poses of hands and head stream all the time beside other messages, so they say nothing about a wish
+    if not isinstance(kind, str) or kind in ("hand", "head"):
         return now
+    # moving with both speeds at 0 is standing
     if kind == "move":
         return STEERS if message.get("f") or message.get("t") else NOTHING
     return NOTHING if kind == "stop" else kind

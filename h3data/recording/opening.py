@@ -43,9 +43,11 @@ def open_recording(path: str | os.PathLike[str] | RemotePath) -> Recording | Dat
             f"The path cannot be read ({error.strerror or error}): {path}", code="H3-RECORDING-054"
         ) from error
     root, _, number = (path.uri if isinstance(path, RemotePath) else str(path)).rpartition("#")
+    # only where there is no such file, because a name may hold a # itself
     if not exists and root and number.isdecimal():
         return _episode(open_recording(place(root)), int(number), masked(root))
     if not exists:
+        # a crash leaves the log under its temporary name, where nobody looks for it
         part = path.with_name(path.name + ".part")
         hint = f" Hint: an unfinished one exists, `h3data recover {part} -o OUT`." if part.exists() else ""
         raise InputError(

@@ -214,6 +214,7 @@ class Recording:
                 f"Recording {self.episode.episode_id!r} is not consistent: " + "; ".join(faults[:8]) + ".",
                 code="H3-RECORDING-107",
             )
+        # only a plain dict: `dataclasses.replace` hands over `Columns`, which need no second copy
         if type(self.columns) is dict:
             object.__setattr__(self, "columns", Columns(self.columns))
         _keep_walks(self.attachments)
@@ -302,9 +303,12 @@ def _faults(rec: Recording) -> list[str]:
     ]
     if columns["time_ns"].dtype != np.int64:
         faults.append(f"time_ns must be int64, is {columns['time_ns'].dtype}")
+    # compared and not subtracted, because differences of int64 may overflow
     elif (columns["time_ns"][1:] <= columns["time_ns"][:-1]).any():
         faults.append("time_ns does not increase strictly")
+    # tracks are found by their index, so each one needs exactly one body
     moving = sorted(b.moving for b in rec.bodies if b.moving >= 0)
+    # a recording without moving bodies may leave the column out
     width = columns["object_pose"].shape[1] if "object_pose" in columns else 0
     if moving != list(range(width)):
         faults.append(f"{len(moving)} bodies claim tracks, object_pose holds {width}")

@@ -36,10 +36,12 @@ class Scan(NamedTuple):
 
     def met(self) -> NDArray[np.float32]:
         """Distances, in the shape of `ranges` [m], to what the rays met, infinite where that is nothing."""
+        # a thousandth less, because float32 rounds the greatest distance
         return np.where(self.ranges < self.max_m * (1 - 1e-3), self.ranges, np.float32(np.inf))
 
     def directions(self) -> NDArray[np.float64]:
         """Unit vectors of the rays [L * R, 3] in the scanner's frame: x ahead, y up, z to the right."""
+        # the first ray looks ahead, the others turn to the left, which is -z in a frame with z to the right
         turns = np.arange(self.ranges.shape[-1]) * (2 * math.pi / max(self.ranges.shape[-1], 1))
         flat, up = np.cos(self.elevations)[:, None], np.sin(self.elevations)[:, None]
         return np.stack(np.broadcast_arrays(flat * np.cos(turns), up, -flat * np.sin(turns)), -1).reshape(-1, 3)
@@ -91,12 +93,14 @@ def _found(recording: Recording, sensors: tuple[str, ...], axes: int) -> list[tu
     for agent in range(len(recording.agents)):
         for sensor in sensors:
             column = recording.columns.get(name := scan_column(agent, sensor))
+            # a sensor of this name in the recording of somebody else may be no scan at all
             if column is None or column.ndim != axes or not column[:1].size or column.dtype.kind != "f":
                 continue
             facts = told.get(name) if isinstance(told, Mapping) else None
             facts = facts if isinstance(facts, Mapping) else {}
             high = facts.get("high")
             known = isinstance(high, int | float) and math.isfinite(high) and high > 0
+            # without a stated limit the longest ray is the best guess
             max_m = float(high) if known else float(np.nanmax(column, initial=0.0)) or math.inf  # type: ignore[arg-type]
             found.append((Scan(agent, sensor, column.astype(np.float32), max_m), facts))
     return found

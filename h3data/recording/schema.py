@@ -160,6 +160,7 @@ def layout_from_json(text: str) -> Layout:
 def version_numbers(version: str) -> tuple[int, int]:
     """Major and minor number of a schema version; a `ValueError` if the text is no version."""
     major, _, minor = version.partition(".")
+    # a third number is allowed, and says nothing about what can be read
     return int(major), int(minor.partition(".")[0])
 
 
@@ -241,10 +242,10 @@ RECORD_TYPES: dict[str, type] = {
 _STRUCT_NAMES = {cls: name for name, cls in RECORD_TYPES.items()}
 
 _SCALARS: dict[str, Callable[[Any], Any]] = {"string": str, "int64": int, "double": float}
-_TYPES: dict[str, type | tuple[type, ...]] = {"string": str, "int64": int, "double": (float, int)}
+# Looked up for each record that is read, so it is made once. A whole number is a valid double.
 _FIELDS = {
     struct: tuple(
-        (name, kind, kind.endswith("*"), _TYPES[kind.rstrip("*")] if kind != "float*" else float)
+        (name, kind, kind.endswith("*"), {"string": str, "int64": int}.get(kind.rstrip("*"), (float, int)))
         for name, kind in fields.items()
     )
     for struct, fields in STRUCTS.items()
@@ -290,6 +291,7 @@ def struct_from_dict(struct: str, values: Mapping[str, Any]) -> Any:
                 code="H3-RECORDING-113",
             )
         arguments[name] = tuple(value) if many else value
+    # protobuf and Arrow have no None for a list: no colour is stored as an empty one
     if arguments.get("color") == ():
         arguments["color"] = None
     return RECORD_TYPES[struct](**arguments)
@@ -331,6 +333,7 @@ def episode_from_dict(values: Mapping[str, Any], *, path: object) -> Episode:
     """The inverse of `episode_to_dict`; numbers may come as text."""
     try:
         texts = {k: str(values[k]) for k in ("uid", "episode_id", "task", "scene", "created_by", "schema_version")}
+        # before the rest, which a newer version may write otherwise
         check_version(texts["schema_version"], path=path)
         episode = Episode(
             **texts, seed=int(values["seed"]), dt_ns=int(values["dt_ns"]), info=json.loads(values["info"])

@@ -16,7 +16,7 @@ from typing import Any, Self
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, suggest
-from h3data.recording.records import Event, InputEvent, Recording, SkillSpan
+from h3data.recording.records import InputEvent, Recording, SkillSpan
 from h3data.recording.schema import Layout
 
 
@@ -67,7 +67,7 @@ class Steps(ABC):
         return replace(
             whole,
             episode=replace(whole.episode, info={**whole.episode.info, "window": window}),
-            events=_events_within(whole.events, start, stop),
+            events=tuple(replace(e, step=e.step - start) for e in whole.events if start <= e.step < stop),
             skills=_skills_within(whole.skills, start, stop),
             inputs=self._inputs_within(whole.inputs, start, stop),
         )
@@ -94,10 +94,12 @@ class Steps(ABC):
 
     def _inputs_within(self, inputs: Sequence[InputEvent], start: int, stop: int) -> tuple[InputEvent, ...]:
         """Inputs in (time of the row before, time of the last row]; at the ends of the episode also all beyond."""
+        # the whole episode has them all, without reading a time
         if not inputs or (start, stop) == (0, len(self)):
             return tuple(inputs)
         if start == stop:
             return ()
+        # half open at the beginning, so that windows side by side divide the inputs and share none
         before = self._time_ns(start - 1) if start else -math.inf
         last = self._time_ns(stop - 1) if stop < len(self) else math.inf
         return tuple(i for i in inputs if before < i.time_ns <= last)
@@ -111,10 +113,6 @@ class Steps(ABC):
     @abstractmethod
     def _recording(self, start: int, stop: int) -> Recording:
         """These rows with all records of the whole episode."""
-
-
-def _events_within(events: Sequence[Event], start: int, stop: int) -> tuple[Event, ...]:
-    return tuple(replace(e, step=e.step - start) for e in events if start <= e.step < stop)
 
 
 def _skills_within(skills: Sequence[SkillSpan], start: int, stop: int) -> tuple[SkillSpan, ...]:

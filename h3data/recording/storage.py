@@ -27,13 +27,14 @@ from h3data.errors import InputError
 
 SCHEMES = ("s3", "gs", "gcs", "abfs", "abfss", "hdfs", "viewfs", "mock", "file")
 """Schemes that pyarrow.fs opens; ``mock`` is memory of this process, for tests."""
-_CHUNK = 8 << 20
+# Paths end up in messages and logs: hidden are passwords before an @, and queries whose name says secret.
 _SECRET = re.compile(
     r"([a-z][a-z0-9+.-]*:/{1,2}[^/\s:@]*:)[^\s@]+(?=@)|([?&][^=&\s]*(?:secret|key|token|password|sas)[^=&\s]*=)[^&\s#]+",
     re.I,
 )
 _DENIED = re.compile(r"ACCESS_DENIED|Access ?Denied|PERMISSION_DENIED|AuthorizationPermissionMismatch|Forbidden")
 """Words by which the stores of S3, Google and Azure deny access, in the messages that pyarrow passes on."""
+# At least two letters, as a Windows drive is no scheme; one slash is enough, because `Path` joins two.
 _URI = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+):/(?P<double>/?)(?P<rest>.*)", re.DOTALL)
 
 
@@ -151,7 +152,7 @@ class RemotePath:
             if isinstance(source, bytes):
                 stream.write(source)
             else:
-                shutil.copyfileobj(source, stream, _CHUNK)
+                shutil.copyfileobj(source, stream, 8 << 20)  # one part of an upload
 
     def unlink(self) -> None:
         """Deletes the file."""
@@ -167,6 +168,7 @@ class RemotePath:
     def key(self) -> str:
         """Return the path within `filesystem`."""
         authority, _, rest = self.path.partition("/")
+        # the host is a server there, of the file system and not of the path; elsewhere it is the bucket
         if self.scheme in ("hdfs", "viewfs"):
             return f"/{rest}"
         base = _filesystem(self.scheme, authority, self.query)[1]
@@ -326,4 +328,5 @@ def _filesystem(scheme: str, authority: str, query: str) -> tuple[Any, str]:
         # kept per bucket by the cache: a new client would look up credentials and connect again for every file
         return pafs.FileSystem.from_uri(uri)
     except (pa.ArrowException, OSError) as error:
+        # without its cause, whose text may quote the URI with a password
         raise InputError(masked(f"The storage cannot be opened ({error}): {uri}"), code="H3-RECORDING-121") from None

@@ -18,18 +18,6 @@ ASSETS_VARIABLE = "H3DATA_ASSETS"
 _ALIASES = ("data/fpss", "data/scene_datasets/hssd-hab", "data/scene_datasets/fphab", "hssd-hab")
 """Folder names under which the same files have been published (spec/habitat.md 6.6)."""
 
-_GENERIC_FOLDERS = {
-    "",
-    "google_16k",
-    "visual",
-    "visuals",
-    "collision",
-    "mesh",
-    "meshes",
-    "assets",
-    "textured",
-    "objects",
-}
 _TELLING = re.compile(r"[0-9a-f]{12,}|\d{3,}|\d+-\d+")
 
 
@@ -90,6 +78,7 @@ class AssetFolders:
             shared = 0
             while shared < min(len(names), len(parts)) and names[-1 - shared] == parts[-1 - shared]:
                 shared += 1
+            # the longest shared end, then the shallowest file; the name makes the choice the same on all machines
             rank = (-shared, len(names), str(file))
             if _telling_enough(parts[len(parts) - shared :]) and (best is None or rank < best):
                 best, chosen = rank, file
@@ -121,4 +110,6 @@ def _telling_enough(shared: Sequence[str]) -> bool:
     """Returns whether a shared end of two paths is enough to say that they mean the same file."""
     if len(shared) >= 3 or any(_TELLING.search(name) for name in shared):
         return len(shared) > 0
-    return len(shared) == 2 and shared[0] not in _GENERIC_FOLDERS
+    # folders that every object of some dataset lies in tell nothing about which object it is
+    generic = {"", "google_16k", "visual", "visuals", "collision", "mesh", "meshes", "assets", "textured", "objects"}
+    return len(shared) == 2 and shared[0] not in generic

@@ -24,6 +24,7 @@ def file_of_template(name: str, configs: Sequence[Path], meshes: Sequence[Path])
         SceneError: several would do; the message lists them.
     """
     for files in (configs, meshes):
+        # resolved first: one file that two roots or a link lead to counts once
         distinct = sorted({file.resolve() for file in files})
         if len(distinct) > 1:
             listed = ", ".join(map(str, distinct[:_LISTED])) + (", ..." if len(distinct) > _LISTED else "")

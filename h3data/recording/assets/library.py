@@ -86,6 +86,7 @@ class AssetLibrary:
 
     def skinned(self, ref: AssetRef) -> SkinnedMesh | None:
         """The skinned mesh of an asset; None if its file is missing, unreadable or has no skin."""
+        # a colon marks generated meshes, those of the scene, and handles: no file, so no skin
         path = None if ":" in ref.uri else self.resolve(ref.uri)
         if path is None:
             return None
@@ -104,6 +105,7 @@ class AssetLibrary:
     def _beside(self, uri: str) -> Path | None:
         """A file in the folder that came with the replay."""
         path = PurePosixPath(clean_path(uri))
+        # only below the folder itself: a recorded path must not reach what lies beside it
         if self.own_folder is None or path.parts[:1] != (self.own_folder.name,):
             return None
         file = self.own_folder.parent / path
@@ -150,6 +152,7 @@ class AssetLibrary:
             self.missing.append(uri)
 
     def _note_unreadable(self, uri: str, reason: str) -> None:
+        # once for each file, as the mesh is asked for again with every body that has it
         if uri not in self.unreadable:
             _log.warning("asset cannot be used: %s", reason)
             self.unreadable[uri] = reason

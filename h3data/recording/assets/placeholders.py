@@ -27,16 +27,6 @@ STRIPE_COLORS: dict[PlaceholderKind, tuple[int, int, int]] = {
 }
 """The other colour of the stripes, by kind; one is always `MAGENTA`."""
 
-_KINDS: tuple[tuple[re.Pattern[str], PlaceholderKind], ...] = (
-    (re.compile(r"(^|/)(humanoids?|humanoid_data)/|(^|/)(human|male|female|neutral)(_\w+)?\.\w+$"), "human"),
-    (re.compile(r"(^|/)robots?/|hab_spot_arm|hab_fetch|hab_stretch"), "robot_link"),
-    (re.compile(r"(^|/)(stages?|scenes)/[^/]*$|(^|/)stages?/"), "stage"),
-    (
-        re.compile(r"(^|/)(ycb|objects_ovmm|google_object_dataset|amazon_berkeley|rearranged_objects)/|^handle:"),
-        "small_object",
-    ),
-)
-
 # Centre and half extents [m] in the link's frame (x forward, y left, z up). Lengths are the distances between joints
 # of the Spot in a real recording (base to hip, hip to knee, ...); the thicknesses are guesses.
 _SPOT_LINKS: tuple[tuple[str, tuple[float, float, float], tuple[float, float, float]], ...] = (
@@ -55,10 +45,14 @@ _SPOT_LINKS: tuple[tuple[str, tuple[float, float, float], tuple[float, float, fl
 
 def placeholder_kind(uri: str) -> PlaceholderKind:
     """Returns the probable kind of a missing file, from its recorded path alone."""
-    for pattern, kind in _KINDS:
-        if pattern.search(uri):
-            return kind
-    return "furniture"
+    kinds: dict[PlaceholderKind, str] = {
+        "human": r"(^|/)(humanoids?|humanoid_data)/|(^|/)(human|male|female|neutral)(_\w+)?\.\w+$",
+        "robot_link": r"(^|/)robots?/|hab_spot_arm|hab_fetch|hab_stretch",
+        "stage": r"(^|/)(stages?|scenes)/[^/]*$|(^|/)stages?/",
+        "small_object": r"(^|/)(ycb|objects_ovmm|google_object_dataset|amazon_berkeley|rearranged_objects)/|^handle:",
+    }
+    # the first that fits counts: people and robots also lie in folders that are named after scenes
+    return next((kind for kind, pattern in kinds.items() if re.search(pattern, uri)), "furniture")
 
 
 @lru_cache(maxsize=512)
@@ -114,10 +108,6 @@ def striped_box(
     )
 
 
-_MARKED = (2, 4, 7, 9, 12)
-"""Limbs of the figure that are magenta: nose, shins, forearms."""
-
-
 def _figure(color: Sequence[int]) -> Mesh:
     """A standing person of 1.7 m made of capsules: +Y up, +Z forward, +X left, origin 0.9 m above the soles."""
     limbs = [
@@ -133,5 +123,6 @@ def _figure(color: Sequence[int]) -> Mesh:
             ((0.18 * side, 0.45, 0), (0.24 * side, 0.18, 0), 0.045),
             ((0.24 * side, 0.18, 0), (0.26 * side, -0.06, 0.04), 0.038),
         ]
-    parts = [capsule_mesh(a, b, r, color=MAGENTA if i in _MARKED else color) for i, (a, b, r) in enumerate(limbs)]
+    marked = (2, 4, 7, 9, 12)  # nose, shins, forearms: enough to see that it is no real person
+    parts = [capsule_mesh(a, b, r, color=MAGENTA if i in marked else color) for i, (a, b, r) in enumerate(limbs)]
     return joined(parts)

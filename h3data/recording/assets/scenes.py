@@ -10,6 +10,7 @@ from h3data.recording.records import AssetRef, Body
 from h3data.scene import Scene
 
 
+# Episodes of a run often share their home.
 @lru_cache(maxsize=4)
 def scene_records(scene: Scene) -> tuple[tuple[AssetRef, ...], tuple[Body, ...]]:
     """Assets of a home, which lie in the attachment ``scene.glb``, and everything in it as bodies that never move."""

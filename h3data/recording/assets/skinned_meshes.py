@@ -43,19 +43,16 @@ class SkinnedMesh:
         made, as habitat-sim has it (its drawn bodies of scale 0.5 come out just so).
         """
         of_bone = {name: number for number, name in enumerate(names)}
-        relative = np.linalg.inv(_rigid(root))[:, None] @ bones
+        # bones are recorded without scale, so the root must lose its own before they are compared
+        rigid = root.copy()
+        rigid[:, :3, :3] /= np.linalg.norm(rigid[:, :3, :3], axis=1, keepdims=True)
+        relative = np.linalg.inv(rigid)[:, None] @ bones
+        # identity is the root itself: joints without a bone stay there, and the last frame, of parts without a skin
         local = np.broadcast_to(np.eye(4), (len(root), len(self.joint_names) + 1, 4, 4)).copy()
         for number, name in enumerate(self.joint_names):
             if name in of_bone:
                 local[:, number] = relative[:, of_bone[name]] @ self.inverse_bind[number]
         return apply_skin(self.points, (root @ self.to_metres)[:, None] @ local)
-
-
-def _rigid(matrices: Array) -> Array:
-    """Poses [T, 4, 4] without their scale."""
-    out = matrices.copy()
-    out[:, :3, :3] /= np.linalg.norm(out[:, :3, :3], axis=1, keepdims=True)
-    return out
 
 
 def load_skinned_mesh(
@@ -74,6 +71,7 @@ def load_skinned_mesh(
     mesh = load_mesh(path, up=up, front=front, units_m=units_m)
     try:
         return _read(GltfFile(path), mesh, frame_rotation(up, front) * units_m)
+    # damaged files fail in many ways within the reader and numpy; all of them mean the same here
     except Exception as fault:
         raise unreadable(fault, path) from None
 
@@ -92,6 +90,7 @@ def _read(file: GltfFile, mesh: Mesh, linear: Array) -> SkinnedMesh | None:
             points = points @ matrix[:3, :3].T + matrix[:3, 3]
             own, share = np.full((len(points), 4), loose), np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1))
         else:
+            # a negative index would silently count from the end
             if not isinstance(skin, int) or not 0 <= skin < len(skins):
                 raise ValueError(f"skins[{skin!r}] is referred to, there are {len(skins)} skins")
             own, share = part.influences
@@ -104,6 +103,7 @@ def _read(file: GltfFile, mesh: Mesh, linear: Array) -> SkinnedMesh | None:
         vertices.append(points)
         joints.append(own)
         weights.append(share / total)
+    # a file may hold a skin that none of its parts uses
     if not skins or all((own == loose).all() for own in joints):
         return None
     points = np.concatenate(vertices).astype(np.float32)

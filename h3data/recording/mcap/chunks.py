@@ -16,7 +16,6 @@ CHUNK_S = 10.0
 """Longest chunk [s of the episode], which is what a file that is cut off or damaged loses besides the missing part."""
 _WORTH_BYTES = 20
 """Saving per row [bytes] that is worth a longer chunk: 62 for the looping clip above, 0 to 18 in our simulations."""
-_COMPARED = ("object_pose", "joint_pos", "joint_quat")
 
 
 def slices(times_ns: NDArray[np.int64]) -> list[tuple[int, int]]:
@@ -42,7 +41,9 @@ def repeats(columns: Mapping[str, NDArray[Any]]) -> bool:
     import zstandard
 
     bounds = slices(columns["time_ns"])
-    poses = [column for name, column in columns.items() if name.rpartition(".")[2] in _COMPARED and column.size]
+    # only poses are compared: they are most of a recording, and what a clip repeats
+    compared = ("object_pose", "joint_pos", "joint_quat")
+    poses = [column for name, column in columns.items() if name.rpartition(".")[2] in compared and column.size]
     if len(bounds) < 2 or not poses:
         return False
     # two chunks are enough to tell: a clip that repeats does so from the beginning

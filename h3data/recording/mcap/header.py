@@ -11,7 +11,6 @@ from h3data.recording.records import SCHEMA_VERSION, Episode, Recording, Recordi
 from h3data.recording.schema import CONVENTIONS, Topic, episode_to_dict, struct_to_dict
 
 PROFILE = "h3data"
-_LAST_LOG_TIME = 2**63 - 1
 TOPIC_MESSAGES: dict[Topic, str] = {"state": "State", "action": "Action"}
 """Topics with a message for each step."""
 
@@ -27,7 +26,8 @@ def start_time(header: RecordingHeader | Recording, t0_unix_ns: int | None) -> i
 
 def log_time(t0_unix_ns: int, time_ns: int) -> int:
     """Time of a message [ns since 1970], clipped to the range that MCAP readers accept."""
-    return min(max(t0_unix_ns + time_ns, 0), _LAST_LOG_TIME)
+    # MCAP has unsigned times of 64 bits, but many readers hold them in signed ones
+    return min(max(t0_unix_ns + time_ns, 0), 2**63 - 1)
 
 
 def header_metadata(header: RecordingHeader | Recording) -> dict[str, dict[str, str]]:

@@ -182,6 +182,7 @@ class LogWriter:
         """Write an event."""
         self._require_open()
         data = encode_record("h3.Event", struct_to_dict(event))
+        # at the time of its step: viewers show it there, and it may be written later
         t = self._log_time(self._time_of(event.step))
         with self._file.writing():
             self._mcap.add_message(self._event_channel, t, data, t)
@@ -351,6 +352,7 @@ class LogWriter:
         for k, time_ns in enumerate(rows["time_ns"].tolist()):
             t = self._log_time(time_ns)
             for channel, data, size in messages:
+                # the sequence number of MCAP has 32 bits
                 add(channel, t, data[k * size : (k + 1) * size], t, (first + k) & 0xFFFFFFFF)
 
     def _time_of(self, step: int) -> int:

@@ -21,6 +21,7 @@ def part_path(path: Path) -> Path:
 
 def open_part(part: Path, *, overwrite: bool) -> IO[bytes]:
     """A new file under its temporary name, without a buffer; tests replace this by disks that fill up."""
+    # without a buffer, because `Backlog` has to know which bytes the disk took
     return open(part, "wb" if overwrite else "xb", buffering=0)  # type: ignore[return-value]
 
 
@@ -101,7 +102,13 @@ class PartFile:
         self.final, self.path = final, part_path(final)
         with self.writing():
             self._refuse_existing(overwrite=overwrite)
-        _make_folder(final.parent)
+        # apart from `writing`, whose message promises that something can be recovered
+        try:
+            final.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"The folder cannot be created ({error.strerror or error}): {final.parent}", code="H3-RECORDING-015"
+            ) from None
         with self.writing():
             self.stream = Backlog(open_part(self.path, overwrite=overwrite))
 
@@ -150,12 +157,3 @@ class PartFile:
                 f"overwrite=True: {self.path}",
                 code="H3-RECORDING-014",
             )
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"The folder cannot be created ({error.strerror or error}): {folder}", code="H3-RECORDING-015"
-        ) from None

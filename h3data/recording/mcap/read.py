@@ -90,6 +90,7 @@ def check_kind(log: McapRecords, path: AnyPath) -> None:
         )
     # the schema too, because tools that copy logs leave out the profile
     ours = log.profile == PROFILE or "h3.Scene" in {name for name, _ in log.schemas.values()}
+    # a file that is damaged before its profile may be ours; its damage is what has to be reported
     if not ours and (log.profile or log.fault is None):
         raise FormatError(
             f"An MCAP log, but of profile {log.profile!r}; h3data reads profile {PROFILE!r}. "
@@ -136,6 +137,7 @@ def reconstruct(
         "reason": "the log has no metadata records: task, scene, seed and settings are not known",
     }
     episode = Episode(
+        # from what is known, so that the same file has the same uid whenever it is read
         uid=str(uuid5(NAMESPACE_OID, f"{path.name} {steps}")),
         episode_id=path.name.split(".")[0],
         task="unknown",
@@ -163,12 +165,6 @@ def _step_ns(log: McapRecords, channel: int | None, first: Sequence[memoryview])
 
 
 # --- from records to a recording --------------------------------------------------------------------------------------
-def _episode(log: McapRecords, path: AnyPath) -> Episode:
-    if "h3.episode" not in log.metadata:
-        raise FormatError("it ends before the episode record", code="H3-RECORDING-021")
-    return episode_from_dict(log.metadata["h3.episode"], path=path)
-
-
 def _messages(log: McapRecords, topic: str) -> list[Any]:
     channel = log.channel_of(topic)
     if channel is None:
@@ -247,7 +243,9 @@ def assemble(
     log: McapRecords, path: AnyPath, *, steps: int | None, wanted: Sequence[str] | None, first: int = 0
 ) -> Recording:
     """The recording in these records; ``steps`` and ``first`` as for `columns_of`."""
-    episode = _episode(log, path)
+    if "h3.episode" not in log.metadata:
+        raise FormatError("it ends before the episode record", code="H3-RECORDING-021")
+    episode = episode_from_dict(log.metadata["h3.episode"], path=path)
     scenes = _messages(log, "/h3/scene")
     if not scenes:
         raise FormatError("it has no message on /h3/scene", code="H3-RECORDING-023")

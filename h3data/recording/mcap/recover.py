@@ -65,6 +65,7 @@ def recover_mcap(
         note = {"from": path.name, "reason": reason, "steps": len(recording)}
         info = {**recording.episode.info, "recovered": note}
         recording = replace(recording, episode=replace(recording.episode, info=info))
+    # a log is written as <name>.part, which may be the very file that is being recovered
     part = out.with_name(f".{out.name}.recovering")
     write_mcap(recording, part, overwrite=True)
     publish(part, out)

@@ -20,6 +20,7 @@ _MESSAGE = struct.Struct("<BQH")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 """Times of the first and last message, uncompressed size and checksum, and length of the name of the compression."""
 _MESSAGE_HEAD = 22  # channel, sequence, log time, publish time
+# A damaged length must not allocate all memory of the machine.
 _LARGEST_CHUNK = 1 << 32
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL = 1, 2, 3, 4
 _MESSAGE_OP, _CHUNK, _ATTACHMENT, _METADATA, _DATA_END = 5, 6, 9, 12, 15
@@ -183,6 +184,7 @@ def take_beginning(log: McapRecords, body: memoryview) -> None:
     import zstandard
 
     _, _, size, _, name_size = _CHUNK_HEAD.unpack_from(body)
+    # 8 bytes for the length of the records, which nobody needs here: they end with the file
     name, start = bytes(body[_CHUNK_HEAD.size :][:name_size]), _CHUNK_HEAD.size + name_size + 8
     data = bytes(body[start:])
     if name == b"zstd":

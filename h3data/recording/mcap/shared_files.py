@@ -41,30 +41,29 @@ def shared_files(record: Mapping[str, str], log: AnyPath) -> dict[str, bytes]:
     Raises:
         FormatError: one of them is missing or damaged.
     """
-    return {name: _read(stored, f"The file {name} of the recording {log.name}", log) for name, stored in record.items()}
-
-
-def _read(stored: str, what: str, log: AnyPath) -> bytes:
-    folders = [folder / _BELOW for folder in [*_absolute(log).parents][:_LEVELS]]
-    # the name alone: a log from elsewhere must not lead out of the folder of shared files
-    name = Path(stored).name
-    path = next((folder / name for folder in folders if (folder / name).is_file()), None)
-    if path is None:
-        raise FormatError(
-            f"{what} is missing: expected it as h3/files/{name}. Hint: {_RESTORE}. Recording: {log}",
-            code="H3-RECORDING-037",
-        )
-    if isinstance(path, Path):
-        status = path.stat()
-        return _cached(path, status.st_size, status.st_mtime_ns)
-    return FileStore(path.parent).get(name, what=what, hint=_RESTORE)
+    # absolute, because the parents of a relative path end at the working directory
+    at = log.absolute() if isinstance(log, Path) else log
+    folders = [folder / _BELOW for folder in [*at.parents][:_LEVELS]]
+    files = {}
+    for name, stored in record.items():
+        what = f"The file {name} of the recording {log.name}"
+        # the name alone: a log from elsewhere must not lead out of the folder of shared files
+        digest = Path(stored).name
+        path = next((folder / digest for folder in folders if (folder / digest).is_file()), None)
+        if path is None:
+            raise FormatError(
+                f"{what} is missing: expected it as h3/files/{digest}. Hint: {_RESTORE}. Recording: {log}",
+                code="H3-RECORDING-037",
+            )
+        if isinstance(path, Path):
+            status = path.stat()
+            files[name] = _cached(path, status.st_size, status.st_mtime_ns)
+        else:
+            files[name] = FileStore(path.parent).get(digest, what=what, hint=_RESTORE)
+    return files
 
 
 @lru_cache(maxsize=2)
 def _cached(path: Path, size: int, mtime_ns: int) -> bytes:
     """Contents of a file, checked again when it changes: the recordings of a folder are usually read one after the other."""
     return FileStore(path.parent).get(path.name, what="A file shared by recordings", hint=_RESTORE)
-
-
-def _absolute(path: AnyPath) -> AnyPath:
-    return path.absolute() if isinstance(path, Path) else path

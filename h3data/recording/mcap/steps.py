@@ -25,11 +25,8 @@ from h3data.recording.storage import AnyPath, open_binary
 
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<BQH")
-_MESSAGE_HEAD = _RECORD.size + 22
-_FOOTER_BYTES = _RECORD.size + 20 + len(MAGIC)
 _MESSAGE_OP, _MESSAGE_INDEX, _CHUNK_INDEX, _ATTACHMENT_INDEX, _STATISTICS, _METADATA_INDEX = 5, 7, 8, 10, 11, 13
 _ONCE = ("/h3/scene", "/h3/skill", "/h3/event", "/h3/input")
-_CHUNKS_KEPT = 2
 _T = TypeVar("_T")
 
 
@@ -144,7 +141,8 @@ class McapSteps(Steps):
         if self._bytes(0, len(MAGIC)) != MAGIC:
             raise FormatError("Expected an MCAP log, the file does not begin like one.", code="H3-RECORDING-038")
         take(log, *self._record(len(MAGIC)))
-        footer = log.size - _FOOTER_BYTES
+        # the footer is the last record, and the only one whose length is fixed
+        footer = log.size - (_RECORD.size + 20 + len(MAGIC))
         if self._bytes(log.size - len(MAGIC), len(MAGIC)) != MAGIC:
             raise EOFError("the closing magic bytes are missing")
         start, _, crc = struct.unpack("<QQI", self._record(footer)[1])
@@ -195,6 +193,7 @@ class McapSteps(Steps):
             offset = chunk.message_index_offsets.get(channel)
             # the length of the index tells the number of messages, without reading or unpacking the chunk
             size = 0 if offset is None else struct.unpack("<BQHI", self._bytes(offset, 15))[3]
+            # 16 bytes for each message: its log time and its offset
             counts.append(size // 16)
         return [0, *accumulate(counts)]
 
@@ -207,9 +206,10 @@ class McapSteps(Steps):
             (_, body), *indexes = _records(memoryview(data))
             for opcode, index in indexes:
                 if opcode == _MESSAGE_INDEX:
+                    # after channel and length come pairs of log time and offset, of which the offset is needed
                     begins[struct.unpack_from("<H", index)[0]] = np.frombuffer(index[6:], "<u8")[1::2]
             # steps are mostly read one after the other, and a chunk may take 4 MiB
-            while len(self._kept) >= _CHUNKS_KEPT:
+            while len(self._kept) >= 2:
                 self._kept.pop(next(iter(self._kept)))
             self._kept[number] = (memoryview(decompress(body)), begins)
         return self._kept[number]
@@ -227,7 +227,8 @@ class McapSteps(Steps):
                 end = at + _RECORD.size + length
                 if owner != channel or opcode != _MESSAGE_OP or end > len(data):
                     raise ValueError("a message index does not fit its chunk")
-                yield data[at + _MESSAGE_HEAD : end]
+                # after the 22 bytes of channel, sequence, log time and publish time
+                yield data[at + _RECORD.size + 22 : end]
             start, number = chunk_stop, number + 1
 
     def _with_steps(self, start: int, stop: int) -> McapRecords:

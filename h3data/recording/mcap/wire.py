@@ -79,6 +79,7 @@ class WireField:
 
     @property
     def _as_bytes(self) -> bool:
+        # protobuf has no small integers: as fixed32 each byte would take four
         return self.column.dtype == "uint8" and bool(self.column.shape)
 
 
@@ -100,21 +101,19 @@ def wire_layouts(layout: Layout) -> dict[Topic, WireLayout]:
     topics: dict[Topic, list[Column]] = {"state": []}
     for column in layout:
         topics.setdefault(log_topic_of(column.name), []).append(column)
-    return {topic: _number(columns) for topic, columns in topics.items()}
-
-
-def _number(columns: Sequence[Column]) -> WireLayout:
-    fields, taken, number = [WireField(STEP, "step", 2)], {"step"}, 3
-    for column in columns:
-        if column.name == "time_ns":
-            fields.insert(0, WireField(column, "time_ns", 1))
+    layouts: dict[Topic, WireLayout] = {}
+    for topic, columns in topics.items():
+        fields, taken, number = [WireField(STEP, "step", 2)], {"step"}, 3
+        for column in columns:
             # time comes first and is always field 1, so that any viewer finds it
-            taken.add("timens")
-            continue
-        name = _proto_name(column.name, taken)
-        fields.append(WireField(column, name, number))
-        number += 1
-    return tuple(fields)
+            if column.name == "time_ns":
+                fields.insert(0, WireField(column, "time_ns", 1))
+                taken.add("timens")
+                continue
+            fields.append(WireField(column, _proto_name(column.name, taken), number))
+            number += 1
+        layouts[topic] = tuple(fields)
+    return layouts
 
 
 def _proto_name(name: str, taken: set[str]) -> str:
@@ -182,6 +181,7 @@ def decode_messages(
     if all(len(m) == len(template) for m in messages):
         block = np.frombuffer(b"".join(messages), np.uint8).reshape(rows, len(template))
         if np.all(block[:, fixed] == template[fixed]):
+            # the slice is copied, since only contiguous bytes can be viewed as numbers
             return {
                 f.column.name: _narrow(
                     block[:, s : s + f.size].copy().view(f.wire_dtype).reshape(rows, f.column.width), f

@@ -15,6 +15,7 @@ def padded(values: NDArray[Any] | None, column: Column, steps: int) -> NDArray[A
     """Rows in the declared width, flattened to [T, width]; padded with NaN, -1, 0 (unsigned) or False."""
     if values is not None and values.shape[1:] == column.shape:
         return np.ascontiguousarray(values, column.dtype).reshape(steps, column.width)
+    # values that mean "nothing there" in our columns: an absent pose, no body, no skill
     kind = np.dtype(column.dtype).kind
     wide = np.full((steps, *column.shape), {"f": np.nan, "i": -1}.get(kind, 0), column.dtype)
     if values is not None:
@@ -49,20 +50,16 @@ def to_numpy(stored: pa.ChunkedArray | None, column: Column, declared: Column, s
     if any(c.null_count for c in chunks):
         raise ValueError(f"column {column.name} has nulls")
     values = np.concatenate([c.to_numpy(zero_copy_only=False) for c in chunks])
-    wide = _as_declared(values, declared.dtype).reshape(steps, *declared.shape)
+    # a uint64 is stored as an int64 of the same bits, so it is viewed and not converted
+    if declared.dtype == "uint64" and values.dtype == np.int64:
+        values = values.view(np.uint64)
+    if values.dtype != declared.dtype:
+        raise ValueError(f"expected {declared.dtype}, got {values.dtype}")
+    wide = values.reshape(steps, *declared.shape)
     if declared.shape == column.shape:
         return wide
     # a copy, or the padding of all rows would stay in memory with it
     return wide[(slice(None), *(slice(0, n) for n in column.shape))].copy()
-
-
-def _as_declared(stored: NDArray[Any], dtype: str) -> NDArray[Any]:
-    """Stored values in the dtype of their column: a uint64 is stored as an int64 of the same bits."""
-    if dtype == "uint64" and stored.dtype == np.int64:
-        return stored.view(np.uint64)
-    if stored.dtype != dtype:
-        raise ValueError(f"expected {dtype}, got {stored.dtype}")
-    return stored
 
 
 def conform(table: pa.Table, schema: pa.Schema) -> pa.Table:

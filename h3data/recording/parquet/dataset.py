@@ -45,6 +45,7 @@ class Dataset(DatasetFolder):
         """Episode ``index``, see `recording`; of a slice the `Episodes`, to be read when they are asked for."""
         if isinstance(index, slice):
             return self.all()[index]
+        # integers of numpy are numbers of episodes too
         if not hasattr(index, "__index__"):
             raise InputError(
                 f"Expected the number of an episode or a slice, got {index!r:.60}.", code="H3-RECORDING-057"
@@ -59,6 +60,7 @@ class Dataset(DatasetFolder):
     def all(self) -> Episodes:
         """All episodes, for `Episodes.filter`, `Episodes.split` and `Episodes.merge`."""
         return Episodes(
+            # partials and not lambdas: jobs send episodes to other processes, and lambdas cannot be pickled
             StoredEpisode(
                 f"{self.root}#{k}",
                 self.root,

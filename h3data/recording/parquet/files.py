@@ -24,6 +24,7 @@ def shard_path(root: AnyPath, kind: str, shard: int) -> AnyPath:
 
 def shard_files(root: AnyPath, kind: str) -> list[AnyPath]:
     """All complete files of a kind, in order."""
+    # by number: chunk-1000 comes before chunk-999 as text; temporary names, _file-*, do not match
     return sorted((root / kind).glob("chunk-*/file-*.parquet"), key=shard_number)
 
 

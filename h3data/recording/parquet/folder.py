@@ -22,9 +22,6 @@ from h3data.recording.parquet.schema import EPISODE_SCHEMA, DatasetSchema
 from h3data.recording.schema import check_version
 from h3data.recording.storage import AnyPath, RemotePath, place, readable
 
-_OPEN_FILES = 4
-_READERS = 4
-"""Episode tables read at once: they are small, and in an object store each takes a round trip."""
 _BLOCK, _BLOCKS_KEPT = 64, 256
 
 
@@ -36,6 +33,7 @@ class EpisodeRows(Sequence[dict[str, Any]]):
 
     def __init__(self, table: pa.Table) -> None:
         self._table, self._length = table, len(table)
+        # a cache for each object: one of the class would keep the tables of closed datasets in memory
         self._block = lru_cache(maxsize=_BLOCKS_KEPT)(self._decoded)
 
     def __len__(self) -> int:
@@ -57,6 +55,7 @@ class EpisodeRows(Sequence[dict[str, Any]]):
         return (row for block in range(-(-len(self) // _BLOCK)) for row in self._block(block))
 
     def __reduce__(self) -> tuple[type[EpisodeRows], tuple[pa.Table]]:
+        # the cache cannot be pickled
         return EpisodeRows, (self._table,)
 
     def _decoded(self, block: int) -> list[dict[str, Any]]:
@@ -113,7 +112,8 @@ class DatasetFolder:
             return read_whole(path, lambda name: name.startswith("stats/") and not name.startswith(kept))
 
         try:
-            with ThreadPoolExecutor(_READERS) as pool:
+            # several at once: they are small, and in an object store each takes a round trip
+            with ThreadPoolExecutor(4) as pool:
                 tables = [table.replace_schema_metadata(None) for table in pool.map(read, paths)]
             table = pa.concat_tables(tables, promote_options="default") if tables else pa.table({"episode_index": []})
             table = conform(table, EPISODE_SCHEMA)
@@ -210,7 +210,7 @@ class DatasetFolder:
     def _file(self, shard: int) -> pq.ParquetFile:
         if shard not in self._files:
             # files are read one after the other; each open one holds its footer, of some hundred columns
-            if len(self._files) >= _OPEN_FILES:
+            if len(self._files) >= 4:
                 self._files.pop(next(iter(self._files))).close()
             path = shard_path(self.root, "data", shard)
             # mapped where it lies on a disk; elsewhere many small ranges are joined into few requests

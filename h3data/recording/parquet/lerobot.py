@@ -21,13 +21,10 @@ from h3data.recording.parquet.files import FILES_PER_CHUNK, shard_files, write_a
 from h3data.recording.parquet.moments import Moments, lerobot_stats, merge_into, unpack_moments
 from h3data.recording.parquet.schema import STANDARD, DatasetSchema, stored_dtype
 from h3data.recording.parquet.videos import MAX_FILE_BYTES
-from h3data.recording.schema import Column, layout_hash
+from h3data.recording.schema import layout_hash
 from h3data.recording.storage import AnyPath, RemotePath, place, readable
 
 FILE_MB = 128
-DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
-_POSE7 = ["x", "y", "z", "qx", "qy", "qz", "qw"]
 _COUNTED = pa.schema([("length", pa.int64()), ("tasks", pa.list_(pa.string())), ("task_index", pa.int64())])
 
 
@@ -69,6 +66,7 @@ def write_meta(root: AnyPath, schema: DatasetSchema, totals: Totals) -> None:
     write_atomic(root / "meta" / "tasks.parquet", _tasks_parquet(totals.tasks))
     pictures = {video.key for video in schema.videos}
     stats = {
+        # LeRobot has the statistics of pictures with the channels first, to be broadcast over [3, H, W]
         name: lerobot_stats(m, totals.frames, (3, 1, 1) if name in pictures else (-1,))
         for name, m in totals.moments.items()
     }
@@ -84,8 +82,8 @@ def write_meta(root: AnyPath, schema: DatasetSchema, totals: Totals) -> None:
         "video_files_size_in_mb": MAX_FILE_BYTES >> 20,
         "fps": schema.fps,
         "splits": {"train": f"0:{totals.episodes}"},
-        "data_path": DATA_PATH,
-        "video_path": VIDEO_PATH,
+        "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+        "video_path": "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
         "features": _features(schema),
         "h3data": {"schema_version": schema.version, "layout_hash": layout_hash(schema.columns)},
     }
@@ -103,19 +101,17 @@ def rebuild_meta(root: str | os.PathLike[str] | RemotePath) -> int:
 
 def _features(schema: DatasetSchema) -> dict[str, dict[str, Any]]:
     """``features`` of info.json: every column of the data files, as LeRobot requires, and the videos."""
+    pose7 = ["x", "y", "z", "qx", "qy", "qz", "qw"]
+    # without names LeRobot takes a feature for numbers 0, 1, ...; of most columns only the recording knows more
+    names = {c.name: pose7 if c.shape == (7,) else None for c in schema.columns}
+    names |= {name: list(each) for name, each in schema.names.items()}
     ours: dict[str, dict[str, Any]] = {
-        c.name: {"dtype": stored_dtype(c), "shape": [c.width], "names": _names(schema, c)}
+        c.name: {"dtype": stored_dtype(c), "shape": [c.width], "names": names[c.name]}
         for c in schema.columns
         if c.width
     }
     standard = {name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in STANDARD.items()}
     return ours | standard | {video.key: video.lerobot(schema.fps) for video in schema.videos}
-
-
-def _names(schema: DatasetSchema, column: Column) -> list[str] | None:
-    if column.name in schema.names:
-        return list(schema.names[column.name])
-    return _POSE7 if column.shape == (7,) else None
 
 
 def _tasks_parquet(tasks: Mapping[str, int]) -> bytes:

@@ -32,10 +32,6 @@ DAMAGE = (
     RecursionError,
 )
 """Exceptions that reading a damaged file can raise."""
-_RESTORE = (
-    "copy the file of this name from a backup or from another dataset with the same scene; "
-    "or convert the original logs again"
-)
 
 
 def read_whole(path: AnyPath, leave_out: Callable[[str], bool] | None = None) -> pa.Table:
@@ -103,8 +99,12 @@ class DatasetRecords:
                 f"The list of attachments of episode {episode} is damaged ({error}): {self._root}",
                 code="H3-RECORDING-071",
             ) from error
+        hint = (
+            "copy the file of this name from a backup or from another dataset with the same scene; "
+            "or convert the original logs again"
+        )
         return {
-            name: self._files.get(file, what=f"The attachment {name} of episode {episode}", hint=_RESTORE)
+            name: self._files.get(file, what=f"The attachment {name} of episode {episode}", hint=hint)
             for name, file in stored.items()
         }
 
@@ -116,6 +116,7 @@ def _records(struct: str, table: pa.Table) -> list[Any]:
     """
     columns = {name: _cells(table[name], kind) for name, kind in STRUCTS[struct].items() if name in table.column_names}
     if "color" in columns:
+        # Arrow lists have no None: no colour is stored as an empty list
         columns["color"] = [color or None for color in columns["color"]]
     rows = zip(*columns.values(), strict=True) if columns else [()] * len(table)
     return [RECORD_TYPES[struct](**dict(zip(columns, row, strict=True))) for row in rows]
@@ -127,6 +128,7 @@ def _cells(column: pa.ChunkedArray, kind: str) -> Sequence[Any]:
         return column.to_pylist()
     lists = column.combine_chunks()
     flat = lists.flatten()
+    # lengths and not offsets, because those of a slice do not begin at 0
     ends = np.cumsum(lists.value_lengths().to_numpy(zero_copy_only=False)).tolist()
     if kind == "float*":
         values: Any = np.array(flat.to_numpy(zero_copy_only=False), np.float32)

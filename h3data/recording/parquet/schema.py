@@ -71,8 +71,6 @@ EPISODE_SCHEMA = pa.schema(
     ]
 )
 
-_ARROW = {"string": pa.string(), "int64": pa.int64(), "double": pa.float64(), "float": pa.float32()}
-
 
 def stored_dtype(column: Column) -> str:
     """The dtype of a column in the data files: a uint64 is an int64 of the same bits.
@@ -208,7 +206,9 @@ def episode_schema(schema: DatasetSchema) -> pa.Schema:
 
 def record_schema(struct: str) -> pa.Schema:
     """Arrow schema of a sidecar: the fields of one of `STRUCTS` and the episode they belong to."""
-    fields = [(name, _arrow_type(spec)) for name, spec in STRUCTS[struct].items()]
+    arrow = {"string": pa.string(), "int64": pa.int64(), "double": pa.float64(), "float": pa.float32()}
+    kinds = {name: (arrow[spec.rstrip("*")], spec.endswith("*")) for name, spec in STRUCTS[struct].items()}
+    fields = [(name, pa.list_(kind) if many else kind) for name, (kind, many) in kinds.items()]
     return pa.schema([("episode_index", pa.int64()), *fields])
 
 
@@ -217,8 +217,3 @@ def arrow_rows(dtype: str, width: int) -> pa.DataType:
     item = pa.from_numpy_dtype(np.dtype(dtype))
     # as LeRobot stores a feature of one number
     return item if width == 1 else pa.list_(item, width)
-
-
-def _arrow_type(spec: str) -> pa.DataType:
-    plain = _ARROW[spec.rstrip("*")]
-    return pa.list_(plain) if spec.endswith("*") else plain

@@ -119,6 +119,7 @@ class Shard:
                     place |= _episode_stats(name, m, steps, (-1,))
             for key, video in videos.items():
                 place |= self._add_video(key, video)
+        # an episode without steps has a row but no row group
         self.rows.append({**row, **place, "row_group": self.row_groups if steps else -1})
         for kind, records in tables.items():
             self.sidecars[kind].append(records)

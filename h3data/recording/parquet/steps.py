@@ -31,6 +31,7 @@ class DatasetSteps(Steps):
     def _rows(self, start: int, stop: int, names: list[str]) -> dict[str, NDArray[Any]]:
         if start == stop:
             return {c.name: c.empty() for c in self.layout if c.name in names}
+        # whole columns, because Parquet reads no less than a row group; steps are then slices without a copy
         unread = [c.name for c in self.layout if c.width and c.name in names and c.name not in self._kept]
         if unread:
             table = self.dataset.read_group([self.index], unread)

@@ -29,7 +29,9 @@ def to_arrow(
     """The steps of ``episodes`` in their order, one chunk for one or several episodes; see `Dataset.to_arrow`."""
     schema = table_schema(dataset, columns)
     tables = [_typed(dataset.read_group(group, schema.names), schema) for group in _groups(dataset, episodes)]
-    return pa.concat_tables(tables) if tables else pa.Table.from_batches([_no_rows(schema)])
+    # an empty batch, unlike `Schema.empty_table`, gives each column a chunk, which tensors are made of
+    empty = pa.record_batch([pa.array([], field.type) for field in schema], schema=schema)
+    return pa.concat_tables(tables or [pa.Table.from_batches([empty])])
 
 
 def to_polars(table: pa.Table) -> polars.DataFrame:
@@ -120,10 +122,6 @@ def _typed(table: pa.Table, schema: pa.Schema) -> pa.Table:
             # a view, not a cast: values above 2**63 would overflow
             table = table.set_column(k, field, pa.chunked_array([c.view(field.type) for c in column.chunks]))
     return table.cast(schema)
-
-
-def _no_rows(schema: pa.Schema) -> pa.RecordBatch:
-    return pa.record_batch([pa.array([], field.type) for field in schema], schema=schema)
 
 
 def _groups(dataset: DatasetFolder, episodes: Iterable[int] | None) -> Iterator[list[int]]:

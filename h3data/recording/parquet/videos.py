@@ -114,6 +114,7 @@ def episode_video(root: AnyPath, row: Mapping[str, Any], feature: VideoFeature, 
         stored = [row.get(f"{stats}/{name}") for name in QUANTILES]
         quantiles = None if None in stored else np.array(stored, np.float64).reshape(len(QUANTILES), 3)
         (frames,) = row[f"{stats}/count"]
+        # LeRobot counts frames, moments are over pixels
         pixels = np.full(3, float(frames) * feature.width * feature.height)
         return EpisodeVideo(
             feature=feature,
@@ -121,6 +122,7 @@ def episode_video(root: AnyPath, row: Mapping[str, Any], feature: VideoFeature, 
             length=row["length"],
             fps=fps,
             moments=Moments(pixels, mean, std**2 * pixels, low, high, quantiles),
+            # stored in seconds, as LeRobot wants it; rounding gives back the frame
             start=round(row[f"{at}/from_timestamp"] * fps),
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:

@@ -34,7 +34,6 @@ from h3data.recording.records import Recording
 from h3data.recording.schema import Layout, episode_to_dict, layout_of, layout_to_json, struct_to_dict
 from h3data.recording.storage import RemotePath, place, put_tree, remove_tree
 
-EPISODES_PER_FILE = 100
 _WRITER = "h3/writer"
 """File that names the process that writes a dataset in an object store; deleted when the dataset is closed."""
 
@@ -63,7 +62,7 @@ class DatasetWriter:
         resume: bool = False,
         max_bodies: int | None = None,
         like: Iterable[Recording] = (),
-        episodes_per_file: int = EPISODES_PER_FILE,
+        episodes_per_file: int = 100,
         file_bytes: int = FILE_MB << 20,
     ) -> None:
         """Opens a new folder, replaces the dataset in it (``overwrite``), or continues after its last commit (``resume``).
@@ -76,6 +75,7 @@ class DatasetWriter:
         """Folder where a shard's files are made: the dataset itself, or a temporary one until they are uploaded."""
         self._name = uuid.uuid4().hex
         if isinstance(self.root, RemotePath):
+            # also where nobody closes the writer
             weakref.finalize(self, shutil.rmtree, self._local_root, ignore_errors=True)
         self.closed = False
         self._fps, self._nominal_fps, self._max_bodies = fps, nominal_fps, max_bodies
@@ -122,7 +122,9 @@ class DatasetWriter:
             row["attachments"] = json.dumps(attachments, ensure_ascii=False)
             sidecars = {kind: [struct_to_dict(r) for r in getattr(recording, kind)] for kind in SIDECARS}
             index, start = len(self), self._totals.frames + (self._shard.frames if self._shard else 0)
-            told = instruction_of(recording)
+            told = recording.episode.info.get("instruction")
+            # the task in words is what LeRobot's policies read; its name is better than nothing
+            told = told if isinstance(told, str) and told else recording.episode.task
             task = self._totals.tasks.setdefault(told, len(self._totals.tasks))
             if self._shard is None:
                 self._shard = Shard(self._local_root, self._shard_index, self._schema, video_number=self._video_number)
@@ -156,6 +158,7 @@ class DatasetWriter:
                 raise
             # LeRobot looks for a video file even for episodes without steps, so the last one is remembered
             self._video_number = self._shard_index if shard.videos else self._video_number
+            # the number of a shard that failed is used again; its files were deleted
             self._shard_index += 1
             self._totals.episodes += shard.episodes
             self._totals.frames += shard.frames
@@ -221,6 +224,7 @@ class DatasetWriter:
             )
         # a dataset without a commit has nothing to go on with
         if overwrite or begun:
+            # the episode tables first: readers then find no episode whose files are gone already
             for folder in (root / "meta", root / "data", root / "h3", root / "videos"):
                 remove_tree(folder)
         else:
@@ -332,12 +336,6 @@ class DatasetWriter:
         write_atomic(self.root / "h3" / "schema.json", schema.to_json())
         self._claim()
         self._schema = schema
-
-
-def instruction_of(recording: Recording) -> str:
-    """The task of a recording in words: what its `Task` said, else the task's name."""
-    told = recording.episode.info.get("instruction")
-    return told if isinstance(told, str) and told else recording.episode.task
 
 
 def _listed(features: Sequence[VideoFeature]) -> str:

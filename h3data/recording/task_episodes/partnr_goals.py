@@ -71,6 +71,7 @@ def placements_of(episode: RearrangeEpisode) -> tuple[Placement, ...] | None:
         )
     chosen: dict[str, tuple[str, ...]] = {}
     for asked in arguments:
+        # other propositions were refused above
         assert asked is not None
         if not 1 <= asked.number <= len(asked.object_handles) or not asked.receptacle_handles:
             raise InputError(
@@ -84,6 +85,7 @@ def placements_of(episode: RearrangeEpisode) -> tuple[Placement, ...] | None:
                 f"{where} moves {asked.object_handles[0]!r} more than once, which h3data does not play.",
                 code="H3-HABITAT-037",
             )
+        # one and the same for all: the first does as well as any other
         on = asked.receptacle_handles[:1] if asked.is_same_receptacle else asked.receptacle_handles
         chosen |= dict.fromkeys(free[: asked.number], tuple(on))
     if not chosen:

@@ -132,9 +132,10 @@ def instance_handles(episode: RearrangeEpisode) -> list[str]:
 
 
 def handles_of(configs: Sequence[str]) -> list[str]:
-    """Returns the same as `instance_handles`, from the template names alone."""
+    """Handles that Habitat gives to objects, by the file names of their templates, in the same order (`instance_handles`)."""
     handles = [""] * len(configs)
     counts: dict[str, int] = {}
+    # the sort is stable, so objects of one template are counted in the order of the file
     for k in sorted(range(len(configs)), key=configs.__getitem__):
         stem = template_name(configs[k])
         counts[stem] = counts.get(stem, 0) + 1
@@ -167,6 +168,7 @@ def is_rigid(matrices: Matrix) -> NDArray[np.bool_]:
     with np.errstate(invalid="ignore", over="ignore"):
         error = np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max(axis=(-1, -2))
         last = np.abs(matrices[..., 3, :] - [0, 0, 0, 1]).max(axis=-1)
+        # a mirror image is orthogonal too; the sign of the determinant tells it from a rotation
         proper = np.einsum("...i,...i->...", np.cross(rotation[..., 0], rotation[..., 1]), rotation[..., 2]) > 0
     return (error <= RIGID_TOLERANCE) & (last <= RIGID_TOLERANCE) & proper & np.isfinite(matrices).all(axis=(-1, -2))
 

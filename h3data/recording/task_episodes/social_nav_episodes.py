@@ -67,6 +67,7 @@ def social_nav_episode(
         scene_id=scene_id,
         scene_dataset_config=scene_dataset_config,
         **start_fields(nav.robot_start, nav.floor_y),
+        # Habitat adds objects in the order of their templates, and numbers the handles so
         rigid_objects=tuple(sorted(rigid_objects, key=lambda thing: thing.config)),
         targets=targets or {},
         info=info_block(TASK, nav),

@@ -70,6 +70,7 @@ def read_info_block(episode: RearrangeEpisode, task: str, kind: type[Record]) ->
         return None
     block, where = episode.info[KEY], f"episode {episode.episode_id!r}: info.{KEY}"
     version = block.get("version")
+    # not isinstance, for which True is a number
     if type(version) is not int or version > VERSION:
         raise FormatError(
             f"{where}: Expected version {VERSION}, got {version!r}. Hint: a newer h3data reads it.",

@@ -98,6 +98,7 @@ class StoredRearrangement(msgspec.Struct, frozen=True, kw_only=True):
 
 def content_digest(record: StoredRearrangement) -> str:
     """Digest of starts, objects, goals, seed and rules."""
+    # what only describes (recording, instruction) stays out: it does not change what is played
     content = (
         record.robot_start,
         record.human_start,
@@ -138,6 +139,7 @@ def rearrangement_entry(
         scene_id=scene_id,
         scene_dataset_config=scene_dataset_config,
         additional_obj_config_paths=tuple(object_paths),
+        # this heading is no rotation in Habitat, its default
         **start_fields(record.robot_start or (0.0, 0.0, math.pi / 2), record.floor_y),
         rigid_objects=tuple(rigid_objects),
         targets=names,
@@ -183,7 +185,16 @@ def _of_habitat(episode: RearrangeEpisode, placements: tuple[Placement, ...]) ->
         )
     matrices = [*(thing.matrix for thing in episode.rigid_objects), *asked.values()]
     what = [*(f"the pose of {name!r}" for name in handles), *(f"the goal of {name!r}" for name in asked)]
-    poses = _poses(matrices, what, where)
+    poses: list[list[float]] = []
+    if matrices:
+        stacked = np.stack(matrices).astype(np.float64)
+        rigid = is_rigid(stacked)
+        if not rigid.all():
+            raise InputError(
+                f"{where}: {what[int(np.argmin(rigid))]} is no rotation and translation.", code="H3-HABITAT-051"
+            )
+        poses = pose_from_matrix(stacked).astype(np.float64).tolist()
+    # not strict: the poses of the goals follow those of the objects
     starts = dict(zip(handles, poses, strict=False))
     objects = tuple(
         EpisodeObject(name=name, config=thing.config, pose=tuple(starts[name]))
@@ -212,19 +223,6 @@ def _of_habitat(episode: RearrangeEpisode, placements: tuple[Placement, ...]) ->
 
 def _at(receptacles: Sequence[tuple[str, int | None]], index: int) -> str:
     return receptacles[index][0] if index < len(receptacles) else ""
-
-
-def _poses(matrices: Sequence[Matrix], what: Sequence[str], where: str) -> list[list[float]]:
-    """pose7 of each matrix."""
-    if not matrices:
-        return []
-    stacked = np.stack(matrices).astype(np.float64)
-    rigid = is_rigid(stacked)
-    if not rigid.all():
-        raise InputError(
-            f"{where}: {what[int(np.argmin(rigid))]} is no rotation and translation.", code="H3-HABITAT-051"
-        )
-    return pose_from_matrix(stacked).astype(np.float64).tolist()
 
 
 def require_finite(record: StoredRearrangement) -> None:
