@@ -61,16 +61,19 @@ __all__ = [
     "write_png",
 ]
 
-_MODULES = {
-    "colors": "depth_to_rgb instance_to_rgb normalize_depth",
-    "image_files": "write_depth_png write_png",
-    "outputs": "Output Poses",
-    "renderer": "Renderer",
-    "scene": "RenderInstance RenderScene",
-    "shade.shading": "Light",
-    "video": "VideoWriter",
+_MODULE_OF = {
+    name: module
+    for module, names in {
+        "colors": "depth_to_rgb instance_to_rgb normalize_depth",
+        "image_files": "write_depth_png write_png",
+        "outputs": "Output Poses",
+        "renderer": "Renderer",
+        "scene": "RenderInstance RenderScene",
+        "shade.shading": "Light",
+        "video": "VideoWriter",
+    }.items()
+    for name in names.split()
 }
-_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> Any:

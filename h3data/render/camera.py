@@ -56,6 +56,7 @@ class Camera:
                 everything in view stays in view, and a narrow picture sees more at its sides instead.
         """
         across, down = width / self.width, height / self.height
+        # a panorama spans all angles in both directions, so its two scales are those of its sides
         if self.projection != "equirectangular":
             across = down = across if crop else min(across, down)
         cx = width / 2 + (self.cx - self.width / 2) * across
@@ -75,6 +76,7 @@ class Camera:
         """Horizontal field of view [deg]; 0 for orthographic cameras."""
         if self.projection == "orthographic":
             return 0.0
+        # pixels of a fisheye and a panorama are angles themselves
         half = self.width / 2 / self.fx
         return float(np.degrees(2 * (np.arctan(half) if self.projection == "perspective" else half)))
 
@@ -127,12 +129,14 @@ class Camera:
         """Pixel coordinates [N, 2] of points [N, 3] in the camera's frame; see `project`."""
         x, y, z = points.T
         if self.projection == "perspective":
+            # dividing by a negative z would mirror points behind the eye into the picture
             ahead = np.where(z > 0, z, np.nan)
             u, v = x / ahead, y / ahead
         elif self.projection == "orthographic":
             u, v = x, y
         elif self.projection == "fisheye":
             across = np.hypot(x, y)
+            # on the axis x and y are 0, so that any divisor gives the centre of the picture
             angle = np.arctan2(across, z) / np.where(across > 0, across, 1)
             u, v = x * angle, y * angle
         else:
@@ -312,6 +316,7 @@ def look_at(eye: ArrayLike, target: ArrayLike, *, up: ArrayLike = (0.0, 1.0, 0.0
     eye, target, up = (np.asarray(v, np.float64) for v in (eye, target, up))
     forward = normalized(target - eye)
     right = np.cross(forward, up)
+    # the cross product of parallel directions has no direction of its own
     if np.linalg.norm(right) < 1e-6:
         right = np.cross(forward, np.array([0.0, 0.0, -1.0]))
     right = normalized(right)

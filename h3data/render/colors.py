@@ -51,6 +51,7 @@ def _paint_depth(depth, near, far, palette, out):
     for k in range(len(depth)):
         d = depth[k]
         level = 256
+        # false for NaN too, which is coloured as a miss
         if d > 0:
             level = 255 - int((min(max(d, near), far) - near) * scale + np.float32(0.5))
         out[k, 0], out[k, 1], out[k, 2] = palette[level, 0], palette[level, 1], palette[level, 2]

@@ -33,22 +33,16 @@ def png_bytes(image: NDArray) -> bytes:
             f"A PNG needs uint8 [H, W, 3] or uint8 / uint16 [H, W], got {image.dtype} {list(image.shape)}.",
             code="H3-RENDER-039",
         )
-    ok, data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]) if is_rgb else image, _png_options())
+    # The "up" filter stores differences to the row above: as fast as OpenCV's default, depth files 40% smaller, ids 20%.
+    options = (
+        *(cv2.IMWRITE_PNG_COMPRESSION, 1),
+        *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_DEFAULT),
+        *(cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP),
+    )
+    ok, data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]) if is_rgb else image, options)
     if not ok:
         raise InputError(f"OpenCV could not encode an image of shape {list(image.shape)} as PNG.", code="H3-RENDER-040")
     return data.tobytes()
-
-
-def _png_options() -> list[int]:
-    import cv2
-
-    # The "up" filter stores differences to the row above: as fast as OpenCV's default, depth files 40% smaller, ids 20%.
-    options = {
-        cv2.IMWRITE_PNG_COMPRESSION: 1,
-        cv2.IMWRITE_PNG_STRATEGY: cv2.IMWRITE_PNG_STRATEGY_DEFAULT,
-        cv2.IMWRITE_PNG_FILTER: cv2.IMWRITE_PNG_FILTER_UP,
-    }
-    return [word for option in options.items() for word in option]
 
 
 def write_image(path: str | os.PathLike[str], image: NDArray[np.uint8]) -> None:
@@ -101,7 +95,7 @@ def _to_mm(depth, out):
     for k in range(len(depth)):
         d = depth[k]
         mm = min(max(np.rint(d * 1000.0), 1.0), float(MAX_DEPTH_MM))
-        # by way of int32, for which there are vector instructions
+        # by way of int32, for which there are vector instructions; NaN is not above 0 and becomes a miss
         out[k] = np.uint16(np.int32(mm)) if d > 0 else np.uint16(0)
 
 
@@ -115,6 +109,7 @@ def stored_ids(ids: NDArray[np.integer]) -> NDArray[np.uint16]:
     if i.ndim != 2 or i.dtype.kind not in "iu":
         raise InputError(f"Expected ids as integers [H, W], got {i.dtype} {list(i.shape)}.", code="H3-RENDER-044")
     out = np.empty(i.shape, np.uint16)
+    # the kernel finds the largest id on its way, which saves a second reading of the image
     largest = _to_stored(np.ascontiguousarray(i).ravel(), out.ravel())
     if largest >= MAX_DEPTH_MM:
         raise InputError(f"16-bit images can store ids up to {MAX_DEPTH_MM - 1}, got {largest}.", code="H3-RENDER-045")

@@ -25,21 +25,25 @@ def draw_polyline(
 
     The line is clipped behind the camera but not occluded by the scene.
     """
+    import cv2
+
     _check(image, camera)
     p = camera.to_camera(points)
     if len(p) and np.isfinite(p).all() and p[:, 2].min() >= _NEAR_M:
         pixels = camera.to_pixels(p)
         if np.abs(pixels).max() < _FAR_PX:  # nothing to clip: one call draws the whole line
-            import cv2
-
             line = [_fixed(pixels)[:, None]]
             cv2.polylines(image, line, False, color, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
             return
     for start, end in pairwise(p):
         if not (np.isfinite(start).all() and np.isfinite(end).all()) or max(start[2], end[2]) < _NEAR_M:
             continue
-        a, b = (_clip_to_front(start, end), _clip_to_front(end, start))
-        _line(image, camera, a, b, color, thickness)
+        # in space first: what is behind the eye has no pixel that a line on the screen could be cut at
+        ends = np.stack([_clip_to_front(start, end), _clip_to_front(end, start)])
+        pixels = _clip_to_square(camera.to_pixels(ends))
+        if pixels is not None:
+            a, b = ((int(x), int(y)) for x, y in _fixed(pixels))
+            cv2.line(image, a, b, color, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
 def draw_circle(
@@ -64,6 +68,7 @@ def draw_label(
         return
     (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
     origin = (at[0] - width // 2, at[1] - 6)
+    # the same text twice, first thicker and dark: it can be read on any background
     for rim, paint in ((3, (20, 20, 20)), (1, color)):
         cv2.putText(image, text, origin, cv2.FONT_HERSHEY_SIMPLEX, scale, paint, rim, cv2.LINE_AA)
 
@@ -73,16 +78,6 @@ def _clip_to_front(point: NDArray[np.float64], other: NDArray[np.float64]) -> ND
     if point[2] >= _NEAR_M:
         return point
     return point + (other - point) * ((_NEAR_M - point[2]) / (other[2] - point[2]))
-
-
-def _line(image: NDArray[np.uint8], camera: Camera, a: NDArray, b: NDArray, color: Color, thickness: int) -> None:
-    import cv2
-
-    pixels = _clip_to_square(camera.to_pixels(np.stack([a, b])))
-    if pixels is None:
-        return
-    start, end = ((int(x), int(y)) for x, y in _fixed(pixels))
-    cv2.line(image, start, end, color, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
 def _fixed(pixels: NDArray[np.float64]) -> NDArray[np.int32]:
@@ -97,6 +92,7 @@ def _clip_to_square(pixels: NDArray[np.float64]) -> NDArray[np.float64] | None:
     for axis in range(2):
         for sign in (1.0, -1.0):
             distance, speed = _FAR_PX - sign * start[axis], sign * step[axis]
+            # parallel to this side and beyond it
             if speed == 0 and distance < 0:
                 return None
             if speed > 0:
@@ -109,6 +105,7 @@ def _clip_to_square(pixels: NDArray[np.float64]) -> NDArray[np.float64] | None:
 def _pixel(image: NDArray[np.uint8], camera: Camera, point: ArrayLike) -> tuple[int, int] | None:
     _check(image, camera)
     pixels, z = camera.project(np.asarray(point, np.float64).reshape(1, 3))
+    # written so that NaN counts as behind the camera
     if not z[0] > _NEAR_M or not np.isfinite(pixels).all() or np.abs(pixels).max() > _FAR_PX:
         return None
     return int(np.floor(pixels[0, 0])), int(np.floor(pixels[0, 1]))

@@ -130,6 +130,7 @@ class Renderer:
                 "Hint: list it in RenderScene(..., deformable=...).",
                 code="H3-RENDER-057",
             )
+        # a copy, because engines keep the array, and the caller may go on to write into theirs
         v = np.array(vertices, np.float32, order="C")
         expected = scene.meshes[mesh].vertices.shape
         if v.shape != expected or not np.isfinite(v).all():
@@ -147,6 +148,7 @@ class Renderer:
         they are set again.
         """
         if blockers is not None:
+            # checked here, because the kernels that read them check no bounds
             rows, tints, count = blockers.rows, blockers.tints, len(self.scene.instances)
             if rows.ndim != 2 or rows.shape[1] != BLOCKER_WORDS or tints.shape != (count, 4):
                 raise InputError(
@@ -167,6 +169,7 @@ class Renderer:
         return self._engine.poses(self._world(world))
 
     def _world(self, world: int) -> int:
+        # -1 would be the last world of a list
         if not 0 <= world < self.world_count:
             raise InputError(
                 f"There is no world {world}: this renderer has {self.world_count}, 0 to {self.world_count - 1}.",
@@ -177,6 +180,7 @@ class Renderer:
     def _checked(self, indices: ArrayLike) -> NDArray[np.intp]:
         index = np.atleast_1d(np.asarray(indices))
         count = len(self.scene.instances)
+        # NumPy makes an array of floats of an empty list
         if index.size == 0:
             return np.zeros(0, np.intp)
         if index.ndim != 1 or index.dtype.kind not in "iu" or index.min() < 0 or index.max() >= count:
@@ -265,6 +269,8 @@ def _engine(scene: RenderScene, light: Light, backend: str, worlds: int, threads
                 f"The back end 'gpu' cannot be used: {fault}. Hint: backend='cpu'.", code="H3-RENDER-064"
             )
     only_rays = backend == "rays"
+    # The rasteriser alone serves installations without the package of rays, as long as nobody asks for what needs
+    # rays; otherwise that package has an engine that rasterises what it can.
     if "rays" in ENGINES.missing() and not only_rays and not light.shadow_rays:
         from h3data.render.raster.cpu import CpuEngine
 

@@ -87,6 +87,7 @@ class RenderScene:
         parts = [build_clusters(mesh.vertices, mesh.faces, cut) for mesh, cut in zip(self.meshes, cut_out, strict=True)]
         self.geometry, self.packet_triangles = _join(parts, self.deformable)
         mesh_first = self.geometry.mesh_first
+        # every cluster of every instance has a draw of its own, also while it is out of view
         self.draw_limit = int(np.sum(np.diff(mesh_first)[self.instance_mesh])) if count else 0
         self.first_vertex = _starts(len(mesh.vertices) for mesh in self.meshes)
         self.first_face = _starts(len(mesh.faces) for mesh in self.meshes)
@@ -125,9 +126,11 @@ class RenderScene:
             if mesh.normals is not None:
                 surface.normals[v : v + len(mesh.vertices)] = mesh.normals
             if mesh.textures and mesh.uv is not None:
+                # one vertex without coordinates would make NaN of each pixel of its triangles
                 surface.uv[v : v + len(mesh.vertices)] = np.nan_to_num(mesh.uv)
                 numbers = np.array([*(number[texture] for texture in mesh.textures), -1], np.int32)  # -1 picks the last
                 surface.face_textures[f : f + len(mesh.faces)] = numbers[face_texture_indices(mesh)]
+        # a packet numbers the triangles of its mesh, the surface those of all meshes
         for m in range(len(self.meshes)):
             packets = surface.packet_faces[_packet_range(geometry, m)]
             packets[packets >= 0] += int(self.first_face[m])
@@ -136,6 +139,7 @@ class RenderScene:
     def own_packet_range(self, mesh: int) -> slice:
         """Range of a deformable mesh's packets within the packets that every renderer keeps for itself."""
         packets = _packet_range(self.geometry, mesh)
+        # own packets are numbered after all shared ones (`_join`)
         shared = len(self.geometry.shared_packets)
         return slice(packets.start - shared, packets.stop - shared)
 
@@ -186,6 +190,7 @@ def _join(parts: list[Clusters], deformable: tuple[int, ...]) -> tuple[Geometry,
 
     Clusters are numbered mesh by mesh; the packets of deformable meshes come after all others.
     """
+    # the packets that change come last, in an array that each world copies; the others are one array for all worlds
     storage = [m for m in range(len(parts)) if m not in deformable] + list(deformable)
     start = dict(zip(storage, _starts(len(parts[m].packets) for m in storage), strict=False))
     ranges = [np.stack([p.first[:-1], p.first[1:]], axis=1) + start[m] for m, p in enumerate(parts)]
@@ -212,6 +217,7 @@ def _check(
     deformable: tuple[int, ...],
     mirrors: Mapping[int, NDArray[np.float32]],
 ) -> None:
+    # kernels check no bounds, so whatever they use as an index or a shape is checked before
     faults = []
     for m, mirrored in mirrors.items():
         expected = (len(meshes[m].vertices), MIRROR_SIDES) if 0 <= m < len(meshes) else None

@@ -34,12 +34,6 @@ def check_light(light: object) -> None:
         )
 
 
-LAMP_COLOR = (1.0, 0.86, 0.68)
-LAMP_POWER = 3.2
-"""Irradiance [in units of the flat light] at 1 m below a home's lamp."""
-_LAMPS = frozenset({"ceiling_lamp", "floor_lamp", "table_lamp", "lamp"})
-
-
 @dataclass(frozen=True)
 class Window:
     """A pane through which the sky is seen: an upright rectangle."""
@@ -91,12 +85,16 @@ def sources_of(scene: Scene | None, *, file: str = "") -> LightSources:
         if category == "window" and len(scene.assets[instance.asset].mesh.vertices):
             windows.append(_window(instance_bounds(scene, instance)))
             glass.add(instance.name)
-        elif category in _LAMPS and len(scene.assets[instance.asset].mesh.vertices):
+        elif category in ("ceiling_lamp", "floor_lamp", "table_lamp", "lamp") and len(
+            scene.assets[instance.asset].mesh.vertices
+        ):
             low, high = instance_bounds(scene, instance)
             position = (low + high) / 2
+            # a point below the shade of a ceiling lamp, and in the upper part of those that stand
             position[1] = low[1] - 0.12 if category == "ceiling_lamp" else high[1] - 0.1
             share = 1.0 if category == "ceiling_lamp" else 0.35
-            lamps.append(Lamp(position, LAMP_POWER * share * np.array(LAMP_COLOR)))
+            # irradiance 3.2, in units of the flat light, at 1 m below the lamp of a home; a warm white
+            lamps.append(Lamp(position, 3.2 * share * np.array((1.0, 0.86, 0.68))))
             glowing.add(instance.name)
         elif category == "floor":
             glossy.add(instance.name)
@@ -113,6 +111,7 @@ def sources_of(scene: Scene | None, *, file: str = "") -> LightSources:
 
 def _window(bounds: NDArray[np.float64]) -> Window:
     size = bounds[1] - bounds[0]
+    # a window is thinner than it is wide, and stands upright
     across = 0 if size[0] < size[2] else 2
     along = 2 - across
     axis, u, v = np.eye(3)[across], np.zeros(3), np.zeros(3)

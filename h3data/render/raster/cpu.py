@@ -112,6 +112,7 @@ class CpuEngine:
             view, drawing, again = self._draw(camera, world, drawings)
             self._read(world, view, drawing.target, results)
             rgb = results.get("rgb") if samples == 1 else None
+            # a kept picture goes with the last image, and these two branches do not bring it up to date
             if "normal" in results:
                 drawing.picture = None
                 self._shade(world, view, drawing.target, rgb=rgb, normal=results["normal"])
@@ -130,6 +131,7 @@ class CpuEngine:
         view, scene = view_of(camera, fine=fine), self.scene
         shown = world.shown(camera.hidden_layers)
         placement = Placement(scene.instance_mesh, world.matrix, shown)
+        # depends on what is visible, so it is part of the key below: another reach means other numbers everywhere
         if view.parallel:
             view = view._replace(reach=reach_of(world.geometry, placement, view))
         # all of the view that has to be equal for an earlier image to be of use, bit for bit

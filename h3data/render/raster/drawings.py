@@ -55,6 +55,7 @@ class Drawing:
         changed |= (before.tints != now.tints).any(1)
         for number, vertices in now.vertices.items():
             earlier = before.vertices.get(number)
+            # the same array first, without comparing numbers: engines keep it and never write into it
             if earlier is not vertices and not (earlier is not None and np.array_equal(earlier, vertices)):
                 changed |= mesh == number
         return changed
@@ -73,6 +74,7 @@ class Drawings:
         """The drawing for an image. ``key`` says what has to be the same for two images to differ only by what has changed."""
         self._count += 1
         standing = key in self._seen
+        # removed and put back, so that the dictionary is in the order of the last use and the first one is dropped
         self._seen.pop(key, None)
         self._seen[key] = self._count
         while len(self._seen) > _REMEMBERED:
@@ -87,6 +89,7 @@ class Drawings:
             self.still[key] = drawing
             return drawing
         drawing = self.moving.pop(size, None) or Drawing(new_target(*size, draws=draws, instances=instances))
+        # other cameras of this size have drawn into it
         drawing.shown = None
         self.moving[size] = drawing  # most recently used last
         while len(self.moving) > _SIZES:
@@ -94,6 +97,7 @@ class Drawings:
         return drawing
 
     def _has_room(self) -> bool:
+        # only here, when somebody needs a place: a camera that pauses keeps its buffers until another one wants them
         for key, drawing in list(self.still.items()):
             if drawing.last_used < self._count - _REMEMBERED:
                 del self.still[key]

@@ -45,10 +45,12 @@ def _may_see(pose, lens, size, clip, parallel, centers, radii, starts):
         for far_side in range(2):
             along = -focal if far_side else focal
             rest = size[axis] - middle if far_side else middle
+            # a unit normal, so that radii can be compared with distances
             length = focal if parallel else np.hypot(focal, rest)
             side = 2 + 2 * axis + far_side
             sides[side, axis] = along / length
             sides[side, 3 if parallel else 2] = rest / length
+    # one side must have the whole hull behind it: spheres behind different sides may enclose part of the view
     for hull in range(len(starts) - 1):
         beyond_any = False
         for s in range(6):
@@ -60,6 +62,7 @@ def _may_see(pose, lens, size, clip, parallel, centers, radii, starts):
                     for i in range(3):
                         own += (centers[k, i] - pose[i, 3]) * pose[i, axis]
                     distance += sides[s, axis] * own
+                # written so that NaN counts as seen, which costs time but loses nothing
                 if not distance < -(radii[k] + MARGIN_M):
                     beyond = False
                     break

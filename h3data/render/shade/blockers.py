@@ -60,13 +60,6 @@ from h3data.render.shade.blockers_simd import (
 
 TILE_X, TILE_Y = 16, 8
 """Pixels of an image that share a list of capsules."""
-_RANGE = 4.0
-"""Range of the ambient occlusion in radii, beyond `_RANGE_M`."""
-_RANGE_M = 0.12
-_FAINTEST = 1 / 14
-"""A shadow ends where it takes less of the light."""
-_SWEEP = 4
-"""Spheres that enclose a capsule and the space that it may darken."""
 _ALL, _ONE = 1, 2
 """Bits of a capsule in a list: it takes light from everywhere, and light from one direction."""
 
@@ -99,6 +92,7 @@ def blocker_rows(
     """
     c = np.asarray(capsules, np.float64).reshape(-1, 7)
     known = np.isfinite(c).all(1) & (c[:, 6] > 0)
+    # by group: the kernel sums up what a group takes until the next capsule has another group
     order = np.flatnonzero(known)[np.argsort(groups[known], kind="stable")]
     c, light = c[order], np.asarray(light, np.float64)[order]
     along, radius = c[:, 3:6] - c[:, :3], np.maximum(c[:, 6], 1e-3)
@@ -106,13 +100,15 @@ def blocker_rows(
     across2 = np.maximum(length2 - to_light**2, 0)
     out = np.zeros((len(c), BLOCKER_WORDS), np.float32)
     out[:, START : START + 3], out[:, ALONG : ALONG + 3], out[:, LIGHT : LIGHT + 3] = c[:, :3], along, light
+    # 0 where the axis is a point, or points at the light: the nearest point of the axis is then its start
     out[:, PER_LENGTH2] = np.where(length2 > 1e-8, 1 / np.maximum(length2, 1e-8), 0)
     out[:, ALONG_LIGHT] = to_light
     out[:, PER_ACROSS2] = np.where(across2 > 1e-6, 1 / np.maximum(across2, 1e-6), 0)
     out[:, RADIUS], out[:, RADIUS2] = radius, radius**2
     width = radius + np.sqrt(across2) / 2
     out[:, WIDTH] = width
-    out[:, REACH] = np.minimum(reach_m[order], np.sqrt(radius * width / _FAINTEST) / SPREAD)
+    # a shadow ends where it takes less than 1/14 of the light
+    out[:, REACH] = np.minimum(reach_m[order], np.sqrt(radius * width / (1 / 14)) / SPREAD)
     out[:, PER_RANGE4] = 1 / _range_m(radius) ** 4
     out[:, GROUP], out[:, SHARE], out[:, LENGTH] = groups[order], share[order], np.sqrt(length2)
     out[:, PER_RADIUS] = 1 / radius
@@ -120,25 +116,27 @@ def blocker_rows(
 
 
 def _range_m(radius: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Distance from the axis beyond which a capsule occludes nothing [m]."""
-    return _RANGE * radius + _RANGE_M
+    """Distance from the axis beyond which a capsule occludes nothing, by its radius [m]."""
+    return 4.0 * radius + 0.12
 
 
 def _spheres(rows: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Spheres that enclose all that each capsule may darken, centre and radius, shape [N, _SWEEP, 4].
+    """Spheres that enclose all that each capsule may darken, centre and radius, shape [N, 4, 4].
 
-    The first lies around the capsule, the others along its shadow.
+    The first lies around the capsule, the other three along its shadow.
     """
     start, along, light = (rows[:, k : k + 3].astype(np.float64) for k in (START, ALONG, LIGHT))
     radius, half = rows[:, RADIUS].astype(np.float64), np.linalg.norm(along, axis=1) / 2
     reach = rows[:, REACH].astype(np.float64) + KEPT_M + FADE_M + half
-    ends = np.arange(1, _SWEEP) / (_SWEEP - 1)
-    middle = (ends - 0.5 / (_SWEEP - 1)) * reach[:, None]
-    out = np.empty((len(rows), _SWEEP, 4))
+    # several spheres along a shadow: a single one would be as wide as the shadow is long
+    ends = np.arange(1, 4) / 3
+    middle = (ends - 0.5 / 3) * reach[:, None]
+    out = np.empty((len(rows), 4, 4))
     out[:, :, :3] = (start + along / 2)[:, None]
     out[:, 1:, :3] -= middle[..., None] * light[:, None]
     out[:, 0, 3] = half + _range_m(radius)
-    shadow = (half + radius)[:, None] + SPREAD * ends * reach[:, None] + reach[:, None] / (2 * (_SWEEP - 1)) + 0.02
+    # the capsule, the light's disc at the far end of the section, and half the length of the section
+    shadow = (half + radius)[:, None] + SPREAD * ends * reach[:, None] + reach[:, None] / (2 * 3) + 0.02
     out[:, 1:, 3] = np.where((rows[:, SHARE] > 0)[:, None], shadow, 0.0)
     return out
 
@@ -174,6 +172,7 @@ def tiled(blockers: Blockers | None, view: View, target: Target, *, factor: int)
     nothing = NO_BLOCKERS._replace(tints=blockers.tints)
     if not len(blockers.rows):
         return nothing
+    # the kernels find a pixel's place by 1/z, but an orthographic target holds ``reach - z``
     inv_z = target.inv_z
     if view.parallel:
         inv_z = np.where(inv_z > 0, 1 / np.maximum(view.reach - inv_z, 1e-6), 0).astype(np.float32)
@@ -195,6 +194,7 @@ def changed_tiles(before: Tiled, after: Tiled) -> NDArray[np.uint8]:
         return np.zeros(0, np.uint8)
     tiles = max(len(before.first), len(after.first)) - 1
     first, earlier = (t.first if len(t.first) else np.zeros(tiles + 1, np.int32) for t in (after, before))
+    # with another number of capsules their indices have shifted, and no capsule can be said to be the same
     same = np.zeros(len(after.rows), np.bool_)
     if before.rows.shape == after.rows.shape:
         same = (before.rows == after.rows).all(1)
@@ -232,6 +232,7 @@ def _on_screen(spheres: NDArray[np.float64], view: View, factor: int) -> NDArray
         front = (z > r + 0.05) & (apart > 0)
         middle, half = np.arctan2(side, z), np.arctan2(r, np.maximum(apart, 1e-9))
         start, end = middle - half, middle + half
+        # 1.5 rad is 86 degrees, beyond which the tangent explodes: such a sphere reaches past any picture
         low[..., :2] = np.where(front & (start > -1.5), f * np.tan(np.maximum(start, -1.5)) + c, -1e6)
         high[..., :2] = np.where(front & (end < 1.5), f * np.tan(np.minimum(end, 1.5)) + c, 1e6)
     size = view.width // factor, view.height // factor
@@ -239,6 +240,7 @@ def _on_screen(spheres: NDArray[np.float64], view: View, factor: int) -> NDArray
     low[..., 2:] = 1 / np.maximum(z + r, 1e-3)
     high[..., 2:] = np.where(z - r > 1e-3, 1 / np.maximum(z - r, 1e-3), 1e6)
     gone = ((r <= 0) | (z + r <= 0))[..., 0] | (high[..., :2] <= low[..., :2]).any(-1)
+    # an empty box, which does not widen that of the other spheres
     low[gone], high[gone] = 1e9, 0
     return np.concatenate([low.min(1), high.max(1)], axis=1)
 
@@ -258,6 +260,7 @@ def _fill_tiles(seen, index, rows, view, inv_z, factor, first, listed):
         x1, y1 = min(x0 + TILE_X, width), min(y0 + TILE_Y, height)
         if x0 >= high_x or x1 <= low_x or y0 >= high_y or y1 <= low_y:
             continue
+        # 1/z grows towards the camera, and 0 is the background, which nothing darkens
         nearest, farthest = np.float32(0), np.float32(1e9)
         for y in range(y0 * factor, y1 * factor):
             for x in range(x0 * factor, x1 * factor):
@@ -288,6 +291,7 @@ def _fill_tiles(seen, index, rows, view, inv_z, factor, first, listed):
 def _around_tile(view, factor, x0, x1, y0, y1, near, far):
     """A sphere around all points of a tile between two distances: x, y, z, radius."""
     fx, fy, cx, cy = view.intrinsics[0], view.intrinsics[1], view.intrinsics[2], view.intrinsics[3]
+    # the sphere around a box around the eight corners: loose, but only a filter before the exact kernels
     low, high = (1e9, 1e9, 1e9), (-1e9, -1e9, -1e9)
     for corner in range(8):
         u = ((x1 if corner & 1 else x0) * factor - cx) / fx
@@ -366,6 +370,7 @@ def block_pixels(blockers, tile, rays, near_at, owners_at, only, strip_at, row_b
     begin_block(np.uintp(rays.ctypes.data), near_at, scratch_at)
     for k in range(begin, end):
         n, bits = blockers.listed[k] >> 2, blockers.listed[k] & 3
+        # the common case, a tile full of one body, saves the whole capsule instead of masking all 8 pixels
         if rows[n, GROUP] == only:
             continue
         blocker_at = rows_at + np.uintp(n) * stride

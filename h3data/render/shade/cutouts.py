@@ -45,6 +45,7 @@ def cut_out_faces(uv: NDArray[np.floating], pixels: NDArray[np.uint8]) -> NDArra
     if not len(uv) or not has_holes(opacity):
         return np.zeros(len(uv), np.bool_)
     clear, size = opacity < SOLID, np.array(opacity.shape[::-1])
+    # clipped first, since a float that no integer can hold has no defined value as one
     low = np.floor(np.clip(uv.min(1), -1e6, 1e6) * size - 0.5).astype(np.int64)  # range of texels that may contribute
     high = np.floor(np.clip(uv.max(1), -1e6, 1e6) * size - 0.5).astype(np.int64) + 1
     x0, y0 = (low % size).T
@@ -60,23 +61,19 @@ def cut_out_faces(uv: NDArray[np.floating], pixels: NDArray[np.uint8]) -> NDArra
     return before(y1, x1) - before(y0, x1) - before(y1, x0) + before(y0, x0) > 0
 
 
-def no_cutouts() -> Cutouts:
-    """Empty tables, for a scene without cut-outs."""
-    return Cutouts(
-        first=np.zeros(0, np.int32),
-        uv=np.zeros((0, 6, 8), np.float32),
-        textures=np.zeros((0, 8), np.int32),
-        maps=np.zeros((0, 3), np.int32),
-        opacity=np.zeros(0, np.uint8),
-    )
-
-
 def pack_cutouts(
     cut_out: NDArray[np.bool_], surface: Surface, cluster_packets: NDArray[np.int32], textures: Sequence[Texture]
 ) -> Cutouts:
     """The tables of a scene; ``cut_out`` [F] marks the cut-out faces, all or none of each cluster."""
     if not cut_out.any():
-        return no_cutouts()
+        return Cutouts(
+            first=np.zeros(0, np.int32),
+            uv=np.zeros((0, 6, 8), np.float32),
+            textures=np.zeros((0, 8), np.int32),
+            maps=np.zeros((0, 3), np.int32),
+            opacity=np.zeros(0, np.uint8),
+        )
+    # the first triangle speaks for its cluster (`clusters.build_clusters` keeps both kinds apart)
     chosen = np.flatnonzero(cut_out[surface.packet_faces[cluster_packets[:, 0], 0]])
     packets = [np.arange(start, end) for start, end in cluster_packets[chosen]]
     first = np.full(len(cluster_packets), -1, np.int32)
@@ -100,6 +97,7 @@ def pack_opacity(textures: Sequence[Texture]) -> tuple[NDArray[np.int32], NDArra
     for number, texture in enumerate(textures):
         opacity = texture.pixels[..., 3]
         if has_holes(opacity):
+            # padded by the first row and column, so that interpolation never has to wrap around
             maps[number] = sum(map(len, values)), opacity.shape[1], opacity.shape[0]
             values.append(np.pad(opacity, ((0, 1), (0, 1)), mode="wrap").ravel())
     return maps, np.concatenate(values)
@@ -118,6 +116,7 @@ def _texel_before(coordinate, size):
     Always within the texture, even for NaN and infinite coordinates.
     """
     place = (coordinate - np.floor(coordinate)) * size - 0.5
+    # left of the first texel's centre lies the last texel of the repetition before
     if place < 0:
         place += size
     if not 0 <= place < size:

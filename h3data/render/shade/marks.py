@@ -32,6 +32,7 @@ def mark_row(marks, drawn, occlusion_changed, cast_changed, factor, y, width):
             some = True
             for x in range(tile * each, min((tile + 1) * each, width)):
                 marks[x] = SEEN
+    # an odd row lies between two rows of the coarse image and is lit by both, an even one on a row of its own
     for lower in range(2):
         coarse = (y + lower) // 2
         if coarse < len(occlusion_changed):
@@ -39,6 +40,7 @@ def mark_row(marks, drawn, occlusion_changed, cast_changed, factor, y, width):
             for c in range(len(line)):
                 if line[c]:
                     some = True
+                    # its own pixel and one on either side, which are interpolated from it
                     for x in range(max(2 * c - 1, 0), min(2 * c + 2, width)):
                         marks[x] |= LIT
     across = -(-width // TILE_X)
@@ -53,6 +55,7 @@ def mark_row(marks, drawn, occlusion_changed, cast_changed, factor, y, width):
 @kernel_part()
 def mark_run(marks, begin, end):
     """Marks the pixels of a run that may have belonged to another run before."""
+    # the pixel before may have been of the same run, which then began earlier and had other blocks
     other = begin > 0 and (marks[begin - 1] & SEEN) != 0
     for x in range(begin, end):
         if marks[x] & SEEN:
@@ -67,6 +70,7 @@ def next_blocks(marks, begin, low, end):
 
     Both are ``end`` if there are none.
     """
+    # whole blocks counted from ``begin``, as when all is shaded, so that each pixel has the same lane as then
     while low < end and not _any(marks, low, min(low + 8, end)):
         low += 8
     low = min(low, end)

@@ -88,6 +88,7 @@ def _table(view: View, factor: int, last_x: int, last_y: int) -> NDArray[np.floa
     table = np.zeros(TABLE_WORDS, np.float32)
     table[FOCAL_X], table[FOCAL_Y] = fx * afar / factor, fy * afar / factor
     table[BIAS_PER_Z] = BIAS_PER_M / afar
+    # coarse pixel k is seen through the centre of the target's pixel, which lies half a pixel beyond its number
     table[CENTER_X], table[CENTER_Y] = (cx - 0.5) / factor, (cy - 0.5) / factor
     table[LAST_X], table[LAST_Y] = last_x, last_y
     table[RADIUS], table[NEAR_RADIUS], table[GAIN] = RADIUS_M, SPREAD, CONTRAST / TAPS
@@ -140,10 +141,12 @@ def _occlude(source, drawn, factor, height, width, table, out, again):
             if again and not drawn[y * factor >> 3, x * factor >> 3]:
                 continue
             w = source[y * factor, x * factor]
+            # drawn again but with the same depth: a thing that moved elsewhere in the tile
             if again and w == inv_z[y + EDGE_ROWS, x + EDGE]:
                 continue
             changed[y, x] = 1
             inv_z[y + EDGE_ROWS, x + EDGE] = w
+            # the background is so far away that it rises above no surface
             z[y + EDGE_ROWS, x + EDGE] = np.float32(1) / w if w > 0 else np.float32(1e6)
     first = np.uintp((EDGE_ROWS * row + EDGE) * 4)
     inv_z_at, z_at = np.uintp(inv_z.ctypes.data) + first, np.uintp(z.ctypes.data) + first
@@ -179,6 +182,7 @@ def _occlude(source, drawn, factor, height, width, table, out, again):
                 if changed[y, x + k] or amount != raw[r, c + k]:
                     touched[y, x // 8 + 1] = 1
                 raw[r, c + k] = amount
+    # blocks of 8 have written beyond the right border, where the blur must not find surfaces
     _clear_edges(planes, height, width)
     sharpness_at, amount_at = planes_at + np.uintp(2) * plane_bytes, planes_at + np.uintp(3) * plane_bytes
     for y in range(height):
@@ -226,7 +230,9 @@ def _reaches_changed(sums, inv_z, table, x, y, count):
     nearest = np.float32(0)
     for k in range(count):
         nearest = max(nearest, inv_z[y + EDGE_ROWS, x + k + EDGE])
+    # a little more than the kernel's disc, which is computed in float32; the pixel nearest to the eye has the largest
     share = min(float(table[RADIUS]) * nearest, float(table[NEAR_RADIUS])) * 1.001
+    # 3 more: taps are rounded to pixels, and slopes are taken from two neighbours on either side
     across, down = int(share * table[FOCAL_X]) + 3, int(share * table[FOCAL_Y]) + 3
     height, width = sums.shape
     x0, x1 = max(x - across, 0), min(x + count + across, width - 1)
@@ -238,6 +244,7 @@ def _reaches_changed(sums, inv_z, table, x, y, count):
 def _clear_edges(planes, height, width):
     """Sets the padding to no occlusion, on planes that match no pixel."""
     for k in range(4):
+        # an endless sharpness: whatever 1/z a pixel has, it is not on this plane
         value = np.float32(FAR_PADDING if k == 2 else 0)
         planes[k, :EDGE_ROWS] = value
         planes[k, EDGE_ROWS + height :] = value
@@ -280,6 +287,7 @@ def dim_row(occlusion, strength, y, width, near_at, strip, marks):
 def light_left(occlusion, strength, x, y, near):
     """Share of the light that `dim_row` leaves at image pixel (x, y), for one sample at 1/z ``near``."""
     inv_z, planes = occlusion.inv_z, occlusion.planes
+    # up to four coarse pixels, with repetitions where the pixel coincides with a coarse row or column, as in `dim_block`
     total, weights = 0.0, NOWHERE
     for down in range(2):
         for right in range(2):

@@ -36,8 +36,10 @@ def smooth_patches(
         return np.zeros(0, np.int32)
     places = np.concatenate([np.zeros((0, 3), np.float32), *vertices])
     corners = _vertex_keys(surface, places)[surface.faces]
+    # neighbours run along their common edge in opposite directions
     ends = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], -1), -1)  # [F, 3, 2]
     mesh = np.repeat(np.arange(len(vertices)), np.diff(first_face))
+    # part of the key of an edge: equal vertices alone do not join triangles of two meshes, textures or flat sides
     own = _mixed((mesh << 32) + surface.face_textures + _flat_sides(surface, places))
     edges = _mixed(ends[..., 0] * _MIX[0] + ends[..., 1] * _MIX[1] + own[:, None]).ravel()
     order = np.argsort(edges, kind="stable")
@@ -52,6 +54,7 @@ def _flat_sides(surface: Surface, places: NDArray[np.float32]) -> NDArray[np.int
     flat = np.logical_not(surface.normals[surface.faces].reshape(-1, 9).any(axis=1))
     out = np.zeros(len(flat), np.int64)
     a, b, c = (places[surface.faces[flat, k]].astype(np.float64) for k in range(3))
+    # from 1 to 201, a byte per axis
     sides = np.rint(normalized(np.cross(b - a, c - a)) * 100).astype(np.int64) + 101
     out[flat] = (sides << np.array([0, 8, 16])).sum(1)
     return out << 8  # the lowest bits number the texture

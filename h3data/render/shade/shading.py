@@ -100,7 +100,6 @@ class Light:
             )
 
 
-_SHOULDER = 0.75
 _PADDING = np.int32(-3)
 """Word beyond the end of a row, which ends its last run."""
 _MIXED = np.int32(-2)
@@ -113,8 +112,10 @@ _BRIGHTEST_SAMPLE = int(1.25 * TONE_SIZE / TONE_LIMIT)
 
 def tone_map(value: NDArray[np.floating]) -> NDArray[np.floating]:
     """Linear values, unchanged up to 0.75 and compressed smoothly above, approaching 1 at infinity."""
-    rest = 1 - _SHOULDER
-    return np.where(value <= _SHOULDER, value, 1 - rest * np.exp(-np.maximum(value - _SHOULDER, 0) / rest))
+    shoulder = 0.75
+    # the slope at the shoulder is 1 on both sides, so that no band shows there
+    rest = 1 - shoulder
+    return np.where(value <= shoulder, value, 1 - rest * np.exp(-np.maximum(value - shoulder, 0) / rest))
 
 
 LINEAR_OF_BYTE = bytes_to_linear(np.arange(256)).astype(np.float32)
@@ -179,8 +180,10 @@ def shade(
     if kept is not None:
         if kept.cast is not None:
             cast_changed, again, before = changed_tiles(kept.cast, cast), True, kept.occlusion
+        # a copy: they are compared with those of the next picture, and the caller may write the next rows into the same array
         kept.cast = cast._replace(rows=cast.rows.copy())
     if view.parallel and strength > 0:
+        # occlusion is computed for 1/z, which an orthographic target does not hold
         target = target._replace(inv_z=receded(view, target))
     occlusion = occlude(view, target, samples, before=before) if strength > 0 else _NO_OCCLUSION
     picture = no_rgb if rgb is None else rgb
@@ -279,6 +282,7 @@ def _shade_image(
                 while equal == 8:
                     equal = equal_words(row_at + np.uintp(end * 4), word)
                     end += equal
+            # a pixel of its own, so it needs no run to begin with
             if word == _MIXED and not marks[x]:
                 pass
             elif word == _MIXED:
@@ -311,6 +315,7 @@ def _shade_image(
                     tile = tile_row + x // TILE_X
                     if blocked and word >= 0 and cast.first[tile] < cast.first[tile + 1]:
                         near[0], owners[0] = cast.inv_z[sy, sx], owner_of(cast, target, word)
+                        # a single sample in a kernel for eight: no step, so that the other lanes repeat it
                         set_rays(rays, view, axes, u1, v1, 0.0)
                         block_pixels(cast, tile, rays, near_at, owners_at, owners[0], sample_at, sample_bytes, scratch)
                     for a in range(3):
@@ -394,6 +399,7 @@ def _fine_row_words(geometry, surface, target, patches, y, row, width):
         if word == right and word == lower and word == both:
             continue
         row[x] = _MIXED
+        # the background has no triangle whose patch could be compared
         if word < 0 or right < 0 or lower < 0 or both < 0:
             continue
         near, other = inv_z[2 * y, 2 * x], inv_z[2 * y, 2 * x + 1]
@@ -455,6 +461,7 @@ def _light_run(slot, cache, texture_at, u, v, step, begin, low, end, axes, light
     for k in range(3):
         block[2 * k + 1] = planes[slot, k, 0] * step
         block[RAY + 2 * k + 1] = axes[k, 0] * step
+    # blocks start from numbers in double: a plane that is stepped through a wide picture in float32 would drift
     for x in range(low, end, 8):
         first = u + step * (x - begin)
         for k in range(3):
@@ -474,6 +481,7 @@ def _light_run(slot, cache, texture_at, u, v, step, begin, low, end, axes, light
             base = np.int32(detail + np.float32(ONE_LEVEL))
             blended = np.int32(detail - base > np.float32(ONE_LEVEL - 0.1))  # margin for the other pixels
             texture_block(at, row_bytes, uv_at, coordinates_bytes, base, blended, levels_at, words_at)
+    # after the texture, because mirrored light does not take the colour of the floor
     if attributes[slot, GLOSS] > 0:
         for x in range(low, end, 8):
             first = u + step * (x - begin)

@@ -118,10 +118,13 @@ def _set_up_planes(soup, packet, lane, to_camera, view, planes, attributes):
     n = _cross((q[0] - p[0], q[1] - p[1], q[2] - p[2]), (r[0] - p[0], r[1] - p[1], r[2] - p[2]))
     away = n[2] if view.parallel else n[0] * p[0] + n[1] * p[1] + n[2] * p[2]
     length = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+    # towards the eye, whichever way round the corners are
     scale = (-1.0 if away > 0 else 1.0) / length if length > 0 else 0.0
     axes = view.axes
     for a in range(3):
         attributes[NORMAL + a] = (axes[a, 0] * n[0] + axes[a, 1] * n[1] + axes[a, 2] * n[2]) * scale
+    # The rows of the adjugate of [p q r]: those of q and r give their barycentrics over z, and the sum of all three is
+    # the plane's normal, which gives 1/z. The determinant is the common factor.
     if view.parallel:
         p, q, r = (p[0], p[1], 1.0), (q[0], q[1], 1.0), (r[0], r[1], 1.0)
         n = (0.0, 0.0, n[2])
@@ -153,6 +156,7 @@ def _set_up_attributes(surface, face, cofactor, linear, attributes):
         side += (n0[a] + n1[a] + n2[a]) * flat[a]
     if side == 0:
         return  # flat shading: the mesh has no normals, or degenerate ones
+    # a mirrored instance turns its normals inside out, and surfaces are lit on both sides
     sign = -1.0 if side < 0 else 1.0
     for a in range(3):
         attributes[NORMAL + a] = sign * n0[a]
@@ -203,6 +207,7 @@ def _set_up_texture(surface, face, level, planes, pixel, attributes):
         attributes[UV_STEP_X + a] = (second * planes[1, 0] + third * planes[2, 0]) * pixel[0]
         attributes[UV_STEP_Y + a] = (second * planes[1, 1] + third * planes[2, 1]) * pixel[1]
         attributes[NEARNESS_STEP + a] = planes[0, a] * pixel[a]
+    # texels come as squared steps, so the colour that they multiply takes the size of a step
     for a in range(3):
         for corner in (COLOR, COLOR_1, COLOR_2):
             attributes[corner + a] *= _WORD_SCALE[a]

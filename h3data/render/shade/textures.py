@@ -22,8 +22,6 @@ SHIFTS = (21, 10, 0)
 WORD_SCALE = tuple((1 + 1e-6) / (2**bits - 1) ** 2 for bits in BITS)
 """Linear light of one squared step of each channel; slightly enlarged, so that rounding never darkens white."""
 
-_LINEAR_OF_BYTE = bytes_to_linear(np.arange(256)).astype(np.float32)
-
 
 class Textures(NamedTuple):
     """The packed textures."""
@@ -63,13 +61,17 @@ def mip_levels(pixels: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
 
     Averages boxes of two texels per axis (two and a fraction for odd sizes), weighted by opacity.
     """
-    colors, opacity = _LINEAR_OF_BYTE[pixels[..., :3]], pixels[..., 3:].astype(np.float32)
+    # a table of 256 entries, because the exact curve takes a power per value
+    linear_of_byte = bytes_to_linear(np.arange(256)).astype(np.float32)
+    colors, opacity = linear_of_byte[pixels[..., :3]], pixels[..., 3:].astype(np.float32)
+    # where all is transparent, opacity would be no weight, and its colours are as good as any
     opaque = bool((opacity == 255).all()) or not opacity.any()
     levels = [colors if opaque else np.concatenate([colors * opacity, opacity], axis=2)]
     while levels[-1].size > levels[-1].shape[2]:
         levels.append(_halved(_halved(levels[-1], 0), 1))
     if opaque:
         return levels
+    # from the coarsest level down, so that texels without opacity find a colour in the level that was made before
     coarser = levels[-1][..., :3] / levels[-1][..., 3:]
     pyramid = [coarser]
     for level in levels[-2::-1]:
@@ -93,6 +95,7 @@ def _halved(image: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
         result = (even + odd) / 2
     else:
         k = np.arange(half, dtype=np.float32).reshape(-1, 1, 1)
+        # three source texels for two, weighted so that each of them keeps the same share of the whole (a polyphase box filter)
         result = ((half - k) * even + half * odd + (k + 1) * image[2::2]) / count
     return np.ascontiguousarray(np.moveaxis(result.astype(np.float32), 0, axis))
 

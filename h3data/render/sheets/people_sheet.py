@@ -17,7 +17,6 @@ from h3data.render.scene import RenderInstance, RenderScene
 
 SPACING_M, STRIDE_SPACING_M, ROW_M, HFOV_DEG = 0.95, 1.25, 2.05, 16.0
 WALL = (232, 233, 236)
-FLOOR_SPAN_M = 14.0
 
 
 def lined_up(
@@ -54,6 +53,7 @@ def lined_up(
     meshes.append(floor_mesh(WALL))
     renderer = Renderer(RenderScene(meshes, [RenderInstance(mesh=k, matrix=np.eye(4)) for k in range(len(meshes))]))
     span = places * spacing
+    # a long lens from far away, so that people at the sides are not seen from the side
     distance = span / 2 / np.tan(np.radians(HFOV_DEG) / 2)
     height = round(width * row_m / span)
     middle = row_m / 2 - 0.04
@@ -73,8 +73,8 @@ def skinned(body: Humanoid, joints: Array, lod: bool) -> Mesh:
 
 
 def floor_mesh(color: tuple[int, int, int]) -> Mesh:
-    """A square floor around the origin in one colour."""
-    half = FLOOR_SPAN_M / 2
+    """A square floor of 14 m around the origin in one colour."""
+    half = 7.0
     corners = np.array([[-half, 0, -half], [-half, 0, half], [half, 0, half], [half, 0, -half]], np.float32)
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
     return painted(Mesh(vertices=corners, faces=faces, colors=np.zeros((4, 3), np.uint8)), color)

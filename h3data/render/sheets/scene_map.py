@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -14,21 +13,13 @@ from h3data.geometry import transform_points
 from h3data.render.camera import Camera, look_at, pinhole
 from h3data.render.renderer import Renderer
 from h3data.render.scene import RenderInstance, RenderScene
-from h3data.scene.records import Instance, Room, Scene, instance_matrix
+from h3data.scene.records import Instance, Scene, instance_matrix
 
 if TYPE_CHECKING:
     from h3data.scene.freespace.free_space import FreeSpace
 
 PAPER = (250, 250, 248)
 """Colour of a plan outside of everything."""
-_MARGIN_M = 0.5
-_DISTANCE = 80.0
-"""Distance of the camera in multiples of the scene's size, at which walls lean by less than a pixel."""
-_CUT_M = 2.2
-"""Height [m] above which triangles are left out in scenes without a ceiling layer."""
-_EYE_M = 1.55
-_EYE_CANDIDATES = 12
-_DOORWAY_M = 0.32
 
 
 def render_scene(scene: Scene, *, cut_above_y: float | None = None) -> RenderScene:
@@ -48,6 +39,7 @@ def render_scene(scene: Scene, *, cut_above_y: float | None = None) -> RenderSce
             keep = height[mesh.faces].min(1) < cut_above_y
             if not keep.any():
                 continue
+            # a mesh that is cut depends on its instance's height, so it is not shared with other instances
             if not keep.all():
                 textures = None if mesh.face_textures is None else mesh.face_textures[keep]
                 meshes.append(replace(mesh, faces=np.ascontiguousarray(mesh.faces[keep]), face_textures=textures))
@@ -70,8 +62,12 @@ def _placed(mesh: int, matrix: NDArray[np.float64], instance: Instance) -> Rende
 
 def plan_picture(scene: Scene, *, pixels_per_m: float = 80.0, floor_y: float = 0.0) -> tuple[NDArray[np.uint8], Camera]:
     """The scene from straight above without ceilings, RGB [H, W, 3] with -Z at the top, and the camera."""
-    low, high = scene.bounds if not scene.rooms else _rooms_box(scene.rooms, scene.bounds)
-    low, high = low - _MARGIN_M, high + _MARGIN_M
+    low, high = scene.bounds
+    if scene.rooms:
+        rectangles = np.concatenate([np.asarray(r.rectangles, np.float64) for r in scene.rooms])
+        low, high = low.copy(), high.copy()
+        low[[0, 2]], high[[0, 2]] = rectangles[:, :2].min(0), rectangles[:, 2:].max(0)
+    low, high = low - 0.5, high + 0.5
     span = high - low
     width, height = (max(64, int(round(float(s) * pixels_per_m)) // 2 * 2) for s in (span[0], span[2]))
     if width * height > 60_000_000:
@@ -79,24 +75,19 @@ def plan_picture(scene: Scene, *, pixels_per_m: float = 80.0, floor_y: float = 0
             f"A plan of {width}x{height} pixels is too large. Hint: fewer pixels per metre.", code="H3-RENDER-070"
         )
     middle = (low + high) / 2
-    distance = _DISTANCE * float(max(span[0], span[2]))
+    # 80 times the scene's size, at which walls lean by less than a pixel
+    distance = 80.0 * float(max(span[0], span[2]))
     hfov_deg = float(np.degrees(2 * np.arctan(width / pixels_per_m / 2 / distance)))
     eye = np.array([middle[0], floor_y + distance, middle[2]])
     pose = look_at(eye, np.array([middle[0], floor_y, middle[2]]), up=(0.0, 0.0, -1.0))
     camera = pinhole(width, height, hfov_deg=hfov_deg, name="plan", pose=pose, hidden_layers=("ceiling",))
     has_layer = any(i.layer == "ceiling" for i in scene.instances)
-    visible = render_scene(scene, cut_above_y=None if has_layer else floor_y + _CUT_M)
+    # scenes without a ceiling layer have their ceilings somewhere in their meshes, above head height
+    visible = render_scene(scene, cut_above_y=None if has_layer else floor_y + 2.2)
     picture = Renderer(visible).render(camera, outputs=("depth", "rgb"), samples=4)
     image = picture["rgb"]
     image[picture["depth"] == 0] = PAPER
     return image, camera
-
-
-def _rooms_box(rooms: Iterable[Room], bounds: NDArray[np.float64]) -> NDArray[np.float64]:
-    rectangles = np.concatenate([np.asarray(r.rectangles, np.float64) for r in rooms])
-    box = bounds.copy()
-    box[0, [0, 2]], box[1, [0, 2]] = rectangles[:, :2].min(0), rectangles[:, 2:].max(0)
-    return box
 
 
 # --- at eye level -----------------------------------------------------------------------------------------------------
@@ -128,20 +119,21 @@ def eye_level_camera(
         )
     chosen = room or max(rooms, key=lambda name: rooms[name].area, default="")
     area = main.intersection(rooms[chosen]) if chosen else main
-    inside = area.intersection(rooms[chosen].buffer(-_DOORWAY_M)) if chosen else area
+    inside = area.intersection(rooms[chosen].buffer(-0.32)) if chosen else area
     area = area if inside.is_empty else inside  # away from doorways
     corners = shapely.get_coordinates(area.simplify(0.1))
     if not len(corners):
         raise InputError(f"There is no free floor in room {chosen!r} of scene {scene.name!r}.", code="H3-RENDER-072")
     middle = shapely.get_coordinates((rooms[chosen] if chosen else main).centroid)[0]
     target = np.array([middle[0], free.height_at(middle) + 0.9, middle[1]])
-    far = corners[np.argsort(-np.linalg.norm(corners - middle, axis=1), kind="stable")[:_EYE_CANDIDATES]]
-    eyes = np.insert(far, 1, free.height_at(far) + _EYE_M, axis=1)
+    far = corners[np.argsort(-np.linalg.norm(corners - middle, axis=1), kind="stable")[:12]]
+    eyes = np.insert(far, 1, free.height_at(far) + 1.55, axis=1)
     poses = [look_at(eye, target) for eye in eyes]
     renderer = Renderer(render_scene(scene))
 
     def openness(pose: NDArray[np.float64]) -> float:
         depth = renderer.render(pinhole(96, 64, hfov_deg=hfov_deg, pose=pose), outputs=("depth",))["depth"]
+        # mostly what stands close in front of the camera, because that is what spoils a view
         return float(np.quantile(depth, 0.15)) + 0.1 * float(depth.mean())
 
     return pinhole(width, height, hfov_deg=hfov_deg, name="eye", pose=max(poses, key=openness))
