@@ -174,7 +174,7 @@ def plan_maneuver(
         bearing: Heading wanted at the goal.
     """
     grid = FloorRoutes.of(free)
-    # one flood from the goal tells for every pose how far it has still to go
+    # one flood from the goal tells the search for every pose how far the robot has still to go
     left = _filled(grid.flood(goal, np.zeros((0, 3))).distance)
     i, j = np.clip(((xz - grid.origin) / AVOIDANCE.cell_m).astype(int), 0, np.array(left.shape) - 1).tolist()
     here = float(left[i, j])
@@ -184,7 +184,7 @@ def plan_maneuver(
     moves, steps = _moves(base)
     hull, offsets = np.array(hull_of(base)), np.array(base.disc_offsets_m)
     wide = np.array(discs, np.float64).reshape(-1, 3)
-    # who is nearer already does not rule out every command: they may be left
+    # an agent that is nearer already must not rule out every command: the robot may move away from it
     for disc in wide:
         now = least_gap(xz[0], xz[1], heading, disc[0], disc[1], hull, 0.0)
         disc[2] = min(disc[2] + base.disc_radius_m + AGENT_GAP_M, now - 1e-3)
@@ -192,7 +192,7 @@ def plan_maneuver(
     moved = np.empty(MOST_NODES, np.int64)
     slide = base.disc_radius_m, base.slide_iterations, base.clearance_tolerance_m, base.contact_tolerance_m
     node = -1
-    for slides in (False, True):  # a base wedged between two walls cannot move at all without
+    for slides in (False, True):  # a base wedged between two walls cannot move without sliding
         if node < 0:
             node = _search(
                 free.sdf,
@@ -229,7 +229,7 @@ def plan_maneuver(
 
 
 def _moves(base: BaseSpec) -> tuple[NDArray[np.float64], int]:
-    """Velocities (m/s, rad/s) of the moves [M, 2], and the steps that each of them takes."""
+    """Return the velocities (m/s, rad/s) of the moves [M, 2], and the steps that each of them takes."""
     turn = 2 * math.pi / HEADINGS
     # a move takes whole steps, and changes its cell: a shorter one would be thrown away as seen before
     steps = math.ceil(max(MOVE_M / (base.max_speed_mps * STEP_S), turn / (base.max_turn_rad_s * STEP_S), 3.0))
@@ -241,7 +241,10 @@ def _moves(base: BaseSpec) -> tuple[NDArray[np.float64], int]:
 
 
 def _filled(left: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distances in cells that a base's middle may touch, though the route of a disc does not: those of their neighbours."""
+    """Return distances [nx, nz] [m] in which cells without a path have the distance of their nearest neighbour.
+
+    The middle of a long base may pass over such cells, though a disc with the agents' radius does not fit there.
+    """
     padded = np.pad(left, 1, constant_values=np.inf)
     around = [padded[a : a + left.shape[0], b : b + left.shape[1]] for a in range(3) for b in range(3)]
     nearest = np.min(around, axis=0) + AVOIDANCE.cell_m

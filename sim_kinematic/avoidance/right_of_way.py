@@ -5,9 +5,9 @@ the nearest place off it; once it has been held up, also those that are going so
 inherits the rank of the asker, so a row of people in a corridor backs out together (priority inheritance: Okumura et al.,
 2022, PIBT). Where there is no such place, the roles are exchanged.
 
-Where two stay near each other and neither gets on (`sim_kinematic.avoidance.stand_offs`), one of them is sent to a refuge, off
-the whole remaining path of the other, until the other has got past. The next time it is the other's turn. Who is kept from
-going on by somebody driven from outside goes to a refuge until there is a way around them.
+Where two agents stay near each other and neither makes progress (`sim_kinematic.avoidance.stand_offs`), one of them is sent to
+a refuge, off the whole remaining path of the other, until the other has got past. The next time it is the other's turn. An
+agent that is held up by somebody driven from outside goes to a refuge until there is a path around them.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class RightOfWay:
         *,
         asks: bool = True,
     ) -> None:
-        """``errand`` says what an agent is about: then stand-offs are ended. With ``asks`` False that is all that is done."""
+        """With ``errand``, the progress of an agent's task, stand-offs are ended; with ``asks`` False nothing else is done."""
         self._free, self._routes = free, FloorRoutes.of(free)
         self._walkers = {walker.number: walker for walker in walkers}
         self._asks = asks
@@ -114,7 +114,7 @@ class RightOfWay:
             place = x, z, heading = _place(walker)
             was_x, was_z, was_heading = self._place[number]
             turned = abs(wrap_angle(heading - was_heading))
-            # measured from where it last got on, not from step to step: who sways on the spot does not get on
+            # measured from where it last got on, not from step to step: an agent that sways on the spot makes no progress
             if math.hypot(x - was_x, z - was_z) > AVOIDANCE.progress_m or turned > AVOIDANCE.progress_rad:
                 self._stalled[number] = self._still[number] = 0
                 self._place[number] = place
@@ -209,8 +209,7 @@ class RightOfWay:
         start, moves = self._start(me), self._start(other) is not None
         if start is None or (moves and not held_up):
             return False
-        # plain numbers: this runs for every pair in every step, where arrays of two numbers cost more than the
-        # sums
+        # plain numbers: this runs for every pair in every step, and arrays of two numbers cost more than the sums
         (x, z), (other_x, other_z) = start.tolist(), other.xz.tolist()
         reach = AVOIDANCE.asks_moving_m if moves else AVOIDANCE.asks_idle_m
         reach += self._beside_m[me.number] + self._extent_m[other.number]
@@ -224,8 +223,7 @@ class RightOfWay:
             return True
         moves = len(self.path(other)) > 0
         ahead_m = AVOIDANCE.asks_moving_m if moves else AVOIDANCE.asks_idle_m
-        # who is nearer to me than to what lies ahead of me is behind or beside me, and out of the way as I walk
-        # on, and an agent beside me is not on my path
+        # an agent that is nearer to me than to the path ahead of me is behind or beside me, and clear as I go on
         path = np.ascontiguousarray(self.path(me), np.float64)
         return is_ahead(discs_of(other), path, AVOIDANCE.skips_m, ahead_m, self._beside_m[me.number], *me.xz.tolist())
 
@@ -356,16 +354,15 @@ class RightOfWay:
             ):
                 return True
             if apart < was - AVOIDANCE.progress_m and math.isfinite(request.stays_steps):
-                return True  # who comes on is not waited for
+                return True  # there is no use in waiting for somebody who comes closer
             if apart > was + AVOIDANCE.progress_m and apart >= AVOIDANCE.refuge_m:
-                return True  # follow who leaves
+                return True  # follow somebody who leaves
             self._go_farther(walker, other, request)
             stops = (
                 self._still[other.number] > AVOIDANCE.held_up_steps and self._place[other.number] != request.chose_at
             )
-            if stops and not len(
-                request.route
-            ):  # who is on their way there would stop at every stop of who comes after
+            # only in the refuge: on the way there it would stop whenever somebody who follows it stops
+            if stops and not len(request.route):
                 walker.turned_away, request.chose_at = True, self._place[other.number]
         if len(request.route):
             return self._stalled[walker.number] > 2 * AVOIDANCE.gives_up_steps
@@ -400,7 +397,7 @@ class RightOfWay:
         return gap >= AVOIDANCE.aside_share * aside_distance_m(walker, other)
 
     def _gap_m(self, walker: Walker, length_m: float, theirs: NDArray, their_m: float) -> float:
-        """Distance [m] between the beginnings of an agent's way and of another's path [N, 2], each of a length."""
+        """Distance [m] between the beginnings of an agent's path and of another's path [N, 2], each of a length."""
         # the shortest path from here, which it will take once it is let go; its old path began elsewhere
         mine = self._free.path(walker.xz, walker.path[-1], max_snap_m=1.0) if len(walker.path) else NO_PATH
         paths = np.ascontiguousarray(mine, np.float64), length_m, np.ascontiguousarray(theirs, np.float64), their_m
@@ -439,9 +436,8 @@ class RightOfWay:
         kept = [*paths, *((other, self.path(other)) for other in first if other is not walker)]
         room = spec.room_m[walker.is_robot] + _size_beyond_default(walker)
         choices = ((1.0, others), (spec.aside_share + 0.05, others), (spec.aside_share + 0.05, firm))
-        for ahead, (share, around) in product(
-            (True, False), choices
-        ):  # to meet who comes only where there is no other place
+        # places to which it would walk towards those who come are taken only where there are no others
+        for ahead, (share, around) in product((True, False), choices):
             discs = [
                 (*place, spec.squeeze_share * aside_distance_m(walker, other))
                 for other in around
@@ -481,6 +477,7 @@ def _size_beyond_default(body: Body) -> float:
 
 
 def _drop_reached(walker: Walker, request: _Request) -> None:
+    """Count a step of a request and remove the points of its route that the agent has reached."""
     request.steps += 1
     reached = AVOIDANCE.reached_m[walker.is_robot]
     while len(request.route) and np.hypot(*(request.route[0] - walker.xz)) <= reached:
@@ -488,6 +485,7 @@ def _drop_reached(walker: Walker, request: _Request) -> None:
 
 
 def _place(walker: Walker) -> tuple[float, float, float]:
+    """Return ``(x, z, heading)`` of an agent in Python's floats, which compare faster than arrays."""
     x, z = walker.xz.tolist()
     return x, z, float(walker.heading)
 

@@ -19,6 +19,7 @@ CARRIED_M = 0.11
 """Radius of a ball that stands for what a robot carries: of the objects in `h3-homes` only boxes of books have corners farther
 from their middle, 14 cm."""
 _RULES = BaseSpec()
+"""Default rules, from which the rules of a task may differ."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +102,7 @@ def floor_of(robot: Robot, base: BaseSpec, scene: Scene, free: FreeSpace) -> Fre
 
 @lru_cache(maxsize=16)
 def _wider_floor(robot: Robot, radius_m: float, scene: Scene, free: FreeSpace) -> FreeSpace:
-    # it depends on how narrow the home is whether such a floor is refused, or has no area
+    # depending on how narrow the home is, such a floor is refused or has no area
     try:
         floor = free.as_in(scene, radius_m=radius_m)
     except SceneError:

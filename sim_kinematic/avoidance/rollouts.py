@@ -19,8 +19,6 @@ from sim_kinematic.avoidance.velocity import least_gap
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.step import drive_base, velocities
 
-_NOBODY = np.empty((0, 2))
-
 
 class Rollouts(NamedTuple):
     """Results of N simulated trials."""
@@ -62,7 +60,7 @@ def roll_out(
         xz[1],
         heading,
         commands,
-        _NOBODY if person is None else person,
+        np.empty((0, 2)) if person is None else person,
         look_steps,
         (base.max_speed_mps, 0.0, base.max_turn_rad_s, float(base.allow_back)),
         STEP_S,

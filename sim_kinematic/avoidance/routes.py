@@ -85,8 +85,7 @@ class FloorRoutes:
         cell = AVOIDANCE.cell_m
         discs = np.array(discs, np.float64).reshape(-1, 3)
         gaps = np.hypot(*(discs[:, :2] - start).T)
-        # whoever stands inside a disc would have no path at all; this one lets them move away from its centre
-        # only
+        # an agent inside a disc would have no path at all; a smaller disc lets it move away from the centre only
         discs[:, 2] = np.minimum(discs[:, 2], gaps - AVOIDANCE.leaves_m)
         i, j = np.clip(((start - self.origin) / cell).astype(int), 0, np.array(self.room.shape) - 1).tolist()
         least = self.free.radius_m + AVOIDANCE.spare_m
@@ -96,7 +95,7 @@ class FloorRoutes:
 
 @dataclass(frozen=True, eq=False)
 class DistanceMap:
-    """All paths from one place."""
+    """Shortest paths from one place to all cells of a grid."""
 
     grid: FloorRoutes
     start: NDArray[np.float64]
@@ -129,6 +128,7 @@ class DistanceMap:
         return self._path(best, self.grid.centres.reshape(-1, 2)[best]) if np.isfinite(lengths.flat[best]) else None
 
     def _path(self, cell: int, goal: NDArray) -> NDArray[np.float64]:
+        """Return the path [N, 2] to a cell, by its flat index, with ``goal`` in place of its centre, and straightened."""
         cells = [cell]
         while self.before.flat[cells[-1]] >= 0:
             cells.append(int(self.before.flat[cells[-1]]))
@@ -148,6 +148,7 @@ class DistanceMap:
         room = free.radius_m + AVOIDANCE.spare_m
         if not line_of_sight(free.sdf, free.origin, free.cell_m, room, a[0], a[1], b[0], b[1]):
             return False
+        # line_of_sight knows the obstacles only, so discs are measured here
         gaps = distance_to_path(self.discs[:, :2], np.stack([a, b]))
         return not len(self.discs) or bool((gaps >= self.discs[:, 2]).all())
 

@@ -43,7 +43,7 @@ class Encounter:
 
 
 class StandOffs:
-    """Counts, for every pair of agents, for how long neither has got on."""
+    """Count, for every pair of agents, the steps for which neither has made progress."""
 
     def __init__(self, walkers: Sequence[Body], numbers: Sequence[int], errand: Callable[[int], TaskProgress]) -> None:
         self._walkers = dict(zip(numbers, walkers, strict=True))
@@ -67,7 +67,7 @@ class StandOffs:
                 encounter.legs.clear()
                 continue
             encounter.steps += 1
-            # asked only of those who are near: an errand is put together anew each time
+            # only of agents near each other: the progress of a task is put together anew each time
             errands = {number: self.errand(number) for number in pair}
             if self._gets_on(encounter, errands):
                 encounter.steps, encounter.rounds = 0, 0
@@ -82,6 +82,7 @@ class StandOffs:
         return stuck
 
     def _gets_on(self, encounter: Encounter, errands: dict[int, TaskProgress]) -> bool:
+        """Return whether one of the two agents has completed something, or got nearer to its goal by ``gets_on_m``."""
         completed = tuple(errand.completed for errand in errands.values())
         gets_on = completed != encounter.completed and len(encounter.completed) > 0
         encounter.completed = completed
@@ -89,10 +90,10 @@ class StandOffs:
             leg, before = encounter.legs.get(number, (None, math.inf))
             if number not in encounter.legs or leg != errand.leg:
                 encounter.legs[number] = errand.leg, errand.left_m()
-            # lengths of paths take a search each, too much for every step
+            # the length of a path takes a search, which is too slow for every step
             elif encounter.steps % AVOIDANCE.looks_steps == 0 and math.isfinite(before):
                 gets_on |= before - errand.left_m() > AVOIDANCE.gets_on_m
-        # what they had left is measured anew from here, or one good step would count again and again
+        # the distance to go is measured anew from here, or one good step would count again and again
         if gets_on:
             encounter.legs.clear()
         return gets_on

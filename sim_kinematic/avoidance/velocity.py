@@ -24,14 +24,6 @@ from sim_kinematic.motion.step import integrate, is_clear, wrap_angle
 _LEVELS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 # standing still comes first: of equal commands the first one wins
 _CANDIDATES = np.array([(0.0, 0.0), *((forward, turn) for forward in _LEVELS for turn in _LEVELS)])
-_NO_COMMAND = math.nan, math.nan
-_COSTS = (
-    AVOIDANCE.still_margin_m,
-    AVOIDANCE.gap_weight,
-    AVOIDANCE.heading_weight_m,
-    AVOIDANCE.turn_weight_m,
-    AVOIDANCE.change_weight_m,
-)
 
 
 @kernel(error_model="numpy")
@@ -164,7 +156,7 @@ def keep_clear(
     spec, here, goal = AVOIDANCE, tuple(xz.tolist()), tuple(towards.tolist())
     rows = []
     for (x, z), velocity, settled, radius_m, margin_m in others:
-        # who is far away cannot matter within the horizon, and most steps end here
+        # an agent that is far away cannot matter within the horizon, and most steps end here
         if math.hypot(x - here[0], z - here[1]) <= spec.range_m:
             rows.append((x, z, *velocity, base.disc_radius_m + radius_m, margin_m, settled))
     if not rows:
@@ -189,8 +181,9 @@ def keep_clear(
         hull,
         (base.max_speed_mps, base.max_turn_rad_s),
         (spec.horizon_steps, spec.stride_steps, spec.doubt_mps, STEP_S),
-        _COSTS,
-        _NO_COMMAND if before is None else before,
+        (spec.still_margin_m, spec.gap_weight, spec.heading_weight_m, spec.turn_weight_m, spec.change_weight_m),
+        # NaN rather than None: the kernel is compiled for one type
+        (math.nan, math.nan) if before is None else before,
         levels,
         np.empty(len(rows)),
     )
@@ -211,7 +204,7 @@ def eased(base: BaseSpec, wanted: tuple[float, float], before: tuple[float, floa
 
 
 def _within(wanted: float, before: float, up: float, down: float) -> float:
-    """``wanted``, or what is nearest to it if a size may grow by ``up`` and shrink by ``down``."""
+    """Return the value nearest to ``wanted`` if the size of ``before`` may grow by ``up`` and shrink by ``down``."""
     # mirrored, because to brake is to make a number smaller in size, whatever its sign
     if before < 0.0:
         return -_within(-wanted, -before, up, down)
@@ -219,13 +212,13 @@ def _within(wanted: float, before: float, up: float, down: float) -> float:
 
 
 def braking_speed(accel: float, left: float, last: float = 0.0) -> float:
-    """Returns the speed from which braking at a rate ends with speed ``last`` after what is left of a way or a turn."""
+    """Returns the speed from which braking at a rate ends with speed ``last`` where a path or a turn ends."""
     return math.sqrt(2.0 * accel * max(left, 0.0) + last * last)
 
 
 @lru_cache(maxsize=64)
 def _discs(base: BaseSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Offsets of a base's discs and of those of its hull [m]."""
+    """Return the offsets of a base's discs and of those of its hull along its x axis [m]."""
     return np.array(base.disc_offsets_m), np.array(hull_of(base))
 
 

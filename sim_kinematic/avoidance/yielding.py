@@ -1,4 +1,4 @@
-"""Other agents as one that moves sees them, and how people let each other pass."""
+"""Other agents from the view of one that moves, and rules by which people let each other pass."""
 
 from __future__ import annotations
 
@@ -66,6 +66,7 @@ def discs_of(body: Body) -> NDArray[np.float64]:
 
 
 def _discs_of(body: Body) -> list[tuple[float, float, float]]:
+    """Return the same as `discs_of` in plain numbers, which loops over few agents read faster."""
     (x, z), (offsets, radius) = body.xz.tolist(), body.footprint
     if len(offsets) == 1 and not offsets[0]:
         return [(x, z, radius)]
@@ -101,7 +102,7 @@ def waits(number: int, other: ObservedAgent) -> bool:
 def in_the_way(xz: NDArray, towards: NDArray, others: Sequence[ObservedAgent]) -> ObservedAgent | None:
     """Return the nearest agent that blocks a person at ``xz`` [2] who walks straight ``towards`` [2]."""
     here = xz.tolist()
-    # most are too far away to be in anybody's way, whatever they do
+    # most agents are too far away to block anybody, whatever they do
     others = [o for o in others if math.dist(here, o.xz.tolist()) <= IN_THE_WAY_M + 2 * o.footprint.extent_m]
     if not others:
         return None
@@ -111,14 +112,14 @@ def in_the_way(xz: NDArray, towards: NDArray, others: Sequence[ObservedAgent]) -
     blocker: ObservedAgent | None = None
     nearest = math.inf
     for other in others:
-        # who moves may turn this way in the next step
+        # an agent that moves may turn towards the person in the next step
         moving = 0.0 if stands(other) else AVOIDANCE.moving_m
         for x, z, radius in _discs_of(other):
             gap_x, gap_z = x - here[0], z - here[1]
             room = AVOIDANCE.person.radius_m + radius + moving
             along, aside = gap_x * ahead_x + gap_z * ahead_z, abs(gap_x * ahead_z - gap_z * ahead_x)
             distance = math.hypot(gap_x, gap_z)
-            # people who walk side by side get hardly nearer to each other, and must not wait for it
+            # people who walk side by side hardly get nearer to each other, and must not wait for each other
             nears = distance - aside > AVOIDANCE.beside_nearer_m if along > 0 else False
             if nears and along < min(AVOIDANCE.ahead_m, length) + room and aside < room and distance < nearest:
                 blocker, nearest = other, distance
@@ -140,7 +141,7 @@ def path_around(
     """
     standing = [discs_of(other) for other in others if stands(other)]
     discs = np.concatenate(standing) if standing else np.zeros((0, 3))
-    # a narrow way is better than none, but only then
+    # a narrow path is taken only where there is no other
     for gap in passing_m:
         wide = discs + np.array([0.0, 0.0, radius_m + gap])
         path = FloorRoutes.of(free).flood(xz, wide).path_to(goal)

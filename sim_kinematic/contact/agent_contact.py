@@ -1,6 +1,7 @@
 """Contact between any two agents of a world.
 
-Capsules around their shapes are compared first, then FCL decides on the exact shapes.
+Capsules around their shapes are compared first. Only where two of them are near each other does FCL decide, on the exact
+shapes.
 """
 
 from __future__ import annotations
@@ -25,21 +26,20 @@ class AgentContacts:
     """Contacts between agents, step after step.
 
     An agent is its collision shapes, one world transform each: those of a robot's links, or the capsules of a person's
-    bones (`sim_kinematic.contact.clearance.body_shapes`). Poses are only stored by `update`: FCL is touched when
-    somebody asks and
-    two agents are near each other. The gate is conservative: the capsules hold every shape, so it never hides a contact.
+    bones (`sim_kinematic.contact.frames.body_shapes`). `update` only stores poses: FCL gets them when somebody asks about two
+    agents that are near each other. The gate is conservative: the capsules contain every shape, so it hides no contact.
     """
 
     def __init__(self, *agents: Sequence[Shape]) -> None:
-        """The shapes of each agent, in their own frames."""
+        """Take the shapes of each agent, in their own frames."""
         self._bodies = tuple(_Body(shapes) for shapes in agents)
 
     def update(self, agent: int, frames: ArrayLike) -> None:
-        """New world frames [n, 4, 4] of one agent's shapes."""
+        """Set the world frames [n, 4, 4] of one agent's shapes."""
         self._bodies[agent].update(np.asarray(frames, np.float64))
 
     def touching(self) -> list[tuple[int, int]]:
-        """All pairs (a < b) that touch."""
+        """Return all pairs (a < b) of agents that touch."""
         return [(a, b) for a, b in combinations(range(len(self._bodies)), 2) if self.collides(a, b)]
 
     def collides(self, a: int = 0, b: int = 1) -> bool:
@@ -53,12 +53,12 @@ class AgentContacts:
         return contacts(first.posed(), second.posed()) if first.is_near(second) else []
 
     def distance(self, a: int = 0, b: int = 1) -> float:
-        """Distance between two agents [m], negative when they overlap. Always exact: not gated."""
+        """Return the distance between two agents [m], negative where they overlap. FCL computes it at any distance."""
         return distance(self._bodies[a].posed(), self._bodies[b].posed())
 
 
 class _Body:
-    """One agent's shapes: where they are, the capsules round them, and FCL's objects, which follow when they are needed."""
+    """Shapes of one agent: their world frames, capsules around them, and FCL's objects, which are posed when needed."""
 
     def __init__(self, shapes: Sequence[Shape]) -> None:
         self._objects = MovingShapes(shapes)
@@ -69,6 +69,7 @@ class _Body:
         self._stale = True
 
     def update(self, frames: NDArray[np.float64]) -> None:
+        # posing FCL's objects costs far more than storing frames, and in most steps nobody is near
         self._frames, self._stale = frames, True
 
     def is_near(self, other: _Body) -> bool:
@@ -78,6 +79,7 @@ class _Body:
         )
 
     def posed(self) -> MovingShapes:
+        """Return FCL's objects at the frames of the last `update`."""
         if self._stale:
             self._objects.set_transforms(self._frames)
             self._stale = False
@@ -100,7 +102,8 @@ def _world(frames, ends):
 @kernel(error_model="numpy")
 def any_near(ends_a, radii_a, ends_b, radii_b, margin):
     """Returns whether a capsule with ends [n, 2, 3] and radii [n] is within ``margin`` [m] of another."""
-    spheres = np.empty((len(radii_b), 4))  # around the other's capsules: most pairs need no more than these
+    # balls around the other's capsules: they rule out most pairs, without the distance of two segments
+    spheres = np.empty((len(radii_b), 4))
     for b in range(len(radii_b)):
         half = 0.0
         for i in range(3):
@@ -115,6 +118,7 @@ def any_near(ends_a, radii_a, ends_b, radii_b, margin):
         )
         x, y, z = x / 2, y / 2, z / 2
         half = math.sqrt((ends_a[a, 1, 0] - x) ** 2 + (ends_a[a, 1, 1] - y) ** 2 + (ends_a[a, 1, 2] - z) ** 2)
+        # the balls must not be smaller than the capsules by rounding, or a contact would be missed
         around = half + radii_a[a] + 1e-9
         for b in range(len(radii_b)):
             apart = around + spheres[b, 3]
@@ -133,8 +137,10 @@ def segment_square(p, q, r, s):
     for i in range(3):
         u, v, w = q[i] - p[i], s[i] - r[i], p[i] - r[i]
         a, b, c, d, e = a + u * u, b + u * v, c + v * v, d + u * w, e + v * w
+    # of parallel segments every point is as good as another: the first end of p-q is taken
     det = a * c - b * b
     at = min(max((b * e - c * d) / det, 0.0), 1.0) if det > 1e-12 * a * c else 0.0
+    # the point on r-s nearest to that on p-q, still to be divided by c; outside of r-s, its end decides on p-q anew
     on = b * at + e
     if on <= 0.0 or c == 0.0:
         on, at = 0.0, min(max(-d / a, 0.0), 1.0) if a > 0.0 else 0.0

@@ -1,6 +1,6 @@
-"""Capsules around an agent in any posture: a first question before FCL, at a tenth of the cost of posing its shapes.
+"""Capsules around an agent in any posture, as a first test before FCL at a tenth of the cost of posing its shapes.
 
-A step of rearrangement asks up to five times whether agents touch, and almost never do they: posing both bodies for
+A step of rearrangement asks up to five times whether agents touch, and they almost never do. Posing both bodies for
 `AgentContacts` took a sixth of the step.
 """
 
@@ -21,7 +21,7 @@ from h3data.scene.shape_bounds import bounding_capsule
 from sim_kinematic.contact.agent_contact import NEAR_M, any_near
 
 MARGIN_M = 2 * NEAR_M
-"""Capsules are left to `AgentContacts` from a little farther apart than it looks itself: it gets poses rounded to float32."""
+"""Distance of capsules from which `AgentContacts` decides: more than its own `NEAR_M`, as it gets poses rounded to float32."""
 
 
 class RobotCapsules:
@@ -35,7 +35,7 @@ class RobotCapsules:
         """In the world, as last posed, [n, 2, 3] [m]."""
 
     def pose(self, base: Array, joints: Array) -> None:
-        """Poses the robot at an agent root [7] with joint positions [J]."""
+        """Pose the robot with its root at a pose7 [7] in the world and joint positions [J]."""
         _pose_robot(pose_to_matrix(base), joints[None], *self._args, self._frames, self.ends)
 
 
@@ -50,7 +50,7 @@ class PersonCapsules:
         """In the world, as last posed, [n, 2, 3] [m]."""
 
     def pose(self, base: Array, quats: Array, pelvis: Array) -> None:
-        """Poses the person at an agent root [7]: local rotations [55, 4] and the pelvis [3]."""
+        """Pose the person with their root at a pose7 [7] in the world, local rotations [55, 4] and the pelvis [3]."""
         _pose_person(base[None], quats[None], pelvis[None], *self._args, self._frames, self.ends)
 
 
@@ -61,7 +61,7 @@ def may_touch(a: RobotCapsules | PersonCapsules, b: RobotCapsules | PersonCapsul
 
 @lru_cache(maxsize=32)
 def _robot_capsules(robot: Robot) -> tuple[NDArray[np.int64], Array, Array]:
-    """Links [n], ends [n, 2, 3] in their frames and radii [n] [m]."""
+    """Return the links [n] of a robot's capsules, their ends [n, 2, 3] in the frames of the links and radii [n] [m]."""
     capsules = [(k, *bounding_capsule(shape)) for k, link in enumerate(robot.links) for shape in link.shapes]
     links = np.array([k for k, *_ in capsules], np.int64)
     ends = np.array([[start, end] for _, start, end, _ in capsules], np.float64).reshape(-1, 2, 3)
@@ -70,7 +70,7 @@ def _robot_capsules(robot: Robot) -> tuple[NDArray[np.int64], Array, Array]:
 
 @lru_cache(maxsize=32)
 def _person_capsules(body: Humanoid) -> tuple[NDArray[np.int64], Array, Array]:
-    """Returns the same as `_robot_capsules`, for the joints of a person."""
+    """Return the joints [n] of a person's capsules, their ends [n, 2, 3] in the frames of the joints and radii [n] [m]."""
     joints = np.array([capsule.joint for capsule in body.capsules], np.int64)
     ends = np.array([[capsule.start, capsule.end] for capsule in body.capsules], np.float64)
     return joints, ends, np.array([capsule.radius for capsule in body.capsules], np.float64)

@@ -1,4 +1,4 @@
-"""Do two agents touch, or a robot the furniture where it starts? FCL on the exact shapes says."""
+"""Contact of a posed person with a robot, and of agents with furniture, decided by FCL on the exact shapes."""
 
 from __future__ import annotations
 
@@ -25,13 +25,11 @@ from sim_kinematic.contact.frames import body_shapes, shape_frames
 from sim_kinematic.motion.spec import PersonContact
 
 SUPPORT_M, SUPPORT_RADIUS_M = 0.12, 0.02
-"""A thing in which the capsule from a point so far down is, of this radius, is what lies at that point rests on."""
+"""Length and radius of a capsule from a point downwards; what it overlaps supports the object that lies at the point [m]."""
 FLOOR_M = 0.02
 """Height up to which agents stand on what lies on the floor, such as a rug [m]."""
 HOMES_KEPT = 64
-"""Homes whose furniture stays in FCL; a set has fewer."""
-REACH_MARGIN_M = 0.05
-"""Added to the person's reach, which is taken at a number of phases and blends of each clip."""
+"""Largest number of homes whose furniture stays in FCL; scene sets have fewer."""
 
 
 class RobotHumanContact:
@@ -48,11 +46,12 @@ class RobotHumanContact:
         *,
         person_contact: PersonContact = "body",
     ) -> None:
-        """``posture``: the robot's joint positions [J]; None is its resting one."""
+        """Pose the robot by joint positions [J]; without a ``posture``, it is at rest."""
         self._human = human
         self._person_contact: PersonContact = person_contact
         joints = np.asarray(robot.rest if posture is None else posture, np.float64)
         links = robot.link_matrices(IDENTITY_POSE[None], joints[None])[0]
+        # the posture never changes, so the robot's shapes move with its base as one rigid body
         self._shapes_at = shape_frames(robot, links)
         self._pair = AgentContacts(body_shapes(robot), body_shapes(human, person_contact))
         self.gate_m = robot_reach(robot, joints) + clip_reach(human, person_contact)
@@ -117,9 +116,10 @@ class RobotHumanContact:
 
 @lru_cache(maxsize=HOMES_KEPT)
 def clear_of_furniture(scene: Scene, robot: Robot) -> Callable[[Array], bool]:
-    """A test whether the whole resting robot at a base pose [7] keeps out of the static things in a scene.
+    """Return a test whether the whole resting robot at a base pose (pose7) overlaps nothing static in a scene.
 
-    Its feet may stand on anything up to `FLOOR_M`. FCL, because the discs of the base do not see its rear and its arm.
+    Its feet may stand on anything up to `FLOOR_M`. FCL decides, because the discs of the base cover neither its rear nor its
+    arm.
     """
     scenery = scenery_of(scene)
     shapes = MovingShapes(body_shapes(robot))
@@ -127,6 +127,7 @@ def clear_of_furniture(scene: Scene, robot: Robot) -> Callable[[Array], bool]:
     shapes_at = shape_frames(robot, links)
 
     def is_clear(base: Array) -> bool:
+        # lifted: feet that touch the floor, or a rug, are no contact with furniture
         raised = base + np.array([0, FLOOR_M, 0, 0, 0, 0, 0])
         shapes.set_transforms(pose_to_matrix(raised) @ shapes_at)
         return not collide(scenery, shapes)
@@ -136,7 +137,7 @@ def clear_of_furniture(scene: Scene, robot: Robot) -> Callable[[Array], bool]:
 
 @lru_cache(maxsize=HOMES_KEPT)
 def scenery_of(scene: Scene) -> FclScene:
-    """The static things of a scene in FCL, made once."""
+    """Return the static instances of a scene in FCL, built once per scene."""
     return FclScene(scene)
 
 
@@ -160,6 +161,7 @@ def robot_span(robot: Robot) -> float:
     for k, link in enumerate(robot.links):
         if link.parent >= 0:
             stretched[k] = stretched[link.parent] + np.linalg.norm(robot.origins[k][:3, 3])
+        # kind 2 is prismatic: a telescope reaches farther by its longest stroke
         if robot.kinds[k] == 2:
             column = robot.columns[k]
             ends = robot.gains[k] * np.array([robot.lower[column], robot.upper[column]]) + robot.offsets[k]
@@ -183,7 +185,8 @@ def clip_reach(human: Humanoid, person_contact: PersonContact = "body") -> float
     ends = np.array([[start, end] for start, end, _ in capsules])
     floor = np.einsum("tnij,nkj->tnki", frames[..., :3, :3], ends) + frames[..., None, :3, 3]
     reach = np.hypot(floor[..., 0], floor[..., 2]) + np.array([radius for *_, radius in capsules])[:, None]
-    return float(reach.max()) + REACH_MARGIN_M
+    # the margin covers phases and blends between those that were sampled
+    return float(reach.max()) + 0.05
 
 
 def supports(scenery: FclScene, point: Array) -> set[str]:
@@ -197,5 +200,6 @@ def supports(scenery: FclScene, point: Array) -> set[str]:
 
 @lru_cache(maxsize=1)
 def _below() -> MovingShapes:
+    """Return the capsule of `supports`, made once."""
     end = np.array([[0.0, SUPPORT_M, 0.0]])
     return MovingShapes(shapes_from_capsules(np.zeros((1, 3)), end, SUPPORT_RADIUS_M))

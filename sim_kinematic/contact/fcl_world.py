@@ -1,8 +1,8 @@
 """Scenes and moving bodies in FCL: broad phase over convex primitives, contacts, distances.
 
-FCL is what says whether things touch; the inner loop of walking and driving reads `FreeSpace` instead. The rules that keep
-python-fcl right (each reproduced, research/navigation-and-stepping.md 1.4): primitives and convex hulls only, never triangle
-meshes; one geometry per object, since contacts name geometries; a broad phase is told about every move.
+FCL decides whether shapes touch; the inner loop of walking and driving reads `FreeSpace` instead. Three rules keep the answers
+of python-fcl right: only primitives and convex hulls, never triangle meshes; one geometry per object, since contacts name
+geometries; and the broad phase is told about every move.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import fcl
 
 CONTACTS_MAX = 1000
-"""Contacts that one query returns at most."""
+"""Largest number of contacts that one query returns."""
 
 
 class Contact(NamedTuple):
@@ -44,7 +44,7 @@ class Contact(NamedTuple):
 
 
 class _Objects:
-    """Collision objects with their broad phase; what `FclScene` and `MovingShapes` share."""
+    """Collision objects with their broad phase, the common base of `FclScene` and `MovingShapes`."""
 
     def __init__(self, geometries: Sequence[fcl.CollisionGeometry], matrices: Sequence[NDArray[np.float64]]) -> None:
         import fcl
@@ -61,7 +61,7 @@ class _Objects:
 
 
 class FclScene(_Objects):
-    """The static instances of a scene. Their shapes stay primitives; object k belongs to instance ``names[k]``."""
+    """The static instances of a scene. Object k is a convex part of the instance ``names[k]``."""
 
     def __init__(self, scene: Scene) -> None:
         geometries, matrices, names, bounds = [], [], [], []
@@ -81,7 +81,7 @@ class FclScene(_Objects):
     def is_near(self, start: ArrayLike, end: ArrayLike, radius_m: float) -> bool:
         """Returns whether the bounding box of a capsule between ``start`` and ``end`` [n, 3] overlaps that of a part.
 
-        It is a quick first test, 50 times as fast as FCL's exact answer.
+        It is a first test, 50 times as fast as FCL's exact answer.
         """
         start, end = (np.asarray(ends, np.float64)[None] for ends in (start, end))
         return len(_near_pairs(start, end, np.full(start.shape[1], radius_m), self.bounds)) > 0
@@ -91,7 +91,7 @@ class FclScene(_Objects):
 
 
 class MovingShapes(_Objects):
-    """Convex shapes that are moved by one transform each: links of a robot, capsules of a person, a held object."""
+    """Convex shapes that are moved by one transform each, such as links of a robot, bones of a person or a held object."""
 
     def __init__(self, shapes: Sequence[Shape], scale: Sequence[float] = (1.0, 1.0, 1.0)) -> None:
         pairs = [fcl_geometry(s, scale) for s in shapes]
@@ -100,7 +100,7 @@ class MovingShapes(_Objects):
         super().__init__([g for g, _ in pairs], list(self._local))
 
     def set_transforms(self, transforms: ArrayLike) -> None:
-        """Moves every shape: ``transforms`` [n, 4, 4] are the world frames in which the shapes are given, rigid."""
+        """Move every shape to its rigid world frame: ``transforms`` [n, 4, 4], of the frames in which shapes are defined."""
         t = np.asarray(transforms, np.float64)
         if t.shape != (len(self), 4, 4):
             raise InputError(
@@ -118,10 +118,10 @@ class MovingShapes(_Objects):
         self.manager.update()  # without it the broad phase still sees the old places and misses contacts
 
     def touches_along(self, scene: FclScene, transforms: ArrayLike, *, except_for: Collection[str] = ()) -> bool:
-        """Returns whether a shape overlaps a part of the scene in any of T poses, asked from the last one back.
+        """Return whether a shape overlaps a part of the scene in any of T poses, tested from the last one back.
 
         The answer is that of `set_transforms` and `collide` (`contacts` with ``except_for``) for each pose in turn, which
-        takes four times as long: only pairs whose bounding boxes overlap are moved and asked here.
+        takes four times as long: here only pairs whose bounding boxes overlap are moved and tested.
 
         Args:
             scene: The static scene.
@@ -135,6 +135,7 @@ class MovingShapes(_Objects):
         request = fcl.CollisionRequest(num_max_contacts=CONTACTS_MAX, enable_contact=True)
         if not except_for:
             request = fcl.CollisionRequest()
+        # pairs come sorted by pose and shape, so each shape is moved once per pose
         moved = (-1, -1)
         for pose, k, part in pairs.tolist():
             if except_for and scene.names[part] in except_for:
@@ -148,7 +149,7 @@ class MovingShapes(_Objects):
 
     @cached_property
     def _capsules(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Ends [n, 3] and radii [n] of capsules around the shapes, in the frames that the transforms move."""
+        """Return ends [n, 3] and radii [n] [m] of capsules around the shapes, in the frames that are moved."""
         ends = [bounding_capsule(shape) for shape in self.shapes]
         scale = np.array(self._scale)
         start, end = (np.array([one[side] for one in ends]).reshape(-1, 3) * scale for side in (0, 1))
@@ -159,7 +160,7 @@ class MovingShapes(_Objects):
 
 
 def _bounds(shape: Shape, rigid: NDArray[np.float64], scale: ArrayLike) -> NDArray[np.float64]:
-    """Corners [2, 3] of a box around a shape as `fcl_geometry` makes it: with the fattest radius under an uneven scale."""
+    """Return the corners [2, 3] [m] of a world box around a shape, capsules with the radius that `fcl_geometry` gives them."""
     scale = np.asarray(scale, np.float64)
     if not isinstance(shape, Capsule):
         return shape_bounds(shape, rigid @ np.diag([*scale, 1.0]))
@@ -169,7 +170,7 @@ def _bounds(shape: Shape, rigid: NDArray[np.float64], scale: ArrayLike) -> NDArr
 
 
 MARGIN_M = 1e-6
-"""Bounding boxes that are this near overlap: what touches within rounding must be asked."""
+"""Bounding boxes this near count as overlapping, so that FCL decides on shapes that touch within rounding [m]."""
 
 
 @kernel()
@@ -223,7 +224,7 @@ def collide(a: _Objects, b: _Objects) -> bool:
 
 
 def contacts(a: _Objects, b: _Objects) -> list[Contact]:
-    """Return overlaps between the shapes of a and those of b, deepest first, one or more for each pair that overlaps."""
+    """Return the overlaps of shapes of a with shapes of b, deepest first, one or more for each pair that overlaps."""
     import fcl
 
     if not len(a) or not len(b):
@@ -242,10 +243,9 @@ def contacts(a: _Objects, b: _Objects) -> list[Contact]:
 
 
 def distance(a: _Objects, b: _Objects) -> float:
-    """Smallest distance between two sets of objects [m].
+    """Return the smallest distance between two sets of objects [m], infinite if one is empty.
 
-    If they overlap, it is minus `Contact.depth_m` of the deepest contact, with its error. It is infinite if one is
-    empty.
+    If they overlap, it is minus `Contact.depth_m` of the deepest contact, with the error stated there.
     """
     import fcl
 

@@ -20,10 +20,10 @@ Body = Robot | Humanoid
 
 
 def require_bodies(state: WorldState, bodies: tuple[Body, ...]) -> None:
-    """Refuse bodies that do not belong to the agents of a state: robots first, then people.
+    """Check that bodies are those of the agents of a state: robots first, then people.
 
     Raises:
-        InputError: they do not.
+        InputError: Their number or order differs.
     """
     robots = sum(isinstance(body, Robot) for body in bodies)
     fits = all(isinstance(body, Robot) == (k < robots) for k, body in enumerate(bodies))
@@ -36,7 +36,7 @@ def require_bodies(state: WorldState, bodies: tuple[Body, ...]) -> None:
 
 
 Floor = FreeSpace | float | Array
-"""A map, or the height of a level floor [m], one or [W]."""
+"""Floor map of a scene, or the height of a level floor [m], one for all worlds or [W]."""
 
 
 def root_pose(body: Body, xz: Array, heading: ArrayLike, floor: Floor = 0.0) -> Array:
@@ -47,9 +47,13 @@ def root_pose(body: Body, xz: Array, heading: ArrayLike, floor: Floor = 0.0) -> 
 
 
 def body_frames(body: Body, state: AgentState, floor: Floor = 0.0, *, speed_mps: float | None = None) -> Array:
-    """World frames of a robot's links [W, L, 4, 4], or of a person's joints [W, 55, 4, 4].
+    """Return world frames of a robot's links [W, L, 4, 4], or of a person's joints [W, 55, 4, 4].
 
-    A robot without joints in the state is at rest. A person plays their clip for ``speed_mps`` (default: `WalkerSpec`'s).
+    A robot without joints in the state is at rest. A person plays the clip for ``speed_mps``, by default the speed of
+    `WalkerSpec`.
+
+    Raises:
+        InputError: The state is not that of this kind of body.
     """
     base = root_pose(body, state.xz, state.heading, floor)
     if isinstance(body, Robot) and isinstance(state, RobotState):
@@ -57,7 +61,7 @@ def body_frames(body: Body, state: AgentState, floor: Floor = 0.0, *, speed_mps:
         return body.link_matrices(base, joints)
     if isinstance(body, Humanoid) and isinstance(state, HumanState):
         clip = body.clip_for_speed(WalkerSpec().speed_mps if speed_mps is None else speed_mps)
-        stands = state.blend == 0  # the first clip stands: cheaper than a walk of no weight
+        stands = state.blend == 0  # the first clip stands: cheaper than a walk of weight 0
         phase, blend = walking_phase(body, clip, state), np.where(stands, 1.0, state.blend)
         posture = body.clip_pose(np.where(stands, 0, clip), phase, blend, arms=state.arms)
         take_seats(body, *posture, state.seat)
@@ -66,15 +70,15 @@ def body_frames(body: Body, state: AgentState, floor: Floor = 0.0, *, speed_mps:
 
 
 def walking_phase(body: Humanoid, clip: int, state: HumanState) -> NDArray[np.float64]:
-    """Returns the phase of a person in the cycle of a clip, 0..1, [W]."""
-    walk = body.clips[clip]
-    return cycle_phase(walk, state.distance, state.set_off)
+    """Return the phase of a person in the cycle of a clip, 0..1, [W]."""
+    return cycle_phase(body.clips[clip], state.distance, state.set_off)
 
 
 def body_shapes(body: Body, person_contact: PersonContact = "body") -> tuple[Shape, ...]:
-    """The collision shapes of an agent, each in its own frame: those of a robot's links, or a person's (`PersonContact`)."""
+    """Return the collision shapes of a robot's links or of a person (`PersonContact`), in frames of `shape_frames`."""
     if isinstance(body, Robot):
         return tuple(shape for link in body.links for shape in link.shapes)
+    # sizes of bones do not change with the posture, so any posture gives them
     standing = body.joint_matrices(ground_pose(np.zeros((1, 2)), np.zeros(1)), *body.clip_pose([0], [0.0]))
     if person_contact == "bones":
         return tuple(Box(pose=IDENTITY_POSE, half_extents=size / 2) for size in body.bone_boxes_world(standing)[1])
@@ -85,7 +89,7 @@ def body_shapes(body: Body, person_contact: PersonContact = "body") -> tuple[Sha
 def shape_frames(
     body: Body, frames: NDArray[np.floating], person_contact: PersonContact = "body"
 ) -> NDArray[np.floating]:
-    """World frames of `body_shapes` [..., n, 4, 4], from `body_frames` [..., L or 55, 4, 4]."""
+    """Return world frames of `body_shapes` [..., n, 4, 4], from those of `body_frames` [..., L or 55, 4, 4]."""
     if isinstance(body, Robot):
         return frames[..., [k for k, link in enumerate(body.links) for _ in link.shapes], :, :]
     if person_contact == "bones":

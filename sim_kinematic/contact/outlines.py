@@ -1,4 +1,4 @@
-"""Outlines of people on the floor as a scanner near the floor meets them: two legs, each a circle."""
+"""Outlines of people as a laser scanner near the floor sees them: two legs, each a circle."""
 
 from __future__ import annotations
 
@@ -17,19 +17,23 @@ _KNEES, _ANKLES = ([JOINT_INDEX[f"{side}_{joint}"] for side in ("left", "right")
 
 
 def shins(joints: Array) -> Array:
-    """Middles ``(x, z)`` of the left and the right leg at `LEG_HEIGHT_M`, [T, 2, 2] [m].
+    """Return the centres ``(x, z)`` of the left and the right leg at `LEG_HEIGHT_M`, [T, 2, 2] [m].
 
     Args:
         joints: Frames of the joints in that of the root, [T, 55, 4, 4] (`Humanoid.joint_matrices`).
     """
     knee, ankle = joints[:, _KNEES][..., :3, 3], joints[:, _ANKLES][..., :3, 3]
+    # a knee that is not above its ankle must not make the share infinite
     rise = np.maximum(knee[..., 1:2] - ankle[..., 1:2], 1e-6)
     share = np.clip((LEG_HEIGHT_M - ankle[..., 1:2]) / rise, 0.0, 1.0)
     return (ankle + share * (knee - ankle))[..., [0, 2]]
 
 
 def legs_at(xp: Any, xz: Any, heading: Any, legs: Any) -> Any:
-    """Legs [W, 2, 2] in the frame of roots as circles ``(x, z, radius)`` in the world, [W, 2, 3] [m]."""
+    """Return legs [W, 2, 2], given in the frames of roots, as circles ``(x, z, radius)`` in the world, [W, 2, 3] [m].
+
+    ``xp`` is numpy or torch: scanners on the CPU and on a device share the formula.
+    """
     cos, sin = xp.cos(heading)[:, None], xp.sin(heading)[:, None]
     x = xz[:, :1] + legs[..., 0] * cos + legs[..., 1] * sin
     z = xz[:, 1:] - legs[..., 0] * sin + legs[..., 1] * cos

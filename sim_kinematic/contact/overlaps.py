@@ -1,4 +1,4 @@
-"""Find things of a scene that stand inside each other, by FCL: the check behind ``h3data scenes validate``."""
+"""Find instances of a scene that overlap each other, by FCL, as ``h3data scenes validate`` does."""
 
 from __future__ import annotations
 
@@ -20,20 +20,21 @@ class Overlap(NamedTuple):
     first: str
     second: str
     depth_m: float
-    """Depth of the deepest overlap of two of their parts [m]: the shorter of FCL's depth, which is too great for deep round
-    parts and hulls, and the way along an axis that parts their bounds."""
+    """Depth of the deepest overlap of two of their parts [m]: the smaller one of FCL's depth, which is too large for round
+    parts and hulls deep in each other, and of the shift along an axis that separates their bounds."""
     point: NDArray[np.float64]
     """A point in the overlap, world, shape [3] [m]."""
 
 
 def overlapping_instances(scene: Scene, *, tolerance_m: float = 0.01) -> list[Overlap]:
-    """Pairs of instances, static or not, whose collision parts overlap by more than ``tolerance_m``, deepest first.
+    """Return pairs of instances, static or not, whose collision parts overlap by more than ``tolerance_m``, deepest first.
 
-    Instances without parts (rugs, lamp shades, a Habitat stage) take no part; parts of one instance may overlap. Pairs
-    of parts whose balls meet go to FCL one by one: python-fcl hides exceptions of the callbacks of its managers.
+    Instances without collision parts (rugs, lamp shades, a Habitat stage) are left out; parts of one instance may overlap.
+    FCL is asked about each pair of parts whose bounding balls meet: python-fcl hides exceptions in callbacks of its managers.
     """
     import fcl
 
+    # FclScene holds static instances only; here objects that may be moved are checked too
     world = FclScene(replace(scene, instances=tuple(replace(i, motion="static") for i in scene.instances)))
     bounds = [
         shape_bounds(shape, instance_matrix(i)) for i in scene.instances for shape in scene.assets[i.asset].shapes
@@ -54,8 +55,9 @@ def overlapping_instances(scene: Scene, *, tolerance_m: float = 0.01) -> list[Ov
 
 
 def _near_pairs(scene: Scene, names: tuple[str, ...]) -> list[tuple[int, int]]:
-    """Pairs (a < b) of parts of different instances whose bounding balls and boxes around those meet."""
+    """Return pairs (a < b) of parts of different instances whose bounding balls overlap."""
     centers, radii = np.zeros((len(names), 3)), np.zeros(len(names))
+    # in the order in which `FclScene` numbers its objects
     k = 0
     for instance in scene.instances:
         matrix = instance_matrix(instance)

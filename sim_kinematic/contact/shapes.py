@@ -1,4 +1,4 @@
-"""Our collision shapes as FCL geometry: scale, the axis of round things, hulls with faces turned outwards."""
+"""Conversion of collision shapes to FCL's geometry: scale, axes of round shapes, hulls with faces turned outwards."""
 
 from __future__ import annotations
 
@@ -16,15 +16,18 @@ if TYPE_CHECKING:
     import fcl
 
 Y_TO_Z = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-"""FCL's cylinders and capsules stand along z, ours along y: this matrix takes their z to our y."""
+"""Rotation that takes z to y: axes of cylinders and capsules are z in FCL, y here."""
 
 
 def fcl_geometry(shape: Shape, scale: ArrayLike = (1.0, 1.0, 1.0)) -> tuple[fcl.CollisionGeometry, NDArray[np.float64]]:
-    """FCL geometry of a shape in a frame scaled per axis [3], and the rigid 4x4 matrix from it to that frame.
+    """Return FCL's geometry of a shape in a frame scaled per axis [3], and the rigid 4x4 matrix from it to that frame.
 
-    Boxes, cylinders and capsules stay primitives while the scale leaves them such, and become convex hulls otherwise
-    (never triangle meshes: python-fcl answers those wrongly, research/navigation-and-stepping.md 1.4). Every call makes
-    a new geometry: contacts are told apart by it.
+    Boxes, cylinders and capsules stay primitives where the scale allows it, and become convex hulls otherwise (never triangle
+    meshes, for which python-fcl's answers are wrong). Every call returns a new geometry, by which contacts name the shape.
+
+    Raises:
+        InputError: A scale is 0 or not finite.
+        SceneError: The points of a hull are in one plane.
     """
     import fcl
 
@@ -44,9 +47,8 @@ def fcl_geometry(shape: Shape, scale: ArrayLike = (1.0, 1.0, 1.0)) -> tuple[fcl.
         return _convex(np.asarray(shape.points, np.float64) * s)
     matrix = pose_to_matrix(shape.pose).astype(np.float64)
     matrix[:3, 3] *= s
-    mirror = np.sign(
-        s
-    )  # D R B of a box or cylinder B is (D R D) B, for it is its own mirror image; D R D is a rotation
+    # a box or cylinder B is its own mirror image, so D R B = (D R D) B for a mirror D, and D R D is a rotation
+    mirror = np.sign(s)
     matrix[:3, :3] *= mirror[:, None] * mirror[None, :]
     if isinstance(shape, Box):
         straight = bool((np.abs(matrix[:3, :3] - np.eye(3)) <= 1e-5 * np.eye(3) + 1e-9).all())
@@ -61,12 +63,12 @@ def fcl_geometry(shape: Shape, scale: ArrayLike = (1.0, 1.0, 1.0)) -> tuple[fcl.
 def capsule_transforms(start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
     """Return the 4x4 frames [..., 4, 4] midway between ``start`` and ``end`` [..., 3] with the y axis towards ``end``.
 
-    They place capsules made by `shapes_from_capsules` (and FCL's, after `Y_TO_Z`). How they are turned about y is of no
-    matter, so any perpendicular will do.
+    They pose capsules made by `shapes_from_capsules` (and FCL's, after `Y_TO_Z`). Their rotation about y is arbitrary.
     """
     a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
     y = normalized(b - a)
     y = np.where(y.any(-1, keepdims=True), y, np.array([0.0, 1.0, 0.0]))
+    # any axis that is not parallel to y will do; this choice keeps the cross product far from 0
     helper = np.where(np.abs(y[..., :1]) < 0.7, np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
     z = normalized(cross(helper, y))
     frames = np.zeros((*y.shape[:-1], 4, 4))
@@ -79,9 +81,9 @@ def capsule_transforms(start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
 
 
 def shapes_from_capsules(start: ArrayLike, end: ArrayLike, radius: ArrayLike) -> tuple[Capsule, ...]:
-    """Capsules along the y axis of their own frames with the lengths of the segments ``start``-``end`` [n, 3].
+    """Return capsules along the y axis of their own frames, with the lengths of the segments ``start`` to ``end`` [n, 3].
 
-    For bodies whose capsules keep their length while they move: `MovingShapes` holds them, and
+    They are for bodies whose capsules keep their length while they move: `MovingShapes` holds them, and
     ``set_transforms(capsule_transforms(start, end))`` poses them.
     """
     a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
@@ -92,7 +94,7 @@ def shapes_from_capsules(start: ArrayLike, end: ArrayLike, radius: ArrayLike) ->
 
 
 def _convex(points: NDArray[np.float64]) -> tuple[fcl.CollisionGeometry, NDArray[np.float64]]:
-    """The hull of points [N, 3] as FCL's convex body, its triangles counter-clockwise from outside."""
+    """Return the hull of points [N, 3] as FCL's convex body and the identity, as `fcl_geometry` returns them."""
     import fcl
     from scipy.spatial import ConvexHull, QhullError
 
@@ -106,6 +108,7 @@ def _convex(points: NDArray[np.float64]) -> tuple[fcl.CollisionGeometry, NDArray
     vertices = np.ascontiguousarray(points[used])
     faces = np.searchsorted(used, hull.simplices)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
+    # scipy's triangles have no fixed order of corners; FCL takes them as counter-clockwise seen from outside
     inwards = np.einsum("ij,ij->i", cross(b - a, c - a), hull.equations[:, :3]) < 0
     faces[inwards] = faces[inwards][:, ::-1]
     flat = np.concatenate([np.full((len(faces), 1), 3), faces], axis=1).ravel()  # each face: its count, its corners
