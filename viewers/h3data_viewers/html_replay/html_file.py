@@ -8,13 +8,9 @@ as text, and its Content-Security-Policy lets no other script run and nothing be
 from __future__ import annotations
 
 import base64
-import hashlib
 from dataclasses import dataclass
-from functools import cache
-from html import escape
 from importlib.resources import files
 from pathlib import Path
-from string import Template
 from typing import Any
 
 import numpy as np
@@ -29,6 +25,7 @@ from h3data_viewers.html_replay.home import add_home
 from h3data_viewers.html_replay.packing import Payload
 from h3data_viewers.html_replay.story import add_story
 from h3data_viewers.html_replay.tracks import add_tracks
+from h3data_viewers.templates import render
 
 MOST_STATES = 6000
 """States in a file (200 s at 30 Hz): of longer recordings every second, third, ... is kept, and the page goes between them."""
@@ -127,31 +124,16 @@ def _facts(recording: Recording, replay: Replay) -> dict[str, Any]:
     return {name: str(value) for name, value in facts.items() if str(value)}
 
 
-# --- the page ---------------------------------------------------------------------------------------------------------
-@cache
-def _built(name: str) -> str:
-    """A file of the page."""
-    source = files("h3data_viewers.html_replay") / "page" / name
-    if not source.is_file():
+def _page(title: str, block: bytes) -> str:
+    script = files("h3data_viewers.html_replay") / "page" / "replay.js"
+    if not script.is_file():
         raise H3DataError(
-            f"The page of HTML replays is not built. Hint: run make web (needs Node.js). Missing: {name}",
+            f"The page of HTML replays is not built. Hint: run make web (needs Node.js). Missing: {script.name}",
             code="H3-VIEW-003",
         )
-    return source.read_text(encoding="utf-8").strip()
-
-
-def _page(title: str, block: bytes) -> str:
-    style, script = _built("replay.css"), _built("replay.js")
-    return Template(_built("replay.html")).substitute(
-        title=escape(title),
-        style=style,
-        style_hash=_digest(style),
-        script=script,
-        script_hash=_digest(script),
+    return render(
+        "html_replay/page/replay.html",
+        title=title,
         generator=f"h3data {own_version()}",
         data=base64.b64encode(block).decode(),
     )
-
-
-def _digest(text: str) -> str:
-    return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
