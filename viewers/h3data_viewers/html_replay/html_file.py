@@ -72,16 +72,16 @@ def write_html(
         )
     replay = replay or Replay(recording, detail=False)
     rows = np.unique(np.linspace(0, len(recording) - 1, min(len(recording), MOST_STATES)).round().astype(np.int64))
-    page = _page(title or _title(recording), _block(recording, replay, rows))
+    task, episode_id = (
+        recording.episode.task.replace("_", " ").capitalize() or "Recording",
+        recording.episode.episode_id,
+    )
+    named = f"{task}, episode {episode_id}" if episode_id else task
+    page = _page(title or named, _block(recording, replay, rows))
     path.parent.mkdir(parents=True, exist_ok=True)
     with part_file(path) as part:
         part.write_text(page, encoding="utf-8", newline="\n")
     return HtmlReplay(path=path, bytes=path.stat().st_size, states=len(rows), steps=len(recording))
-
-
-def _title(recording: Recording) -> str:
-    task = recording.episode.task.replace("_", " ").capitalize() or "Recording"
-    return f"{task}, episode {recording.episode.episode_id}" if recording.episode.episode_id else task
 
 
 def _block(recording: Recording, replay: Replay, rows: np.ndarray) -> bytes:
@@ -92,16 +92,14 @@ def _block(recording: Recording, replay: Replay, rows: np.ndarray) -> bytes:
     payload.add_array("time", times[rows] - times[0], TIME_S)
     payload.add_array("step", rows, 1)
     scene = replay.scene
-    bases = [recording.agent_column(k, "base_pose")[:, :3] for k in range(len(recording.agents))]
-    floor_y = scene.rooms[0].floor_y if scene is not None and scene.rooms else _lowest(bases)
+    if scene is not None and scene.rooms:
+        floor_y = scene.rooms[0].floor_y
+    else:  # recordings of other tools have no rooms: agents stand on the lowest height that one has
+        heights_y = [recording.agent_column(k, "base_pose")[:, 1] for k in range(len(recording.agents))]
+        floor_y = min((float(y[np.isfinite(y)].min()) for y in heights_y if np.isfinite(y).any()), default=0.0)
     heights = replay.heights.round(6).tolist()
     stage = {**add_tracks(payload, replay, parts, rows), "floor_y": float(floor_y), "heights": heights}
     return payload.packed({"stage": stage, "facts": _facts(recording, replay), **add_story(payload, recording, rows)})
-
-
-def _lowest(bases: list[Any]) -> float:
-    heights = np.concatenate([base[np.isfinite(base[:, 1]), 1] for base in bases] or [np.zeros(0)])
-    return float(heights.min()) if len(heights) else 0.0
 
 
 def _facts(recording: Recording, replay: Replay) -> dict[str, Any]:
