@@ -163,6 +163,19 @@ def test_a_true_result_is_true_and_stands_in_the_leaderboard(
     assert {row["checked"] for row in leaderboard(read_benchmark(folder), [result]).to_dict()["rows"]} == {"no"}
 
 
+def test_no_text_of_a_result_becomes_markup(short_nav: tuple[Path, Path], result: Path) -> None:
+    hostile = "<script>alert(1)</script>&\"'<img src=x onerror=alert(2)>"
+    manifest = json.loads((result / MANIFEST).read_text())
+    manifest |= {"date": hostile, "created_by": [hostile], "machine": {hostile: hostile}}
+    for row in manifest["rows"]:
+        row["policy"] = hostile
+    (result / MANIFEST).write_text(json.dumps(manifest))
+    page = leaderboard(read_benchmark(short_nav[0]), [result]).to_html()
+    assert "<script" not in page
+    assert "<img" not in page
+    assert page.count("&lt;script&gt;alert(1)") == 3 * len(manifest["rows"]) + 4  # in rows and in the card
+
+
 def test_it_goes_on_where_it_was(short_nav: tuple[Path, Path], result: Path) -> None:
     before = (result / "table.json").read_text()
     (result / "episodes" / "000001.json").unlink()

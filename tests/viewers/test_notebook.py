@@ -69,7 +69,7 @@ def test_datasets_and_metrics_are_tables(recording: Any, tmp_path: Path) -> None
     assert "12 episodes (12 social_nav), 144 steps" in html
     assert "and 2 more" in html
     assert html.count(f'title="{LONG_SCENE}"') == notebook.LISTED
-    assert f">{LONG_SCENE[:10]}&hellip;{LONG_SCENE[-10:]}<" in html
+    assert f">{LONG_SCENE[:10]}…{LONG_SCENE[-10:]}<" in html
     assert f">{LONG_SCENE}<" not in html
     assert "Finding success" in h3data.measure([recording])._repr_html_()
 

@@ -10,7 +10,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
+import jinja2
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -32,7 +34,7 @@ from h3data_viewers.html_report.paper import social_nav_table
 from h3data_viewers.html_report.pictures import highlights, key_rows
 from h3data_viewers.html_report.reading import Found, lost_part
 from h3data_viewers.html_report.report import Report, make_report
-from h3data_viewers.html_report.svg import ticks
+from h3data_viewers.html_report.svg import Svg, ticks
 from h3data_viewers.html_report.tables import (
     Cell,
     Column,
@@ -41,10 +43,10 @@ from h3data_viewers.html_report.tables import (
     Table,
     cut,
     number,
-    to_html,
     to_latex,
     to_markdown,
 )
+from h3data_viewers.templates import environment, render
 from sim_kinematic.policies.learned import SHIPPED_PARTNERS
 
 ROBOT, HUMAN = Agent(name="spot", kind="robot"), Agent(name="alex", kind="human")
@@ -301,7 +303,7 @@ def test_the_command_that_made_a_report_is_its_last_line(runs: dict[str, Path], 
     words = ["report", str(runs["stand_still"]), "--pictures", "0", "--title", "A & B", "-o", str(tmp_path / "r.html")]
     assert main(words) == 0
     (command,) = re.findall(r"<footer>.*?<code>(.*?)</code>", (tmp_path / "r.html").read_text(encoding="utf-8"))
-    assert command == "h3data report stand_still --title &#x27;A &amp; B&#x27; --pictures 0 -o r.html"
+    assert command == "h3data report stand_still --title &#39;A &amp; B&#39; --pictures 0 -o r.html"
 
 
 def test_pairs_need_the_same_scene_and_seed(runs: dict[str, Path], tmp_path: Path) -> None:
@@ -759,7 +761,8 @@ def test_any_text_stays_text(text: str) -> None:
         sections=(Section(title=text, rows=(Row(name=text, cells=(Cell(text=text, small=text),)),)),),
         notes=(text,),
     )
-    page = Page(to_html(table))
+    parts: Any = environment().get_template("html_report/page/parts.html").module
+    page = Page(parts.data_table(table))
     assert {tag for tag, _ in page.tags} <= {
         "div",
         "table",
@@ -780,6 +783,25 @@ def test_any_text_stays_text(text: str) -> None:
     body = to_latex(table)
     assert body.count(r"\\") == 2 + bool(text)
     assert not re.search(r"(?<!\\)[#%]", body)
+
+
+@settings(max_examples=10)
+@given(st.text(max_size=20))
+@example(HOSTILE)
+def test_any_text_of_a_drawing_stays_text(text: str) -> None:
+    svg = Svg(10, 10, alt=text, css="plan", caption=text)
+    svg.text(0, 0, text, "label", most=5)
+    svg.circle(0, 0, 1, "dot", title=text)
+    svg.add("use", "", href=text)
+    parts: Any = environment().get_template("html_report/page/parts.html").module
+    page = Page(parts.panels([svg]) + parts.legend([text]))
+    there = {tag for tag, _ in page.tags}
+    assert there <= {"div", "figure", "figcaption", "svg", "text", "title", "circle", "use", "ul", "li", "span"}
+
+
+def test_a_name_without_a_value_is_an_error() -> None:
+    with pytest.raises(jinja2.UndefinedError, match="title"):
+        render("html_report/page/report.html")
 
 
 # --- parts ------------------------------------------------------------------------------------------------------------

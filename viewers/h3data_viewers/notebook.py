@@ -8,7 +8,6 @@ import tempfile
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -21,6 +20,7 @@ from h3data.render.image_files import jpeg_data_uri
 from h3data.replay import CameraTrack, Replay, camera_at, camera_track
 from h3data.replay.third_person import third_person_at
 from h3data_viewers.rerun.cameras import scaled
+from h3data_viewers.templates import render
 
 if TYPE_CHECKING:
     from h3data.metrics import EpisodeMetrics, MetricsTable
@@ -31,12 +31,12 @@ STRIP = 5
 STRIP_WIDTH = 200
 """Width of one picture of the strip [px]."""
 VIDEO_WIDTH = 480
-NAME_WIDTH = 20
-"""Characters of a scene's name or a seed in a table."""
 LISTED = 10
 """Episodes listed of a dataset."""
-_CELL = "text-align:left;padding:2px 12px 2px 0;vertical-align:top"
-_NOTE = "font-size:90%;opacity:.75"
+_Table = tuple[Sequence[str], Sequence[Sequence[object]]]
+"""Head, which may be empty, and rows."""
+_Picture = tuple[str, int, str, float]
+"""JPEG as a data URI, width [px], camera, and time [s]."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,8 @@ class InlineVideo:
     title: str
 
     def _repr_html_(self) -> str:
-        source = base64.b64encode(self.data).decode()
-        return (
-            f'<video controls loop width="{self.width}" title="{escape(self.title)}" '
-            f'src="data:video/mp4;base64,{source}"></video>'
-        )
+        data = base64.b64encode(self.data).decode()
+        return _html(video=data, width=self.width, video_title=self.title)
 
     def __repr__(self) -> str:
         return f"InlineVideo({self.title}: {len(self.data) / 1e6:.1f} MB; notebooks play it, save() writes it)"
@@ -137,11 +134,17 @@ def recording_html(recording: Recording) -> str:
         "length": f"{len(recording):,} steps, {recording.duration_s:.1f} s",
     }
     facts |= {name: episode.info[name] for name in ("policy", "partner", "ended") if episode.info.get(name)}
-    return (
-        f"<div><p><b>Recording {escape(episode.episode_id)}</b></p>{_strip(recording)}"
-        f'<div style="display:flex;gap:3em;flex-wrap:wrap">{_table(list(facts.items()))}{_metrics(recording)}</div>'
-        f'<p style="{_NOTE}"><code>print(rec)</code> lists columns; <code>rec.show()</code> plays it</p></div>'
-    )
+    tables: list[_Table] = [((), list(facts.items()))]
+    pictures, fault = _strip(recording)
+    notes = [f"No pictures: {fault}"] if fault else []
+    try:
+        from h3data.metrics import measure
+
+        tables.append(_metrics(measure(recording)))
+    except H3DataError as error:
+        notes.append(f"No metrics: {error}")
+    notes.append("print(rec) lists columns; rec.show() plays it")
+    return _html(title=f"Recording {episode.episode_id}", pictures=pictures, tables=tables, notes=notes)
 
 
 def episodes_html(episodes: Episodes, title: str) -> str:
@@ -151,83 +154,62 @@ def episodes_html(episodes: Episodes, title: str) -> str:
     tasks = ", ".join(f"{count} {task}" for task, count in counted.most_common())
     optional = [name for name in ("policy", "partner", "ended") if any(of.get(name) for of in facts[:LISTED])]
     names = ["task", "scene", "seed", "length", *optional]
-    rows = [[k, *(_Name(of.get(name, "")) for name in names)] for k, of in enumerate(facts[:LISTED])]
-    more = f'<p style="{_NOTE}">and {len(facts) - LISTED} more</p>' if len(facts) > LISTED else ""
+    rows = [[k, *(of.get(name, "") for name in names)] for k, of in enumerate(facts[:LISTED])]
     steps = sum(int(of["length"]) for of in facts)
-    return (
-        f"<div><p><b>{escape(title)}</b>: {len(facts):,} episode{'s' * (len(facts) != 1)} "
-        f"({escape(tasks) or 'none'}), {steps:,} steps</p>{_table(rows, ['', *names])}{more}</div>"
-    )
+    about = f": {len(facts):,} episode{'s' * (len(facts) != 1)} ({tasks or 'none'}), {steps:,} steps"
+    more = [f"and {len(facts) - LISTED} more"] if len(facts) > LISTED else []
+    return _html(title=title, about=about, tables=[(["", *names], rows)], cut=True, notes=more)
 
 
 def metrics_table_html(table: MetricsTable) -> str:
     """Means and intervals of metrics as HTML."""
     head, *rows = table.to_rows()
     left_out = sum(map(len, table.left_out.values()))
-    note = f'<p style="{_NOTE}">{left_out} episodes left out: print(table) says why</p>' if left_out else ""
-    return f"<div>{_table(rows, head)}{note}</div>"
+    notes = [f"{left_out} episodes left out: print(table) says why"] if left_out else []
+    return _html(tables=[(head, rows)], notes=notes)
 
 
 def metrics_html(measured: EpisodeMetrics) -> str:
     """Values of the metrics of an episode, and notes on them, as HTML."""
+    return _html(tables=[_metrics(measured)])
+
+
+def _metrics(measured: EpisodeMetrics) -> _Table:
     head, *rows = measured.to_rows()
-    marks = [[*row, measured.notes.get(row[0], "")] for row in rows]
-    return _table(marks, [*head, "notes"]) if measured.notes else _table(rows, head)
+    if not measured.notes:
+        return head, rows
+    return [*head, "notes"], [[*row, measured.notes.get(row[0], "")] for row in rows]
 
 
-def _strip(recording: Recording) -> str:
-    """Pictures evenly spread over a recording, from behind the robot or, without agents, from above."""
+def _html(**content: Any) -> str:
+    """The output of a cell: the parts of notebook.html that have content."""
+    nothing = {"title": "", "about": "", "video": "", "pictures": (), "tables": (), "cut": False, "notes": ()}
+    return render("notebook.html", **nothing | content)
+
+
+def _strip(recording: Recording) -> tuple[list[_Picture], str]:
+    """Pictures evenly spread over a recording, from behind the robot or, without agents, from above.
+
+    The text that is returned says why there are none; it is empty if there are.
+    """
     if not len(recording):
-        return f'<p style="{_NOTE}">No pictures: the recording has no steps.</p>'
+        return [], "the recording has no steps."
     try:
         replay = Replay(recording, detail=False)
         if not replay.drawables:
-            return f'<p style="{_NOTE}">No pictures: the recording names nothing that could be drawn.</p>'
+            return [], "the recording names nothing that could be drawn."
         name = "third_person" if recording.agents else "top_down"
         rows = [int(row) for row in np.unique(np.linspace(0, len(recording) - 1, STRIP).round())]
+        times = (recording.columns["time_ns"][rows] - recording.columns["time_ns"][0]) * 1e-9
         pictures = []
-        for row in rows:
+        for row, time_s in zip(rows, times, strict=True):
             # the search for a smooth path, as of a video, would take 95% of the time
             alone = bool(recording.agents)
             camera = third_person_at(replay, row, around_s=0.0) if alone else camera_at(replay, name, row)
             small = scaled(camera, STRIP_WIDTH / camera.width)
             track = CameraTrack(camera=small, poses=small.pose[None])
-            pictures.append(next(iter(replay.frames([track], [row])))[1][0]["rgb"])
+            picture = next(iter(replay.frames([track], [row])))[1][0]["rgb"]
+            pictures.append((jpeg_data_uri(picture), picture.shape[1], name, float(time_s)))
     except H3DataError as error:
-        return f'<p style="{_NOTE}">No pictures: {escape(str(error))}</p>'
-    times = (recording.columns["time_ns"][rows] - recording.columns["time_ns"][0]) * 1e-9
-    figures = (
-        f'<figure style="margin:0"><img src="{jpeg_data_uri(picture)}" width="{picture.shape[1]}" alt="{name} at {t:.1f} s">'
-        f'<figcaption style="{_NOTE}">{t:.1f} s</figcaption></figure>'
-        for picture, t in zip(pictures, times, strict=True)
-    )
-    return f'<div style="display:flex;gap:6px;flex-wrap:wrap">{"".join(figures)}</div>'
-
-
-def _metrics(recording: Recording) -> str:
-    from h3data.metrics import measure
-
-    try:
-        return metrics_html(measure(recording))
-    except H3DataError as error:
-        return f'<p style="{_NOTE}">No metrics: {escape(str(error))}</p>'
-
-
-class _Name(str):
-    """A name or a number of a table that shows its middle only where the pointer is: seeds have up to 19 digits."""
-
-
-def _cell(value: object) -> str:
-    text = str(value)
-    if not isinstance(value, _Name) or len(text) <= NAME_WIDTH:
-        return f'<td style="{_CELL}">{escape(text)}</td>'
-    half = NAME_WIDTH // 2
-    return f'<td style="{_CELL}" title="{escape(text)}">{escape(text[:half])}&hellip;{escape(text[-half:])}</td>'
-
-
-def _table(rows: Sequence[Sequence[object]], head: Sequence[str] = ()) -> str:
-    names = "".join(f'<th style="{_CELL}">{escape(name)}</th>' for name in head)
-    lines = ("".join(map(_cell, row)) for row in rows)
-    body = "".join(f"<tr>{line}</tr>" for line in lines)
-    header = f"<thead><tr>{names}</tr></thead>" if head else ""
-    return f'<table style="align-self:flex-start">{header}<tbody>{body}</tbody></table>'
+        return [], str(error)
+    return pictures, ""

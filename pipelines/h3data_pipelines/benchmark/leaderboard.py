@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -60,20 +59,16 @@ class Leaderboard:
 
     def to_html(self) -> str:
         """Return a page that needs no other file, with a card below the table for each result."""
-        escape = html.escape
-        heads = "".join(f"<th>{escape(head)}</th>" for head in self._heads())
-        body = "".join(
-            "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in self._cells(place, one)) + "</tr>"
-            for place, one in self._places()
-        )
-        cards = "".join(_card(one) for one in {entry.source: entry for entry in self.entries}.values())
-        title, about = escape(self.benchmark.label), escape(self.benchmark.file.about)
-        legends = "<br>".join(map(escape, self._legend()))
-        return (
-            f'<!doctype html>\n<html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-            f"<title>{title}</title><style>{_STYLE}</style>\n<main><h1>{title}</h1><p>{about}</p>\n"
-            f'<div class="wide"><table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table></div>\n'
-            f"<p>Means with 95% intervals.<br>{legends}</p>\n<h2>Results</h2>{cards}</main></html>\n"
+        from jinja2 import Environment, PackageLoader, StrictUndefined
+
+        pages = PackageLoader("h3data_pipelines", "benchmark")
+        environment = Environment(loader=pages, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+        return environment.get_template("leaderboard.html").render(
+            benchmark=self.benchmark,
+            heads=self._heads(),
+            rows=[self._cells(place, one) for place, one in self._places()],
+            legend=self._legend(),
+            results={entry.source: entry.result for entry in self.entries},
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -162,30 +157,3 @@ def _baselines(benchmark: Benchmark) -> list[Entry]:
         for result in results
         for row in result.rows
     ]
-
-
-def _card(one: Entry) -> str:
-    facts = {"Played with": ", ".join(one.result.created_by), "Date": one.result.date, **one.result.machine}
-    rows = "".join(f"<dt>{html.escape(name)}</dt><dd>{html.escape(value)}</dd>" for name, value in facts.items())
-    return f"<section><h3>{html.escape(one.source)}</h3><dl>{rows}</dl></section>"
-
-
-_STYLE = """
-body { margin: 0; font: 16px/1.5 system-ui, sans-serif; color: #1d2430; background: #fff }
-main { max-width: 70rem; margin: auto; padding: 1.5rem }
-.wide { overflow-x: auto }
-table { border-collapse: collapse; width: 100% }
-th, td { padding: .4rem .7rem; text-align: left; border-bottom: 1px solid #d5dae3; white-space: nowrap }
-td { font-variant-numeric: tabular-nums }
-section { display: inline-block; vertical-align: top; border: 1px solid #d5dae3; border-radius: 8px }
-section { padding: .5rem 1rem; margin: 0 1rem 1rem 0 }
-dl { display: grid; grid-template-columns: auto 1fr; gap: .1rem .8rem; margin: 0 }
-dt { color: #5a6472 }
-dd { margin: 0 }
-h3 { margin: .2rem 0 }
-@media (prefers-color-scheme: dark) {
-  body { color: #e6e9ef; background: #14171d }
-  th, td, section { border-color: #353b47 }
-  dt { color: #9aa4b3 }
-}
-"""

@@ -34,6 +34,7 @@ _PACKAGES = (
     "opencv-python-headless",
     "av",
     "msgspec",
+    "jinja2",
     "tyro",
 )
 

@@ -306,7 +306,7 @@ def test_no_recorded_string_becomes_markup(hostile: Recording, tmp_path: Path) -
     assert page.faults == []
     assert len(page.scripts) == 2
     assert "hostile" not in page.text.replace("&lt;/script&gt;&lt;script&gt;window.hostile=1", "").replace(
-        "&lt;img src=x onerror=&quot;window.hostile=1", ""
+        "&lt;img src=x onerror=&#34;window.hostile=1", ""
     )
     about, _ = unpacked(page.block)
     assert about["stage"]["agents"][0]["name"].endswith(HOSTILE)

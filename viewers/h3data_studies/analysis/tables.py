@@ -16,7 +16,7 @@ from h3data_studies.analysis.estimates import (
     without_hint,
 )
 from h3data_studies.analysis.ranks import rank_table
-from h3data_viewers.html_report.charts import mean_charts
+from h3data_viewers.html_report.charts import StudyTables, mean_charts
 from h3data_viewers.html_report.data import Run
 from h3data_viewers.html_report.paper import metric_column
 from h3data_viewers.html_report.tables import (
@@ -24,7 +24,6 @@ from h3data_viewers.html_report.tables import (
     Column,
     Row,
     Section,
-    StudyTables,
     Table,
     counted,
     mean_cell,

@@ -25,8 +25,6 @@ from h3data_exporters.posed_parts import PosedPart
 from h3data_viewers.html_replay.packing import Payload
 from h3data_viewers.rerun.mesh_budget import baked_colors
 
-_LOG = logging.getLogger(__name__)
-
 MAX_VERTICES = 130_000
 """Greatest number of vertices of all meshes; above it, all are thinned alike. A vertex takes about 6 bytes of the file: a
 medium home has 62,000."""
@@ -34,10 +32,6 @@ LEAST_VERTICES = 100
 """Least number of vertices of a mesh that is thinned."""
 MAX_TEXELS = 1 << 20
 TEXTURE_SIDE_PX = 256
-_STEPS = {"POSITION": 2.0**-12, "NORMAL": 2.0**-7, "TEXCOORD_0": 2.0**-13}
-"""Coordinates are rounded to a quarter of a millimetre, normals to half a degree, texture coordinates to an 8,192th."""
-_COLOR = 8
-"""Step of the colours of thinned meshes: more colours would be more triangles with corners of their own."""
 
 
 def add_home(payload: Payload, recording: Recording, parts: Sequence[PosedPart]) -> None:
@@ -49,9 +43,20 @@ def add_home(payload: Payload, recording: Recording, parts: Sequence[PosedPart])
     drawn = _within_budget([part for part in parts if len(part.mesh.faces)])
     with tempfile.TemporaryDirectory(prefix="h3data-") as folder:
         path = Path(folder, "home.glb")
+        # one pose each: the page moves the nodes itself, by the tracks of the payload
         write_gltf_animation(recording, [_at_first(part) for part in drawn], path)
-        document, chunk = _read_glb(path.read_bytes())
-    _name_joints(document, len(recording.agents), drawn)
+        data = path.read_bytes()
+    # a GLB is a header of 12 bytes and two chunks, JSON and binary, each after 8 bytes with its length and type
+    (length,) = struct.unpack_from("<I", data, 12)
+    document, chunk = json.loads(data[20 : 20 + length]), memoryview(data)[28 + length :]
+    node = len(recording.agents)  # the writer's nodes are those of the agents, then each part with its joints
+    for part in drawn:
+        node += 1
+        for name in part.skeleton.names if part.skeleton is not None else ():
+            if part.body is not None:  # two bodies may have joints of one name
+                document["nodes"][node]["name"] = f"{part.name}/{name}"
+            node += 1
+    # uid, task and scene, which the page has among its facts
     del document["asset"]["extras"]
     _add_views(payload, document, chunk)
     payload.add_file("home", json.dumps(document, separators=(",", ":")).encode())
@@ -72,28 +77,25 @@ def _at_first(part: PosedPart) -> PosedPart:
     return replace(part, poses=first_pose(part.poses), skeleton=skeleton)
 
 
-def _name_joints(document: dict[str, Any], agents: int, parts: Sequence[PosedPart]) -> None:
-    """Joint names of different bodies may be equal; `write_gltf_animation` writes parts in their order, after the agents."""
-    node = agents
-    for part in parts:
-        node += 1
-        if part.skeleton is not None:
-            for name in part.skeleton.names:
-                if part.body is not None:
-                    document["nodes"][node]["name"] = f"{part.name}/{name}"
-                node += 1
-
-
 # --- budgets ----------------------------------------------------------------------------------------------------------
 def _within_budget(parts: Sequence[PosedPart]) -> list[PosedPart]:
+    """The parts with meshes and textures that keep `MAX_VERTICES` and `MAX_TEXELS`."""
+    # by identity: many parts share a mesh, which the file holds once
     distinct = {id(part.mesh): part.mesh for part in parts}
     total = sum(len(mesh.vertices) for mesh in distinct.values())
     if (share := MAX_VERTICES / max(total, 1)) < 1:
-        _LOG.info("Thinning %d vertices to %.0f%%", total, 100 * share)
+        logging.getLogger(__name__).info("Thinning %d vertices to %.0f%%", total, 100 * share)
+    textures = {id(texture): texture for mesh in distinct.values() for texture in mesh.textures}
+    sizes, side = [t.pixels.shape[1::-1] for t in textures.values()], TEXTURE_SIDE_PX
+    while side > 1 and sum(np.prod(reduced_size(w, h, side)) for w, h in sizes) > MAX_TEXELS:
+        side //= 2
+    textures = {key: Texture(pixels=reduced(t.pixels, side), name=t.name) for key, t in textures.items()}
+    # thinning does not carry the weights of bones
     rigged = {id(part.mesh) for part in parts if part.skeleton is not None}
-    textures = _reduced_textures(list(distinct.values()))
     small = {
-        key: _thinned(mesh, share) if share < 1 and key not in rigged else _retextured(mesh, textures)
+        key: _thinned(mesh, share)
+        if share < 1 and key not in rigged
+        else replace(mesh, textures=tuple(textures[id(texture)] for texture in mesh.textures))
         for key, mesh in distinct.items()
     }
     return [replace(part, mesh=small[id(part.mesh)]) for part in parts if len(small[id(part.mesh)].faces)]
@@ -107,36 +109,21 @@ def _thinned(mesh: Mesh, share: float) -> Mesh:
     thin = thin_mesh(mesh, most)
     if not len(thin.faces):
         return mesh
-    colors = baked_colors(mesh)[thin.keep] // _COLOR * _COLOR + _COLOR // 2
+    # 32 levels of a colour: more colours would be more triangles with corners of their own
+    colors = baked_colors(mesh)[thin.keep] // 8 * 8 + 4
     normals = None if mesh.normals is None else mesh.normals[thin.keep]
     return Mesh(vertices=mesh.vertices[thin.keep], faces=thin.faces, colors=colors.astype(np.uint8), normals=normals)
 
 
-def _reduced_textures(meshes: Sequence[Mesh]) -> dict[int, Texture]:
-    """Textures within the budget, by the id of the original."""
-    textures = {id(texture): texture for mesh in meshes for texture in mesh.textures}
-    sizes, side = [t.pixels.shape[1::-1] for t in textures.values()], TEXTURE_SIDE_PX
-    while side > 1 and sum(np.prod(reduced_size(w, h, side)) for w, h in sizes) > MAX_TEXELS:
-        side //= 2
-    return {key: Texture(pixels=reduced(t.pixels, side), name=t.name) for key, t in textures.items()}
-
-
-def _retextured(mesh: Mesh, textures: dict[int, Texture]) -> Mesh:
-    return replace(mesh, textures=tuple(textures[id(texture)] for texture in mesh.textures))
-
-
 # --- the file ---------------------------------------------------------------------------------------------------------
-def _read_glb(data: bytes) -> tuple[dict[str, Any], memoryview]:
-    (length,) = struct.unpack_from("<I", data, 12)
-    return json.loads(data[20 : 20 + length]), memoryview(data)[28 + length :]
-
-
 def _add_views(payload: Payload, document: dict[str, Any], old: memoryview) -> None:
     """Adds the buffer views: opaque pictures as JPEG, indices of 16 bits where they suffice."""
     images = {image["bufferView"]: image for image in document.get("images", ())}
     primitives = [p for mesh in document.get("meshes", ()) for p in mesh["primitives"]]
+    # a quarter of a millimetre, half a degree, and an 8,192th of a texture, which nobody sees; indices stay exact
     steps = {p["indices"]: 1.0 for p in primitives}
-    steps |= {p["attributes"][n]: step for p in primitives for n, step in _STEPS.items() if n in p["attributes"]}
+    for name, step in {"POSITION": 2.0**-12, "NORMAL": 2.0**-7, "TEXCOORD_0": 2.0**-13}.items():
+        steps |= {p["attributes"][name]: step for p in primitives if name in p["attributes"]}
     accessors = {document["accessors"][k]["bufferView"]: (document["accessors"][k], step) for k, step in steps.items()}
     for number, view in enumerate(document["bufferViews"]):
         data = bytes(old[view["byteOffset"] : view["byteOffset"] + view["byteLength"]])
@@ -144,6 +131,7 @@ def _add_views(payload: Payload, document: dict[str, Any], old: memoryview) -> N
             accessor, step = accessors[number]
             kind = {FLOAT32: "<f4", UINT32: "<u4", UINT16: "<u2"}[accessor["componentType"]]
             values = np.frombuffer(data, kind).reshape(accessor["count"], -1)
+            # glTF allows no index that is the greatest number of its type
             if kind == "<u4" and values.max(initial=0) < 65535:
                 kind, accessor["componentType"] = "<u2", UINT16
             view["numbers"] = kind[1:]
@@ -155,7 +143,7 @@ def _add_views(payload: Payload, document: dict[str, Any], old: memoryview) -> N
 
 
 def _picture(png: bytes, name: str) -> tuple[bytes, str]:
-    """The palette and pictures with holes stay exact."""
+    """A PNG and its type, as JPEG if that is smaller; the palette and pictures with holes stay exact."""
     from PIL import Image
 
     with Image.open(io.BytesIO(png)) as picture:

@@ -8,13 +8,9 @@ as text, and its Content-Security-Policy lets no other script run and nothing be
 from __future__ import annotations
 
 import base64
-import hashlib
 from dataclasses import dataclass
-from functools import cache
-from html import escape
 from importlib.resources import files
 from pathlib import Path
-from string import Template
 from typing import Any
 
 import numpy as np
@@ -29,6 +25,7 @@ from h3data_viewers.html_replay.home import add_home
 from h3data_viewers.html_replay.packing import Payload
 from h3data_viewers.html_replay.story import add_story
 from h3data_viewers.html_replay.tracks import add_tracks
+from h3data_viewers.templates import render
 
 MOST_STATES = 6000
 """States in a file (200 s at 30 Hz): of longer recordings every second, third, ... is kept, and the page goes between them."""
@@ -75,16 +72,16 @@ def write_html(
         )
     replay = replay or Replay(recording, detail=False)
     rows = np.unique(np.linspace(0, len(recording) - 1, min(len(recording), MOST_STATES)).round().astype(np.int64))
-    page = _page(title or _title(recording), _block(recording, replay, rows))
+    task, episode_id = (
+        recording.episode.task.replace("_", " ").capitalize() or "Recording",
+        recording.episode.episode_id,
+    )
+    named = f"{task}, episode {episode_id}" if episode_id else task
+    page = _page(title or named, _block(recording, replay, rows))
     path.parent.mkdir(parents=True, exist_ok=True)
     with part_file(path) as part:
         part.write_text(page, encoding="utf-8", newline="\n")
     return HtmlReplay(path=path, bytes=path.stat().st_size, states=len(rows), steps=len(recording))
-
-
-def _title(recording: Recording) -> str:
-    task = recording.episode.task.replace("_", " ").capitalize() or "Recording"
-    return f"{task}, episode {recording.episode.episode_id}" if recording.episode.episode_id else task
 
 
 def _block(recording: Recording, replay: Replay, rows: np.ndarray) -> bytes:
@@ -95,16 +92,14 @@ def _block(recording: Recording, replay: Replay, rows: np.ndarray) -> bytes:
     payload.add_array("time", times[rows] - times[0], TIME_S)
     payload.add_array("step", rows, 1)
     scene = replay.scene
-    bases = [recording.agent_column(k, "base_pose")[:, :3] for k in range(len(recording.agents))]
-    floor_y = scene.rooms[0].floor_y if scene is not None and scene.rooms else _lowest(bases)
+    if scene is not None and scene.rooms:
+        floor_y = scene.rooms[0].floor_y
+    else:  # recordings of other tools have no rooms: agents stand on the lowest height that one has
+        heights_y = [recording.agent_column(k, "base_pose")[:, 1] for k in range(len(recording.agents))]
+        floor_y = min((float(y[np.isfinite(y)].min()) for y in heights_y if np.isfinite(y).any()), default=0.0)
     heights = replay.heights.round(6).tolist()
     stage = {**add_tracks(payload, replay, parts, rows), "floor_y": float(floor_y), "heights": heights}
     return payload.packed({"stage": stage, "facts": _facts(recording, replay), **add_story(payload, recording, rows)})
-
-
-def _lowest(bases: list[Any]) -> float:
-    heights = np.concatenate([base[np.isfinite(base[:, 1]), 1] for base in bases] or [np.zeros(0)])
-    return float(heights.min()) if len(heights) else 0.0
 
 
 def _facts(recording: Recording, replay: Replay) -> dict[str, Any]:
@@ -127,31 +122,16 @@ def _facts(recording: Recording, replay: Replay) -> dict[str, Any]:
     return {name: str(value) for name, value in facts.items() if str(value)}
 
 
-# --- the page ---------------------------------------------------------------------------------------------------------
-@cache
-def _built(name: str) -> str:
-    """A file of the page."""
-    source = files("h3data_viewers.html_replay") / "page" / name
-    if not source.is_file():
+def _page(title: str, block: bytes) -> str:
+    script = files("h3data_viewers.html_replay") / "page" / "replay.js"
+    if not script.is_file():
         raise H3DataError(
-            f"The page of HTML replays is not built. Hint: run make web (needs Node.js). Missing: {name}",
+            f"The page of HTML replays is not built. Hint: run make web (needs Node.js). Missing: {script.name}",
             code="H3-VIEW-003",
         )
-    return source.read_text(encoding="utf-8").strip()
-
-
-def _page(title: str, block: bytes) -> str:
-    style, script = _built("replay.css"), _built("replay.js")
-    return Template(_built("replay.html")).substitute(
-        title=escape(title),
-        style=style,
-        style_hash=_digest(style),
-        script=script,
-        script_hash=_digest(script),
+    return render(
+        "html_replay/page/replay.html",
+        title=title,
         generator=f"h3data {own_version()}",
         data=base64.b64encode(block).decode(),
     )
-
-
-def _digest(text: str) -> str:
-    return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()

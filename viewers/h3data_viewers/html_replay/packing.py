@@ -7,7 +7,7 @@ u32 length of the header | header: JSON, UTF-8 | arrays and files, one after the
 An array [T, C] is rounded to multiples of its step; differences between rows become unsigned numbers (zigzag), and equal
 bytes of all numbers lie together, column by column: neighbouring rows differ little, so most bytes are 0. The block is
 compressed with zlib, which browsers unpack themselves (`DecompressionStream`). `web/src/replay/payload.ts` reads it;
-tests/viewers/replay_payload.json is read by the tests of both.
+the tests of both read a block that holds all of this (tests/viewers/replays/golden.py).
 """
 
 from __future__ import annotations
@@ -22,9 +22,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data_exporters.posed_parts import spans
-
-_LEVELS = 2**30
-"""Numbers stay below this, so that differences fit into 32 bits: a step that is too fine for the range is made coarser."""
 
 
 @dataclass
@@ -44,11 +41,16 @@ class Payload:
         rows = rows[:, None] if rows.ndim == 1 else rows
         assert rows.ndim == 2
         there: NDArray[np.bool_] = np.all(np.isfinite(rows), axis=1)
-        step = max(step, float(np.abs(rows[there]).max(initial=0.0)) / _LEVELS)
-        levels = np.rint(_held(rows, there) / step).astype(np.int64)
+        # levels stay within 2^30 so that zigzag codes of differences fit into 32 bits; a finer step is made coarser
+        step = max(step, float(np.abs(rows[there]).max(initial=0.0)) / 2**30)
+        # absent rows repeat the one before, or are zeros, so that their differences are zeros, which compress best
+        latest = np.maximum.accumulate(np.where(there, np.arange(len(rows)), -1)) if len(rows) else np.zeros(0, np.intp)
+        levels = np.rint(np.where(latest[:, None] < 0, 0.0, rows[latest]) / step).astype(np.int64)
+        # differences of whole levels, not of values: rounding does not add up along the track
         changes = np.diff(levels, axis=0, prepend=0)
         codes = np.where(changes < 0, -2 * changes - 1, 2 * changes).astype("<u4")
         planes = next(p for p in (1, 2, 3, 4) if p == 4 or not (codes >> np.uint32(8 * p)).any())
+        # lowest bytes first, column by column: the higher bytes are nearly all 0 and lie together
         data = b"".join(
             ((codes >> np.uint32(8 * p)) & np.uint32(255)).astype(np.uint8).T.tobytes() for p in range(planes)
         )
@@ -71,9 +73,3 @@ class Payload:
         """The compressed block; ``about`` is plain JSON that goes into its header."""
         header = json.dumps({"about": about, "entries": self.entries}, allow_nan=False, separators=(",", ":")).encode()
         return zlib.compress(struct.pack("<I", len(header)) + header + b"".join(self._parts), 9)
-
-
-def _held(rows: NDArray[np.float64], there: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Rows with those that are absent replaced by the one before, or by zeros."""
-    latest = np.maximum.accumulate(np.where(there, np.arange(len(rows)), -1)) if len(rows) else np.zeros(0, np.intp)
-    return np.where(latest[:, None] < 0, 0.0, rows[latest])

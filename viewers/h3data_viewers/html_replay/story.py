@@ -30,7 +30,6 @@ LEVELS = 4000
 MOST_EVENTS = 4000
 SCAN_M = 0.01
 """Step of the distances of scans."""
-_FOLLOWING_M = [1.0, 2.0]
 _TITLES = {
     "dist_agents": "Distance",
     "distance_l2": "Distance",
@@ -48,7 +47,14 @@ def add_story(payload: Payload, recording: Recording, rows: NDArray[np.integer])
         "events": _events(recording, rows),
         "contacts": _contacts(recording, rows),
         "goals": _goals(recording),
-        "walks": _walks(recording, rows),
+        "walks": [  # the points that people walk to, and from which step on
+            {
+                "agent": agent,
+                "steps": np.clip(np.searchsorted(rows, changed), 0, len(rows) - 1).tolist(),
+                "points": points.round(3).tolist(),
+            }
+            for agent, changed, points in walking_goals(recording)
+        ],
         "scans": _scans(payload, recording, rows),
     }
 
@@ -59,7 +65,8 @@ def _charts(payload: Payload, recording: Recording, rows: NDArray[np.integer]) -
     curves, metres = curves_of(recording)
     distances = [_curve(payload, _title(name), curves[name][rows]) for name in metres]
     if distances:
-        band = _FOLLOWING_M if is_following(recording) else None
+        # the distances at which the robot follows: metric F of Habitat 3.0
+        band = [1.0, 2.0] if is_following(recording) else None
         charts.append({"title": "Distance between the agents", "unit": "m", "curves": distances, "band": band})
     goals = recording.columns.get("metrics.at_goal")
     if goals is not None and goals.ndim == 2:
@@ -78,6 +85,7 @@ def _charts(payload: Payload, recording: Recording, rows: NDArray[np.integer]) -
 def _curve(payload: Payload, name: str, values: NDArray[Any]) -> dict[str, str]:
     values = np.asarray(values, np.float64)
     finite = values[np.isfinite(values)]
+    # a chart is at most some hundred pixels tall, so finer levels would not show
     span = float(np.ptp(finite)) if len(finite) else 0.0
     return {"name": name, "array": payload.add_array(f"curve_{len(payload.entries)}", values, max(span / LEVELS, 1e-9))}
 
@@ -92,6 +100,7 @@ def _speed(recording: Recording, agent: int) -> NDArray[np.float64]:
     xz = recording.agent_column(agent, "base_pose")[:, [0, 2]].astype(np.float64)
     if len(xz) < 2:
         return np.zeros(len(xz))
+    # three steps of 1/30 s to each side
     before, after = np.maximum(np.arange(len(xz)) - 3, 0), np.minimum(np.arange(len(xz)) + 3, len(xz) - 1)
     return np.linalg.norm(xz[after] - xz[before], axis=1) / np.maximum(time_s[after] - time_s[before], 1e-9)
 
@@ -101,12 +110,9 @@ def _lanes(recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, An
     lanes = dict(lanes_of(recording))
     for flag, name in CONTACT_LANES.items():
         values = touched_rows(recording) if flag == "collision" else recording.columns.get(f"metrics.{flag}")
-        if (
-            values is not None
-            and values.ndim == 1
-            and values.any()
-            and not (flag == "collision" and "encounter" in lanes)
-        ):
+        # the lane of encounters has contacts of robot and person already
+        twice = flag == "collision" and "encounter" in lanes
+        if values is not None and values.ndim == 1 and values.any() and not twice:
             lanes[name] = ["contact" if value else "-" for value in values.tolist()]
     out = []
     for name, states in lanes.items():
@@ -132,7 +138,7 @@ def _events(recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, A
             if event.kind == "success"
             else "event"
         )
-        events.append((event.step, kind, _sentence(text)))
+        events.append((event.step, kind, text[:1].upper() + text[1:]))
     for span in recording.skills:
         who = names[span.agent] if 0 <= span.agent < len(names) else "?"
         skill = f"{who}: {_words(span.name)} {span.target}".strip()
@@ -141,6 +147,7 @@ def _events(recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, A
             failed = span.outcome in ("failed", "aborted")
             reason = f" ({span.reason})" if span.reason else ""
             events.append((span.end_step, "skill-bad" if failed else "skill", f"{skill}, {span.outcome}{reason}"))
+    # a contact that an event tells of is not listed again; the flag may begin a step before or after the event
     said = [event.step for event in recording.events if "collision" in event.kind]
     touches = [row for row in _touches(recording) if all(abs(row - step) > 1 for step in said)]
     events += [(row, "bad", "Robot and person touch") for row in touches]
@@ -186,22 +193,11 @@ def _goals(recording: Recording) -> list[dict[str, Any]]:
     return goals
 
 
-def _walks(recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, Any]]:
-    """The points that people walk to, and from which step on."""
-    return [
-        {
-            "agent": agent,
-            "steps": np.clip(np.searchsorted(rows, changed), 0, len(rows) - 1).tolist(),
-            "points": points.round(3).tolist(),
-        }
-        for agent, changed, points in walking_goals(recording)
-    ]
-
-
 def _scans(payload: Payload, recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, Any]]:
     """Adds what laser scanners measured at ``rows``."""
     scans = []
     for number, scan in enumerate(scans_of(recording)):
+        # a ray that meets nothing ends at the range of the scanner: the payload takes rows with NaN for absent ones
         ranges = np.nan_to_num(np.minimum(scan.ranges[rows], scan.max_m), nan=scan.max_m, posinf=scan.max_m)
         track = payload.add_array(f"scan_{number}", ranges.astype(np.float64), SCAN_M)
         scans.append({"agent": scan.agent, "track": track, "most": scan.max_m, "height": HEIGHT_M})
@@ -216,7 +212,3 @@ def _words(name: str) -> str:
 def _thing(name: str) -> str:
     """``kitchen_counter_0|top`` is called kitchen counter."""
     return _words(re.sub(r"_\d+$", "", name.partition("|")[0]))
-
-
-def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:]

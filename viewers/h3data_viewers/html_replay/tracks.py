@@ -25,7 +25,7 @@ POSITION_M, HEADING_RAD, JOINT, ROTATION = 5e-4, 5e-4, 2e-4, 1e-3
 """Steps of what is stored: of positions, headings, joints [rad or m] and components of quaternions. Live play
 sends joints as finely and rotations in steps of 1.4e-3."""
 _STILL = 1e-4
-_BODY_HEIGHT_M = {"robot": 0.95, "human": 1.95}
+"""Least change of a coordinate of a pose by which a thing or a bone counts as moving."""
 
 
 def add_tracks(payload: Payload, replay: Replay, parts: list[PosedPart], rows: NDArray[np.integer]) -> dict[str, Any]:
@@ -39,11 +39,9 @@ def add_tracks(payload: Payload, replay: Replay, parts: list[PosedPart], rows: N
     rigged = {f"{agent['name']}/{link['name']}" for agent in agents for link in agent.get("links", ())}
     things: list[dict[str, Any]] = []
     for part in progress(parts, desc="write tracks", unit="thing", delay=1.0, leave=False):
-        if (
-            not len(part.mesh.faces)
-            or part.name in turned
-            or (part.body is None and (part.skeleton is not None or part.name in rigged))
-        ):
+        # doors follow their joints, robots and people the tracks of their agent
+        posed_elsewhere = part.body is None and (part.skeleton is not None or part.name in rigged)
+        if not len(part.mesh.faces) or part.name in turned or posed_elsewhere:
             continue
         if part.skeleton is not None:
             for joint, name in enumerate(part.skeleton.names):
@@ -61,6 +59,7 @@ def _joints(payload: Payload, replay: Replay, rows: NDArray[np.integer]) -> list
         return []
     payload.add_array("joints", positions[rows], JOINT)
     movable = {body.name for body in recording.bodies if body.moving >= 0}
+    # the home's GLB has the pose of the first row, so the page turns doors from there
     return joint_rigs(posed(replay.scene, positions[rows[0]]), movable=movable)
 
 
@@ -77,8 +76,17 @@ def _agent(
     agent = replay.recording.agents[k]
     pose = replay.recording.agent_column(k, "base_pose")[rows].astype(np.float64)
     payload.add_array(f"agent_{k}.base", pose[:, :3], POSITION_M)
-    payload.add_array(f"agent_{k}.heading", _unwrapped(heading_from_quat(pose[:, 3:])), HEADING_RAD)
-    entry: dict[str, Any] = {"name": agent.name, "kind": agent.kind, "height": _BODY_HEIGHT_M[agent.kind]}
+    heading = np.array(heading_from_quat(pose[:, 3:]), np.float64)
+    known = np.isfinite(heading)
+    # the page goes straight from one row to the next: a jump of 2 pi would spin the agent once around
+    heading[known] = np.unwrap(heading[known])
+    payload.add_array(f"agent_{k}.heading", heading, HEADING_RAD)
+    # heights [m] at which names hang above the agents
+    entry: dict[str, Any] = {
+        "name": agent.name,
+        "kind": agent.kind,
+        "height": {"robot": 0.95, "human": 1.95}[agent.kind],
+    }
     model = replay.model(k) if agent.model else None
     if isinstance(model, Robot):
         payload.add_array(f"agent_{k}.joints", replay.robot_joints(k, model)[rows], JOINT)
@@ -87,10 +95,12 @@ def _agent(
     if skin is None or skin.skeleton is None:
         return entry
     local = local_poses(np.nan_to_num(skin.skeleton.poses), skin.skeleton.parents)
+    # q and -q are one rotation; the page interpolates components, which must not change their sign between rows
     local[..., 3:] = quat_sign_continuous(local[..., 3:])
     there = np.isfinite(skin.skeleton.poses).all((1, 2))
     local[~there] = np.nan
     varied = np.ptp(local[there, :, 3:], axis=0).max(-1) > _STILL if there.any() else np.zeros(local.shape[1], np.bool_)
+    # bones that never bend keep the pose that the home's GLB gives them
     bent = [j for j in range(1, local.shape[1]) if varied[j]]
     _add_poses(payload, f"agent_{k}.root", local[:, 0])
     payload.add_array(f"agent_{k}.quats", local[:, bent, 3:].reshape(len(local), -1), ROTATION)
@@ -102,9 +112,3 @@ def _add_poses(payload: Payload, name: str, poses: Array) -> str:
     payload.add_array(f"{name}.position", poses[:, :3], POSITION_M)
     payload.add_array(f"{name}.rotation", quat_sign_continuous(np.asarray(poses[:, 3:], np.float64)), ROTATION)
     return name
-
-
-def _unwrapped(heading: Array) -> Array:
-    out, there = np.array(heading, np.float64), np.isfinite(heading)
-    out[there] = np.unwrap(out[there])
-    return out

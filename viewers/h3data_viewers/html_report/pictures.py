@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 from urllib.parse import quote
@@ -25,7 +25,7 @@ from h3data_viewers.html_report.charts import series_class
 from h3data_viewers.html_report.data import Run, read_whole
 from h3data_viewers.html_report.episode import GRID_S, ReportEpisode, Track
 from h3data_viewers.html_report.svg import Svg, linear
-from h3data_viewers.html_report.tables import counted, number
+from h3data_viewers.html_report.tables import counted
 
 if TYPE_CHECKING:
     from h3data.replay import Replay
@@ -59,22 +59,16 @@ class Plan:
     origin: tuple[float, float]
     """World ``(x, z)`` of the upper left corner."""
     image: str = ""
-    """JPEG as a data URI; empty: nobody recorded the scene."""
+    """JPEG as a data URI, drawn pale, so that lines stand out; empty: nobody recorded the scene."""
 
     def points(self, xz: NDArray[np.floating]) -> NDArray[np.float64]:
         """Coordinates on the plan of floor points [K, 2] [m]."""
         return (np.asarray(xz, np.float64) - self.origin) * self.scale
 
-    def symbol(self) -> str:
-        """The picture, to be defined once in the page; it is drawn pale, so that lines stand out."""
-        if not self.image:
-            return f'<rect id="{self.key}" width="{self.width:.1f}" height="{self.height:.1f}" class="floor"/>'
-        return f'<image id="{self.key}" width="{self.width:.1f}" height="{self.height:.1f}" href="{self.image}"/>'
-
-    def picture(self, alt: str) -> Svg:
-        """A drawing that begins with the plan."""
-        svg = Svg(self.width, self.height, alt, css="plan")
-        svg.use(self.key)
+    def picture(self, alt: str, *, caption: str = "") -> Svg:
+        """A drawing that begins with the plan, which the page defines once."""
+        svg = Svg(self.width, self.height, alt, css="plan", caption=caption)
+        svg.add("use", "", href=f"#{self.key}")
         return svg
 
 
@@ -95,11 +89,6 @@ class Plans:
             else:
                 self.made[name] = _blank(key, episode)
         return self.made[name]
-
-    def definitions(self) -> str:
-        """All pictures, for the beginning of the page."""
-        symbols = "".join(plan.symbol() for plan in self.made.values())
-        return f'<svg class="definitions" width="0" height="0" aria-hidden="true"><defs>{symbols}</defs></svg>'
 
 
 def _recorded_scene(episode: ReportEpisode) -> Scene | None:
@@ -149,18 +138,21 @@ def _blank(key: str, episode: ReportEpisode) -> Plan:
 
 
 # --- trajectories -----------------------------------------------------------------------------------------------------
-def trajectory_figures(runs: Sequence[Run], plans: Plans) -> tuple[list[str], str]:
+def trajectory_charts(runs: Sequence[Run], plans: Plans) -> tuple[list[Svg], str]:
     """Floor plans of the scenes with the most episodes, with the paths of robots (in the run's colour) and people (grey).
 
     The text that is returned says which scenes these are and how many there are, if not all are shown.
     """
     counts = Counter(e.metrics.scene for run in runs for e in run.episodes if e.tracks)
-    figures = []
+    charts = []
     for scene, count in counts.most_common(_SCENES):
         here = [[e for e in run.episodes if e.metrics.scene == scene and e.tracks] for run in runs]
         plan = plans.of(next(e for episodes in here for e in episodes))
-        svg = plan.picture(f"Floor plan of {scene} with the trajectories of {count} episodes")
         chosen = [_spread(episodes) for episodes in here]
+        drawn = sum(map(len, chosen))
+        what = counted(count, "episode") if drawn == count else f"{drawn} of {counted(count, 'episode')}"
+        alt = f"Floor plan of {scene} with the trajectories of {count} episodes"
+        svg = plan.picture(alt, caption=f"{scene or 'No scene'}: {what}")
         for episodes in chosen:
             for episode in episodes:
                 for track in episode.tracks:
@@ -175,14 +167,9 @@ def trajectory_figures(runs: Sequence[Run], plans: Plans) -> tuple[list[str], st
                         for x, y in plan.points(known[-1:]):
                             svg.circle(x, y, 3, f"end {series_class(k)}")
         _scale_bar(svg, plan)
-        drawn = sum(map(len, chosen))
-        what = counted(count, "episode") if drawn == count else f"{drawn} of {counted(count, 'episode')}"
-        figures.append(
-            f"<figure><figcaption>{escape(scene or 'No scene')}: {what}</figcaption>{svg.to_html()}</figure>"
-        )
-    return figures, f"The {len(figures)} scenes with most episodes, of {len(counts)}." if len(figures) < len(
-        counts
-    ) else ""
+        charts.append(svg)
+    fewer = len(charts) < len(counts)
+    return charts, f"The {len(charts)} scenes with most episodes, of {len(counts)}. " if fewer else ""
 
 
 def _spread(episodes: Sequence[ReportEpisode]) -> list[ReportEpisode]:
@@ -258,8 +245,8 @@ class ReplayFiles:
     folder: Path
     written: list[Path] = field(default_factory=list)
 
-    def link(self, highlight: Highlight, recording: Recording, posed: Posing) -> str:
-        """Writes the replay of an episode and returns a link to it, relative to the report."""
+    def write(self, highlight: Highlight, recording: Recording, posed: Posing) -> str:
+        """Writes the replay of an episode and returns its address, relative to the report."""
         from h3data_viewers.html_replay.html_file import write_html
 
         task = re.sub(r"[^A-Za-z0-9_-]+", "_", recording.episode.task) or "episode"
@@ -273,7 +260,28 @@ class ReplayFiles:
             overwrite=True,
         )
         self.written.append(path)
-        return f'<a href="{escape(quote(f"{self.folder.name}/{path.name}"))}">Play this episode</a>'
+        return quote(f"{self.folder.name}/{path.name}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class HighlightCard:
+    """Content of the card of an episode (macro ``cards`` of page/sections.html)."""
+
+    highlight: Highlight
+    colour: str
+    """Class that colours the episode's run."""
+    plan: Svg
+    sparkline: Svg | None
+    """Distance over time; None if the episode is too short."""
+    frames: Sequence[tuple[float, str, str]]
+    """Time [s], label and picture (a data URI) of key frames."""
+    fault: str
+    """Reason why there are no key frames; empty if there are."""
+    instruction: str
+    replay: str
+    """Address of the HTML replay; empty if there is none."""
+    path: str
+    """Path of the recording, quoted for a shell."""
 
 
 def highlight_card(
@@ -283,36 +291,51 @@ def highlight_card(
     light: LightMode = "flat",
     replays: ReplayFiles | None = None,
     folder: Path | None = None,
-) -> str:
+) -> HighlightCard:
     """Plan with both tracks, key frames, distance over time and the metrics of one episode.
 
     ``posed`` makes the `Replay` of a recording, to be seen in ``light``;
     ``replays`` takes an HTML replay of the episode, which the card links; the recording is named from ``folder``.
     """
-    episode, link = highlight.episode, ""
-    tag = highlight.kind if len(highlight.run.episodes) > 1 else "only one"
+    episode, colour, address = highlight.episode, series_class(highlight.place), ""
     rows = key_rows(episode, highlight.run.profile.report.milestones)
-    scene, frames, missing, told = None, [], "", ""
+    scene, frames, fault, instruction = None, [], "", ""
     try:
         recording = read_whole(episode)
-        told = str(recording.episode.info.get("instruction") or "")
+        instruction = str(recording.episode.info.get("instruction") or "")
         replay = posed(recording, light=light)
         scene = replay.scene
         if replays is not None:
-            link = replays.link(highlight, recording, posed) + ". "
+            address = replays.write(highlight, recording, posed)
         if replay.drawables:
-            frames = _frames(replay, [row for row, _ in rows])
+            pictures = _frames(replay, [row for row, _ in rows])
+            frames = [(episode.seconds(row), label, image) for (row, label), image in zip(rows, pictures, strict=True)]
         else:
-            missing = "<p class=missing>No key frames: the recording names nothing that could be drawn.</p>"
-    except H3DataError as fault:
-        missing = f"<p class=missing>No key frames: {escape(str(fault))}</p>"
-    plan = plans.of(episode, scene)
+            fault = "the recording names nothing that could be drawn."
+    except H3DataError as error:
+        fault = str(error)
+    name = episode.name if folder is None else os.path.relpath(episode.name, folder)
+    return HighlightCard(
+        highlight=highlight,
+        colour=colour,
+        plan=_paths(episode, plans.of(episode, scene), colour),
+        sparkline=_sparkline(episode, colour),
+        frames=frames,
+        fault=fault,
+        instruction=instruction,
+        replay=address,
+        path=shlex.quote(name),
+    )
+
+
+def _paths(episode: ReportEpisode, plan: Plan, colour: str) -> Svg:
+    """The plan with the paths of an episode, and a line between robot and person where they were nearest."""
     svg = plan.picture(
         f"Floor plan of {episode.metrics.scene}: paths of robot and {'people' if episode.people > 1 else 'person'}"
     )
     ways = sorted(enumerate(episode.tracks), key=lambda way: way[1].kind)  # the robot's above the person's
     for agent, track in ways:
-        own = series_class(highlight.place) if track.kind == "robot" else "person-way"
+        own = colour if track.kind == "robot" else "person-way"
         other = track.kind == "human" and episode.people > 1 and agent != episode.metrics.human
         _draw_track(svg, plan, track, "track person-track" if other else f"way {own}")
         known = track.xz[np.isfinite(track.xz).all(1)]
@@ -326,27 +349,7 @@ def highlight_card(
         svg.line(ax, ay, bx, by, "nearest")
         svg.circle(bx, by, 4, "start person-way", title=f"nearest person: {gap:.2f} m")
     _scale_bar(svg, plan)
-    pictures = "".join(
-        f'<figure><img src="{image}" width="{_FRAME[0]}" height="{_FRAME[1]}" loading="lazy" alt="{escape(label)} at '
-        f'{episode.seconds(row):.1f} s, from behind the robot"><figcaption>{episode.seconds(row):.1f} s: {escape(label)}'
-        f"</figcaption></figure>"
-        for (row, label), image in zip(rows, frames, strict=False)
-    )
-    name = episode.name if folder is None else os.path.relpath(episode.name, folder)
-    values = "".join(
-        f"<li><b>{escape(name)}</b> {number(value)}</li>" for name, value in episode.metrics.values.items()
-    )
-    return (
-        f'<article class="card"><h3><span class="tag {highlight.kind}">{tag}</span> '
-        f'<span class="chip {series_class(highlight.place)}"></span>{escape(highlight.run.name)}: episode '
-        f"{escape(episode.metrics.episode_id)}</h3><p class=quiet>{escape(episode.metrics.scene)}, "
-        f"{episode.metrics.rows} steps, {episode.seconds(episode.metrics.rows - 1):.1f} s</p>"
-        f"{f'<p>{escape(told)}</p>' if told else ''}"
-        f'<ul class="values">{values}</ul><div class="card-body"><div class="card-plan">{svg.to_html()}'
-        f"{_sparkline(episode, series_class(highlight.place))}</div>"
-        f'<div class="frames">{pictures}{missing}</div></div>'
-        f"<p class=quiet>{link}Look: <code>h3data view {escape(_quoted(name))}</code></p></article>"
-    )
+    return svg
 
 
 def key_rows(episode: ReportEpisode, milestones: Sequence[Milestone] = ()) -> list[tuple[int, str]]:
@@ -385,10 +388,10 @@ def _frames(replay, rows: Sequence[int]) -> list[str]:
     ]
 
 
-def _sparkline(episode: ReportEpisode, css: str) -> str:
+def _sparkline(episode: ReportEpisode, css: str) -> Svg | None:
     distances = episode.distance_m
     if len(distances) < 2:
-        return ""
+        return None
     width, height, high = 360.0, 70.0, max(float(np.nanmax(distances, initial=0.0)), 2.5)
     who = " to the nearest person" if episode.people > 1 else ""
     svg = Svg(width, height + 16, f"Distance{who} over time, from {distances[0]:.1f} m to {distances[-1]:.1f} m")
@@ -403,16 +406,9 @@ def _sparkline(episode: ReportEpisode, css: str) -> str:
         svg.text(x(episode.seconds(found)) + 4, 14, "found", "tick")
     svg.line(28, height - 2, width - 4, height - 2, "axis")
     svg.text(width - 4, height + 12, f"{episode.seconds(episode.metrics.rows - 1):.0f} s", "tick", anchor="end")
-    return svg.to_html()
+    return svg
 
 
-# --- small things -----------------------------------------------------------------------------------------------------
 def _pale(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     grey = image.mean(-1, keepdims=True)
     return (0.30 * image + 0.20 * grey + 0.50 * 255).astype(np.uint8)
-
-
-def _quoted(path: str) -> str:
-    import shlex
-
-    return shlex.quote(path)

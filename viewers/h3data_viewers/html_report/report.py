@@ -6,16 +6,13 @@ comes from a recording is escaped, and a content security policy lets no script 
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import date
 from functools import partial
-from html import escape
-from importlib.resources import files
 from pathlib import Path
-from string import Template
+from typing import Any
 
 from h3data.bodies.people.rigid_parts import PeopleStyle
 from h3data.errors import InputError
@@ -26,10 +23,10 @@ from h3data.plugins import Registry, own_version
 from h3data.progress import progress
 from h3data.render.light.sources import LightMode
 from h3data_viewers.html_report.charts import (
+    StudyTables,
     distribution_charts,
     estimate_charts,
     learning_charts,
-    legend,
     time_charts,
 )
 from h3data_viewers.html_report.data import CURVES_FILE, RUN_CURVES_FILE, ReportData, Run, gather
@@ -41,24 +38,21 @@ from h3data_viewers.html_report.paper import (
     task_table,
 )
 from h3data_viewers.html_report.pictures import (
-    Highlight,
     Plans,
     Posing,
     ReplayFiles,
     highlight_card,
     highlights,
     ranked_by,
-    trajectory_figures,
+    trajectory_charts,
 )
 from h3data_viewers.html_report.reading import Found
-from h3data_viewers.html_report.tables import StudyTables, Table, to_html, to_latex, to_markdown
-from h3data_viewers.html_report.text import TASKS, absences, beginning, episode_list, meanings, task_name
+from h3data_viewers.html_report.tables import Table, to_latex, to_markdown
+from h3data_viewers.html_report.text import TASKS, episode_tables, facts, findings, remarks, task_name
+from h3data_viewers.templates import render
 
 SECTIONS: Registry[Callable[..., StudyTables]] = Registry("h3data.report_sections", {}, what="section of reports")
 """The section ``study`` of the package of studies: a function of the runs of a task and of the model of its steps."""
-
-_BESIDE = 4
-"""With more partners than this, heat maps stand below each other."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -131,41 +125,57 @@ def make_report(
     if len(data.runs) > 1 and not pairs:
         several = ", and runs of several training seeds are not paired" if any(run.seeds for run in data.runs) else ""
         missing.append(f"Paired differences: no two runs hold the same episodes (ids, scenes and seeds){several}.")
-    body, plans, heat = [], Plans(), []
+    sections, plans, heat = [], Plans(), []
     posed: Posing = partial(Replay, assets=[Path(each) for each in assets], people=people, stand_ins=stand_ins)
     for task in data.tasks:
         runs, tail = data.of_task(task), f" in {task_name(task)}" if len(data.tasks) > 1 else ""
         partners = partner_tables(runs, runs[0].profile.report.by_partner or ranked_by(runs[0].profile))
         heat += partners
-        body += _task_sections(task, runs, tables, partners, studies.get(task), plans, missing, tail)
+        sections += _task_sections(task, runs, tables, partners, studies.get(task), plans, missing, tail)
         if chosen := highlights(runs, pictures):
-            body.append(_highlighted(task, chosen, plans, posed, light, tail, replays, folder))
+            shown = progress(chosen, desc=f"picture episodes{tail}", unit="episode", leave=False)
+            cards = [highlight_card(highlight, plans, posed, light, replays, folder) for highlight in shown]
+            content = {"cards": cards, "ranking": ranked_by(runs[0].profile)}
+            sections.append(ReportSection(f"{task}-episodes", "Worst and best episodes" + tail, "cards", content))
     if any(not e.recorded for e in data.episodes):
         missing.append(
             "Pictures, paths and times of evaluated episodes: evaluate --save-recordings keeps their recordings."
         )
-    body += [_section(table.key, table.title, to_html(table)) for table in more]
+    sections += [ReportSection(table.key, table.title, "table", {"table": table}) for table in more]
     if pairs:
-        text = "".join(f"<h3>{escape(t.title)}</h3>{to_html(t)}" for t in pairs)
-        body.append(_section("paired", "Paired differences", text))
+        sections.append(ReportSection("paired", "Paired differences", "tables", {"tables": pairs}))
     if data.curves:
-        panels = learning_charts(data.curves)
-        body.append(_section("learning", "Learning curves", legend(list(data.curves)) + _panels(panels)))
+        curves = {"charts": learning_charts(data.curves), "names": list(data.curves)}
+        sections.append(ReportSection("learning", "Learning curves", "charts", curves))
     else:
         missing.append(f"Learning curves: no folder holds {RUN_CURVES_FILE} (of h3data train) or {CURVES_FILE}.")
-    body.append(_section("episodes", "All episodes", episode_list(data)))
-    body.append(_section("methods", "What the numbers mean", meanings(data)))
+    sections.append(ReportSection("episodes", "All episodes", "episodes", {"tables": episode_tables(data)}))
+    methods = {
+        "profiles": list(dict.fromkeys(run.profile.name for run in data.runs)),
+        "metrics": list(dict.fromkeys(m for run in data.runs for m in run.profile.metrics)),
+        "remarks": remarks(data),
+    }
+    sections.append(ReportSection("methods", "What the numbers mean", "methods", methods))
     if missing:
-        body.append(_section("absent", "Not in this report", absences(missing)))
-    head = beginning(title, data, [(key, name) for key, name, _ in body], folder)
+        sections.append(ReportSection("absent", "Not in this report", "absent", {"lines": missing}))
     return Report(
         title=title,
         data=data,
         tables=(*tables, *more, *pairs),
         tables_of_partners=tuple(heat),
         missing=tuple(missing),
-        html=_page(
-            title, plans.definitions() + head + "<main>" + "".join(s for _, _, s in body) + "</main>" + _foot(command)
+        html=render(
+            "html_report/page/report.html",
+            title=title,
+            data=data,
+            folder=folder,
+            date=f"{date.today():%d %B %Y}",
+            facts=facts(data),
+            findings=findings(data),
+            sections=sections,
+            plans=list(plans.made.values()),
+            command=command,
+            version=own_version(),
         ),
         replays=tuple(replays.written) if replays is not None else (),
     )
@@ -222,12 +232,17 @@ def replay_folder(out: str | os.PathLike[str]) -> Path:
 
 
 # --- sections ---------------------------------------------------------------------------------------------------------
-Part = tuple[str, str, str]
-"""Key, title and HTML of a section."""
+@dataclass(frozen=True)
+class ReportSection:
+    """Section of the page."""
 
-
-def _section(key: str, title: str, html: str) -> Part:
-    return key, title, f'<section id="{escape(key)}"><h2>{escape(title)}</h2>{html}</section>'
+    key: str
+    """Address of the section in the page."""
+    title: str
+    layout: str
+    """Macro of page/sections.html that writes the section."""
+    content: Mapping[str, Any]
+    """Arguments of the macro."""
 
 
 def _paper_tables(data: ReportData, missing: list[str], studies: Mapping[str, StudyTables]) -> list[Table]:
@@ -274,68 +289,43 @@ def _task_sections(
     plans: Plans,
     missing: list[str],
     tail: str,
-) -> list[Part]:
+) -> list[ReportSection]:
     """Everything about the runs of one task, key frames excepted; titles end in ``tail``."""
-    names = legend([run.name for run in runs])
-    parts = []
+    names = [run.name for run in runs]
+    sections = []
     if table := next((t for t in tables if t.key == task), None):
-        beside = (
-            f"<h3>Compared with the paper</h3>{names}{_panels(estimate_charts(runs))}" if task == "social_nav" else ""
-        )
-        parts.append(_section(task, table.title, to_html(table) + beside))
-    for table in () if study is None else study.tables:
-        charts = study.charts.get(table.key, ()) if study is not None else ()
-        parts.append(_section(table.key, table.title + tail, to_html(table) + (_panels(charts) if charts else "")))
+        content: dict[str, Any] = {"table": table}
+        if task == "social_nav":
+            content |= {"charts": estimate_charts(runs), "names": names, "heading": "Compared with the paper"}
+        sections.append(ReportSection(task, table.title, "table", content))
+    if study is not None:
+        for table in study.tables:
+            content = {"table": table, "charts": study.charts.get(table.key, ())}
+            sections.append(ReportSection(table.key, table.title + tail, "table", content))
     if partners:
-        heats = "".join(f"<div>{to_html(t, sortable=False)}</div>" for t in partners)
-        css = "heats" if len(partners[0].columns) <= _BESIDE else "heats rows"
-        parts.append(_section(f"{task}-partners", "Policies and partners" + tail, f'<div class="{css}">{heats}</div>'))
+        title = "Policies and partners" + tail
+        sections.append(ReportSection(f"{task}-partners", title, "heat_maps", {"tables": partners}))
     else:
         missing.append(f"Policies by partner in {task_name(task)}: all episodes have the same partner.")
-    lead = "<p class=quiet>Each bar counts episodes; the upright line is the mean.</p>"
-    parts.append(_section(f"{task}-spread", "Distributions" + tail, lead + names + _panels(distribution_charts(runs))))
-    if over_time := time_charts(runs):
-        parts.append(_section(f"{task}-time", "Over time" + tail, names + _panels(over_time)))
-    figures, which = trajectory_figures(runs, plans)
-    if figures:
-        lead = (
-            f"<p class=quiet>{which} Paths of the robots are in the colour of their run, with a dot where each ended; paths "
-            "of the people are grey.</p>"
-        )
-        parts.append(_section(f"{task}-plans", "Trajectories" + tail, lead + names + _panels(figures)))
-    return parts
-
-
-def _highlighted(
-    task: str,
-    chosen: Sequence[Highlight],
-    plans: Plans,
-    posed: Posing,
-    light: LightMode,
-    tail: str,
-    replays: ReplayFiles | None,
-    folder: Path | None,
-) -> Part:
-    shown = progress(chosen, desc=f"picture episodes{tail}", unit="episode", leave=False)
-    cards = "".join(highlight_card(highlight, plans, posed, light, replays, folder) for highlight in shown)
-    ranking = ", then by ".join(ranked_by(chosen[0].run.profile))
-    lead = (
-        f"<p class=quiet>Ranked by {ranking}. Plans: the robot in the colour of its run, the person grey; a ring is the start, "
-        "a dot the end.</p>"
+    plotted, which = trajectory_charts(runs, plans)
+    paths = (
+        f"{which}Paths of the robots are in the colour of their run, with a dot where each ended; paths of the people are "
+        "grey."
     )
-    return _section(f"{task}-episodes", "Worst and best episodes" + tail, lead + cards)
-
-
-def _panels(figures: Sequence[str]) -> str:
-    return f'<div class="panels">{"".join(figures)}</div>'
-
-
-def _foot(command: str) -> str:
-    made = f"<p>Made by the command <code>{escape(command)}</code></p>" if command else ""
-    return (
-        f"<footer>{made}Made by h3data {escape(own_version())}. Published numbers: Puig et al. 2023, Habitat 3.0: A Co-Habitat "
-        "for Humans, Avatars and Robots, arXiv:2310.13724.</footer>"
-    )
+    for key, title, charts, lead in (
+        (
+            "spread",
+            "Distributions",
+            distribution_charts(runs),
+            "Each bar counts episodes; the upright line is the mean.",
+        ),
+        ("time", "Over time", time_charts(runs), ""),
+        ("plans", "Trajectories", plotted, paths),
+    ):
+        if charts or key == "spread":
+            content = {"charts": charts, "names": names, "lead": lead}
+            sections.append(ReportSection(f"{task}-{key}", title + tail, "charts", content))
+    return sections
 
 
 def _title(data: ReportData) -> str:
@@ -343,12 +333,3 @@ def _title(data: ReportData) -> str:
     return (" and ".join(tasks).capitalize() or "Recordings") + (
         f": {len(data.runs)} runs" if len(data.runs) > 1 else ""
     )
-
-
-def _page(title: str, body: str) -> str:
-    folder = files("h3data_viewers.html_report") / "page"
-    style, script, page = (
-        (folder / name).read_text(encoding="utf-8").strip() for name in ("page.css", "page.js", "page.html")
-    )
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    return Template(page).substitute(title=escape(title), style=style, script=script, script_hash=digest, body=body)

@@ -1,20 +1,32 @@
-"""Inline SVG by hand: a picture that grows by lines, and axes with round numbers. Colours come from classes of the page."""
+"""Drawings of a report as lists of SVG elements, and axes with round numbers. Colours come from classes of the page."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
 
 from h3data_viewers.html_report.tables import cut
 
 Scale = Callable[[float], float]
+Box = tuple[float, float, float, float]
+"""Left, top, right and bottom of a chart's axes."""
+
+
+@dataclass(frozen=True)
+class Mark:
+    """Element of a drawing."""
+
+    tag: str
+    attributes: Mapping[str, str]
+    text: str = ""
+    title: str = ""
+    """Text that is shown where the pointer is."""
 
 
 @dataclass
 class Svg:
-    """A picture of a fixed size in its own units; the page scales it. All text is escaped."""
+    """Drawing of a fixed size in its own units; the page scales it (macro ``svg`` of page/parts.html)."""
 
     width: float
     height: float
@@ -22,20 +34,25 @@ class Svg:
     """Description of the picture for readers who cannot see it."""
     css: str = ""
     """Class of the element."""
-    parts: list[str] = field(default_factory=list)
+    caption: str = ""
+    """Text above the drawing, where the page shows it as a figure."""
+    marks: list[Mark] = field(default_factory=list)
+
+    def add(self, tag: str, css: str, *, text: str = "", title: str = "", **attributes: float | str) -> None:
+        """Add an element; ``_`` in names of attributes stands for a hyphen."""
+        written = {name.replace("_", "-"): v if isinstance(v, str) else _n(v) for name, v in attributes.items()}
+        self.marks.append(Mark(tag, {"class": css} | written if css else written, text, title))
 
     def line(self, x1: float, y1: float, x2: float, y2: float, css: str) -> None:
         """Add a straight line."""
-        self.parts.append(f'<line class="{css}" x1="{_n(x1)}" y1="{_n(y1)}" x2="{_n(x2)}" y2="{_n(y2)}"/>')
+        self.add("line", css, x1=x1, y1=y1, x2=x2, y2=y2)
 
     def rect(self, x: float, y: float, width: float, height: float, css: str) -> None:
         """Add a filled rectangle."""
-        self.parts.append(
-            f'<rect class="{css}" x="{_n(x)}" y="{_n(y)}" width="{_n(max(width, 0))}" height="{_n(max(height, 0))}"/>'
-        )
+        self.add("rect", css, x=x, y=y, width=max(width, 0.0), height=max(height, 0.0))
 
     def path(self, points: Iterable[tuple[float, float]], css: str, *, closed: bool = False) -> None:
-        """A line through points, shape [K, 2]; it is broken where a point is NaN."""
+        """Add a line through points, shape [K, 2]; it is broken where a point is NaN."""
         words, pen = [], "M"
         for x, y in points:
             if math.isnan(x) or math.isnan(y):
@@ -44,36 +61,16 @@ class Svg:
             words.append(f"{pen}{_n(x)} {_n(y)}")
             pen = "L"
         if words:
-            self.parts.append(f'<path class="{css}" d="{"".join(words)}{"Z" if closed else ""}"/>')
-
-    def shape(self, d: str, css: str) -> None:
-        """A path in SVG's own words."""
-        self.parts.append(f'<path class="{css}" d="{d}"/>')
+            self.add("path", css, d="".join(words) + "Z" * closed)
 
     def circle(self, x: float, y: float, radius: float, css: str, *, title: str = "") -> None:
         """Add a dot."""
-        head = f'<circle class="{css}" cx="{_n(x)}" cy="{_n(y)}" r="{_n(radius)}"'
-        self.parts.append(f"{head}><title>{escape(title)}</title></circle>" if title else f"{head}/>")
+        self.add("circle", css, cx=x, cy=y, r=radius, title=title)
 
     def text(self, x: float, y: float, text: str, css: str = "", *, anchor: str = "start", most: int = 0) -> None:
-        """Text with its base line at y; longer than ``most`` characters it is cut, and whole in its title."""
+        """Add a text with its base line at y; longer than ``most`` characters it is cut, and whole in its title."""
         shown = text if not most else cut(text, most)
-        title = f"<title>{escape(text)}</title>" if shown != text else ""
-        self.parts.append(
-            f'<text class="{css}" x="{_n(x)}" y="{_n(y)}" text-anchor="{anchor}">{escape(shown)}{title}</text>'
-        )
-
-    def use(self, reference: str) -> None:
-        """Refers to a shape that the page defines under this id."""
-        self.parts.append(f'<use href="#{escape(reference)}"/>')
-
-    def to_html(self) -> str:
-        """Return the element as HTML."""
-        return (
-            f'<svg class="{self.css}" viewBox="0 0 {_n(self.width)} {_n(self.height)}" role="img" '
-            f'aria-label="{escape(self.alt)}">'
-            f"{''.join(self.parts)}</svg>"
-        )
+        self.add("text", css, x=x, y=y, text_anchor=anchor, text=shown, title=text if shown != text else "")
 
 
 def linear(low: float, high: float, start: float, stop: float) -> Scale:
@@ -101,29 +98,8 @@ def tick_text(value: float) -> str:
     return f"{value:.6g}".replace("-", "−")
 
 
-def axes(
-    svg: Svg,
-    x: Scale,
-    y: Scale,
-    xs: Sequence[float],
-    ys: Sequence[float],
-    box: tuple[float, float, float, float],
-    *,
-    x_title: str,
-    y_text: Callable[[float], str] = tick_text,
-) -> None:
-    """Grid lines with numbers left and below. ``box``: left, top, right, bottom."""
-    left, top, right, bottom = box
-    for value in ys:
-        svg.line(left, y(value), right, y(value), "grid")
-        svg.text(left - 6, y(value) + 4, y_text(value), "tick", anchor="end")
-    x_axis(svg, x, xs, (left, top, right, bottom), title=x_title, grid=False)
-
-
-def x_axis(
-    svg: Svg, x: Scale, xs: Sequence[float], box: tuple[float, float, float, float], *, title: str, grid: bool = True
-) -> None:
-    """Numbers below, with lines upwards if ``grid``."""
+def add_x_axis(svg: Svg, x: Scale, xs: Sequence[float], box: Box, *, title: str, grid: bool = True) -> None:
+    """Add numbers below, with lines upwards if ``grid``."""
     left, top, right, bottom = box
     for value in xs:
         if grid:
@@ -134,6 +110,5 @@ def x_axis(
 
 
 def _n(value: float) -> str:
-    """At most a tenth of a unit: files stay small."""
-    text = f"{value:.1f}"
-    return text[:-2] if text.endswith(".0") else text
+    """A coordinate to a tenth of a unit, so that files stay small."""
+    return f"{value:.1f}".removesuffix(".0")

@@ -1,16 +1,12 @@
-"""Tables of a report and the three ways to write them: HTML, Markdown, LaTeX. Everything that is written is escaped."""
+"""Tables of a report, written as Markdown and LaTeX; the macro ``data_table`` of page/parts.html writes them as HTML."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from html import escape
+from dataclasses import dataclass
 
 NAN = float("nan")
-_WIDE = 6
-"""With more columns, intervals stand below their means."""
 _LATEX = {
     "\\": r"\textbackslash{}",
     "{": r"\{",
@@ -34,10 +30,6 @@ _LATEX = {
     "·": r"$\cdot$",
     "…": r"\ldots{}",
 }
-
-
-NAME_WIDTH = 34
-"""Characters of a name that a table shows: homes have up to 60, seeds 19, policies the path of their file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,17 +106,6 @@ class Table:
         return spans
 
 
-@dataclass(frozen=True, kw_only=True)
-class StudyTables:
-    """Tables of a report about the episodes of one task that participants did under conditions."""
-
-    tables: tuple[Table, ...] = ()
-    charts: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    """Charts below a table, as SVG, by the key of the table."""
-    missing: str = ""
-    """Reason why there are no tables of means; empty if there are."""
-
-
 # --- numbers ----------------------------------------------------------------------------------------------------------
 def number(value: float, digits: int = 2) -> str:
     """A number with a fixed count of decimals; a dash for NaN."""
@@ -170,66 +151,6 @@ def spread_cell(values: tuple[float, ...], *, digits: int = 2) -> Cell:
 def p_text(p: float) -> str:
     """Returns a p value as papers print it."""
     return "–" if math.isnan(p) else "< .0001" if p < 1e-4 else f"{p:.4f}"
-
-
-# --- HTML -------------------------------------------------------------------------------------------------------------
-def to_html(table: Table, *, sortable: bool = True) -> str:
-    """A table with headers for screen readers, in a box that scrolls sideways where it is too wide."""
-    rows = "".join(_html_section(table, section) for section in table.sections)
-    groups = "".join(f'<th colspan="{n}" scope="colgroup">{escape(g)}</th>' for g, n in table.groups)
-    group_row = f"<tr><td></td>{groups}</tr>" if groups else ""
-    heads = "".join(
-        f'<th scope="col"{_title(c.hint)}>{_fitting(c.head)}</th>'
-        for c in (Column(head=table.name_head), *table.columns)
-    )
-    notes = "".join(f"<li>{escape(note)}</li>" for note in table.notes)
-    bar, width = "", ""
-    if table.scale is not None:
-        low, high = map(escape, table.scale)
-        width = f' style="--columns:{len(table.columns)}"'
-        bar = f'<p class="scale" role="img" aria-label="Colours from {low} to {high}">{low}<span></span>{high}</p>'
-    css = "data" + (" sortable" if sortable else "") + (" wide" if len(table.columns) > _WIDE else "")
-    return (
-        f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(table.title)}">'
-        f'<table class="{css}" id="table-{escape(table.key)}"{width}>'
-        f"<caption><span>{escape(table.caption)}</span></caption>"
-        f"<thead>{group_row}<tr>{heads}</tr></thead>{rows}</table></div>"
-        + bar
-        + (f'<ul class="notes">{notes}</ul>' if notes else "")
-    )
-
-
-def _html_section(table: Table, section: Section) -> str:
-    lines = [f"<tbody{' class=published' if section.published else ''}>"]
-    if section.title:
-        lines.append(
-            f'<tr class="section"><th scope="rowgroup" colspan="{len(table.columns) + 1}">{escape(section.title)}</th></tr>'
-        )
-    for row in section.rows:
-        name = _fitting(row.name) + (f"<small>{escape(row.small)}</small>" if row.small else "")
-        lines.append(f'<tr><th scope="row">{name}</th>{"".join(map(_html_cell, row.cells))}</tr>')
-    return "".join([*lines, "</tbody>"])
-
-
-def _html_cell(cell: Cell) -> str:
-    value, bracket, interval = _fitting(cell.text).partition(" [")
-    text = f'{value} <span class="interval">[{interval}</span>' if bracket else value
-    text = f"<strong>{text}</strong>" if cell.strong else text
-    small = f"<small>{escape(cell.small)}</small>" if cell.small else ""
-    value = "" if math.isnan(cell.value) else f' data-v="{cell.value:.6g}"'
-    heat = "" if math.isnan(cell.heat) else f' class="heat" style="--v:{cell.heat:.3f}"'
-    return f"<td{value}{heat}>{text}{small}</td>"
-
-
-def _fitting(text: str) -> str:
-    """A text of a cell: names and numbers without a space are cut in the middle where they are long, and whole in the title."""
-    if " " in text or len(text) <= NAME_WIDTH:
-        return escape(text)
-    return f'<span title="{escape(text)}">{escape(cut(text, NAME_WIDTH))}</span>'
-
-
-def _title(text: str) -> str:
-    return f' title="{escape(text)}"' if text else ""
 
 
 # --- Markdown ---------------------------------------------------------------------------------------------------------

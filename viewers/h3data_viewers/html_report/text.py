@@ -1,21 +1,16 @@
-"""Texts of a report: its beginning, the list of episodes, what the numbers mean."""
+"""Texts of a report: the numbers at its top, findings in words, the lists of episodes, remarks on the measurement."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
-from datetime import date
-from html import escape
-from pathlib import Path
 
 from h3data.metrics import Metric
 from h3data.metrics.episode import assumed_task
 from h3data_viewers.html_report.data import ReportData
-from h3data_viewers.html_report.tables import Cell, Column, Row, Section, Table, counted, number, to_html
+from h3data_viewers.html_report.tables import Cell, Column, Row, Section, Table, counted, number
 
 TASKS = {"social_nav": "social navigation", "rearrange": "social rearrangement"}
 """Names of the paper's tasks."""
-_LISTED, _MOST_PATHS = 5_000, 8
-"""Largest numbers of episodes, and of folders, that are listed one by one."""
+_LISTED, _MOST_LOGS = 5_000, 8
+"""Largest numbers of episodes, and of imported logs, that are listed one by one."""
 
 
 def task_name(task: str) -> str:
@@ -23,60 +18,20 @@ def task_name(task: str) -> str:
     return TASKS.get(task, task.replace("_", " "))
 
 
-def beginning(
-    title: str,
-    data: ReportData,
-    sections: Sequence[tuple[str, str]],
-    folder: Path | None = None,
-) -> str:
-    """Title, numbers, findings, failed episodes, and links to ``sections`` (key and title).
-
-    With ``folder``, the number of recordings in it replaces the list of their paths.
-    """
+def facts(data: ReportData) -> list[tuple[str, str]]:
+    """Numbers at the top of a report, each with its noun."""
     episodes = list(data.episodes)
     steps = sum(e.metrics.rows for e in episodes)
     hours = sum(e.metrics.rows * e.metrics.dt_ns for e in episodes) * 1e-9 / 3600
-    facts = [
-        *(
-            (number_of, noun)
-            for count, name in (
-                (len(episodes), "episode"),
-                (len(data.runs), "run"),
-                (len({e.metrics.scene for e in episodes}), "scene"),
-                (steps, "step"),
-            )
-            for number_of, _, noun in [counted(count, name).partition(" ")]
-        ),
-        (f"{hours:.1f} h" if hours >= 1 else f"{60 * hours:.1f} min", "of behaviour"),
-    ]
-    facts = facts if steps else facts[:3]  # results without recordings have no steps
-    tiles = "".join(f"<li><b>{value}</b><span>{name}</span></li>" for value, name in facts)
-    links = "".join(f'<li><a href="#{escape(key)}">{escape(name)}</a></li>' for key, name in sections)
-    said = "".join(f"<li>{escape(line)}</li>" for line in _findings(data))
-    failed = "".join(
-        f"<li>{len(names)} not measured ({escape(reason)}): {escape(', '.join(names[:5]))}"
-        f"{', …' if len(names) > 5 else ''}</li>"
-        for reason, names in data.unmeasured.items()
-    )
-    where = ", ".join(f"<code>{escape(str(path))}</code>" for path in data.paths[:_MOST_PATHS])
-    where += f" and {len(data.paths) - _MOST_PATHS} more" if len(data.paths) > _MOST_PATHS else ""
-    if folder is not None:
-        where = f"{counted(len(data.paths), 'recording')} of <code>{escape(folder.name)}</code>"
-    return (
-        f"<header><h1>{escape(title)}</h1><p class=quiet>{where} · {date.today():%d %B %Y}</p>"
-        f'<ul class="facts">{tiles}</ul><ul class="findings">{said}</ul>'
-        + (f'<div class="missing"><p>Episodes without numbers:</p><ul>{failed}</ul></div>' if failed else "")
-        + f'<nav aria-label="Sections"><ul>{links}</ul></nav></header>'
-    )
+    counts = {"episode": len(episodes), "run": len(data.runs), "scene": len({e.metrics.scene for e in episodes})}
+    counts |= {"step": steps} if steps else {}  # results without recordings have no steps
+    behaviour = (f"{hours:.1f} h" if hours >= 1 else f"{60 * hours:.1f} min", "of behaviour")
+    shown = [(number, noun) for name, n in counts.items() for number, _, noun in [counted(n, name).partition(" ")]]
+    return [*shown, behaviour] if steps else shown
 
 
-def absences(missing: Sequence[str]) -> str:
-    """Return a list of what the report does not show, and why."""
-    return f'<div class="missing"><ul>{"".join(f"<li>{escape(line)}</li>" for line in missing)}</ul></div>'
-
-
-def _findings(data: ReportData) -> list[str]:
-    """The main numbers in words, the paper's beside them; what is not known is left out."""
+def findings(data: ReportData) -> list[str]:
+    """The main numbers in words, with the paper's numbers in brackets; unknown numbers are left out."""
     lines = []
     for run in data.runs:
         summary, metrics = run.means(), {m.name: m for m in run.table.metrics}
@@ -94,9 +49,9 @@ def _findings(data: ReportData) -> list[str]:
         if said:
             lines.append(f"{run.name} ({run.size}) {', '.join(said)}.")
     logs = [episode for episode in data.episodes if episode.imported]
-    lines += [f"Imported {log.metrics.episode_id}: {log.imported}." for log in logs[:_MOST_PATHS]]
-    if len(logs) > _MOST_PATHS:
-        lines.append(f"{len(logs) - _MOST_PATHS} more were imported.")
+    lines += [f"Imported {log.metrics.episode_id}: {log.imported}." for log in logs[:_MOST_LOGS]]
+    if len(logs) > _MOST_LOGS:
+        lines.append(f"{len(logs) - _MOST_LOGS} more were imported.")
     return lines
 
 
@@ -106,9 +61,9 @@ def _in_words(metric: Metric, mean: float) -> str:
     return number(mean, 1) + "%" if metric.unit == "%" else number(mean)
 
 
-def episode_list(data: ReportData) -> str:
-    """A table per task, folded; it can be sorted."""
-    parts = []
+def episode_tables(data: ReportData) -> list[tuple[str, Table]]:
+    """The number of episodes of each task in words, and the table of these episodes."""
+    tables = []
     for task in data.tasks:
         name, runs = task_name(task), data.of_task(task)
         rows = [
@@ -127,49 +82,28 @@ def episode_list(data: ReportData) -> str:
         ]
         if not rows:
             continue
-        shown = rows[:_LISTED]
+        first = f" The first {_LISTED} of {len(rows)}." if len(rows) > _LISTED else ""
         table = Table(
             key=f"episodes_{task}",
             title=f"Episodes of {name}",
-            caption="Click a head to sort."
-            + (f" The first {_LISTED} of {len(rows)}." if len(shown) < len(rows) else ""),
+            caption=f"Click a head to sort.{first}",
             name_head="Episode",
             columns=(
                 *(Column(head=head) for head in ("Run", "Partner", "Scene", "Steps")),
                 *(Column(head=m.name, hint=m.title) for m in runs[0].profile.metrics),
             ),
-            sections=(Section(title="", rows=tuple(shown)),),
+            sections=(Section(title="", rows=tuple(rows[:_LISTED])),),
         )
-        parts.append(f"<details><summary>{counted(len(rows), 'episode')} of {name}</summary>{to_html(table)}</details>")
-    return "".join(parts)
+        tables.append((f"{counted(len(rows), 'episode')} of {name}", table))
+    return tables
 
 
-def meanings(data: ReportData) -> str:
-    """Definitions of the metrics that are shown, and what had to be assumed."""
-    terms = list(dict.fromkeys(m for run in data.runs for m in run.profile.metrics))
-    profiles = dict.fromkeys(run.profile.name for run in data.runs)
-    named = " and ".join(f"<code>{escape(name)}</code>" for name in profiles)
-    notes = [f"{run.name}: {line}" for run in data.runs if (line := assumed_task(run.table.episodes))]
-    notes += [
+def remarks(data: ReportData) -> list[str]:
+    """Assumptions that the measurement of each run had to make, and reasons why metrics are undefined."""
+    lines = [f"{run.name}: {line}" for run in data.runs if (line := assumed_task(run.table.episodes))]
+    return lines + [
         f"{run.name}, {name}: {text} ({times} of {len(run.episodes)} episodes)"
         for run in data.runs
         for name, texts in run.table.notes().items()
         for text, times in texts.items()
     ]
-    said = "".join(f"<li>{escape(line)}</li>" for line in notes)
-    return (
-        f"<p>Computed from the recordings alone by the metrics profile{'s' * (len(profiles) > 1)} {named}. Intervals hold "
-        "95 %: Wilson's for shares, percentile bootstrap over episodes (10,000 resamples, seeded) for means. "
-        "An episode that does not define a metric is left out of its mean.</p>"
-        f'<dl class="definitions-list">{"".join(map(_definition, terms))}</dl>'
-        + (f'<h3>Notes of the measurement</h3><ul class="notes">{said}</ul>' if said else "")
-    )
-
-
-def _definition(metric: Metric) -> str:
-    better = {"higher": "higher is better", "lower": "lower is better", "neither": ""}[metric.direction]
-    facts = ", ".join(filter(None, (f"unit {metric.unit}" if metric.unit != "1" else "", better, metric.source)))
-    return (
-        f"<dt>{escape(metric.name)}: {escape(metric.title)}</dt><dd>{escape(metric.formula)}</dd>"
-        f'<dd class="quiet">{escape(facts)}. <code>{escape(metric.id)}</code></dd>'
-    )

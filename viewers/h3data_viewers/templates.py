@@ -1,0 +1,51 @@
+"""Templates of HTML pages (Jinja2) that lie beside the modules of this package. All values put into them are escaped."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+    from markupsafe import Markup
+
+
+def render(template: str, **values: Any) -> str:
+    """Returns the text of a template with values.
+
+    Args:
+        template: Path of the template from the folder of this package, such as ``notebook.html``.
+        values: Values by the names that the template has for them; a missing one is an error.
+    """
+    return environment().get_template(template).render(values)
+
+
+def source(path: str) -> Markup:
+    """Returns a file beside the templates, such as a script or a style sheet, as part of a page; it is not escaped."""
+    from markupsafe import Markup
+
+    # not `include`, which would read the braces of scripts as those of templates
+    loader = environment().loader
+    assert loader is not None
+    return Markup(loader.get_source(environment(), path)[0].strip())
+
+
+@cache
+def environment() -> Environment:
+    """The environment of all templates. It escapes values, and a name without a value is an error."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    from h3data_viewers.html_report.tables import counted, cut, number
+
+    pages = PackageLoader("h3data_viewers", "")
+    found = Environment(loader=pages, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    found.globals |= {"counted": counted, "source": source}
+    found.filters |= {"cut": cut, "number": number, "sha256": _sha256}
+    return found
+
+
+def _sha256(text: str) -> str:
+    """Digest of an inline script or style by which a Content-Security-Policy allows it."""
+    return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
