@@ -56,6 +56,14 @@ RuleSetOption = Annotated[
         "who gives way (default: the episode's, else natural)."
     ),
 ]
+Observe = Literal["full", "seen"]
+ObserveOption = Annotated[
+    Observe | None,
+    tyro.conf.arg(
+        help="Knowledge of agents: full, where everything is; or seen, only where they have seen things themselves, so that "
+        "they search (h3data docs language) (default: full)."
+    ),
+]
 OverridesOption = Annotated[
     tuple[str, ...],
     tyro.conf.arg(name="set", help="A single rule of the task, as NAME=VALUE: --set objects=3 --set near_m=[2.0,1.5]."),
@@ -236,13 +244,15 @@ def read_overrides(texts: Iterable[str], **named: Any) -> tuple[tuple[str, Any],
     ``named`` are rules that have an option of their own; None leaves one out.
 
     Raises:
-        InputError: one is written in another way.
+        InputError: one is written in another way, or given twice.
     """
     overrides = [(name, value) for name, value in named.items() if value is not None]
     for text in texts:
         name, sign, value = text.partition("=")
         if not sign or not name:
             raise InputError(f"Expected --set NAME=VALUE, got {text!r}.", code="H3-OPTION-075")
+        if named.get(name) is not None:
+            raise InputError(f"Expected --{name} or --set {name}=..., got both.", code="H3-OPTION-098")
         with suppress(ValueError):
             value = json.loads(value)
         overrides.append((name, value))

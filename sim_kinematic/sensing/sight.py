@@ -7,22 +7,26 @@ has to be open for that.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.geometry import pose_to_matrix
+from h3data.bodies import Robot
+from h3data.geometry import IDENTITY_POSE, pose_to_matrix
+from h3data.kernels import kernel
 from h3data.scene import Scene, instance_matrix
 from h3data.scene.articulation import joints_of
 from h3data.scene.shape_bounds import shape_bounds
+from sim_kinematic.contact.frames import Body
 from sim_kinematic.motion.state import NOBODY
 
 Flags = NDArray[np.bool_]
-EYE_M = {"robot": 1.2, "human": 1.55}
-"""Height of the eyes over the floor, by kind [m]."""
-HALF_VIEW = np.radians(55.0)
+EYE_SHARE = 0.936
+"""Height of a person's eyes as a share of their stature (Drillis and Contini 1966)."""
+HALF_VIEW = math.radians(55.0)
 """Largest angle on the floor plane between where an agent faces and what it sees [rad]."""
 THING_M, PLACE_M = 8.0, 5.0
 """Largest distances at which things and places are recognized [m]."""
@@ -49,10 +53,23 @@ class Places(NamedTuple):
     """Number of the door or drawer that has to be opened first, [S]; -1: none."""
 
 
+class Boxes(NamedTuple):
+    """Walls and furniture that hide things, as boxes."""
+
+    turned: NDArray[np.float64]
+    """Rotation from the world to the axes of each box [B, 3, 3]."""
+    centers: NDArray[np.float64]
+    """Middle of each [B, 3] [m]."""
+    halves: NDArray[np.float64]
+    """Half of its size [B, 3] [m]."""
+    bounds: NDArray[np.float64]
+    """Bounds of the furniture of each box, or of the box itself, from the middle of the box [B, 2, 3] [m]."""
+
+
 class Sight:
     """The memories of all agents of one world."""
 
-    def __init__(self, scene: Scene, kinds: Sequence[str], things: int, floor_y: float) -> None:
+    def __init__(self, scene: Scene, bodies: Sequence[Body], things: int, floor_y: float) -> None:
         joints, boxes = joints_of(scene), []
         bases = {thing.base for thing in scene.articulations}
         for instance in scene.instances:
@@ -64,25 +81,25 @@ class Sight:
                 whole = np.array([np.min(own, axis=(0, 1)), np.max(own, axis=(0, 1))])
                 holds = bool(asset.receptacles) or instance.name in bases
                 boxes += [(matrix, box.mean(0), whole if holds else box, np.ptp(box, axis=0) / 2) for box in own]
-        self._turned = np.array([m[:3, :3].T for m, *_ in boxes]).reshape(-1, 3, 3)
-        self._centers = np.array([m[:3, :3] @ c + m[:3, 3] for m, c, *_ in boxes]).reshape(-1, 3)
-        self._halves = np.array([h for *_, h in boxes]).reshape(-1, 3)
-        self._bounds = np.array([w - c for _, c, w, _ in boxes]).reshape(-1, 2, 3)
-        """Bounds of the furniture of each box, or of the box itself, from the middle of the box [B, 2, 3] [m]."""
-        self._reach = np.linalg.norm(self._halves, axis=1)
+        self.boxes = Boxes(
+            np.array([m[:3, :3].T for m, *_ in boxes]).reshape(-1, 3, 3),
+            np.array([m[:3, :3] @ c + m[:3, 3] for m, c, *_ in boxes]).reshape(-1, 3),
+            np.array([h for *_, h in boxes]).reshape(-1, 3),
+            np.array([w - c for _, c, w, _ in boxes]).reshape(-1, 2, 3),
+        )
         surfaces = list(scene.receptacles())
         self.names = surface_names(scene)
         points = [(instance_matrix(i) @ np.append(r.center, 1.0))[:3] for i, r in surfaces]
         self.points = np.array(points, np.float64).reshape(-1, 3) + np.array([0.0, ABOVE_M, 0.0])
         self._joints = [joints.enclosing.get(name, ()) for name in self.names]
-        self._eyes = np.array([floor_y + EYE_M[kind] for kind in kinds])
-        self.known = np.zeros((len(kinds), things), np.bool_)
+        self._eyes = np.array([floor_y + eye_height(body) for body in bodies])
+        self.known = np.zeros((len(bodies), things), np.bool_)
         """True if an agent knows where a thing is, [A, K]."""
-        self.where = np.full((len(kinds), things, 3), np.nan)
+        self.where = np.full((len(bodies), things, 3), np.nan)
         """Last known position of each thing [A, K, 3] [m]."""
-        self.held = np.full((len(kinds), things), NOBODY)
+        self.held = np.full((len(bodies), things), NOBODY)
         """Last known holder of each thing [A, K]."""
-        self.looked = np.zeros((len(kinds), len(surfaces)), np.bool_)
+        self.looked = np.zeros((len(bodies), len(surfaces)), np.bool_)
         self.shut = np.full(len(surfaces), -1)
         """The first door or drawer [S] that has to be opened to look at each place; -1: none."""
         self.hidden = np.zeros(things, np.bool_)
@@ -127,29 +144,58 @@ class Sight:
 
     def sees(self, eye: NDArray[np.float64], heading: float, points: NDArray[np.float64], things: int) -> Flags:
         """Which world points [N, 3] an eye [3] of an agent that faces a heading [rad] sees; the first ``things`` are things."""
-        apart = points - eye
-        flat = np.hypot(apart[:, 0], apart[:, 2])
-        ahead = np.cos(heading) * apart[:, 0] - np.sin(heading) * apart[:, 2]
-        with np.errstate(invalid="ignore"):
-            seen = (flat < NEAR_M) | ((ahead > np.cos(HALF_VIEW) * flat) & (flat <= PLACE_M))
-            seen[:things] |= (ahead[:things] > np.cos(HALF_VIEW) * flat[:things]) & (flat[:things] <= THING_M)
-        some = np.flatnonzero(seen)
-        if len(some):
-            within = float(flat[some].max()) + 1.0
-            near = np.hypot(*(self._centers - eye)[:, [0, 2]].T) - self._reach < within
-            seen[some] = self._open(eye, points[some], near)
+        seen = np.empty(len(points), np.bool_)
+        _see(eye, float(heading), points, things, *self.boxes, seen)
         return seen
 
-    def _open(self, eye: NDArray[np.float64], points: NDArray[np.float64], near: Flags) -> Flags:
-        """Points [N, 3] that none of some boxes hides from an eye [3]: slabs in the frame of each box."""
-        turned, halves, (low, high) = self._turned[near], self._halves[near], self._bounds[near].transpose(1, 0, 2)
-        start = np.einsum("bij,bj->bi", turned, eye - self._centers[near])[None]
-        end = np.einsum("bij,nbj->nbi", turned, points[:, None] - self._centers[near])
-        about = ((end >= low - MARGIN_M) & (end <= high + MARGIN_M)).all(-1)
-        step = np.where(np.abs(end - start) < 1e-9, 1e-9, end - start)
-        first, last = (-halves - start) / step, (halves - start) / step
-        enters, leaves = np.minimum(first, last).max(-1), np.maximum(first, last).min(-1)
-        return ~((np.maximum(enters, 0.0) < np.minimum(leaves, 1.0)) & ~about).any(1)
+
+@kernel(error_model="numpy")
+def _see(eye, heading, points, things, turned, centers, halves, bounds, seen):
+    """Write which points [N, 3] an eye [3] sees into ``seen`` [N]; the first ``things`` are things.
+
+    A point is hidden if the ray to it passes through one of the `Boxes`, unless it is in or at the furniture of that box.
+    """
+    ahead_x, ahead_z, least = math.cos(heading), -math.sin(heading), math.cos(HALF_VIEW)
+    start = np.empty((len(centers), 3))
+    for b in range(len(centers)):
+        for i in range(3):
+            start[b, i] = 0.0
+            for j in range(3):
+                start[b, i] += turned[b, i, j] * (eye[j] - centers[b, j])
+    for n in range(len(points)):
+        dx, dy, dz = points[n, 0] - eye[0], points[n, 1] - eye[1], points[n, 2] - eye[2]
+        flat = math.sqrt(dx * dx + dz * dz)
+        farthest = THING_M if n < things else PLACE_M
+        seen[n] = flat < NEAR_M or (flat <= farthest and dx * ahead_x + dz * ahead_z > least * flat)  # NaN: neither
+        if not seen[n]:
+            continue
+        length = dx * dx + dy * dy + dz * dz
+        for b in range(len(centers)):
+            # most boxes are farther from the ray than their corners are from their middle
+            cx, cy, cz = centers[b, 0] - eye[0], centers[b, 1] - eye[1], centers[b, 2] - eye[2]
+            along = min(max((cx * dx + cy * dy + cz * dz) / max(length, 1e-12), 0.0), 1.0)
+            cx, cy, cz = cx - along * dx, cy - along * dy, cz - along * dz
+            if cx * cx + cy * cy + cz * cz > halves[b, 0] ** 2 + halves[b, 1] ** 2 + halves[b, 2] ** 2:
+                continue
+            enters, leaves, about = 0.0, 1.0, True
+            for i in range(3):
+                step = turned[b, i, 0] * dx + turned[b, i, 1] * dy + turned[b, i, 2] * dz
+                end = start[b, i] + step
+                about = about and bounds[b, 0, i] - MARGIN_M <= end <= bounds[b, 1, i] + MARGIN_M
+                step = step if abs(step) >= 1e-9 else 1e-9
+                first, last = (-halves[b, i] - start[b, i]) / step, (halves[b, i] - start[b, i]) / step
+                enters, leaves = max(enters, min(first, last)), min(leaves, max(first, last))
+            if enters < leaves and not about:
+                seen[n] = False
+                break
+
+
+def eye_height(body: Body) -> float:
+    """Height of an agent's eyes over the floor [m]: of a robot, that of its highest camera at rest, else of its body's top."""
+    if not isinstance(body, Robot):
+        return EYE_SHARE * body.height_m
+    links = body.link_matrices(IDENTITY_POSE[None], body.rest[None])
+    return max((float(body.camera_poses(c.name, links)[0, 1, 3]) for c in body.cameras), default=body.body_height_m)
 
 
 def surface_names(scene: Scene) -> tuple[str, ...]:

@@ -260,6 +260,7 @@ def test_oracle_skills_are_played_as_worlds_on_a_device_play_them(
         (["--set", "end_on_collision=no"], "to be true or false, as end_on_collision=true; got no."),
         (["--set", "near_m=[1]"], "a list of numbers of length 2, as near_m=[2.0, 1.5]; got [1]."),
         (["--set", "max_steps=9", "--max-steps", "8"], "Expected --max-steps or --set max_steps=..., got both."),
+        (["--observe", "seen", "--set", "observe=full"], "Expected --observe or --set observe=..., got both."),
     ],
 )
 def test_rules_of_other_names_and_types_are_refused(
@@ -267,6 +268,12 @@ def test_rules_of_other_names_and_types_are_refused(
 ) -> None:
     assert main(["generate", "rearrange", "--scenes", "small:1", *options, "-o", str(tmp_path / "ds")]) == 2
     assert expected in capsys.readouterr().err
+
+
+def test_observe_is_the_rule_of_the_same_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    args = ("--scenes", "small:1", "--episodes", "1", "--max-steps", "700", "--observe", "seen", "-o", tmp_path / "ds")
+    run_json(capsys, "generate", "rearrange", *args, "--json")
+    assert h3data.open(tmp_path / "ds").recording(0).episode.info["spec"]["observe"] == "seen"
 
 
 def test_rules_are_numbers_words_and_lists() -> None:

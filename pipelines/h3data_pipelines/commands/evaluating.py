@@ -16,6 +16,8 @@ from h3data.commands.command import (
     ForceFlag,
     JsonFlag,
     MissingFlag,
+    Observe,
+    ObserveOption,
     Outcome,
     OverridesOption,
     RuleSet,
@@ -63,6 +65,7 @@ def evaluate(
     unseen_partners: Policies = (),
     skills: Paths = (),
     card: str | None = None,
+    observe: Observe | None = None,
     overrides: Overrides = (),
     scenes: Scenes = "h3-homes/test",
     episodes_file: FilePath | None = None,
@@ -162,6 +165,7 @@ class Evaluate:
     h3data train skill."""
     card: str | None
     """Cards of the task scenarios (h3data docs scenarios): one, several with commas between, or all."""
+    observe: Annotated[ObserveOption, OfTasks(("rearrange",))]
     overrides: OverridesOption
     light: Annotated[LightMode | None, OfTasks(("social_nav", "rearrange"))]
     """Light in the colours that policies are shown: baked, from windows, sun and lamps, or flat, the same everywhere (default:
@@ -199,7 +203,7 @@ class Evaluate:
             human_speed=self.human_speed,
             max_steps=self.max_steps,
             skills=",".join(self.skills) or ("learned" if is_skill else ""),
-            overrides=read_overrides(self.overrides, card=self.card),
+            overrides=read_overrides(self.overrides, card=self.card, observe=self.observe),
             light=self.light,
         )
         if is_skill:

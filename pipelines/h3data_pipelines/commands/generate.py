@@ -19,6 +19,8 @@ from h3data.commands.command import (
     JsonFlag,
     LightOption,
     MissingFlag,
+    Observe,
+    ObserveOption,
     Outcome,
     OverridesOption,
     PeopleOption,
@@ -123,6 +125,7 @@ def generate(
     max_steps: int | None = None,
     spawn_distance: float | None = None,
     card: str | None = None,
+    observe: Observe | None = None,
     overrides: Overrides = (),
     sensors: Sequence[str] = (),
     cameras: Paths = (),
@@ -226,6 +229,7 @@ class Generate:
     (default: skills that know the whole state)."""
     card: str | None
     """Cards of the task scenarios (h3data docs scenarios): one, several with commas between, or all."""
+    observe: Annotated[ObserveOption, OfTasks(("rearrange",))]
     overrides: OverridesOption
     sensors: tuple[str, ...]
     """Sensors of robots that are recorded with every step: lidar, lidar_3d or any other of h3data docs environments that is no
@@ -416,7 +420,7 @@ class Generate:
             human_speed=self.human_speed,
             max_steps=self.max_steps,
             spawn_distance=self.spawn_distance,
-            overrides=read_overrides(self.overrides, card=self.card),
+            overrides=read_overrides(self.overrides, card=self.card, observe=self.observe),
             sensors=self.sensors or None,
         )
         choices = with_skills(choices, ",".join(self.skills))

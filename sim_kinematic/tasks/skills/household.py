@@ -120,8 +120,8 @@ class Household(Team):
         self._carriers = [owner.get(t.destination.partition("|")[0], -1) for t in episode.targets]
         self._goals = goals.copy()
         if episode.spec.observe == "seen":
-            kinds = kinds_of(episode.roster)
-            self.objects.sight = sight = Sight(episode.scene, kinds, len(names), episode.free.floor_y)
+            bodies = [member.body for member in episode.roster]
+            self.objects.sight = sight = Sight(episode.scene, bodies, len(names), episode.free.floor_y)
             for controller in self.controllers:
                 controller.surfaces = sight.names
         self.bodies = np.append(body_indices(episode), -1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -9,12 +10,13 @@ import numpy as np
 import pytest
 
 import h3data
+from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError
 from h3data.geometry import heading_direction
 from h3data.scene.articulation import joints_of
 from sim_kinematic.agents.skills import SEARCH, Action
 from sim_kinematic.policies.assignment import External
-from sim_kinematic.sensing.sight import MARGIN_M, NEAR_M, PLACE_M, THING_M, Sight, surface_names
+from sim_kinematic.sensing.sight import MARGIN_M, NEAR_M, PLACE_M, THING_M, Boxes, Sight, eye_height, surface_names
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.resume import verify
@@ -36,30 +38,36 @@ def episode(seed: int, **rules: Any) -> Any:
 
 def test_rays_agree_with_points_along_them() -> None:
     """A ray is open if none of 400 points on it is in a box that does not hold its end."""
-    sight, rng = Sight(home(), ("human",), 1, 0.0), np.random.default_rng(3)
+    sight, rng = Sight(home(), (load_humanoid("female_0"),), 1, 0.0), np.random.default_rng(3)
     least, most = sight.points.min(0), sight.points.max(0)
-    some = np.ones(len(sight._centers), np.bool_)
     wrong = opened = 0
-    for _ in range(10):
+    turned, centers, halves, bounds = sight.boxes
+    for _ in range(200):
         eye = rng.uniform(least, most) * (1, 0, 1) + (0, 1.5, 0)
-        points = rng.uniform(least, most, (20, 3))
-        for point, found in zip(points, sight._open(eye, points, some), strict=True):
-            local = np.einsum("bij,bj->bi", sight._turned, point - sight._centers)
-            low, high = sight._bounds.transpose(1, 0, 2)
-            about = ((local >= low - MARGIN_M) & (local <= high + MARGIN_M)).all(1)
-            along = eye + np.linspace(0, 1, 400)[:, None] * (point - eye)
-            inside = np.einsum("bij,nbj->nbi", sight._turned, along[:, None] - sight._centers)
-            expected = not ((np.abs(inside) < sight._halves).all(-1) & ~about).any()
-            wrong += found != expected
-            opened += found
+        away, height = rng.uniform(-0.7 * PLACE_M, 0.7 * PLACE_M, 2), rng.uniform(least[1], most[1])
+        point = np.array([eye[0] + away[0], height, eye[2] + away[1]])
+        found = sight.sees(eye, float(np.arctan2(-away[1], away[0])), point[None], 0)[0]
+        local = np.einsum("bij,bj->bi", turned, point - centers)
+        about = ((local >= bounds[:, 0] - MARGIN_M) & (local <= bounds[:, 1] + MARGIN_M)).all(1)
+        along = eye + np.linspace(0, 1, 400)[:, None] * (point - eye)
+        inside = np.einsum("bij,nbj->nbi", turned, along[:, None] - centers)
+        expected = not ((np.abs(inside) < halves).all(-1) & ~about).any()
+        wrong += found != expected
+        opened += found
     assert 20 < opened < 180
     assert wrong <= 2  # a ray may cut a corner between two points
 
 
+def test_robots_see_from_their_highest_camera_and_people_from_their_eyes() -> None:
+    assert eye_height(load_robot("quad_arm")) == pytest.approx(0.86, abs=0.01)
+    assert eye_height(load_robot("lift_arm")) == pytest.approx(1.36, abs=0.01)
+    assert eye_height(replace(load_robot("quad_arm"), cameras=())) == load_robot("quad_arm").body_height_m
+    assert eye_height(load_humanoid("child_0")) < 1.3 < eye_height(load_humanoid("female_0")) < 1.65
+
+
 def test_agents_see_what_is_before_them_and_not_what_is_far_or_behind() -> None:
-    sight, point = Sight(home(), ("human",), 1, 0.0), np.array([[0.0, 0.8, 0.0]])
-    for name in ("_centers", "_halves", "_turned", "_reach", "_bounds"):  # no walls
-        setattr(sight, name, getattr(sight, name)[:0])
+    sight, point = Sight(home(), (load_humanoid("female_0"),), 1, 0.0), np.array([[0.0, 0.8, 0.0]])
+    sight.boxes = Boxes(*(part[:0] for part in sight.boxes))  # no walls
     for distance, turned, thing, expected in (
         (THING_M - 0.1, 0.0, True, True),
         (THING_M + 0.1, 0.0, True, False),
@@ -94,7 +102,7 @@ def test_nothing_is_known_before_it_is_seen_and_skills_refuse_it() -> None:
 
 
 def test_contents_are_seen_only_when_opened() -> None:
-    sight, joints = Sight(home(), ("human",), 1, 0.0), joints_of(home())
+    sight, joints = Sight(home(), (load_humanoid("female_0"),), 1, 0.0), joints_of(home())
     shut = [k for k, name in enumerate(sight.names) if joints.enclosing.get(name)]
     sight.open(np.zeros(len(joints), np.bool_))
     assert sorted(np.flatnonzero(sight.shut >= 0)) == shut

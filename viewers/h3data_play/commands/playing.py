@@ -14,6 +14,7 @@ import tyro
 
 from h3data.commands.command import (
     JsonFlag,
+    ObserveOption,
     Outcome,
     OverridesOption,
     RuleSetOption,
@@ -82,6 +83,7 @@ class Play:
     """Length limit of an episode (default: the app's; rearrange and teleop 180, social_nav 90, tutorial 600)."""
     motion: Path | None = None
     """Motion file that sets how people walk, as for h3data generate."""
+    observe: ObserveOption = None
     overrides: OverridesOption = ()
     rules: RuleSetOption = None
     port: PortOption = 0
@@ -149,7 +151,8 @@ class Play:
                 code="H3-PLAY-027",
             )
         spec = find_task(find_app(self.app).task).Spec()
-        rules: dict[str, Any] = {name: rule_value(spec, name, v) for name, v in read_overrides(self.overrides)}
+        overrides = read_overrides(self.overrides, observe=self.observe)
+        rules: dict[str, Any] = {name: rule_value(spec, name, value) for name, value in overrides}
         if self.seconds is not None and "max_steps" in rules:
             raise InputError("Expected --seconds or --set max_steps=..., got both.", code="H3-PLAY-028")
         if self.seconds is not None:
