@@ -1,10 +1,14 @@
-"""Kinematics of robots: CPU seconds (user + system) of this process, everything warm, the median of some rounds."""
+"""Kinematics and files of robots: CPU seconds (user + system) of this process, everything warm, the median of some rounds."""
 
 from __future__ import annotations
 
+import os
+import tempfile
 import time
 from collections.abc import Callable
+from pathlib import Path
 from statistics import median
+from unittest.mock import patch
 
 import numpy as np
 
@@ -14,10 +18,12 @@ from h3data.geometry import ground_pose, pose_from_matrix
 
 Emit = Callable[[str, float, str], None]
 WORLDS = 1024
+LINKS = 10
+"""Links of the arm whose file is read; each shows a mesh of 81,920 triangles of its own, as large robots of makers do."""
 
 
 def run(emit: Emit) -> None:
-    """Emits ``bodies.fk_*``, ``bodies.ik_*`` and ``bodies.trot_us_per_step``, all of ``quad_arm``."""
+    """Emits ``bodies.fk_*``, ``bodies.ik_*`` and ``bodies.trot_us_per_step``, all of ``quad_arm``; ``bodies.mjcf_*``."""
     robot, rng = load_robot("quad_arm"), np.random.default_rng(0)
     bases = ground_pose(rng.uniform(-5, 5, (WORLDS, 2)), rng.uniform(-3, 3, WORLDS))
     joints = rng.uniform(robot.lower, robot.upper, (WORLDS, len(robot.joint_names)))
@@ -36,6 +42,29 @@ def run(emit: Emit) -> None:
     track = ground_pose(np.stack([way, np.zeros_like(way)], -1), np.zeros_like(way))
     posed = np.tile(robot.rest, (len(track), 1))
     emit("bodies.trot_us_per_step", _us(lambda: trot(robot, track, posed)) / len(track), "us")
+    for name, seconds in zip(("cold", "cached"), _mjcf_s(), strict=True):
+        emit(f"bodies.mjcf_819k_triangles_{name}_s", seconds, "s")
+
+
+def _mjcf_s() -> tuple[float, float]:
+    """CPU time to load a robot of an MJCF file [s]: with an empty cache folder, and with its thinned meshes there."""
+    import trimesh
+
+    with tempfile.TemporaryDirectory() as name, patch.dict(os.environ, {"H3DATA_CACHE": str(Path(name) / "cache")}):
+        assets, arm = "", ""
+        for k in reversed(range(LINKS)):
+            trimesh.creation.icosphere(subdivisions=6, radius=0.1 + k / 100).export(Path(name) / f"{k}.stl")
+            assets += f'<mesh name="m{k}" file="{k}.stl"/>'
+            shown = f'<geom type="mesh" mesh="m{k}" contype="0" conaffinity="0"/>'
+            arm = f'<body name="b{k}" pos="0 0 0.2"><joint/>{shown}{arm}</body>'
+        taken = []
+        for file in ("first.xml", "second.xml"):
+            path = Path(name) / file
+            path.write_text(f"<mujoco><asset>{assets}</asset><worldbody>{arm}</worldbody></mujoco>")
+            before = time.process_time()
+            load_robot(path)
+            taken.append(time.process_time() - before)
+    return taken[0], taken[1]
 
 
 def _torch_us(robot: Robot, bases: np.ndarray, joints: np.ndarray) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import threading
 import time
@@ -64,6 +65,29 @@ def test_a_server_that_dies_costs_its_episodes_and_not_the_job(
     assert "The policy server at" in failed
     assert told["episodes"] == 3
     assert sum(not recording.episode.info.get("failed") for recording in Dataset(tmp_path / "ds")) == 2
+
+
+def test_an_evaluation_ends_with_what_it_has_when_its_server_goes_for_good(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, served, begun = tmp_path / "table", contextlib.ExitStack(), [0]
+
+    def dying(request: dict[str, Any]) -> dict[str, Any]:
+        begun[0] += bool(request["h3data/reset"])
+        if begun[0] == 3:
+            threading.Thread(target=served.close).start()
+            raise ConnectionAbortedError
+        return followed(request)
+
+    address = served.enter_context(websocket_server(answering(dying)))
+    common = ["--scenes", "small:3", "--episodes", "6", "--max-steps", "10", "--json"]
+    assert main(["evaluate", "social_nav", *common, "--policies", address, "-o", str(out)]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["episodes"] == 6
+    assert len(told["failed"]) == 4
+    assert all(line.startswith(f"episode {k} ") and "olicy server" in line for k, line in enumerate(told["failed"], 2))
+    files = [json.loads(file.read_text()) for file in sorted((out / "episodes").glob("*.json"))]
+    assert [len(found["rows"]) for found in files] == [1, 1, 0, 0, 0, 0]
 
 
 def test_a_server_that_is_not_there_is_refused_before_the_first_episode(
