@@ -35,7 +35,18 @@ CAMERAS = {
     "sofa": "eye = [5.3, 2.2, 12.4]\ntarget = [7.9, 0.5, 9.6]\nhfov_deg = 80\n",
     "living": "eye = [5.2, 2.3, 7.2]\ntarget = [7.6, 0.5, 10.2]\nhfov_deg = 80\n",
 }
-SHOTS = ((0, "kitchen"), (7, "sofa"), (25, "living"), (32, "third_person"), (38, "sofa"), (46, "stove"))
+SHOTS = (
+    (0, "sofa"),
+    (3, "kitchen"),
+    (8, "sofa"),
+    (16, "stove"),
+    (20, "sofa"),
+    (26, "living"),
+    (32, "third_person"),
+    (38, "sofa"),
+    (52, "stove"),
+    (56, "sofa"),
+)
 """Seconds at which the shots begin, and their cameras: `CAMERAS`, or named ones."""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from h3data.bodies.people.gestures import NAMES
+from h3data.bodies.people.gestures import GESTURES, NAMES
 from h3data.geometry import Array
 from h3data.recording import Recording
 
@@ -19,7 +19,8 @@ APART_S = 1.9
 def recorded_gestures(recording: Recording, agent: int) -> Array | None:
     """Return the gestures of an agent at all steps as `h3data.bodies.people.gestures.add_gestures` takes them, [T, 3].
 
-    A person who sits down for an activity begins when they sit. None: the agent does nothing that has a gesture.
+    Gestures of seated people begin when they sit, and are left out where they have no seat.
+    None: the agent does nothing that has a gesture.
     """
     turns = [event for event in recording.events if event.agent == agent and event.kind in ENDS]
     if not any(event.kind == BEGINS and event.target in NAMES for event in turns):
@@ -32,11 +33,11 @@ def recorded_gestures(recording: Recording, agent: int) -> Array | None:
         end = next((after.step for after in turns[k + 1 :] if after.step > begin), len(seconds))
         if event.kind != BEGINS or event.target not in NAMES or begin >= end:
             continue
-        seated = np.zeros(0) if seats is None else np.flatnonzero(seats[begin:end, 1] >= 1)
-        if len(seated):
-            begin += int(seated[0])
-        elif seats is not None and seats[begin:end, 1].any():
-            continue  # the recording ends before they sit
+        if GESTURES[event.target].seated:
+            on_seat = np.flatnonzero(seats[begin:end, 1] >= 1) if seats is not None else np.zeros(0, np.intp)
+            if not len(on_seat):
+                continue
+            begin += int(on_seat[0])
         rows = slice(begin, end)
         since, left = seconds[rows] - seconds[begin], seconds[end - 1] - seconds[rows]
         u = np.clip(np.minimum(since, left if end < len(seconds) else np.inf) / RAMP_S, 0.0, 1.0)

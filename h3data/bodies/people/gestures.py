@@ -39,6 +39,8 @@ class Gesture(NamedTuple):
     """Lowest height of the wrists above the floor, over what the hands work on [m]."""
     twist_deg: float = 35.0
     """Twist of the forearm and again of the wrist; positive turns the palm down."""
+    seated: bool = False
+    """Whether only seated people do it."""
 
 
 _BOOK = ((0.52, -0.42, -0.22),)
@@ -67,9 +69,12 @@ GESTURES: dict[str, Gesture] = {
         ((0.7, -0.45, -0.2), (0.42, 0.03, -0.36), (0.42, 0.03, -0.36), (0.7, -0.45, -0.2)),
         8.0,
         0.84,
+        seated=True,
     ),
-    "work": Gesture(1.1, _TYPING, _TYPING[::-1], 8.0, 0.82, 42.0),
-    "read": Gesture(9.0, (*_BOOK, *_BOOK), (*_BOOK, *_BOOK, *_BOOK, (0.56, -0.32, -0.3)), 22.0, 0.0, -12.0),
+    "work": Gesture(1.1, _TYPING, _TYPING[::-1], 8.0, 0.82, 42.0, seated=True),
+    "read": Gesture(
+        9.0, (*_BOOK, *_BOOK), (*_BOOK, *_BOOK, *_BOOK, (0.56, -0.32, -0.3)), 22.0, 0.0, -12.0, seated=True
+    ),
     "talk": Gesture(
         7.0,
         (None, None, (0.58, -0.5, 0.05), (0.66, -0.42, 0.2), (0.58, -0.5, 0.0), None, None, None),

@@ -18,7 +18,6 @@ from h3data.render.sheets.people_sheet import lined_up
 
 from .sitting_sheet import chair
 
-SEATED = ("eat", "work", "read")
 WIDTH, SPACING_M, ROW_M, HEADING, MOMENTS = 1300, 0.95, 2.05, -1.3, (0.0, 0.25, 0.5, 0.75)
 
 
@@ -29,7 +28,7 @@ def main(out: str) -> None:
         body = load_humanoid(names[number % len(names)])
         prop: list[Mesh] = []
         quats, pelvis = body.clip_pose(np.zeros(len(MOMENTS), np.int64), np.zeros(len(MOMENTS)))
-        if name in SEATED:
+        if GESTURES[name].seated:
             sitting = sitting_on(body, round(0.26 * body.height_m, 2))
             quats, pelvis = sitting.pose(np.ones(len(MOMENTS)))
             prop = chair(sitting)
