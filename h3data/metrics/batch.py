@@ -31,9 +31,6 @@ from h3data.recording import Dataset, Recording, open_recording
 from h3data.recording.finding import find_sources
 from h3data.recording.storage import AnyPath, RemotePath
 
-_PART = 2048
-"""Episodes of a dataset in one part of `Spread` work: about a second."""
-
 
 @dataclass(frozen=True)
 class Part:
@@ -147,8 +144,9 @@ def parts_of(sources: Sequence[AnyPath]) -> list[Part]:
         if not source.is_dir():
             parts.append(Part(source, None, job))
             continue
+        # 2,048 episodes take about a second: few enough to share out, enough to be worth sending
         count = len(_opened(source, job))
-        parts += [Part(source, range(k, min(k + _PART, count)), job) for k in range(0, count, _PART)]
+        parts += [Part(source, range(k, min(k + 2048, count)), job) for k in range(0, count, 2048)]
     return parts
 
 
@@ -161,7 +159,10 @@ def measure_part(part: Part, profile: str | None) -> list[Measured]:
         results = (
             each for chunk in chunks_of(dataset, part.episodes) for each in _measure_chunk(dataset, chunk, profile)
         )
-    return [sendable(each) if isinstance(each, EpisodeMetrics) else _told(each) for each in results]
+    return [
+        sendable(each) if isinstance(each, EpisodeMetrics) else (each.name, str(each.error), each.reason)
+        for each in results
+    ]
 
 
 def part_recordings(part: Part, profile: str | None = None) -> Iterator[tuple[int, Recording | FormatError]]:
@@ -190,11 +191,8 @@ def sendable(measured: EpisodeMetrics) -> EpisodeMetrics:
     return replace(measured, metrics=_described(measured.metrics))
 
 
-def _told(left_out: LeftOut) -> tuple[str, str, str]:
-    return left_out.name, str(left_out.error), left_out.reason
-
-
 @lru_cache(maxsize=64)
+# cached: episodes of a profile share one tuple of metrics, and `tabulate` compares them by identity first
 def _described(metrics: tuple[Metric, ...]) -> tuple[Metric, ...]:
     return tuple(replace(metric, value=None) for metric in metrics)
 

@@ -31,10 +31,6 @@ class Computed:
     protocol_deviations: str = ""
 
 
-def _no_series(_recording: Recording) -> Series:
-    return {}
-
-
 @dataclass(frozen=True, kw_only=True)
 class Profile:
     """Profile: a set of definitions of metrics for some tasks.
@@ -74,7 +70,7 @@ class Profile:
     """Computes all metrics of a recording together and adds notes; None: each by its `Metric.value`."""
     compute_many: Callable[[Sequence[Recording], Sequence[Notes]], Sequence[Computed]] | None = None
     """`compute` of several recordings at once, in its place: NumPy's calls take longer than the arithmetic on one episode."""
-    series: Callable[[Recording], Series] = _no_series
+    series: Callable[[Recording], Series] = lambda _recording: {}
     """Computes the per-row quantities and flags [T] behind the metrics."""
     report: ReportLayout = field(default_factory=ReportLayout)
 
@@ -135,6 +131,7 @@ class Profile:
     def _measured(self, recording: Recording, notes: Notes, computed: Computed) -> EpisodeMetrics:
         names = [m.name for m in self.metrics]
         episode = recording.episode
+        # info is whatever the writer of the file put there, such as True or a text
         limit = episode.info.get("max_steps")
         return EpisodeMetrics(
             episode_id=episode.episode_id,
@@ -166,5 +163,6 @@ class Profile:
             notes.add((m.name for m in self.metrics if m.name not in missing), "the recording has no rows")
             return Computed(values={})
         values = {m.name: m.value(recording) for m in self.metrics if m.value and m.name not in missing}
+        # series are computed only where a report shows when something happened
         flags = [milestone.flag for milestone in self.report.milestones]
         return Computed(values=values, moments=first_moments(self.series(recording), flags) if flags else {})

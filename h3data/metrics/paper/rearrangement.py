@@ -140,6 +140,7 @@ def compute_rearrangement(recording: Recording, notes: Notes) -> Computed:
     Raises:
         MissingColumnsError: none of the columns is there.
     """
+    # a person alone cannot touch a robot: CR is 0 without a column of contacts
     alone = bool(recording.agents) and all(agent.kind != "robot" for agent in recording.agents)
     missing = note_missing([m for m in REARRANGEMENT if not (alone and m.name == "CR")], recording, notes)
     deviations = protocol_deviations(recording)
@@ -215,6 +216,7 @@ def _carrier(recording: Recording, at_goal: NDArray[np.bool_], body: int) -> int
     if not at_goal[-1] or at_goal.all():
         return None
     placed = len(at_goal) - int(np.argmin(at_goal[::-1]))  # from this row on it stays there
+    # the row of success counts too: an object may be let go in the step in which it reaches its goal
     last, carrier = -1, None
     for i in range(len(recording.agents)):
         held = recording.columns.get(f"agent_{i}.grasp_body")

@@ -124,6 +124,7 @@ def _occurrences(flags: NDArray[np.bool_], offsets: NDArray[np.int64]) -> list[_
     """Returns the steps at which a flag holds in each episode."""
     rows = np.flatnonzero(flags)
     bounds = np.searchsorted(rows, offsets)
+    # an episode without the flag gets the first row of a later one, or -1: its total of 0 says that it counts for nothing
     first = np.append(rows, -1)[bounds[:-1]] - offsets[:-1]
     return [_Occurrences(*each) for each in zip(first.tolist(), np.diff(bounds).tolist(), strict=True)]
 
@@ -211,6 +212,7 @@ def _against_oracle(recording: Recording, steps: int, following: int, notes: Not
     if not _is_count(limit):
         limit = len(recording)
         notes.add(("F",), f"the longest duration E is not recorded (info max_steps): {limit} rows taken")
+    # max: a robot may be quicker than the oracle, and the ratios stay within 1
     return {"SPS": oracle / max(oracle, steps), "F": following / max(limit - oracle, following)}
 
 
