@@ -182,6 +182,7 @@ def lost_part(part: Part, fault: Exception) -> list[Measured]:
 
 
 @lru_cache(maxsize=1)
+# `job` is part of the key, so that a later job sees a dataset that has grown
 def _opened(source: AnyPath, job: str) -> Dataset:
     return Dataset(source)
 
@@ -210,6 +211,7 @@ def _measured(
     results = list(progress(measured, desc="measure", unit="episode", delay=1.0, leave=False))
     left_out = [result for result in results if isinstance(result, LeftOut)]
     if left_out and len(left_out) == len(results):
+        # a table without any episode would hide why
         raise left_out[0].error
     return [result for result in results if isinstance(result, EpisodeMetrics)], left_out
 
@@ -235,6 +237,7 @@ def _attempts(
         for name, found in episodes
     ]
     results: list[EpisodeMetrics | LeftOut] = []
+    # neighbours with one profile: its kernels take many short episodes at once
     for _, group in itertools.groupby(chosen, key=lambda each: id(each[2])):
         names, found, profiles = zip(*group, strict=True)
         measured = found if profiles[0] is None else profiles[0].measure_many(found)
@@ -290,6 +293,7 @@ def _in_order(
         try:
             for job in jobs:
                 waiting.append(pool.submit(job))
+                # one job under way and one ready for each worker; more would fill memory with results
                 if len(waiting) >= 2 * workers:
                     yield from waiting.popleft().result()
             while waiting:

@@ -31,6 +31,10 @@ class Computed:
     protocol_deviations: str = ""
 
 
+def _no_series(_recording: Recording) -> Series:
+    return {}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Profile:
     """Profile: a set of definitions of metrics for some tasks.
@@ -70,7 +74,7 @@ class Profile:
     """Computes all metrics of a recording together and adds notes; None: each by its `Metric.value`."""
     compute_many: Callable[[Sequence[Recording], Sequence[Notes]], Sequence[Computed]] | None = None
     """`compute` of several recordings at once, in its place: NumPy's calls take longer than the arithmetic on one episode."""
-    series: Callable[[Recording], Series] = lambda _recording: {}
+    series: Callable[[Recording], Series] = _no_series
     """Computes the per-row quantities and flags [T] behind the metrics."""
     report: ReportLayout = field(default_factory=ReportLayout)
 

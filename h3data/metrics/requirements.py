@@ -110,6 +110,7 @@ def stored_columns(metrics: Iterable[Metric], agents: int) -> list[str]:
     names: dict[str, None] = {}
     for metric in metrics:
         for name in (alternative for entry in (*metric.columns, *metric.optional) for alternative in entry.split(OR)):
+            # info and events are no columns
             if ":" in name:
                 continue
             head, _, rest = name.partition(">.")

@@ -67,6 +67,7 @@ class MetricsTable:
     def summary(self, *, confidence: float = 0.95, resamples: int = 10_000, seed: int = 0) -> dict[str, Summary]:
         """Returns mean and interval of each metric, see `summarize`."""
         key = (confidence, resamples, seed)
+        # 10,000 resamples of each metric: a report asks for the same summary many times
         if key not in self._summaries:
             self._summaries[key] = summarize_all(
                 self.metrics, self.columns, confidence=confidence, resamples=resamples, seed=seed
@@ -168,6 +169,7 @@ def summarize_all(
     seed: int = 0,
 ) -> dict[str, Summary]:
     """`summarize` of metrics by name, ``columns`` being their values [E]; together they take a third of the time."""
+    # an undefined value is left out of the mean, never taken for 0
     defined = {m.name: columns[m.name][~np.isnan(columns[m.name])] for m in metrics}
     means = [m.name for m in metrics if not m.binary]
     sampled = bootstrap_intervals(

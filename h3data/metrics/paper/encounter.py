@@ -95,6 +95,7 @@ def encounter_series(
     step[1:] = np.sqrt(step_x * step_x + step_z * step_z)
     dt[1:] = np.diff(time_ns) * 1e-9
     if rows:
+        # the difference to the last row of the episode before is no velocity
         along[starts] = step[starts] = np.nan
     near = series["dist_m"] < thresholds.avoid_m
     backs_up = near & (along < -thresholds.still_m_s * dt)

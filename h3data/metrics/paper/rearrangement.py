@@ -176,11 +176,13 @@ def _steps(recording: Recording, done: NDArray[np.bool_], notes: Notes) -> tuple
         notes.add(("SR", "RE", "TS"), f"the longest duration E is not recorded (info max_steps): {limit} rows taken")
     in_time = done[:limit]
     solved = bool(in_time.any())
+    # row k is the state after step k + 1
     return (int(np.argmax(in_time)) + 1 if solved else len(in_time)), solved, limit
 
 
 def _efficiency(recording: Recording, joint_steps: int, limit: int, notes: Notes) -> float:
     solo = recording.episode.info["solo_steps"]
+    # `not solo >= 1` also refuses NaN
     if isinstance(solo, bool) or not isinstance(solo, int | float) or not solo >= 1:
         notes.add(("RE",), f"info solo_steps must be a number of at least 1, is {solo!r}")
         return NAN
