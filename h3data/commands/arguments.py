@@ -31,5 +31,6 @@ def result_of(command: type[Command], given: dict[str, Any]) -> Any:
         return command(**values).run().result
     except (H3DataError, KeyboardInterrupt) as error:
         if error.args:
+            # the caller's own traceback stays; only the words change
             error.args = (in_python_words(str(error), command), *error.args[1:])
         raise

@@ -141,6 +141,7 @@ def claim_folder(folder: P, *, force: bool, unfinished: Callable[[], str] = str)
         local(folder)
         if folder.exists() and not folder.is_dir():
             raise InputError(f"The output folder is a file. Choose another with -o: {folder}", code="H3-OPTION-008")
+    # one entry is asked for: an object store may hold millions
     if not force and (isinstance(folder, RemotePath) or folder.is_dir()) and any(folder.iterdir()):
         if held := unfinished():
             raise InputError(
@@ -190,6 +191,7 @@ def claim_file(path: P, *, force: bool, suffix: str = "") -> P:
 def _try_writing(folder: Path, asked: Path) -> None:
     """Refuses a folder in which no file can be made, before work is done for what was asked for."""
     try:
+        # a file, not os.access: a full disk, a quota or a network folder may refuse what its mode allows
         with NamedTemporaryFile(dir=folder, prefix=".h3data-"):
             pass
     except OSError as error:
@@ -214,6 +216,7 @@ def open_episode(path: AnyPath) -> Recording:
 def recording_stem(path: Path) -> str:
     """``my_session`` of ``my_session.gfx_replay.json.gz``."""
     name = path.name
+    # from the last suffix inwards
     for suffix in (".gz", ".json", ".pkl", ".gfx_replay", ".mcap"):
         name = name.removesuffix(suffix)
     return name or path.stem
@@ -253,6 +256,7 @@ def read_overrides(texts: Iterable[str], **named: Any) -> tuple[tuple[str, Any],
             raise InputError(f"Expected --set NAME=VALUE, got {text!r}.", code="H3-OPTION-075")
         if named.get(name) is not None:
             raise InputError(f"Expected --{name} or --set {name}=..., got both.", code="H3-OPTION-098")
+        # what is no JSON is a bare word
         with suppress(ValueError):
             value = json.loads(value)
         overrides.append((name, value))

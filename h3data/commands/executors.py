@@ -34,6 +34,7 @@ def check_workers(executor: str, workers: int | None) -> None:
         InputError: there is no such executor, or fewer than one worker.
     """
     name = executor.partition("://")[0]
+    # the names are checked here without importing Ray, which takes seconds
     if name not in ("local", "ray") or (name == "local" and executor != "local") or executor == "ray://":
         near = did_you_mean(name, ("local", "ray"))
         raise InputError(

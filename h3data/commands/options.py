@@ -34,10 +34,6 @@ from h3data.commands.command import Command
 from h3data.errors import InputError, suggest
 
 T = TypeVar("T")
-_NOT_KEPT = ("out", "workers", "executor", "resume", "force", "json", "dry_run", "mcap", "share_scenes")
-"""Options that do not decide what is in the dataset."""
-_FOLDERS = re.compile(r"(?<![\w.~-])[/~](?:[^/,\s:]*/)+")
-_POSITIONAL = get_args(tyro.conf.Positional[str])[1]
 RENAMED = {
     "--hold": "--action-repeat",
     "--human-walk": "--rules",
@@ -158,16 +154,13 @@ def command_of(function: Callable[..., Any]) -> Callable[[type[T]], type[T]]:
             if name not in hints or hasattr(cls, name):
                 raise TypeError(f"Expected a field {name} without a default in {cls.__name__}.")
             if parameter.default is not parameter.empty:
-                setattr(cls, name, _default(_option(name, hints[name], required=False), parameter.default))
+                option = _option(name, hints[name], required=False)
+                nothing = () if option.count is None else None
+                given = parameter.default
+                setattr(cls, name, nothing if given is None else python_value(option, given))
         return dataclass(frozen=True, kw_only=True)(cls)
 
     return decorate
-
-
-def _default(option: Option, value: Any) -> Any:
-    if value is None:
-        return () if option.count is None else None
-    return python_value(option, value)
 
 
 def _option(name: str, annotation: Any, *, required: bool) -> Option:
@@ -179,31 +172,28 @@ def _option(name: str, annotation: Any, *, required: bool) -> Option:
     if get_origin(kind) is tuple:
         count = None if get_args(kind)[-1] is ... else len(get_args(kind))
         kind = get_args(kind)[0]
+    # a command with another type would fail only when somebody gives the option
     if kind is not bool and get_origin(kind) is not Literal and kind not in _PYTHON_TYPES:
         raise TypeError(f"Options must be bool, int, float, str, Path, Literal, or tuples of these; {name} is {kind}.")
     flags: tuple[str, ...] = ()
-    if _POSITIONAL not in metadata:
+    if get_args(tyro.conf.Positional[str])[1] not in metadata:
         aliases = [alias for m in metadata for alias in getattr(m, "aliases", None) or ()]
         named = next((m.name for m in metadata if getattr(m, "name", None)), None)
         flag = named or name.replace("_", "-")
-        if count is None and named is None and (one := _singular(flag)):
-            metadata = (*metadata, tyro.conf.arg(aliases=[*aliases, f"--{one}"]))
-            aliases.append(f"--{one}")
+        # --camera as well as --cameras, --policy as well as --policies
+        if count is None and named is None and flag.endswith("s"):
+            one = f"--{flag[:-3]}y" if flag.endswith("ies") else f"--{flag[:-1]}"
+            metadata = (*metadata, tyro.conf.arg(aliases=[*aliases, one]))
+            aliases.append(one)
         flags = (*aliases, f"--{flag}")
     return Option(name, flags, required, kind, count, metadata)
-
-
-def _singular(plural: str) -> str:
-    """``camera`` of ``cameras``, ``policy`` of ``policies``; empty for a word that is no plural."""
-    if plural.endswith("ies"):
-        return f"{plural[:-3]}y"
-    return plural[:-1] if plural.endswith("s") else ""
 
 
 def split_list(text: str) -> list[str]:
     """The values in a text with commas between; commas within brackets and quotes belong to a value."""
     parts, depth, quoted = [""], 0, False
     for character in text:
+        # values may be JSON: --set near_m=[2.0,1.5]
         quoted ^= character == '"'
         depth += 0 if quoted else (character in "([{") - (character in ")]}")
         if character == "," and depth <= 0 and not quoted:
@@ -241,6 +231,7 @@ def python_value(option: Option, value: Any) -> Any:
     """
     if option.count == 1:
         return _one(option, value)
+    # rules={"objects": 3} is --set objects=3
     if isinstance(value, Mapping):
         value = [f"{name}={json.dumps(each)}" for name, each in value.items()]
     if isinstance(value, str) or not isinstance(value, Iterable):
@@ -260,6 +251,7 @@ def _one(option: Option, value: Any) -> Any:
     if option.kind is str and not isinstance(value, str):
         value = _name_of(value)
     types, expected = _PYTHON_TYPES[option.kind]
+    # a bool is an int in Python: workers=True is a mistake
     if not isinstance(value, types) or (isinstance(value, bool) and option.kind is not bool):
         raise InputError(f"{option.field}: expected {expected}, got {value!r:.100}.", code="H3-OPTION-013")
     return Path(str(value)) if option.kind is Path else value
@@ -322,12 +314,16 @@ def command_line(name: str, command: Command) -> str:
     """
     assert dataclasses.is_dataclass(command)
     words = ["h3data", *name.split()]
+    # options that do not decide what is in the dataset
+    elsewhere = ("out", "workers", "executor", "resume", "force", "json", "dry_run", "mcap", "share_scenes")
+    folders = re.compile(r"(?<![\w.~-])[/~](?:[^/,\s:]*/)+")
     for option in options_of(type(command)):
         value, default = getattr(command, option.field), type(command).__dataclass_fields__[option.field].default
-        if option.field in _NOT_KEPT or (option.flags and value == default):
+        if option.field in elsewhere or (option.flags and value == default):
             continue
         values = [value] if option.count == 1 else list(value)
-        texts = [_FOLDERS.sub("", str(each)) for each in values]
+        texts = [folders.sub("", str(each)) for each in values]
+        # joined by commas where that is read back as the same values
         if option.is_list and split_list(joined := ",".join(texts)) == texts:
             texts = [joined]
         flag = (

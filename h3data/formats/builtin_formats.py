@@ -27,11 +27,6 @@ REPLAY_MEMBERS = frozenset(
     }
 )
 """Members of a keyframe of a gfx-replay (spec/habitat.md 5.1)."""
-_KEYFRAMES = r"""\s*\{\s*"keyframes"\s*:\s*\[\s*(?:\{\s*\}\s*,\s*)*"""
-_REPLAY_BEGINS = re.compile(
-    rf"""{_KEYFRAMES}(?:\]|\{{\s*\}}\s*\]|\{{\s*"(?:{"|".join(sorted(REPLAY_MEMBERS))})"\s*:)""".encode()
-)
-"""A gfx-replay as habitat-sim writes it: long files are recognised without being read as a whole."""
 
 
 def _is_replay(members: Mapping[str, Any], name: str) -> bool:
@@ -68,11 +63,18 @@ BUILT_IN = (
     Format(
         name="gfx_replay",
         title="a gfx-replay recording",
-        begins=_REPLAY_BEGINS,
+        # as habitat-sim writes it, after empty keyframes: long files are recognised without being read as a whole
+        begins=re.compile(
+            (
+                r"""\s*\{\s*"keyframes"\s*:\s*\[\s*(?:\{\s*\}\s*,\s*)*"""
+                rf"""(?:\]|\{{\s*\}}\s*\]|\{{\s*"(?:{"|".join(sorted(REPLAY_MEMBERS))})"\s*:)"""
+            ).encode()
+        ),
         members=_is_replay,
         suffixes=(".json", ".json.gz"),
     ),
     Format(
+        # before its episode and before episode datasets: it has their members too
         name="hitl_session",
         title="a human-in-the-loop session (habitat-lab rearrange_v2)",
         members=_has("session", "users", "episodes"),
@@ -155,6 +157,7 @@ BUILT_IN = (
             rb"\x89MCAP0\r\n\x01.{8}\x04\0\0\0ros2|SQLite format 3\0|\s*rosbag2_bagfile_information:", re.DOTALL
         ),
     ),
+    # after rosbag2, whose bags are MCAP files that begin with the profile ros2
     Format(name="mcap", title="an MCAP log", begins=_magic(b"\x89MCAP0\r\n")),
     Format(
         name="parquet",

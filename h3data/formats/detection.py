@@ -74,7 +74,8 @@ def detect(path: str | os.PathLike[str]) -> Format:
     try:
         built_in = _by_beginning(file.head)
         if built_in is JSON:
-            built_in = _format_by_members(file)
+            members = _members(file)
+            built_in = UNKNOWN if members is None else json_format(members, name=file.path.name)
         built_in = _registered(built_in)
     except FormatError:
         return replace(UNKNOWN, title="a damaged gzip archive")
@@ -122,30 +123,21 @@ def json_format(document: Any, *, name: str = "") -> Format:
     return next((one for one in BUILT_IN if one.members is not None and one.members(document, name)), JSON)
 
 
-def _format_by_members(file: SourceFile) -> Format:
-    members = _members(file)
-    return UNKNOWN if members is None else json_format(members, name=file.path.name)
-
-
 def _members(file: SourceFile) -> Any:
     """Returns the values that `Format.members` reads; None if the file is not JSON. Other values are not decoded."""
     try:
         members = decode_json(file.data, dict[str, msgspec.Raw])
-        return {key: _glimpse(key, bytes(text)) for key, text in members.items()}
-    except msgspec.ValidationError:
+        # only whether a value is an object decides, except for keyframes: a file may have hundreds of MB
+        objects = {key: {} if bytes(text).startswith(b"{") else None for key, text in members.items()}
+        return objects | {key: decode_json(bytes(members[key])) for key in ("keyframes", "keyframe") if key in members}
+    except msgspec.ValidationError:  # JSON, but no object
         return []
-    except msgspec.DecodeError:
+    except msgspec.DecodeError:  # NaN and Infinity, which Python's own reader takes
         pass
     try:
         return json.loads(file.data.removeprefix(BYTE_ORDER_MARK))
     except (ValueError, RecursionError):
         return None
-
-
-def _glimpse(key: str, text: bytes) -> Any:
-    if key in ("keyframes", "keyframe"):
-        return decode_json(text)
-    return {} if text.startswith(b"{") else None
 
 
 def _third_party_formats(file: SourceFile) -> Iterator[Format]:

@@ -94,6 +94,7 @@ def byte_chunks(path: Path, size: int = CHUNK_BYTES) -> Iterator[bytes]:
 def _unpacked(raw: BinaryIO, path: Path, size: int) -> Iterator[bytes]:
     packed = raw.seek(0, os.SEEK_END)
     raw.seek(0)
+    # checked while it unpacks: the size that gzip notes at its end can be forged
     limit, total = max(UNPACKED_RATIO * packed, UNPACKED_BYTES), 0
     with gzip.GzipFile(fileobj=raw) as stream:
         while True:
@@ -120,6 +121,7 @@ def decode_json(data: bytes, kind: Any = Any) -> Any:
     """The JSON document as ``kind``; every fault is a `msgspec.DecodeError`. A byte order mark is skipped."""
     try:
         return msgspec.json.decode(data.removeprefix(BYTE_ORDER_MARK), type=kind)
+    # brackets a hundred thousand deep fit into a small file
     except RecursionError:
         raise msgspec.DecodeError("JSON is malformed: brackets are nested too deep") from None
     except UnicodeDecodeError as fault:

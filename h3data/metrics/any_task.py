@@ -14,8 +14,6 @@ from h3data.metrics.report_layout import Milestone, ReportLayout
 from h3data.recording.records import Recording
 
 SUCCESS, REWARD, COLLISION = "metrics.success", "metrics.reward", "metrics.collision"
-CUT_OFF = ("max_steps", "track_end")
-"""Values of ``info["ended"]`` of episodes that did not end by themselves."""
 _SOURCE = "h3data"
 
 
@@ -35,27 +33,8 @@ def _flags(column: NDArray) -> NDArray[np.bool_]:
     return np.asarray((column.reshape(len(column), -1) > 0).any(axis=1))
 
 
-def _success(recording: Recording) -> float:
-    return float(_flags(recording.columns[SUCCESS]).any())
-
-
-def _reward(recording: Recording) -> float:
-    return float(np.nansum(recording.columns[REWARD].astype(np.float64)))
-
-
-def _steps(recording: Recording) -> float:
-    return float(len(recording))
-
-
-def _time(recording: Recording) -> float:
-    return float(recording.columns["time_ns"][-1]) * 1e-9
-
-
-def _terminated(recording: Recording) -> float:
-    return float(str(recording.episode.info["ended"]) not in CUT_OFF)
-
-
 def _collisions(recording: Recording) -> float:
+    # a contact that lasts many steps counts once
     touches = _flags(recording.columns[COLLISION])
     return float(np.count_nonzero(touches & ~np.concatenate([[False], touches[:-1]])))
 
@@ -73,7 +52,7 @@ ANY_TASK_METRICS = (
         undefined="No column metrics.success.",
         series=("success",),
         binary=True,
-        value=_success,
+        value=lambda recording: float(_flags(recording.columns[SUCCESS]).any()),
     ),
     Metric(
         id="task/any/reward@1",
@@ -86,7 +65,8 @@ ANY_TASK_METRICS = (
         undefined="No column metrics.reward.",
         series=("reward",),
         reading="Rows without a reward (NaN) count as 0.",
-        value=_reward,
+        # in float64: a sum of thousands of float32 rewards would lose digits
+        value=lambda recording: float(np.nansum(recording.columns[REWARD].astype(np.float64))),
     ),
     Metric(
         id="task/any/steps@1",
@@ -98,7 +78,7 @@ ANY_TASK_METRICS = (
         source=_SOURCE,
         columns=("time_ns",),
         undefined="The recording has no rows.",
-        value=_steps,
+        value=lambda recording: float(len(recording)),
     ),
     Metric(
         id="task/any/time@1",
@@ -110,7 +90,7 @@ ANY_TASK_METRICS = (
         source=_SOURCE,
         columns=("time_ns",),
         undefined="The recording has no rows.",
-        value=_time,
+        value=lambda recording: float(recording.columns["time_ns"][-1]) * 1e-9,
     ),
     Metric(
         id="task/any/terminated@1",
@@ -123,7 +103,7 @@ ANY_TASK_METRICS = (
         undefined="No info:ended.",
         binary=True,
         reading="Success and failure both count as ended by the task, as Gymnasium's terminated does.",
-        value=_terminated,
+        value=lambda recording: float(str(recording.episode.info["ended"]) not in ("max_steps", "track_end")),
     ),
     Metric(
         id="task/any/collisions@1",

@@ -31,9 +31,6 @@ from h3data.recording import Dataset, Recording, open_recording
 from h3data.recording.finding import find_sources
 from h3data.recording.storage import AnyPath, RemotePath
 
-_PART = 2048
-"""Episodes of a dataset in one part of `Spread` work: about a second."""
-
 
 @dataclass(frozen=True)
 class Part:
@@ -147,8 +144,9 @@ def parts_of(sources: Sequence[AnyPath]) -> list[Part]:
         if not source.is_dir():
             parts.append(Part(source, None, job))
             continue
+        # 2,048 episodes take about a second: few enough to share out, enough to be worth sending
         count = len(_opened(source, job))
-        parts += [Part(source, range(k, min(k + _PART, count)), job) for k in range(0, count, _PART)]
+        parts += [Part(source, range(k, min(k + 2048, count)), job) for k in range(0, count, 2048)]
     return parts
 
 
@@ -161,7 +159,10 @@ def measure_part(part: Part, profile: str | None) -> list[Measured]:
         results = (
             each for chunk in chunks_of(dataset, part.episodes) for each in _measure_chunk(dataset, chunk, profile)
         )
-    return [sendable(each) if isinstance(each, EpisodeMetrics) else _told(each) for each in results]
+    return [
+        sendable(each) if isinstance(each, EpisodeMetrics) else (each.name, str(each.error), each.reason)
+        for each in results
+    ]
 
 
 def part_recordings(part: Part, profile: str | None = None) -> Iterator[tuple[int, Recording | FormatError]]:
@@ -181,6 +182,7 @@ def lost_part(part: Part, fault: Exception) -> list[Measured]:
 
 
 @lru_cache(maxsize=1)
+# `job` is part of the key, so that a later job sees a dataset that has grown
 def _opened(source: AnyPath, job: str) -> Dataset:
     return Dataset(source)
 
@@ -190,11 +192,8 @@ def sendable(measured: EpisodeMetrics) -> EpisodeMetrics:
     return replace(measured, metrics=_described(measured.metrics))
 
 
-def _told(left_out: LeftOut) -> tuple[str, str, str]:
-    return left_out.name, str(left_out.error), left_out.reason
-
-
 @lru_cache(maxsize=64)
+# cached: episodes of a profile share one tuple of metrics, and `tabulate` compares them by identity first
 def _described(metrics: tuple[Metric, ...]) -> tuple[Metric, ...]:
     return tuple(replace(metric, value=None) for metric in metrics)
 
@@ -212,6 +211,7 @@ def _measured(
     results = list(progress(measured, desc="measure", unit="episode", delay=1.0, leave=False))
     left_out = [result for result in results if isinstance(result, LeftOut)]
     if left_out and len(left_out) == len(results):
+        # a table without any episode would hide why
         raise left_out[0].error
     return [result for result in results if isinstance(result, EpisodeMetrics)], left_out
 
@@ -237,6 +237,7 @@ def _attempts(
         for name, found in episodes
     ]
     results: list[EpisodeMetrics | LeftOut] = []
+    # neighbours with one profile: its kernels take many short episodes at once
     for _, group in itertools.groupby(chosen, key=lambda each: id(each[2])):
         names, found, profiles = zip(*group, strict=True)
         measured = found if profiles[0] is None else profiles[0].measure_many(found)
@@ -292,6 +293,7 @@ def _in_order(
         try:
             for job in jobs:
                 waiting.append(pool.submit(job))
+                # one job under way and one ready for each worker; more would fill memory with results
                 if len(waiting) >= 2 * workers:
                     yield from waiting.popleft().result()
             while waiting:

@@ -43,6 +43,7 @@ class Differences:
         """Episodes whose value differs: (episode_id, first, second), largest differences first, undefined ones last."""
         a, b = self.first[metric], self.second[metric]
         rows = np.flatnonzero(~((a == b) | (np.isnan(a) & np.isnan(b))))
+        # an episode that only one run defines has no difference: it comes last
         size = np.nan_to_num(np.abs(a[rows] - b[rows]), nan=-1.0)
         order = rows[np.argsort(-size, kind="stable")]
         return [(self.episode_ids[k], float(a[k]), float(b[k])) for k in order]
@@ -125,6 +126,7 @@ def compare_tables(first: MetricsTable, second: MetricsTable, *, names: tuple[st
             f"The runs hold different episodes; {'; '.join(parts)}. Pair runs over the same set.", code="H3-METRIC-005"
         )
     place = {episode: k for k, episode in enumerate(theirs)}
+    # the second run may hold the same episodes in another order
     order = np.array([place[episode] for episode in ours], np.int64)
     return Differences(
         profile=first.profile,
@@ -175,6 +177,7 @@ def compare_runs(
         )
         for name in names
     }
+    # together: of ten independent metrics of equal runs, one has a p below .07 in every second comparison
     adjusted = adjust_p_values([r.p for r in results.values()], method=adjust)
     return {name: replace(r, p_adjusted=float(p)) for (name, r), p in zip(results.items(), adjusted, strict=True)}
 
@@ -187,6 +190,7 @@ def pairing_names(first: MetricsTable, second: MetricsTable) -> tuple[tuple[str,
     """
     names = first.episode_ids, second.episode_ids
     if any(map(_repeated, names)):
+        # the shortest names that are unique in both runs: they are what tables and messages show
         names = _with_partners(first), _with_partners(second)
     if any(map(_repeated, names)):
         names = _with_partners(first, policies=True), _with_partners(second, policies=True)

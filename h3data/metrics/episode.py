@@ -116,6 +116,7 @@ class EpisodeMetrics:
             "human": self.human,
             "encounter_row": self.encounter_row,
             "contact_row": self.contact_row,
+            # NaN is no JSON: an undefined value is null, and its note says why
             "values": {k: float(v) if np.isfinite(v) else None for k, v in self.values.items()},
             "notes": dict(self.notes),
             "set_up": self.protocol_deviations,  # the key that stored results have

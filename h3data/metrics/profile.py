@@ -135,6 +135,7 @@ class Profile:
     def _measured(self, recording: Recording, notes: Notes, computed: Computed) -> EpisodeMetrics:
         names = [m.name for m in self.metrics]
         episode = recording.episode
+        # info is whatever the writer of the file put there, such as True or a text
         limit = episode.info.get("max_steps")
         return EpisodeMetrics(
             episode_id=episode.episode_id,
@@ -166,5 +167,6 @@ class Profile:
             notes.add((m.name for m in self.metrics if m.name not in missing), "the recording has no rows")
             return Computed(values={})
         values = {m.name: m.value(recording) for m in self.metrics if m.value and m.name not in missing}
+        # series are computed only where a report shows when something happened
         flags = [milestone.flag for milestone in self.report.milestones]
         return Computed(values=values, moments=first_moments(self.series(recording), flags) if flags else {})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
 
 from h3data.errors import FormatError, InputError
 from h3data.metrics.profile import Profile
@@ -60,6 +59,7 @@ def read_chunk(dataset: Dataset, chunk: range, profile: str | None) -> Iterator[
         if len(chunk) == 1:
             yield chunk.start, error
             return
+        # one damaged episode must not take its neighbours with it
         for index in range(first, chunk.stop):
             yield from read_chunk(dataset, range(index, index + 1), profile)
 
@@ -81,23 +81,18 @@ def chunks_of(dataset: Dataset, episodes: range) -> Iterator[range]:
 def _stored(dataset: Dataset, chunk: range, profile: str | None) -> Iterator[Recording]:
     """Episodes of a dataset with no more than the profile reads of them."""
     declared = [c.name for c in dataset.schema.columns]
+    # the schema has columns for as many agents as any episode of the dataset
     agents = sum(name.endswith(".base_pose") for name in declared)
-    metrics = {m.id: m for p in _profiles(dataset, chunk, profile) for m in p.metrics}.values()
+    if profile is not None:
+        profiles: Iterable[Profile] = profiles_named(profile)
+    else:
+        rows = [dataset.rows[index] for index in chunk]
+        # info is parsed only if it can matter: that of a generated episode is some kilobytes
+        infos = [json.loads(row["info"]) if row["info"] and '"profile"' in row["info"] else {} for row in rows]
+        profiles = [profile_for(row["task"], info) for row, info in zip(rows, infos, strict=True)]
+    metrics = {m.id: m for p in profiles for m in p.metrics}.values()
     wanted = set(stored_columns(metrics, agents))
     columns = [name for name in declared if name in wanted]
     events = any(name.startswith("events:") for m in metrics for name in (*m.columns, *m.optional))
     poses = ("bodies", "assets") if "object_pose" in columns else ()  # poses of bodies that were not read fit no body
     return dataset.recordings(chunk, columns=columns, records=("agents", *(("events",) if events else ()), *poses))
-
-
-def _profiles(dataset: Dataset, chunk: range, profile: str | None) -> Iterable[Profile]:
-    """The profiles that will measure the episodes of a chunk, told by their tasks and their info."""
-    if profile is not None:
-        return profiles_named(profile)
-    rows = [dataset.rows[index] for index in chunk]
-    return [profile_for(row["task"], _info(row["info"])) for row in rows]
-
-
-def _info(text: str | None) -> dict[str, Any]:
-    # Parsed only if it can matter: the info of a generated episode is some kilobytes.
-    return json.loads(text) if text and '"profile"' in text else {}

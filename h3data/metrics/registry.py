@@ -103,6 +103,7 @@ def profile_for(task: str, info: Mapping[str, Any], name: str | None = None) -> 
         with names_from_data():
             return find_profile(str(declared), task)
     except H3DataError as fault:
+        # the name comes from a file: who reads it did not choose it, and is told where it stands
         raise (UntrustedNameError if isinstance(fault, UntrustedNameError) else InputError)(
             f"Recordings of {task!r} ask for the metrics profile {declared!r}, which cannot be used: {fault} "
             f"Hint: choose another profile; {ANY_TASK} measures any task.",
@@ -132,6 +133,7 @@ def find_metric(name: str, *, profile: str | None = None) -> Metric:
         lambda m: name == m.name,
         lambda m: name.lower() == m.name.lower(),
     )
+    # an exact id first, then an exact name: `s` is S only where nothing is called s
     for test in tests:
         for metric in every:
             if test(metric):

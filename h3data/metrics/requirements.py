@@ -92,7 +92,7 @@ def find_pair(recording: Recording) -> tuple[int, int]:
 
 def missing_columns(metric: Metric, recording: Recording) -> tuple[str, ...]:
     """Returns the entries of ``metric.columns`` that a recording lacks."""
-    return tuple(name for name in metric.columns if not _has(recording, name))
+    return tuple(entry for entry in metric.columns if not any(_has(recording, name) for name in entry.split(OR)))
 
 
 def note_missing(metrics: Sequence[Metric], recording: Recording, notes: Notes) -> set[str]:
@@ -110,6 +110,7 @@ def stored_columns(metrics: Iterable[Metric], agents: int) -> list[str]:
     names: dict[str, None] = {}
     for metric in metrics:
         for name in (alternative for entry in (*metric.columns, *metric.optional) for alternative in entry.split(OR)):
+            # info and events are no columns
             if ":" in name:
                 continue
             head, _, rest = name.partition(">.")
@@ -118,11 +119,7 @@ def stored_columns(metrics: Iterable[Metric], agents: int) -> list[str]:
     return list(names)
 
 
-def _has(recording: Recording, entry: str) -> bool:
-    return any(_has_one(recording, name) for name in entry.split(OR))
-
-
-def _has_one(recording: Recording, name: str) -> bool:
+def _has(recording: Recording, name: str) -> bool:
     kind, colon, key = name.partition(":")
     if colon and kind == "info":
         return recording.episode.info.get(key) is not None

@@ -19,9 +19,6 @@ from h3data.recording.records import Recording, notebook
 from h3data.stats import bootstrap_intervals, wilson_interval
 from h3data.terminal import aligned
 
-_NAMED = 4
-"""Episodes named for each reason why some are left out."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
@@ -70,6 +67,7 @@ class MetricsTable:
     def summary(self, *, confidence: float = 0.95, resamples: int = 10_000, seed: int = 0) -> dict[str, Summary]:
         """Returns mean and interval of each metric, see `summarize`."""
         key = (confidence, resamples, seed)
+        # 10,000 resamples of each metric: a report asks for the same summary many times
         if key not in self._summaries:
             self._summaries[key] = summarize_all(
                 self.metrics, self.columns, confidence=confidence, resamples=resamples, seed=seed
@@ -144,8 +142,8 @@ class MetricsTable:
     def _left_out_lines(self) -> list[str]:
         lines = []
         for reason, names in self.left_out.items():
-            more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-            lines.append(f"  {reason}: {', '.join(names[:_NAMED])}{more}")
+            more = f" and {len(names) - 4} more" if len(names) > 4 else ""
+            lines.append(f"  {reason}: {', '.join(names[:4])}{more}")
         return ["Left out", *lines] if lines else []
 
 
@@ -171,6 +169,7 @@ def summarize_all(
     seed: int = 0,
 ) -> dict[str, Summary]:
     """`summarize` of metrics by name, ``columns`` being their values [E]; together they take a third of the time."""
+    # an undefined value is left out of the mean, never taken for 0
     defined = {m.name: columns[m.name][~np.isnan(columns[m.name])] for m in metrics}
     means = [m.name for m in metrics if not m.binary]
     sampled = bootstrap_intervals(
@@ -259,7 +258,12 @@ def _check_alike(rows: Sequence[EpisodeMetrics]) -> None:
             f"Episodes with different metrics cannot share a table: {', '.join(names)}. Measure them separately.",
             code="H3-METRIC-046",
         )
-    for what, of, unit in (("steps of different length", _step_ms, " ms"), ("different units", lambda e: e.units, "")):
+    # lengths of steps to a tenth of a millisecond: 30 Hz is 33,333,333 ns in one file and 33,333,334 ns in another
+    kinds_of = (
+        ("steps of different length", lambda e: round(e.dt_ns * 1e-6, 1), " ms"),
+        ("different units", lambda e: e.units, ""),
+    )
+    for what, of, unit in kinds_of:
         kinds: dict[float | str, str] = {}
         for row in rows:
             kinds.setdefault(of(row), row.episode_id)
@@ -268,10 +272,6 @@ def _check_alike(rows: Sequence[EpisodeMetrics]) -> None:
             raise InputError(
                 f"Episodes with {what} cannot share a table: {each}. Measure them separately.", code="H3-METRIC-047"
             )
-
-
-def _step_ms(row: EpisodeMetrics) -> float:
-    return round(row.dt_ns * 1e-6, 1)
 
 
 def _or_none(value: float) -> float | None:

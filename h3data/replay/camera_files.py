@@ -30,8 +30,6 @@ from h3data.render.camera import Convention, Projection
 from h3data.replay.records import CameraTrack, forward_fill
 from h3data.replay.replay import Replay
 
-_JOINT_STEPS = 512
-
 Point = tuple[float, float, float]
 
 
@@ -131,6 +129,7 @@ def track_of_file(replay: Replay, path: Path) -> CameraTrack:
     except InputError as error:
         raise InputError(f"{error} In the camera file {path}", code=error.code) from None
     poses = local if base is None else base @ local
+    # at the first pose, so that a fault of the file is found before the first frame is drawn
     camera.at(poses[0]).checked()
     return CameraTrack(camera=camera, poses=poses)
 
@@ -177,6 +176,7 @@ def _poses(replay: Replay, spec: CameraFile) -> NDArray[np.float64]:
                 )
             pose[3:] /= length
             pose = pose_to_matrix(pose)
+        # from the axes of the file's convention to those of OpenCV
         return (pose @ CONVENTIONS[spec.convention])[None]
     if spec.orbit is not None:
         return orbit_poses(_times(replay), spec.target or (0.0, 0.8, 0.0), spec.orbit)
@@ -206,6 +206,7 @@ def _times(replay: Replay) -> NDArray[np.float64]:
 def orbit_poses(times_s: Array, target: Point, orbit: Orbit) -> NDArray[np.float64]:
     """Poses [T, 4, 4] (OpenCV camera to world) at times [T] of a camera that circles ``target`` [m]."""
     angle = np.radians(orbit.start_deg) + 2 * np.pi * np.asarray(times_s) / orbit.period_s
+    # a heading turns from +X towards -Z: counter-clockwise seen from above
     outward = np.stack([np.cos(angle), np.zeros_like(angle), -np.sin(angle)], 1)
     eyes = np.array(target) + outward * orbit.radius_m + (0.0, orbit.height_m, 0.0)
     return np.stack([look_at(eye, target) for eye in eyes])
@@ -245,6 +246,7 @@ def _base(replay: Replay, spec: CameraFile) -> NDArray[np.float64] | None:
     base = forward_fill(replay.recording.agent_column(agent, "base_pose").astype(np.float64))
     if spec.smooth_s > 0:
         base = _smoothed(base, spec.smooth_s / max(float(np.median(np.diff(_times(replay)))), 1e-6))
+    # the base keeps its place alone, so that the camera's pose has the axes of the world
     if not spec.turns:
         base[:, 3:] = quat_from_heading(np.zeros(len(base)))
     return np.asarray(pose_to_matrix(base), np.float64)
@@ -255,6 +257,7 @@ def _smoothed(base: NDArray[np.float64], steps: float) -> NDArray[np.float64]:
     from scipy.ndimage import gaussian_filter1d
 
     position = gaussian_filter1d(base[:, :3], steps / 2, axis=0, mode="nearest")
+    # an angle can be smoothed only where it does not jump by 2 pi
     heading = gaussian_filter1d(np.unwrap(heading_from_quat(base[:, 3:])), steps / 2, mode="nearest")
     return np.asarray(np.concatenate([position, quat_from_heading(heading)], axis=1), np.float64)
 
@@ -274,8 +277,8 @@ def link_frames(replay: Replay, agent: int, name: str) -> NDArray[np.float64]:
     number = names.index(name)
     if isinstance(model, Robot):
         return _rigid(replay.link_track(agent, number).astype(np.float64))
-    # In blocks, because the matrices of all joints at all steps of a long recording would not fit into memory.
-    blocks = np.array_split(np.arange(len(replay)), len(replay) // _JOINT_STEPS + 1)
+    # In blocks of 512 steps: the matrices of all joints at all steps of a long recording would not fit into memory.
+    blocks = np.array_split(np.arange(len(replay)), len(replay) // 512 + 1)
     frames = [replay.joint_matrices(agent, steps)[:, number] for steps in blocks]
     return _rigid(np.concatenate(frames).astype(np.float64))
 
@@ -300,5 +303,6 @@ def body_frames(replay: Replay, name: str) -> NDArray[np.float64]:
 def _rigid(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
     """Frames [T, 4, 4] with unit axes and gaps (NaN) filled."""
     frames = forward_fill(matrices.reshape(len(matrices), 16)).reshape(-1, 4, 4)
+    # a scaled body would scale what the camera sees
     frames[:, :3, :3] /= np.maximum(np.linalg.norm(frames[:, :3, :3], axis=1, keepdims=True), 1e-12)
     return frames

@@ -24,10 +24,6 @@ from h3data.replay.stage import FrameBackend
 KEY_FRAMES = 10
 """Frames from one key frame to the next. Learners read frames in random order: one costs 1.7 ms at 640x480, 4.8 ms with 30
 and 0.7 ms with 2, where files are 1.5 times as large."""
-CRF = 20
-"""Quality for x264: a mean PSNR of 36 dB at 224x172 and 41 dB at 640x480, most of the difference lost with the colours'
-resolution."""
-_DEPTH = ("depth", "instance", "semantic")
 
 
 def render_videos(
@@ -77,7 +73,8 @@ def render_videos(
                     track.camera.width,
                     track.camera.height,
                     fps,
-                    crf=CRF,
+                    # a mean PSNR of 36 dB at 224x172 and 41 dB at 640x480, most of it lost with the colours' resolution
+                    crf=20,
                     key_frames=KEY_FRAMES,
                 )
             )
@@ -86,10 +83,10 @@ def render_videos(
         histograms = np.zeros((len(tracks), 3, 256), np.int64)
 
         def prepare(step: int, images: list[dict[str, NDArray[Any]]]) -> list[Any]:
-            return [
-                (writer.planes(image["rgb"]), _histogram(image["rgb"]))
-                for writer, image in zip(writers, images, strict=True)
-            ]
+            # in the thread that rendered: the conversion to YUV and the histogram, number of pixels of each value [3, 256]
+            rgbs = [image["rgb"] for image in images]
+            counted = [np.stack([np.bincount(rgb[..., c].ravel(), minlength=256) for c in range(3)]) for rgb in rgbs]
+            return [(writer.planes(rgb), counts) for writer, rgb, counts in zip(writers, rgbs, counted, strict=True)]
 
         frames = replay.stage.frames(
             tracks, range(count), outputs=("rgb",), threads=threads, then=prepare, backend=backend
@@ -102,6 +99,7 @@ def render_videos(
         EpisodeVideo(
             feature=VideoFeature(
                 camera=track.camera.name,
+                # the writer pads odd sides by a pixel, since 4:2:0 has one colour for 2x2 pixels
                 width=writer.width + writer.width % 2,
                 height=writer.height + writer.height % 2,
             ),
@@ -126,7 +124,7 @@ def camera_tracks(replay: Replay, cameras: Sequence[str]) -> list[CameraTrack]:
             tracks.append(camera_track(replay, name))
             _, size = split_size(name)
         except InputError as error:
-            if name.rpartition("_")[2].rpartition(".")[2] in _DEPTH:
+            if name.rpartition("_")[2].rpartition(".")[2] in ("depth", "instance", "semantic"):
                 raise InputError(
                     f"Videos of a dataset hold colours: 8 bits and lossy compression would ruin depth and ids. Hint: h3data "
                     f"rerender --outputs depth,instance --format data stores them without loss. {error}",
@@ -145,13 +143,9 @@ def camera_tracks(replay: Replay, cameras: Sequence[str]) -> list[CameraTrack]:
     return tracks
 
 
-def _histogram(image: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Number of pixels of each value, for each channel: shape [3, 256]."""
-    return np.stack([np.bincount(image[..., c].ravel(), minlength=256) for c in range(3)])
-
-
 def _moments(histogram: NDArray[np.int64]) -> Moments:
     """Moments of the channels in 0..1, as LeRobot decodes them, from the histogram of all their pixels."""
+    # 256 counts for each channel instead of the pixels of a whole video
     values, counts = np.arange(256) / 255.0, histogram.astype(np.float64)
     total = counts.sum(1)
     mean = counts @ values / total

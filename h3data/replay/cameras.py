@@ -130,6 +130,7 @@ def carrier_of(replay: Replay, name: str) -> int | None:
 
 def _mounted(replay: Replay, name: str) -> CameraTrack | None:
     """The camera that an agent carries (`carrier_of`); None: nobody does."""
+    # names of videos are names of files, so that `agent/name` becomes `agent.name`
     index, camera_name = carrier_of(replay, name), name.rpartition("/")[2]
     if index is None:
         return None
@@ -170,6 +171,7 @@ def top_down(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
     lo, hi = lo - margin_m, hi + margin_m
     span_x, span_z = hi[0] - lo[0], hi[2] - lo[2]
     shape = float(np.clip(span_z / span_x, 1 / 3, 3 / 2))
+    # even sides, as videos need them
     width = int(np.sqrt(TOP_DOWN_PIXELS / shape)) // 2 * 2
     height = int(width * shape) // 2 * 2
     hfov_deg = 16.0  # narrow: nearly orthographic, so that walls do not hide the floor
@@ -177,6 +179,7 @@ def top_down(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
     distance = max(span_x / 2 / tan, span_z / 2 / (tan * height / width))
     middle = (lo + hi) / 2
     eye = np.array([middle[0], hi[1] + distance, middle[2]])
+    # the view is along -Y, so that up cannot be +Y
     pose = look_at(eye, np.array([middle[0], lo[1], middle[2]]), up=(0.0, 0.0, -1.0))
     near = _ceiling_cut(replay, float(eye[1]), lowest=float(lo[1]) + margin_m)
     camera = pinhole(
@@ -235,9 +238,6 @@ def orbit(replay: Replay) -> CameraTrack:
     return CameraTrack(camera=camera, poses=poses, crops=False)
 
 
-PLACEHOLDER_STAGE_M = 10.0
-
-
 def _extent(replay: Replay) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Minimum and maximum corner of the home, or of everything that was recorded [m]."""
     if replay.scene is not None and replay.scene.rooms:
@@ -250,9 +250,10 @@ def _extent(replay: Replay) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     corners = []
     for index, drawable in enumerate(replay.drawables):
         lo, hi = drawable.mesh.bounds
-        if drawable.placeholder and np.max(hi - lo) > PLACEHOLDER_STAGE_M:
+        if drawable.placeholder and np.max(hi - lo) > 10.0:
             continue  # the placeholder of a missing building does not have its size
         box = np.array([[x, y, z] for x in (lo[0], hi[0]) for y in (lo[1], hi[1]) for z in (lo[2], hi[2])])
+        # 32 moments are enough for the box of a moving thing, and cheap for people
         steps = np.unique(np.linspace(0, len(replay) - 1, 32).astype(int)) if drawable.moving else None
         if drawable.deformable and steps is not None:
             points = replay.vertices(index, steps).reshape(-1, 3).astype(np.float64)
@@ -263,6 +264,7 @@ def _extent(replay: Replay) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
             corners.append(points[np.isfinite(points).all(-1)])
     points = np.concatenate([c.reshape(-1, 3) for c in corners]) if corners else np.zeros((1, 3))
     lo, hi = points.min(0), points.max(0)
+    # a single point would make a camera without a distance
     return lo, np.maximum(hi, lo + 1.0)
 
 

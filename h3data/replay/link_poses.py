@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 BLOCK_STEPS = 256
+"""Steps whose poses are computed together."""
 BLOCKS_KEPT = 16
 
 
@@ -21,6 +22,7 @@ class LinkPoses:
     def __init__(self, pose: Callable[[NDArray[np.integer]], NDArray[np.floating]], steps: int, links: int) -> None:
         """``pose`` gives the matrices [t, L, 4, 4] at steps [t]."""
         self._pose, self._steps, self._links = pose, steps, links
+        # threads render neighbouring steps, which lie in few blocks
         self._block = lru_cache(maxsize=BLOCKS_KEPT)(self._pose_block)
 
     def at(self, steps: NDArray[np.integer] | None, link: int | slice) -> NDArray[np.float32]:

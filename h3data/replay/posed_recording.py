@@ -113,6 +113,7 @@ class PosedRecording:
         refs = {ref.name: ref for ref in recording.assets}
         rigs = {rig["body"]: rig for rig in recording.episode.info.get("rigs", ())}
         for body in recording.bodies:
+            # a body with bones but without a skin in its file is shown as it is, rigid
             if body.name not in rigs or not self._add_rigged(body, refs[body.asset], rigs[body.name]):
                 self._add_body(body, refs[body.asset])
         check_recorded_robots(recording)
@@ -146,6 +147,7 @@ class PosedRecording:
             self._assets[ref.name] = self.library.mesh(ref)
         mesh = self._assets[ref.name]
         missing = mesh is None
+        # a body with recorded poses follows these: they include the motion of its door
         joint = -1 if self._joints is None or body.moving >= 0 else self._joints.owner.get(body.name, -1)
         track: Track | None = JointTrack(joint) if joint >= 0 else None
         if mesh is None:
@@ -199,6 +201,7 @@ class PosedRecording:
                 Drawable(name=agent.name, mesh=mesh, matrix=np.eye(4), deformable=True, **common), PersonTrack(index)
             )
             return
+        # drawables have their first pose, so that a still picture needs no more than the first row
         first = np.zeros(1, np.intp)
         links = rigid_parts(model, self.people) if isinstance(model, Humanoid) else model.links
         for number, link in enumerate(links):
@@ -296,6 +299,7 @@ class PosedRecording:
         if isinstance(track, BodyTrack):
             out = pose_to_matrix(self.recording.columns["object_pose"][rows, track.column])
             out[:, :3, :3] *= track.scale
+            # an absent body is NaN in all of its matrix, also in the last row
             out[np.isnan(out[:, 0, 0])] = np.nan
             return out
         if isinstance(track, LinkTrack):
@@ -326,6 +330,7 @@ class PosedRecording:
             return body.joint_matrices_free(columns[prefix + "root_pose"][steps], columns[prefix + "joint_quat"][steps])
         arms = columns[prefix + "motion_arms"][steps] if prefix + "motion_arms" in columns else None
         if self.stepping:
+            # feet that stand do not slide, as they do in clips alone
             quats, pelvis = pose_planted(on_stairs(body.gait_tables, self.heights), self._gait_of(agent, body)[steps])
             if arms is not None:
                 draw_in(quats, arms, shoulders_forward=True)
@@ -443,6 +448,7 @@ def _recorded_joints(recording: Recording, scene: Scene | None) -> SceneJoints |
 
 def _matrix(body: Body) -> Array:
     """Matrix [4, 4] from mesh to world of a body at its first pose."""
+    # a body that is absent at first has no pose there
     matrix = pose_to_matrix(np.nan_to_num(body.pose.astype(np.float64)))
     matrix[:3, :3] *= body.scale
     return matrix

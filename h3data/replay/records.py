@@ -107,6 +107,7 @@ class CameraTrack:
 
     def at(self, step: int) -> Camera:
         """The camera at one step."""
+        # a static camera has one pose
         camera = self.camera.at(self.poses[min(step, len(self.poses) - 1)])
         return camera if self.nears is None else replace(camera, near=float(self.nears[step]))
 

@@ -54,6 +54,7 @@ def joint_rigs(scene: Scene, *, movable: Container[str] = ()) -> list[dict[str, 
                 "parent": numbers[thing.name, part.parent] if part.parent else -1,
                 "kind": 1 if part.joint.kind == "revolute" else 2,
                 "axis": (frame[:3, :3] @ part.joint.axis).round(9).tolist(),
+                # rounded to a micrometre, so that files stay small
                 "origin": (frame[:3, :3] @ part.joint.origin + frame[:3, 3]).round(6).tolist(),
                 "rest": part.joint.rest,
                 "closed": part.joint.closed,

@@ -62,6 +62,7 @@ def shadow_casters(
     local = np.full((len(instances), 7), np.nan)
     first_thing = max(agents.values(), default=-1) + 1
     for instance, agent in sorted(agents.items()):
+        # a group does not darken itself: all parts of an agent are one, each thing is its own
         members[instance] = agent if agent >= 0 else first_thing + instance
         mesh = meshes[instances[instance].mesh]
         if len(mesh.vertices):
@@ -84,6 +85,7 @@ def capsule_of_box(low: Sequence[float], high: Sequence[float]) -> NDArray[np.fl
         return np.full(7, np.nan)
     axis = int(size.argmax())
     others = np.delete(size, axis)
+    # the circle with the area of the cross-section; a sheet keeps half a centimetre
     radius = max(float(np.sqrt(others.prod() / np.pi)), 0.005)
     half = np.zeros(3)
     half[axis] = max(size[axis] / 2 - radius, 0)

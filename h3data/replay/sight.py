@@ -17,7 +17,6 @@ CLEARANCE_M = 0.1
 SIDES, SIDE_PX, SIDE_DEG = 4, 96, 130.0
 """Number, size and width of the overlapping images of a panorama, which cover all lines up to 45 degrees off the horizon."""
 AHEAD_PX, AHEAD_DEG = 48, 80.0
-SEEN_SLACK_M = 0.1
 
 
 class Sight:
@@ -39,6 +38,7 @@ class Sight:
                 moving.append(index)
             if isinstance(track, JointTrack):
                 moving.append(index)
+            # what remains obstructs: the home, its doors and large things
             hidden[index] = False
         self._moving = np.array(moving, np.intp)
         self._renderer.set_visible(np.flatnonzero(hidden), False)
@@ -47,6 +47,7 @@ class Sight:
         self._beam = Beam(self._ahead.rays()[1].reshape(1, -1, 3), np.array([[0.0, 0.0, 1.0]]), self._ahead.fx)
         turns = np.arange(SIDES) * (2 * np.pi / SIDES)
         self._outward = np.stack([np.cos(turns), np.zeros(SIDES), -np.sin(turns)], axis=1)
+        # four cameras of 130 degrees overlap: around every axis there are 20 degrees of the same image
         self._turns = np.stack([look_at(np.zeros(3), out)[:3, :3] for out in self._outward])
 
     def at(self, step: int) -> None:
@@ -73,7 +74,8 @@ class Sight:
         """Returns whether points ``others`` [N, 3] are visible from ``point`` [3], whose panorama is given (`around`)."""
         side, local = self._turned(others - point)
         u, v = np.clip(self._pixels(local), 0, SIDE_PX - 1).T
-        return panorama[side, v, u] > local[:, 2] - SEEN_SLACK_M
+        # 10 cm of slack: a point on a surface would hide itself
+        return panorama[side, v, u] > local[:, 2] - 0.1
 
     def _turned(self, offsets: Array) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
         """Image [N] of a panorama that offsets [N, 3] belong to, and the offsets in that camera's frame [N, 3]."""
@@ -91,6 +93,7 @@ class Fan:
     def __init__(self, sight: Sight, directions: Array) -> None:
         self._side, axes = sight._turned(directions)
         pixels = sight._pixels(axes)
+        # at 25 degrees off the axis, only points nearer than a quarter of a metre are within the beam
         reach = int(np.radians(25) * sight._side.fx) + 1
         rows, columns = (a.ravel() for a in np.mgrid[-reach : reach + 1, -reach : reach + 1])
         # every pixel close to the axis, every second one farther out
@@ -109,6 +112,7 @@ class Beam:
 
     def __init__(self, rays: Array, axes: Array, focal_px: float) -> None:
         length = np.linalg.norm(rays, axis=-1)
+        # along and across the beam, for a depth of 1: both grow in proportion to the depth
         cosine = np.clip(np.einsum("dpk,dk->dp", rays, axes) / length, 0.0, 1.0)
         self._along, self._across = length * cosine, length * np.sqrt(1 - cosine**2)
         self._on_axis = self._across < 1.5 / focal_px * self._along

@@ -102,6 +102,7 @@ class Stage:
                 self._people.append(self._person(index, track.agent, skin))
             else:
                 self._rigged.append((index, skin))
+        # meshes that are written anew at each step may not be shared by instances
         meshes = [skin.mesh for _, skin in deformable] + [p.light.mesh for p in self._people if p.light]
         self._light: Light | None = None
         self._casters: ShadowCasters | None = None
@@ -110,6 +111,7 @@ class Stage:
             self._bake()
         self.scene = RenderScene(self._meshes, self._instances, deformable=meshes, mirrors=self._mirrors)
         self._find_movers()
+        # threads render neighbouring steps, which share the chunk that one of them computed
         self._joints = lru_cache(maxsize=64)(self._joints_of_chunk)
 
     def _bake(self) -> None:
@@ -248,6 +250,7 @@ class Stage:
         if len(self._bodies):
             poses = self.replay.recording.columns["object_pose"][step, self._columns]
             matrices = pose_to_matrix(poses.astype(np.float64))  # NaN where a body is absent
+            # recorded poses are rigid; the scale of a body is constant
             matrices[:, :3, :3] *= self._scales
             renderer.set_transforms(self._bodies, matrices, world=world)
             rigid.append((self._bodies, matrices))
@@ -269,6 +272,7 @@ class Stage:
         people = [
             (person, self._joints(person.agent, step // JOINT_STEPS)[[step % JOINT_STEPS]]) for person in self._people
         ]
+        # depth and ids do not see light
         if self._casters is not None and "rgb" in outputs:
             for person, joints in people:
                 ends = person.body.capsules_world(joints)
@@ -300,6 +304,7 @@ class Stage:
         local = threading.local()
 
         def render(step: int) -> Any:
+            # a renderer has buffers of its own, which two threads must not share
             if not hasattr(local, "renderer"):
                 local.renderer = self.renderer()
             cameras = [track.at(step) for track in tracks]
@@ -312,6 +317,7 @@ class Stage:
             return
         todo = iter(steps)
         with ThreadPoolExecutor(threads, thread_name_prefix="h3data-render") as pool:
+            # two frames a thread are under way: enough to keep all busy, few enough for the memory
             pending = deque((step, pool.submit(render, step)) for step in islice(todo, 2 * threads))
             try:
                 while pending:
@@ -340,6 +346,7 @@ class Stage:
             try:
                 for first in range(0, len(steps), WORLDS):
                     some = steps[first : first + WORLDS]
+                    # the buffers of the batch before may still be read by `then`
                     copies.reverse()
                     images = self.render_steps(
                         renderer, some, tracks, outputs=outputs, samples=samples, copies=copies[0]
@@ -389,6 +396,7 @@ def _show(
     light = person.full is None
     if person.full and person.light and present:
         distance = np.linalg.norm(joints[0, :, :3, 3] - camera.pose[:3, 3], axis=1).min()
+        # without perspective, size does not depend on the distance, with which `light_enough` compares
         focal = camera.fx * (distance if camera.projection == "orthographic" else 1.0)
         light = person.body.light_enough(focal, distance)
     shown = person.light if light else person.full

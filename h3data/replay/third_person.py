@@ -32,7 +32,6 @@ PIVOT_M = {"robot": 0.55, "human": 1.25}
 HEAD_M = 1.5
 """Height above the floor of the other agent's head."""
 DIRECTIONS, ELEVATIONS_DEG = 48, (8.0, 22.0, 42.0)
-ELEVATION_SCORE = (-0.3, 0.0, -0.2)
 BODY_M = 0.4
 """Radius of an agent that obstructs the line of sight to another."""
 KEY_S = 0.2
@@ -41,8 +40,6 @@ SMOOTH_S = 0.5
 """Half width of the window over which the distance is smoothed."""
 AROUND_S = 8.0
 """`third_person_at` considers steps within this time; with 5 s the camera was up to 0.7 m off, with 8 s it never was."""
-TURN_COST = 1.2
-"""Cost of turning by one radian between two keys, squared; scores are about 1."""
 OFF_AXIS_RAD = 0.5
 """Largest angle between the optical axis and the followed agent."""
 TOGETHER_RAD, APART_RAD = 1.0, 1.5
@@ -147,6 +144,7 @@ def _scene(replay: Replay, leader: int | None) -> _Scene:
     dt = max(recording.duration_s, 1e-3) / max(len(base) - 1, 1)
     bodies = [recording.agent_column(i, "base_pose") for i in range(len(kinds)) if i != leader]
     bodies = np.stack([b[:, [0, 2]] for b in bodies], axis=1) if bodies else np.zeros((len(base), 0, 2))
+    # where an agent was put elsewhere, the camera cuts: a smooth path would fly through walls
     moved = np.linalg.norm(np.diff(pivot, axis=0), axis=1)
     cuts = np.flatnonzero(moved > max(JUMP_M, JUMP_MPS * dt)) + 1
     sight = Sight(replay)
@@ -181,14 +179,18 @@ def _follow(
             eyes = pivot[key] + directions * boom[row, :, None]
             score[row] += sight.sees(sight.around(watched[key]), watched[key], eyes)
             score[row] -= _lost(_angle(-directions, watched[key] - eyes)) * (1 - _far(pivot[key], watched[key]))
+    # the agent moves between keys: a direction has to be free at its neighbours too
     boom = minimum_filter1d(boom, 3, axis=0, mode="nearest")
-    score += 1.5 * boom / BOOM_M - 2.0 * np.maximum(1 - boom / CLOSE_M, 0.0) + np.repeat(ELEVATION_SCORE, DIRECTIONS)
+    # a bonus for each elevation, the lowest first
+    score += 1.5 * boom / BOOM_M - 2.0 * np.maximum(1 - boom / CLOSE_M, 0.0) + np.repeat((-0.3, 0.0, -0.2), DIRECTIONS)
     path = _best_path(score, azimuth, elevation)
+    # unwrapped, so that the angle between two keys takes the smaller of the two turns
     turned = np.interp(np.arange(count), keys, np.unwrap(azimuth[path]))
     raised = np.interp(np.arange(count), keys, elevation[path])
     turned, raised = (gaussian_filter1d(angle, 2 * stride, mode="nearest") for angle in (turned, raised))
     direction = _direction(turned, raised)
 
+    # the distance never exceeds the free one: a window over a moving minimum of its own width stays below it
     reach = max(round(SMOOTH_S / scene.dt), 1)
     free = np.full(count, BOOM_M)
     for row in range(max(wanted[0] - 2 * reach, 0), min(wanted[-1] + 2 * reach + 1, count)):
@@ -208,6 +210,7 @@ def _follow(
         view = _towards(view, other, np.minimum(turn, apart))
     view = normalized(gaussian_filter1d(view, stride, axis=0, mode="nearest"))
     poses = np.stack([look_at(e, e + v) for e, v in zip(eye[wanted], view[wanted], strict=True)])
+    # what still stands in the line of sight is cut away by the near plane
     hidden = np.maximum(length - free, 0.0)
     for row in wanted:
         obstacle = float(_first_body(pivot[row], direction[[row]], length[[row]], bodies[row])[0])
@@ -260,8 +263,10 @@ def _towards(start: Array, end: Array, angle: Array) -> Array:
 
 def _best_path(score: Array, azimuth: Array, elevation: Array) -> NDArray[np.intp]:
     """Direction at each key [K] on the path with the highest score [K, D] minus the cost of turning (Viterbi)."""
+    # the smaller of the two turns
     step = (azimuth[:, None] - azimuth[None] + np.pi) % (2 * np.pi) - np.pi
-    cost = 6 * TURN_COST * (step**2 + (elevation[:, None] - elevation[None]) ** 2)
+    # a radian between two keys costs 7.2, where scores are about 1: the camera turns slowly or for good reasons
+    cost = 6 * 1.2 * (step**2 + (elevation[:, None] - elevation[None]) ** 2)
     total, previous = score[0], np.zeros(score.shape, np.intp)
     for k in range(1, len(score)):
         through = total[None, :] - cost

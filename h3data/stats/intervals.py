@@ -94,6 +94,7 @@ def _resampled_means(columns: Sequence[NDArray[np.float64]], resamples: int, see
         for start, size in blocks:  # drawn in one order, whoever averages
             rows = random.integers(0, count, (size, count))
             waiting.extend(pool.submit(average, column, start, rows) for column in range(len(columns)))
+            # indices are drawn faster than they are averaged: what waits in memory is bounded
             while len(waiting) > 2 * workers * len(columns):
                 waiting.popleft().result()
         for future in waiting:
@@ -112,6 +113,7 @@ def t_interval(values: ArrayLike, *, confidence: float = 0.95) -> tuple[float, f
     v = _defined(values)
     if len(v) < 2:
         return float("nan"), float("nan")
+    # the sample has n - 1 degrees of freedom
     half = float(stdtrit(len(v) - 1, (1 + confidence) / 2)) * v.std(ddof=1) / np.sqrt(len(v))
     return float(v.mean() - half), float(v.mean() + half)
 

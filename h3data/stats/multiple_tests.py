@@ -33,8 +33,10 @@ def adjust_p_values(p: ArrayLike, *, method: PAdjustment = "holm") -> NDArray[np
             pass
         case "bonferroni":
             result[order] = np.minimum(m * ranked, 1)
+        # from the smallest p on, each times the number of tests that are left; a later one is never smaller
         case "holm":
             result[order] = np.minimum(np.maximum.accumulate(ranked * np.arange(m, 0, -1)), 1)
+        # from the largest p down: p times m over its rank, and never above that of the next larger p
         case "benjamini-hochberg":
             result[order] = np.minimum.accumulate((ranked * m / np.arange(1, m + 1))[::-1])[::-1]
         case _:

@@ -17,11 +17,8 @@ from h3data.stats.intervals import bootstrap_interval
 
 PairedMethod = Literal["auto", "permutation", "t", "wilcoxon", "mcnemar"]
 
-_RESAMPLES = 10_000
 _ENUMERATED = 20
 """Differences other than 0 up to which all 2^n patterns of signs are tried: half a million sums."""
-_BLOCK = 2_000_000
-"""Random signs held in memory at once."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,12 +133,13 @@ def _permutation(d: NDArray[np.float64], seed: int) -> tuple[float, float]:
         return _exact_p(moving), effect
     random, extreme = np.random.default_rng(seed), 0
     observed = abs(d.sum()) - _rounding(d)
-    per_block = max(1, _BLOCK // len(d))
-    for start in range(0, _RESAMPLES, per_block):
-        rows = min(per_block, _RESAMPLES - start)
+    resamples, per_block = 10_000, max(1, 2_000_000 // len(d))  # at most 2 MB of signs at a time
+    for start in range(0, resamples, per_block):
+        rows = min(per_block, resamples - start)
         signs = random.integers(0, 2, (rows, len(d)), np.int8) * 2 - 1
         extreme += int((np.abs(signs @ d) >= observed).sum())
-    return (extreme + 1) / (_RESAMPLES + 1), effect
+    # the observed pattern is one of them, so that p is never 0 (Phipson and Smyth 2010)
+    return (extreme + 1) / (resamples + 1), effect
 
 
 def _exact_p(d: NDArray[np.float64]) -> float:
@@ -161,6 +159,7 @@ def _student(d: NDArray[np.float64], _seed: int) -> tuple[float, float]:
     from scipy.special import stdtr
 
     spread = d.std(ddof=1)
+    # t is infinite or 0/0 where all differences are equal
     if spread == 0:
         return (1.0 if d[0] == 0 else 0.0), _cohen(d)
     return float(2 * stdtr(len(d) - 1, -abs(d.mean()) / spread * np.sqrt(len(d)))), _cohen(d)
@@ -171,6 +170,7 @@ def _wilcoxon(d: NDArray[np.float64], _seed: int) -> tuple[float, float]:
 
     d = d[d != 0]
     if not len(d):
+        # runs that do not differ in any episode
         return 1.0, 0.0
     ranks = rankdata(np.abs(d))
     effect = float((ranks * np.sign(d)).sum() / ranks.sum())
@@ -185,6 +185,7 @@ def _mcnemar(d: NDArray[np.float64], _seed: int) -> tuple[float, float]:
 
     up, down = int((d > 0).sum()), int((d < 0).sum())
     p = float(binomtest(up, up + down).pvalue) if up + down else 1.0
+    # half a pair is added to each (Haldane and Anscombe), so that the ratio is finite without pairs
     return p, (up + 0.5) / (down + 0.5)
 
 

@@ -111,6 +111,7 @@ def _video(recording: Recording, camera: str, *, width: int, assets: Sequence[st
     track = camera_track(replay, camera)
     small = replace(track, camera=scaled(track.camera, width / track.camera.width))
     rate = 1e9 / max(recording.episode.dt_ns, 1)
+    # FFmpeg writes the index of an MP4 last and in front, which needs a file
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "video.mp4"
         with (

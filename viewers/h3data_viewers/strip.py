@@ -55,6 +55,7 @@ def moments_of(recording: Recording) -> list[KeyFrame]:
     if crossing is not None:
         found.append(crossing)
     found.sort(key=lambda moment: moment.step)
+    # the first and the last moments tell how an episode began and ended
     return found if len(found) <= MOST else found[: MOST // 2] + found[-MOST // 2 :]
 
 
@@ -65,6 +66,7 @@ def crossing_of(recording: Recording) -> KeyFrame | None:
     nearest: list[tuple[float, int, int, int]] = []
     for a, b in combinations(range(len(positions)), 2):
         apart = np.linalg.norm(positions[a] - positions[b], axis=1)
+        # two who stand beside each other are always near, and cross nobody
         apart[~(moves[a] & moves[b])] = np.inf
         if len(apart):
             step = int(np.argmin(apart))
@@ -106,8 +108,7 @@ def episode_strip(replay: Replay) -> NDArray[np.uint8]:
                 draw_circle(drawn, camera, path[moment.step], COLORS[k % len(COLORS)], radius_px=6)
                 if k in moment.agents:
                     draw_circle(drawn, camera, path[moment.step], INK, radius_px=11, thickness=2)
-        seconds = moment.step * replay.recording.episode.dt_ns / 1e9
-        panels.append(np.concatenate([_label(f"{seconds:.1f} s", moment.text), _view(replay, moment), _fitted(drawn)]))
+        panels.append(_panel(replay, moment, drawn))
     gap = np.full((panels[0].shape[0], GAP_PX, 3), PAPER, np.uint8)
     row = [part for panel in panels for part in (panel, gap)][:-1]
     strip = np.concatenate(row, axis=1)
@@ -134,27 +135,23 @@ def _plan(replay: Replay) -> tuple[NDArray[np.uint8], Camera]:
     return np.ascontiguousarray((0.40 * image + 0.15 * grey + 0.45 * 255).astype(np.uint8)), camera
 
 
+def _panel(replay: Replay, moment: KeyFrame, plan: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Time and caption, the view of a camera that follows the agent, a gap, and the plan, centred: RGB [H, W, 3]."""
+    label = np.full((LABEL_PX, WIDTH_PX, 3), PAPER, np.uint8)
+    _write(label, f"{moment.step * replay.recording.episode.dt_ns / 1e9:.1f} s", (4, 17), 0.5)
+    _write(label, moment.text, (4, 37), 0.5)
+    below = np.full((GAP_PX + plan.shape[0], WIDTH_PX, 3), PAPER, np.uint8)
+    width = min(plan.shape[1], WIDTH_PX)
+    left = (WIDTH_PX - width) // 2
+    below[GAP_PX:, left : left + width] = plan[:, :width]
+    return np.concatenate([label, _view(replay, moment), below])
+
+
 def _view(replay: Replay, moment: KeyFrame) -> NDArray[np.uint8]:
     leader = replay.recording.agents[moment.agents[0]].name
     camera = camera_at(replay, f"{leader}/third_person", moment.step).resized(WIDTH_PX, VIEW_PX)
     track = CameraTrack(camera=camera, poses=camera.pose[None])
     return next(iter(replay.frames([track], [moment.step], samples=4)))[1][0]["rgb"]
-
-
-def _fitted(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A plan as wide as a panel, with a gap above it."""
-    out = np.full((GAP_PX + image.shape[0], WIDTH_PX, 3), PAPER, np.uint8)
-    width = min(image.shape[1], WIDTH_PX)
-    left = (WIDTH_PX - width) // 2
-    out[GAP_PX:, left : left + width] = image[:, :width]
-    return out
-
-
-def _label(time: str, text: str) -> NDArray[np.uint8]:
-    out = np.full((LABEL_PX, WIDTH_PX, 3), PAPER, np.uint8)
-    _write(out, time, (4, 17), 0.5)
-    _write(out, text, (4, 37), 0.5)
-    return out
 
 
 def _key(recording: Recording, width: int) -> NDArray[np.uint8]:

@@ -95,6 +95,7 @@ def encounter_series(
     step[1:] = np.sqrt(step_x * step_x + step_z * step_z)
     dt[1:] = np.diff(time_ns) * 1e-9
     if rows:
+        # the difference to the last row of the episode before is no velocity
         along[starts] = step[starts] = np.nan
     near = series["dist_m"] < thresholds.avoid_m
     backs_up = near & (along < -thresholds.still_m_s * dt)
@@ -144,15 +145,18 @@ def _found(
     qx, qy, qz, qw = robot[3:]
     x, z = 1 - 2 * (qy * qy + qz * qz), 2 * (qx * qz - qy * qw)
     length = np.sqrt(x * x + z * z)
+    # a robot that points straight up faces nobody: its direction on the floor is zero
     length[length == 0] = np.inf
     forward_x, forward_z = x / length, z / length
     along = forward_x * dx + forward_z * dz
     reach = np.where(np.isnan(dist), np.nan, reach_m)
     in_reach = (reach >= limits.near_m) & (reach <= limits.far_m)
+    # as a product, so that nothing is divided by a distance of 0
     facing = along > limits.facing * floor_dist
     series = {
         "dist_m": dist,
         "reach_m": reach,
+        # two agents in one place: 0, not NaN
         "facing_dot": along / np.where(floor_dist > 0, floor_dist, 1),
         "in_reach": in_reach,
         "facing": facing,

@@ -32,7 +32,13 @@ def protocol_deviations(recording: Recording) -> str:
     task, spec = recording.episode.task, recording.episode.info.get("spec")
     if task not in PROTOCOL or not isinstance(spec, Mapping):
         return ""
-    recorded = {name: _value(spec, name) for name in PROTOCOL[task]}
+    recorded: dict[str, Any] = {}
+    for name in PROTOCOL[task]:
+        group, _, key = name.rpartition(".")
+        of = spec.get(group) if group else spec
+        value = of.get(key) if isinstance(of, Mapping) else None
+        # JSON has lists where rules have tuples
+        recorded[name] = tuple(value) if isinstance(value, list) else value
     deviations = [
         f"{name} {recorded[name]} (paper {paper})"
         for name, paper in PROTOCOL[task].items()
@@ -49,10 +55,3 @@ def protocol_deviations(recording: Recording) -> str:
     if kinds not in ("robot, human", ""):
         deviations.append(f"agents {kinds} (paper robot, human)")
     return ", ".join(deviations)
-
-
-def _value(spec: Mapping[str, Any], name: str) -> Any:
-    group, _, key = name.rpartition(".")
-    of = spec.get(group) if group else spec
-    value = of.get(key) if isinstance(of, Mapping) else None
-    return tuple(value) if isinstance(value, list) else value

@@ -140,6 +140,7 @@ def compute_rearrangement(recording: Recording, notes: Notes) -> Computed:
     Raises:
         MissingColumnsError: none of the columns is there.
     """
+    # a person alone cannot touch a robot: CR is 0 without a column of contacts
     alone = bool(recording.agents) and all(agent.kind != "robot" for agent in recording.agents)
     missing = note_missing([m for m in REARRANGEMENT if not (alone and m.name == "CR")], recording, notes)
     deviations = protocol_deviations(recording)
@@ -175,11 +176,13 @@ def _steps(recording: Recording, done: NDArray[np.bool_], notes: Notes) -> tuple
         notes.add(("SR", "RE", "TS"), f"the longest duration E is not recorded (info max_steps): {limit} rows taken")
     in_time = done[:limit]
     solved = bool(in_time.any())
+    # row k is the state after step k + 1
     return (int(np.argmax(in_time)) + 1 if solved else len(in_time)), solved, limit
 
 
 def _efficiency(recording: Recording, joint_steps: int, limit: int, notes: Notes) -> float:
     solo = recording.episode.info["solo_steps"]
+    # `not solo >= 1` also refuses NaN
     if isinstance(solo, bool) or not isinstance(solo, int | float) or not solo >= 1:
         notes.add(("RE",), f"info solo_steps must be a number of at least 1, is {solo!r}")
         return NAN
@@ -215,6 +218,7 @@ def _carrier(recording: Recording, at_goal: NDArray[np.bool_], body: int) -> int
     if not at_goal[-1] or at_goal.all():
         return None
     placed = len(at_goal) - int(np.argmin(at_goal[::-1]))  # from this row on it stays there
+    # the row of success counts too: an object may be let go in the step in which it reaches its goal
     last, carrier = -1, None
     for i in range(len(recording.agents)):
         held = recording.columns.get(f"agent_{i}.grasp_body")

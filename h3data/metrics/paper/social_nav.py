@@ -26,6 +26,7 @@ GEODESIC, COLLISION = "metrics.geodesic_agents", "metrics.collision"
 def compute_social_nav(recordings: Sequence[Recording], notes: Sequence[Notes]) -> list[Computed]:
     """Computes S, SPS, F, CR, BYR, TD and FD between the first robot and the first human of each recording."""
     agents = [find_agents(recording) for recording in recordings]
+    # all episodes as one long array: NumPy's calls take longer than the arithmetic on one of them
     series, offsets = _joined_series(recordings, agents)
     touched = series.get("collision", np.zeros(offsets[-1], np.bool_))
     found, contacts = _occurrences(series["found"], offsets), _occurrences(touched, offsets)
@@ -56,6 +57,7 @@ def reach_distance(recording: Recording, robot: int, human: int) -> NDArray[np.f
     """Returns the distance that decides about finding and following [m], shape [T]: geodesic if recorded, else L2."""
     stored = recording.columns.get(GEODESIC)
     if stored is not None:
+        # the same type from either source, so that limits compare alike
         return stored.astype(np.float32, copy=False)
     return l2_distance(recording, robot, human)
 
@@ -124,6 +126,7 @@ def _occurrences(flags: NDArray[np.bool_], offsets: NDArray[np.int64]) -> list[_
     """Returns the steps at which a flag holds in each episode."""
     rows = np.flatnonzero(flags)
     bounds = np.searchsorted(rows, offsets)
+    # an episode without the flag gets the first row of a later one, or -1: its total of 0 says that it counts for nothing
     first = np.append(rows, -1)[bounds[:-1]] - offsets[:-1]
     return [_Occurrences(*each) for each in zip(first.tolist(), np.diff(bounds).tolist(), strict=True)]
 
@@ -158,6 +161,7 @@ def _collision(recording: Recording, episode: _Counted, notes: Notes) -> float:
     if not episode.contacts.total:
         return 0.0
     first = episode.contacts.first
+    # in the paper a contact ends the episode
     if first < rows - 1:
         notes.add(("CR",), f"the recording goes on after the first contact in row {first}")
     return 1.0
@@ -211,6 +215,7 @@ def _against_oracle(recording: Recording, steps: int, following: int, notes: Not
     if not _is_count(limit):
         limit = len(recording)
         notes.add(("F",), f"the longest duration E is not recorded (info max_steps): {limit} rows taken")
+    # max: a robot may be quicker than the oracle, and the ratios stay within 1
     return {"SPS": oracle / max(oracle, steps), "F": following / max(limit - oracle, following)}
 
 

@@ -212,11 +212,13 @@ def _open(path: Path) -> str:
     if path.suffix.lower() in (".html", *PICTURES):
         opened = webbrowser.open(path.resolve().as_uri())
         return "" if opened else f"There is no browser to open it in. Hint: copy it to a machine with one: {path}"
+    # the viewer of this environment first: one on the PATH may have another version, which cannot read the file
     beside = Path(sys.executable).with_name("rerun")
     viewer = str(beside) if beside.is_file() else shutil.which("rerun")
     if viewer is None:
         return 'Rerun is not installed, so nothing was opened. Hint: pip install "rerun-sdk>=0.41,<0.42"'
     quiet = subprocess.DEVNULL
+    # in a session of its own, so that the viewer stays when the terminal is closed
     subprocess.Popen([viewer, str(path)], stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True)
     return ""
 

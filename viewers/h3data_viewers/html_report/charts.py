@@ -15,12 +15,8 @@ from h3data_viewers.html_report.episode import GRID_S
 from h3data_viewers.html_report.svg import Scale, Svg, add_x_axis, linear, tick_text, ticks
 from h3data_viewers.html_report.tables import Table
 
-_WIDTH = 360.0
-_LABEL = 118.0
-_ROW = 24.0
-_BINS = 24
-_FEWEST = 0.1
-"""Quartiles over time are drawn while this share of the episodes lasts."""
+_WIDTH, _LABEL, _ROW = 360.0, 118.0, 24.0
+"""Widths of a chart and of the labels left of it, and height of a row, in units of the drawing."""
 Interval = tuple[float, float, float]
 """Mean, lower and upper end; NaN: unknown."""
 
@@ -144,13 +140,14 @@ def _distribution(metric: Metric, runs: Sequence[Run], columns: Sequence[NDArray
     means = "; ".join(f"{r.name} {c.mean():.2f}" for r, c in zip(runs, columns, strict=True) if len(c))
     alt = f"Distribution of {metric.title} over episodes; means: {means}"
     svg, x = _rows_chart(metric, 6 + lane * len(runs), low, high, alt=alt, caption="")
-    edges = np.linspace(low, high, _BINS + 1)
+    edges = np.linspace(low, high, 25)
     for k, (run, column) in enumerate(zip(runs, columns, strict=True)):
         base = 6 + lane * (k + 1)
         svg.text(_LABEL - 8, base - 18, run.name, "label", anchor="end", most=16)
         svg.text(_LABEL - 8, base - 4, f"n = {len(column)}", "tick", anchor="end")
         counts = np.histogram(column, edges)[0]
         for i in np.flatnonzero(counts):
+            # each run has its own scale: runs may differ in their number of episodes
             tall = (lane - 8) * counts[i] / counts.max()
             svg.rect(x(edges[i]) + 0.5, base - tall, x(edges[i + 1]) - x(edges[i]) - 1, tall, f"bar {series_class(k)}")
         if len(column):
@@ -203,6 +200,7 @@ def _distance(kept: Sequence[tuple[int, Run]], longest: float, *, zone: tuple[fl
         t = np.arange(q.shape[1]) * GRID_S
         known = ~np.isnan(q).any(0)
         there = np.flatnonzero(known)
+        # there along the lower quartile and back along the upper one
         band = [(x(t[i]), y(q[0, i])) for i in there] + [(x(t[i]), y(q[2, i])) for i in there[::-1]]
         svg.path(band, f"band {series_class(k)}", closed=True)
     for k, _, q in quartiles:
@@ -212,12 +210,13 @@ def _distance(kept: Sequence[tuple[int, Run]], longest: float, *, zone: tuple[fl
 
 
 def _quartiles(rows: Sequence[NDArray[np.float32]]) -> NDArray[np.float64]:
-    """Quartiles over episodes, shape [3, G]; NaN where too few last so long."""
+    """Quartiles over episodes, shape [3, G]; NaN where fewer than a tenth of them last so long."""
     grid = np.full((len(rows), max((len(r) for r in rows), default=0)), np.nan)
     for k, row in enumerate(rows):
         grid[k, : len(row)] = row
     known = (~np.isnan(grid)).sum(0)
-    enough = known >= max(1.0, _FEWEST * len(rows))
+    # the few longest episodes would make the curves jump where the others end
+    enough = known >= max(1.0, 0.1 * len(rows))
     result = np.full((3, grid.shape[1]), np.nan)
     if enough.any():
         result[:, enough] = np.nanquantile(grid[:, enough], (0.25, 0.5, 0.75), axis=0)
@@ -232,6 +231,7 @@ def _share(title: str, times: Sequence[tuple[int, Run, Sequence[float]]], longes
         known = np.sort([v for v in values if np.isfinite(v)])
         points = [(x(0), y(0))]
         for i, t in enumerate(known):
+            # stairs: the share is constant between two events, and counts episodes that never get there
             points += [(x(t), y(i / len(values))), (x(t), y((i + 1) / len(values)))]
         points.append((x(longest), y(len(known) / len(values))))
         svg.path(points, f"line {series_class(k)}")
@@ -280,6 +280,7 @@ def _learning(name: str, curves: Mapping[str, Mapping[str, NDArray[np.float64]]]
         x_title="training steps",
     )
     for k, steps, values in lines:
+        # a chart is 308 units wide, and a log may have a hundred thousand rows
         keep = np.unique(np.linspace(0, len(steps) - 1, 400).astype(int))
         svg.path([(x(a), y(b)) for a, b in zip(steps[keep], values[keep], strict=True)], f"line {series_class(k)}")
     return svg

@@ -39,8 +39,6 @@ from h3data_viewers.html_report.evaluations import (
 from h3data_viewers.html_report.reading import Found, Unread, read_part
 from h3data_viewers.html_report.tables import counted
 
-_FIRST = ("social_nav", "rearrange")
-"""Tasks that a report begins with."""
 CURVES_FILE = "learning.csv"
 """File in a dataset's folder with the training curves of its policy: one row per logged update, a column ``step``."""
 RUN_CURVES_FILE = "curve.parquet"
@@ -78,6 +76,7 @@ class Run:
         found: dict[str, Mean] = {}
         for name in (metric.name for metric in self.table.metrics):
             values = [[e.metrics.values[name] for e in episodes if e.policy == policy] for policy in self.seeds]
+            # the mean of a seed counts once, however many of its episodes define the metric
             known = [kept for each in values if (kept := [v for v in each if not np.isnan(v)])]
             over = over_seeds([float(np.mean(each)) for each in known])
             found[name] = Mean(
@@ -133,7 +132,7 @@ class ReportData:
     def tasks(self) -> tuple[str, ...]:
         """The tasks that there are episodes of: social navigation, rearrangement, then others as they come."""
         there = dict.fromkeys(run.task for run in self.runs)
-        return tuple(sorted(there, key=lambda task: [*_FIRST, task].index(task)))
+        return tuple(sorted(there, key=lambda task: ["social_nav", "rearrange", task].index(task)))
 
     def of_task(self, task: str) -> tuple[Run, ...]:
         """The runs of one task."""
@@ -218,6 +217,7 @@ class _Gathered:
                     self.unmeasured.setdefault(each.reason, []).append(each.name)
                     continue
                 profile = profile_for(each.task, each.info)
+                # workers send metrics without their functions, which cannot be pickled; those of the profile have them
                 by_id = {metric.id: metric for metric in profile.metrics}
                 metrics = replace(
                     each.episode.metrics, metrics=tuple(by_id[metric.id] for metric in each.episode.metrics.metrics)
@@ -401,6 +401,7 @@ def _pooled(runs: Sequence[Run], roots: Sequence[Path], patterns: Sequence[str])
             if len(members) < 2 or len(set(names)) < len(names):
                 continue  # datasets of one policy that hold the same episodes stay apart, so that they can be compared
             episodes = tuple(episode for run in members for episode in run.episodes)
+            # training seeds play the same episodes, and a table refuses an episode that comes twice
             unique = (replace(e.metrics, uid=f"{e.metrics.uid} {e.policy}") for e in episodes)
             first = members[0]
             out[out.index(first)] = Run(

@@ -35,6 +35,7 @@ def evaluated_zsc(roots: Sequence[Path]) -> tuple[str, ...]:
             told.add(tuple(map(str, job.get("zsc", ()))))
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             return ()
+    # evaluations that disagree have no population in common
     return told.pop() if len(told) == 1 else ()
 
 
@@ -44,11 +45,12 @@ def evaluated_seeds(roots: Sequence[Path]) -> dict[str, tuple[str, ...]]:
     for root in roots:
         try:
             table = json.loads((root / "table.json").read_text(encoding="utf-8"))
+            # tasks with partners have a row, and so a name, for each pair of a policy and a partner
             ends = [f" with {partner}" for partner in table["job"].get("partners") or ()]
             for cell in table.get("seeds", ()):
                 names = [str(seed["policy"]) for seed in cell["seeds"]]
                 pattern = str(cell["policies"])
-                for end in ends:  # of tasks that have a row for each pair of them
+                for end in ends:
                     if pattern.endswith(end):
                         pattern, names = pattern.removesuffix(end), [name.removesuffix(end) for name in names]
                 found[pattern] = tuple(dict.fromkeys([*found.get(pattern, ()), *names]))
@@ -84,9 +86,8 @@ def result_episodes(root: Path) -> Iterator[tuple[ReportEpisode, Profile]]:
     for file in sorted((root / "episodes").glob("[0-9]*.json")):
         try:
             result = json.loads(file.read_text(encoding="utf-8"))
-            asked = result["job"]["episode"]
             for row in result["rows"]:
-                yield _episode(file, row, asked, task)
+                yield _episode(file, row, result["job"]["episode"], task)
         except (ValueError, KeyError, TypeError) as fault:
             raise FormatError(f"Expected a result of h3data evaluate ({fault!r}): {file}", code="H3-VIEW-012") from None
 

@@ -34,8 +34,6 @@ from h3data_viewers.html_report.tables import (
     spread_cell,
 )
 
-_ARROWS = {"higher": "↑", "lower": "↓", "neither": ""}
-_POPULATIONS = {"train": "Train-pop-eval", "zsc": "ZSC-pop-eval", "": "All partners"}
 _MOST_PAIRS = 6
 ZSC = "ZSC mean"
 """Column of the mean over the zero-shot population in heat maps."""
@@ -105,7 +103,8 @@ def rearrangement_table(runs: Sequence[Run]) -> Table:
     populations = ["train", "zsc"] + ([""] if "" in there else [])
     if there == {""}:  # imported sessions and the like: what was measured stands first, where a narrow window shows it
         populations = ["", "train", "zsc"]
-    heads = _POPULATIONS | ({"": "Other partners"} if len(there) > 1 else {})
+    other = "Other partners" if len(there) > 1 else "All partners"
+    heads = {"train": "Train-pop-eval", "zsc": "ZSC-pop-eval", "": other}  # as in the paper's table
     ours = []
     for run in runs:
         cells = []
@@ -180,6 +179,7 @@ def paired_tables(data: ReportData) -> list[Table]:
     """Return one table for each pair of runs over the same episodes, up to 6; with more runs, each against the first."""
     pairs = [(a, b) for a, b in itertools.combinations(data.runs, 2) if same_episodes(a, b)]
     if len(pairs) > _MOST_PAIRS:
+        # of many runs, each is compared with the first, which is the baseline by its place on the command line
         pairs = [(a, b) for a, b in pairs if a is pairs[0][0]][:_MOST_PAIRS]
     return [_paired_table(k, a, b) for k, (a, b) in enumerate(pairs)]
 
@@ -233,7 +233,7 @@ def partner_tables(runs: Sequence[Run], names: Sequence[str]) -> list[Table]:
     A last column has the mean over all episodes with partners of the zero-shot population, if there is one.
     """
     kinds = {e.partner: e.population for run in runs for e in run.episodes if e.partner}
-    partners = sorted(kinds, key=lambda name: (_BY_POPULATION.index(kinds[name]), name))
+    partners = sorted(kinds, key=lambda name: (("train", "", "zsc").index(kinds[name]), name))
     if len(partners) < 2:
         return []
     unseen = [name for name in partners if kinds[name] == "zsc"]
@@ -281,9 +281,6 @@ def partner_tables(runs: Sequence[Run], names: Sequence[str]) -> list[Table]:
     return tables
 
 
-_BY_POPULATION = ("train", "", "zsc")
-
-
 def _partner_group(kinds: Mapping[str, str], partner: str) -> str:
     """Returns the heading above partners of one population; with one population, all are partners."""
     if len(set(kinds.values())) == 1 and not kinds[partner]:
@@ -325,7 +322,8 @@ class _Shade:
 def metric_column(metric: Metric, *, group: str = "") -> Column:
     """Column of a metric, whose head has its name, an arrow for its better direction, and its unit."""
     unit = f" [{metric.unit}]" if metric.unit in ("m", "steps") else ""
-    return Column(head=f"{metric.name}{_ARROWS[metric.direction]}{unit}", hint=metric.title, group=group)
+    arrow = {"higher": "↑", "lower": "↓", "neither": ""}[metric.direction]
+    return Column(head=f"{metric.name}{arrow}{unit}", hint=metric.title, group=group)
 
 
 def _digits(metric: Metric) -> int:

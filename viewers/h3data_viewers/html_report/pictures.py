@@ -34,16 +34,10 @@ if TYPE_CHECKING:
 Posing = Callable[..., "Replay"]
 """Makes the `Replay` of a recording, with further arguments by name."""
 _PLAN_WIDTH, _PLAN_HEIGHT = 360.0, 400.0
-_PIXELS = 2.0
-"""Pixels of the plan's picture per unit of the drawing."""
-_SCENES = 3
 _TRACKS = 40
 """At most so many trajectories per run are drawn over a plan."""
-_SMOOTH_M = 0.04
-_FRAME = (400, 300)
 _QUALITY = 78
-_BARS_M = (1, 2, 5, 10, 20, 50)
-"""Lengths of scale bars [m]."""
+"""Quality of JPEG pictures, which make up most of a page."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +76,10 @@ class Plans:
         """The plan of the scene of an episode; ``scene`` saves reading it."""
         name = episode.metrics.scene
         if name not in self.made:
-            scene = scene if scene is not None else _recorded_scene(episode)
+            if scene is None and (file := read_whole(episode).attachments.get("scene.glb")) is not None:
+                from h3data.scene import load_scene
+
+                scene = load_scene(file)
             key = f"plan-{len(self.made) + 1}"
             if scene is not None and scene.instances:
                 self.made[name] = _drawn(key, scene)
@@ -91,24 +88,19 @@ class Plans:
         return self.made[name]
 
 
-def _recorded_scene(episode: ReportEpisode) -> Scene | None:
-    from h3data.scene import load_scene
-
-    file = read_whole(episode).attachments.get("scene.glb")
-    return None if file is None else load_scene(file)
-
-
 def _drawn(key: str, scene: Scene) -> Plan:
     from h3data.render.sheets.scene_map import plan_picture
 
     low, high = scene.bounds
     span = np.maximum(high - low, 1.0)[[0, 2]]
     floor_y = scene.rooms[0].floor_y if scene.rooms else float(low[1])
-    wanted = min(_PLAN_WIDTH / span[0], _PLAN_HEIGHT / span[1]) * _PIXELS
+    # two pixels for each unit of the drawing, so that the plan is sharp on dense screens
+    wanted = 2.0 * min(_PLAN_WIDTH / span[0], _PLAN_HEIGHT / span[1])
     image, camera = plan_picture(scene, pixels_per_m=wanted, floor_y=floor_y)
     (x0, y0), (x1, _) = camera.project(np.array([[0.0, floor_y, 0.0], [1.0, floor_y, 0.0]]))[0]
     scale = float(x1 - x0)
     fit = min(_PLAN_WIDTH / image.shape[1], _PLAN_HEIGHT / image.shape[0])
+    pale = 0.30 * image + 0.20 * image.mean(-1, keepdims=True) + 0.50 * 255  # lines stand out on it
     return Plan(
         key=key,
         scene=scene.name,
@@ -116,7 +108,7 @@ def _drawn(key: str, scene: Scene) -> Plan:
         height=image.shape[0] * fit,
         scale=scale * fit,
         origin=(-float(x0) / scale, -float(y0) / scale),
-        image=jpeg_data_uri(_pale(image), quality=_QUALITY),
+        image=jpeg_data_uri(pale.astype(np.uint8), quality=_QUALITY),
     )
 
 
@@ -145,10 +137,14 @@ def trajectory_charts(runs: Sequence[Run], plans: Plans) -> tuple[list[Svg], str
     """
     counts = Counter(e.metrics.scene for run in runs for e in run.episodes if e.tracks)
     charts = []
-    for scene, count in counts.most_common(_SCENES):
+    for scene, count in counts.most_common(3):
         here = [[e for e in run.episodes if e.metrics.scene == scene and e.tracks] for run in runs]
         plan = plans.of(next(e for episodes in here for e in episodes))
-        chosen = [_spread(episodes) for episodes in here]
+        # of many episodes, some that are evenly spread: the first ones need not be like the others
+        chosen = [
+            [episodes[int(k)] for k in np.linspace(0, len(episodes) - 1, min(len(episodes), _TRACKS))]
+            for episodes in here
+        ]
         drawn = sum(map(len, chosen))
         what = counted(count, "episode") if drawn == count else f"{drawn} of {counted(count, 'episode')}"
         alt = f"Floor plan of {scene} with the trajectories of {count} episodes"
@@ -172,24 +168,19 @@ def trajectory_charts(runs: Sequence[Run], plans: Plans) -> tuple[list[Svg], str
     return charts, f"The {len(charts)} scenes with most episodes, of {len(counts)}. " if fewer else ""
 
 
-def _spread(episodes: Sequence[ReportEpisode]) -> list[ReportEpisode]:
-    if len(episodes) <= _TRACKS:
-        return list(episodes)
-    return [episodes[int(k)] for k in np.linspace(0, len(episodes) - 1, _TRACKS)]
-
-
 def _draw_track(svg: Svg, plan: Plan, track: Track, css: str) -> None:
     import shapely
 
     known = track.xz[np.isfinite(track.xz).all(1)]
     if len(known) < 2:
         return
-    line = shapely.simplify(shapely.linestrings(known.astype(np.float64)), _SMOOTH_M)
+    # points within 4 cm of a line, which nobody sees, are left out, so that pages stay small
+    line = shapely.simplify(shapely.linestrings(known.astype(np.float64)), 0.04)
     svg.path(plan.points(shapely.get_coordinates(line)), css)
 
 
 def _scale_bar(svg: Svg, plan: Plan) -> None:
-    metres = next((m for m in _BARS_M if m * plan.scale >= 40), _BARS_M[-1])
+    metres = next((m for m in (1, 2, 5, 10, 20) if m * plan.scale >= 40), 50)
     y, length = plan.height - 10, metres * plan.scale
     svg.line(10, y, 10 + length, y, "scale-bar")
     svg.text(14 + length, y + 4, f"{metres:g} m", "on-plan")
@@ -214,7 +205,11 @@ def ranked_by(profile: Profile) -> tuple[str, ...]:
 
 def highlights(runs: Sequence[Run], most: int) -> list[Highlight]:
     """Return up to ``most`` episodes: the worst and the best of each run, then the second worst, and so on."""
-    ranked = [sorted(_recorded(run), key=lambda e: _score(e, run.profile)) for run in runs]
+    # of one recording that several partners share, and that is an episode for each, one is shown
+    recorded = [{(e.source, e.index): e for e in run.episodes if e.recorded}.values() for run in runs]
+    ranked = [
+        sorted(episodes, key=lambda e: _score(e, run.profile)) for run, episodes in zip(runs, recorded, strict=True)
+    ]
     chosen: list[Highlight] = []
     for depth in range(max(map(len, ranked), default=0)):
         for kind in ("worst", "best"):
@@ -226,15 +221,11 @@ def highlights(runs: Sequence[Run], most: int) -> list[Highlight]:
     return sorted(chosen, key=lambda h: (h.place, h.kind == "best"))
 
 
-def _recorded(run: Run) -> list[ReportEpisode]:
-    """Returns the episodes that have a recording, each recording once."""
-    return list({(e.source, e.index): e for e in run.episodes if e.recorded}.values())
-
-
 def _score(episode: ReportEpisode, profile: Profile) -> tuple[float, ...]:
     values = [episode.metrics.values.get(name, np.nan) for name in ranked_by(profile)]
     lower = {m.name for m in profile.metrics if m.direction == "lower"}
     signs = [-1.0 if name in lower else 1.0 for name in ranked_by(profile)]
+    # an episode that never got so far as to define a metric is worse than all that did
     return tuple(-np.inf if np.isnan(v) else s * v for s, v in zip(signs, values, strict=True))
 
 
@@ -333,8 +324,8 @@ def _paths(episode: ReportEpisode, plan: Plan, colour: str) -> Svg:
     svg = plan.picture(
         f"Floor plan of {episode.metrics.scene}: paths of robot and {'people' if episode.people > 1 else 'person'}"
     )
-    ways = sorted(enumerate(episode.tracks), key=lambda way: way[1].kind)  # the robot's above the person's
-    for agent, track in ways:
+    tracks = sorted(enumerate(episode.tracks), key=lambda each: each[1].kind)  # the robot's above the person's
+    for agent, track in tracks:
         own = colour if track.kind == "robot" else "person-way"
         other = track.kind == "human" and episode.people > 1 and agent != episode.metrics.human
         _draw_track(svg, plan, track, "track person-track" if other else f"way {own}")
@@ -383,7 +374,7 @@ def _frames(replay, rows: Sequence[int]) -> list[str]:
 
     track = camera_track(replay, "third_person")
     return [
-        jpeg_data_uri(cv2.resize(views[0]["rgb"], _FRAME, interpolation=cv2.INTER_AREA), quality=_QUALITY)
+        jpeg_data_uri(cv2.resize(views[0]["rgb"], (400, 300), interpolation=cv2.INTER_AREA), quality=_QUALITY)
         for _, views in replay.frames([track], rows, outputs=("rgb",), threads=2)
     ]
 
@@ -407,8 +398,3 @@ def _sparkline(episode: ReportEpisode, css: str) -> Svg | None:
     svg.line(28, height - 2, width - 4, height - 2, "axis")
     svg.text(width - 4, height + 12, f"{episode.seconds(episode.metrics.rows - 1):.0f} s", "tick", anchor="end")
     return svg
-
-
-def _pale(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    grey = image.mean(-1, keepdims=True)
-    return (0.30 * image + 0.20 * grey + 0.50 * 255).astype(np.uint8)

@@ -53,6 +53,7 @@ def read_part(part: Part) -> Found:
         except InputError as fault:
             found.append(Unread(_name(part, index), _reason(fault)))
         else:
+            # not all of info, which may hold a large instruction or plan: workers send what they found
             some = {key: info[key] for key in ("profile", "partners") if key in info}
             found.append(Read(episode, recording.episode.task, some))
     return found
@@ -70,18 +71,24 @@ def _name(part: Part, index: int) -> str:
 def _episode(source: AnyPath, index: int, recording: Recording, profile: Profile) -> ReportEpisode:
     metrics = sendable(profile.measure(recording))
     info = recording.episode.info
+    stride = max(1, round(TRACK_S * 1e9 / metrics.dt_ns))
+    floor = [recording.agent_column(i, "base_pose")[:, [0, 2]] for i in range(len(recording.agents))]
+    # the last row too: the dot at the end of a path is where the agent really ended
     tracks = tuple(
-        Track(kind=agent.kind, xz=_sampled(recording.agent_column(i, "base_pose")[:, [0, 2]], metrics.dt_ns))
-        for i, agent in enumerate(recording.agents)
+        Track(kind=agent.kind, xz=np.concatenate([xz[::stride], xz[-1:]]).astype(np.float32))
+        for agent, xz in zip(recording.agents, floor, strict=True)
     )
+    human = next((a for a in recording.agents if a.kind == "human"), None)
+    body = "" if human is None else human.model.rpartition("/")[2] or human.name
+    population = _said(info, "population").lower()
     return ReportEpisode(
         source=source,
         index=index,
         metrics=metrics,
         seed=recording.episode.seed,
         policy=_said(info, "policy"),
-        partner=_said(info, "partner") or _partner(recording),
-        population=_population(_said(info, "population")),
+        partner=_said(info, "partner") or body,
+        population=next((kind for kind in ("train", "zsc") if population.startswith(kind)), ""),
         participant=_said(info, "participant"),
         condition=_said(info, "condition"),
         distance_m=_distances(recording),
@@ -91,22 +98,9 @@ def _episode(source: AnyPath, index: int, recording: Recording, profile: Profile
 
 
 def _said(info: Mapping[str, Any], key: str) -> str:
+    """The text or number of a key; anything else that a foreign file holds there counts as nothing."""
     value = info.get(key, "")
     return str(value) if isinstance(value, str | int | float) else ""
-
-
-def _partner(recording: Recording) -> str:
-    human = next((a for a in recording.agents if a.kind == "human"), None)
-    return "" if human is None else human.model.rpartition("/")[2] or human.name
-
-
-def _population(text: str) -> str:
-    return next((kind for kind in ("train", "zsc") if text.lower().startswith(kind)), "")
-
-
-def _sampled(rows: NDArray[np.float32], dt_ns: int) -> NDArray[np.float32]:
-    stride = max(1, round(TRACK_S * 1e9 / dt_ns))
-    return np.concatenate([rows[::stride], rows[-1:]]).astype(np.float32)
 
 
 def _distances(recording: Recording) -> NDArray[np.float32]:
@@ -117,11 +111,13 @@ def _distances(recording: Recording) -> NDArray[np.float32]:
     places = [recording.columns[f"agent_{i}.base_pose"][::stride, :3] for i in range(len(kinds))]
     robot = places[kinds.index("robot")]
     gaps = [np.linalg.norm(robot - at, axis=1) for at, kind in zip(places, kinds, strict=True) if kind == "human"]
+    # fmin: a person who is not there (NaN) does not hide the others
     return np.fmin.reduce(gaps, axis=0).astype(np.float32)
 
 
 def _reason(fault: InputError) -> str:
     """The fault without the name of the episode, so that equal ones can be counted."""
+    # the message names the episode and what each metric lacks: hundreds of them would be as many reasons
     needs = getattr(fault, "needs", None)
     if needs:
         missing = sorted({column for columns in needs.values() for column in columns})

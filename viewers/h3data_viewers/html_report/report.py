@@ -117,7 +117,9 @@ def make_report(
     from h3data.replay import Replay
 
     data = gather(paths, unseen_partners=unseen_partners, seeds=seeds, spread=spread)
-    title = title or _title(data)
+    if not title:
+        several = f": {len(data.runs)} runs" if len(data.runs) > 1 else ""
+        title = (" and ".join(map(task_name, data.tasks)).capitalize() or "Recordings") + several
     missing: list[str] = []
     studies = _studies(data, missing, study_model, failed)
     tables = _paper_tables(data, missing, studies)
@@ -326,10 +328,3 @@ def _task_sections(
             content = {"charts": charts, "names": names, "lead": lead}
             sections.append(ReportSection(f"{task}-{key}", title + tail, "charts", content))
     return sections
-
-
-def _title(data: ReportData) -> str:
-    tasks = [task_name(task) for task in data.tasks]
-    return (" and ".join(tasks).capitalize() or "Recordings") + (
-        f": {len(data.runs)} runs" if len(data.runs) > 1 else ""
-    )

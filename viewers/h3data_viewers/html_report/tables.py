@@ -128,6 +128,7 @@ def cut(text: str, most: int) -> str:
     """
     if len(text) <= most:
         return text
+    # "weights:out/s10/policy.npz" and "weights:out/s11/policy.npz" have to stay apart
     tail = 0 if " " in text else (most - 1) // 2
     return text[: most - 1 - tail] + "…" + text[len(text) - tail :]
 
@@ -157,7 +158,7 @@ def p_text(p: float) -> str:
 def to_markdown(table: Table) -> str:
     """A GitHub table under a heading; the sections are set in bold."""
     heads = [table.name_head, *(f"{c.group}: {c.head}" if c.group else c.head for c in table.columns)]
-    lines = [f"### {_md(table.title)}", "", _md(table.caption), "", _md_line(heads)]
+    lines = [f"### {_md(table.title)}", "", _md(table.caption), "", "| " + " | ".join(map(_md, heads)) + " |"]
     lines.append("|" + " --- |" + " ---: |" * len(table.columns))
     for section in table.sections:
         if section.title:
@@ -166,10 +167,6 @@ def to_markdown(table: Table) -> str:
             cells = [f"**{_md(c.text)}**" if c.strong and c.text else _md(c.text) for c in row.cells]
             lines.append("| " + " | ".join([_md(row.name), *cells]) + " |")
     return "\n".join([*lines, *([""] if table.notes else []), *(f"- {_md(note)}" for note in table.notes)])
-
-
-def _md_line(cells: list[str]) -> str:
-    return "| " + " | ".join(map(_md, cells)) + " |"
 
 
 def _md(text: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -23,9 +23,6 @@ ImageStorage = Literal["stills", "video"]
 STILL_WIDTH = 320
 STILL_EVERY = 5
 """Video frames per still. Stills of a 1,500-frame 640x480 video take 1.4 MB and 0.7 s of CPU time."""
-JPEG_QUALITY = 80
-BATCH = 64
-"""Number of stills held in memory before they are written."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,6 +94,7 @@ def log_camera(sink: Sink, feed: CameraFeed, *, images: ImageStorage) -> None:
             track.log(steps, np.asarray(poses[steps], np.float64))
     small = scaled(camera, min(1.0, STILL_WIDTH / camera.width))
     if len(sink.time_ns) and feed.stills is not None:
+        # stills are RGB, and OpenCV encodes BGR
         _log_stills(sink, f"{entity}/image", ((step, _jpeg(rgb[..., ::-1])) for step, rgb in feed.stills))
         camera = small
     elif len(sink.time_ns) and feed.video is not None:
@@ -105,6 +103,7 @@ def log_camera(sink: Sink, feed: CameraFeed, *, images: ImageStorage) -> None:
         else:
             _log_stills(sink, f"{entity}/image", _stills_of_video(sink, feed, (small.width, small.height)))
             camera = small
+    # `camera` has the size of the images that were logged: the pinhole has to fit their pixels
     if camera.projection == "perspective":
         pinhole = rr.Pinhole(
             image_from_camera=camera.intrinsics,
@@ -136,11 +135,11 @@ def _log_video(sink: Sink, entity: str, video: Path, steps: NDArray[np.integer] 
 
 
 def _log_stills(sink: Sink, entity: str, stills: Iterable[tuple[int, bytes]]) -> None:
-    """Logs pairs of step and JPEG, `BATCH` at a time."""
+    """Logs pairs of step and JPEG, 64 at a time, so that rendered stills do not pile up in memory."""
     import rerun as rr
 
     remaining = iter(stills)
-    while batch := list(islice(remaining, BATCH)):
+    while batch := list(islice(remaining, 64)):
         blobs = [image for _, image in batch]
         columns = rr.EncodedImage.columns(blob=blobs, media_type=["image/jpeg"] * len(blobs))
         sink.columns(entity, [step for step, _ in batch], columns)
@@ -149,37 +148,29 @@ def _log_stills(sink: Sink, entity: str, stills: Iterable[tuple[int, bytes]]) ->
 def _jpeg(bgr: NDArray[Any]) -> bytes:
     import cv2
 
-    return cv2.imencode(".jpg", np.ascontiguousarray(bgr), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+    return cv2.imencode(".jpg", np.ascontiguousarray(bgr), [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
 
 
 def _stills_of_video(sink: Sink, feed: CameraFeed, size: tuple[int, int]) -> list[tuple[int, bytes]]:
-    """Decodes every fifth frame of the feed's video into pairs of step and JPEG."""
-    assert feed.video is not None
-    # Containers report unreliable frame counts: the number of frames, hence their steps, is known after decoding.
-    stills = list(_stills(feed.video, size))
-    if not stills:
-        raise InputError(f"The camera's video has no frames: {feed.video}", code="H3-VIEW-015")
-    total = stills.pop()[0]
-    steps = frame_steps(total, len(sink.time_ns)) if feed.steps is None else np.asarray(feed.steps)
-    return [(int(steps[number]), image) for number, image in stills if number < len(steps)]
-
-
-def _stills(video: Path, size: tuple[int, int]) -> Iterator[tuple[int, bytes]]:
-    """Yields ``(frame number, JPEG)`` of every fifth frame, then ``(number of frames, b"")``."""
+    """Decodes every fifth frame of the feed's video into pairs of step and JPEG, of ``size`` (width, height)."""
     import av
     import av.error
 
-    number = 0
+    stills, number = [], 0
     try:
-        with av.open(str(video)) as container:
+        with av.open(str(feed.video)) as container:
             track = container.streams.video[0]
+            # by default PyAV has a thread for each slice of a frame, and most videos have one slice
             track.thread_type = "AUTO"
             for frame in container.decode(track):
                 if number % STILL_EVERY == 0:
                     pixels = frame.reformat(width=size[0], height=size[1], format="bgr24").to_ndarray()
-                    yield number, _jpeg(pixels)
+                    stills.append((number, _jpeg(pixels)))
                 number += 1
     except (av.error.FFmpegError, IndexError) as error:
-        raise InputError(f"Expected a readable video ({error}): {video}", code="H3-VIEW-017") from None
-    if number:
-        yield number, b""
+        raise InputError(f"Expected a readable video ({error}): {feed.video}", code="H3-VIEW-017") from None
+    if not stills:
+        raise InputError(f"The camera's video has no frames: {feed.video}", code="H3-VIEW-015")
+    # Containers report unreliable frame counts: the number of frames, hence their steps, is known after decoding.
+    steps = frame_steps(number, len(sink.time_ns)) if feed.steps is None else np.asarray(feed.steps)
+    return [(int(steps[k]), image) for k, image in stills if k < len(steps)]

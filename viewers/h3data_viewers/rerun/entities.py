@@ -19,8 +19,6 @@ from h3data_viewers.rerun.mesh_budget import ViewMesh, baked_colors, texture_byt
 from h3data_viewers.rerun.sink import Sink
 from h3data_viewers.rerun.transforms import LoggedTrack, decompose, step_blocks
 
-_LOG = logging.getLogger(__name__)
-
 MESH_BYTES = 12_000_000
 """Budget of all rigid meshes [bytes]; above it, all are thinned by the same factor."""
 TEXTURE_BYTES = 8_000_000
@@ -111,12 +109,17 @@ def log_agents(sink: Sink, recording: Recording, with_meshes: set[int]) -> None:
         track = LoggedTrack(sink, root)
         for steps in step_blocks(len(recording)):
             track.log(steps, pose_to_matrix(pose[steps].astype(np.float64)))
+        # name tags hang above the heads [m]
         height = 1.95 if agent.kind == "human" else 0.95
         tag = rr.Points3D([[0, height, 0]], radii=[0.02], colors=[color], labels=[agent.name], show_labels=True)
         sink.static(f"{root}/name", tag)
         if i not in with_meshes:
             sink.static(f"{root}/solid", _solid(agent.kind, color))
-        strips = _strips(pose[:, :3] + np.array([0, 0.03, 0], np.float32))
+        # the path lies 3 cm above the floor, which would hide it, and is broken where the agent is not in the world
+        points = pose[:, :3] + np.array([0, 0.03, 0], np.float32)
+        finite = np.asarray(np.isfinite(points).all(axis=1))
+        runs = np.split(np.arange(len(points)), np.flatnonzero(np.diff(finite)) + 1)
+        strips = [points[run] for run in runs if len(run) > 1 and finite[run[0]]]
         if strips:
             lines = rr.LineStrips3D(strips, colors=[color] * len(strips), radii=[PATH_RADIUS_M])
             entity = f"world/trajectories/{entity_part(agent.name)}"
@@ -164,13 +167,6 @@ def _solid(kind: str, color: tuple[int, int, int]) -> Any:
     return rr.Boxes3D(half_sizes=[[0.4, 0.2, 0.15]], centers=[[0, 0.5, 0]], colors=[color], fill_mode="solid")
 
 
-def _strips(points: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-    """Splits points [N, 3] into runs of at least two consecutive finite points."""
-    finite = np.asarray(np.isfinite(points).all(axis=1))
-    runs = np.split(np.arange(len(points)), np.flatnonzero(np.diff(finite)) + 1)
-    return [points[run] for run in runs if len(run) > 1 and finite[run[0]]]
-
-
 # --- rigid objects ----------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class _Appearance:
@@ -209,6 +205,7 @@ def log_rigid(sink: Sink, recording: Recording, replay: PosedScene, *, share: fl
         for index, agent, track, _ in moving:
             matrices = replay.matrices(index, steps).astype(np.float64)
             track.log(steps, matrices if agent < 0 else to_root[agent] @ matrices)
+    # a track knows the scale of its first pose only now; its transforms leave the scale to the mesh
     for _, _, track, appearance in moving:
         _log_mesh(sink, f"{track.entity}/mesh", appearance, np.diag([*track.scale, 1.0]))
 
@@ -233,11 +230,14 @@ def _appearances(meshes: list[Mesh], share: float) -> list[_Appearance]:
     """Prepares meshes for the viewer within the byte budgets; a mesh that several drawables share is prepared once."""
     distinct = {id(m): m for m in meshes}
     ready = {key: view_mesh(m) for key, m in distinct.items()}
+    # over all meshes, not the distinct ones: a file holds a shared mesh once for each of its entities
     total = sum(part.nbytes for m in meshes for part in ready[id(m)])
     if total > share * MESH_BYTES:
         kept = share * MESH_BYTES / total
-        _LOG.info("Thinning %.0f MB of meshes to %.0f%% of their vertices", total / 1e6, 100 * kept)
+        message = "Thinning %.0f MB of meshes to %.0f%% of their vertices"
+        logging.getLogger(__name__).info(message, total / 1e6, 100 * kept)
         for key, mesh in distinct.items():
+            # small things, which cost little, keep their shape
             ready[key] = view_mesh(mesh, max_vertices=max(300, int(kept * len(mesh.vertices))))
     textures = [part.texture for m in meshes for part in ready[id(m)] if part.texture is not None]
     side = TEXTURE_SIDE_PX
@@ -280,6 +280,7 @@ def log_skins(sink: Sink, recording: Recording, replay: PosedScene, skin_every: 
     if not skins or not len(recording):
         return
     thin = {i: thin_mesh(d.mesh, SKIN_VERTICES) for i, d in skins}
+    # three float32 for each vertex
     per_sample = sum(12 * len(t.keep) for t in thin.values())
     every = max(1, skin_every, int(np.ceil(len(recording) * per_sample / (share * SKIN_BYTES))))
     steps = np.arange(0, len(recording), every)
@@ -293,10 +294,12 @@ def log_skins(sink: Sink, recording: Recording, replay: PosedScene, skin_every: 
             blocks.append(replay.vertices(index, part)[:, keep])
             bar.update(len(part))
         vertices, rows, entity = np.concatenate(blocks), steps, f"world/objects/{entity_part(drawable.name)}"
+        # below the root frame, which is logged at every step, the body goes on moving between its samples
         if _has_root(recording, drawable.agent):
             pose = recording.agent_column(drawable.agent, "base_pose")[steps].astype(np.float64)
             vertices = transform_points(pose_to_matrix(pose_inverse(pose)), vertices).astype(np.float32)
             entity = f"world/{entity_part(recording.agents[drawable.agent].name)}/body"
+        # a body that stands still, to a fifth of a millimetre, takes no rows
         changed = np.concatenate([[True], np.abs(np.diff(vertices, axis=0)).max((1, 2)) > 2e-4])
         vertices, rows = vertices[changed], rows[changed]
         surface = rr.Mesh3D.from_fields(

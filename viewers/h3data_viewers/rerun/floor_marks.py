@@ -16,19 +16,12 @@ from h3data.scene import FreeSpace, Scene
 from h3data.scene.freespace.build import choose_method
 from h3data_viewers.rerun.sink import Sink
 
-_LOG = logging.getLogger(__name__)
-
-FREE_COLOR = (102, 187, 106, 160)
 GOAL_COLOR = (236, 64, 122)
 ABOVE_FLOOR_M = 0.015
 LABEL_APART_M = 0.8
 """Labels of points that are nearer to each other would lie on each other when the whole home is in view."""
-SCAN_COLORS = ((255, 64, 200), (150, 110, 255), (255, 171, 64))
-SCAN_RADIUS_M = 0.035
 SCAN_EVERY = 3
 """Steps between scans that are shown: 360 points take 4 kB."""
-STAIRS_EVERY_M = 0.25
-"""Largest distance between points of the border in homes with stairs, so that it follows them [m]."""
 
 
 # --- free space -------------------------------------------------------------------------------------------------------
@@ -44,19 +37,21 @@ def log_free_space(sink: Sink, recording: Recording, scene: Scene | None) -> boo
         return False
     spec = recording.episode.info.get("spec")
     radius = spec.get("agent_radius_m") if isinstance(spec, Mapping) else None
+    # info is whatever the writer of the file put there
     if isinstance(radius, int | float) and 0 < radius < 2:
         space = FreeSpace.from_scene(scene, radius_m=float(radius))
     else:
         space = FreeSpace.from_scene(scene)
     borders = [r for p in space.polygon.geoms for r in (p.exterior, *p.interiors)]
     if len(space.heights):
-        borders = [shapely.segmentize(r, STAIRS_EVERY_M) for r in borders]
+        # points every 25 cm, so that the border follows the stairs up
+        borders = [shapely.segmentize(r, 0.25) for r in borders]
     rings = [np.asarray(r.coords) for r in borders]
     if not rings:
         return False
     levels = [space.height_at(r) + ABOVE_FLOOR_M for r in rings]
     strips = [np.column_stack([r[:, 0], y, r[:, 1]]).astype(np.float32) for r, y in zip(rings, levels, strict=True)]
-    sink.static("world/free_space", rr.LineStrips3D(strips, colors=[FREE_COLOR], radii=[0.01]))
+    sink.static("world/free_space", rr.LineStrips3D(strips, colors=[(102, 187, 106, 160)], radii=[0.01]))
     return True
 
 
@@ -66,11 +61,12 @@ def log_scans(sink: Sink, recording: Recording) -> None:
     import rerun as rr
 
     rows = np.arange(0, len(recording), SCAN_EVERY)
-    for scan, color in zip([*scans_of(recording), *clouds_of(recording)], SCAN_COLORS * 9, strict=False):
+    colors = ((255, 64, 200), (150, 110, 255), (255, 171, 64)) * 9
+    for scan, color in zip([*scans_of(recording), *clouds_of(recording)], colors, strict=False):
         points = scan.points(recording, rows)
         met = np.isfinite(points).all(-1)
         name = rr.escape_entity_path_part(f"{recording.agents[scan.agent].name}_{scan.sensor}")
-        sink.static(f"world/scans/{name}", rr.Points3D.from_fields(colors=[color], radii=[SCAN_RADIUS_M]))
+        sink.static(f"world/scans/{name}", rr.Points3D.from_fields(colors=[color], radii=[0.035]))
         columns = rr.Points3D.columns(positions=points[met]).partition(met.sum(1))
         sink.columns(f"world/scans/{name}", rows, columns)
 
@@ -132,6 +128,7 @@ def walking_goals(recording: Recording) -> list[tuple[int, NDArray[np.int64], ND
         return []
     index = np.clip(column.astype(np.int64), 0, len(goals) - 1)
     rows = np.flatnonzero(np.concatenate([[True], np.diff(index) != 0]))
+    # goals of people have x and z alone; they stand on the floor that the person walks on
     height = np.nan_to_num(recording.agent_column(people[0], "base_pose")[rows, 1].astype(np.float64))
     x, z = goals[index[rows]].T
     return [(people[0], rows, np.column_stack([x, height + ABOVE_FLOOR_M, z]))]
@@ -150,5 +147,6 @@ def _points(value: Any, width: int, key: str) -> NDArray[np.float64]:
             return points
     except (TypeError, ValueError):
         pass
-    _LOG.warning("Goals are not shown: expected episode.info[%r] to hold points of %d finite numbers.", key, width)
+    message = "Goals are not shown: expected episode.info[%r] to hold points of %d finite numbers."
+    logging.getLogger(__name__).warning(message, key, width)
     return none

@@ -110,7 +110,11 @@ def layout(recordings: Sequence[LoggedRecording], *, timeline: str) -> rrb.Bluep
 def _home_view(recording: LoggedRecording, *, wide: bool) -> rrb.View:
     import rerun.blueprint as rrb
 
-    eye, target = bird_view(recording.focus, wide=wide)
+    # from above and slightly from +Z, so far away that the box fits; a wide view is wider than high, the others about square
+    lo, hi = recording.focus
+    target = np.array([(lo[0] + hi[0]) / 2, lo[1], (lo[2] + hi[2]) / 2])
+    distance = max((1.0 if wide else 1.25) * (hi[0] - lo[0]), 1.25 * (hi[2] - lo[2]), 3.0)
+    eye = target + distance * np.array([0.0, 1.0, 0.42])
     return rrb.Spatial3DView(
         origin=recording.world,
         name=recording.name,
@@ -118,14 +122,3 @@ def _home_view(recording: LoggedRecording, *, wide: bool) -> rrb.View:
         eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 1, 0)),
         line_grid=False,
     )
-
-
-def bird_view(focus: NDArray[np.floating], *, wide: bool = True) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Returns eye and target [3] of a view that shows the box ``focus`` [2, 3] from above and slightly from +Z.
-
-    ``wide`` views are wider than high; the others are about square.
-    """
-    lo, hi = focus
-    target = np.array([(lo[0] + hi[0]) / 2, lo[1], (lo[2] + hi[2]) / 2])
-    distance = max((1.0 if wide else 1.25) * (hi[0] - lo[0]), 1.25 * (hi[2] - lo[2]), 3.0)
-    return target + distance * np.array([0.0, 1.0, 0.42]), target

@@ -14,9 +14,6 @@ from h3data.mesh.mesh_operations import face_texture_indices
 from h3data.mesh.thinning import thin_mesh
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
-BAKED_SIDE_PX = 64
-"""Size to which textures are reduced before their colours go to the vertices: each texel then averages its area."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ViewMesh:
@@ -50,7 +47,9 @@ def view_mesh(mesh: Mesh, *, max_vertices: int | None = None) -> list[ViewMesh]:
         colors = baked_colors(mesh)[thin.keep]
         return [ViewMesh(vertices=mesh.vertices[thin.keep], faces=thin.faces, colors=colors, normals=normals)]
     if not mesh.textures:
-        return [_part(mesh, mesh.faces, None, None)] if mesh.normals is None else [_whole(mesh)]
+        if mesh.normals is None:
+            return [_part(mesh, mesh.faces, None, None)]
+        return [ViewMesh(vertices=mesh.vertices, faces=mesh.faces, colors=mesh.colors, normals=mesh.normals)]
     index = face_texture_indices(mesh)
     return [
         _part(mesh, mesh.faces[index == k], None if k < 0 else mesh.uv, None if k < 0 else mesh.textures[k])
@@ -58,13 +57,10 @@ def view_mesh(mesh: Mesh, *, max_vertices: int | None = None) -> list[ViewMesh]:
     ]
 
 
-def _whole(mesh: Mesh) -> ViewMesh:
-    return ViewMesh(vertices=mesh.vertices, faces=mesh.faces, colors=mesh.colors, normals=mesh.normals)
-
-
 def _part(mesh: Mesh, faces: NDArray[np.int32], uv: NDArray[np.float32] | None, texture: Texture | None) -> ViewMesh:
     """Selects triangles of a mesh and the vertices they use."""
     if mesh.normals is None:
+        # facets share no vertices, else the viewer would smooth their shading
         used, corners = faces.reshape(-1), None
     else:
         used, inverse = np.unique(faces, return_inverse=True)
@@ -91,8 +87,10 @@ def baked_colors(mesh: Mesh) -> NDArray[np.uint8]:
     colors = mesh.colors.copy()
     for k, texture in enumerate(mesh.textures):
         selected = texture_of == k
-        small = Texture(pixels=reduced(texture.pixels, BAKED_SIDE_PX))
+        # one texel is read for each vertex: in a small picture it is the mean of its area, not a speck of the pattern
+        small = Texture(pixels=reduced(texture.pixels, 64))
         texels = nearest_texels(small, mesh.uv[selected])[:, :3]
+        # colours multiply as light, not as bytes of sRGB
         colors[selected] = linear_to_bytes(bytes_to_linear(texels) * bytes_to_linear(colors[selected]))
     return colors
 

@@ -32,7 +32,6 @@ from h3data_viewers.rerun.timeseries import log_events, log_inputs, log_lanes, l
 if TYPE_CHECKING:
     import rerun as rr
 
-APPLICATION = "h3data"
 LABELS = ("a", "b")
 """Root entities of two recordings in one file."""
 SKIN_EVERY = 3
@@ -174,7 +173,7 @@ def _stream(sides: Sequence[ViewedRecording]) -> rr.RecordingStream:
             'Rerun is not installed. Hint: pip install "rerun-sdk>=0.41,<0.42"', code="H3-VIEW-022"
         ) from error
     identity = " ".join(side.recording.episode.uid for side in sides)
-    return rr.RecordingStream(APPLICATION, recording_id=identity, send_properties=False)
+    return rr.RecordingStream("h3data", recording_id=identity, send_properties=False)
 
 
 def _log(
@@ -186,9 +185,11 @@ def _log(
     ready: Callable[[], object] | None = None,
 ) -> None:
     feeds = [[*side.cameras, *_named_cameras(side)] for side in sides]
+    # a missing video is found before all else is written; videos that are still being written are checked later
     if ready is None:
         _check_videos(feeds)
     labels = LABELS if len(sides) > 1 else ("",)
+    # the bounds of following are drawn once, as long as the longer recording
     longest = max(sides, key=lambda side: len(side.recording))
     _log_properties(stream, sides)
     held, logged = DeferredStream(), []
@@ -235,6 +236,7 @@ def _log_world(
     import rerun as rr
 
     recording, replay = shown.recording, shown.replay
+    # two recordings in a file share its byte budgets
     share = 0.5 if sink.label else 1.0
     sink.static("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP)
     log_agents(sink, recording, {d.agent for d in replay.drawables} if replay is not None else set())
@@ -305,6 +307,7 @@ def _focus(recording: Recording, drawables: Sequence[Drawable]) -> NDArray[np.fl
     """Box [2, 3] that the initial view shows [m]: the part of the home within 5 m of the agents' tracks."""
     corners = []
     for d in drawables:
+        # ceilings are hidden in the initial view
         if d.layer != "ceiling" and not d.moving and not d.deformable and len(d.mesh.vertices):
             lo, hi = d.mesh.bounds
             box = np.array([[x, y, z] for x in (lo[0], hi[0]) for y in (lo[1], hi[1]) for z in (lo[2], hi[2])])

@@ -29,12 +29,6 @@ STATE_COLORS = {
     AWAY: 0x90A4AEFF,
     ENDED: 0x1A1A1AFF,
 }
-CURVE_COLORS = ((0x1565C0FF, 0x64B5F6FF, 0x4DD0E1FF), (0xD84315FF, 0xFFB74DFF, 0xF06292FF))
-"""Curve colours of the first and of the second recording in a shared plot."""
-ALONE_COLORS = (0x1565C0FF, 0x8E24AAFF, 0x00ACC1FF, 0x6D4C41FF)
-"""Curve colours of a recording that has its plot for itself."""
-BOUNDS = (("follow_from_1m", 1.0, 0xC0A000FF), ("follow_to_2m", 2.0, 0x2E7D32FF))
-"""Distances [m] between which the robot counts as following, and the colours of their lines."""
 PALETTE = (0x1E88E5FF, 0x8E24AAFF, 0x00897BFF, 0xF4511EFF, 0x6D4C41FF, 0x3949ABFF, 0xC0CA33FF, 0xD81B60FF, 0x00ACC1FF)
 
 
@@ -48,6 +42,7 @@ def agent_pair(recording: Recording) -> tuple[int, int] | None:
 
 def touched_rows(recording: Recording) -> NDArray[np.bool_]:
     """Rows in which the robot touches a person [T], as far as the recording tells it from contact between others."""
+    # with several agents, `collision` may be a contact between others
     people = recording.columns.get("metrics.collision_people")
     if people is not None and people.ndim == 2:
         return np.asarray(people.any(axis=1))
@@ -86,19 +81,21 @@ def log_scalars(sink: Sink, recording: Recording, *, shade: int | None = None, b
     """
     import rerun as rr
 
+    # in a shared plot, the first recording is blue and the second one red
+    shared = ((0x1565C0FF, 0x64B5F6FF, 0x4DD0E1FF), (0xD84315FF, 0xFFB74DFF, 0xF06292FF))
+    family = (0x1565C0FF, 0x8E24AAFF, 0x00ACC1FF, 0x6D4C41FF) if shade is None else shared[shade]
     curves, plotted = curves_of(recording)
     for name, column in curves.items():
         values = column.astype(np.float64)
         values[np.isinf(values)] = np.nan  # infinite: no path; NaN leaves a gap in the curve
         if name in plotted:
-            family = ALONE_COLORS if shade is None else CURVE_COLORS[shade]
             color = np.array([family[plotted.index(name) % len(family)]], np.uint32)
             title = f"{sink.label} {name}".lstrip()
             sink.static(f"metrics/{name}", rr.SeriesLines(names=[title], colors=color, widths=[2.0]))
         sink.columns(f"metrics/{name}", None, rr.Scalars.columns(scalars=values))
     if bounds and len(recording) and is_following(recording) and agent_pair(recording) is not None:
         ends = np.unique([0, len(recording) - 1])
-        for name, bound, color in BOUNDS:
+        for name, bound, color in (("follow_from_1m", 1.0, 0xC0A000FF), ("follow_to_2m", 2.0, 0x2E7D32FF)):
             style = rr.SeriesLines(names=[name], colors=np.array([color], np.uint32), widths=[1.0])
             sink.static(f"metrics/{name}", style)
             sink.columns(f"metrics/{name}", ends, rr.Scalars.columns(scalars=np.full(len(ends), bound)))
@@ -194,6 +191,7 @@ def log_events(sink: Sink, recording: Recording, *, ends: bool = False) -> bool:
     if ends:
         reason = str(recording.episode.info.get("ended", ""))
         lines.append(LogLine("events", len(recording), "the recording ends" + (f" ({reason})" if reason else "")))
+    # events of a file need not lie within its steps
     last = len(recording) if ends else max(len(recording) - 1, 0)
     for source in dict.fromkeys(line.source for line in lines):
         group = [line for line in lines if line.source == source]

@@ -10,8 +10,6 @@ from h3data_viewers.rerun.sink import Sink
 
 BLOCK_STEPS = 4096
 """Steps whose poses are computed and logged together; bounds the memory that a long recording takes."""
-HIDDEN_SCALE = 1e-6
-"""Scale of an entity in steps at which it is not in the world: Rerun reports scales of 0 and NaN as errors."""
 
 
 def decompose(
@@ -23,6 +21,7 @@ def decompose(
     """
     linear = matrices[:, :3, :3]
     scale = np.linalg.norm(linear, axis=1)
+    # a quaternion cannot mirror
     scale[np.linalg.det(linear) < 0, 0] *= -1
     rotation = linear / np.where(scale == 0, 1, scale)[:, None, :]
     return matrices[:, :3, 3], quat_from_matrix(rotation), scale
@@ -51,6 +50,7 @@ class LoggedTrack:
         import rerun as rr
 
         present = np.asarray(np.isfinite(matrices).reshape(len(matrices), 16).all(axis=1))
+        # where the entity is absent, its last pose goes on, so that it does not fly back from the origin
         last_present = np.maximum.accumulate(np.where(present, np.arange(1, len(present) + 1), 0))
         position, quat, scale = decompose(np.concatenate([self._last[None], matrices])[last_present])
         quat = quat_sign_continuous(np.concatenate([self._last_quat, quat]))[1:]
@@ -67,6 +67,7 @@ class LoggedTrack:
             return
         # Visibility is logged from the first block in which the entity vanishes: most entities never do.
         self._logs_visibility |= not present.all()
-        visible = np.where(present[changed, None], 1.0, HIDDEN_SCALE) * np.ones(3) if self._logs_visibility else None
+        # an entity that is not in the world is a millionth of its size: Rerun reports scales of 0 and NaN as errors
+        visible = np.where(present[changed, None], 1.0, 1e-6) * np.ones(3) if self._logs_visibility else None
         columns = rr.Transform3D.columns(translation=position[changed], quaternion=quat[changed], scale=visible)
         self._sink.columns(self.entity, steps[changed], columns)
