@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from h3data.scene import Scene
 
 T = TypeVar("T")
-_GLOB = re.compile(r"[*?\[]")
 
 
 @overload
@@ -81,6 +80,7 @@ def _open(path: str) -> Any:
     from h3data.recording.parquet.files import is_dataset
     from h3data.scene.open import is_builtin_name, named_scenes, open_scene, open_scene_path
 
+    # names first, then scene files by their endings; whatever is left is a recording, whose reader says what it expected
     if is_builtin_name(path):
         first, *more = named_scenes(path)
         if more:
@@ -90,7 +90,8 @@ def _open(path: str) -> Any:
     if scene is not None:
         return scene
     place = Path(path)
-    if _GLOB.search(path) and "://" not in path and not place.exists():
+    # a shell that finds nothing passes the pattern on; a file may have such signs in its name, and an URI its query
+    if re.search(r"[*?\[]", path) and "://" not in path and not place.exists():
         return _below(sorted(glob.glob(path, recursive=True)), path)
     if place.is_dir() and not is_dataset(place):
         return _below([path], path)
@@ -156,9 +157,11 @@ def render_frame(
     if isinstance(recording, Replay):
         replay = recording
     else:
+        # baking takes time, and neither depth nor ids show light
         shown_in: LightMode = light if "rgb" in outputs else "flat"
         replay = Replay(recording, assets=assets, people=people, light=shown_in, stand_ins=stand_ins)
     row = replay.row(step)
     seen_from = camera_at(replay, camera, row)
+    # the camera of one step as one that stands still
     track = CameraTrack(camera=seen_from, poses=seen_from.pose[None])
     return next(iter(replay.frames([track], [row], outputs=outputs)))[1][0]

@@ -31,6 +31,7 @@ def pages_root() -> Path:
 
 def _shipped(installed: str, checkout: str, what: str) -> Path:
     """A folder that ships with the package: within it where it is installed, beside it in a checkout."""
+    # the wheel's folder first, as a checkout has none; an installed package may have anything beside it
     package = Path(__file__).resolve().parent
     for candidate in (package / installed, package.parent / checkout):
         if candidate.is_dir():

@@ -68,4 +68,5 @@ for _id, _task in IDS.items():
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'h3data.envs' has no attribute {name!r}; it has {', '.join(__all__)}")
+    # imported when it is asked for: what is here needs more than registering ids does
     return import_name(_HOMES[name], name)

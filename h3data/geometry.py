@@ -109,6 +109,7 @@ def _product(a: list[float], b: list[float]) -> tuple[float, float, float, float
 def quat_conjugate(q: ArrayLike) -> Array:
     """Inverse of unit quaternions, shape [..., 4]."""
     q = _floating(q)
+    # an array of the same type, so that float32 stays float32
     return q * np.array([-1, -1, -1, 1], q.dtype)
 
 
@@ -118,6 +119,7 @@ def quat_rotate(q: ArrayLike, vectors: ArrayLike) -> Array:
         return np.array(_rotated(q.tolist(), vectors.tolist()))  # type: ignore[union-attr]
     q, v = _floating(q), _floating(vectors)
     axis, w = q[..., :3], q[..., 3:]
+    # v + 2 w (axis x v) + 2 axis x (axis x v), without making a matrix
     t = 2 * cross(axis, v)
     return v + w * t + cross(axis, t)
 
@@ -200,6 +202,7 @@ def quat_from_matrix(matrix: ArrayLike) -> Array:
     Divides by the largest of the four components, so that no case loses precision (Shepperd's method).
     """
     m = _floating(matrix)
+    # single matrices are the common case, and NumPy's calls would take most of their time
     if m.ndim == 2 and m.dtype is _F64:
         return np.array(_quat_of_rows(m.tolist()))
     m00, m11, m22 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
@@ -239,6 +242,7 @@ def quat_sign_continuous(q: ArrayLike) -> Array:
     q = _floating(q)
     if len(q) < 2:
         return q.copy()
+    # q and -q are one rotation; each flip turns all that come after it, hence the product
     flips = np.where(np.sum(q[1:] * q[:-1], axis=-1) < 0, -1.0, 1.0).astype(q.dtype)
     signs = np.concatenate([np.ones_like(flips[:1]), np.cumprod(flips, axis=0)])
     return q * signs[..., None]
@@ -252,6 +256,7 @@ def quat_nlerp(a: ArrayLike, b: ArrayLike, weight: ArrayLike) -> Array:
         v = 1 - weight
         return normalized(np.array([ax * v + bx * w, ay * v + by * w, az * v + bz * w, aw * v + bw * w]))
     a, b, w = _floating(a), _floating(b), _floating(weight)[..., None]
+    # the antipode is the same rotation and may be nearer
     b = np.where(np.sum(a * b, axis=-1, keepdims=True) < 0, -b, b)
     return normalized(a * (1 - w) + b * w)
 
@@ -325,10 +330,12 @@ def distance_to_circles(points: Any, headings: Any, circles: Any, *, xp: Any = n
     along, across = gap[..., 0] * x + gap[..., 1] * z, gap[..., 0] * z - gap[..., 1] * x
     radius = circles[..., None, :, 2]
     half = radius * radius - across * across
+    # clipped, because a root of negative numbers is NaN and a warning; such rays are left out below
     near = along - xp.sqrt(half.clip(0.0, None))
     inside = gap[..., 0] ** 2 + gap[..., 1] ** 2 <= radius * radius
     first = xp.where((half > 0.0) & (near > 0.0), near, xp.inf)
     first = xp.where(inside, 0.0, first)
+    # torch's ``min`` along an axis returns places too
     return first.min(-1) if xp is np else first.amin(-1)
 
 
@@ -362,10 +369,12 @@ def sloped_pose(
     heading = np.broadcast_to(np.asarray(heading_rad, np.float64), xz.shape[:-1])
     if length_m <= 0.0:
         return ground_pose(xz, heading, height_at(xz))
+    # z is to the right and a positive heading turns left, hence the minus
     ahead = length_m / 2 * np.stack([np.cos(heading), -np.sin(heading)], -1)
     front, back = height_at(xz + ahead), height_at(xz - ahead)
     out = ground_pose(xz, heading, (front + back) / 2)
     half = np.arctan2(front - back, length_m) / 2
+    # about z, the axis to the right, in the frame of the agent: applied before its heading
     pitch = np.stack([0 * half, 0 * half, np.sin(half), np.cos(half)], -1)
     out[..., 3:] = quat_multiply(out[..., 3:], pitch)
     return out

@@ -284,6 +284,7 @@ def refuse_renamed(module: str) -> Callable[[str], Any]:
 def new_name(module: str) -> str | None:
     """The name that a module of an earlier version has now; None if it has not moved."""
     old = module
+    # from the module outwards: what is inside a package that has moved as a whole has moved with it
     while old and old not in MOVED:
         old = old.rpartition(".")[0]
     return MOVED[old] + module[len(old) :] if old else None

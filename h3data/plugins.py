@@ -38,6 +38,7 @@ REFERENCE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 TRUST_VARIABLE = "H3DATA_TRUST"
 """Environment variable with the trusted modules, commas between: worker processes inherit it."""
 
+# a context variable, not a global: one thread may read a file while another one serves its user
 _FROM_DATA: ContextVar[bool] = ContextVar("names come from data", default=False)
 
 
@@ -77,6 +78,7 @@ def _trusted() -> list[str]:
 def is_trusted(reference: str) -> bool:
     """Returns whether data may name this ``module:name``."""
     module = reference.partition(":")[0]
+    # with the dot: ``my_package`` must not stand for ``my_package_of_somebody_else``
     return any(module == name or module.startswith(f"{name}.") for name in _trusted())
 
 
@@ -154,6 +156,7 @@ def own_entries(group: str) -> dict[str, str]:
 def _is_there(reference: str) -> bool:
     """Returns whether the package of ``module:name`` is installed; a folder without files (a namespace) does not count."""
     spec = importlib.util.find_spec(reference.partition(":")[0].partition(".")[0])
+    # a folder that an uninstallation has left behind is found as a namespace, which has no file
     return spec is not None and spec.origin is not None
 
 
@@ -264,6 +267,7 @@ class Registry(Generic[T]):
         for name, claims in third_party.items():
             if name in self._built_in or len(claims) > 1:
                 warnings.warn(self._conflict(name, claims), PluginWarning, stacklevel=3)
+        # of a contested name nobody gets it: which package wins would depend on the order of folders
         unique = [claims[0] for _, claims in sorted(third_party.items()) if len(claims) == 1]
         return *self._built_in.values(), *(entry for entry in unique if entry.name not in self._built_in)
 
@@ -339,6 +343,7 @@ class Registry(Generic[T]):
                 continue  # came with data, perhaps: a package counts as installed where Python installs packages
             built_in = self._built_in.get(point.name)
             rivals = claims.setdefault(point.name, [])
+            # one object may be announced twice, as where a package is installed in two places
             if point.value not in (other.value for other in (*rivals, *([built_in] if built_in else []))):
                 rivals.append(Plugin(point.name, point.value, package, editable=_is_editable(point.dist)))
         return {name: rivals for name, rivals in claims.items() if rivals}
@@ -392,6 +397,7 @@ class Registry(Generic[T]):
 
 def _is_command() -> bool:
     """Returns whether this process is ``h3data`` on a command line."""
+    # also ``python -m h3data_pipelines.cli``, whose first argument is a file of the package
     return Path(sys.argv[0]).name in ("h3data", "h3data.exe") or "h3data_pipelines" in Path(sys.argv[0]).parts
 
 

@@ -16,7 +16,6 @@ KEY_VARIABLE = "H3DATA_PARTICIPANT_KEY"
 """Environment variable with the path of the key file, to share one key between machines."""
 SHORTEST_KEY = 16
 """Bytes of the shortest accepted key."""
-_NEW_KEY = 32
 
 
 def anonymous_id(person: str, *, key: bytes) -> str:
@@ -30,10 +29,12 @@ def anonymous_id(person: str, *, key: bytes) -> str:
             f"Expected a key of {SHORTEST_KEY} or more random bytes, got {len(key)}. Hint: secrets.token_bytes(32).",
             code="H3-FILE-017",
         )
+    # people write their own name in several ways, and an accent may be one character or two
     text = unicodedata.normalize("NFKC", person).strip().casefold()
     if not text:
         raise InputError("Expected a person's name or e-mail address, got an empty text.", code="H3-FILE-018")
     digest = hmac.new(key, text.encode(), hashlib.sha256).digest()
+    # base 32 has neither lower case nor 0, 1, 8 and 9, so that an id can be read aloud
     return "P-" + base64.b32encode(digest).decode()[:10]
 
 
@@ -71,8 +72,9 @@ def _new_key(path: Path) -> bytes:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_name(f".{path.name}.{os.getpid()}")
+        # the mode comes with the file: changed later, the key could be read in between
         part.touch(mode=0o600)
-        part.write_bytes(secrets.token_bytes(_NEW_KEY))
+        part.write_bytes(secrets.token_bytes(32))
         try:
             os.link(part, path)  # unlike a rename it never replaces the key of another process
         except FileExistsError:

@@ -25,4 +25,5 @@ def bytes_to_linear(srgb: ArrayLike) -> NDArray[np.float64]:
 
 def linear_to_bytes(linear: ArrayLike) -> NDArray[np.uint8]:
     """Return the sRGB bytes nearest to linear light 0..1."""
+    # rounded, so that bytes survive the way to linear light and back
     return np.rint(255 * linear_to_srgb(linear)).astype(np.uint8)

@@ -20,8 +20,6 @@ CODECS: Registry[Callable[..., NDArray[np.uint8]]] = Registry("h3data.gltf_codec
 """Decoders of compressed buffer views, by the extension that describes them."""
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-_MAX_ZEROS = 1 << 20
-"""Limit of elements of an accessor without a buffer view, which is all zeros: a tiny file must not allocate gigabytes."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +40,8 @@ class GltfArrays:
         dtype = _component(record, where)
         if "bufferView" in record:
             array = self._strided(record, where, dtype, count, width)
-        elif count > _MAX_ZEROS:
+        # without a view all is zero, and a tiny file must not allocate gigabytes
+        elif count > 1 << 20:
             raise ValueError(f"{where}.count is {count} without a bufferView")
         else:
             array = np.zeros((count, width), dtype)
@@ -55,6 +54,7 @@ class GltfArrays:
         array = self.accessor(index)
         if array.dtype.kind == "f" or not entry(self.document, "accessors", index).get("normalized"):
             return array.astype(np.float32, copy=False)
+        # signed integers reach one step below -1 (-128 / 127)
         return np.maximum(array.astype(np.float32) / np.iinfo(array.dtype).max, np.float32(-1))
 
     def view(self, index: object) -> memoryview:
@@ -63,6 +63,7 @@ class GltfArrays:
         packed = record.get("extensions")
         if isinstance(packed, dict) and MESHOPT in packed:
             assert isinstance(index, int)  # `entry` has checked it
+            # several accessors share a view, which is unpacked once
             if index not in self._unpacked:
                 self._unpacked[index] = self._unpack(packed[MESHOPT], f"{where}.extensions.{MESHOPT}")
             return self._unpacked[index]
@@ -103,6 +104,7 @@ class GltfArrays:
                 f"{where}.count is {count}: bytes {start}..{end} of bufferViews[{record['bufferView']}], "
                 f"which has {len(data)}"
             )
+        # packed densely, which most files are: no copy
         if stride == size:
             return np.frombuffer(data, dtype, count * width, start).reshape(count, width)
         if not count:
@@ -121,6 +123,7 @@ class GltfArrays:
         index = self._strided(places, f"{where}.indices", kind, count, 1)[:, 0]
         if count and index.max() >= len(array):
             raise ValueError(f"{where}.indices go up to {index.max()}, there are {len(array)} elements")
+        # it may be a view of the file's bytes
         array = array.copy()
         array[index] = self._strided(values, f"{where}.values", array.dtype, count, array.shape[1])
         return array
@@ -140,6 +143,7 @@ def entry(document: dict[str, Any], key: str, index: object) -> dict[str, Any]:
 def natural(record: dict[str, Any], key: str, where: str, default: int | None = None) -> int:
     """The non-negative integer ``record[key]``."""
     value = record.get(key, default)
+    # Python counts True as an integer, JSON does not
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
         raise ValueError(f"{where}.{key} is {value!r}, not a non-negative integer")
     return value

@@ -19,7 +19,6 @@ FLOAT32, UINT32, UINT16, INT16, UINT8 = 5126, 5125, 5123, 5122, 5121
 VERTICES, INDICES = 34962, 34963
 """``target`` of a buffer view."""
 
-_INDEX_TYPES = {UINT16: "<u2", UINT32: "<u4"}
 _MAGIC, _JSON, _BIN = b"glTF", b"JSON", b"BIN\x00"
 
 
@@ -38,6 +37,7 @@ class GlbChunk:
     def view(self, data: bytes, **more: Any) -> int:
         """Appends bytes; returns the index of their view."""
         self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": len(data), **more})
+        # glTF wants views to begin at multiples of the size of their components, which is 4 at most
         padded = data + bytes(-len(data) % 4)
         self.parts.append(padded)
         self.size += len(padded)
@@ -59,7 +59,8 @@ class GlbChunk:
 
     def triangles(self, faces: NDArray[Any], component: int = UINT32) -> int:
         """Appends vertex indices of triangles; returns their accessor."""
-        return self.array(faces.astype(_INDEX_TYPES[component]).ravel(), "SCALAR", component, INDICES)
+        kind = {UINT16: "<u2", UINT32: "<u4"}[component]
+        return self.array(faces.astype(kind).ravel(), "SCALAR", component, INDICES)
 
     def image(self, pixels: NDArray[np.uint8], name: str, *, gray: bool) -> dict[str, Any]:
         """Appends texels [H, W, 4] as PNG; returns the image's record."""
@@ -111,6 +112,7 @@ def pack_glb(document: Mapping[str, Any], chunk: GlbChunk) -> bytes:
         TypeError, ValueError: the document is not plain JSON, or has numbers that are not finite.
     """
     text = json.dumps(document, allow_nan=False, ensure_ascii=False, separators=(",", ":")).encode()
+    # chunks end at multiples of 4 bytes: JSON with spaces, data with zeros (glTF 2.0, 4.4.3)
     chunks = [(_JSON, text + b" " * (-len(text) % 4))]
     if chunk.size:
         chunks.append((_BIN, b"".join(chunk.parts)))
@@ -152,6 +154,7 @@ def unpack_glb(data: bytes, where: str, *, what: str = "a GLB") -> tuple[dict[st
             raise FormatError(
                 f"Damaged GLB: chunk {kind!r} of {size} bytes runs past its end. File: {where}", code="H3-MESH-006"
             )
+        # the first of each kind; chunks of unknown kinds are passed over, as the specification asks of readers
         chunks.setdefault(kind, view[at + 8 : at + 8 + size])
         at += 8 + size
     try:

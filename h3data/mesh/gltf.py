@@ -45,8 +45,6 @@ _KNOWN_EXTENSIONS = {
 """Extensions that are read or do not change the picture. Quantised vertices are plain accessors of integers."""
 _ONLY_PAINT = re.compile(r"^[A-Z]+_(materials|texture|lights|image|xmp|animation)(_|$)")
 """Extensions that change no triangle, by their names: files that require them are read without them."""
-_SHOWN_WHOLE = {"MAGNUMX_mesh_views"}
-"""Extensions of Habitat's batch files, which cut one mesh into several: it is shown whole, with a warning."""
 
 
 class GltfFile:
@@ -78,6 +76,7 @@ class GltfFile:
     def _buffer(self, index: int) -> memoryview:
         if index not in self._buffers:
             record = entry(self.document, "buffers", index)
+            # only the first buffer may be the binary chunk of a GLB (glTF 2.0, 4.4.3.3)
             data = memoryview(self._resource(record["uri"])) if "uri" in record else self._binary
             if "uri" not in record and index != 0:
                 raise ValueError(f"buffers[{index}] has no uri")
@@ -108,12 +107,14 @@ class GltfFile:
         """
         ordered: list[tuple[int, int, NDArray[np.float64]]] = []
         visited: set[int] = set()
+        # a stack instead of recursion, which a file with a long chain of nodes would exhaust
         waiting = [(index, -1) for index in reversed(self._roots())]
         while waiting:
             index, parent = waiting.pop()
             record = entry(self.document, "nodes", index)
             if index in visited:
                 raise ValueError(f"nodes[{index}] has two parents or is its own ancestor")
+            # a second visit would also never end, where a node is its own ancestor
             visited.add(index)
             matrix = local_matrix(record, f"nodes[{index}]")
             ordered.append((index, parent, ordered[parent][2] @ matrix if parent >= 0 else matrix))
@@ -221,6 +222,7 @@ class GltfFile:
         """Every primitive in the scene, once per node, with its 4x4 matrix and the node's skin (None: no skin)."""
         placed = self._placed_meshes()
         meshes = {node["mesh"] for node, _ in placed}
+        # from the counts of accessors, before anything is read: a few bytes can instance a mesh a million times
         counts = {mesh: sum(triangle_count(self.arrays, *p) for p in self._primitives(mesh)) for mesh in meshes}
         total = sum(counts[node["mesh"]] for node, _ in placed)
         if total > MAX_TRIANGLES:
@@ -268,6 +270,7 @@ class GltfFile:
             raise ValueError(f"JOINTS_0 goes up to {which.max()}, skins[{skin}] has {len(joints)} joints")
         bones = np.stack([self._world(joint) @ bind for joint, bind in zip(joints, inverse_bind, strict=True)])
         total = weights.astype(np.float64).sum(1)
+        # weights of exporters rarely add up to 1 exactly
         held = np.isfinite(total) & (total > 0)
         shares = np.where(held[:, None], weights / np.where(held, total, 1)[:, None], 0)
         blended = np.zeros((len(weights), 3, 4))
@@ -278,6 +281,7 @@ class GltfFile:
         vertices = np.einsum("vij,vj->vi", linear, part.vertices.astype(np.float64)) + blended[:, :, 3]
         normals, faces = part.normals, part.faces
         if normals is not None:
+            # the cofactor matrix turns normals under any scale, also of zero, and changes its sign with a mirror
             cofactors = np.cross(linear[:, [1, 2, 0]], linear[:, [2, 0, 1]])
             turned = np.einsum("vij,vj->vi", cofactors, np.nan_to_num(normals.astype(np.float64)))
             normals = normalized(turned * np.sign(np.linalg.det(linear))[:, None]).astype(np.float32)
@@ -302,7 +306,8 @@ def _check_extensions(required: Any, path: Path) -> None:
             f"its triangles are compressed ({packed[0]}), which is not read. Hint: gltfpack -noq -i IN -o OUT.glb",
             code="H3-MESH-009",
         )
-    shapes = [name for name in unknown if name not in _SHOWN_WHOLE and not _ONLY_PAINT.match(name)]
+    # Habitat's batch files cut one mesh into several by MAGNUMX_mesh_views: it is shown whole, with a warning
+    shapes = [name for name in unknown if name != "MAGNUMX_mesh_views" and not _ONLY_PAINT.match(name)]
     if shapes:
         raise SceneError(
             f"it requires the glTF extension {', '.join(shapes)}, which is not read. Hint: export it without this extension",
@@ -314,9 +319,11 @@ def _check_extensions(required: Any, path: Path) -> None:
 
 def local_matrix(node: dict[str, Any], where: str) -> NDArray[np.float64]:
     """Matrix [4, 4] of a node in its parent's frame."""
+    # stored by columns
     if "matrix" in node:
         return _numbers(node, "matrix", 16, where).reshape(4, 4).T
     matrix = np.eye(4)
+    # files round quaternions, and a length of 1.0001 would scale the mesh
     rotation = normalized(_numbers(node, "rotation", 4, where, (0, 0, 0, 1)))
     matrix[:3, :3] = quat_to_matrix(rotation) * _numbers(node, "scale", 3, where, (1, 1, 1))
     matrix[:3, 3] = _numbers(node, "translation", 3, where, (0, 0, 0))

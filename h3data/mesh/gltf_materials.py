@@ -18,7 +18,6 @@ from h3data.mesh.mesh import Texture
 _log = logging.getLogger(__name__)
 
 _ALPHA_MODES: Mapping[str, Alpha] = {"OPAQUE": "OPAQUE", "MASK": "MASK", "BLEND": "BLEND"}
-_IMAGE_EXTENSIONS = ("EXT_texture_webp", "KHR_texture_basisu", "KHR_texture_ktx")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,6 +84,7 @@ class GltfMaterials:
 
     def _texture(self, info: dict[str, Any], where: str, alpha: Alpha, cutoff: float, opacity: float) -> Texture | None:
         fault = f"{where} names no image"
+        # files may give an image twice, plain and compressed: the first that can be read is taken
         for index in self._sources(info):
             try:
                 data = self._image(index)
@@ -104,7 +104,8 @@ class GltfMaterials:
         """Images that hold a texture, the plain one first."""
         texture = entry(self._document, "textures", info.get("index"))
         extensions = texture.get("extensions", {})
-        records = [texture, *(extensions[name] for name in _IMAGE_EXTENSIONS if name in extensions)]
+        kinds = ("EXT_texture_webp", "KHR_texture_basisu", "KHR_texture_ktx")
+        records = [texture, *(extensions[name] for name in kinds if name in extensions)]
         return [r["source"] for r in records if "source" in r]
 
     def _image(self, index: int) -> bytes | memoryview:
@@ -120,6 +121,7 @@ class GltfMaterials:
     def _largest_side(self) -> int:
         """Largest side [px] of images, chosen so that all base colour textures fit into memory."""
         if self._side is None:
+            # of base colours alone: normal maps and the like are never decoded
             wanted = set()
             for material in self._document.get("materials", []):
                 info = _base_color(material)[1]
@@ -136,6 +138,7 @@ class GltfMaterials:
 
 def _base_color(material: dict[str, Any]) -> tuple[list[float] | None, dict[str, Any] | None]:
     """Factor and texture of a material, metallic-roughness or the older specular-glossiness."""
+    # before metallic-roughness, which files with this extension give for readers that do not know it
     older = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
     if older is not None:
         return older.get("diffuseFactor"), older.get("diffuseTexture")

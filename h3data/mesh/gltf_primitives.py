@@ -85,6 +85,7 @@ def read_primitive(
         if len(values) != len(position):
             raise ValueError(f"{where}.attributes.{name} has {len(values)} elements, POSITION {len(position)}")
     attributes = _morphed(arrays, attributes, primitive.get("targets", []), weights, where)
+    # exporters share one large accessor among primitives, each of which uses a part of it
     corners = _triangles(order, len(position), primitive.get("mode", 4), where)
     used, faces = _compact(corners, len(position))
     attributes = {name: values[used] for name, values in attributes.items()}
@@ -106,6 +107,7 @@ def _morphed(
                 if added.shape != found[name].shape:
                     raise ValueError(f"{where}.targets[{k}].{name} has another shape than {name}")
                 found[name] = found[name] + np.float32(weight) * added
+    # targets add differences, after which normals have other lengths
     if found.get("NORMAL") is not attributes.get("NORMAL"):
         found["NORMAL"] = normalized(found["NORMAL"].astype(np.float64)).astype(np.float32)
     return found
@@ -136,6 +138,7 @@ def _triangles(order: NDArray[Any] | None, count: int, mode: int, where: str) ->
         raise ValueError(f"{where}.indices go from {order.min()} to {order.max()}, there are {count} vertices")
     if mode == _STRIP and len(order) > 2:
         faces = np.stack([order[:-2], order[1:-1], order[2:]], -1)
+        # every second triangle of a strip is wound the other way round
         faces[1::2] = faces[1::2, [1, 0, 2]]
     elif mode == _FAN and len(order) > 2:
         faces = np.stack([np.full(len(order) - 2, order[0]), order[1:-1], order[2:]], -1)
@@ -174,7 +177,9 @@ def _painted(
             raise ValueError(f"{where}.attributes.TEXCOORD_{look.uv_set} is not an accessor of VEC2")
         if look.uv_transform is not None:
             uv = uv @ look.uv_transform[:, :2].T + look.uv_transform[:, 2]
+        # coordinates without sense show some texel, which is better than refusing the file
         uv = np.nan_to_num(uv.astype(np.float32), posinf=0, neginf=0)
+        # a palette that is see-through must stay a texture, since vertex colours have no opacity
         solid = look.alpha == "OPAQUE" or (nearest_texels(texture, uv)[:, 3] == 255).all()
         if solid and (uv[faces] == uv[faces[:, :1]]).all():  # a palette: every triangle sees one texel
             texel = bytes_to_linear(nearest_texels(texture, uv)[:, :3])
@@ -205,6 +210,7 @@ def _see_through(
     seen = alpha[faces.ravel()]
     if (seen >= 1).all():
         return None, None
+    # the centre of the texel with this opacity
     u = (alpha * 255 + 0.5) / 256
     return _white_ramp(), np.column_stack([u, np.full(count, 0.5)]).astype(np.float32)
 
@@ -229,6 +235,7 @@ def _colors(linear: NDArray[Any] | None, look: Look | None, count: int) -> NDArr
 def nearest_texels(texture: Texture, uv: NDArray[Any]) -> NDArray[np.uint8]:
     """Texels [V, 4] at texture coordinates [V, 2], which repeat outside 0..1."""
     height, width = texture.pixels.shape[:2]
+    # the remainder of a tiny negative number is rounded to 1.0
     column = np.minimum((uv[:, 0] % 1.0 * width).astype(int), width - 1)
     row = np.minimum((uv[:, 1] % 1.0 * height).astype(int), height - 1)
     return texture.pixels[row, column]
@@ -250,6 +257,7 @@ def _unpacked(
         if _used(name):
             values = np.asarray(mesh.get_attribute_by_unique_id(unique_id)["data"])
             if entry(arrays.document, "accessors", accessors[name]).get("normalized") and values.dtype.kind in "iu":
+                # as `GltfArrays.floats` does: Draco hands out integers as they are stored
                 values = np.maximum(values / np.iinfo(values.dtype).max, -1)
             found[name] = values.astype(np.float32)
     return found, np.asarray(mesh.faces).astype(np.uint32).ravel()

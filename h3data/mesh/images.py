@@ -24,7 +24,6 @@ MAX_SIDE_PX = 2048
 """Larger images are reduced by 2, 4, ... until they fit: more detail than a picture of a room shows, at 16 MiB each."""
 MAX_FILE_PX = 1 << 27
 """Limit of texels in all images of one file (512 MiB): beyond it, the largest are reduced until they fit."""
-_BAND_PX = 1 << 20
 
 _KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"
 
@@ -78,6 +77,7 @@ def image_texture(
     Raises:
         SceneError: the image cannot be read; the message is the reason alone.
     """
+    # what does not matter is left out of the key, so that more files share a texture
     key = (hashlib.sha256(data).digest(), side, alpha)
     key += (cutoff if alpha == "MASK" else 0.0, opacity if alpha != "OPAQUE" else 1.0)
     texture = _textures.get(key)
@@ -111,7 +111,8 @@ def reduced(pixels: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
     while -(-height // divisor) != rows or -(-width // divisor) != columns:
         divisor *= 2
     out = np.empty((rows, columns, 4), np.uint8)
-    band = max(_BAND_PX // (width * divisor), 1)
+    # in bands of about a million texels: in float32 the whole image would take four times its memory
+    band = max((1 << 20) // (width * divisor), 1)
     for start in range(0, rows, band):
         part = pixels[start * divisor : (start + band) * divisor]
         opacity = part[..., 3:].astype(np.float32) / 255
@@ -149,6 +150,7 @@ def _pixels(picture: Any, side: int) -> NDArray[np.uint8]:
     """RGBA texels [H, W, 4] of a Pillow image; a JPEG that is too large is reduced while it is decoded."""
     try:
         width, height = picture.size
+        # has no effect on other formats than JPEG
         picture.draft("RGB", reduced_size(width, height, side))
         if picture.mode.startswith("I"):  # 16 bits
             gray = (np.asarray(picture).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
@@ -167,6 +169,7 @@ def _ktx2_pixels(data: bytes | memoryview, side: int) -> NDArray[np.uint8]:
     width, height = image_size(data)
     try:
         texture = opengl_basisu.open(bytes(data))
+        # a coarser level of the file itself, which costs nothing, instead of reducing the finest
         level = 0
         while level + 1 < texture.levels and max(width, height) >> level > side:
             level += 1

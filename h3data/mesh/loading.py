@@ -108,6 +108,7 @@ def _node_box(file: GltfFile) -> NDArray[np.float64]:
     nothing = np.zeros((0, 3))
     if not file.nodes:
         return _box_around([_bounds(part) for part, _ in file.parts()])
+    # boxes of boxes, as habitat-sim has them, and not the box of all points: its objects are placed by the centre
     inside: list[list[NDArray[np.float64]]] = [[] for _ in file.nodes]
     outermost = []
     for at in range(len(file.nodes) - 1, -1, -1):  # children before parents
@@ -202,6 +203,7 @@ def _load_cached(path: str, mtime_ns: int, up: Vector3, front: Vector3, units_m:
 
 def unreadable(fault: Exception, path: Path) -> SceneError:
     """The error for a file whose reader failed with ``fault``."""
+    # a message that already names the file is whole
     if str(path) in str(fault):
         return SceneError(str(fault), code=fault.code if isinstance(fault, H3DataError) else "")
     plain = isinstance(fault, ValueError | SceneError) and str(fault)
@@ -215,6 +217,7 @@ def _placed(part: Mesh | PlainMesh, matrix: NDArray[np.float64]) -> Mesh:
     """A part moved by a 4x4 matrix; a mirrored one is turned right side out again."""
     linear, faces = matrix[:3, :3], part.faces
     mirrored = np.linalg.det(linear) < 0
+    # a mirror turns the order of corners round, by which the outside is known
     if mirrored:
         faces = faces[:, ::-1]
     textures = part.textures if isinstance(part, Mesh) else (() if part.texture is None else (part.texture,))

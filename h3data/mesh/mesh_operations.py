@@ -18,6 +18,7 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
         return meshes[0]
     starts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
     normals = [m.normals for m in meshes if m.normals is not None]
+    # by identity and in the order of first use: meshes share textures as objects
     textures = tuple({id(t): t for m in meshes for t in m.textures}.values())
     return Mesh(
         vertices=np.concatenate([m.vertices for m in meshes]),
@@ -76,7 +77,9 @@ def moved(mesh: Mesh, matrix: Array, scale: Sequence[float] = (1.0, 1.0, 1.0)) -
     rotation = matrix[:3, :3]
     normals = mesh.normals
     if normals is not None:
+        # the inverse transpose of a scale divides
         normals = normalized((normals / stretch) @ rotation.T).astype(np.float32)
+    # an odd number of mirrors turns the surface inside out
     faces = mesh.faces if np.prod(stretch) > 0 else mesh.faces[:, ::-1]
     vertices = (mesh.vertices * stretch) @ rotation.T + matrix[:3, 3]
     return replace(mesh, vertices=vertices.astype(np.float32), faces=np.ascontiguousarray(faces), normals=normals)

@@ -23,6 +23,7 @@ def png_bytes(pixels: NDArray[np.uint8], *, gray: bool = True) -> bytes:
     gray = gray and bool((pixels[..., :1] == pixels[..., 1:3]).all())
     opaque = bool((pixels[..., 3] == 255).all())
     channels = ([0] if gray else [0, 1, 2]) + ([] if opaque else [3])
+    # Pillow knows an image of one channel by its two axes
     kept = np.ascontiguousarray(pixels[..., channels[0]] if len(channels) == 1 else pixels[..., channels])
     file = io.BytesIO()
     Image.fromarray(kept).save(file, format="PNG", compress_level=3)

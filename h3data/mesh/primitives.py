@@ -14,11 +14,6 @@ from h3data.geometry import Array, normalized
 from h3data.mesh.loading import DEFAULT_COLOR
 from h3data.mesh.mesh import Mesh
 
-_FINEST = 256
-"""Limit of rings and segments: a name in a file must not decide how much memory is allocated."""
-
-_LONGEST = 1e6
-
 _NAME = re.compile(r"^(cube|capsule3D|cylinder|cone|uvSphere|icosphere)(Solid|Wireframe)(_|$)")
 
 
@@ -43,7 +38,8 @@ def primitive_mesh(name: str) -> Mesh:
     kind, style, _ = match.groups()
     if style == "Wireframe":
         return _mesh(np.zeros((0, 3)), np.zeros((0, 3)))
-    segments, half = _count(name, "segments", 12, least=3), min(_number(name, "halfLen", 1.0), _LONGEST)
+    # limited, as a length that float32 cannot hold would make a mesh of infinities
+    segments, half = _count(name, "segments", 12, least=3), min(_number(name, "halfLen", 1.0), 1e6)
     rings = _count(name, "rings", 1)
     if kind == "cube":
         return box_mesh((1, 1, 1))
@@ -79,6 +75,7 @@ def capsule_mesh(start: ArrayLike, end: ArrayLike, radius: float, *, color: Sequ
     a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
     length = float(np.linalg.norm(b - a))
     axis = (b - a) / length if length > 0 else np.array([0.0, 1.0, 0.0])
+    # any direction across, but not one along the axis, whose cross product would vanish
     side = np.cross(axis, [1.0, 0, 0] if abs(axis[0]) < 0.9 else [0, 0, 1.0])
     side /= np.linalg.norm(side)
     rotation = np.stack([side, axis, np.cross(side, axis)], axis=1)
@@ -118,7 +115,8 @@ def round_mesh(
 
 
 def _count(name: str, key: str, default: int, *, least: int = 1) -> int:
-    return int(min(max(_number(name, key, default), least), _FINEST))
+    # at most 256: a name in a file must not decide how much memory is allocated
+    return int(min(max(_number(name, key, default), least), 256))
 
 
 def _number(name: str, key: str, default: float) -> float:
@@ -161,6 +159,7 @@ def _icosphere(subdivisions: int) -> Mesh:
     """Magnum's icosahedron, each triangle split into four ``subdivisions`` times and pushed out to radius 1."""
     from scipy.spatial import ConvexHull
 
+    # edges of an icosahedron in the unit sphere: 1 and the golden ratio, scaled to length 1
     s, l = 0.525731112119133606, 0.850650808352039932
     base = np.array([(0, a * s, b * l) for a in (1, -1) for b in (1, -1)])
     points = np.concatenate([base, base[:, [2, 0, 1]], base[:, [1, 2, 0]]])
@@ -174,6 +173,7 @@ def _icosphere(subdivisions: int) -> Mesh:
         a, b, c = faces.T
         faces = np.concatenate([np.stack(t, -1) for t in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))])
     corners = points[faces]
+    # the hull gives its triangles in any order of corners
     inside_out = np.sum(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) * corners[:, 0], -1) < 0
     faces[inside_out] = faces[inside_out][:, ::-1]
     return _mesh(points, faces, normals=points)

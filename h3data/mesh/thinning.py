@@ -32,6 +32,7 @@ def thin_mesh(mesh: Mesh, max_vertices: int) -> ThinMesh:
     lo, hi = mesh.bounds
     fine, coarse = 0.0, float((hi - lo).max()) + 1e-6
     best = _cluster(mesh, lo, coarse)
+    # 14 halvings leave a 16,000th of the mesh's size, after which the number of cells hardly changes
     for _ in range(14):
         size = (fine + coarse) / 2
         cells = _cluster(mesh, lo, size)
@@ -48,6 +49,7 @@ def thin_mesh(mesh: Mesh, max_vertices: int) -> ThinMesh:
 def _cluster(mesh: Mesh, origin: NDArray[np.float32], size: float) -> NDArray[np.int64]:
     """Index of each vertex's grid cell among the occupied cells, shape [V]."""
     cell = np.floor((mesh.vertices - origin) / size).astype(np.int64)
+    # 20 bits for each axis in one key of 64
     cell = np.minimum(cell, (1 << 20) - 1)
     key = (cell[:, 0] << 40) | (cell[:, 1] << 20) | cell[:, 2]
     return np.unique(key, return_inverse=True)[1].reshape(-1)

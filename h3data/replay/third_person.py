@@ -24,7 +24,7 @@ from h3data.replay.sight import Fan, Sight
 BOOM_M = 2.6
 """Distance from the agent if there is enough space."""
 NEAREST_M = 1.0
-"""Smallest distance; if even that is obstructed, obstacles are cut away by the near plane (`CameraTrack.nears`)."""
+"""Smallest distance; if even that is obstructed, things are cut away by the near plane (`CameraTrack.nears`)."""
 CLOSE_M = 1.6
 """Distance below which other directions are preferred [m]."""
 PIVOT_M = {"robot": 0.55, "human": 1.25}
@@ -55,7 +55,7 @@ def third_person(replay: Replay, leader: int | None = None, *, width: int = 640,
 
     Positions are optimised for the whole recording at once, by dynamic programming over directions: a long free line of
     sight, the other agent visible, preferably from behind, and little turning. The followed agent is visible at every
-    step.
+    step but for those at which another one walks through the line of sight.
 
     Args:
         replay: recording to film.
@@ -214,7 +214,9 @@ def _follow(
     hidden = np.maximum(length - free, 0.0)
     for row in wanted:
         obstacle = float(_first_body(pivot[row], direction[[row]], length[[row]], bodies[row])[0])
-        if 0 < obstacle < length[row]:
+        # A near plane is as good as a body that stands around the eye. Farther ahead it would leave a foot below it and cut
+        # a strip out of the floor, so somebody who walks by there is left whole and hides the agent for a moment.
+        if length[row] - 2 * BODY_M < obstacle < length[row]:
             hidden[row] = max(hidden[row], length[row] - obstacle)
     return poses, (hidden * np.einsum("ti,ti->t", view, -direction))[wanted]
 

@@ -45,17 +45,20 @@ if TYPE_CHECKING:
     from h3data.scene.scene_file import load_scene, save_scene
     from h3data.scene.scene_json import scene_digest
 
-_MODULES = {
-    "h3data.mesh.mesh": "Mesh Texture",
-    "h3data.scene.articulation": "joint_names opened posed",
-    "h3data.scene.freespace.free_space": "FreeSpace",
-    "h3data.scene.kinds": "CATEGORIES",
-    "h3data.scene.records": "Articulation Asset Box Capsule Cylinder Hull Instance Joint LightSource Part "
-    "Ramp Receptacle Room Scene Shape instance_bounds instance_matrix",
-    "h3data.scene.scene_file": "load_scene save_scene",
-    "h3data.scene.scene_json": "scene_digest",
+_MODULE_OF = {
+    name: module
+    for module, names in {
+        "h3data.mesh.mesh": "Mesh Texture",
+        "h3data.scene.articulation": "joint_names opened posed",
+        "h3data.scene.freespace.free_space": "FreeSpace",
+        "h3data.scene.kinds": "CATEGORIES",
+        "h3data.scene.records": "Articulation Asset Box Capsule Cylinder Hull Instance Joint LightSource Part "
+        "Ramp Receptacle Room Scene Shape instance_bounds instance_matrix",
+        "h3data.scene.scene_file": "load_scene save_scene",
+        "h3data.scene.scene_json": "scene_digest",
+    }.items()
+    for name in names.split()
 }
-_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names.split()}
 
 __all__ = [
     "CATEGORIES",

@@ -51,6 +51,7 @@ class SceneJoints:
         Raises:
             InputError: there is none of this name.
         """
+        # the first few names only: a home may have very many drawers
         if name not in self.names:
             some = f"It has: {', '.join(self.names[:12])}." if self.names else "Nothing in it opens."
             raise InputError(f"The scene has no joint {name!r}. {some}", code="H3-SCENE-002")
@@ -72,6 +73,7 @@ class SceneJoints:
         positions = np.asarray(positions, np.float64)
         out = np.empty((*positions.shape, 4, 4))
         first = 0
+        # thing by thing, because each has a frame of its own; parents come before their parts (`Articulation.parts`)
         for thing in dict.fromkeys(thing for thing, _ in self.parts):
             frame = pose_to_matrix(np.asarray(thing.pose, np.float64))
             back = np.linalg.inv(frame)
@@ -89,12 +91,14 @@ class SceneJoints:
 def _displacement(part: Part, by: NDArray[np.float64]) -> NDArray[np.float64]:
     """Matrices [..., 4, 4] in the frame of the thing, of a joint that has moved ``by`` [...] from its rest position."""
     joint = part.joint
+    # an identity for each, filled in by hand because ``np.eye`` makes one only
     out = np.zeros((*by.shape, 4, 4))
     out[..., [0, 1, 2, 3], [0, 1, 2, 3]] = 1.0
     if joint.kind == "prismatic":
         out[..., :3, 3] = by[..., None] * joint.axis
         return out
     x, y, z = joint.axis
+    # Rodrigues' formula; the axis is a unit vector (`Joint`)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     sin, cos = np.sin(by)[..., None, None], np.cos(by)[..., None, None]
     turn = np.eye(3) + sin * cross + (1 - cos) * (cross @ cross)
@@ -161,23 +165,24 @@ def posed(scene: Scene, positions: ArrayLike | Mapping[str, float]) -> Scene:
         wanted = given
     if not np.isfinite(wanted).all():
         raise InputError("Positions of joints must be finite.", code="H3-SCENE-001")
+    # the same object, so that what has been computed of the scene is found again
     if np.array_equal(wanted, joints.rest):
         return scene
     motions = joints.motions(wanted)
     moves = (motions != np.eye(4)).any((-1, -2)).tolist()
     owner = {name: k for name, k in joints.owner.items() if moves[k]}
-    instances = tuple(_moved(i, motions[owner[i.name]]) if i.name in owner else i for i in scene.instances)
-    return replace(scene, instances=instances, articulations=_at_rest(scene, wanted, motions))
+    instances = list(scene.instances)
+    for number, instance in enumerate(instances):
+        # what stays keeps its pose to the last bit, which a way through matrices would not
+        if instance.name in owner:
+            matrix = motions[owner[instance.name]] @ pose_to_matrix(np.asarray(instance.pose, np.float64))
+            instances[number] = replace(instance, pose=pose_from_matrix(matrix).astype(np.float64))
+    return replace(scene, instances=tuple(instances), articulations=_at_rest(scene, wanted, motions))
 
 
 def opened(scene: Scene) -> Scene:
     """Return the scene with everything open that can be opened."""
     return posed(scene, joints_of(scene).opened)
-
-
-def _moved(instance: Instance, motion: NDArray[np.float64]) -> Instance:
-    matrix = motion @ pose_to_matrix(np.asarray(instance.pose, np.float64))
-    return replace(instance, pose=pose_from_matrix(matrix).astype(np.float64))
 
 
 def _at_rest(scene: Scene, positions: NDArray[np.float64], motions: NDArray[np.float64]) -> tuple[Articulation, ...]:
@@ -198,6 +203,7 @@ def _at_rest(scene: Scene, positions: NDArray[np.float64], motions: NDArray[np.f
                 axis=carried[:3, :3] @ part.joint.axis,
                 origin=carried[:3, :3] @ part.joint.origin + carried[:3, 3],
                 rest=rest,
+                # a recorded position may lie beyond the limits, but a rest position may not (`Joint`)
                 lower=min(part.joint.lower, rest),
                 upper=max(part.joint.upper, rest),
             )
@@ -223,6 +229,7 @@ def rests_on(
     local = transform_points(np.linalg.inv(matrix), np.asarray(feet, np.float64))
     found = np.zeros(len(local), np.bool_)
     for receptacle in asset.receptacles:
+        # a shelf is as high as its clearance: what lies higher above it lies on another one
         gap = local - receptacle.center
         over = (gap[:, 1] > -ON_M) & (gap[:, 1] < max(ON_M, min(receptacle.clearance_m, STACK_M)))
         found |= over & (np.abs(gap[:, [0, 2]]) <= receptacle.half_size + ON_M).all(1)
@@ -254,7 +261,9 @@ def handle_points(scene: Scene) -> NDArray[np.float64]:
             outward = axis * np.sign(part.joint.opened - part.joint.closed)
         else:
             outward = (low + high) / 2 - (frame[:3, :3] @ part.joint.origin + frame[:3, 3])
+            # away from the hinge, not along it
             outward -= axis * (axis @ outward)
+        # by the largest component, so that the point lies on a side of the box and not inside it
         outward /= max(float(np.abs(outward).max()), 1e-9)
         out[k] = (low + high) / 2 + outward * (high - low) / 2
     return out

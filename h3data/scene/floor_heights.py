@@ -26,11 +26,13 @@ LEVEL: NDArray[np.float64] = np.zeros((0, COLUMNS))
 def room_heights(rooms: Iterable[Room]) -> NDArray[np.float64]:
     """The table of heights [K, 10] of rooms that stairs join; `LEVEL` if there are no stairs."""
     rooms = tuple(rooms)
+    # rooms at several heights without stairs are separate floors, of which an agent stays on one
     if all(room.ramp is None for room in rooms):
         return LEVEL
     rows = []
     for room in rooms:
         ramp = room.ramp
+        # a room without a ramp has equal heights at both ends, which lie 0 to 1 so that nothing divides by zero
         tail = (
             (room.floor_y, 0, 0.0, 1.0, 0)
             if ramp is None
@@ -57,6 +59,7 @@ def _nearest(heights, x, z):
         far = dx * dx + dz * dz
         if far < least:
             best, least = k, far
+            # inside, and nothing is nearer
             if far == 0.0:
                 break
     return best
@@ -72,6 +75,7 @@ def height_at(heights, floor_y, x, z):
     if low == high:
         return low
     along = x if heights[k, AXIS] == 0.0 else z
+    # clipped: beyond its ends a stairwell has level landings
     share = (along - heights[k, START]) / (heights[k, END] - heights[k, START])
     return low + (high - low) * min(max(share, 0.0), 1.0)
 
@@ -146,6 +150,7 @@ def _off_risers(heights, points, gap):
         if k < 0:
             continue
         going = (heights[k, END] - heights[k, START]) / heights[k, STEPS]
+        # away from the lower riser, then from the upper one, which wins where a tread is too short for both
         to = place
         if tread > 0:
             to = max(to, tread - 0.5 + gap / abs(going))

@@ -45,13 +45,19 @@ class Kind(msgspec.Struct, frozen=True, kw_only=True, eq=False, forbid_unknown_f
     """Model from which the generator of homes makes it, as JSON; empty for kinds that functions of the generator make."""
 
 
-def _read_catalogue() -> dict[str, Kind]:
-    files = sorted((builtin_root() / "kinds").glob("*.json"))
-    kinds = [kind for file in files for kind in msgspec.json.decode(file.read_bytes(), type=list[Kind])]
-    return {kind.name: kind for kind in sorted(kinds, key=lambda kind: kind.semantic_id)}
-
-
-KINDS: Mapping[str, Kind] = MappingProxyType(_read_catalogue())
+KINDS: Mapping[str, Kind] = MappingProxyType(
+    {
+        kind.name: kind
+        for kind in sorted(
+            (
+                kind
+                for file in sorted((builtin_root() / "kinds").glob("*.json"))
+                for kind in msgspec.json.decode(file.read_bytes(), type=list[Kind])
+            ),
+            key=lambda kind: kind.semantic_id,
+        )
+    }
+)
 """All kinds by semantic class, in the order of their ids: 1-99 the building and homes of the first generation, 100-199
 furniture, from 200 things."""
 CATEGORIES: Mapping[str, int] = MappingProxyType(
@@ -67,6 +73,7 @@ def categories_of(scene: Scene) -> list[str]:
     For homes these are the classes of their generation, with those of stairs where there are several storeys; for all other
     scenes those of the first generation.
     """
+    # scenes of other makers get ids from the first generation, by the names of their categories
     home = scene.source if scene.source.get("kind") == "home" else {}
     generation, storeys = home.get("generation", 1), home.get("storeys", 1)
     return [kind.name for kind in KINDS.values() if kind.generation <= generation and kind.storeys <= storeys]
@@ -76,6 +83,7 @@ def grasp_point_in(grasp: Grasp, bounds: NDArray[np.float64]) -> NDArray[np.floa
     """Point that a hand takes hold of in a thing with this box [2, 3] [m], +Y up; its middle where a handle is not known."""
     low, high = bounds
     middle = (low + high) / 2
+    # the front is +z in the frame of a kind: a point of the rim at its side, and the middle of the front edge
     if grasp == "rim":
         return np.array([high[0], high[1], middle[2]])
     if grasp == "edge":

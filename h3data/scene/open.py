@@ -68,6 +68,7 @@ def named_scenes(
 def is_builtin_name(text: str) -> bool:
     """Returns whether words name generated homes (``small``, ``small:3``) or a set of scenes, one of which may follow ``#``."""
     if _generated(text, 1):
+        # a file of this name comes first, as for everything that takes a path or a name
         return not Path(text).exists()
     label = text.partition("#")[0]
     return any(label in (name, *(f"{name}/{split}" for split in of)) for name, of in builtin_sets().items())
@@ -129,6 +130,7 @@ def _named(text: str, homes: int) -> tuple[NamedScene, ...]:
         if len(scenes) == 1:
             return (NamedScene(name=text, source=SceneFile(path=text, scene=scenes[0])),)
         return tuple(NamedScene(name=f"{text}#{s}", source=SceneFile(path=text, scene=s)) for s in scenes)
+    # a .toml is a set of scenes, which is read below
     if Path(text).is_file() and not text.endswith(".toml"):
         return (NamedScene(name=str(Path(text)), source=SceneFile(path=str(Path(text)))),)
     label, _, which = text.partition("#")
@@ -141,6 +143,7 @@ def _named(text: str, homes: int) -> tuple[NamedScene, ...]:
     found = find_scene_set(label)
     splits = [f"{name}/{split}" for name, of in builtin_sets().items() for split in of]
     near = did_you_mean(preset if seed else text, (*preset_names(), *splits))
+    # a proposal for ``smal:3`` is ``small:3``, with the seed that was asked for
     near = near.replace("'?", f":{seed}'?") if seed else near
     if found is None and ("/" in label or label.endswith((".glb", ".json", ".urdf"))) and not Path(label).exists():
         raise InputError(

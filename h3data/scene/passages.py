@@ -28,9 +28,11 @@ def passages(scene: Scene, free: FreeSpace) -> tuple[int, ...]:
         free: Its floor, for the agents that walk there.
     """
     joints = joints_of(scene)
+    # the fronts of cupboards and wardrobes enclose receptacles; a door between rooms does not
     tall = [k for k, (_, part) in enumerate(joints.parts) if not part.encloses and _is_tall(scene, k, free.floor_y)]
     if not tall:
         return ()
+    # with all of them open, since a closed door may stand in the way of what another one blocks
     wide = joints.rest.copy()
     wide[tall] = joints.opened[tall]
     floor = free.as_in(posed(scene, wide)).polygon
@@ -68,5 +70,6 @@ def _is_tall(scene: Scene, k: int, floor_y: float) -> bool:
     if not len(bounds):
         return False
     low, high = bounds[:, 0].min(0), bounds[:, 1].max(0)
+    # of the storey that the door is on
     floor = float(floor_heights(room_heights(scene.rooms), floor_y, (low + high)[[0, 2]] / 2))
     return low[1] < floor + FOOT_M and high[1] > floor + LEAST_M

@@ -288,6 +288,7 @@ class Scene:
                 f"Scene {self.name!r}: instances refer to assets that it does not have: {unknown[:5]}.",
                 code="H3-SCENE-045",
             )
+        # recordings, joints and receptacles refer to instances by name
         names = [i.name for i in self.instances]
         if len(set(names)) != len(names):
             repeated = sorted({n for n in names if names.count(n) > 1})
@@ -306,6 +307,7 @@ class Scene:
     @property
     def bounds(self) -> NDArray[np.float64]:
         """Minimum and maximum corner of all instances, shape [2, 3] [m]."""
+        # a mesh without vertices has a box at its origin, in which there is nothing
         boxes = [instance_bounds(self, i) for i in self.instances if len(self.assets[i.asset].mesh.vertices)]
         if not boxes:
             return np.zeros((2, 3))
@@ -328,6 +330,7 @@ class Scene:
 
 def _articulation_fault(scene: Scene) -> str:
     """The first fault of the scene's articulated things, or nothing."""
+    # ``moved`` goes through all things and ``before`` through the parts of one: names of parts repeat from thing to thing
     names, moved = {i.name for i in scene.instances}, set[str]()
     if len({a.name for a in scene.articulations}) < len(scene.articulations):
         return "articulated things must have different names"
@@ -361,6 +364,7 @@ def _articulation_fault(scene: Scene) -> str:
 def instance_matrix(instance: Instance) -> NDArray[np.float64]:
     """Return the 4x4 matrix from the frame of the asset to the world, scale included."""
     matrix = pose_to_matrix(instance.pose).astype(np.float64)
+    # columns: the scale is along the axes of the asset, before it is turned
     matrix[:3, :3] *= instance.scale
     return matrix
 
@@ -370,5 +374,6 @@ def instance_bounds(scene: Scene, instance: Instance) -> NDArray[np.float64]:
     lo, hi = scene.assets[instance.asset].mesh.bounds
     matrix = instance_matrix(instance)
     center = matrix[:3, :3] @ ((lo + hi) / 2) + matrix[:3, 3]
+    # the box around the turned box, without its eight corners
     half = np.abs(matrix[:3, :3]) @ ((hi - lo) / 2)
     return np.stack([center - half, center + half])

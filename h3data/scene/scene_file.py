@@ -39,7 +39,7 @@ from h3data.mesh.glb import (
 )
 from h3data.mesh.mesh import Mesh, Texture
 from h3data.mesh.png import png_pixels
-from h3data.scene.records import Asset, Instance, Scene
+from h3data.scene.records import Asset, Scene
 from h3data.scene.scene_json import (
     articulation_record,
     asset_record,
@@ -71,6 +71,7 @@ def _linear_of_srgb() -> NDArray[np.uint16]:
 def _srgb_of_linear(linear: NDArray[np.uint16]) -> NDArray[np.uint8]:
     """Nearest 8-bit sRGB values; exact for values written by `save_scene`."""
     table = _linear_of_srgb().astype(np.int32)
+    # values of other writers lie between ours, and take the nearer one
     middles = (table[1:] + table[:-1]) // 2
     return np.searchsorted(middles, linear, side="left").astype(np.uint8)
 
@@ -87,6 +88,7 @@ class _Textures:
 
     def index(self, texture: Texture) -> int:
         """Index of the texture in the file; its material has the next index, since material 0 has no texture."""
+        # by identity: meshes that share a texture share the object
         if id(texture) not in self._place:
             place = self._place[id(texture)] = len(self.images)
             self.images.append(self._chunk.image(texture.pixels, texture.name, gray=True))
@@ -155,11 +157,6 @@ def _primitives(chunk: GlbChunk, mesh: Mesh, accessors: dict[str, Any]) -> list[
     return primitives
 
 
-def _node(instance: Instance, mesh: int | None) -> dict[str, Any]:
-    node = {"name": instance.name, **placement(instance.pose, instance.scale)}
-    return node if mesh is None else {**node, "mesh": mesh}
-
-
 def scene_bytes(scene: Scene) -> bytes:
     """The scene as the bytes of one GLB; the same scene gives the same bytes."""
     chunk = GlbChunk()
@@ -176,10 +173,18 @@ def scene_bytes(scene: Scene) -> bytes:
         if accessors is not None and "indices" in accessors:
             mesh_of[key] = len(meshes)
             meshes.append({"name": asset.name, "primitives": _primitives(chunk, asset.mesh, accessors)})
-    nodes = [_node(i, mesh_of.get(i.asset)) for i in scene.instances]
+    nodes = [
+        {
+            "name": i.name,
+            **placement(i.pose, i.scale),
+            **({"mesh": mesh_of[i.asset]} if i.asset in mesh_of else {}),
+        }
+        for i in scene.instances
+    ]
     things = [articulation_record(thing) for thing in scene.articulations]
     extras = {
         "format": FORMAT_NAME,
+        # the lowest version that has all that is in the file, so that older readers open it, and its bytes stay the same
         "version": [1, 3 if any(r.ramp for r in scene.rooms) else 2 if scene.articulations else 1],
         "name": scene.name,
         "source": dict(scene.source),
@@ -198,6 +203,7 @@ def scene_bytes(scene: Scene) -> bytes:
         "bufferViews": chunk.views,
         "buffers": [{"byteLength": chunk.size}] if chunk.size else [],
     }
+    # glTF forbids empty lists
     lists = {name: value for name, value in lists.items() if value}
     try:
         return pack_glb(gltf_document(shown, extras={"h3data": extras}, **lists), chunk)
@@ -256,7 +262,9 @@ def load_scene(path_or_bytes: str | os.PathLike[str] | bytes | BinaryIO) -> Scen
                 f"Hint: upgrade h3data. File: {where}",
                 code="H3-SCENE-052",
             )
+        # a GLB has one buffer, its binary chunk
         return _scene(record, GltfArrays(document, lambda index: binary))
+    # a file is anybody's: each of these is what some wrong value raises in one of the readers of records
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, SceneError) as error:
         raise FormatError(
             f"Damaged scene file ({type(error).__name__}: {error}). File: {where}", code="H3-SCENE-053"
@@ -291,6 +299,7 @@ def _mesh(record: dict[str, Any], arrays: GltfArrays, textures: Sequence[Texture
     face_textures = None
     if "face_textures" in accessors:
         face_textures = _accessor(arrays, accessors["face_textures"], "SCALAR", INT16).astype(np.int16)
+        # the same stable order as in `_add_mesh`, undone
         ordered, faces = faces, np.empty_like(faces)
         faces[_by_texture(face_textures)] = ordered
     color = _accessor(arrays, accessors["COLOR_0"], "VEC4", UINT16)
@@ -305,15 +314,11 @@ def _mesh(record: dict[str, Any], arrays: GltfArrays, textures: Sequence[Texture
     )
 
 
-def _read_textures(arrays: GltfArrays) -> list[Texture]:
-    return [
+def _scene(record: dict[str, Any], arrays: GltfArrays) -> Scene:
+    textures = [
         Texture(pixels=png_pixels(arrays.view(image.get("bufferView"))), name=str(image.get("name", "")))
         for image in arrays.document.get("images", [])
     ]
-
-
-def _scene(record: dict[str, Any], arrays: GltfArrays) -> Scene:
-    textures = _read_textures(arrays)
     return Scene(
         name=str(record["name"]),
         assets={str(a["key"]): read_asset(a, _mesh(a, arrays, textures)) for a in record["assets"]},

@@ -54,6 +54,7 @@ _SHAPE_WRITERS: Mapping[type, Callable[[Any], dict[str, Any]]] = {
 
 def _array(value: Any, *shape: int | None) -> NDArray[np.float64]:
     array = np.array(value, np.float64)
+    # NumPy sees no second axis in an empty list
     if array.size == 0 and len(shape) == 2:
         array = array.reshape(0, shape[1] or 0)
     if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape, strict=True)):
@@ -173,6 +174,7 @@ def light_record(light: LightSource) -> dict[str, Any]:
 
 def read_light(record: dict[str, Any]) -> LightSource:
     """Read a light from the record that `light_record` writes."""
+    # unpacked, so that another number of angles is refused
     inner, outer = (float(a) for a in record["cone_rad"])
     if record["kind"] not in get_args(LightKind) or record["frame"] not in get_args(LightFrame):
         raise ValueError(f"unknown light {record['kind']!r} in frame {record['frame']!r}")
@@ -278,6 +280,7 @@ def scene_digest(scene: Scene) -> str:
 
     def feed(text: str) -> None:
         data = text.encode()
+        # lengths before contents, so that no two different scenes give the same stream of bytes
         h.update(struct.pack("<Q", len(data)) + data)
 
     def feed_array(array: NDArray[Any] | None, dtype: str) -> None:
@@ -287,6 +290,7 @@ def scene_digest(scene: Scene) -> str:
         h.update(struct.pack(f"<{array.ndim + 1}Q", array.ndim, *array.shape))
         h.update(np.ascontiguousarray(array, dtype).tobytes())
 
+    # sorted, since the order of a mapping is not content
     for key in sorted(scene.assets):
         asset = scene.assets[key]
         feed(key)
@@ -298,6 +302,7 @@ def scene_digest(scene: Scene) -> str:
             feed_array(mesh.uv, "<f4")
             feed_array(mesh.face_textures, "<i2")
             for texture in mesh.textures:
+                # hashed once for each texture, because many assets share a large one
                 if id(texture) not in pixels_of:
                     pixels_of[id(texture)] = (
                         f"{texture.pixels.shape} {hashlib.sha256(texture.pixels.tobytes()).hexdigest()}"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -69,6 +69,7 @@ class SceneSet:
 
         Consecutive episodes take consecutive scenes, so that the first few episodes already cover many of them.
         """
+        # all scenes once before any of them twice
         return self.scenes[episode % len(self.scenes)], episode // len(self.scenes)
 
     def episode_seed(self, scene_id: str, index: int, *, seed: int = 0) -> int:
@@ -76,11 +77,13 @@ class SceneSet:
 
         ``seed`` 0 gives the set's own episodes; any other value gives different episodes in the same scenes.
         """
+        # text and SHA-256, not Python's ``hash``, which differs from process to process
         text = f"h3data.episode/1/{self.name}/{self.split}/{scene_id}/{seed}/{index}"
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "little") >> 1
 
     def entry(self, which: str) -> SceneEntry:
         """The scene with a number (``3``) or an id (``test_03``)."""
+        # a number first: ids have letters as a rule, and one that is a number beyond the last scene can still be found
         if which.isdecimal() and int(which) < len(self.scenes):
             return self.scenes[int(which)]
         for entry in self.scenes:
@@ -88,7 +91,7 @@ class SceneSet:
                 return entry
         raise InputError(
             f"There is no scene {which!r} in {self.label}. It has {len(self.scenes)}: 0 to {len(self.scenes) - 1}, "
-            f"or by id: {_some(e.id for e in self.scenes)}.",
+            f"or by id: {', '.join([e.id for e in self.scenes[:6]] + (['...'] if len(self.scenes) > 6 else []))}.",
             code="H3-SCENE-056",
         )
 
@@ -102,6 +105,7 @@ def builtin_sets() -> Mapping[str, tuple[str, ...]]:
     order = {"train": 0, "val": 1, "test": 2}
     files = [file for card in builtin_root().glob("*/README.md") for file in card.parent.glob(f"*{SUFFIX}")]
     splits: dict[str, list[str]] = {}
+    # folders are listed in another order on every file system
     for file in sorted(files, key=lambda f: (f.parent.name, order.get(f.stem, 3), f.stem)):
         splits.setdefault(file.parent.name, []).append(file.stem)
     return {name: tuple(stems) for name, stems in splits.items()}
@@ -176,6 +180,7 @@ def read_scene_set(path: str | Path) -> SceneSet:
         except msgspec.ValidationError as fault:
             kind = _File if "file" in record else _generator(record).Table
             faults.append(f"scenes[{k}]: {_readable(fault, kind)}")
+    # all faults before anything is refused: whoever writes a set by hand mends them in one go
     ids = [e.id for e in scenes]
     faults += [f"scenes: the id {i!r} occurs {ids.count(i)} times." for i in dict.fromkeys(ids) if ids.count(i) > 1]
     if faults:
@@ -250,8 +255,3 @@ def _readable(fault: Exception, kind: type[msgspec.Struct]) -> str:
     text = text.replace("Object contains unknown field", "unknown key").replace("Object missing required", "missing")
     valid = f" Expected: {', '.join(kind.__struct_fields__)}." if "unknown key" in text else ""
     return f"{text}.{valid}"
-
-
-def _some(names: Iterable[str]) -> str:
-    shown: Sequence[str] = list(names)
-    return ", ".join(shown[:6]) + (", ..." if len(shown) > 6 else "")

@@ -80,15 +80,18 @@ def seats_of(scene: Scene) -> list[Seat]:
 
 def _places(asset: Asset, scale: Array) -> Iterator[tuple[Array, float, float]]:
     """Front edges [3] in the asset's frame, turns of who sits there from the front [rad], and depths [m]."""
+    # upright boxes and cylinders only: a hull has no flat top that could be found by its bounds
     boxes = np.array([box for shape in asset.shapes if (box := _box(shape, scale)) is not None]).reshape(-1, 2, 3)
     size = boxes[:, 1] - boxes[:, 0]
     top = boxes[:, 1, 1]
     seat = (top > HEIGHTS_M[0]) & (top < HEIGHTS_M[1]) & (size[:, [0, 2]].min(1, initial=np.inf) >= LEAST_M)
     if not seat.any():
         return
+    # the largest, because armrests and legs may have tops at the height of a seat too
     k = int(np.argmax(np.where(seat, size[:, 0] * size[:, 2], 0.0)))
     (x0, _, z0), (x1, y, z1) = boxes[k]
     if SEAT_SIDES[asset.category] == "sides":
+        # not at the ends of the bed, where its head and foot are
         count = max(int((z1 - z0) / BED_STEP_M) - 1, 1)
         for along in np.linspace(z0, z1, count + 2)[1:-1]:
             yield np.array([x1, y, along]), np.pi / 2, x1 - x0
@@ -96,6 +99,7 @@ def _places(asset: Asset, scale: Array) -> Iterator[tuple[Array, float, float]]:
         return
     # backrests: what rises above the rear half of the seat
     above = (top > y + ABOVE_M) & (boxes[:, 0, 0] < x1) & (boxes[:, 1, 0] > x0) & (boxes[:, 1, 2] < (z0 + z1) / 2)
+    # without a backrest, one sits as deep as the seat is
     back = float(boxes[above, 1, 2].max(initial=z0))
     count = max(int((x1 - x0) / BED_STEP_M), 1)
     for across in x0 + (np.arange(count) + 0.5) * (x1 - x0) / count:
@@ -110,5 +114,6 @@ def _box(shape: object, scale: Array) -> Array | None:
         half = np.asarray(shape.half_extents)
     else:
         return None
+    # sorted, because a scale may mirror
     turned = np.abs([quat_rotate(shape.pose[3:], axis) for axis in np.diag(half)]).sum(0)
     return np.sort(np.stack([shape.pose[:3] - turned, shape.pose[:3] + turned]) * scale, axis=0)

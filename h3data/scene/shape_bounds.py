@@ -12,8 +12,6 @@ from h3data.scene.records import Box, Capsule, Cylinder, Hull, Shape
 
 PRISM_SIDES = 32
 """Sides of the prism that stands for a cylinder."""
-_CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
-"""Corners of a box with half extents 1."""
 
 
 def bounding_sphere(shape: Shape) -> tuple[NDArray[np.float64], float]:
@@ -43,6 +41,7 @@ def bounding_capsule(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.floa
         return center, center, radius
     if isinstance(shape, Box):
         half = np.asarray(shape.half_extents, np.float64)
+        # along one side only: of equal sides the first, so that the radius covers the other two
         axis = np.where(np.arange(3) == np.argmax(half), half, 0.0)
         radius = float(np.linalg.norm(half - axis))
     else:
@@ -71,13 +70,16 @@ def shape_bounds(shape: Shape, matrix: ArrayLike) -> NDArray[np.float64]:
     return np.stack([world.min(0) - margin, world.max(0) + margin])
 
 
-def shape_corners(shape: Box | Cylinder) -> NDArray[np.float64]:
-    """Returns points [N, 3] in the shape's own frame whose hull is the box, or a prism around the cylinder."""
+def shape_corners(shape: Box | Cylinder | Hull) -> NDArray[np.float64]:
+    """Returns points [N, 3] in the asset's frame whose hull is the shape; of a cylinder, a prism around it."""
+    if isinstance(shape, Hull):
+        return np.asarray(shape.points, np.float64)
     if isinstance(shape, Box):
-        local = _CORNERS * np.asarray(shape.half_extents, np.float64)
+        local = np.array(list(product((-1.0, 1.0), repeat=3))) * np.asarray(shape.half_extents, np.float64)
     else:
         angle = np.arange(PRISM_SIDES) * (2 * np.pi / PRISM_SIDES)
         ring = np.stack([np.cos(angle), np.zeros(PRISM_SIDES), np.sin(angle)], -1)
+        # the sides touch the circle and the corners lie outside, so that the prism never lets through what the cylinder stops
         ring *= shape.radius / np.cos(np.pi / PRISM_SIDES)
         half = np.array([0.0, shape.half_height, 0.0])
         local = np.concatenate([ring - half, ring + half])

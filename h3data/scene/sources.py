@@ -51,6 +51,7 @@ class SceneFile:
         Raises:
             SceneError, FormatError: it cannot be read.
         """
+        # ours first: it is a GLB too, which a reader of meshes would take for a building without rooms
         if not self.scene and _is_ours(Path(self.path)):
             from h3data.scene.scene_file import load_scene
 
@@ -186,6 +187,7 @@ def reader_of(path: str) -> SceneReader | None:
     """The reader of a scene file, judged by its name and, where makers share an ending, its content; None if there is none."""
     text = path.lower()
     fitting = (reader for reader in scene_readers() if text.endswith(tuple(reader.endings)))
+    # a generator, so that a file is opened only where the ending alone does not decide
     return next((reader for reader in fitting if reader.recognizes(Path(path))), None)
 
 

@@ -130,6 +130,27 @@ def test_it_finds_the_one_open_side() -> None:
     assert seen_px(replay, 5).min() > SEEN_PX
 
 
+@pytest.mark.parametrize(("at_m", "cut"), [(1.2, False), (2.0, True)])
+def test_somebody_who_walks_by_is_cut_only_around_the_camera(at_m: float, cut: bool) -> None:
+    """A near plane through a body in the middle of the line of sight would leave a foot and take away the floor."""
+    sides = tuple(
+        box(name, center, size)
+        for name, center, size in (
+            ("left", (0, 1.5, -0.8), (6, 3, 0.1)),
+            ("right", (0, 1.5, 0.8), (6, 3, 0.1)),
+            ("back", (-0.9, 1.5, 0), (0.1, 3, 6)),
+        )
+    )
+    alone = robot_among(sides, np.zeros((60, 2))).recording
+    walk = np.zeros((60, 7), np.float32)
+    walk[:, 0], walk[:, 2], walk[:, 6] = at_m, np.linspace(-2, 2, 60), 1
+    person = Agent(name="person", kind="human")
+    columns = {**alone.columns, "agent_1.base_pose": walk}
+    track = camera_track(Replay(replace(alone, agents=(*alone.agents, person), columns=columns)), "third_person")
+    assert (track.nears is not None) == cut
+    assert track.nears is None or track.nears.max() < 0.8
+
+
 def test_what_is_too_near_is_cut_away() -> None:
     """Where nothing within reach is free, the box around the robot is cut open."""
     walls = tuple(

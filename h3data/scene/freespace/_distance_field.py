@@ -38,6 +38,7 @@ def field_at(
         x, z, island = nearest_free(graph, x, z, max_snap)
     if island < 0:
         return np.inf, np.nan, np.nan
+    # the goals in sight first: a straight way is often the shortest, and its length ends the search below early
     best, tx, tz = np.inf, np.nan, np.nan
     for g in range(len(goals)):
         gx, gz = goals[g]

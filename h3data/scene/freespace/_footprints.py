@@ -11,11 +11,10 @@ from shapely.geometry import MultiPolygon, Polygon, box
 from shapely.geometry.base import BaseGeometry
 
 from h3data.errors import SceneError
-from h3data.geometry import pose_to_matrix, transform_points
-from h3data.scene.records import Box, Capsule, Cylinder, Hull, Instance, Room, Scene, Shape, instance_matrix
+from h3data.geometry import transform_points
+from h3data.scene.records import Capsule, Instance, Room, Scene, Shape, instance_matrix
+from h3data.scene.shape_bounds import PRISM_SIDES, shape_corners
 
-CIRCLE_SIDES = 32
-"""Round shapes become polygons of this many sides around them (0.5 % of the radius too large at the corners)."""
 WALL_HALF_M = 0.06
 """Half the thickness of walls around stairwells [m]: the stairwell has the floor up to the middle of the wall, the rooms beyond
 have the rest."""
@@ -34,24 +33,18 @@ def shape_footprint(shape: Shape, matrix: NDArray[np.float64], low: float, high:
         low: Lower end of the band of heights.
         high: Upper end.
     """
-    if isinstance(shape, Capsule):
-        return _capsule_footprint(shape, matrix, low, high)
-    corners = transform_points(matrix, shape_corners(shape))
-    return _hull_polygon(_clip_to_band(corners, low, high))
-
-
-def shape_corners(shape: Box | Cylinder | Hull) -> NDArray[np.float64]:
-    """Points [N, 3] in the asset frame whose convex hull is the shape; a cylinder becomes a prism around it."""
-    if isinstance(shape, Hull):
-        return np.asarray(shape.points, np.float64)
-    if isinstance(shape, Box):
-        signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
-        local = signs * shape.half_extents
-    else:
-        ring = _circle(shape.radius)
-        y = np.array([-shape.half_height, shape.half_height])
-        local = np.concatenate([np.stack([ring[:, 0], np.full(len(ring), h), ring[:, 1]], -1) for h in y])
-    return transform_points(pose_to_matrix(shape.pose), local).astype(np.float64)
+    if not isinstance(shape, Capsule):
+        return _hull_polygon(_clip_to_band(transform_points(matrix, shape_corners(shape)), low, high))
+    # the hull of circles about the part of the core within reach of the band: a little large where the band cuts
+    radius = shape.radius * float(np.linalg.norm(matrix[:3, :3], axis=0).max())
+    core = transform_points(matrix, np.stack([shape.start, shape.end]).astype(np.float64))
+    core = _clip_to_band(core, low - radius, high + radius)
+    if not len(core):
+        return None
+    # the polygon around a circle, 0.5% of the radius too large at its corners
+    angle = np.arange(PRISM_SIDES) * (2 * np.pi / PRISM_SIDES)
+    circle = np.stack([np.cos(angle), np.sin(angle)], -1) * (radius / np.cos(np.pi / PRISM_SIDES))
+    return _hull_polygon((core[:, None, [0, 2]] + circle).reshape(-1, 2))
 
 
 def scene_obstacles(scene: Scene, low: float, high: float) -> list[Polygon]:
@@ -83,6 +76,7 @@ def rooms_level(rooms: tuple[Room, ...]) -> float:
     for room in rooms:
         r = np.asarray(room.rectangles, np.float64)
         area[room.floor_y] = area.get(room.floor_y, 0.0) + float(np.sum((r[:, 2] - r[:, 0]) * (r[:, 3] - r[:, 1])))
+    # the lower one of two that are equally large
     return max(area, key=lambda y: (area[y], -y))
 
 
@@ -110,12 +104,14 @@ def walkable_on_storeys(scene: Scene, *, climb_m: float, height_m: float) -> Mul
         rooms = tuple(room for room in scene.rooms if room.ramp is None and room.floor_y == level)
         around = rooms_floor(rooms).buffer(WALL_GAP_M / 2, join_style="mitre").intersection(whole).difference(wells)
         parts.append(around.difference(shapely.union_all(scene_obstacles(scene, level + climb_m, level + height_m))))
+    # once for all treads, each of which would otherwise look at every instance of the home
     near = _instances_near(scene, wells)
     for room in stairs:
         for piece, level in _stretches(room):
             found = [_instance_footprints(scene, i, level + climb_m, level + height_m) for i in near]
             outlines = [outline for outlines in found for outline in outlines]
             parts.append(piece.intersection(whole).difference(shapely.union_all(outlines)))
+    # grown and shrunk again: pieces that share an edge may miss each other by the last digit, and a path could not pass
     free = shapely.union_all(parts).buffer(SEAM_M, join_style="mitre").buffer(-SEAM_M, join_style="mitre")
     return MultiPolygon([p for p in shapely.get_parts(free) if isinstance(p, Polygon)])
 
@@ -128,6 +124,7 @@ def _stretches(room: Room) -> list[tuple[BaseGeometry, float]]:
     ends = ((x0, x1), (z0, z1))[ramp.axis]
     going = (ramp.end - ramp.start) / ramp.steps
     risers = [ramp.start + (k + 0.5) * going for k in range(ramp.steps)]
+    # the stairs may rise towards lower coordinates
     first, last = (ends[0], ends[1]) if going > 0 else (ends[1], ends[0])
     outward = WALL_HALF_M if going > 0 else -WALL_HALF_M
     cuts = [first - outward, *risers, last + outward]
@@ -160,22 +157,6 @@ def _shape_points(shape: Shape) -> NDArray[np.float64]:
         return shape_corners(shape)
     ends = np.stack([shape.start, shape.end]).astype(np.float64)
     return np.concatenate([ends - shape.radius, ends + shape.radius])
-
-
-def _circle(radius: float) -> NDArray[np.float64]:
-    """Corners [32, 2] of the regular polygon around a circle."""
-    angle = np.arange(CIRCLE_SIDES) * (2 * np.pi / CIRCLE_SIDES)
-    return np.stack([np.cos(angle), np.sin(angle)], -1) * (radius / np.cos(np.pi / CIRCLE_SIDES))
-
-
-def _capsule_footprint(shape: Capsule, matrix: NDArray, low: float, high: float) -> Polygon | None:
-    """Hull of the circles about the part of the core within reach of the band (a little large where the band cuts)."""
-    radius = shape.radius * float(np.linalg.norm(matrix[:3, :3], axis=0).max())
-    core = transform_points(matrix, np.stack([shape.start, shape.end]).astype(np.float64))
-    core = _clip_to_band(core, low - radius, high + radius)
-    if not len(core):
-        return None
-    return _hull_polygon((core[:, None, [0, 2]] + _circle(radius)).reshape(-1, 2))
 
 
 def _clip_to_band(points: NDArray, low: float, high: float) -> NDArray:

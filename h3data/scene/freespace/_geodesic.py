@@ -30,10 +30,12 @@ def geodesic_pair(
     nodes, distance = graph.nodes, graph.distance
     near_a, away_a = tangent_nodes(graph, ax, az)
     near_b, away_b = tangent_nodes(graph, bx, bz)
+    # each corner is looked at once at most, however often it is part of the best pair
     seen_a, seen_b = np.zeros(len(near_a), np.bool_), np.zeros(len(near_b), np.bool_)
     while True:
         best, p, q = np.inf, -1, -1
         for i in range(len(near_a)):
+            # already longer before the second half is added
             if away_a[i] >= best:
                 continue
             for j in range(len(near_b)):

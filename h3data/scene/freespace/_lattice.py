@@ -12,21 +12,17 @@ from h3data.scene.freespace._geodesic import geodesic_pair
 from h3data.scene.freespace._sdf import line_of_sight
 from h3data.scene.freespace._visibility import Graph, locate, sees, visible_nodes
 
-LATTICE_M = 0.25
-"""Widest spacing of the lattice in homes: with 0.5 m, 12 of 720 pairs fail (research/navigation-and-stepping.md 2.3)."""
-FINE_M = 0.15
-"""Narrowest spacing, used in small homes: there 0.25 m leaves 2.0 % error at p95, 0.15 m leaves 0.9 %."""
-NODES = 1200
-"""Nodes to aim at between the two (a table of 6 MB)."""
 NEAR_M = 3.0
 """Length [m] below which paths around corners are computed exactly: the lattice's error reaches 10 % there, rarely beyond."""
-NODES_MAX = 4000
-"""Number of nodes above which a floor gets a coarser lattice, so that the table stays below 64 MB."""
 
 
 def lattice_step(area_m2: float) -> float:
     """Spacing [m] of the lattice for a free area."""
-    return max(min(max(float(np.sqrt(area_m2 / NODES)), FINE_M), LATTICE_M), float(np.sqrt(area_m2 / NODES_MAX)))
+    # 1,200 nodes make a table of 6 MB. In small homes 0.25 m leaves an error of 2.0% at p95 and 0.15 m one of 0.9%; with
+    # 0.5 m, 12 of 720 pairs fail (research/navigation-and-stepping.md 2.3).
+    step = min(max(float(np.sqrt(area_m2 / 1200)), 0.15), 0.25)
+    # larger floors get a coarser lattice: with 4,000 nodes the table stays below 64 MB
+    return max(step, float(np.sqrt(area_m2 / 4000)))
 
 
 class Lattice(NamedTuple):
@@ -53,6 +49,7 @@ def _table(graph: Graph, points: NDArray, island: NDArray) -> NDArray:
     for p in range(k):
         one_seen, one_away = visible_nodes(graph, points[p, 0], points[p, 1])
         count = len(one_seen)
+        # doubled, so that whatever is in it is copied only a few times
         while start[p] + count > len(seen):
             seen = np.concatenate((seen, np.empty_like(seen)))
             away = np.concatenate((away, np.empty_like(away)))
@@ -60,6 +57,7 @@ def _table(graph: Graph, points: NDArray, island: NDArray) -> NDArray:
             seen[start[p] + c] = one_seen[c]
             away[start[p] + c] = one_away[c]
         start[p + 1] = start[p] + count
+    # one row of sums for all goals: from p by way of any corner that it sees to every other corner
     through = np.empty(n, np.float32)  # from p to every corner
     for p in range(k):
         through[:] = np.inf
@@ -76,6 +74,7 @@ def _table(graph: Graph, points: NDArray, island: NDArray) -> NDArray:
             for c in range(start[q], start[q + 1]):
                 best = min(best, through[seen[c]] + np.float32(away[c]))
             straight = np.float32(np.hypot(points[p, 0] - points[q, 0], points[p, 1] - points[q, 1]))
+            # looked at only where it would be shorter than the way around corners
             if straight < best - 1e-6 and sees(graph, points[p, 0], points[p, 1], points[q, 0], points[q, 1]):
                 best = straight
             table[p, q] = best
@@ -119,6 +118,7 @@ def _seen_nodes(
 ) -> int:
     """The nodes of the 4 x 4 around (x, z) that a disc can go to straight: fills table rows and distances."""
     nx, nz = lattice.rows.shape
+    # nodes are at the centres of cells, hence the half; the two nearest on either side
     i0 = int(np.floor((x - lattice.origin[0]) / lattice.step - 0.5)) - 1
     j0 = int(np.floor((z - lattice.origin[1]) / lattice.step - 0.5)) - 1
     count = 0

@@ -44,6 +44,7 @@ def _interval(x: float, z: float, dx: float, dz: float, corners: NDArray) -> tup
         ux, uz = corners[k, 0] - x, corners[k, 1] - z
         angle = np.arctan2(dx * uz - dz * ux, dx * ux + dz * uz)
         low, high = min(low, angle), max(high, angle)
+    # the corners straddle the back, where angles jump from pi to -pi
     if high - low > np.pi:
         return np.inf, -np.inf
     return low, high
@@ -113,6 +114,7 @@ def _seen_in_wedge(
     for k in range(len(boxes)):
         x0, z0, x1, z1 = boxes[k]
         ux, uz = max(x0 - x, 0.0, x - x1), max(z0 - z, 0.0, z - z1)
+        # as near as a bucket is wide: its angles say little, and it is mostly seen anyway
         if ux * ux + uz * uz < (x1 - x0) ** 2:
             seen[box_of[k]] = True
             continue
@@ -140,6 +142,7 @@ def _seen_in_wedge(
             hidden |= spans[j, 0] <= angle[k, 0] and spans[j, 1] >= angle[k, 1]
         if not hidden:
             seen[index[k]] = True
+        # all of the wedge is blocked, so whatever is farther away is hidden too
         elif spans[0, 0] <= -half and spans[0, 1] >= half:
             break
 

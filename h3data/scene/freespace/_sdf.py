@@ -92,6 +92,7 @@ def line_of_sight(
         s = sample_sdf(sdf, origin, cell, ax + ux * t, az + uz * t) - radius
         if s < -SLACK_M:
             return False
+        # nothing is nearer than s, so a stride of this length cannot pass through anything
         t += max(s, MIN_STEP_M)
     return sample_sdf(sdf, origin, cell, bx, bz) >= radius - SLACK_M
 

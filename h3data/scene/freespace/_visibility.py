@@ -81,6 +81,7 @@ def bucket_edges(edges: NDArray, origin: NDArray, size: float, nx: int, nz: int)
     margin = 1e-6  # so that a ray through the corner of a bucket finds its edges whichever way rounding sends it
     count = np.zeros(nx * nz + 1, np.int64)
     items = np.empty(0, np.int32)
+    # first counted, then filled in: the lists of all buckets lie in one array
     for phase in range(2):
         if phase == 1:
             total = 0
@@ -102,6 +103,7 @@ def bucket_edges(edges: NDArray, origin: NDArray, size: float, nx: int, nz: int)
                 mx = origin[0] + (i + 0.5) * size
                 for j in range(j0, j1 + 1):
                     mz = origin[1] + (j + 0.5) * size
+                    # the separating axis of a square and a line: beyond it the edge only passes by the bucket
                     if abs((bx - ax) * (mz - az) - (bz - az) * (mx - ax)) > reach:
                         continue
                     b = i * nz + j
@@ -128,10 +130,12 @@ def sees(graph: Graph, ax: float, az: float, bx: float, bz: float) -> bool:
     last_i, last_j = int(np.floor(qx)), int(np.floor(qz))
     step_i = 1 if qx > px else -1
     step_j = 1 if qz > pz else -1
+    # shares of the whole way, from one border of buckets to the next
     delta_i = abs(1.0 / (qx - px)) if qx != px else np.inf
     delta_j = abs(1.0 / (qz - pz)) if qz != pz else np.inf
     next_i = ((i + 1 - px) if step_i > 0 else (px - i)) * delta_i if qx != px else np.inf
     next_j = ((j + 1 - pz) if step_j > 0 else (pz - j)) * delta_j if qz != pz else np.inf
+    # a bounded loop (Amanatides and Woo 1987): rounding at a corner of buckets must not lead past the last one for ever
     for _ in range(abs(last_i - i) + abs(last_j - j) + 1):
         if i < 0 or j < 0 or i >= nx or j >= nz:
             return False
@@ -173,6 +177,7 @@ def locate(graph: Graph, x: float, z: float) -> int:
         if not crosses(x, z, mx, mz, cx, cz, dx, dz):
             continue
         odd = not odd
+        # the nearest edge on the way names the island: the point may lie behind a wall from the bucket's middle
         p = (dx - cx) * (z - cz) - (dz - cz) * (x - cx)
         m = (dx - cx) * (mz - cz) - (dz - cz) * (mx - cx)
         t = p / (p - m)
@@ -192,6 +197,7 @@ def nearest_free(graph: Graph, x: float, z: float, max_distance: float) -> tuple
     found_x, found_z = np.nan, np.nan
     if not (np.isfinite(x) and np.isfinite(z)):
         return found_x, found_z, -1
+    # the true border, not the grown one, so that the point that is found lies in the free area
     for e in range(len(graph.rings)):
         ax, az, bx, bz = graph.rings[e]
         dx = bx - ax
@@ -217,6 +223,7 @@ def tangent(graph: Graph, x: float, z: float, node: int, slack: float) -> bool:
     px, pz = graph.before[node, 0] - vx, graph.before[node, 1] - vz
     qx, qz = graph.after[node, 0] - vx, graph.after[node, 1] - vz
     a, b = ux * pz - uz * px, ux * qz - uz * qx
+    # relative to the length of the ring's edge, because the cross product grows with it
     eps_a = TANGENT_EPS + slack * (abs(px) + abs(pz))
     eps_b = TANGENT_EPS + slack * (abs(qx) + abs(qz))
     return not ((a > eps_a and b < -eps_b) or (a < -eps_a and b > eps_b))
@@ -242,6 +249,7 @@ def visibility_edges(graph: Graph) -> tuple[NDArray, NDArray]:
             b = bucket_of(graph, ix, iz)
             for k in range(graph.visible_start[b], graph.visible_start[b + 1]):
                 j = graph.visible_nodes[k]
+                # each pair once, and none across islands, between which there is no way
                 if j <= i or j >= graph.first[island + 1]:
                     continue
                 jx, jz = graph.nodes[j]

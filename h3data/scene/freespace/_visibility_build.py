@@ -45,6 +45,7 @@ def area_edges(area: MultiPolygon) -> tuple[NDArray[np.float64], NDArray[np.int3
 def build_graph(area: MultiPolygon) -> Graph:
     """The visibility graph with all shortest paths of a free area; islands are its polygons, in their order."""
     rings, ring_island = area_edges(area)
+    # mitred, because each rounded corner would be several edges
     grown = polygon_parts(area.buffer(GROW_M, join_style="mitre"))
     labels = [_label(area, part) for part in grown]
     edges = np.concatenate([np.zeros((0, 4)), *[ring_edges(p) for p in grown]])
@@ -71,10 +72,12 @@ def build_graph(area: MultiPolygon) -> Graph:
         visible_start=np.zeros(0, np.int32),
         visible_nodes=np.zeros(0, np.int32),
     )
+    # also where the middle is not free: part of a bucket with edges may be
     used = (label >= 0) | (np.diff(start) > 0).reshape(label.shape)
     near = potentially_visible(nodes, before, after, first, edges, edge_island, used, origin, size)
     graph = graph._replace(visible_start=near[0], visible_nodes=near[1])
     pairs, lengths = visibility_edges(graph)
+    # the kernels test crossings in floating point; shapely decides once more about each edge
     good = edges_inside(area, nodes[pairs[:, 0]], nodes[pairs[:, 1]])
     if not good.all():
         log.warning("Visibility graph: %d of %d edges leave the free area and are dropped.", (~good).sum(), len(good))
@@ -106,6 +109,7 @@ def _label(area: MultiPolygon, grown: Polygon) -> int:
     """The polygon that a grown one came from (the largest, if growing joined some)."""
     shapely.prepare(grown)
     for k, part in enumerate(area.geoms):
+        # a point inside for certain, which the centroid of a bent polygon may not be
         if grown.intersects(part.representative_point()):
             return k
     return -1
@@ -120,6 +124,7 @@ def _reflex_corners(area: MultiPolygon) -> tuple[NDArray, NDArray, NDArray, NDAr
             c = np.asarray(ring.coords)[:-1, :2]
             prev, following = np.roll(c, 1, axis=0), np.roll(c, -1, axis=0)
             u, v = c - prev, following - c
+            # a right turn with the free area on the left; at all other corners a shortest path never bends
             reflex = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] < 0
             nodes.append(c[reflex])
             before.append(prev[reflex])
@@ -151,6 +156,7 @@ def _all_pairs(n: int, pairs: NDArray, lengths: NDArray) -> tuple[NDArray[np.flo
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import dijkstra
 
+    # predecessors are stored as int16
     if n > np.iinfo(np.int16).max:
         raise SceneError(
             f"The floor has {n} corners, more than {np.iinfo(np.int16).max}. Hint: simplify the scene.",

@@ -20,6 +20,7 @@ def _clip(poly: NDArray, count: int, axis: int, plane: float, keep_above: bool, 
         m = (k + 1) % count
         a = poly[k, axis] - plane
         b = poly[m, axis] - plane
+        # one comparison for both sides: the sign is turned instead
         if not keep_above:
             a, b = -a, -b
         if a >= 0.0:
@@ -52,6 +53,7 @@ def voxel_columns(
         normal = np.cross(t[1] - t[0], t[2] - t[0])
         length = np.sqrt(np.sum(normal * normal))
         mark = np.uint8(2) if length > 0.0 and abs(normal[1]) >= steep_cos * length else np.uint8(1)
+        # cut into strips along x first, so that each column cuts a piece of a strip and not the whole triangle
         i0 = max(int(np.floor((t[:, 0].min() - origin[0]) / cell)), 0)
         i1 = min(int(np.floor((t[:, 0].max() - origin[0]) / cell)), nx - 1)
         for i in range(i0, i1 + 1):
@@ -88,6 +90,7 @@ def mark_standable(columns: NDArray, head: int, climb: int) -> int:
     total = 0
     for i in range(nx):
         for j in range(nz):
+            # so low that nothing at the bottom counts as standing on it
             flat = -1 - climb
             for k in range(ny):
                 kind = columns[i, j, k]

@@ -31,25 +31,10 @@ ARC_SEGMENTS = 8
 """Segments per quarter of an inflated corner: a path cuts 1.2 mm into it at a radius of 0.25 m (4: 4.8 mm)."""
 SMOOTH_M = 1e-4
 """Corners nearer to a straight line than this are dropped: seams of unions, not geometry."""
-SMOOTH_VOXEL_M = 2e-3
-"""The same for voxels: a slanting wall is a staircase, whose inflated outline is scalloped by about 1 mm."""
-BORDER_M = 0.3
-"""Width of the border of the distance grid around the floor [m]."""
 ISLAND_MIN_M2 = 0.01
 """Area below which patches of floor are rounding errors [m2]."""
-ISLAND_MIN_VOXEL_M2 = 1.0
-"""The same for voxels, where they are the insides of wardrobes and tubs; Habitat leaves out regions below 20 x 20 cells of
-5 cm (``regionMinSize``, spec/habitat.md 6.7)."""
 VOXEL_M = 0.025
 """Side and height of a voxel: 5 cm gave 12-24 % at worst on geodesics, 2.5 cm below 1 % (navigation-and-stepping.md 2.4)."""
-VOXELS_MAX = 300_000_000
-"""Number of voxels above which a building gets larger ones (one byte each)."""
-SLOPE_MAX_DEG = 45.0
-"""Steeper surfaces cannot be stood on, as habitat-sim's default."""
-LARGE_SHARE = 0.25
-"""The floor is the lowest surface with this share of the largest one, which may be the roof."""
-STOREY_M = 1.0
-"""Surfaces farther than this above or below the floor belong to another storey."""
 
 Method = Literal["auto", "shapes", "mesh"]
 
@@ -57,6 +42,7 @@ Method = Literal["auto", "shapes", "mesh"]
 def choose_method(scene: Scene, method: Method) -> Literal["shapes", "mesh"]:
     """Return the builder that serves a scene: exact shapes if there are rooms and shapes of the building, else voxels."""
     static = [scene.assets[i.asset] for i in scene.static_instances]
+    # a stage without shapes is a scanned building: its furniture may have shapes, but its walls do not
     shapes = any(a.shapes for a in static) and not any(a.category == "stage" and not a.shapes for a in static)
     if method == "shapes" and not scene.rooms:
         raise SceneError(
@@ -87,6 +73,7 @@ def scene_key(
         digest.update(instance_matrix(instance).astype("<f8").tobytes())
         asset = scene.assets[instance.asset]
         if used == "mesh":
+            # only what the chosen builder reads: another colour or a new name must not build the floor again
             digest.update(np.ascontiguousarray(asset.mesh.vertices).tobytes())
             digest.update(np.ascontiguousarray(asset.mesh.faces).tobytes())
         else:
@@ -138,7 +125,10 @@ def build_from_scene(
         )
     if used == "shapes":
         return build_from_walkable(walkable, **sizes, floor_y=level, key=key, heights=heights)
-    rough = {"smooth_m": SMOOTH_VOXEL_M, "island_min_m2": ISLAND_MIN_VOXEL_M2}
+    # Of voxels a slanting wall is a staircase, whose inflated outline is scalloped by about 1 mm. Small islands are the
+    # insides of wardrobes and tubs; Habitat leaves out regions below 20 x 20 cells of 5 cm (``regionMinSize``,
+    # spec/habitat.md 6.7).
+    rough = {"smooth_m": 2e-3, "island_min_m2": 1.0}
     return build_from_walkable(walkable, **sizes, **rough, floor_y=level, key=key, heights=heights)
 
 
@@ -159,6 +149,7 @@ def build_from_walkable(
 
     Islands smaller than ``island_min_m2`` are left out, but for the largest.
     """
+    # before it is inflated: each needless corner would become an arc of eight segments and as many nodes of the graph
     walkable = MultiPolygon(polygon_parts(walkable.simplify(SMOOTH_M)))
     if walkable.is_empty:
         raise SceneError(
@@ -166,14 +157,16 @@ def build_from_walkable(
         )
     free = walkable.buffer(-radius_m, quad_segs=ARC_SEGMENTS).simplify(smooth_m)
     islands = [p for p in polygon_parts(free) if p.area >= ISLAND_MIN_M2]
+    # the largest stays whatever its size, as agents need some place
     islands = [p for k, p in enumerate(islands) if k == 0 or p.area >= island_min_m2]
     if not islands:
         raise SceneError(
             f"An agent of radius {radius_m} m fits nowhere on the floor ({walkable.area:.2f} m2).", code="H3-SCENE-012"
         )
     x0, z0, x1, z1 = walkable.bounds
-    origin = np.array([x0 - BORDER_M, z0 - BORDER_M])
-    nx, nz = (int(np.ceil((hi - lo + 2 * BORDER_M) / cell_m)) for lo, hi in ((x0, x1), (z0, z1)))
+    border = 0.3  # of the distance grid, around the floor [m]
+    origin = np.array([x0 - border, z0 - border])
+    nx, nz = (int(np.ceil((hi - lo + 2 * border) / cell_m)) for lo, hi in ((x0, x1), (z0, z1)))
     polygon = MultiPolygon(islands)
     return FloorMap(
         key=key,
@@ -198,10 +191,12 @@ def without_stairs(floor: FloorMap) -> FloorMap:
     free = floor.polygon.difference(shapely.union_all(flights).buffer(floor.radius_m, quad_segs=ARC_SEGMENTS))
     polygon = MultiPolygon([p for p in polygon_parts(free.simplify(SMOOTH_M)) if p.area >= ISLAND_MIN_M2])
     nx, nz = floor.sdf.shape
+    # the distance to obstacles now counts the flights too; outside a ring it is negative, hence the sign
     outside = [
         -sdf_from_edges(area_edges(MultiPolygon([flight]))[0], floor.origin, floor.cell_m, nx, nz) for flight in flights
     ]
     sdf = np.minimum.reduce([floor.sdf, *outside])
+    # without a key: that of ``floor`` stands for the floor with stairs
     return replace(floor, key="", sdf=sdf, polygon=polygon, graph=build_graph(polygon), heights=heights)
 
 
@@ -230,7 +225,8 @@ def walkable_from_triangles(
     """
     low, high = triangles.min((0, 1)), triangles.max((0, 1))
     size = high - low
-    cell = max(voxel_m, float(np.prod(np.cbrt(np.maximum(size, voxel_m))) / np.cbrt(VOXELS_MAX)))
+    # at most 300 million voxels, of one byte each; roots before products, which might overflow
+    cell = max(voxel_m, float(np.prod(np.cbrt(np.maximum(size, voxel_m))) / np.cbrt(300_000_000)))
     if not cell <= radius_m:  # NaN is not either
         raise SceneError(
             f"The scene is {' x '.join(f'{s:.3g}' for s in size)} m large, too large to find its floor: voxels would be "
@@ -241,7 +237,7 @@ def walkable_from_triangles(
         log.warning("The scene is %s m large: voxels of %.3f m instead of %.3f m.", np.round(size, 1), cell, voxel_m)
     origin = low - cell * 1.5  # no geometry on the faces of voxels, for scenes on a round grid
     shape = tuple(int(s) for s in np.ceil(size / cell).astype(int) + 3)
-    steep = float(np.cos(np.radians(SLOPE_MAX_DEG)))
+    steep = float(np.cos(np.radians(45.0)))  # habitat-sim's default
     columns = voxel_columns(triangles, steep, origin, cell, cell, (shape[0], shape[2], shape[1]))
     head, climb = int(np.floor(height_m / cell)), int(round(climb_m / cell))
     total = mark_standable(columns, head, climb)
@@ -253,7 +249,8 @@ def walkable_from_triangles(
     heights = origin[1] + (voxel[:, 1 + 1] + 0.5) * cell
     level = _floor_level(heights, component, sizes, floor_y)
     mean = np.bincount(component, heights) / sizes
-    near = (np.abs(mean - level) <= climb_m)[component] & (np.abs(heights - level) <= STOREY_M)
+    # surfaces more than 1 m above or below the floor belong to another storey
+    near = (np.abs(mean - level) <= climb_m)[component] & (np.abs(heights - level) <= 1.0)
     mask = np.zeros(columns.shape[:2], bool)
     mask[voxel[near, 0], voxel[near, 1]] = True
     return _mask_outline(mask, origin, cell, radius_m), _exact_level(triangles, level, cell)
@@ -274,10 +271,12 @@ def _mask_outline(mask: NDArray[np.bool_], origin: NDArray, cell: float, radius_
 
 def _floor_level(heights: NDArray, component: NDArray, sizes: NDArray, floor_y: float | None) -> float:
     """Height of the floor: of the surface nearest to the wanted height, else of the lowest large component."""
+    # no height is wanted: the floor has to be told from roofs, tables and beds
     if floor_y is None:
         order = np.argsort(component, kind="stable")
         middle = np.array([np.median(h) for h in np.split(heights[order], np.cumsum(sizes)[:-1])])
-        large = np.flatnonzero(sizes >= LARGE_SHARE * sizes.max())
+        # the lowest of those with a quarter of the largest one, which may be the roof
+        large = np.flatnonzero(sizes >= 0.25 * sizes.max())
         return float(middle[large].min())
     chosen = int(component[np.argmin(np.abs(heights - floor_y))])
     return float(np.median(heights[component == chosen]))

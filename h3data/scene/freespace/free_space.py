@@ -48,6 +48,7 @@ class FreeSpace(FloorMap):
         """The free space with the geometry of ``floor``, and its lattice where that is known already."""
         space = cls(**{one.name: getattr(floor, one.name) for one in fields(FloorMap)})
         if lattice is not None:
+            # where `cached_property` keeps it, so that it is not built again
             space.__dict__["lattice"] = lattice
         return space
 
@@ -188,6 +189,7 @@ class FreeSpace(FloorMap):
     def sample(self, rng: np.random.Generator, n: int, *, island: int = 0) -> NDArray[np.float64]:
         """Uniform random free points [n, 2] of one island; always draws 3 n numbers, so streams stay aligned."""
         triangles, cumulative = self._triangles(island)
+        # which triangle, and two coordinates in it
         u = rng.random((n, 3))
         chosen = triangles[
             np.searchsorted(cumulative, u[:, 0] * cumulative[-1], side="right").clip(0, len(triangles) - 1)
@@ -232,6 +234,7 @@ class FreeSpace(FloorMap):
     def distance_field(self, goals: ArrayLike, *, max_snap_m: float = SNAP_M) -> DistanceField:
         """Return exact distances from anywhere to one goal [2], or to the nearest of several [K, 2], and the paths to it."""
         moved = self.snap(goals, max_distance_m=max_snap_m).reshape(-1, 2)
+        # goals out of reach are left out, because they were moved to NaN
         return DistanceField.to(self.graph, moved[np.isfinite(moved).all(-1)])
 
     def geodesic_lattice(self, a: ArrayLike, b: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
@@ -258,6 +261,7 @@ class FreeSpace(FloorMap):
                     code="H3-SCENE-016",
                 )
             parts = shapely.get_parts(shapely.constrained_delaunay_triangles(self.polygon.geoms[island]))
+            # rings of triangles repeat their first corner
             t = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
             u, v = t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]
             known[island] = t, np.cumsum(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / 2)

@@ -45,6 +45,7 @@ def save(space: FloorMap, path: Path, *, lattice: Lattice | None = None) -> None
     if lattice is not None:
         arrays |= {f"lattice.{name}": np.asarray(value) for name, value in lattice._asdict().items()}
     path.parent.mkdir(parents=True, exist_ok=True)
+    # several processes may build the same floor at once, and each writes a file of its own until it is whole
     with part_file(path, shared=True) as part, part.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]
 
@@ -84,6 +85,7 @@ def cached(key: str, build: Callable[[], FloorMap]) -> tuple[FloorMap, Lattice |
         space, lattice = load(path)
         if space.key == key:
             return space, lattice
+        # somebody has renamed or copied a file
         log.warning("A cached free space belongs to another scene and is built again: %s", path)
     except FormatError as fault:
         log.warning("A cached free space is broken and is built again. %s", fault)
@@ -103,6 +105,7 @@ def cache_folder() -> Path | None:
 
 
 def _from_arrays(arrays: dict[str, NDArray]) -> tuple[FloorMap, Lattice | None]:
+    # a file may be damaged in any of its arrays, and kernels would read beyond those that do not fit together
     polygon = shapely.from_wkb(arrays["polygon"].tobytes())
     graph = Graph(**{name: arrays[f"graph.{name}"] for name in Graph._fields})
     n = len(graph.nodes)
@@ -116,6 +119,7 @@ def _from_arrays(arrays: dict[str, NDArray]) -> tuple[FloorMap, Lattice | None]:
     heights = arrays.get("heights", LEVEL)
     if heights.ndim != 2 or heights.shape[1] != COLUMNS or not np.isfinite(heights).all():
         faults.append(f"heights of shape {list(heights.shape)}")
+    # kernels check no bounds, so what they use as an index must fit
     if len(graph.bucket_start) != graph.bucket_label.size + 1:
         faults.append("buckets do not fit their grid")
     if faults or not isinstance(polygon, MultiPolygon):
