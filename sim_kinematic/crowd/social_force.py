@@ -1,4 +1,4 @@
-"""Social force: a wish to keep the desired velocity, and repulsion by people and walls (Moussaid et al. 2009)."""
+"""Social force between people (Moussaid et al. 2009)."""
 
 from __future__ import annotations
 
