@@ -185,7 +185,7 @@ class StateRenderer:
 
     # --- posing -----------------------------------------------------------------------------------------------------------
     def pose(self, state: WorldState, *, floor: Floor = 0.0, frames: Sequence[Array] | None = None) -> None:
-        """Return the pose everything as in the state, on a map or at the height ``floor`` [m].
+        """Pose everything as in the state, on a map or at the height ``floor`` [m].
 
         ``frames`` are the agents' `body_frames`, where somebody has them already or poses them otherwise.
         """
