@@ -274,6 +274,7 @@ def _make(
                 code="H3-ENV-019",
             )
         return _on_device(found, scenes, num_envs, device, agents, options)
+    # imported here because they need Gymnasium, which worlds on a device do without
     from sim_kinematic.envs.stepper import FlatStepper, Options
     from sim_kinematic.envs.world_stepper import WorldStepper
 

@@ -87,6 +87,7 @@ class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
         ends, stops = bool(terminated[0]), bool(truncated[0])
         each = (dict.fromkeys(self.agents, value) for value in (float(reward[0]), ends, stops))
         result = (self._observed(), *each, self._informed())
+        # PettingZoo's loops run while there are agents
         if ends or stops:
             self.agents = []
         return result  # type: ignore[return-value]

@@ -38,6 +38,7 @@ class EnvRecipe:
         name = self.task if isinstance(self.task, str) else self.task.name
         words = name.title().replace("_", "") if name in BUILT_IN else "".join(c if c.isalnum() else "_" for c in name)
         kwargs = {"task": self.task, "scenes": self.scenes, **self.options}
+        # gymnasium.make and make_vec give these two themselves
         kwargs.pop("num_envs", None)
         kwargs.pop("render_mode", None)
         return EnvSpec(

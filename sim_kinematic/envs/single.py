@@ -46,6 +46,7 @@ class TaskEnv(PickledEnv, gymnasium.Env[Any, Any]):
         Raises:
             SceneError: No episode can be sampled in a scene.
         """
+        # seeds Gymnasium's own generator, from which a run without a seed gets one
         super().reset(seed=seed)
         if seed is not None or self._episode < 0:
             self._seed, self._episode = run_seed(seed, self.np_random), -1

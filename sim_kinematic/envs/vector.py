@@ -146,6 +146,7 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
         final: dict[str, Any] = {}
         if mode == gymnasium.vector.AutoresetMode.SAME_STEP and self._ended.any():
             again, self._ended = self._ended, np.zeros(self.num_envs, np.bool_)
+            # before the next episodes begin, after which the last observations are gone
             final = self._final(again)
             self._begin(again)
         info = _masked(self._info(episodes=bool(again.any())))
@@ -170,6 +171,7 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
         """
         if name in self._attributes:
             return self._attributes[name]
+        # a vector environment has the spaces of one world by other names
         own = {"observation_space": "single_observation_space", "action_space": "single_action_space"}.get(name, name)
         return (getattr(self, own),) * self.num_envs
 

@@ -252,6 +252,7 @@ class WorldStepper:
         if not len(rows):
             return
         runs = [(int(seeds[w]), int(indices[w])) for w in rows.tolist()]
+        # all episodes are sampled before any world begins, so an error leaves the worlds as they are
         self.source.prepare(runs)
         with progress(desc="episodes", total=len(runs), unit="episode", delay=1.0, leave=False) as bar:
             episodes = []
@@ -334,6 +335,7 @@ class WorldStepper:
             number = self.numbers[agent]
             for w in going:
                 own = action if self.worlds == 1 else np.asarray(action)[w : w + 1]
+                # checked also for agents that are busy: a malformed action is an error whenever it comes
                 choice = self._chosen(number, own)
                 if number in self.turns[w].choosing:
                     chosen[w][number] = self.task.control.checked(self.plays[w], number, choice)
@@ -516,6 +518,7 @@ class WorldStepper:
             return renderer
         world = self.play.world
         renderer = self._renderer((int(self._home[w]), len(worlds), light), self.play.episodes[w], light, len(worlds))
+        # worlds of one home have one floor
         renderer.pose(world.state.take(worlds), floor=world.floors[w])
         return renderer
 

@@ -144,6 +144,7 @@ def assign(task: Task, episode: Episode, chosen: Assigned | None = None) -> list
         make_policy(task, episode, k, task.defaults[member.kind] if choice is None else choice)
         for k, (member, choice) in enumerate(zip(members, picked, strict=True))
     ]
+    # only all policies together show whether everybody of a group has company
     check_groups(one.policy.member.role.group for one in made if isinstance(one.policy, CrowdPolicy))
     return made
 
@@ -209,6 +210,7 @@ def resolve_policy(task: Task, kind: str, choice: PolicyChoice, spec: Any = None
         return lambda episode, number: choice
     if isinstance(choice, External):
         return lambda episode, number: AssignedPolicy(choice, "external", kind)
+    # a class has the method of its objects too, so classes come before anything with ``act``
     if isinstance(choice, type):
         return lambda episode, number: AssignedPolicy(choice(), choice.__name__, kind)
     if hasattr(choice, "act"):
@@ -243,6 +245,7 @@ def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
     made = task.named_policy(kind, name, spec)
     if made is not None:
         return made
+    # a task's own policies replace common ones of the same name; common ones choose no skills
     own = (
         {**COMMON[kind], **task.policies.get(kind, {})} if not task.control.has_skills else task.policies.get(kind, {})
     )
@@ -298,6 +301,7 @@ def as_policy(made: Any, task: Task, episode: Episode, number: int) -> Any:
         return made()
     if hasattr(made, "act"):
         return made
+    # a function of two arguments is a policy itself; factories take three
     if getattr(made, "__code__", None) is not None and made.__code__.co_argcount == 2:
         return FunctionPolicy(made, _base(episode, number))
     return made(task, episode, number)

@@ -186,6 +186,7 @@ class NavigationContext:
 
     def path(self) -> tuple[Floats, Floats]:
         """Return the shortest path to the person: its length [] [m] and its first way point [2] [m]."""
+        # a way point underfoot would give a direction that changes with every step
         view, beyond_m = self._view, self._spec.disc_radius_m / 2
         point = first_point(view.free, view.robot_xz, view.human_xz, view.geodesic_m, beyond_m=beyond_m)
         return np.asarray(view.geodesic_m), point

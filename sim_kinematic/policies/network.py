@@ -52,6 +52,7 @@ class Network:
     """Divisors of the inputs after that, [in] or [1]; positive."""
 
     def __post_init__(self) -> None:
+        # here and not in the readers of files, so that networks made by hand or by training are checked too
         faults = _faults(self)
         if faults:
             raise InputError(f"These layers make no network: {'; '.join(faults)}.", code="H3-POLICY-025")
@@ -108,6 +109,7 @@ def _faults(net: Network) -> list[str]:
         faults.append("it has no observations")
     if not net.weights or len(net.weights) != len(net.biases):
         return [*faults, f"{len(net.weights)} weights and {len(net.biases)} biases, expected as many, at least one"]
+    # from layer to layer: the outputs of one are the inputs of the next
     width = net.weights[0].shape[1] if net.weights[0].ndim == 2 else -1
     for name in ("mean", "scale"):
         shape = getattr(net, name).shape

@@ -62,7 +62,7 @@ def errand(view: RearrangeView, k: int) -> Action:
     It is one of the four skills, or, as long as the hand is free, one that opens what encloses the object or its goal.
     """
     done = view.action if view.last is not None and view.last.outcome == "done" else None
-    # opening takes a free hand
+    # opening takes a free hand, so what shuts off the goal is opened before the object is taken
     if not (view.held_by == view.agent).any():
         for at_goal in (True, False):
             if (joint := view.barrier(k, at_goal)) >= 0:
@@ -133,11 +133,13 @@ class Planner:
         # whoever blocks the object will go away some day; an object in the hand cannot be put off
         if rest and blocked and view.held_by[rest[0]] != view.agent:
             self.objects, self._tries = (*done, *rest[1:], rest[0]), 0
+        # an object that has not been seen yet is put off; if none has, the agent waits
         if rest and not view.is_known(rest[0]):
             known = [k for k in rest if view.is_known(k)]
             self.objects, self._tries = (*done, *known, *(k for k in rest if k not in known)), 0
             if not known:
                 return Action("wait", steps=5)
+        # being blocked counts as no failure: whoever stands there will go away some day
         failed = view.last is not None and view.last.outcome == "failed" and view.last.reason != "blocked"
         order = np.array([(*self.objects, *(-1 for _ in range(len(view.held_by) - len(self.objects))))])
         plan = Plan(order, np.array([self._passed]), np.array([self._tries]))
@@ -235,6 +237,7 @@ def _complement(view: RearrangeView, left: list[int]) -> int | None:
         # only theirs is left: it is taken from somebody who does not move, and left to others
         moves = float(np.ptp(view.other_track, axis=0).max()) > 0.05
         return _nearest(view, left) if theirs < 0 or (view.held_by[theirs] == NOBODY and not moves) else None
+    # the nearest of the others; if the person's target is unknown, the one that is most in the robot's favour
     if theirs >= 0:
         return _nearest(view, others)
     return max(others, key=lambda k: _way(view, view.other_xz, k) - _way(view, view.xz, k))

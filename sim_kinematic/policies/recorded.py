@@ -246,6 +246,7 @@ class RecordedPolicy:
         if view.step >= self.until and choice is not None:
             return choice
         interrupted = view.last is not None and view.last.outcome == "aborted"
+        # an agent that was interrupted and chose the same action again has one span for both parts, which goes on
         if not interrupted or not self._next or self._aborted_before(view.step):
             self._running = self._recorded(view.step, choice)
         return self._running
@@ -254,6 +255,7 @@ class RecordedPolicy:
         """Return the reason for which the recording interrupts the running action; empty if there is none."""
         asked = self.own is not None and view.step >= self.since
         # where it took over from somebody else it had to choose, whatever was running
+        # where it took over from somebody else, it chose anew whatever was running
         if asked and view.step == self.since > 0:
             return RESUMED
         interrupts = getattr(self.own, "interrupts", None)
@@ -331,8 +333,10 @@ def recorded_choices(
     """
     spans = [span for span in recording.skills if span.agent == number and (not since or span.end_step >= since)]
     now = np.stack([recording.columns[f"agent_{number}.{name}"] for name in ("skill", "skill_target")], axis=-1)
+    # before that step commands decided, and the skills that they began are no choices
     now[:since] = SKILLS.index("wait"), -1
     known = (*SKILLS, *(OPENING_SKILLS if joints else ()), *((SEARCH,) if surfaces else ()))
+    # doors, drawers and surfaces that a home does not have make their skills unknown
     codes = {k: name for k, name in enumerate(ALL_SKILLS) if name in known}
     names = {span.name for span in spans} | {codes[c] for c in now[:, 0].tolist() if c in codes}
     if CONTROL in names:

@@ -66,6 +66,7 @@ class Search:
         assert view.places is not None
         points, looked, shut = view.places
         full = bool((view.held_by == view.agent).any())
+        # with a full hand nothing can be opened
         left = [
             s
             for s in np.flatnonzero(~looked).tolist()

@@ -191,6 +191,7 @@ class Traffic:
     def _begin_step(self, step: int) -> None:
         """Copy the state that the world has reached, and decide who steps aside in the step that begins."""
         self._state.put([0], self._world.state.take([self._row]))
+        # the world has moved everybody, agents of other policies included
         for actor in self.actors:
             actor.follow(self._state)
             self._company.end_turn(actor.number)

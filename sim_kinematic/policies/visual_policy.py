@@ -255,6 +255,7 @@ def picture_features(picture: NDArray[Any], layer: Callable[[str, Floats], Float
     # the root gives near surfaces more of the range of depths; float16, as the device stores pictures of whole rollouts
     seen = np.sqrt(picture.astype(np.float32)) if planes == 1 else picture.astype(np.float32) / np.float32(255)
     seen = seen.astype(np.float16).astype(np.float32)
+    # channels are plane, row and column within a square, as in the network of training
     x = seen.reshape(height // PATCH, PATCH, width // PATCH, PATCH, planes).transpose(4, 1, 3, 0, 2)
     x = x.reshape(planes * PATCH * PATCH, height // PATCH, width // PATCH)
     for k, stride in enumerate(STRIDES):

@@ -44,6 +44,7 @@ class WanderPolicy:
         """Return a step for a person, a velocity for a robot."""
         traffic = view.traffic()
         actor = traffic.begin_turn(view.agent, view.step)
+        # a goal that has been reached already takes no step, so the next one is tried at once
         if not any(self._goes_on(actor) for _ in range(ATTEMPTS)):
             actor.idle()
         traffic.end_turn(view.agent)

@@ -163,6 +163,7 @@ class AgentPictures:
                 picture = seen[lens][self._output(name)]
                 pictures[name] = picture if in_colour(name, self._body) else picture[..., None]
                 continue
+            # the three observations of the detector are parts of one detection
             if lens not in detected:
                 detected[lens] = detect_humanoids(seen[lens]["semantic"], more_than_pixels=self._detects_from)
             pictures[name] = getattr(detected[lens], DETECTORS[name])[..., None]

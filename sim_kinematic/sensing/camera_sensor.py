@@ -98,6 +98,7 @@ class StateRenderer:
                     shared[i.asset], i.name, instance_matrix(i), semantic_id=i.semantic_id, layer=i.layer
                 )
         static = [k for name, k in drawn_as.items() if name not in set(objects)]
+        # instances without faces are not drawn, so the state cannot move them in pictures
         unknown = sorted(set(objects) - set(drawn_as))
         if unknown:
             raise InputError(
@@ -256,6 +257,7 @@ class StateRenderer:
             for k, drawn in enumerate(self._agents):
                 if isinstance(drawn.body, Humanoid):
                     self._show_person(k, drawn, drawn.body, cameras)
+        # shadows matter to colours only, and are the same for all pictures of a pose
         if "rgb" in outputs and self._casters is not None and not self._is_shaded:
             self._shade(self._casters)
         worlds = list(range(self.worlds)) * (len(cameras) // self.worlds)
@@ -288,6 +290,7 @@ class StateRenderer:
         elevations, found = np.linspace(*ELEVATION_DEG, LASERS), []
         for w, place in enumerate(places):
             poses = self.renderer.poses(w)
+            # built once from the first world: static instances are at the same places in all of them
             if self._lidar is None:
                 self._lidar = LIDARS.get("embree")(self.scene, poses, ~moving)
             # the scanner has everything else already; people are shown by one of their two meshes

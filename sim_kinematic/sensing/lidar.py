@@ -36,6 +36,7 @@ def scan(m: Any, *, legs: bool) -> Any:
     headings = heading[..., None] + turns
     reach = m.free_along(headings, LIDAR_M)
     circles = m.circles(legs=legs)
+    # there is no minimum over nobody
     if not circles.shape[-2]:
         return reach
     return xp.minimum(reach, distance_to_circles(m.now.xz, headings, circles, xp=xp).clip(None, LIDAR_M))

@@ -111,6 +111,7 @@ class ObservationSet:
             elif name in self._noise or name in self.states:
                 low, high = self._bounds[name]
                 values = np.minimum(np.maximum(values, low), high)  # `clip` takes twice as long for a few numbers
+                # colours with noise are rounded; conversion alone would cut them off
                 values = np.rint(values) if limits.dtype == np.uint8 else values
             shown[name] = values.astype(limits.dtype, copy=False)
         return shown

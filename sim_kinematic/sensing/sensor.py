@@ -143,6 +143,7 @@ def localization(xz: Any, heading: Any, floor_y: Any = 0.0, *, xp: Any = np) -> 
 def localization_in_start_frame(start_xz: Any, start_heading: Any, xz: Any, heading: Any, *, xp: Any = np) -> Any:
     """Return ``(x, y, z, heading)`` [..., 4] of a base in the agent root frame of its start: x forward, y up, z right."""
     seen = in_base_frame(start_xz, start_heading, xz, xp=xp)
+    # the root frame's z points to the right, and base frames have left positive
     return stacked(xp, seen[..., 0], xp.zeros_like(seen[..., 0]), -seen[..., 1], _turned(xp, start_heading, heading))
 
 
@@ -159,6 +160,7 @@ def in_frame(pose: ArrayLike, points: ArrayLike) -> Floats:
     With the robot's start pose: object and goal positions in its start frame (paper appendix); with the hand's pose:
     Habitat's ``obj_start_sensor`` and ``obj_goal_sensor``.
     """
+    # one more axis, so that one pose goes with all K points
     p = np.asarray(pose, np.float64)[..., None, :]
     return np.asarray(quat_rotate(quat_conjugate(p[..., 3:]), np.asarray(points, np.float64) - p[..., :3]))
 
@@ -223,6 +225,7 @@ def range_scan(clearance: Callable[[Any], Any], xz: Any, heading: Any, *, xp: An
     along = stacked(xp, *(heading + 2 * np.pi / RANGES * k for k in range(RANGES)))
     direction, start = stacked(xp, xp.cos(along), -xp.sin(along)), xz[..., None, :]
     reach = xp.zeros_like(along)
+    # a stride as long as the distance to the nearest obstacle cannot enter one
     for _ in range(RANGE_STRIDES):
         left = clearance(start + reach[..., None] * direction)
         reach = (reach + left.clip(0.0, None)).clip(None, RANGE_M)

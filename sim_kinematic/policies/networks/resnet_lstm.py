@@ -139,6 +139,7 @@ class ResNetLSTM(nn.Module):
 
     def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """Return the recurrent layers' output for features [T, n, F]: after each step [T, n, H], and the last state [n, S]."""
+        # a state holds the h of all layers, then their c, and LSTM takes them layer by layer
         long, short = state.unflatten(1, (2 * LAYERS, -1)).transpose(0, 1).contiguous().chunk(2)
         out, (long, short) = self.lstm(x, (long, short))
         return out, torch.cat([long, short]).transpose(0, 1).flatten(1)

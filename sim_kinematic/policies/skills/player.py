@@ -90,6 +90,7 @@ class NetworkSkill:
         held = actor.objects.held(actor.number) == action.target
         step = 0
         while step < (self.rules.arm_steps if moves_arm else self.rules.nav_steps):
+            # meanwhile the network is not asked, and its steps do not count
             if actor.aside is not None:
                 actor.step_aside()
                 yield
