@@ -84,6 +84,7 @@ def keep_company(m, company, places, wx, wz, tau):
         turned = max(abs(wrap_angle(math.atan2(cz, cx) - math.atan2(wz, wx))) - VIEW_RAD, 0.0)
         share = max(1.0 - tau * GAZE * turned, SLOW if away < TOGETHER_M else SLOWEST)
         wx, wz = wx * share, wz * share
+    # the centre of all members, the person included, is nearer than that of the others
     centre = away * others / (others + 1.0)
     pull = tau * COHESION * min(max((centre - others / 2.0) / 0.3, 0.0), 1.0)
     return wx + pull * cx / away + tau * REPULSION * rx, wz + pull * cz / away + tau * REPULSION * rz

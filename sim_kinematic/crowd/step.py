@@ -148,6 +148,7 @@ def first_through(claims, company, m, wait):
     for j in range(len(claims)):
         if j == m or claims[j, 0] == 0.0 or (company[m] >= 0 and company[j] == company[m]):
             continue
+        # people who walk one behind the other go through together
         opposite = claims[m, 3] * claims[j, 3] + claims[m, 4] * claims[j, 4] < -0.3
         near = math.hypot(claims[m, 1] - claims[j, 1], claims[m, 2] - claims[j, 2]) < wait + 0.4
         earlier = claims[j, 0] < claims[m, 0] or (claims[j, 0] == claims[m, 0] and j < m)
@@ -162,6 +163,7 @@ def first_through(claims, company, m, wait):
 @kernel(error_model="numpy")
 def wanted_velocity(sdf, origin, cell, x, z, path, cumulative, along, speed, decel):
     """Velocity (x, z) [m/s] towards a point ahead on the path, slower before its end."""
+    # with less room to a nearer point, as a straight line to a far one could cut a corner
     room = sample_sdf(sdf, origin, cell, x, z) - WALL_M
     ahead = min(0.3 + max(room, 0.0), 0.9)
     tx, tz = point_along(path, cumulative, min(along + ahead, cumulative[-1]))
@@ -186,6 +188,7 @@ def yield_velocity(sdf, origin, cell, x, z, path, cumulative, along, theirs, the
         distance = math.hypot(x - px, z - pz)
         if distance < nearest:
             nearest, ax, az = distance, x - px, z - pz
+    # far enough from the other's path already
     if nearest >= rules[7]:
         return 0.0, 0.0
     gx, gz = sdf_gradient(sdf, origin, cell, x, z)
@@ -237,6 +240,7 @@ def choose_velocity(
             continue
         near[count] = j
         count += 1
+        # somebody ahead who stands or comes towards the person is passed on the person's side
         ahead = wx * px + wz * pz > 0.8 * wanted * distance
         if (
             wanted > 0.1
@@ -280,9 +284,11 @@ def choose_velocity(
         span = traits[m, 2]
         # forces become a velocity over the time until the next decision
         wx, wz = vx + ax * span, vz + az * span
+        # forces alone let people touch, so half-planes guard the next moments
         horizon = rules[2]
     planes = np.empty((count + 2, 3))
     planes[0, 0], planes[0, 1] = gx, gz
+    # the speed towards the nearest wall is at most that which reaches it at the end of the horizon
     planes[0, 2] = -(clear - WALL_M) / rules[1]
     # the foot ahead comes no nearer to what it would step into
     ahead = FOOT_M + FOOT_S * body[m, 2]
@@ -301,6 +307,7 @@ def choose_velocity(
             ahead_s, jx, jz = rules[1], 0.0, 0.0
         else:
             reach += rules[4]
+        # discs that overlap come apart within half a second; offsets of changes become those of velocities
         nx, nz, offset = half_plane(px, pz, vx - jx, vz - jz, reach, ahead_s, 0.5, share)
         planes[k + 2, 0], planes[k + 2, 1], planes[k + 2, 2] = nx, nz, offset + nx * vx + nz * vz
     return nearest_velocity(planes, count + 2, wx, wz, most)
@@ -357,6 +364,7 @@ def follow(sdf, origin, cell, m, places, radii, body, chosen, looks, limits, dt)
             nx, nz, v = sx, sz, min(v, max(moved / dt, v - decel * dt))
         else:
             nx, nz, v = x, z, 0.0
+    # before the distances to others, which depend on where the person looks (`reach_between`)
     body[m, 0], body[m, 1] = heading, turn
     sx, sz = nx - x, nz - z
     for attempt in range(SLIDES):
@@ -368,6 +376,7 @@ def follow(sdf, origin, cell, m, places, radii, body, chosen, looks, limits, dt)
             reach, before = reach_between(m, j, px, pz, radii, body), math.hypot(px, pz)
             if math.hypot(px - sx, pz - sz) < reach and sx * px + sz * pz > 0.0:
                 free = False
+                # without the part of the step that leads towards the other, it passes beside them
                 towards = (sx * px + sz * pz) / (before * before)
                 sx, sz = sx - towards * px, sz - towards * pz
         if free:

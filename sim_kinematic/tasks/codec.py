@@ -292,6 +292,7 @@ class TaskCodec(EpisodeCodec[TaskRecord]):
             starts = np.array(msgspec.convert(info["starts"], list[Start]), np.float64)
         except (msgspec.ValidationError, TypeError) as fault:
             raise malformed_info(fault) from None
+        # a damaged or hostile file must not keep the simulator busy for days
         if not 0 < spec.max_steps <= MAX_STEPS:
             raise InputError(
                 f"Expected 1 to {MAX_STEPS} steps, the recording's rules say {spec.max_steps}.", code="H3-TASK-063"

@@ -185,6 +185,7 @@ class WorldRollout:
         self.steps[rows] = 0
         self.team.begin(rows)
         begun = self.task.begin(self, rows)
+        # at first all worlds begin; later the values of the others must stay
         if begun is not None and self.memory is None:
             self.memory = dict(begun)
         elif begun is not None:
@@ -205,6 +206,7 @@ class WorldRollout:
         self.team.move(commands)
         self.steps += 1
         outcome = self.task.judge(self)
+        # the first outcome is always checked, the others where rewards are used
         if not self._checked or self._checks:
             outcome, self._checked = checked_outcome(self.task, outcome, self.world.worlds), True
         self.outcome = outcome
@@ -245,6 +247,7 @@ class WorldRollout:
         Raises:
             InputError: it has no observation of such a name.
         """
+        # at least one object, as limits of sensors of objects need a number
         if agent not in self._sensors:
             self._sensors[agent] = AgentSensors.of(
                 self.task, self.world.roster[agent], max(self.world.state.held_by.shape[1], 1)

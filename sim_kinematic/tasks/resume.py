@@ -307,6 +307,7 @@ class _Played:
         self.skills: tuple[SkillSpan, ...] = tuple(recorder.skills)
         self.events: tuple[Event, ...] = tuple(recorder.events)
         rows = len(self.columns["time_ns"])
+        # raw input before the change is that of the same steps, and replays need it
         self.inputs: tuple[InputEvent, ...] = tuple(
             event for event in recording.inputs if event.time_ns < since * recording.episode.dt_ns
         )
@@ -324,6 +325,7 @@ class _Played:
             if name in recording.columns and _is_kept(name, people)
         }
         self.columns |= kept
+        # over the kept columns, which are part of the new recording
         self.columns["state_hash"] = state_hash({n: a for n, a in self.columns.items() if n != "state_hash"})
         cut_short: dict[str, Any] = {} if not task.control.has_skills else {"outcome": "running", "reason": ""}
         cut = [
@@ -341,7 +343,7 @@ class _Played:
 
 
 def _is_kept(column: str, people: Sequence[int]) -> bool:
-    """Return whether a column is taken from the recording if people keep their tracks; what they hold is simulated again."""
+    """Return whether a column of people who keep their tracks is the recorded one. What they hold is simulated again."""
     if column.startswith("sim."):
         return True
     return column.startswith(tuple(f"agent_{k}." for k in people)) and not column.endswith("grasp_body")

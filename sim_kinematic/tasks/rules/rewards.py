@@ -96,6 +96,7 @@ class PaperReward:
         Returns:
             The reward; the steps in which the person has been followed now; whether these are enough.
         """
+        # the paper counts 1 m itself as too near and 2 m as right; Habitat's interval is half-open the other way
         near = distance <= rules.near_m
         kept = (distance <= rules.far_m) & ~near
         count = followed + (kept & (faces > rules.facing_dot))
@@ -198,6 +199,7 @@ class SocialNavReward:
             reward += near * worth.near_human_bonus
         if worth.explore_reward != -1:
             reward += self._explores(np.asarray(seen.robot_xz), first) * worth.explore_reward
+        # as in Habitat, the first step has no distance before it and gives no reward
         reward = np.where(first, 0.0, reward) - worth.collide_penalty * collides
         collisions = np.broadcast_to(np.asarray(seen.collisions, np.int64), straight.shape)
         ends = collides.copy()
@@ -225,6 +227,7 @@ class SocialNavReward:
             distance = geodesic if rules.use_geo_distance else np.hypot(*(goal - xz).T)
         near = (distance >= rules.safe_dis_min) & (distance < rules.safe_dis_max)
         self.followed += near & ((faces > rules.facing_threshold) | (not rules.need_to_face_human))
+        # not in a row, and true from then on: Habitat pays the success in every later step too
         success = self.followed >= rules.following_step_succ_threshold
         return success & (angle < rules.success_angle_dist) if rules.must_look_at_targ else success
 

@@ -117,6 +117,7 @@ class Household(Team):
         ]
         self.company = self._introduced()
         self.objects.openables = self._openables()
+        # a drawer in which a goal lies takes it along; -1: the goal lies in none
         owner = joints_of(episode.scene).owner
         self._carriers = [owner.get(t.destination.partition("|")[0], -1) for t in episode.targets]
         self._goals = goals.copy()
@@ -410,8 +411,10 @@ class Household(Team):
         objects, sight = self.objects, self.objects.sight
         if sight is None:
             return objects.poses[:, :3].copy(), objects.held_by.copy(), self._at_goal(), None
+        # an agent knows where its own hand is, whatever it sees
         mine = objects.held_by == agent
         where = np.where(mine[:, None], objects.poses[:, :3], sight.where[agent])
+        # what the agent last saw in its own hand has left it, unless it still holds it
         held = np.where(mine, agent, np.where(sight.held[agent] == agent, NOBODY, sight.held[agent]))
         near = np.linalg.norm(where - objects.goals, axis=1) < self.episode.spec.at_goal_m
         return (

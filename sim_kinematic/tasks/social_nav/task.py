@@ -211,6 +211,7 @@ class SocialNav(Task):
         if state.rewards is not None:
             state.collisions += state.collides | play.world.state.robots[0].contact
             worth = state.rewards.step(self._encounter(play))
+            # once true it stays true, as every task's success does
             state.success |= worth.success
             reward, ends = worth.reward, worth.ends
         else:
@@ -282,10 +283,12 @@ class SocialNav(Task):
 
 
 def _after(track: Callable[[], NDArray[np.float64]], step: int) -> NDArray[np.float64]:
+    """Return the part of a track [T, 2] from a step on."""
     return track()[step:]
 
 
 def _require_pair(roster: Sequence[AgentSpec]) -> None:
+    """Raise an `InputError` if a roster is not one robot and one person."""
     if kinds_of(roster) != ("robot", "human"):
         raise InputError(
             f"In social_nav one robot follows one person, got: {', '.join(kinds_of(roster))}. "
