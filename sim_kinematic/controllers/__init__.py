@@ -1,1 +1,1 @@
-"""Controllers: what an agent has chosen becomes what moves it, whoever chose: a script, a planner, a network, a person."""
+"""Controllers, which turn the choices of a policy into motion of its agent."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sim_kinematic.world import Command, World
 
 Status = Literal["choosing", "acting"]
-"""State of a controller: it needs a choice, or it goes on by itself."""
+"""State of a controller: it needs a choice of the policy, or it continues by itself."""
 
 
 class Controller(Protocol):
@@ -23,14 +23,14 @@ class Controller(Protocol):
 
     @property
     def status(self) -> Status:
-        """Returns whether the agent has to choose before it can make its step."""
+        """Return whether the agent has to choose before it can make its step."""
         ...
 
     def begin(self, step: int) -> None:
-        """Begins step number ``step`` of the episode."""
+        """Begin step number ``step`` of the episode."""
 
     def start(self, world: World, agent: int, rows: NDArray[np.intp], action: Sequence[Any]) -> None:
-        """Takes over what the agent has chosen, one choice for each of the worlds."""
+        """Take over the choices of the agent, one for each of the worlds."""
 
     def step(self, world: World, agent: int, rows: NDArray[np.intp]) -> Command | None:
-        """Returns the command of this step; None: the agent has been moved, or has to choose once more (`status`)."""
+        """Return the command of this step; None: the agent has been moved, or has to choose once more (`status`)."""

@@ -35,32 +35,32 @@ class MotionController:
         self._choices: Sequence[Any] = ()
 
     def begin(self, step: int) -> None:
-        """The agent has to choose."""
+        """Begin a step, in which the agent has to choose."""
         del step
         self.status = "choosing"
 
     def start(self, world: World, agent: int, rows: NDArray[np.intp], action: Sequence[Any]) -> None:
-        """Takes over the choices of a step."""
+        """Take over the choices of a step."""
         del world, agent, rows
         self._choices, self.word, self.status = action, getattr(action[0], "skill", ""), "acting"
 
     def step(self, world: World, agent: int, rows: NDArray[np.intp]) -> Command:
-        """The command that carries the choices out.
+        """Return the command that carries the choices out.
 
         Raises:
-            InputError: a choice is of no known kind.
+            InputError: A choice is of no known kind.
         """
         del world, agent, rows
         return command_of(self._choices, self._name)
 
 
 def command_of(choices: Sequence[Any], name: str) -> Command:
-    """The command for an agent of W worlds from its choices, all of one kind.
+    """Return the command for an agent of W worlds from its choices, all of one kind.
 
     Velocities are rounded to float32, as they are recorded. ``name`` is the agent's, for the error.
 
     Raises:
-        InputError: a choice is of no known kind.
+        InputError: A choice is of no known kind.
     """
     first = choices[0]
     if isinstance(first, WaypointAction):
@@ -83,8 +83,11 @@ def command_of(choices: Sequence[Any], name: str) -> Command:
         )
     if not hasattr(first, "forward"):
         raise InputError(f"Expected {name} to choose a Velocity or WaypointAction, got {first!r}.", code="H3-TASK-069")
+    # rounded, so that a replay of the recorded velocities moves the agent by the same bits
     return DriveCommand(np.array([[choice.forward, choice.turn] for choice in choices], np.float32).astype(np.float64))
 
 
 def _rows(values: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    return values[0][None] if len(values) == 1 else np.array(values)  # one world: a tenth of the time
+    """Return vectors [2] of W worlds as rows [W, 2]."""
+    # for one world a view takes a tenth of the time
+    return values[0][None] if len(values) == 1 else np.array(values)

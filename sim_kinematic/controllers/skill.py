@@ -1,4 +1,4 @@
-"""Controller of an agent with skills, which go on by themselves until they end or are interrupted."""
+"""Controller of an agent with skills, each of which continues by itself until it ends or is interrupted."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from sim_kinematic.world import World
 IDLE_SKILLS = ("wait", CONTROL, *PRIMITIVES)
 """Skills whose end does not count as a completed task."""
 CHOICES = 9
-"""Number of skills ending at once that an agent may choose in one step, after which it does nothing."""
+"""Number of skills without duration that an agent may choose in one step, after which it stands still for this step."""
 
 
 @dataclass(eq=False)
 class SkillController:
-    """Controller of one agent of the only world, with its running skill and what follows."""
+    """Controller of one agent with skills in the only world."""
 
     number: int
     """Number of the agent, as in the state and in the recording."""
@@ -44,9 +44,10 @@ class SkillController:
     joints: tuple[str, ...] = ()
     """Names of doors and drawers."""
     surfaces: tuple[str, ...] = ()
-    """Names of the surfaces at which it may look, if it knows only what it has seen."""
+    """Names of the surfaces at which the agent may look, if it knows only what it has seen."""
     aim: Callable[[int, Action], str] | None = None
-    """`sim_kinematic.tasks.skills.household.Household.aim`."""
+    """Function ``(number, action)`` that gives an object another goal, and returns the reason if it cannot
+    (`sim_kinematic.tasks.skills.household.Household.aim`)."""
     action: Action = field(default_factory=lambda: Action("wait"))
     ending: SkillResult | None = None
     skill: Skill | None = None
@@ -54,10 +55,10 @@ class SkillController:
     completed: int = 0
     """Number of skills that the agent has completed, without waiting and commands."""
     _driven_since: int = -1
-    """First step of the commands that a driven person has followed without a skill in between; -1: they follow none."""
+    """First step of the commands that a driven person has followed without a skill in between; -1: no command is running."""
     _step: int = 0
     _left: int = 0
-    """Choices that it may still make in this step."""
+    """Number of choices that the agent may still make in this step."""
     _interrupted: bool = False
 
     @property
@@ -71,15 +72,15 @@ class SkillController:
         return self.skill is None or self.action.skill == CONTROL
 
     def begin(self, step: int) -> None:
-        """Begins a step, in which a running skill goes on."""
+        """Begin a step, in which a running skill goes on."""
         self._step, self._left, self._interrupted = step, CHOICES, False
 
     def interrupt(self, reason: str) -> None:
-        """Have the agent choose while a skill is running; one that chooses the same skill again continues it."""
+        """Let the agent choose while a skill is running; if it chooses the same skill again, the skill continues."""
         self.ending, self._interrupted = SkillResult("aborted", reason), True
 
     def start(self, world: World, agent: int, rows: NDArray[np.intp], action: Sequence[Action]) -> None:
-        """Begins a skill; an infeasible one is a no-op that takes one step, as Habitat's."""
+        """Begin a skill; an infeasible one does nothing and takes one step, as in Habitat."""
         del world, agent, rows
         (chosen,) = action
         if self._interrupted:
@@ -87,6 +88,7 @@ class SkillController:
             if chosen == self.action:
                 self.ending = None
                 return
+            # the interrupted skill was last active in the step before
             self._end(self._step - 1, self.ending)
         if self._driven_since >= 0 and chosen.skill != CONTROL:
             self._end_drive(self._step - 1)
@@ -101,7 +103,7 @@ class SkillController:
         self.skill, self.ending = self.actor.start(chosen), None
 
     def step(self, world: World, agent: int, rows: NDArray[np.intp]) -> None:
-        """Moves the agent by its skill. One that ends at once takes no time: then the agent chooses again."""
+        """Move the agent by its skill. If the skill ends at once, it takes no time, and the agent chooses again."""
         del world, agent, rows
         if self.skill is not None:
             try:
@@ -114,8 +116,9 @@ class SkillController:
             self.actor.idle()
 
     def _end(self, step: int, ending: SkillResult | None) -> None:
+        """End the running skill, whose last step was ``step``, and report it."""
         if self.skill is not None:
-            self.skill.close()  # one that is interrupted folds the arm
+            self.skill.close()  # an interrupted skill folds the arm in its ``finally``
         assert ending is not None
         self.skill, self.ending = None, ending
         self.completed += ending.outcome == "done" and self.action.skill not in IDLE_SKILLS
@@ -127,15 +130,16 @@ class SkillController:
             self._write(step, ending.outcome, ending.reason)
 
     def _end_drive(self, step: int) -> None:
+        """Report the commands that a driven person has followed up to ``step`` as one span."""
         self.begun, self._driven_since = self._driven_since, -1
         self._write(step, "done", "")
 
     def follow(self, skill: Skill, step: int) -> None:
-        """Let the agent, from ``step`` on, only continue a skill that no policy has chosen."""
+        """Let the agent continue a skill that no policy has chosen, from ``step`` on."""
         self.action, self.skill, self.ending, self.begun = Action("wait"), skill, None, step
 
     def finish(self, step: int, *, completed: bool) -> None:
-        """Reports the skill that is still running in the last step.
+        """Report the skill that is still running in the last step.
 
         If the agent ``completed`` the task, the skill counts as done: the episode ends before the skill itself does.
         """
@@ -146,7 +150,7 @@ class SkillController:
         self.skill = None
 
     def _write(self, step: int, outcome: str, reason: str) -> None:
-        """Reports the action up to ``step``."""
+        """Report the action up to ``step``."""
         names = {**dict.fromkeys(OPENING_SKILLS, self.joints), SEARCH: self.surfaces}.get(self.action.skill, self.names)
         self.spans.append(
             SkillSpan(

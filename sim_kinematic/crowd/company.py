@@ -1,4 +1,4 @@
-"""People in company: groups who walk abreast (Moussaid et al. 2010) and groups who stand and talk (F-formations)."""
+"""Groups of people who walk abreast (Moussaid et al. 2010), or stand and talk in F-formations (Kendon 1990)."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from sim_kinematic.motion.step import wrap_angle
 from sim_kinematic.motion.stride import point_along
 
 GAZE, COHESION, REPULSION = 4.0, 3.0, 1.0
-"""Weights of Moussaid et al. 2010: of turning the head to the others [1/(s rad)], of the group's centre and of members who are
-too near [m/s2]."""
+"""Weights of Moussaid et al. 2010: for turning the head to the others [1/(s rad)], for the group's centre and for members who
+are too near [m/s2]."""
 AHEAD_M, ASIDE_M, ROOM_M = 1.0, 1.2, 0.45
-"""Members walk towards a place so far ahead, at most so far beside the path, that has so much room."""
+"""Place towards which members walk: its distance ahead, its largest distance beside the path, and its least room [m]."""
 TOO_NEAR_M = 0.8
 """Members nearer than this repel each other."""
 VIEW_RAD = math.pi / 2
-"""Angle beyond which the others of a group make a member turn the head and walk slower [rad]."""
+"""Angle to the others of a group beyond which a member turns the head and walks slower [rad]."""
 TOGETHER_M, SLOW, SLOWEST = 1.5, 0.5, 0.1
-"""A member whose company is within this distance slows down to the first share of the speed at most, else to the second: in a
-passage, where they walk one behind the other, nobody stands still."""
+"""A member slows down to the first share of the speed at most while the company is within this distance, else to the second. So
+nobody stands still in a passage, where the members walk one behind the other."""
 APART_M, NEAR_M = 1.0, 0.6
-"""Neighbours in a conversation stand at least so far from each other, and everybody so far from its centre."""
+"""Least distance of neighbours in a conversation from each other, and of everybody from its centre [m]."""
 BEHIND_M = 0.3
 """Room behind people who stand and talk [m]."""
 CANDIDATES = 300
-"""Places for a conversation that are compared."""
+"""Number of places for a conversation that are compared."""
 
 
 @kernel(error_model="numpy")
@@ -40,6 +40,7 @@ def walk_beside(sdf, origin, cell, x, z, path, cumulative, along, wx, wz):
     tx, tz = point_along(path, cumulative, min(along + AHEAD_M, cumulative[-1]))
     aside = min(math.hypot(x - ax, z - az), ASIDE_M) / max(math.hypot(x - ax, z - az), 1e-6)
     wanted = math.hypot(wx, wz)
+    # beside the path as far as now, else half as far; where there is no room for that either, on the path
     for share in (1.0, 0.5):
         gx, gz = tx + share * aside * (x - ax), tz + share * aside * (z - az)
         if sample_sdf(sdf, origin, cell, gx, gz) > ROOM_M:
@@ -83,6 +84,7 @@ def keep_company(m, company, places, wx, wz, tau):
         turned = max(abs(wrap_angle(math.atan2(cz, cx) - math.atan2(wz, wx))) - VIEW_RAD, 0.0)
         share = max(1.0 - tau * GAZE * turned, SLOW if away < TOGETHER_M else SLOWEST)
         wx, wz = wx * share, wz * share
+    # the centre of all members, the person included, is nearer than that of the others
     centre = away * others / (others + 1.0)
     pull = tau * COHESION * min(max((centre - others / 2.0) / 0.3, 0.0), 1.0)
     return wx + pull * cx / away + tau * REPULSION * rx, wz + pull * cz / away + tau * REPULSION * rz
@@ -94,10 +96,10 @@ def circle_radius(people: int) -> float:
 
 
 def standing_circle(free: FreeSpace, xz: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Places [N, 2] of people who talk, and the centre [2] that they face: an F-formation (Kendon 1990).
+    """Return the places [N, 2] of people who talk, and the centre [2] that they face: an F-formation (Kendon 1990).
 
-    The circle lies where it has room, as near to where they are as possible; each takes the place on it that is nearest.
-    Where a home has no such room, the roomiest place is taken, and who cannot stand on the circle stands in from it.
+    The circle is where it has room, as near to the people as possible, and each takes the nearest place on it. In a home
+    without such room the roomiest place is taken, and people who cannot stand on the circle stand inside it.
 
     Args:
         free: The floor.
@@ -109,6 +111,7 @@ def standing_circle(free: FreeSpace, xz: Array, rng: np.random.Generator) -> tup
     room = free.signed_distance(centres)
     far = sum(free.geodesic(np.broadcast_to(own, centres.shape), centres) for own in xz)
     far = np.where(np.isfinite(far), far, 1e6)
+    # a metre of missing room costs as much as a path of 1 km: room comes first wherever there is some
     centre = centres[np.argmin(far + 1e3 * np.maximum(radius + BEHIND_M - room, 0.0))]
     angles = 2 * np.pi * np.arange(len(xz)) / len(xz)
     begin = math.atan2(*(xz[0] - centre)[::-1]) if np.hypot(*(xz[0] - centre)) > 1e-6 else 0.0

@@ -1,4 +1,4 @@
-"""People of one world who walk from goal to goal and choose their velocities among others."""
+"""People of one world who walk from goal to goal and avoid others by a model of crowds."""
 
 from __future__ import annotations
 
@@ -25,12 +25,11 @@ CrowdModel = Literal["social_force", "orca"]
 ARRIVED_M = 0.4
 """A goal counts as reached within this distance."""
 ATTEMPTS = 8
-"""Goals that are tried in one step, some of which may be reached already."""
+"""Largest number of goals that are tried in one step, as some of them may have been reached already."""
 STUCK_PATHS, AWAY_M = 4, 1.0
-"""People who are stuck compare so many goals by how near others are to the path at this distance."""
+"""Number of goals that people who are stuck compare, and the distance along the path at which they look for others [m]."""
 CLOSE_M = 1.5
 """Distance from their destination within which people who are stuck stay where they are, as somebody else stands there [m]."""
-
 SEAT_M, SLOW_MPS, STEP_ROOM_M = 0.2, 0.35, 0.08
 """People begin to sit down within the first distance of the place before the seat, slower than the second speed. They wait
 while a step would bring them nearer than the third to somebody's outline."""
@@ -55,29 +54,29 @@ NO_DISCS = Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
 
 
 def robot_discs(xz: Array, headings: Array, offsets: Sequence[float], radius_m: float) -> Discs:
-    """Discs of a robot's base at places [2, 2] and headings [2] [rad], now and one step ago."""
+    """Return discs of a robot's base at places [2, 2] and headings [2] [rad], now and one step ago."""
     now, was = discs_at(xz, headings, tuple(offsets), radius_m)
     return Discs(now[:, :2], was[:, :2], now[:, 2])
 
 
 def _room_on(path: Array, others: Array) -> float:
-    """Distance [m] of the nearest of ``others`` [N, 2] to a path [K, 2] at `AWAY_M` from its beginning."""
+    """Return the distance [m] of the nearest of ``others`` [N, 2] to a path [K, 2] at `AWAY_M` from its beginning."""
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
     at = np.array([np.interp(AWAY_M, along, path[:, k]) for k in range(2)])
     return float(np.hypot(*(others - at).T).min()) if len(others) else np.inf
 
 
 def _talking(guide: Guide, place: NDArray[np.float64], centre: tuple[float, float], group: str) -> Guide:
-    """The guide of somebody who goes to a place [2] and stays there, facing the centre of their company."""
+    """Return the guide of a person who goes to a place [2] and stays there, facing the centre of their company."""
     return lambda xz, goal, taken: Errand(
         guide(xz, place if goal is None else goal, taken).path, np.inf, centre, "talk", group
     )
 
 
 class Crowd:
-    """M people on one floor, all of whom follow one model.
+    """Crowd of M people on one floor who follow one model.
 
-    Positions are those of the world and are given anew in each step; goals, paths and chosen velocities are remembered.
+    Positions are those of the world and are given in each step. Goals, paths and chosen velocities are kept between steps.
     """
 
     def __init__(
@@ -93,18 +92,18 @@ class Crowd:
         stride: StrideSpec | None = None,
         places: dict[Any, SeatPlace] | None = None,
     ) -> None:
-        """Creates a crowd that stands still and has no goals yet.
+        """Create a crowd that stands still and has no goals yet.
 
         Args:
             free: Floor on which all of them walk.
             traits: Traits of each person [M].
-            guides: Function of each person that says where they go next [M].
+            guides: Function of each person that returns their next errand [M].
             model: ``orca`` (reciprocal avoidance) or ``social_force``.
             roles: Reaction, company and routine of each person [M].
             seed: Seed of the episode, from which conversations have their places.
             spec: Constants of avoidance.
             stride: Limits of walking.
-            places: Seats that people of all crowds of a world have, by who has them; this crowd keeps its own there.
+            places: Seats that people of all crowds of a world have, by crowd and number; this crowd adds its own.
         """
         people = len(traits)
         self._free, self._seed = free, seed
@@ -125,15 +124,16 @@ class Crowd:
         """Height of the seat on which each person sits [m], and share of the path from standing to sitting, [M, 2]."""
         self._taken: dict[Any, SeatPlace] = {} if places is None else places
         self._sitting: dict[int, tuple[SeatPlace, Motion]] = {}
-        """Motion of those who sit down, sit or get up,"""
+        """Seat and motion of people who sit down, sit or get up."""
         self._waits: dict[int, tuple[Array, float]] = {}
-        """and their next place, while somebody stands there."""
+        """Next place and share of their motion, for those who wait because somebody stands there."""
         self._stays, self._looks, self._moods = (np.zeros((people, 3)) for _ in range(3))
         self._moods[:, 0] = [list(REACTIONS).index(role.reaction) for role in self._roles]
         self._moods[:, 1] = -1.0
         words = [role.group for role in self._roles]
         self._company = np.array([words.index(w) if w.startswith("walk") else -1 for w in words], np.int64)
         self._pace = self._traits[:, 0].copy()
+        # a group walks as fast as its slowest member
         for first in set(self._company.tolist()) - {-1}:
             self._pace[self._company == first] = self._pace[self._company == first].min()
         self.new_events: list[tuple[int, str, str, str]] = []
@@ -145,7 +145,7 @@ class Crowd:
         return self._paths[np.arange(len(self._counts)), np.maximum(self._counts - 1, 0)]
 
     def step(self, xz: Array, heading: Array, before: Array, others: Discs, step: int) -> tuple[Array, Array]:
-        """Returns positions [M, 2] [m] and headings [M] [rad] after one more step.
+        """Return positions [M, 2] [m] and headings [M] [rad] after one more step.
 
         Args:
             xz: Positions now [M, 2] [m].
@@ -165,6 +165,7 @@ class Crowd:
             xz, self._paths, self._counts, self._best, self._traits, self._until, step, STEP_S, ARRIVED_M + 1e-9
         ):
             self._choose_goals(xz, step)
+        # before the step: whoever differs after it has begun or ended a reaction
         reacted = self._moods[:, 2].copy()
         places = np.concatenate([xz, others.xz])
         velocities = (places - np.concatenate([before, others.before])) / STEP_S
@@ -204,7 +205,7 @@ class Crowd:
         return places[:people], self._body[:, 0].copy()
 
     def _move_seated(self, m: int, places: Array, radii: Array, step: int) -> None:
-        """Moves somebody who sits down, sits or gets up by one step, in ``places`` [N, 2], unless somebody is in the way."""
+        """Move a person who sits down, sits or gets up by one step in ``places`` [N, 2], unless somebody is in the way."""
         was, share = places[m].copy(), self.seats[m, 1]
         (seat, *_), motion = self._sitting[m]
         moved = self._waits.pop(m, None) or next(motion, None)
@@ -214,6 +215,7 @@ class Crowd:
             return
         (x, z, heading), now = moved[0].tolist(), moved[1]
         gaps = np.hypot(*(places - (x, z)).T) - radii - radii[m]
+        # only those to whom the step leads: somebody who is too near already must not keep the person from leaving
         closer = np.hypot(*(places - (x, z)).T) < np.hypot(*(places - was).T)
         closer[m] = False
         if (closer & (gaps < STEP_ROOM_M)).any():
@@ -227,7 +229,7 @@ class Crowd:
                 self.new_events.append((m, kind, seat.name, ""))
 
     def _meet(self, xz: Array) -> None:
-        """Finds the places of those who stand and talk."""
+        """Find places for the groups that stand and talk, from the positions ``xz`` [M, 2] at the start."""
         for word in sorted({role.group for role in self._roles if role.group.startswith("talk")}):
             members = [m for m, role in enumerate(self._roles) if role.group == word]
             number = int(word.removeprefix("talk") or 0)
@@ -238,7 +240,7 @@ class Crowd:
                 self._guides[m] = _talking(self._guides[m], np.asarray(place, np.float64), (float(x), float(z)), word)
 
     def _choose_goals(self, xz: Array, step: int) -> None:
-        """Gives an errand to those who have arrived, are stuck or have been pushed off their path, and to their company."""
+        """Give an errand to people who have arrived, are stuck or have stayed long enough, and to their company."""
         left = np.hypot(*(self.goals - xz).T)
         stays = self._until >= 0
         arrived = ~stays & (left < ARRIVED_M)
@@ -273,7 +275,8 @@ class Crowd:
                 compares = stuck[m] and self._errands[m].seconds == 0
                 errands = self._errands_from(m, xz[m], STUCK_PATHS if compares else 1)
             errands = [errand for errand in errands if len(errand.path) > 1]
-            if errands:  # who is stuck turns to where the others are not
+            if errands:
+                # people who are stuck turn to where the others are not
                 others = np.delete(xz, m, axis=0)
                 chosen = max(errands, key=lambda e: _room_on(e.path, others)) if len(errands) > 1 else errands[0]
                 self._errands[m] = chosen
@@ -284,12 +287,13 @@ class Crowd:
                     self.new_events.append((m, "refused", *chosen.refused))
                 x, z = chosen.path[-1].tolist()
                 self.new_events.append((m, "walks_to", chosen.place, f"({x:.2f}, {z:.2f})"))
-            elif self._counts[m] < 2:  # who finds no goal at all stands where they are
+            elif self._counts[m] < 2:
+                # a path of two equal points: people without any goal stand where they are
                 self._set_path(m, np.array([xz[m], xz[m]], np.float64))
             self._best[m] = 0.0, step
 
     def _errands_from(self, m: int, xz: Array, most: int) -> list[Errand]:
-        """Up to ``most`` errands of a person to goals that they have not reached already."""
+        """Return up to ``most`` errands of a person to goals that they have not reached already."""
         errands: list[Errand] = []
         for _ in range(ATTEMPTS):
             errand = self._guides[m](np.asarray(xz, np.float64), None, self._taken_from(m))
@@ -301,11 +305,12 @@ class Crowd:
         return errands
 
     def _taken_from(self, m: int) -> list[Array]:
-        """Places [2 or 3] where others sit or stay, or go to do so; in all crowds, those before seats."""
+        """Return places [2 or 3] where others sit or stay, or go to do so; those of seats from all crowds of the world."""
         seats = [place.stand for who, place in self._taken.items() if who != (id(self), m)]
         return seats + [errand.path[-1] for j, errand in enumerate(self._errands) if errand.seconds > 0 and j != m]
 
     def _set_path(self, m: int, path: NDArray[np.float64]) -> None:
+        """Give a person a path [K, 2] to walk from its beginning."""
         if len(path) > self._paths.shape[1]:
             more = 2 * len(path) - self._paths.shape[1]
             self._paths = np.pad(self._paths, ((0, 0), (0, more), (0, 0)))

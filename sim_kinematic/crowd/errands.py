@@ -1,4 +1,4 @@
-"""Errands of people of a crowd: a path, and an activity at its end."""
+"""Errands of people of a crowd: paths with activities at their ends."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ class Errand(NamedTuple):
     """Errand of a person: a path to a place, and the time that they stay there."""
 
     path: NDArray[np.float64]
-    """Path to the place [K, 2] [m]; K < 2: there is none."""
+    """Path to the place [K, 2] [m]; with K < 2 there is no path."""
     seconds: float = 0.0
-    """Time to stay there; 0: they only pass."""
+    """Time to stay at the place [s]; 0: the person passes it."""
     look: tuple[float, float] | None = None
-    """Point (x, z) that they face meanwhile [m]."""
+    """Point (x, z) that the person faces meanwhile [m]."""
     activity: str = "walk"
-    """Activity there, which is a posture that they may have; those without it stand."""
+    """Activity at the place, the name of a posture. A body that has no such posture stands."""
     place: str = ""
     """Name of the place."""
     seat: SeatPlace | None = None
-    """Seat on which they sit there."""
+    """Seat on which the person sits there; None: they stand."""
     refused: tuple[str, str] = ("", "")
-    """Seat that they wanted and stand instead, and the sentence that says why."""
+    """Name of a seat that the person wanted and cannot use, and the reason in a sentence."""
 
 
 Guide = Callable[[NDArray[np.float64], NDArray[np.float64] | None, Sequence[Array]], Errand]
-"""Returns the next errand of somebody at a place [2] [m], or the way from there to the goal [2] of their group. Others sit or
-stay, or go to do so, at places ``(x, z, ...)``."""
+"""Function ``(xz, goal, taken)`` that returns the next errand of a person at a place [2] [m], or the path from there to the
+goal [2] of their group. Others sit or stay, or go to do so, at the places ``taken`` ``(x, z, ...)``."""

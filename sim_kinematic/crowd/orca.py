@@ -9,7 +9,7 @@ import numpy as np
 from h3data.kernels import kernel
 
 DIRECTIONS, SPEEDS = 24, 3
-"""Velocities that are compared where no velocity satisfies all half-planes."""
+"""Numbers of directions and speeds that are compared where no velocity satisfies all half-planes."""
 
 
 @kernel(error_model="numpy")
@@ -34,6 +34,7 @@ def half_plane(px, pz, vx, vz, radius, horizon, dt, share):
     """
     distance2 = px * px + pz * pz
     overlaps = distance2 <= radius * radius
+    # discs that overlap must come apart soon, whatever the horizon
     time = dt if overlaps else horizon
     # from the centre of the disc that cuts off the tip of the cone
     wx, wz = vx - px / time, vz - pz / time
@@ -84,6 +85,7 @@ def nearest_velocity(planes, count, wanted_x, wanted_z, most):
         for j in range(k):
             across = planes[j, 0] * tx + planes[j, 1] * tz
             missing = planes[j, 2] - offset * (planes[j, 0] * nx + planes[j, 1] * nz)
+            # parallel borders: the other half-plane holds everywhere on this one or nowhere
             if abs(across) < 1e-9:
                 if missing > 0.0:
                     low, high = 1.0, 0.0
@@ -108,6 +110,7 @@ def _least_violation(planes, count, wanted_x, wanted_z, most):
         worst = 0.0
         for j in range(count):
             worst = max(worst, planes[j, 2] - planes[j, 0] * vx - planes[j, 1] * vz)
+        # a little of the wanted velocity decides between velocities that violate the half-planes alike
         cost = worst + 0.01 * math.hypot(vx - wanted_x, vz - wanted_z)
         if cost < best:
             best, best_x, best_z = cost, vx, vz

@@ -1,4 +1,4 @@
-"""Reactions of people to a robot that they see: the six reactions of HuNavSim with their published numbers.
+"""Reactions of people to a robot that they see: the six of HuNavSim with their published numbers.
 
 Each is a distance, a time, and what the person does while the robot is in sight within that distance and the time since the
 first sight has not run out (Perez-Higueras et al. 2023, behaviour trees of hunav_sim). Otherwise the person walks on.
@@ -19,9 +19,9 @@ class Reaction(NamedTuple):
     """Numbers of one reaction."""
 
     within_m: float
-    """Distance at which the robot is noticed; 0: never, the robot is avoided like anything else."""
+    """Distance within which the robot is noticed [m]; 0: never, the robot is avoided like anything else."""
     lasts_s: float = 0.0
-    """Time from the first sight after which the reaction is over."""
+    """Time from the first sight after which the reaction is over [s]."""
     again: float = 0.0
     """Flag: 1 if the reaction begins anew at the next sight after that."""
     speed_mps: float = 0.0
@@ -35,7 +35,7 @@ class Reaction(NamedTuple):
     stand_m: float = 0.0
     """Distance at which the person stands and looks at the robot [m]."""
     repulsion_m2_s2: float = 0.0
-    """Repulsion by the robot: this over the distance to its outline gives an acceleration [m/s2]."""
+    """Repulsion by the robot, which divided by the distance to its outline [m] gives an acceleration [m/s2]."""
 
 
 REACTIONS: dict[str, Reaction] = {
@@ -48,12 +48,13 @@ REACTIONS: dict[str, Reaction] = {
 }
 """Reactions by name. ``regular`` takes the robot for another person, ``impassive`` for furniture."""
 IMPASSIVE = list(REACTIONS).index("impassive")
+"""Number of the reaction ``impassive``."""
 TABLE = np.array(list(REACTIONS.values()))
 """The numbers that the kernels take, [6, 9], by number of the reaction."""
 VIEW_RAD = math.radians(100.0)
 """Angle from the direction of their gaze up to which people see robots [rad]."""
 SIGHT_M = 0.05
-"""Distance from the line between two places below which something hides them from each other [m]."""
+"""Distance from an obstacle to the line between two places below which it hides them from each other [m]."""
 
 
 @kernel(error_model="numpy")
@@ -78,6 +79,7 @@ def notice(reaction, mood, x, z, heading, robot, in_sight, step, dt):
         return False
     if mood[0] < 0.0:
         mood[0] = step
+    # over since the first sight, even if the robot was out of sight in between
     if (step - mood[0]) * dt >= reaction[1]:
         if reaction[2] > 0.0:
             mood[0] = -1.0
@@ -116,6 +118,7 @@ def reacting_velocity(reaction, x, z, robot, radius, wx, wz, tau):
     wanted = math.hypot(wx, wz)
     if wanted > speed:
         wx, wz = wx / wanted * speed, wz / wanted * speed
+    # at the outline the repulsion would be infinite
     push = tau * reaction[8] / max(distance - radius, 0.05)
     wx, wz = wx - px / distance * push, wz - pz / distance * push
     wanted = max(math.hypot(wx, wz), 1e-9)

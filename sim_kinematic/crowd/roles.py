@@ -1,4 +1,4 @@
-"""Words after a model's name that describe a person of a crowd: ``orca+curious+walk1``."""
+"""Words after the name of a model that describe a person of a crowd, as in ``orca+curious+walk1``."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ from sim_kinematic.crowd.reactions import REACTIONS
 from sim_kinematic.motion.randomness import generator
 
 ANY = "any"
-"""Name of a reaction that is sampled from the seed of the episode, for each person."""
+"""Word for a reaction that is sampled for each person by the seed of the episode."""
 ROUTINES = ("morning",)
 """Routines by name (`sim_kinematic.crowd.routines`)."""
-_GROUP = re.compile(r"(walk|talk)\d{0,4}")
 
 
 class Role(NamedTuple):
@@ -26,7 +25,7 @@ class Role(NamedTuple):
     group: str = ""
     """Name of the person's group: ``walk1`` walks abreast, ``talk1`` stands and talks; empty if they are alone."""
     routine: str = ""
-    """Activities one after another; empty: they walk about."""
+    """Name of a routine, one of `ROUTINES`; empty if the person walks from goal to goal."""
 
 
 ALONE = Role()
@@ -34,10 +33,10 @@ ALONE = Role()
 
 
 def read_role(words: str, seed: int = 0, number: int = 0) -> Role:
-    """Returns the role that words with ``+`` between them say; ``any`` is a reaction drawn for agent ``number``.
+    """Return the role that words with ``+`` between them describe; ``any`` is a reaction sampled for agent ``number``.
 
     Raises:
-        InputError: nobody has such a reaction, group or routine.
+        InputError: There is no such reaction, group or routine.
     """
     role = Role()
     for word in filter(None, words.split("+")):
@@ -50,7 +49,7 @@ def read_role(words: str, seed: int = 0, number: int = 0) -> Role:
             role = role._replace(reaction=word)
         elif word in ROUTINES:
             role = role._replace(routine=word)
-        elif _GROUP.fullmatch(word):
+        elif re.fullmatch(r"(walk|talk)\d{0,4}", word):
             role = role._replace(group=word)
         else:
             known = (*REACTIONS, ANY, *ROUTINES, "walk1", "talk1")
@@ -63,10 +62,10 @@ def read_role(words: str, seed: int = 0, number: int = 0) -> Role:
 
 
 def check_groups(groups: Iterable[str]) -> None:
-    """Refuses a group of one.
+    """Check that each group has two or more people.
 
     Raises:
-        InputError: somebody has no company.
+        InputError: A group has one person.
     """
     for name, count in Counter(filter(None, groups)).items():
         if count == 1:

@@ -1,7 +1,7 @@
-"""Routines: places of a home where a person does something for a while, one after another, as ``(place, activity, seconds)``.
+"""Routines of people: a sequence of stops ``(place, activity, seconds)`` in a home.
 
-A place is the name of a thing in the home. An activity is the name of a posture, which a body may have (`ACTIVITIES`); whoever
-has none of that name stands. The person faces the thing meanwhile.
+A place is the name of a thing in the home, which the person faces meanwhile. An activity (`ACTIVITIES`) is also the name of a
+posture; a body that has no posture of this name stands.
 """
 
 from __future__ import annotations
@@ -63,15 +63,13 @@ KEPT = 0.7
 PERSON_M = 1.0
 """Distance from others within which nobody stays."""
 BETWEEN = np.linspace(0.2, 0.9, 6)
-"""Shares of the line to a thing that are free floor."""
-POSTURES = ("stand", "sit")
-"""Postures that people of crowds have."""
+"""Shares of the line to a thing at which there has to be free floor."""
 BESIDE_M, ROOM_M, BEARINGS = 0.9, 0.33, 48
-"""People stand at most so far from a thing, with so much room; directions that are tried."""
+"""Largest distance of a person from a thing, least room there [m], and number of directions that are tried."""
 
 
 def posture_of(activity: str, postures: Sequence[str] = ("stand",)) -> str:
-    """Posture for an activity of somebody who has ``postures``: its own, the one that it stands for, or ``stand``."""
+    """Return the posture for an activity of a body with ``postures``: one of its name, its general posture, or ``stand``."""
     own = ACTIVITIES[activity].posture if activity in ACTIVITIES else activity
     return next((name for name in (activity, own) if name in postures), "stand")
 
@@ -96,7 +94,8 @@ def place_beside(
     faced = np.tile(edge, (4, 1))
     far = free.geodesic(np.broadcast_to(near, at.shape), at)
     between = at[:, None] + BETWEEN[:, None] * (faced - at)[:, None]
-    seen = (free.signed_distance(between) > 0).all(1)  # not across a wall
+    # not across a wall: the floor between the person and the thing is free
+    seen = (free.signed_distance(between) > 0).all(1)
     fits = np.flatnonzero(np.isfinite(far) & (free.signed_distance(at) >= ROOM_M) & seen)
     if not len(fits):
         return None
@@ -108,7 +107,7 @@ def make_morning(scene: Scene, seed: int, number: int) -> tuple[Stop, ...]:
     """Return the routine of a morning for agent ``number`` in the episode with a seed, from the things of the home.
 
     Raises:
-        SceneError: the home has nothing for any activity.
+        SceneError: The home has nothing for any activity.
     """
     rng = generator(seed, "morning", world=number)
     things: dict[str, list[str]] = {}
@@ -128,13 +127,13 @@ def make_morning(scene: Scene, seed: int, number: int) -> tuple[Stop, ...]:
 
 
 class Routine:
-    """A routine under way: the next errand, and after the last one the first again."""
+    """Routine of one person, which gives one errand after another and begins again after the last."""
 
     def __init__(self, scene: Scene, free: FreeSpace, stops: Sequence[Stop], body: Humanoid | None = None) -> None:
-        """Checks the stops. Without a ``body`` the person stands everywhere.
+        """Check the stops. Without a ``body`` the person stands everywhere.
 
         Raises:
-            InputError: there is none, or one names no thing of the home or lasts no finite time.
+            InputError: There is no stop, or one names no thing of the home or lasts no finite time.
         """
         names = {instance.name for instance in scene.instances}
         wrong = [stop for stop in stops if stop.place not in names or not 0 < stop.seconds < math.inf]
@@ -151,16 +150,16 @@ class Routine:
     def next_stop(
         self, xz: NDArray[np.float64], taken: Sequence[Array] = ()
     ) -> tuple[NDArray[np.float64], Errand] | None:
-        """Place [2] of the next stop that somebody at a place [2] can walk to, and its errand, whose path is to be found.
+        """Return the place [2] of the next stop that a person at a place [2] can walk to, and its errand without a path.
 
-        They sit if the activity is one of sitting and the place has a seat for them. An entry whose place others have ``taken``
-        ``(x, z, ...)`` waits for its next turn.
+        The person sits if the activity is one of sitting and the place has a seat for them. A stop whose place others have
+        ``taken`` ``(x, z, ...)`` is skipped until its next turn. None: no stop can be reached.
         """
         refused = "", ""
         for _ in self.stops:
             stop = self.stops[self._next % len(self.stops)]
             self._next += 1
-            if self._seats is not None and posture_of(stop.activity, POSTURES) == "sit":
+            if self._seats is not None and posture_of(stop.activity, ("stand", "sit")) == "sit":
                 for seat in self._seats.at(stop.place):
                     try:
                         place = self._seats.place(seat, taken)

@@ -1,7 +1,7 @@
-"""Seats that a person can use, and the motion to them: back to the seat, a step back, down; later up and away.
+"""Seats that a person can use, and the motions of sitting down and getting up.
 
-A place before the seat is sought on the floor on which people walk. From there a person steps straight to the seat with the
-back to it. A seat is refused where the body would be in a thing on this path.
+A place before the seat is searched on the floor on which people walk. There the person turns the back to the seat, and steps
+straight back to it. A seat whose path leads the body into a thing cannot be used.
 """
 
 from __future__ import annotations
@@ -32,33 +32,34 @@ STEP_MPS, TURN_RAD_S = 0.35, 1.2
 AWAY_M = tuple(0.1 * k for k in range(1, 13))
 """Distances from where people stand before they sit to where they turn, of which the first with room is taken."""
 SIDES_RAD = tuple(math.radians(angle) for angle in (0, 20, -20, 40, -40))
-"""Directions of this step, from straight ahead of the seat on. Feet that step farther sideways would get into the seat."""
+"""Directions of this step relative to the seat's, in the order of trial. Feet that step farther sideways would hit the seat."""
 ROOM_M = 0.27
-"""Room that the place has."""
+"""Least distance of that place from obstacles [m]."""
 DEPTH_M = 0.018
-"""Depth by which the collision shapes of somebody who sits may be in the seat, as cushions give way."""
+"""Depth by which the collision shapes of a seated person may be in the seat, as cushions give way [m]."""
 BESIDE_M = 0.8
 """Seats within this distance of a table or desk belong to it."""
 APART_M = 0.75
-"""People who sit side by side are at least so far apart."""
+"""Least distance between people who sit side by side [m]."""
 
 
 class SeatPlace(NamedTuple):
-    """A seat that a person can use."""
+    """Seat that a person can use, and the places on the path to it."""
 
     seat: Seat
     before: Array
-    """Place ``(x, z, heading)`` [3] at which they turn the back to the seat,"""
+    """Place ``(x, z, heading)`` [3] at which the person turns the back to the seat."""
     stand: Array
-    """and from which they sit down."""
+    """Place ``(x, z, heading)`` [3] at which the person stands before sitting down."""
 
 
 def fit(body: Humanoid, seat: Seat) -> Sitting:
     """Return the motion by which a body sits down on a seat.
 
     Raises:
-        InputError: the seat is too high, too low or too shallow for this body.
+        InputError: The seat is too high, too low or too shallow for this body.
     """
+    # rounded, so that seats of about the same height share a motion, which takes long to compute
     sitting = sitting_on(body, round(seat.height_m, 3))
     if not sitting.fits(seat.depth_m):
         raise InputError(
@@ -70,26 +71,26 @@ def fit(body: Humanoid, seat: Seat) -> Sitting:
 
 
 def stand_before(body: Humanoid, seat: Seat) -> Array:
-    """Place ``(x, z, heading)`` [3] at which a person stands before they sit down, the back to the seat.
+    """Return the place ``(x, z, heading)`` [3] at which a person stands before they sit down, the back to the seat.
 
     Raises:
-        InputError: the seat is too high, too low or too shallow for this body.
+        InputError: The seat is too high, too low or too shallow for this body.
     """
     ahead = np.array([np.cos(seat.heading), -np.sin(seat.heading)])
     return np.append(seat.edge[[0, 2]] - fit(body, seat).edge_m * ahead, seat.heading)
 
 
 class Seats:
-    """Seats of a home as one person can use them."""
+    """Seats of a home for one person."""
 
     def __init__(self, scene: Scene, free: FreeSpace, body: Humanoid) -> None:
-        """``free`` is the floor on which the person walks."""
+        """Find the seats of a scene, for a body that walks on the floor ``free``."""
         self._scene, self._free, self._body = scene, free, body
         self._seats = seats_of(scene)
         self._before: dict[str, Array | None] = {}
 
     def at(self, thing: str) -> list[Seat]:
-        """Seats of a thing in the home, or those beside it, the nearest first."""
+        """Return the seats of a thing in the home, or else those beside it, the nearest first."""
         own = [seat for seat in self._seats if seat.name.partition(":")[0] == thing or seat.name == thing]
         if own:
             return own
@@ -99,10 +100,10 @@ class Seats:
         return [self._seats[k] for k in np.argsort(gaps, kind="stable") if gaps[k] < BESIDE_M]
 
     def place(self, seat: Seat, taken: Sequence[Array] = ()) -> SeatPlace:
-        """Return how to use a seat, while others have the places ``taken`` ``(x, z, ...)``.
+        """Return the places for using a seat, while others have the places ``taken`` ``(x, z, ...)``.
 
         Raises:
-            InputError: the seat does not fit the body, somebody has it, or there is no room before it.
+            InputError: The seat does not fit the body, somebody has it, or there is no room before it.
         """
         x, z, heading = stand_before(self._body, seat).tolist()
         if any(math.hypot(other[0] - x, other[1] - z) < APART_M for other in taken):
@@ -122,7 +123,7 @@ class Seats:
         return SeatPlace(seat, before, stand)
 
     def nearest(self, xz: Array, within_m: float, taken: Sequence[Array] = ()) -> SeatPlace | None:
-        """Return how to use the nearest seat that fits, within a distance [m] of a place [2]; None: there is none."""
+        """Return the places for using the nearest seat that fits, within a distance [m] of a place [2]; None: there is none."""
         gaps = {seat.name: float(np.hypot(*(seat.edge[[0, 2]] - xz))) for seat in self._seats}
         for seat in sorted(self._seats, key=lambda seat: gaps[seat.name]):
             if gaps[seat.name] > within_m:
@@ -136,7 +137,7 @@ class Seats:
         return None
 
     def _find_before(self, seat: Seat, stand: Array) -> Array | None:
-        """Place ``(x, z, heading)`` from which the person steps back to the seat; None: there is none."""
+        """Return the place ``(x, z, heading)`` from which the person steps back to the seat; None: there is none."""
         sitting, heading = fit(self._body, seat), float(stand[2])
         shares = np.linspace(0, 1, 7)
         if self._is_clear(np.tile(stand, (len(shares), 1)), *sitting.pose(shares), depth_m=DEPTH_M):
@@ -151,11 +152,12 @@ class Seats:
                     standing = self._body.clip_pose(np.zeros(len(track), np.int64), np.zeros(len(track)))
                     if self._is_clear(track, *standing):
                         return np.append(at, heading)
+                    # a longer step in this direction begins with the same one
                     break
         return None
 
     def _is_clear(self, track: Array, quats: Array, pelvis: Array, depth_m: float = 0.0) -> bool:
-        """Returns whether the body in poses [T] at places [T, 3] is in nothing, or no deeper than ``depth_m``."""
+        """Return whether the body in poses [T] at places [T, 3] is in nothing, or no deeper than ``depth_m``."""
         body = self._body
         roots = ground_pose(track[:, :2], track[:, 2], self._free.height_at(track[:, :2]))
         frames = shape_frames(body, body.joint_matrices(roots, quats, pelvis))
@@ -188,7 +190,7 @@ def take_seat(here: Array, place: SeatPlace) -> Motion:
 
 
 def leave_seat(here: Array, place: SeatPlace, share: float) -> Motion:
-    """Yield the motion of somebody at a place [3], so far on the way to sitting, who gets up and steps away."""
+    """Yield the motion of somebody at a place [3], with a ``share`` of sitting, who gets up and steps away."""
     if share > 0:
         yield from _shares(here, share, 0, RISE_S * (0.5 + share / 2))
         yield from _shares(here, 0, 0, SETTLE_S / 2)
@@ -196,13 +198,16 @@ def leave_seat(here: Array, place: SeatPlace, share: float) -> Motion:
 
 
 def _shares(at: Array, start: float, end: float, seconds: float) -> Motion:
+    """Yield the motion at a place [3] during which the share of sitting changes from ``start`` to ``end``."""
     steps = max(round(seconds / STEP_S), 1)
     u = np.arange(1, steps + 1) / steps
+    # the minimum-jerk profile (Flash and Hogan 1985): it begins and ends without acceleration
     for share in (start + (end - start) * u**3 * (10 - 15 * u + 6 * u * u)).tolist():
         yield at, share
 
 
 def _steps(start: Array, end: Array) -> Iterator[Array]:
+    """Yield places ``(x, z, heading)`` [3] from one place to another, one for each step of the simulation."""
     turn = float(wrap_angle(end[2] - start[2]))
     gap = end[:2] - start[:2]
     steps = math.ceil(max(math.hypot(*gap) / STEP_MPS, abs(turn) / TURN_RAD_S) / STEP_S)

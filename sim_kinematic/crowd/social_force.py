@@ -1,4 +1,4 @@
-"""Social force: a wish to keep the desired velocity, and repulsion by people and walls (Moussaid et al. 2009)."""
+"""Social force between people (Moussaid et al. 2009)."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ def interaction(px, pz, vx, vz, lambda_, gamma, n, n_prime):
         n: Angular range of slowing down.
         n_prime: Angular range of turning aside.
     """
+    # two people at one place have no direction to each other
     distance = max(math.hypot(px, pz), 1e-6)
     ex, ez = px / distance, pz / distance
     ix, iz = lambda_ * vx + ex, lambda_ * vz + ez

@@ -1,4 +1,4 @@
-"""Step of all people of a crowd: the decision of each, and how far their bodies follow.
+"""Step of all people of a crowd: the velocity that each chooses, and the motion of their bodies towards it.
 
 People walk in the direction of view and a little sideways, and set off, brake and turn no faster than `StrideSpec` says, so
 that the feet that the walk draws stay planted. Whatever they decide, nobody's radius gets into another one's.
@@ -22,12 +22,12 @@ from sim_kinematic.motion.stride import point_along, progress_along, slide_along
 WALL_M = 0.25
 """Radius with which people keep clear of walls and furniture, beside which their arms fold."""
 FOOT_M, FOOT_S, FOOT_ROOM_M = 0.2, 0.1, 0.22
-"""Distance ahead of a person who stands at which a foot steps, time by whose way it is farther when they walk, and the room
-that a foot needs there."""
+"""Distance at which a foot of somebody who sets off steps ahead [m], time by which the speed adds to it [s], and room that the
+foot needs there [m]."""
 CREEP_MPS = 0.25
 """Speed up to which people step in any direction, whatever they look at [m/s]."""
 AHEAD_M = 0.1
-"""Narrow places are sought along the path in steps of this length."""
+"""Length of the steps in which narrow places are searched along a path [m]."""
 PROGRESS_M = 0.25
 """Progress along the path by which a person does not count as stuck [m]."""
 SLIDES = 3
@@ -35,11 +35,11 @@ SLIDES = 3
 STRIDE_M = 0.2
 """Distance by which feet and hands of people reach farther ahead and behind than sideways [m]."""
 NEAR_END_M = 0.1
-"""People who stand somewhere do not step back to it from within this distance."""
+"""Distance from the place of a person who stands within which they do not step back to it [m]."""
 GROUP_S = 0.5
 """Time in which forces of a group become velocities: the time constant of Moussaid et al."""
 SEATED = 3.0
-"""State of people in ``stays`` who sit down, sit or get up: their places are given."""
+"""Value in ``stays`` of people who sit down, sit or get up, whose places are given."""
 BACK_M = 1.5
 """Distance that people in a narrow place go back along their path to let others through."""
 
@@ -54,6 +54,7 @@ def sees(sdf, origin, cell, ax, az, bx, bz):
         clear = sample_sdf(sdf, origin, cell, ax + share * (bx - ax), az + share * (bz - az))
         if clear < SIGHT_M:
             return False
+        # sphere tracing: nothing is nearer than ``clear``, so the line is free for as long
         at += max(clear, 0.05)
     return True
 
@@ -131,6 +132,7 @@ def claim_passages(sdf, origin, cell, xz, paths, counts, lengths, along, claims,
         ax, az = point_along(path, cumulative, at)
         bx, bz = point_along(path, cumulative, at + 0.4)
         length = max(math.hypot(bx - ax, bz - az), 1e-9)
+        # one more than the step, as 0 means that the person is at no narrow place
         if claims[m, 0] == 0.0:
             claims[m, 0] = step + 1.0
         claims[m, 1], claims[m, 2] = ax, az
@@ -146,6 +148,7 @@ def first_through(claims, company, m, wait):
     for j in range(len(claims)):
         if j == m or claims[j, 0] == 0.0 or (company[m] >= 0 and company[j] == company[m]):
             continue
+        # people who walk one behind the other go through together
         opposite = claims[m, 3] * claims[j, 3] + claims[m, 4] * claims[j, 4] < -0.3
         near = math.hypot(claims[m, 1] - claims[j, 1], claims[m, 2] - claims[j, 2]) < wait + 0.4
         earlier = claims[j, 0] < claims[m, 0] or (claims[j, 0] == claims[m, 0] and j < m)
@@ -160,6 +163,7 @@ def first_through(claims, company, m, wait):
 @kernel(error_model="numpy")
 def wanted_velocity(sdf, origin, cell, x, z, path, cumulative, along, speed, decel):
     """Velocity (x, z) [m/s] towards a point ahead on the path, slower before its end."""
+    # with less room to a nearer point, as a straight line to a far one could cut a corner
     room = sample_sdf(sdf, origin, cell, x, z) - WALL_M
     ahead = min(0.3 + max(room, 0.0), 0.9)
     tx, tz = point_along(path, cumulative, min(along + ahead, cumulative[-1]))
@@ -184,6 +188,7 @@ def yield_velocity(sdf, origin, cell, x, z, path, cumulative, along, theirs, the
         distance = math.hypot(x - px, z - pz)
         if distance < nearest:
             nearest, ax, az = distance, x - px, z - pz
+    # far enough from the other's path already
     if nearest >= rules[7]:
         return 0.0, 0.0
     gx, gz = sdf_gradient(sdf, origin, cell, x, z)
@@ -230,10 +235,12 @@ def choose_velocity(
             continue
         px, pz = places[j, 0] - x, places[j, 1] - z
         distance = math.hypot(px, pz)
+        # people behind walls do not count, or those in the next room would be avoided
         if distance > rules[3] or not sees(sdf, origin, cell, x, z, places[j, 0], places[j, 1]):
             continue
         near[count] = j
         count += 1
+        # somebody ahead who stands or comes towards the person is passed on the person's side
         ahead = wx * px + wz * pz > 0.8 * wanted * distance
         if (
             wanted > 0.1
@@ -275,10 +282,13 @@ def choose_velocity(
         push = rules[12] * math.exp(-max(clear - WALL_M, 0.0) / rules[13])
         ax, az = ax + push * gx, az + push * gz
         span = traits[m, 2]
+        # forces become a velocity over the time until the next decision
         wx, wz = vx + ax * span, vz + az * span
+        # forces alone let people touch, so half-planes guard the next moments
         horizon = rules[2]
     planes = np.empty((count + 2, 3))
     planes[0, 0], planes[0, 1] = gx, gz
+    # the speed towards the nearest wall is at most that which reaches it at the end of the horizon
     planes[0, 2] = -(clear - WALL_M) / rules[1]
     # the foot ahead comes no nearer to what it would step into
     ahead = FOOT_M + FOOT_S * body[m, 2]
@@ -290,12 +300,14 @@ def choose_velocity(
     for k in range(count):
         j = near[k]
         px, pz = places[j, 0] - x, places[j, 1] - z
+        # people of the crowd do their half; robots and people of other policies are not relied on
         share = 0.5 if j < len(body) and stays[j, 2] != SEATED else 1.0
         reach, ahead_s, jx, jz = reach_between(m, j, px, pz, radii, body), horizon, velocities[j, 0], velocities[j, 1]
         if len(body) <= j < len(body) + furniture:
             ahead_s, jx, jz = rules[1], 0.0, 0.0
         else:
             reach += rules[4]
+        # discs that overlap come apart within half a second; offsets of changes become those of velocities
         nx, nz, offset = half_plane(px, pz, vx - jx, vz - jz, reach, ahead_s, 0.5, share)
         planes[k + 2, 0], planes[k + 2, 1], planes[k + 2, 2] = nx, nz, offset + nx * vx + nz * vz
     return nearest_velocity(planes, count + 2, wx, wz, most)
@@ -352,6 +364,7 @@ def follow(sdf, origin, cell, m, places, radii, body, chosen, looks, limits, dt)
             nx, nz, v = sx, sz, min(v, max(moved / dt, v - decel * dt))
         else:
             nx, nz, v = x, z, 0.0
+    # before the distances to others, which depend on where the person looks (`reach_between`)
     body[m, 0], body[m, 1] = heading, turn
     sx, sz = nx - x, nz - z
     for attempt in range(SLIDES):
@@ -363,6 +376,7 @@ def follow(sdf, origin, cell, m, places, radii, body, chosen, looks, limits, dt)
             reach, before = reach_between(m, j, px, pz, radii, body), math.hypot(px, pz)
             if math.hypot(px - sx, pz - sz) < reach and sx * px + sz * pz > 0.0:
                 free = False
+                # without the part of the step that leads towards the other, it passes beside them
                 towards = (sx * px + sz * pz) / (before * before)
                 sx, sz = sx - towards * px, sz - towards * pz
         if free:
@@ -452,6 +466,7 @@ def step_crowd(
             claims[m, 0] = 0.0  # who stands does not go through
             best[m, 1] = step
     for m in range(len(counts)):
+        # each decides at steps of their own, so that not all decide in the same one
         pause = max(int(traits[m, 2] / dt + 0.5), 1)
         if (step + m) % pause != 0 or stays[m, 2] == SEATED:
             continue
@@ -509,6 +524,7 @@ def step_crowd(
         chosen[m, 0], chosen[m, 1] = choose_velocity(
             sdf, origin, cell, m, places, velocities, radii, body, stays, wx, wz, most, furniture, traits, forces, rules
         )
+    # after all have chosen: nobody chooses by where others have moved in this step
     for m in range(len(counts)):
         if stays[m, 2] == SEATED:
             continue

@@ -22,15 +22,15 @@ class CrowdSpec:
     guard_s: float = 0.6
     """Time within which people of `social_force` avoid a collision, as its forces alone let people touch [s]."""
     neighbour_m: float = 6.0
-    """People and robots farther away than this do not count."""
+    """Distance beyond which people and robots are ignored [m]."""
     comfort_m: float = 0.08
-    """Distance between outlines that avoidance adds to both radii."""
+    """Distance between outlines that avoidance adds to both radii [m]."""
     narrow_m: float = 0.55
-    """Distance to the nearest wall below which a place counts as narrow: two people cannot pass each other there."""
+    """Distance to the nearest wall below which a place counts as narrow, as two people cannot pass each other there [m]."""
     wait_m: float = 1.2
-    """Distance before a narrow place at which people decide who goes first."""
+    """Distance before a narrow place at which people decide who goes first [m]."""
     aside_m: float = 0.9
-    """Distance that those who wait keep from the path of those who come through."""
+    """Distance that those who wait keep from the path of those who come through [m]."""
     approach_m: float = 6.0
     """Distance from which people who meet head-on keep to their side [m]."""
     approach_rad: float = 0.6
@@ -70,7 +70,7 @@ class Traits(NamedTuple):
     radius_m: float
     """Radius that nobody else's may overlap: half of the width of the body with swinging arms."""
     side: float
-    """Side of those who meet head-on: 1 keeps to the right, -1 to the left."""
+    """Side to which a person keeps who meets somebody head-on: 1 is right, -1 left."""
     patience_s: float
     """Time without progress after which a person chooses another goal."""
 
@@ -78,13 +78,13 @@ class Traits(NamedTuple):
 SPEED_SD = 0.27
 """Standard deviation of free speeds over their mean: 0.35 m/s of 1.3 m/s, as between pedestrians of ETH and UCY."""
 LEAST_SPEED, MOST_SPEED = 0.5, 1.5
-"""Free speeds lie within these multiples of the mean."""
+"""Smallest and largest free speed as multiples of the mean."""
 RIGHT_SHARE = 0.85
 """Share of people who keep to the right; measured crowds pass on their majority's side in 54 to 78% of encounters."""
 
 
 def sample_traits(seed: int, number: int, mean_speed_mps: float) -> Traits:
-    """Returns the traits of agent ``number`` in the episode with a seed; the same always.
+    """Return the traits of agent ``number`` in the episode with a seed, which determines them.
 
     Args:
         seed: Seed of the episode.

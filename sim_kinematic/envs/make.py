@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class Bank(Protocol):
-    """Episodes in arrays, from which worlds on a device draw (`h3data_training.torch.episodes.EpisodeBank`)."""
+    """Episodes in arrays, of which worlds on a device sample (`h3data_training.torch.episodes.EpisodeBank`)."""
 
     def __len__(self) -> int: ...
 
@@ -134,7 +134,7 @@ def make(
     compile: bool | None = None,
     **task_options: object,
 ) -> gymnasium.Env[Any, Any] | gymnasium.vector.VectorEnv[Any, Any, Any] | pettingzoo.ParallelEnv[str, Any, Any]:
-    """Makes a training environment of a task: ``make("social_nav")``, ``make("social_nav", num_envs=64)``.
+    """Make a training environment of a task: ``make("social_nav")``, ``make("social_nav", num_envs=64)``.
 
     One world is a Gymnasium environment, ``num_envs`` worlds a vector environment, several ``agents`` a PettingZoo
     environment, a ``device`` worlds as torch tensors (h3data docs environments). None stands for the default of the task or
@@ -174,7 +174,7 @@ def make(
         **task_options: Options of a task of your own. Type checkers accept them as ``**{"name": value}``.
 
     Raises:
-        InputError: no such task, scenes or option.
+        InputError: There is no such task, scenes or option.
         MissingExtraError: Gymnasium or PettingZoo are not installed.
     """
     options: dict[str, Any] = {
@@ -206,6 +206,7 @@ def make(
         "graph": graph,
         "compile": compile,
     }
+    # bodies become names, so that an environment can be pickled and made again by its recipe
     if isinstance(robot, Robot):
         options["robot"] = robot_name(robot)
     given = {name: value for name, value in {**options, **task_options}.items() if value is not None}
@@ -223,7 +224,7 @@ def make_env(
     flatten: bool = False,
     **options: Any,
 ) -> Any:
-    """A training environment of a task with options by name, those of the task's stepper or its device among them.
+    """Return a training environment of a task, with options by name, including those of its stepper or its device.
 
     Args:
         task: Name of a task, ``module:Class``, or a `Task`.
@@ -232,11 +233,11 @@ def make_env(
         device: A torch device: worlds as tensors.
         agents: Agents that act; several make a PettingZoo environment, which has one world.
         render_mode: ``rgb_array`` for ``render()``.
-        flatten: Observations are one vector instead of a dictionary of arrays.
+        flatten: True if observations are one vector instead of a dictionary of arrays.
         **options: Options of `sim_kinematic.envs.world_stepper.WorldStepper` and `sim_kinematic.envs.stepper.Options`.
 
     Raises:
-        InputError: no such task, scenes, agents or option, or both ``num_envs`` and several agents are wanted.
+        InputError: There is no such task, scenes, agents or option, or both ``num_envs`` and several agents are wanted.
         MissingExtraError: Gymnasium or PettingZoo are not installed.
     """
     given = {"num_envs": num_envs, "device": device, "agents": agents, "render_mode": render_mode, **options}
@@ -260,7 +261,9 @@ def _make(
     flatten: bool,
     options: dict[str, Any],
 ) -> Any:
+    """Return the environment that `make_env` describes, without a recipe."""
     found = find_task(task)
+    # rules change those that the environment would have without them, which may differ from the task's own
     if (rules := options.pop("rules", None)) is not None:
         usual = (device is not None and found.usage.device_rules) or found.usage.env_rules or found.Spec()
         options["spec"] = with_options(options.get("spec") or usual, rules=rules)
@@ -271,6 +274,7 @@ def _make(
                 code="H3-ENV-019",
             )
         return _on_device(found, scenes, num_envs, device, agents, options)
+    # imported here because they need Gymnasium, which worlds on a device do without
     from sim_kinematic.envs.stepper import FlatStepper, Options
     from sim_kinematic.envs.world_stepper import WorldStepper
 
@@ -306,7 +310,12 @@ def _make(
 
 
 def _require_known(task: Task, stepper: Any, options: dict[str, Any], shared: Sequence[str]) -> None:
-    """Refuses options that nobody takes."""
+    """Check that each option is one of the stepper, of all environments or of the task.
+
+    Raises:
+        InputError: There is no such option.
+    """
+    # the signature says which options there are, so that the two never differ
     parameters = inspect.signature(stepper.__init__).parameters.values()
     known = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY and p.name not in ("worlds", "options")]
     known += [*shared, *task.usage.env_options, "rules", "num_envs", "device", "render_mode", "flatten"]
@@ -321,6 +330,7 @@ def _require_known(task: Task, stepper: Any, options: dict[str, Any], shared: Se
 def _on_device(
     task: Task, scenes: Scenes, num_envs: int | None, device: Any, agents: Sequence[str], options: dict[str, Any]
 ) -> Any:
+    """Return W worlds of a task on a torch device, made by the entry of the task or the one for any task."""
     worlds, place = 1 if num_envs is None else num_envs, {"device": device, "agents": agents}
     if task.name in DEVICE_ENVS.names():
         return DEVICE_ENVS.get(task.name)(worlds, scenes, **place, **options)

@@ -1,4 +1,4 @@
-"""Any task as a PettingZoo parallel environment: one world in which several agents act. Needs the extra ``env``."""
+"""PettingZoo parallel environment of any task: one world in which several agents act. Needs the extra ``env``."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ Infos = dict[str, dict[str, Any]]
 class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
     """Environment in which several agents act at every step and all get the same reward.
 
-    In tasks with skills, which last differently long, a step lasts until one agent must choose. ``info[agent]["choosing"]``
-    says whose next action counts; that of an agent that is busy has no effect. When two must choose at one moment and only
-    the first was known to, the second is asked by a step of no length.
+    In tasks with skills, which differ in duration, a step lasts until one agent must choose. ``info[agent]["choosing"]`` is
+    true for agents whose next action counts; that of an agent that is busy has no effect. Where two must choose at one moment
+    and only the first was known to, a step of no length asks the second one.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": round(1 / STEP_S)}  # type: ignore[misc]
 
     def __init__(self, stepper: Stepper, *, name: str, render_mode: str | None = None) -> None:
-        """``name`` is that of the task."""
+        """Make an environment of a stepper for the task with this ``name``."""
         self.metadata = {**type(self).metadata, "name": f"h3data_{name}_v0"}  # type: ignore[misc]
         self.render_mode = checked_render_mode(render_mode)
         self.stepper = stepper
@@ -50,17 +50,17 @@ class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
         self._seed, self._episode = 0, -1
 
     def observation_space(self, agent: str) -> Space:
-        """The space of an agent's observations, always the same object."""
+        """Return the space of an agent's observations, always the same object."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> Space:
-        """The space of an agent's actions, always the same object."""
+        """Return the space of an agent's actions, always the same object."""
         return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observations], Infos]:
-        """Begins the next episode, or with ``seed`` the first of another run. There are no ``options``."""
+        """Begin the next episode, or with ``seed`` the first of another run. There are no ``options``."""
         if seed is not None or self._episode < 0:
             self._seed, self._episode = run_seed(seed, np.random.default_rng()), -1
         self._episode += 1
@@ -72,10 +72,10 @@ class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
     def step(
         self, actions: dict[str, ArrayLike]
     ) -> tuple[dict[str, Observations], dict[str, float], dict[str, bool], dict[str, bool], Infos]:
-        """Gives all agents their actions.
+        """Give all agents their actions.
 
         Raises:
-            InputError: one is missing or malformed; then nothing has moved.
+            InputError: An action is missing or malformed; then nothing has moved.
         """
         if set(actions) != set(self.agents) or not self.agents:
             raise InputError(
@@ -87,21 +87,24 @@ class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
         ends, stops = bool(terminated[0]), bool(truncated[0])
         each = (dict.fromkeys(self.agents, value) for value in (float(reward[0]), ends, stops))
         result = (self._observed(), *each, self._informed())
+        # PettingZoo's loops run while there are agents
         if ends or stops:
             self.agents = []
         return result  # type: ignore[return-value]
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The first agent and its surroundings, as `sim_kinematic.envs.single.TaskEnv.render`."""
+        """Return the first agent and its surroundings, as `sim_kinematic.envs.single.TaskEnv.render`."""
         return None if self.render_mode is None else self.stepper.picture(self.possible_agents[0], self._watcher)
 
     def close(self) -> None:
         """Do nothing, as no resource is held open."""
 
     def _observed(self) -> dict[str, Observations]:
+        """Return the observations of all agents by name."""
         return {agent: first(self.stepper.observe(agent)) for agent in self.agents}
 
     def _informed(self) -> Infos:
+        """Return the facts for all agents by name."""
         return {agent: first(self.stepper.info(agent)) for agent in self.agents}
 
     def __repr__(self) -> str:

@@ -1,4 +1,4 @@
-"""Recipe of an environment: enough to make it again, in another process or from Gymnasium's own specification."""
+"""Recipe of an environment, from which another process or Gymnasium makes it again."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec
 
 MAKE = "h3data:make"
-"""Name of the function that makes environments, which is in a layer above."""
+"""Reference to the function that makes environments. It is a name, as the function is in a layer above."""
 
 
 @dataclass(frozen=True)
@@ -26,11 +26,11 @@ class EnvRecipe:
     options: Mapping[str, Any]
 
     def make(self) -> Any:
-        """Makes the environment anew; it has not been reset."""
+        """Make the environment anew; it has not been reset."""
         return load_reference(MAKE)(self.task, self.scenes, **self.options)
 
     def gymnasium_spec(self) -> EnvSpec:
-        """The specification by which ``gymnasium.make(env.spec)`` makes the environment again."""
+        """Return the specification by which ``gymnasium.make(env.spec)`` makes the environment again."""
         from gymnasium.envs.registration import EnvSpec
 
         from sim_kinematic.tasks.registry import BUILT_IN
@@ -38,6 +38,7 @@ class EnvRecipe:
         name = self.task if isinstance(self.task, str) else self.task.name
         words = name.title().replace("_", "") if name in BUILT_IN else "".join(c if c.isalnum() else "_" for c in name)
         kwargs = {"task": self.task, "scenes": self.scenes, **self.options}
+        # gymnasium.make and make_vec give these two themselves
         kwargs.pop("num_envs", None)
         kwargs.pop("render_mode", None)
         return EnvSpec(
@@ -49,7 +50,7 @@ class EnvRecipe:
 
 
 class PickledEnv:
-    """An environment that is pickled as its recipe, like Gymnasium's ``EzPickle``: the copy begins with a reset."""
+    """Environment that is pickled as its recipe, like Gymnasium's ``EzPickle``. The copy has to be reset first."""
 
     recipe: EnvRecipe | None = None
 

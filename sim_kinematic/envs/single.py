@@ -1,4 +1,4 @@
-"""Any task as a Gymnasium environment: one world, one agent. Needs the extra ``env``."""
+"""Gymnasium environment of any task, with one world and one agent. Needs the extra ``env``."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from sim_kinematic.sensing.watching import DebugRenderer
 
 Observations = dict[str, NDArray[Any]]
 ALL = np.ones(1, np.bool_)
+"""Mask of the only world."""
 
 
 class TaskEnv(PickledEnv, gymnasium.Env[Any, Any]):
@@ -28,7 +29,7 @@ class TaskEnv(PickledEnv, gymnasium.Env[Any, Any]):
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": round(1 / STEP_S)}  # type: ignore[misc]
 
     def __init__(self, stepper: Stepper, *, render_mode: str | None = None) -> None:
-        """``render_mode``: ``rgb_array`` for `render`, or None."""
+        """Make an environment of a stepper; with the ``render_mode`` ``rgb_array``, `render` gives pictures."""
         self.render_mode = checked_render_mode(render_mode)
         self.stepper = stepper
         (self.agent,) = stepper.agents
@@ -40,11 +41,12 @@ class TaskEnv(PickledEnv, gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Any]]:
-        """Begins the next episode, or with ``seed`` the first of another run. There are no ``options``.
+        """Begin the next episode, or with ``seed`` the first of another run. There are no ``options``.
 
         Raises:
-            SceneError: a scene gives no episode.
+            SceneError: No episode can be sampled in a scene.
         """
+        # seeds Gymnasium's own generator, from which a run without a seed gets one
         super().reset(seed=seed)
         if seed is not None or self._episode < 0:
             self._seed, self._episode = run_seed(seed, self.np_random), -1
@@ -56,13 +58,13 @@ class TaskEnv(PickledEnv, gymnasium.Env[Any, Any]):
         """Carry out an action.
 
         Raises:
-            InputError: the action is malformed, or no episode is going on; then nothing has moved.
+            InputError: The action is malformed, or no episode is going on; then nothing has moved.
         """
         reward, terminated, truncated = self.stepper.step({self.agent: one_row(action)})
         return self._observed(), float(reward[0]), bool(terminated[0]), bool(truncated[0]), self._informed()
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """The agent and its surroundings from obliquely above, uint8 [480, 640, 3]; None without a render mode."""
+        """Return the agent and its surroundings from obliquely above, uint8 [480, 640, 3]; None without a render mode."""
         return None if self.render_mode is None else self.stepper.picture(self.agent, self._watcher)
 
     def _observed(self) -> Observations:
@@ -78,15 +80,15 @@ class TaskEnv(PickledEnv, gymnasium.Env[Any, Any]):
 
 
 def run_seed(seed: int | None, rng: np.random.Generator) -> int:
-    """The given seed, else one from Gymnasium's generator."""
+    """Return the given seed, else one from Gymnasium's generator."""
     return int(rng.integers(2**63)) if seed is None else int(seed)
 
 
 def checked_render_mode(mode: str | None) -> str | None:
-    """``rgb_array`` or None.
+    """Return a render mode, ``rgb_array`` or None.
 
     Raises:
-        InputError: it is another.
+        InputError: There is no such mode.
     """
     if mode not in (None, "rgb_array"):
         raise InputError(f"Unknown render mode {mode!r}. Expected rgb_array or None.", code="H3-ENV-024")
@@ -94,12 +96,12 @@ def checked_render_mode(mode: str | None) -> str | None:
 
 
 def first(arrays: Any) -> Any:
-    """The only world's row of an array, or of each of several by name."""
+    """Return the only world's row of an array, or of each array in a dictionary."""
     return {name: array[0] for name, array in arrays.items()} if isinstance(arrays, dict) else arrays[0]
 
 
 def one_row(action: ArrayLike) -> NDArray[Any]:
-    """Return an action of one world as a row, of whatever type it is; the stepper reports what is wrong with it."""
+    """Return an action of one world as a row of any type; the stepper raises an error if it is malformed."""
     try:
         return np.asarray(action)[None]
     except (TypeError, ValueError):

@@ -35,16 +35,16 @@ class Options:
     depth_size: tuple[int, int] | None = None
     """Width and height of depth, masks and boxes [pixels]; None is each camera's own."""
     rgb_size: tuple[int, int] | None = None
-    """Width and height of colour pictures."""
+    """Width and height of colour pictures [pixels]; None is each camera's own."""
     light: LightMode = "baked"
     """Light in colour pictures, those of ``render()`` included: ``baked``, from windows, sun and lamps, or ``flat``, the same
     everywhere. Ids do not depend on it, and depth only in its last bits where there are colours too."""
     noise: Mapping[str, NoiseModel] | None = None
-    """Model by name of an observation, as `sim_kinematic.sensing.sensor.with_noise`; by default all are exact."""
+    """Noise model by name of an observation, as `sim_kinematic.sensing.sensor.with_noise`; others are exact."""
     end_on_success: bool = False
     """True if success terminates an episode even where the task's rules let it go on."""
     threads: int = 1
-    """Threads that render pictures."""
+    """Number of threads that render pictures."""
 
     def __post_init__(self) -> None:
         check_light(self.light)
@@ -65,56 +65,56 @@ class Stepper(Protocol):
     """Names of the agents that act."""
 
     def observation_space(self, agent: str) -> Dict:
-        """The space of one world's observations."""
+        """Return the space of one world's observations."""
         ...
 
     def action_space(self, agent: str) -> Space[Any]:
-        """The space of one world's actions."""
+        """Return the space of one world's actions."""
         ...
 
     def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
-        """Begins episode ``indices`` [W] of the runs ``seeds`` [W] in the worlds ``where`` [W]; in all, the first time.
+        """Begin episode ``indices`` [W] of the runs ``seeds`` [W] in the worlds ``where`` [W]; in all, the first time.
 
         Raises:
-            SceneError: a scene gives no episode.
+            SceneError: No episode can be sampled in a scene.
         """
         ...
 
     def step(self, actions: Mapping[str, Any]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Acts; returns reward, terminated and truncated, [W] each.
+        """Carry out actions by the name of the agent, and return reward, terminated and truncated, [W] each.
 
         Raises:
-            InputError: an action is malformed, or no episode has begun; then nothing has moved.
+            InputError: An action is malformed, or no episode has begun; then nothing has moved.
         """
         ...
 
     def observe(self, agent: str) -> Arrays:
-        """Observations of an agent, [W, ...] each and within its space."""
+        """Return observations of an agent, [W, ...] each and within its space."""
         ...
 
     def info(self, agent: str) -> Info:
-        """Facts beyond the observations, [W] each."""
+        """Return facts beyond the observations by name, [W] each."""
         ...
 
     def episode_info(self) -> Info:
-        """Scene and seed of the episode in each world, [W] each."""
+        """Return scene and seed of the episode in each world, [W] each."""
         ...
 
     def picture(self, agent: str, watcher: DebugRenderer, world: int = 0) -> NDArray[np.uint8]:
-        """One world for people who watch, uint8 [480, 640, 3]; ``watcher`` is the one that follows this world.
+        """Return a picture of one world for people who watch, uint8 [480, 640, 3], by the ``watcher`` of this world.
 
         Raises:
-            InputError: no episode has begun.
+            InputError: No episode has begun.
         """
         ...
 
     def describe(self) -> str:
-        """The environment in a few words."""
+        """Return a description of the environment in a few words."""
         ...
 
 
 class FlatStepper:
-    """Stepper whose observations are one vector for each world, for wrappers that know no dictionaries."""
+    """Stepper whose observations are one vector for each world, for wrappers that do not support dictionaries."""
 
     def __init__(self, stepper: Any) -> None:
         self._stepper = stepper
@@ -124,21 +124,21 @@ class FlatStepper:
         return getattr(self._stepper, name)
 
     def observation_space(self, agent: str) -> Space[Any]:
-        """A box [D]: the observations in the order of the names of their own space."""
+        """Return a box [D]: the observations in the order of the names of their own space."""
         return gymnasium.spaces.flatten_space(self._spaces[agent])
 
     def observe(self, agent: str) -> NDArray[Any]:
-        """Observations of an agent as vectors, [W, D]."""
+        """Return observations of an agent as vectors, [W, D]."""
         shown, space = self._stepper.observe(agent), self.observation_space(agent)
         rows = [shown[name].reshape(self._stepper.worlds, -1) for name in self._spaces[agent].spaces]
         return np.concatenate(rows, axis=1, dtype=space.dtype)
 
 
 def checked_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Actions as float64 of this shape.
+    """Return actions as float64 of this shape.
 
     Raises:
-        InputError: they are no numbers, have another shape, or one is not finite.
+        InputError: The actions are no numbers, have another shape, or one is not finite.
     """
     try:
         checked = np.asarray(actions, np.float64)

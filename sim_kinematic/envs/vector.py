@@ -1,4 +1,4 @@
-"""Any task as a Gymnasium vector environment: W worlds, one agent in each. Needs the extra ``env``."""
+"""Gymnasium vector environment of any task, with W worlds and one agent in each. Needs the extra ``env``."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from sim_kinematic.sensing.watching import DebugRenderer
 
 
 class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
-    """W worlds of `sim_kinematic.envs.single.TaskEnv`: world w after ``reset(seed=s)`` is the single one after ``s + w``.
+    """Vector environment of W worlds. World w after ``reset(seed=s)`` equals a `TaskEnv` after ``reset(seed=s + w)``.
 
-    Worlds whose episode has ended begin the next one as Gymnasium's autoreset modes say. NEXT_STEP (the default): the step
-    after a world's last ignores its action, begins its next episode, gives the first observation of that and a reward of 0.
-    SAME_STEP: the last step gives that observation already, with the last one of the old episode in ``info["final_obs"]``
-    and its facts in ``info["final_info"]``. DISABLED: ``reset(options={"reset_mask": ended})`` begins them, and a step before
-    that is refused.
+    Worlds whose episode has ended begin the next one by Gymnasium's autoreset modes. NEXT_STEP (the default): the step after
+    the last one of a world ignores its action, begins the next episode, and gives its first observation and a reward of 0.
+    SAME_STEP: the last step already gives this observation, with the last one of the old episode in ``info["final_obs"]`` and
+    its facts in ``info["final_info"]``. DISABLED: ``reset(options={"reset_mask": ended})`` begins the next episodes, and a step
+    before that is an error.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's classes have it, and each environment its own
@@ -47,7 +47,7 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
             autoreset_mode: a mode of Gymnasium or its name, in capitals or as its value (``NextStep``).
 
         Raises:
-            InputError: there is no such mode.
+            InputError: There is no such mode.
         """
         self.render_mode = checked_render_mode(render_mode)
         self.autoreset_mode = checked_autoreset_mode(autoreset_mode)
@@ -57,7 +57,8 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.num_envs = stepper.worlds
         self._watchers = [DebugRenderer() for _ in range(self.num_envs)]
         (self.agent,) = stepper.agents
-        self._seeds = np.zeros(self.num_envs, object)  # Python's whole numbers: seeds may have any size
+        # Python's whole numbers, as seeds may have any size
+        self._seeds = np.zeros(self.num_envs, object)
         self._indices = np.full(self.num_envs, -1)
         self._ended = np.zeros(self.num_envs, np.bool_)
         self.single_observation_space = stepper.observation_space(self.agent)
@@ -68,12 +69,12 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Any]]:  # type: ignore[override]
-        """Begins the next episode in all worlds; with a seed the first of the runs seed, seed + 1, ..., or of those listed.
+        """Begin the next episode in all worlds; with a seed the first of the runs seed, seed + 1, ..., or of those listed.
 
         ``options["reset_mask"]`` (bool [W]) chooses worlds; the others go on, and ``info`` has masks without them.
 
         Raises:
-            InputError: the seeds or the mask do not fit the number of worlds, or some worlds have not begun yet.
+            InputError: The seeds or the mask do not fit the number of worlds, or some worlds have not begun yet.
         """
         single = seed if isinstance(seed, int | np.integer) else None
         super().reset(seed=None if single is None else int(single))
@@ -95,7 +96,11 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
         return self.stepper.observe(self.agent), _masked(self._info(episodes=True), chosen)
 
     def _chosen(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
-        """The worlds to begin anew, [W]."""
+        """Return the worlds whose next episodes are to begin, [W].
+
+        Raises:
+            InputError: The mask is malformed, or leaves out worlds that have not begun yet.
+        """
         mask = (options or {}).get("reset_mask")
         if mask is None:
             return np.ones(self.num_envs, np.bool_)
@@ -117,10 +122,10 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
     def step(
         self, actions: ArrayLike
     ) -> tuple[Observations, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:  # type: ignore[override]
-        """Acts in all worlds, or begins their next episode.
+        """Carry out actions [W, ...], or begin the next episode of worlds whose episode has ended.
 
         Raises:
-            InputError: the actions are malformed; then nothing has moved.
+            InputError: The actions are malformed; then nothing has moved.
         """
         again, mode = self._ended, self.autoreset_mode
         if mode == gymnasium.vector.AutoresetMode.DISABLED and again.any():
@@ -141,13 +146,14 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
         final: dict[str, Any] = {}
         if mode == gymnasium.vector.AutoresetMode.SAME_STEP and self._ended.any():
             again, self._ended = self._ended, np.zeros(self.num_envs, np.bool_)
+            # before the next episodes begin, after which the last observations are gone
             final = self._final(again)
             self._begin(again)
         info = _masked(self._info(episodes=bool(again.any())))
         return self.stepper.observe(self.agent), reward, terminated, truncated, info | final
 
     def _final(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
-        """Last observations and facts of the worlds whose episodes have ended, in Gymnasium's form."""
+        """Return the last observations and facts of the worlds whose episodes have ended, in Gymnasium's form."""
         shown, last = self.stepper.observe(self.agent), np.full(self.num_envs, None, object)
         for w in np.flatnonzero(ended).tolist():
             last[w] = (
@@ -165,6 +171,7 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
         """
         if name in self._attributes:
             return self._attributes[name]
+        # a vector environment has the spaces of one world by other names
         own = {"observation_space": "single_observation_space", "action_space": "single_action_space"}.get(name, name)
         return (getattr(self, own),) * self.num_envs
 
@@ -213,12 +220,13 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
         return int(self.stepper.spec.max_steps)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
-        """Each world's agent and its surroundings, W pictures as `sim_kinematic.envs.single.TaskEnv.render`."""
+        """Return pictures of each world's agent and its surroundings, W pictures as those of `TaskEnv.render`."""
         if self.render_mode is None:
             return None
         return tuple(self.stepper.picture(self.agent, watcher, w) for w, watcher in enumerate(self._watchers))
 
     def _info(self, *, episodes: bool) -> Info:
+        """Return the facts about all worlds, with those about their ``episodes`` if wanted."""
         info = self.stepper.info(self.agent)
         return info | self.stepper.episode_info() if episodes else info
 
@@ -232,7 +240,7 @@ def checked_autoreset_mode(mode: str | gymnasium.vector.AutoresetMode) -> gymnas
     """Return a mode of Gymnasium by its name or value.
 
     Raises:
-        InputError: there is no such mode.
+        InputError: There is no such mode.
     """
     known = gymnasium.vector.AutoresetMode
     for one in known:
@@ -244,7 +252,7 @@ def checked_autoreset_mode(mode: str | gymnasium.vector.AutoresetMode) -> gymnas
 
 
 def _masked(info: Info, where: NDArray[np.bool_] | None = None) -> dict[str, Any]:
-    """Gymnasium's form: beside each array, under ``_name``, in which worlds it holds (default: in all)."""
+    """Return facts in Gymnasium's form, with a mask ``_name`` [W] of the worlds in which each one holds (default: all)."""
     masks = {
         f"_{name}": np.ones(len(array), np.bool_) if where is None else where.copy() for name, array in info.items()
     }

@@ -1,8 +1,8 @@
-"""W worlds of any task, stepped by an environment.
+"""Stepper of W worlds of any task.
 
-Agents who drive and walk are moved in all worlds at once, one step of the simulation for one of the environment. Agents with
-skills (`sim_kinematic.tasks.skills`) are asked in turn, each world by itself: there an action is a skill, and a step of the
-environment lasts until an agent that acts must choose again; on their lower layer it lasts one step of the simulation.
+Agents who drive and walk are moved in all worlds at once, and a step of the environment is one step of the simulation. Agents
+with skills (`sim_kinematic.tasks.skills`) are asked in turn, in each world by itself. Their action is a skill, and a step of
+the environment lasts until an agent that acts must choose again; on the lower layer it lasts one step of the simulation.
 """
 
 from __future__ import annotations
@@ -49,23 +49,23 @@ OTHER = {"robot": "human", "human": "robot"}
 
 
 class Turns:
-    """One world whose agents are asked in turn: those in ``acting`` from outside, the others' policies here."""
+    """World whose agents are asked in turn. Agents in ``acting`` are controlled from outside, the others by their policies."""
 
     def __init__(self, play: WorldRollout, acting: Sequence[int]) -> None:
         self.play, self._acting, self._loop = play, acting, DecisionLoop(play)
         self.steps, self.reward = 0, 0.0
-        """Simulated steps of the last `go_on`, and their rewards."""
+        """Number of simulated steps of the last `go_on`, and the sum of their rewards."""
         self.go_on({})
         self.steps, self.reward = 0, 0.0
 
     @property
     def is_over(self) -> bool:
-        """Returns whether the episode has ended."""
+        """Return whether the episode has ended."""
         return self._loop.over
 
     @property
     def choosing(self) -> list[int]:
-        """Agents outside whose next action counts: the one that must choose, and those that will in this very step."""
+        """Agents outside whose next action counts: the one that must choose, and those that will in the same step."""
         if self._loop.asked is None:
             return []
         team = self.play.team
@@ -73,7 +73,7 @@ class Turns:
         return [k for k in self._acting if k == now[0] or (k in now and team.controllers[k].is_free)]
 
     def go_on(self, chosen: dict[int, Action]) -> None:
-        """Plays until an agent outside must choose that is not in ``chosen``, or to the end of the episode."""
+        """Play until an agent outside must choose that is not in ``chosen``, or to the end of the episode."""
         self.steps, self.reward = 0, 0.0
         loop, play = self._loop, self.play
         while not loop.over:
@@ -109,7 +109,7 @@ class WorldStepper:
         options: Options = DEFAULTS,
         **task_options: Any,
     ) -> None:
-        """Opens scenes and agents of an environment with W worlds.
+        """Open scenes and agents of an environment with W worlds.
 
         Args:
             task: the task.
@@ -127,7 +127,7 @@ class WorldStepper:
             **task_options: options of the task (`TaskUsage.env_options`).
 
         Raises:
-            InputError: a name does not exist.
+            InputError: A name does not exist.
         """
         self.source = EpisodeSource(task, scenes, spec=spec, agents=roster, robot=robot, human=human)
         self.task, self.spec = task, self.source.spec
@@ -150,7 +150,7 @@ class WorldStepper:
             self._check_partner(k)
         self.worlds = worlds
         self.plays: list[WorldRollout] = []
-        """The rollouts: one of all worlds, or one of each world."""
+        """One rollout of all worlds, or with skills one of each world."""
         if not task.control.has_skills:
             self.plays = [WorldRollout(task, self.spec, self.source.roster, worlds=worlds, options=task_options)]
         self.turns: list[Turns] = []
@@ -164,6 +164,11 @@ class WorldStepper:
         self._sets = self._observation_sets(observations or task.control.observations)
 
     def _check_skills(self, worlds: int) -> None:
+        """Check the number of worlds, the level and the partner of agents with skills.
+
+        Raises:
+            InputError: One of them does not fit.
+        """
         if isinstance(worlds, bool) or not isinstance(worlds, int) or worlds < 1:
             raise InputError(
                 f"Expected at least 1 world (num_envs), a whole number, got {worlds!r}.", code="H3-ENV-030"
@@ -176,7 +181,12 @@ class WorldStepper:
             )
 
     def _check_partner(self, k: int) -> None:
-        """Refuses policies of the other kind, too: the task itself lets either kind follow both, as recordings may."""
+        """Check that the policy of an agent exists for its kind.
+
+        Raises:
+            InputError: There is no such policy.
+        """
+        # policies of the other kind too: the task itself takes them, because recordings may have them
         name, kind = self._partner_of(k), self._kind(k)
         if isinstance(name, str):
             if name in policy_names(self.task, OTHER[kind]) and name not in policy_names(self.task, kind):
@@ -184,6 +194,7 @@ class WorldStepper:
             resolve_policy(self.task, kind, name, self.spec)
 
     def _partner_of(self, k: int) -> Any:
+        """Return the policy of an agent that does not act; None: the task's."""
         return self.task.usage.env_partners.get(self._kind(k)) if self._partner is None else self._partner
 
     def _kind(self, k: int) -> str:
@@ -202,7 +213,7 @@ class WorldStepper:
         """The rollout of all worlds, or of the first one.
 
         Raises:
-            InputError: no episode has begun.
+            InputError: No episode has begun.
         """
         if not self.plays:
             raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
@@ -210,13 +221,13 @@ class WorldStepper:
 
     # --- spaces -------------------------------------------------------------------------------------------------------
     def observation_space(self, agent: str) -> Dict:
-        """Space of an agent's observations in one world."""
+        """Return the space of an agent's observations in one world."""
         return self._sets[self.numbers[agent]].space()
 
     def action_space(self, agent: str) -> Space[Any]:
         """Base velocity in -1..1 of the limits, [2], or [3] where a robot can move sideways.
 
-        Of agents with skills the number of a choice; on the lower layer base [2], arm joints [n] and grip [1] in -1..1.
+        For agents with skills it is the number of a choice; on the lower layer base [2], arm joints [n] and grip [1] in -1..1.
         """
         number = self.numbers[agent]
         if not self.task.control.has_skills:
@@ -232,7 +243,7 @@ class WorldStepper:
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
-        """Samples episodes for the worlds ``where`` [W], then begins them; if one cannot be sampled, no world has changed.
+        """Sample episodes for the worlds ``where`` [W], then begins them; if one cannot be sampled, no world has changed.
 
         Agents with skills then go on until one that acts must choose.
         """
@@ -241,6 +252,7 @@ class WorldStepper:
         if not len(rows):
             return
         runs = [(int(seeds[w]), int(indices[w])) for w in rows.tolist()]
+        # all episodes are sampled before any world begins, so an error leaves the worlds as they are
         self.source.prepare(runs)
         with progress(desc="episodes", total=len(runs), unit="episode", delay=1.0, leave=False) as bar:
             episodes = []
@@ -253,6 +265,7 @@ class WorldStepper:
             self._begin_together(rows, episodes)
 
     def _begin_turns(self, rows: NDArray[np.intp], episodes: Sequence[Episode]) -> None:
+        """Begin episodes of agents with skills in the worlds ``rows``, and play them up to the first choice."""
         turns = []
         for episode in episodes:
             play = WorldRollout.of(self.task, episode, assign(self.task, episode, self._policies(episode)))
@@ -260,10 +273,12 @@ class WorldStepper:
         self.turns = self.turns or list(turns)
         for w, begun in zip(rows.tolist(), turns, strict=True):
             self.turns[w] = begun
+            # with skills each world has a renderer of its own, which holds the home of its last episode
             self._renderers = {key: renderer for key, renderer in self._renderers.items() if key[0] != w}
         self.plays = [one.play for one in self.turns]
 
     def _policies(self, episode: Episode) -> dict[str, Any]:
+        """Return the policies of an episode by agent: `External` for those that act, the partner for the others."""
         closely = self._task_options.get("interrupts_when_close", True)
         chosen: dict[str, Any] = {agent: External(interrupts_when_close=closely) for agent in self.agents}
         for k in self._others:
@@ -275,6 +290,7 @@ class WorldStepper:
         return chosen
 
     def _begin_together(self, rows: NDArray[np.intp], episodes: Sequence[Episode]) -> None:
+        """Begin episodes of agents who drive and walk in the worlds ``rows``."""
         self.play.begin(episodes, rows)
         homes = {id(home.scene): k for k, home in enumerate(self.source.homes) if home.is_ready}
         for w, episode in zip(rows.tolist(), episodes, strict=True):
@@ -287,7 +303,7 @@ class WorldStepper:
                     self._targets[k][w] = policy.target(self.play.world.state.agents[k].xz[w])
 
     def step(self, actions: Mapping[str, Any]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Applies the actions [W, n] of the agents that act, and lets the others follow their policies.
+        """Apply the actions [W, n] of the agents that act, and lets the others follow their policies.
 
         Agents with skills play on until one that acts must choose again, or to the end; worlds whose episode is over give
         zeros, and actions count for the agents that are `choosing`.
@@ -310,6 +326,7 @@ class WorldStepper:
         return outcome.reward, ends, self.play.out_of_time
 
     def _step_turns(self, actions: Mapping[str, Any]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Play each world on with the actions of the agents that are asked; all actions are checked before anything moves."""
         going = [w for w, turns in enumerate(self.turns) if not turns.is_over]
         if not going:
             raise InputError("No episode is going on. Hint: call reset() first.", code="H3-ENV-027")
@@ -318,6 +335,7 @@ class WorldStepper:
             number = self.numbers[agent]
             for w in going:
                 own = action if self.worlds == 1 else np.asarray(action)[w : w + 1]
+                # checked also for agents that are busy: a malformed action is an error whenever it comes
                 choice = self._chosen(number, own)
                 if number in self.turns[w].choosing:
                     chosen[w][number] = self.task.control.checked(self.plays[w], number, choice)
@@ -329,7 +347,7 @@ class WorldStepper:
         return reward, np.array([word not in ("", "max_steps") for word in ended]), np.array(ended) == "max_steps"
 
     def _chosen(self, number: int, action: ArrayLike | Action) -> Action:
-        """The choice that a row of actions [1, ...] means; an `Action` is taken as it is."""
+        """Return the choice that a row of actions [1, ...] means; an `Action` is taken as it is."""
         if isinstance(action, Action):
             return action
         body, there = self.source.roster[number].body, self._choices[number]
@@ -345,7 +363,7 @@ class WorldStepper:
         return there[int(given[0])]
 
     def choosing(self, world: int = 0) -> tuple[str, ...]:
-        """Names of the agents with skills whose next action counts in a world."""
+        """Return names of the agents with skills whose next action counts in a world."""
         now = self.turns[world].choosing if self.turns else []
         return tuple(agent for agent, number in self.numbers.items() if number in now)
 
@@ -377,7 +395,7 @@ class WorldStepper:
 
     # --- what is shown ------------------------------------------------------------------------------------------------
     def observe(self, agent: str) -> Arrays:
-        """Observations of an agent in all worlds, [W, ...] each."""
+        """Return observations of an agent in all worlds, [W, ...] each."""
         number = self.numbers[agent]
         own, sensors = self._sets[number], self.task.sensors(self._kind(number))
         self._require_begun()
@@ -398,7 +416,7 @@ class WorldStepper:
     def info(self, agent: str) -> Info:
         """Facts of the task about all worlds (`Task.info_of`), the same for every agent.
 
-        Of an agent with skills: its last skill, the objects, and the choices that are possible now.
+        For an agent with skills they are its last skill, the objects, and the choices that are possible now.
         """
         play = self.play
         if not self.task.control.has_skills:
@@ -437,12 +455,14 @@ class WorldStepper:
         )
 
     def _partner_named(self, name: str) -> str:
+        """Return the name of the policy of an agent that does not act, for `describe`."""
         number = next(k for k in self._others if self.source.roster[k].name == name)
         partner = self._partner_of(number) or self.task.defaults[self._kind(number)]
         return partner if isinstance(partner, str) else "partner of its own"
 
     # --- inside -------------------------------------------------------------------------------------------------------
     def _observation_sets(self, names: Sequence[str]) -> dict[int, ObservationSet]:
+        """Return the observations of each agent that acts by its number; a lone agent has none of other agents."""
         roster, lone = self.source.roster, len(self.source.roster) == 1
         numbers = list(self.numbers.values())
         states = [
@@ -474,8 +494,10 @@ class WorldStepper:
         }
 
     def _pictures(self, own: ObservationSet) -> Arrays:
+        """Return the pictures of an agent in all worlds, [W, ...] each."""
         result: Arrays = {}
         light = self._options.light if own.pictures.in_colour else "flat"
+        # worlds of one home share a renderer; with several homes its size would change with each reset
         together = len(self.source.homes) == 1 and not self.task.control.has_skills
         for home in np.unique(self._home):
             rows = np.flatnonzero(self._home == home)
@@ -487,7 +509,7 @@ class WorldStepper:
         return result
 
     def _posed(self, worlds: NDArray[np.intp], light: LightMode = "flat") -> StateRenderer:
-        """The renderer of some worlds that are in one home, with everything where it is now."""
+        """Return the renderer of some worlds that are in one home, with everything where it is now."""
         w = int(worlds[0])
         if self.task.control.has_skills:
             renderer = self._renderer((w, light), self.plays[w].episode, light)
@@ -496,11 +518,12 @@ class WorldStepper:
             return renderer
         world = self.play.world
         renderer = self._renderer((int(self._home[w]), len(worlds), light), self.play.episodes[w], light, len(worlds))
+        # worlds of one home have one floor
         renderer.pose(world.state.take(worlds), floor=world.floors[w])
         return renderer
 
     def _renderer(self, key: Any, episode: Episode, light: LightMode, worlds: int = 1) -> StateRenderer:
-        """Returns the renderer of a home that renders ``worlds`` worlds at once."""
+        """Return the renderer of a home that renders ``worlds`` worlds at once."""
         from sim_kinematic.sensing.camera_sensor import StateRenderer
 
         if key not in self._renderers:
@@ -517,5 +540,5 @@ class WorldStepper:
 
 
 def joined(parts: Sequence[Arrays]) -> Arrays:
-    """Arrays by name of several rollouts, one after the other."""
+    """Return the arrays of several rollouts by name, one rollout after the other."""
     return parts[0] if len(parts) == 1 else {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

@@ -50,8 +50,7 @@ def _crowd(model: CrowdModel, task: Task, episode: Episode, number: int, words: 
     return CrowdPolicy(model, episode.free, episode.seed, number, episode.spec.human, role, routine)
 
 
-Factory = Callable[[Task, Episode, int], Policy]
-COMMON: Mapping[str, Mapping[str, Factory]] = {
+COMMON: Mapping[str, Mapping[str, Callable[[Task, Episode, int], Policy]]] = {
     "robot": {"wander": _wander, "still": lambda *_: Still()},
     "human": {
         "waypoints": _waypoints,
@@ -61,9 +60,7 @@ COMMON: Mapping[str, Mapping[str, Factory]] = {
         "still": lambda *_: Still(),
     },
 }
-"""Policies of tasks whose agents drive and walk, by kind and name."""
-
-
+"""Factories of policies of tasks whose agents drive and walk, by kind and name."""
 SOLO = "solo"
 """Policy of the robots in recordings in which there is none."""
 
@@ -81,24 +78,18 @@ class AssignedPolicy(NamedTuple):
 
     @property
     def is_external(self) -> bool:
-        """Returns whether the agent is controlled from outside."""
+        """Return whether the agent is controlled from outside."""
         return isinstance(self.policy, External)
 
     @property
     def takes_commands(self) -> bool:
-        """Returns whether somebody outside decides, now or in the recording that is played again."""
+        """Return whether somebody outside decides, now or in the recording that is played again."""
         return bool(getattr(self.policy, "takes_commands", False))
 
 
-ADDRESS = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]*)://.*", re.DOTALL)
-"""A name that is the address of a policy server."""
-SERVED = re.compile(r"(?P<scheme>[a-z]+):(?P<name>[^:,]+)@(?P<digest>[0-9a-f]{12})")
-"""Name of a policy server in recordings: its own name, and a digest of what it says about itself."""
-
-
 def is_address(name: str) -> bool:
-    """Returns whether the name of a policy is the address of a policy server."""
-    return ADDRESS.fullmatch(name) is not None
+    """Return whether the name of a policy is the address of a policy server."""
+    return re.fullmatch(r"[a-z][a-z0-9+.-]*://.*", name, re.DOTALL) is not None
 
 
 PolicyChoice = str | Policy | External | AssignedPolicy | Callable[..., Any]
@@ -111,27 +102,27 @@ KINDS = {"robot": "robot", "human": "human", "person": "human"}
 
 @cache
 def policy_servers() -> Registry[Any]:
-    """Returns finders of policies behind addresses by scheme: ``(address, task, kind, spec)`` gives a `PolicyMaker`."""
+    """Return finders of policies behind addresses by scheme: ``(address, task, kind, spec)`` gives a `PolicyMaker`."""
     return Registry("h3data.policy_servers", {}, what="scheme of a policy's address")
 
 
 @cache
 def plugin_policies() -> Registry[Any]:
-    """Policies of installed packages, and ``module:name``."""
+    """Return policies of installed packages, and ``module:name``."""
     return Registry("h3data.policies", {}, what="policy")
 
 
 def assign(task: Task, episode: Episode, chosen: Assigned | None = None) -> list[AssignedPolicy]:
-    """Assigns a policy to each agent of an episode.
+    """Assign a policy to each agent of an episode.
 
     ``chosen`` names or gives them by agent (``robot``, ``human_2``, ``person``) or by kind; the others get the task's defaults.
 
     Raises:
-        InputError: no such policy, or no such agent.
+        InputError: There is no such policy, or no such agent.
     """
     members, chosen = episode.roster, dict(chosen or {})
     if task.usage.can_be_solo and chosen.get("robot") == SOLO:
-        del chosen["robot"]  # there is none
+        del chosen["robot"]  # the episode has no robot
     names = [member.name for member in members]
     strangers = [key for key in chosen if key not in names and key not in KINDS and not _alias(key, names)]
     if strangers:
@@ -139,6 +130,7 @@ def assign(task: Task, episode: Episode, chosen: Assigned | None = None) -> list
             f"Nobody is called {strangers[0]!r}.{suggest(strangers[0], names, lead='Expected some of')}",
             code="H3-POLICY-003",
         )
+    # a key that is the name of exactly one agent means this agent; any other key means a kind or an alias
     picked: list[Any] = [None] * len(members)
     for key, choice in chosen.items():
         kind = KINDS.get(key) if key not in names or names.count(key) != 1 else None
@@ -152,12 +144,13 @@ def assign(task: Task, episode: Episode, chosen: Assigned | None = None) -> list
         make_policy(task, episode, k, task.defaults[member.kind] if choice is None else choice)
         for k, (member, choice) in enumerate(zip(members, picked, strict=True))
     ]
+    # only all policies together show whether everybody of a group has company
     check_groups(one.policy.member.role.group for one in made if isinstance(one.policy, CrowdPolicy))
     return made
 
 
 def _alias(key: str, names: Sequence[str]) -> str:
-    """``person_2`` means ``human_2``."""
+    """Return the agent's name that an alias stands for, as ``person_2`` does for ``human_2``; else empty."""
     name = key.replace("person", "human", 1)
     return name if name in names and key.startswith("person") else ""
 
@@ -166,11 +159,12 @@ def each_of(choice: Chosen, count: int, kind: str) -> list[Any]:
     """Return one choice for each of ``count`` agents: one name for all, or one for each, as a sequence or separated by commas.
 
     Raises:
-        InputError: there is neither one nor one for each.
+        InputError: Their number is neither one nor that of the agents.
     """
     listed = (
         choice.split(",") if isinstance(choice, str) else list(choice) if isinstance(choice, list | tuple) else [choice]
     )
+    # a policy object may hold the memory of one agent, so only names and outsiders are shared by several
     if len(listed) == 1 and (isinstance(listed[0], str) or count == 1 or isinstance(listed[0], External)):
         listed *= max(count, 1)
     if count and len(listed) != count:
@@ -187,7 +181,7 @@ PolicyMaker = Callable[[Episode, int], AssignedPolicy]
 
 
 def make_policy(task: Task, episode: Episode, number: int, choice: PolicyChoice) -> AssignedPolicy:
-    """A fresh policy for one agent in one episode.
+    """Return a fresh policy for one agent in one episode.
 
     Raises:
         InputError: no such policy; the message lists what there is.
@@ -196,7 +190,7 @@ def make_policy(task: Task, episode: Episode, number: int, choice: PolicyChoice)
 
 
 def resolve_policy(task: Task, kind: str, choice: PolicyChoice, spec: Any = None) -> PolicyMaker:
-    """Finds what a policy's name means and returns a function that makes the policy for an episode.
+    """Find what a policy's name means and returns a function that makes the policy for an episode.
 
     Commands, environments, sessions, live play and plug-ins all look policies up here.
 
@@ -216,6 +210,7 @@ def resolve_policy(task: Task, kind: str, choice: PolicyChoice, spec: Any = None
         return lambda episode, number: choice
     if isinstance(choice, External):
         return lambda episode, number: AssignedPolicy(choice, "external", kind)
+    # a class has the method of its objects too, so classes come before anything with ``act``
     if isinstance(choice, type):
         return lambda episode, number: AssignedPolicy(choice(), choice.__name__, kind)
     if hasattr(choice, "act"):
@@ -229,22 +224,28 @@ def resolve_policy(task: Task, kind: str, choice: PolicyChoice, spec: Any = None
 
 
 def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
-    if found := ADDRESS.fullmatch(name):
+    """Return the maker of a policy that is given by its name, as `resolve_policy` describes."""
+    if is_address(name):
+        # a recording or a list of episodes must not make this machine connect to an address of its choice
         if come_from_data():
             raise UntrustedNameError(
                 "A file names the address of a policy server; only the user may. Hint: name it as the policy (ws://host:port).",
                 code="H3-POLICY-065",
             )
-        return policy_servers().get(found["scheme"])(name, task, kind, spec)
-    if (found := SERVED.fullmatch(name)) and found["scheme"] in policy_servers().names():
+        return policy_servers().get(name.partition("://")[0])(name, task, kind, spec)
+    # recordings name a policy server by its own name and a digest of its description
+    found = re.fullmatch(r"(?P<scheme>[a-z]+):(?P<name>[^:,]+)@(?P<digest>[0-9a-f]{12})", name)
+    if found and found["scheme"] in policy_servers().names():
         raise InputError(
             f"The policy was that of the server {found['name']!r} ({found['digest']}), whose address is not recorded. "
             f"Hint: start it, and name its address as the policy: {found['scheme']}://host:port.",
             code="H3-POLICY-064",
         )
+    # the task comes first: its files of weights and planners are none of the common policies
     made = task.named_policy(kind, name, spec)
     if made is not None:
         return made
+    # a task's own policies replace common ones of the same name; common ones choose no skills
     own = (
         {**COMMON[kind], **task.policies.get(kind, {})} if not task.control.has_skills else task.policies.get(kind, {})
     )
@@ -263,13 +264,13 @@ def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
 
 
 def policy_names(task: Task, kind: str) -> list[str]:
-    """Names of the policies that agents of a kind can have in a task, without those of plug-ins."""
+    """Return names of the policies that agents of a kind can have in a task, without those of plug-ins."""
     common = COMMON[kind] if not task.control.has_skills else {}
     return list(dict.fromkeys((*task.policies.get(kind, {}), *common)))
 
 
 def unknown_policy(task: Task, kind: str, name: str) -> InputError:
-    """Returns the error for a policy name that agents of a kind do not have in a task; it lists the valid names."""
+    """Return the error for a policy name that agents of a kind do not have in a task; it lists the valid names."""
     there = [*policy_names(task, kind), *plugin_policies().names()]
     if name.startswith(PREFIX):  # tasks that take files of weights have read it by now
         whose = "robots" if kind == "robot" else "people"
@@ -286,12 +287,13 @@ def unknown_policy(task: Task, kind: str, name: str) -> InputError:
 
 
 def _base(episode: Episode, number: int) -> BaseSpec:
+    """Return the base of a robot; for a person, whom no base limits, that of the rules."""
     body = episode.roster[number].body
     return base_of(body, episode.spec.robot) if episode.roster[number].kind == "robot" else episode.spec.robot
 
 
 def as_policy(made: Any, task: Task, episode: Episode, number: int) -> Any:
-    """Makes a policy from an entry of a table or a plug-in.
+    """Make a policy from an entry of a table or a plug-in.
 
     The entry is a factory ``(task, episode, number)``, a class of policies, a policy, or a function ``(view, base)``.
     """
@@ -299,6 +301,7 @@ def as_policy(made: Any, task: Task, episode: Episode, number: int) -> Any:
         return made()
     if hasattr(made, "act"):
         return made
+    # a function of two arguments is a policy itself; factories take three
     if getattr(made, "__code__", None) is not None and made.__code__.co_argcount == 2:
         return FunctionPolicy(made, _base(episode, number))
     return made(task, episode, number)

@@ -43,7 +43,7 @@ SHIPPED_PARTNERS: Mapping[str, str] = {
 SHIPPED: Mapping[str, str] = {**SHIPPED_IN["social_nav"], **SHIPPED_IN["rearrange"], **SHIPPED_PARTNERS}
 """Names of all included policies."""
 _STAMP = re.compile(r"^(?P<file>.+)@(?P<digest>[0-9a-f]{12})$")
-_IN_LIGHT = re.compile(r"^(?P<name>.+)@(?P<light>baked|flat)$")
+"""Name of a file of weights with the beginning of the digest of its contents."""
 
 Floats = NDArray[np.floating]
 AnyNetwork = Network | VisualPolicy | SkillPolicyNetwork
@@ -51,30 +51,31 @@ AnyNetwork = Network | VisualPolicy | SkillPolicyNetwork
 
 # --- names --------------------------------------------------------------------------------------------------------------
 def is_learned(policy: str) -> bool:
-    """Returns whether the name of a policy means a file of weights: ``weights:FILE``, or one of `SHIPPED`."""
+    """Return whether the name of a policy means a file of weights: ``weights:FILE``, or one of `SHIPPED`."""
     return policy.startswith(PREFIX) or policy in SHIPPED
 
 
 def weights_hint(name: str) -> str:
-    """The name that was probably meant, where this one is the path of a file; else empty."""
+    """Return the name that was probably meant, where this one is the path of a file; else empty."""
     return f" Hint: {PREFIX}{name}" if Path(name).is_file() else ""
 
 
 def stamped(policy: str) -> str:
-    """Name of a policy as recordings hold it, which identifies its exact weights.
+    """Return the name of a policy as recordings hold it, which identifies its exact weights.
 
     For a file of weights it is ``weights:FILE@digest``, with 12 digits of the file's digest. If the policy sees its
     colours in another light than in training, the light follows, as in ``weights:FILE@digest@baked``. Other names are
     unchanged.
 
     Raises:
-        InputError: the file does not exist, is no policy, or differs from the digest in the name.
+        InputError: The file does not exist, is no policy, or differs from the digest in the name.
     """
     if not policy.startswith(PREFIX):
         return policy
     name, light = _without_light(policy)
     network = network_of(name)
     stamp = name if _STAMP.match(name) else f"{name}@{network.digest[:12]}"
+    # the light of training is not named, so one policy has one name
     return f"{stamp}@{light}" if light and network_light(network_of(policy)) != network_light(network) else stamp
 
 
@@ -84,7 +85,7 @@ def network_light(network: AnyNetwork) -> LightMode | None:
 
 
 def in_light(policy: str, light: LightMode | None) -> str:
-    """Name of a policy that sees its colours in the given light.
+    """Return the name of a policy that sees its colours in the given light.
 
     None means the light of its training. Policies without colours keep their names.
     """
@@ -94,19 +95,19 @@ def in_light(policy: str, light: LightMode | None) -> str:
 
 
 def _without_light(policy: str) -> tuple[str, LightMode | None]:
-    """A name without the light at its end, and the light."""
-    found = _IN_LIGHT.match(policy) if policy.startswith(PREFIX) else None
+    """Return a name without the light at its end, and the light; None: the name ends with none."""
+    found = re.match(r"^(?P<name>.+)@(?P<light>baked|flat)$", policy) if policy.startswith(PREFIX) else None
     return (found["name"], "baked" if found["light"] == "baked" else "flat") if found else (policy, None)
 
 
 def network_of(policy: str) -> AnyNetwork:
-    """Loads the network that a name means: ``weights:FILE``, ``weights:FILE@digest``, or a name in `SHIPPED`.
+    """Load the network that a name means: ``weights:FILE``, ``weights:FILE@digest``, or a name in `SHIPPED`.
 
     With ``@baked`` or ``@flat`` at the end, the network sees its colours in this light, whatever that of its training
     was.
 
     Raises:
-        InputError: the file does not exist, is no policy, or differs from the digest in the name.
+        InputError: The file does not exist, is no policy, or differs from the digest in the name.
     """
     bare, light = _without_light(policy)
     name = str(builtin_path(SHIPPED[policy])) if policy in SHIPPED else bare.removeprefix(PREFIX)
@@ -133,7 +134,8 @@ def network_of(policy: str) -> AnyNetwork:
 
 @lru_cache(maxsize=32)
 def _loaded(path: Path, changed_ns: int) -> AnyNetwork:
-    del changed_ns  # a file that has changed is read again
+    """Return the network in a file; it is read once for each time ``changed_ns`` at which the file was changed [ns]."""
+    del changed_ns  # part of the cache's key, so that a changed file is read again
     found, data = files.read_arrays(path)
     if found == visual_policy.FILE_FORMAT:
         return visual_policy.policy_from(data, path, kind_of=_kind_of)
@@ -147,7 +149,7 @@ def _loaded(path: Path, changed_ns: int) -> AnyNetwork:
 
 
 def _kind_of(network: str) -> type[VisualPolicy] | type[SkillPolicyNetwork]:
-    """The class of the network that a card names; PyTorch is imported for one that needs it."""
+    """Return the class of the network that a card names; PyTorch is imported for one that needs it."""
     if network == chooser_network.KIND:
         return SkillPolicyNetwork
     if network == "resnet18_lstm":
@@ -179,28 +181,29 @@ class NavigationContext:
         return self.other if self._view.human_before is None else Pose(self._view.human_before, None)
 
     def floor_y(self) -> Floats:
-        """Height of the floor where the robot is, [] [m]."""
+        """Return the height of the floor where the robot is, [] [m]."""
         return np.asarray(self._view.free.height_at(self._view.robot_xz))
 
     def path(self) -> tuple[Floats, Floats]:
-        """The shortest path to the person: its length [] [m] and its first way point [2] [m]."""
+        """Return the shortest path to the person: its length [] [m] and its first way point [2] [m]."""
+        # a way point underfoot would give a direction that changes with every step
         view, beyond_m = self._view, self._spec.disc_radius_m / 2
         point = first_point(view.free, view.robot_xz, view.human_xz, view.geodesic_m, beyond_m=beyond_m)
         return np.asarray(view.geodesic_m), point
 
     def clearance(self, points: Floats) -> Floats:
-        """Signed distance [n] [m] of points [n, 2] to the nearest obstacle."""
+        """Return signed distance [n] [m] of points [n, 2] to the nearest obstacle."""
         return self._view.free.signed_distance(points)
 
 
 def read_sensors(view: SocialNavView, spec: BaseSpec, names: Iterable[str]) -> dict[str, Floats]:
-    """The named observations of a moment, some of `FOLLOWER`, float64 [n] each."""
+    """Return the named observations of a moment, some of `FOLLOWER`, float64 [n] each."""
     moment = NavigationContext(view, spec)
     return {name: np.asarray(TABLE[name].of(moment), np.float64) for name in names}
 
 
 def navigation_input(view: SocialNavView, spec: BaseSpec, names: tuple[str, ...]) -> NDArray[np.float32]:
-    """The named observations of a moment, one after the other, [in] float32."""
+    """Return the named observations of a moment, one after the other, [in] float32."""
     return np.concatenate(list(read_sensors(view, spec, names).values())).astype(np.float32)
 
 
@@ -212,8 +215,9 @@ class LearnedNavigation:
         self.network = network
 
     def __call__(self, view: SocialNavView, spec: BaseSpec) -> Velocity:
-        """Velocity of the base for a view of the robot."""
+        """Return the velocity of the base for a view of the robot."""
         out = self.network(self.look(view, spec))
+        # a network that has diverged gives NaN, which no world takes
         forward, turn = np.clip(np.nan_to_num(out, nan=0.0), -1, 1).tolist()
         return Velocity(forward, turn, "follow" if view.met else "find")
 
@@ -229,14 +233,14 @@ class VisualNavigation:
     """
 
     def __init__(self, network: VisualPolicy, *, robot: str = "") -> None:
-        """Checks that the network fits the robot.
+        """Check that the network fits the robot.
 
         Args:
             network: the policy.
             robot: name of the robot's body; empty if unknown.
 
         Raises:
-            FormatError: the network is for another task or another robot.
+            FormatError: The network is for another task or another robot.
         """
         require(network, "social_nav", (*visual_policy.PICTURES, *OF_COMMANDS), outputs=2)
         if robot and robot != network.card.robot:
@@ -248,11 +252,13 @@ class VisualNavigation:
         self._step, self._decision = -1, -1
 
     def __call__(self, view: SocialNavView, spec: BaseSpec) -> Velocity:
-        """Velocity of the base for a view of the robot; the network is evaluated once for several steps."""
+        """Return the velocity of the base for a view of the robot; the network is evaluated once for several steps."""
+        # a step that is not later begins another episode, or the same one anew, with an empty memory
         if view.step == 0 or view.step <= self._step:
             self._state, self._action, self._decision = self.network.start(), np.zeros(2, np.float32), -1
         decision = view.step // self.network.card.hold
-        if decision != self._decision:  # also where it is first asked between two decisions: zeros would stand still
+        # also where it is first asked between two decisions: until the next one it would stand still
+        if decision != self._decision:
             self._decision = decision
             out, self._state = self.network(self.look(view, spec), self._action, self._state)
             self._action = np.clip(np.nan_to_num(out, nan=0.0), -1, 1)
@@ -264,7 +270,7 @@ class VisualNavigation:
         """Return the current observations by name, as in training.
 
         Raises:
-            InputError: the view has no eyes.
+            InputError: The network observes pictures, and the view takes none.
         """
         card = self.network.card
         pictures = tuple(n for n in card.observations if n not in FOLLOWER)
@@ -278,7 +284,7 @@ class VisualNavigation:
 
 @contextmanager
 def naming(policy: str) -> Iterator[None]:
-    """Adds the name of the policy to a `FormatError` that says why its network does not fit."""
+    """Add the name of the policy to a `FormatError` that says why its network does not fit."""
     try:
         yield
     except FormatError as fault:
@@ -286,7 +292,7 @@ def naming(policy: str) -> Iterator[None]:
 
 
 def navigation_of(network: AnyNetwork, *, robot: str = "") -> LearnedNavigation | VisualNavigation:
-    """A fresh player of a network for one episode.
+    """Return a fresh player of a network for one episode.
 
     Raises:
         FormatError: the network is for another task or another robot.
@@ -301,10 +307,10 @@ def navigation_of(network: AnyNetwork, *, robot: str = "") -> LearnedNavigation 
 
 
 def require(network: Network | VisualPolicy, task: str, known: Collection[str], *, outputs: int) -> None:
-    """Refuse a network that is for another task, is shown what we do not have, or answers with other numbers.
+    """Check that a network is for a task, needs known observations only and has a number of outputs.
 
     Raises:
-        FormatError: it does not fit.
+        FormatError: The network does not fit.
     """
     if network.task != task:
         raise FormatError(

@@ -1,4 +1,4 @@
-"""Learned policies of the upper layer of rearrangement: a network scores what can be chosen, the best is done."""
+"""Learned policies of the upper layer of rearrangement: a network scores the choices, and the best one is taken."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class LearnedSkillPolicy:
     """
 
     def __init__(self, network: Network, objects: int = 2, *, robot: bool = True) -> None:
-        """Checks that the network fits the agent.
+        """Check that the network fits the agent.
 
         Args:
             network: the policy.
@@ -42,7 +42,7 @@ class LearnedSkillPolicy:
         self.network = network
 
     def act(self, view: RearrangeView) -> Action:
-        """Next action, the one with the highest output of the network."""
+        """Return the next action, the one with the highest output of the network."""
         scores = self.network(chooser_input(view, self.network.observations))
         return self.choices[int(np.argmax(scores))]
 
@@ -50,15 +50,15 @@ class LearnedSkillPolicy:
     """`interrupts` returns nothing unless ``view.close``, so that it need not be asked otherwise."""
 
     def interrupts(self, view: RearrangeView) -> str:
-        """Reason to interrupt the running action and choose again; empty if there is none."""
+        """Return the reason to interrupt the running action and choose again; empty if there is none."""
         return "agents_close" if view.close and "interrupted" in self.network.observations else ""
 
 
 def learned_chooser(policy: str, objects: int, *, robot: bool) -> LearnedSkillPolicy | RecurrentSkillPolicy:
-    """The chooser that ``weights:FILE`` or the name of a trained policy means.
+    """Return the chooser that ``weights:FILE`` or the name of a trained policy means.
 
     Raises:
-        InputError: there is no such file, it is none, or does not fit.
+        InputError: There is no such file, it is no file of weights, or the network does not fit.
     """
     network = network_of(policy)
     with naming(policy):
@@ -72,5 +72,5 @@ def learned_chooser(policy: str, objects: int, *, robot: bool) -> LearnedSkillPo
 
 
 def chooser_input(view: RearrangeView, names: Sequence[str]) -> NDArray[np.float32]:
-    """The named observations of a moment, one after the other, [in] float32."""
+    """Return the named observations of a moment, one after the other, [in] float32."""
     return np.concatenate(list(observe(view, names).values()))

@@ -32,11 +32,12 @@ class Maneuvering:
         self._commands: list[tuple[float, float]] = []
 
     def act(self, view: SocialNavView) -> Velocity:
-        """The function's command, or the next one of a maneuver."""
+        """Return the function's command, or the next one of a maneuver."""
         wish = self._function(view, self._base)
         if not self._base.maneuvers or wish.skill not in ("find", "follow"):
             self._still, self._commands = 0, []
             return wish
+        # equal to the last bit: a base that is pressed against walls does not move at all
         before = view.robot_before
         rests = before is not None and (view.robot_xz == before[0]).all() and view.robot_heading == before[1]
         self._still = self._still + 1 if rests else 0
@@ -47,5 +48,7 @@ class Maneuvering:
         return Velocity(*self._commands.pop(0), wish.skill) if self._commands else wish
 
     def _plan(self, view: SocialNavView) -> list[list[float]]:
+        """Return commands (forward, turn), one per step, that lead the base towards the person; empty: there are none."""
+        # without discs of others: near the person the maneuver ends anyway (`NEAR_M`)
         nobody = np.zeros((0, 3))
         return plan_maneuver(view.free, self._base, view.robot_xz, view.robot_heading, view.human_xz, nobody).tolist()

@@ -30,18 +30,6 @@ PLANES = ".planes"
 MAX_BYTES = 256 << 20
 """Size of arrays above which a file is refused [bytes]."""
 Activation = Literal["tanh", "relu"]
-_DAMAGE = (
-    ValueError,
-    OSError,
-    EOFError,
-    MemoryError,
-    RuntimeError,
-    zipfile.BadZipFile,
-    zlib.error,
-    tokenize.TokenError,
-)
-"""Errors that zipfile and numpy raise for files of another kind or damaged ones; numpy tokenizes headers."""
-_FUNCTIONS = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,11 +47,12 @@ class Network:
     activation: Activation = "tanh"
     """Activation function between layers; the last layer has none."""
     mean: NDArray[np.float32] = field(default_factory=lambda: np.zeros(1, np.float32))
-    """Taken from the input, [in] or [1]."""
+    """Numbers that are subtracted from the inputs, [in] or [1]."""
     scale: NDArray[np.float32] = field(default_factory=lambda: np.ones(1, np.float32))
     """Divisors of the inputs after that, [in] or [1]; positive."""
 
     def __post_init__(self) -> None:
+        # here and not in the readers of files, so that networks made by hand or by training are checked too
         faults = _faults(self)
         if faults:
             raise InputError(f"These layers make no network: {'; '.join(faults)}.", code="H3-POLICY-025")
@@ -87,22 +76,23 @@ class Network:
         return found.hexdigest()
 
     def __call__(self, x: ArrayLike) -> NDArray[np.float32]:
-        """Outputs [..., out] for inputs [..., in].
+        """Return outputs [..., out] for inputs [..., in].
 
         Raises:
-            InputError: the input has another length.
+            InputError: The input has another length.
         """
         y = np.asarray(x, np.float32)
         if y.shape[-1:] != (self.inputs,):
             raise InputError(
                 f"The network takes {self.inputs} numbers, got an input of shape {list(y.shape)}.", code="H3-POLICY-026"
             )
-        with np.errstate(over="ignore", invalid="ignore"):  # who is given such numbers is told by the answer
+        # no warnings: a result that is not finite tells the caller
+        with np.errstate(over="ignore", invalid="ignore"):
             y = (y - self.mean) / self.scale
             for k, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
                 y = y @ weight.T + bias
                 if k + 1 < len(self.weights):
-                    y = _FUNCTIONS[self.activation](y)
+                    y = np.tanh(y) if self.activation == "tanh" else np.maximum(y, 0.0)
         return y
 
     def __repr__(self) -> str:
@@ -111,7 +101,7 @@ class Network:
 
 
 def _faults(net: Network) -> list[str]:
-    """Parts of a network that do not fit together, in words."""
+    """Return parts of a network that do not fit together, in words."""
     faults: list[str] = []
     if net.activation not in get_args(Activation):
         faults.append(f"the activation is {net.activation!r}, expected one of {', '.join(get_args(Activation))}")
@@ -119,6 +109,7 @@ def _faults(net: Network) -> list[str]:
         faults.append("it has no observations")
     if not net.weights or len(net.weights) != len(net.biases):
         return [*faults, f"{len(net.weights)} weights and {len(net.biases)} biases, expected as many, at least one"]
+    # from layer to layer: the outputs of one are the inputs of the next
     width = net.weights[0].shape[1] if net.weights[0].ndim == 2 else -1
     for name in ("mean", "scale"):
         shape = getattr(net, name).shape
@@ -147,10 +138,10 @@ def from_torch(
     mean: ArrayLike = (0.0,),
     scale: ArrayLike = (1.0,),
 ) -> Network:
-    """The network that a `torch.nn.Sequential` of `Linear` with `Tanh` or `ReLU` between them is.
+    """Return the network that a `torch.nn.Sequential` of `Linear` with `Tanh` or `ReLU` between them is.
 
     Raises:
-        InputError: it has other layers.
+        InputError: There are other layers.
     """
     from torch import nn
 
@@ -189,7 +180,7 @@ def from_torch(
 
 # --- files --------------------------------------------------------------------------------------------------------------
 def save_network(network: Network, path: str | Path) -> None:
-    """Writes a network as an npz file, which appears whole or not at all.
+    """Write a network as an npz file, which appears whole or not at all.
 
     Its entries are ``format``, ``task``, ``activation``, ``observations``, ``mean``, ``scale``, ``weight_0``,
     ``bias_0``, ``weight_1`` and so on.
@@ -209,11 +200,11 @@ def save_network(network: Network, path: str | Path) -> None:
 
 
 def load_network(path: str | Path) -> Network:
-    """The network in a file of `save_network`.
+    """Return the network in a file of `save_network`.
 
     Raises:
-        InputError: there is no such file.
-        FormatError: it is none, is damaged, or its layers do not fit together.
+        InputError: There is no such file.
+        FormatError: The file is no file of weights, is damaged, or its layers do not fit together.
     """
     found, data = read_arrays(Path(path))
     if found != FILE_FORMAT:
@@ -224,10 +215,10 @@ def load_network(path: str | Path) -> Network:
 
 
 def network_from(data: Mapping[str, NDArray[Any]], path: str | Path) -> Network:
-    """The network in the arrays of a file.
+    """Return the network in the arrays of a file.
 
     Raises:
-        FormatError: an array is missing, or the layers do not fit together.
+        FormatError: An array is missing, or the layers do not fit together.
     """
     count = sum(name.startswith("weight_") for name in data)
     try:
@@ -247,13 +238,14 @@ def network_from(data: Mapping[str, NDArray[Any]], path: str | Path) -> Network:
 
 
 def read_arrays(path: Path) -> tuple[str, dict[str, NDArray[Any]]]:
-    """The format and the arrays of a file of weights.
+    """Return the format and the arrays of a file of weights.
 
     Raises:
-        InputError: there is no such file.
-        FormatError: it is none, is too large or damaged.
+        InputError: There is no such file.
+        FormatError: The file is no file of weights, is too large or damaged.
     """
     try:
+        # before anything is unpacked: a small file may unpack to any size
         with zipfile.ZipFile(path) as packed:
             size = sum(entry.file_size for entry in packed.infolist())
         if size > MAX_BYTES:
@@ -261,6 +253,7 @@ def read_arrays(path: Path) -> tuple[str, dict[str, NDArray[Any]]]:
                 f"Expected at most {MAX_BYTES >> 20} MiB of weights, got {size >> 20} MiB. File: {path}",
                 code="H3-POLICY-028",
             )
+        # pickles would run code of whoever made the file
         with np.load(path, allow_pickle=False) as file:
             data = {name: file[name] for name in file.files}
         if not all(isinstance(array, np.ndarray) for array in data.values()):
@@ -273,7 +266,17 @@ def read_arrays(path: Path) -> tuple[str, dict[str, NDArray[Any]]]:
                 code="H3-POLICY-031",
             ) from None
         raise InputError(f"Expected a file of weights, found none. {HINT} File: {path}", code="H3-POLICY-029") from None
-    except _DAMAGE as fault:
+    except (
+        # what zipfile, zlib and numpy raise for damaged files and files of another kind; numpy tokenizes headers
+        ValueError,
+        OSError,
+        EOFError,
+        MemoryError,
+        RuntimeError,
+        zipfile.BadZipFile,
+        zlib.error,
+        tokenize.TokenError,
+    ) as fault:
         raise FormatError(
             f"Expected a file of weights ({FILE_FORMAT}), this is none ({fault}). {HINT} File: {path}",
             code="H3-POLICY-030",
@@ -282,7 +285,7 @@ def read_arrays(path: Path) -> tuple[str, dict[str, NDArray[Any]]]:
 
 
 def to_planes(array: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Bytes of an array [...] as planes, uint8 [4, ...]: the first bytes of all numbers, then the second ones, and so on.
+    """Return the bytes of an array [...] as planes, uint8 [4, ...]: first bytes of all numbers, then second ones, and so on.
 
     They compress better, by a fifth where the last bits are 0.
     """
@@ -291,10 +294,10 @@ def to_planes(array: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def from_planes(planes: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """The reverse of `to_planes`.
+    """Return the float32 array [...] whose `to_planes` are given.
 
     Raises:
-        ValueError: they are no planes.
+        ValueError: The array is not uint8 [4, ...].
     """
     if planes.dtype != np.uint8 or planes.shape[:1] != (4,):
         raise ValueError(f"planes of bytes are uint8 [4, ...], got {planes.dtype} {list(planes.shape)}")
@@ -302,4 +305,5 @@ def from_planes(planes: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def _word(array: NDArray[Any]) -> str:
+    """Return a text that is stored as an array; a description of the array if it is none, which no known word equals."""
     return str(array) if array.ndim == 0 and array.dtype.kind == "U" else f"an array {array.dtype} {list(array.shape)}"

@@ -1,4 +1,4 @@
-"""Protocol of what decides for an agent, and the choices that it may make.
+"""Protocol of policies, which decide for agents, and the choices that they may make.
 
 A script, a planner, a network, a recorded track and somebody outside are the same thing to a runner: a `Policy`.
 """
@@ -74,7 +74,7 @@ class Policy(Protocol):
     """Decides for one agent in one episode."""
 
     def act(self, view: Any) -> Any:
-        """Choice for the next step, given an observation from `Task.view`."""
+        """Return the choice for the next step, given an observation from `Task.view`."""
         ...
 
 
@@ -101,7 +101,7 @@ class External:
     """`interrupts` returns nothing unless ``view.close``, so that it need not be asked otherwise."""
 
     def interrupts(self, view: Any) -> str:
-        """Reason to interrupt the running action and choose again; empty if there is none."""
+        """Return the reason to interrupt the running action and choose again; empty if there is none."""
         action = view.action
         going_on = action is None or action.skill == "control"
         return "agents_close" if self.interrupts_when_close and view.close and not going_on else ""
@@ -115,7 +115,7 @@ class FunctionPolicy:
         self.__name__ = getattr(function, "__name__", type(function).__name__)
 
     def act(self, view: Any) -> Any:
-        """Choice for the next step."""
+        """Return the choice for the next step."""
         return self._function(view, self._base)
 
 

@@ -1,6 +1,6 @@
 """High-level policies of social rearrangement: partners that follow a plan, populations of them, and heuristic robots.
 
-They follow the paper (section 4.2) and habitat-lab (spec/habitat.md 2.6). A policy chooses the next skill; skills
+They follow the paper (section 4.2) and habitat-lab. A policy chooses the next skill; skills
 (`sim_kinematic.agents.skills`) carry it out.
 """
 
@@ -45,23 +45,24 @@ STRAIGHT_ON_STEPS = 10
 
 
 class HighLevelPolicy(Protocol):
-    """The upper layer.
+    """Policy of the upper layer.
 
-    A policy that may abort what it is doing also has ``interrupts(view) -> str``, asked in every step of an action: a reason
-    to abort it, or nothing. One without is not asked, which saves making up the view.
+    A policy that may abort its action also has ``interrupts(view) -> str``, which is asked in every step of an action and
+    returns the reason to abort it, or an empty text. For a policy without this method no view is put together.
     """
 
     def act(self, view: RearrangeView) -> Action:
-        """Chooses the next action; asked when the last action has ended or was interrupted."""
+        """Choose the next action; asked when the last action has ended or was interrupted."""
         ...
 
 
 def errand(view: RearrangeView, k: int) -> Action:
-    """Next action that brings object k closer to its goal.
+    """Return the next action that brings object k closer to its goal.
 
     It is one of the four skills, or, as long as the hand is free, one that opens what encloses the object or its goal.
     """
     done = view.action if view.last is not None and view.last.outcome == "done" else None
+    # opening takes a free hand, so what shuts off the goal is opened before the object is taken
     if not (view.held_by == view.agent).any():
         for at_goal in (True, False):
             if (joint := view.barrier(k, at_goal)) >= 0:
@@ -84,7 +85,7 @@ class Plan(NamedTuple):
     def next(
         self, asked: Any, failed: Any, held_by: Any, at_goal: Any, agent: int, *, xp: Any = np
     ) -> tuple[Any, Plan]:
-        """The objects [W] to bring to their goals now, -1 where none is left or nobody asks, and where plans are then.
+        """Return the objects [W] to bring to their goals now, -1 where none is left or nobody asks, and where plans are then.
 
         Args:
             asked: whether the planner chooses now, bool [W].
@@ -95,9 +96,11 @@ class Plan(NamedTuple):
             xp: array namespace.
         """
         order, passed, tries = self
+        # numbers of the places in each plan; cumsum makes them for arrays and tensors alike
         places = xp.cumsum(xp.ones_like(order), -1) - 1
         count, chosen = (order >= 0).sum(-1), xp.full_like(passed, -1)
         mine_all, free_all = held_by == agent, ~at_goal & ((held_by == agent) | (held_by == NOBODY))
+        # each round passes one object at most; later rounds change nothing where one has been chosen
         for _ in range(order.shape[-1]):
             asked = asked & (passed < count)
             k = xp.where(places == passed[:, None], order, 0).sum(-1)
@@ -124,16 +127,19 @@ class Planner:
     _tries: int = 0
 
     def act(self, view: RearrangeView) -> Action:
-        """Next action for the first object that is not done."""
+        """Return the next action for the first object that is not done."""
         done, rest = self.objects[: self._passed], self.objects[self._passed :]
         blocked = view.last is not None and view.last[:2] == ("failed", "blocked")
-        if rest and blocked and view.held_by[rest[0]] != view.agent:  # who keeps it from there goes away some day
+        # whoever blocks the object will go away some day; an object in the hand cannot be put off
+        if rest and blocked and view.held_by[rest[0]] != view.agent:
             self.objects, self._tries = (*done, *rest[1:], rest[0]), 0
+        # an object that has not been seen yet is put off; if none has, the agent waits
         if rest and not view.is_known(rest[0]):
             known = [k for k in rest if view.is_known(k)]
             self.objects, self._tries = (*done, *known, *(k for k in rest if k not in known)), 0
             if not known:
                 return Action("wait", steps=5)
+        # being blocked counts as no failure: whoever stands there will go away some day
         failed = view.last is not None and view.last.outcome == "failed" and view.last.reason != "blocked"
         order = np.array([(*self.objects, *(-1 for _ in range(len(view.held_by) - len(self.objects))))])
         plan = Plan(order, np.array([self._passed]), np.array([self._tries]))
@@ -157,7 +163,10 @@ class Chooser:
     """Objects at which it failed, and until which step it leaves them."""
 
     def act(self, view: RearrangeView) -> Action:
-        """Next action for the object in hand, or for the preferred one; after a failure it avoids an object for 60 steps."""
+        """Return the next action for the object in hand, or for the preferred one.
+
+        After a failure, the robot avoids that object for 60 steps.
+        """
         if view.last is not None and view.last.outcome == "failed" and self._object >= 0:
             self._avoid[self._object] = view.step + 60
         held = np.flatnonzero(view.held_by == view.agent)
@@ -166,7 +175,7 @@ class Chooser:
         return Action("wait", steps=5) if chosen is None else errand(view, chosen)
 
     def interrupts(self, view: RearrangeView) -> str:
-        """Reason to interrupt the running action, such as ``object_taken``; empty if there is none."""
+        """Return the reason to interrupt the running action, such as ``object_taken``; empty if there is none."""
         action = view.action
         if action is None or action.skill not in ("nav_to_object", "pick"):
             return ""
@@ -179,23 +188,25 @@ class Chooser:
         return ""
 
     def _left(self, view: RearrangeView) -> list[int]:
+        """Return the objects that are left to do, without those that the robot avoids after a failure."""
         return [k for k in view.left_to_do() if self._avoid.get(k, 0) <= view.step]
 
 
 def _nearest(view: RearrangeView, left: list[int]) -> int | None:
-    """The object with the shortest way to it."""
+    """Return the object with the shortest path to it; None: nothing is left."""
     if not left:
         return None
     return min(left, key=lambda k: _way(view, view.xz, k))
 
 
 def _way(view: RearrangeView, start: NDArray, k: int) -> float:
-    """Length of the way from ``start`` to an object [m]; objects lie on furniture, so its end is moved to the floor."""
+    """Return the length of the path from ``start`` [2] to an object [m]."""
+    # objects lie on furniture, so the end of the path is moved to the floor
     return float(view.free.geodesic(start, view.objects[k, [0, 2]], max_snap_m=2.0))
 
 
 def persons_object(view: RearrangeView) -> int:
-    """The object that the person holds, goes for (by their motion in the last steps) or stands at; -1: nothing tells."""
+    """Return the object that the person holds, walks to (by their last steps) or stands at; -1: it cannot be told."""
     held = np.flatnonzero(np.isin(view.held_by, (NOBODY, view.agent), invert=True))
     if len(held):
         return int(held[0])
@@ -214,7 +225,7 @@ def persons_object(view: RearrangeView) -> int:
 
 
 def _complement(view: RearrangeView, left: list[int]) -> int | None:
-    """Object that the person is not heading for.
+    """Return the object that the person is not heading for.
 
     While the person's target is unknown, it is an object that is farther from the person than from the robot.
     """
@@ -223,44 +234,39 @@ def _complement(view: RearrangeView, left: list[int]) -> int | None:
     theirs = persons_object(view)
     others = [k for k in left if k != theirs]
     if not others:
-        return _nearest(view, left) if theirs < 0 or (view.held_by[theirs] == NOBODY and not _moves(view)) else None
+        # only theirs is left: it is taken from somebody who does not move, and left to others
+        moves = float(np.ptp(view.other_track, axis=0).max()) > 0.05
+        return _nearest(view, left) if theirs < 0 or (view.held_by[theirs] == NOBODY and not moves) else None
+    # the nearest of the others; if the person's target is unknown, the one that is most in the robot's favour
     if theirs >= 0:
         return _nearest(view, others)
     return max(others, key=lambda k: _way(view, view.other_xz, k) - _way(view, view.xz, k))
 
 
-def _moves(view: RearrangeView) -> bool:
-    return float(np.ptp(view.other_track, axis=0).max()) > 0.05
-
-
-def _only(k: int) -> Callable[[RearrangeView, list[int]], int | None]:
-    return lambda view, left: k if k in left else None
-
-
 ROBOT_POLICIES: dict[str, Callable[[], HighLevelPolicy]] = {
     "greedy_nearest": lambda: Chooser(_nearest),
     "complement": lambda: Chooser(_complement),
-    "same_object": lambda: Chooser(_only(1)),
+    "same_object": lambda: Chooser(lambda view, left: 1 if 1 in left else None),
     "still": lambda: Planner(()),
 }
-"""``same_object`` always rearranges the second object: what a robot learns whose only partner always takes the first
-(paper appendix on Plan-Pop 1)."""
+"""Makers of heuristic robots by name. ``same_object`` always rearranges the second object, as a robot learns to do whose only
+partner always takes the first (paper appendix on Plan-Pop 1)."""
 PARTNERS = (*POPULATIONS, *PLANS)
 
 
 def population_of(partner: str) -> str:
-    """``zsc-pop`` for a partner of the zero-shot population, ``train-pop`` for a population of planners, else empty."""
+    """Return ``zsc-pop`` for a partner of the zero-shot population, ``train-pop`` for a population of planners, else empty."""
     return "zsc-pop" if partner in ZSC_TEN else "train-pop" if partner in POPULATIONS else ""
 
 
 def zsc_populations(partners: Iterable[str]) -> tuple[tuple[str, ...], ...]:
-    """The paper's zero-shot populations of which all play: the four planners, and these with six learned partners."""
+    """Return the paper's zero-shot populations whose members all play: four planners, and these with six learned partners."""
     there = set(partners)
     return tuple(population for population in (ZSC, ZSC_TEN) if there.issuperset(population))
 
 
 def robot_policy(name: str, objects: int = 2) -> HighLevelPolicy:
-    """A fresh robot policy, or the one in a file (``weights:FILE``); an `InputError` lists what exists."""
+    """Return a fresh robot policy, or the one in a file (``weights:FILE``); an `InputError` lists what exists."""
     if is_learned(name):
         return learned_chooser(name, objects, robot=True)
     if name not in ROBOT_POLICIES:
@@ -272,7 +278,7 @@ def robot_policy(name: str, objects: int = 2) -> HighLevelPolicy:
 
 
 def partner_plan(name: str, seed: int) -> str:
-    """Plan of a partner in the episode with this seed, a name in `PLANS`.
+    """Return the plan of a partner in the episode with this seed, a name in `PLANS`.
 
     A learned partner (``weights:FILE``) has no plan; its recorded name is returned.
     """
@@ -290,14 +296,14 @@ def partner_plan(name: str, seed: int) -> str:
 
 
 def partner_policy(name: str, seed: int, objects: int = 2) -> HighLevelPolicy:
-    """A fresh partner for the episode with this seed."""
+    """Return a fresh partner for the episode with this seed."""
     if is_learned(name):
         return learned_chooser(name, objects, robot=False)
     return planner(partner_plan(name, seed), seed, objects)
 
 
 def planner(plan: str, seed: int, objects: int = 2) -> Planner:
-    """The planner of a plan; the order of ``both`` is drawn from the seed, since Habitat's search leaves it to chance."""
+    """Return the planner of a plan. The order of ``both`` is sampled by the seed, as Habitat's search leaves it to chance."""
     wanted = list(range(objects)) if plan == "both" else [k for k in PLANS[plan] if k < objects]
     if len(wanted) > 1:
         wanted = generator(seed, "plan_order").permutation(wanted).tolist()

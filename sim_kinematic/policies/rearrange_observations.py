@@ -31,12 +31,12 @@ from sim_kinematic.sensing.table import (
 
 __all__ = ["HABITAT_SENSES", "PAPER_SENSES", "SENSES", "STATE_SENSES", "RearrangeContext", "exact", "limits", "observe"]
 SNAP_M = 2.0
-"""The floor is at most this far from an object or a goal."""
+"""Largest distance of an object or a goal from the floor to which its end of a path is moved [m]."""
 Floats = NDArray[np.floating]
 
 
 class RearrangeContext:
-    """A view as a `sim_kinematic.sensing.table.Context` of one world."""
+    """View of rearrangement as a `sim_kinematic.sensing.table.Context` of one world."""
 
     xp = np
 
@@ -52,31 +52,32 @@ class RearrangeContext:
 
     @property
     def is_alone(self) -> bool:
-        """Returns whether there is no other agent."""
+        """Return whether there is no other agent."""
         return not np.isfinite(self._view.other_xz).all()
 
     @cached_property
     def _hand(self) -> Floats:
+        """Pose (pose7) of the hand in the world, computed at its first use, as few observations need it."""
         return self._view.hand()
 
     def floor_y(self) -> Floats:
-        """Height of the floor where the agent is, [] [m]."""
+        """Return the height of the floor where the agent is, [] [m]."""
         return self._view.free.height_at(self.now.xz)
 
     def in_hand(self, points: Floats) -> Floats:
-        """World points [n, 3] in the frame of the hand."""
+        """Return world points [n, 3] in the frame of the hand."""
         return in_frame(self._hand, points)
 
     def from_start(self, points: Floats) -> Floats:
-        """World points [n, 3] in the agent root frame of the start."""
+        """Return world points [n, 3] in the agent root frame of the start."""
         return in_frame(self._view.free.root_pose(self.start.xz, self.start.heading), points)
 
     def other_root(self) -> Floats:
-        """Root of the other agent in the world [3] [m]."""
+        """Return the root of the other agent in the world [3] [m]."""
         return self._view.free.root_pose(self.other.xz, 0.0)[:3]
 
     def ways(self, end: Literal["objects", "goals"], *, other: bool, then: bool = False) -> Floats:
-        """Lengths of the shortest paths from the agent or the other to objects or goals, [K] [m].
+        """Return lengths of the shortest paths from the agent or the other to objects or goals, [K] [m].
 
         With ``then`` from the first position of the other's known track. Objects and goals lie on furniture, so the ends of the
         paths are moved to the free floor.
@@ -84,10 +85,11 @@ class RearrangeContext:
         view, points = self._view, self.objects if end == "objects" else self.goals
         start = view.other_track[0] if then else view.other_xz if other else view.xz
         ends = np.broadcast_to(start, (len(points), 2)), points[:, [0, 2]]
+        # no path is infinite, and a network takes finite numbers
         return np.minimum(view.free.geodesic(*ends, max_snap_m=SNAP_M), FAR_M)
 
     def ahead(self, *, other: bool) -> Floats:
-        """Points that an agent would reach after `AHEAD_M` on its path to each object, [K, n, 2] [m].
+        """Return points that an agent would reach after `AHEAD_M` on its path to each object, [K, n, 2] [m].
 
         For an object in its hand, the path leads to the object's goal. Paths to objects in another agent's hand are straight
         lines.
@@ -106,7 +108,7 @@ class RearrangeContext:
         return np.array(found)
 
     def ended(self, outcome: Ending) -> Floats:
-        """Number for each of `choices`: 1 for the agent's last one, if it ended in this way, [C]."""
+        """Return the number for each of `choices`: 1 for the agent's last one, if it ended in this way, [C]."""
         view = self._view
         known = choices(len(view.objects), robot=len(view.arm) > 0)
         found = np.zeros(len(known))
@@ -116,7 +118,7 @@ class RearrangeContext:
 
 
 def observe(view: RearrangeView, names: Sequence[str]) -> dict[str, NDArray[np.float32]]:
-    """The named observations, each [n] float32 and within its `limits`."""
+    """Return the named observations, each [n] float32 and within its `limits`."""
     shown = {}
     for name, values in exact(view, names).items():
         low, high = (np.tile(side, len(values) // SENSES[name].width) for side in (SENSES[name].low, SENSES[name].high))
@@ -127,11 +129,12 @@ def observe(view: RearrangeView, names: Sequence[str]) -> dict[str, NDArray[np.f
 def exact(
     view: RearrangeView, names: Sequence[str], sensors: Mapping[str, Sensor] = SENSES
 ) -> dict[str, NDArray[np.float64]]:
-    """The named observations as they are, each [n]; of the other agent zeros if there is none."""
+    """Return the named observations as they are, each [n]; of the other agent zeros if there is none."""
     moment, lone = RearrangeContext(view), None
     found = {}
     for name in names:
         if sensors[name].of_other and moment.is_alone:
+            # only their lengths are needed, of which the limits know
             lone = lone or limits(sensors, objects=len(view.objects), arm=len(view.arm))
             found[name] = np.zeros(lone[name].shape)
         else:
@@ -140,6 +143,6 @@ def exact(
 
 
 def limits(sensors: Mapping[str, Sensor] = SENSES, *, objects: int, arm: int) -> dict[str, Limits]:
-    """The spaces of all that an agent with ``arm`` joints (0: a person) can be shown beside pictures."""
+    """Return limits of all observations but pictures by name, for an agent with ``arm`` joints (0: a person)."""
     counts = {"once": 1, "objects": objects, "joints": arm, "choices": len(choices(objects, robot=arm > 0))}
     return {name: sensor.limits(counts[sensor.times]) for name, sensor in sensors.items() if counts[sensor.times]}

@@ -1,4 +1,4 @@
-"""Policies that repeat what a recording says, up to a step, and then hand over to another."""
+"""Policies that repeat recorded choices up to a step, and then hand over to another policy."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ RESUMED = "resumed"
 
 
 def is_remote(policy: Any) -> bool:
-    """Returns whether a policy lies behind a server, which is not asked for what is recorded."""
+    """Return whether a policy lies behind a server, which is not asked for what is recorded."""
     return bool(getattr(policy, "is_remote", False))
 
 
 class NotRecorded(InputError):
-    """The episode takes another course than the recording, so that it asks for a command where none was recorded."""
+    """Error of an episode that takes another course than its recording: it needs a command where none was recorded."""
 
 
 class RecordedCommand(NamedTuple):
-    """A command from outside, from the recorded raw input."""
+    """Command from outside that was recorded as raw input."""
 
     step: int
     choice: Any
@@ -43,11 +43,11 @@ class RecordedCommand(NamedTuple):
 
 
 class RecordedVelocities:
-    """Repeats recorded base velocities up to a step, then hands over to another policy.
+    """Policy that repeats recorded base velocities up to a step, then hands over to another policy.
 
-    That policy, if there is one, is asked at every step since it decides, and its answers are dropped until ``until``: any
-    policy may hold a memory or an action between decisions, functions and networks included, and then has both. One that is
-    `is_remote` is asked from ``until`` on alone.
+    The other policy, if there is one, is asked in every step from ``since`` on, and its answers are dropped until ``until``. So
+    it has the memory, and the action that it holds between decisions, which it had in the recording. A policy that is
+    `is_remote` is only asked from ``until`` on.
     """
 
     def __init__(self, choices: Mapping[int, Any], *, until: int, own: Any, since: int = 0) -> None:
@@ -65,7 +65,7 @@ class RecordedVelocities:
         own: Any,
         since: int = 0,
     ) -> RecordedVelocities:
-        """Policy that repeats the recorded commands from outside, or else the column ``agent_<i>.action``.
+        """Return a policy that repeats the recorded commands from outside, or else the column ``agent_<i>.action``.
 
         Args:
             recording: the recording.
@@ -76,7 +76,7 @@ class RecordedVelocities:
             since: step from which ``own`` decided in the recording (`deciding_since`).
 
         Raises:
-            InputError: the simulator does not know a recorded command or skill.
+            InputError: The simulator does not know a recorded command or skill.
         """
         told = {command.step: command.choice for command in commands or ()}
         if commands and f"agent_{number}.action" not in recording.columns:
@@ -103,11 +103,12 @@ class RecordedVelocities:
         return cls({**choices, **told}, until=until, own=own, since=since)
 
     def act(self, view: Any) -> Any:
-        """Recorded choice of this step, or that of the policy that has taken over.
+        """Return the recorded choice of this step, or that of the policy that has taken over.
 
         Raises:
             NotRecorded: the recording has no command for this step.
         """
+        # asked before the step is decided, so that its memory is that of the recording when it takes over
         choice = self._own.act(view) if self._own is not None and view.step >= self.since else None
         if view.step >= self._until and self._own is not None:
             return choice
@@ -117,7 +118,7 @@ class RecordedVelocities:
 
 
 class RecordedCommands:
-    """Repeats commands that came from outside in a task with skills, then hands over to another policy."""
+    """Policy that repeats commands from outside in a task with skills, then hands over to another policy."""
 
     takes_commands = True
 
@@ -127,20 +128,21 @@ class RecordedCommands:
         self.since = until if own is not None else 0
 
     def act(self, view: Any) -> Any:
-        """Next recorded command, or the choice of the policy that has taken over.
+        """Return the next recorded command, or the choice of the policy that has taken over.
 
         Raises:
             NotRecorded: the recording has no command for this step.
         """
         if view.step >= self._until and self._own is not None:
             return self._own.act(view)
+        # several commands may belong to one step, so they are taken one after the other and not looked up by step
         if self._next >= len(self._commands) or self._commands[self._next].step != view.step:
             raise NotRecorded(f"The recorded raw input has no command for step {view.step}.", code="H3-POLICY-045")
         self._next += 1
         return self._commands[self._next - 1].choice
 
     def interrupts(self, view: Any) -> str:
-        """Aborts where a command came while a skill was running."""
+        """Return the reason to abort the running skill where a command came while it was running; else empty."""
         if view.step >= self._until and self._own is not None:
             interrupts = getattr(self._own, "interrupts", None)
             return RESUMED if view.step == self._until else interrupts(view) if interrupts is not None else ""
@@ -152,7 +154,7 @@ class RecordedTrack:
     """Person who follows a recorded track, whatever the others do."""
 
     def __init__(self, recording: Recording, number: int, body: Any) -> None:
-        """Reads the recorded track of a person.
+        """Read the recorded track of a person.
 
         Args:
             recording: the recording.
@@ -160,7 +162,7 @@ class RecordedTrack:
             body: its body.
 
         Raises:
-            InputError: the person's body was not recorded as motion clips at every step.
+            InputError: The person's body was not recorded as motion clips at every step.
         """
         if not len(recording):
             raise InputError(
@@ -187,14 +189,15 @@ class RecordedTrack:
         if ((self._motion[0] < 0) | (self._motion[0] >= clips)).any():
             raise InputError(f"agent_{number}.motion_id must be in 0..{clips - 1}.", code="H3-POLICY-050")
         self._xz = base[:, [0, 2]].astype(np.float64)
+        # continuous, so that the difference of two steps is the turn between them
         self._heading = np.unwrap(heading_from_quat(base[:, 3:].astype(np.float64)))
 
     def track(self) -> NDArray[np.float64]:
-        """Positions after each step, [T, 2] [m]."""
+        """Return positions after each step, [T, 2] [m]."""
         return self._xz
 
     def act(self, view: Any) -> RecordedPose:
-        """Recorded pose and motion clip of this step."""
+        """Return the recorded pose and motion clip of this step."""
         step = view.step
         clip, phase, blend = (array[step] for array in self._motion)
         (left, right), (height, share) = self._arms[step].tolist(), self._seats[step].tolist()
@@ -213,8 +216,8 @@ class RecordedTrack:
 class RecordedPolicy:
     """Policy that repeats one agent's recorded choices and interruptions.
 
-    ``own``, if it is known, is the policy that made them. It is asked whatever it was asked then, so that in the end it
-    remembers what it did then.
+    ``own``, if it is known, is the policy that made them. It is asked at every decision of the recording, so that it has the
+    same memory when it takes over.
     """
 
     spans: Sequence[SkillSpan]
@@ -222,12 +225,12 @@ class RecordedPolicy:
     objects: tuple[str, ...]
     """Names of the task's objects."""
     now: NDArray[np.integer]
-    """Skill and target at each step, [T, 2]: of a skill that was running when the recording broke off, there is no span."""
+    """Skill and target at each step, [T, 2]. A skill that was running when the recording broke off has no span."""
     until: int
-    """Step from which on the agent acts by itself."""
+    """Step from which on ``own`` decides and the recording no longer does."""
     own: HighLevelPolicy | None = None
     since: int = 0
-    """Step from which on the policy ``own`` decides; before it, somebody else did."""
+    """Step from which on ``own`` decided in the recording; before it, somebody else did."""
     joints: tuple[str, ...] = ()
     """Names of the doors and drawers of the home."""
     surfaces: tuple[str, ...] = ()
@@ -238,18 +241,21 @@ class RecordedPolicy:
     _running: Action = field(default_factory=lambda: Action("wait"))
 
     def act(self, view: RearrangeView) -> Action:
-        """Recorded action of this decision, or the choice of the policy that has taken over."""
+        """Return the recorded action of this decision, or the choice of the policy that has taken over."""
         choice = self.own.act(view) if self.own is not None and view.step >= self.since else None
         if view.step >= self.until and choice is not None:
             return choice
         interrupted = view.last is not None and view.last.outcome == "aborted"
+        # an agent that was interrupted and chose the same action again has one span for both parts, which goes on
         if not interrupted or not self._next or self._aborted_before(view.step):
             self._running = self._recorded(view.step, choice)
         return self._running
 
     def interrupts(self, view: RearrangeView) -> str:
-        """Reason for which the recording interrupts the running action; empty if there is none."""
+        """Return the reason for which the recording interrupts the running action; empty if there is none."""
         asked = self.own is not None and view.step >= self.since
+        # where it took over from somebody else it had to choose, whatever was running
+        # where it took over from somebody else, it chose anew whatever was running
         if asked and view.step == self.since > 0:
             return RESUMED
         interrupts = getattr(self.own, "interrupts", None)
@@ -257,19 +263,19 @@ class RecordedPolicy:
         return reason or (self._aborted_before(view.step) if view.step < self.until else "")
 
     def _aborted_before(self, step: int) -> str:
-        """Reason why the running skill was aborted at this step; empty: it was not."""
+        """Return the reason why the running skill was aborted at this step; empty: it was not."""
         span = self.spans[self._next - 1] if self._next else None
         return span.reason if span is not None and (span.outcome, span.end_step) == ("aborted", step - 1) else ""
 
     def _recorded(self, step: int, choice: Action | None) -> Action:
-        """The next recorded action; ``choice`` is what ``own`` would do, which knows how long it wants to wait."""
+        """Return the next recorded action; ``choice`` is what ``own`` would do, which knows how long it wants to wait."""
         if self._next < len(self.spans):
             span = self.spans[self._next]
             self._next += 1
             follows = self.spans[self._next : self._next + 1]
             at_once = span.outcome == "done" and bool(follows) and follows[0].start_step == span.start_step
             lasted = span.end_step - span.start_step + 1
-            # of those that were cut short, each waits for another time: an equal action would go on with the last one
+            # an equal action would continue the last one, so each action that was cut short has a duration of its own
             endless = len(self.now) + self._next
             steps = 0 if at_once else lasted if span.outcome == "done" else endless
             names = targets_of(span.name, self.objects, self.joints, self.surfaces)
@@ -286,15 +292,15 @@ class RecordedPolicy:
 def targets_of(
     skill: str, objects: tuple[str, ...], joints: tuple[str, ...], surfaces: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Names of what a skill can be about."""
+    """Return names of the targets that a skill can have."""
     return joints if skill in OPENING_SKILLS else surfaces if skill == SEARCH else objects
 
 
 def deciding_since(recording: Recording) -> list[int]:
-    """The step from which each agent's present policy has decided, and remembers.
+    """Return the step from which the present policy of each agent has decided, and which its memory goes back to.
 
     Raises:
-        InputError: the info does not say that for each agent.
+        InputError: The info has no such step for each agent.
     """
     count = len(recording.agents)
     try:
@@ -317,18 +323,20 @@ def recorded_choices(
     joints: tuple[str, ...] = (),
     surfaces: tuple[str, ...] = (),
 ) -> tuple[list[SkillSpan], NDArray]:
-    """Skill spans of an agent, and its skills and targets step by step [T, 2].
+    """Return the skill spans of an agent, and its skills and targets step by step [T, 2].
 
     ``since`` is the step before which commands from outside decided, whose skills are left out.
 
     Raises:
-        InputError: the simulator does not know a skill or target, or there are commands of the lower layer, which are not
+        InputError: The simulator does not know a skill or target, or there are commands of the lower layer, which are not
             recorded.
     """
     spans = [span for span in recording.skills if span.agent == number and (not since or span.end_step >= since)]
     now = np.stack([recording.columns[f"agent_{number}.{name}"] for name in ("skill", "skill_target")], axis=-1)
+    # before that step commands decided, and the skills that they began are no choices
     now[:since] = SKILLS.index("wait"), -1
     known = (*SKILLS, *(OPENING_SKILLS if joints else ()), *((SEARCH,) if surfaces else ()))
+    # doors, drawers and surfaces that a home does not have make their skills unknown
     codes = {k: name for k, name in enumerate(ALL_SKILLS) if name in known}
     names = {span.name for span in spans} | {codes[c] for c in now[:, 0].tolist() if c in codes}
     if CONTROL in names:
@@ -357,12 +365,12 @@ def recorded_choices(
 
 
 def recorded_commands(recording: Recording, decode: Callable[[Any], Any]) -> dict[int, list[RecordedCommand]]:
-    """Commands from outside by agent, each with its step, from the recorded raw input.
+    """Return commands from outside by agent, each with its step, from the recorded raw input.
 
     ``decode`` is `sim_kinematic.tasks.control.Control.from_json`.
 
     Raises:
-        InputError: a command is malformed.
+        InputError: A command is malformed.
     """
     commands: dict[int, list[RecordedCommand]] = {}
     for event in recording.inputs:

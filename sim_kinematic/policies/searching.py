@@ -1,4 +1,4 @@
-"""Search for things in a home: which place an agent looks at next, and planners that search when they know of nothing to do."""
+"""Search for objects in a home: choice of the next place to look at, and planners that search while they have nothing to do."""
 
 from __future__ import annotations
 
@@ -13,34 +13,37 @@ from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.sensing.sight import LOOK_STEPS
 
 GROUP_M = 1.5
-"""Places this near to each other are looked at together [m]."""
+"""Places this near to each other count as seen together from one of them [m]."""
 STAND_M, OPENING_M = 3.0, 12.0
-"""Length of path that a stop at a place costs, and the opening of what shuts it [m]."""
+"""Length of path that a stop at a place costs, and that opening its door or drawer costs in addition [m]."""
 THEIRS = 0.4
-"""Weight of a place that is nearer to the other agent, who may look at it."""
+"""Weight of a place that is nearer to the other agent, who may look at it too."""
 COMPARED = 8
-"""So many places, the best by straight lines, are compared by paths."""
+"""Number of places, the best by straight lines, that are compared by lengths of paths."""
 AVOID_STEPS = 900
-"""Steps for which a place that could not be reached is left."""
+"""Number of steps for which a place that could not be reached is avoided."""
 PAUSE = 15
+"""Number of steps that an agent waits where there is no place left to look at."""
 
 
 @dataclass
 class Search:
-    """The places at which one agent looks, one after the other: where much can be seen soon."""
+    """Search of one agent, which looks at one place after the other, first where much can be seen soon."""
 
     _place: int = -1
     _avoid: dict[int, int] = field(default_factory=dict)
-    """Step until which a place is left."""
+    """Step until which each place is avoided."""
 
     def act(self, view: RearrangeView) -> Action:
-        """The next action of the search: to go to a place, or to open what shuts it."""
+        """Return the next action of the search: to go to a place, or to open the door or drawer that shuts it."""
         assert view.places is not None
         looked, shut = view.places.looked, view.places.shut
         now, ended = self._place, view.last
         if now >= 0 and ended is not None and view.action is not None and is_search(view.action):
             arrived = ended.outcome == "done" and view.action.skill == SEARCH
+            # it got there and still has not seen the place: it would be sent there again and again
             if ended.outcome == "failed" or (arrived and not looked[now]):
+                # a door or drawer that could not be opened shuts all places behind it
                 same = shut == shut[now] if shut[now] >= 0 else np.arange(len(shut)) == now
                 self._avoid |= dict.fromkeys(np.flatnonzero(same).tolist(), view.step + AVOID_STEPS)
         if now < 0 or looked[now] or self._avoid.get(now, 0) > view.step:
@@ -55,14 +58,15 @@ class Search:
         return Action("open" if at_handle else "nav_to_handle", joint)
 
     def is_over(self, view: RearrangeView) -> bool:
-        """Return whether the agent has seen the place to which it is going on the way."""
+        """Return whether the agent has already seen the place to which it is going."""
         return view.places is not None and self._place >= 0 and bool(view.places.looked[self._place])
 
     def _best(self, view: RearrangeView) -> int:
-        """The place with the most that is seen from there for the length of the path; -1: nothing is left."""
+        """Return the place from which most places are seen for the length of the path to it; -1: none is left."""
         assert view.places is not None
         points, looked, shut = view.places
         full = bool((view.held_by == view.agent).any())
+        # with a full hand nothing can be opened
         left = [
             s
             for s in np.flatnonzero(~looked).tolist()
@@ -79,6 +83,7 @@ class Search:
         if np.isfinite(view.other_xz).all():
             gain *= np.where(np.hypot(*(floor - view.other_xz).T) < mine, THEIRS, 1.0)
         cost = STAND_M + OPENING_M * (shut[left] >= 0)
+        # paths take a search each, so only the best by straight lines are compared by them
         best = np.argsort(-gain / (mine + cost), kind="stable")[:COMPARED]
         ways = view.free.geodesic(np.broadcast_to(view.xz, (len(best), 2)), floor[best], max_snap_m=2.0)
         return left[int(best[np.argmax(gain[best] / (ways + cost[best]))])]
@@ -91,26 +96,27 @@ def is_search(action: Action) -> bool:
 
 @dataclass
 class Seeking:
-    """A planner that searches while it knows of nothing to do, and not where everything is."""
+    """Planner that searches while it has nothing to do and does not know where all objects are."""
 
     interrupts_every = LOOK_STEPS
-    """Steps from one question whether it stops to the next."""
+    """Number of steps after which `interrupts` is asked again: agents look around as often."""
     policy: Any
     search: Search = field(default_factory=Search)
     _searches: bool = False
     _known: int = 0
-    """Number of things that it knew when the search went on."""
+    """Number of objects that it knew when it last chose."""
 
     def act(self, view: RearrangeView) -> Action:
-        """The planner's action, or the next of the search."""
-        own = view._replace(last=None) if self._searches else view  # an end of the search is none of the planner's
+        """Return the planner's action, or the next of the search."""
+        # the result of an action of the search would tell the planner that its own action had ended
+        own = view._replace(last=None) if self._searches else view
         choice = self.policy.act(own)
         left = [k for k in range(len(view.objects)) if not view.is_known(k) and view.held_by[k] == NOBODY]
         self._searches, self._known = choice.skill == "wait" and bool(left), len(view.objects) - len(left)
         return self.search.act(view) if self._searches else choice
 
     def interrupts(self, view: RearrangeView) -> str:
-        """Reason to stop: a thing or the place has been seen, or one of the planner's own."""
+        """Return the reason to interrupt the action: an object or the place has been seen, or that of the planner."""
         if view.step % LOOK_STEPS:
             return ""
         if not self._searches:

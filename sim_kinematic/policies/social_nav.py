@@ -1,4 +1,4 @@
-"""Robot policies for social navigation and, last, one that was learned."""
+"""Robot policies of social navigation: experts by rules, samples and foresight, baselines, and a learned one."""
 
 from __future__ import annotations
 
@@ -36,44 +36,44 @@ Policy = Callable[[SocialNavView, BaseSpec], Velocity]
 KEEP_DISTANCE_M = 1.5
 """The expert approaches when farther than this and backs away when nearer (paper section 4.1)."""
 SLACK_M = 0.1
-"""Within so much beyond that distance, the expert does not approach a person who comes nearer."""
+"""Distance beyond ``KEEP_DISTANCE_M`` within which the expert does not approach a person who comes nearer."""
 STEER_STEPS = 8
 """Number of steps that the experts look ahead for the best direction to drive."""
 ESCAPE_STEPS = 30
 """Number of steps that the experts look ahead for room to let the person pass."""
 MARGIN_M = 0.15
-"""Free way that is kept between both, if it can be."""
+"""Gap between robot and person that the experts keep where they can [m]."""
 TURN_COST_M = 0.5
 """Length of path [m] that one radian of heading error costs."""
 ROOM_COST = 8.0
-"""Cost of each metre of missing room."""
+"""Cost of each metre by which the gap is smaller than ``MARGIN_M`` [m]."""
 REACH_M = 2.0
 """Distance to the person below which the robot may find them [m]; farther away it ignores them until they are found."""
 SAMPLES = 24
-"""Commands that the sampling expert draws at every step."""
-
+"""Number of commands that the sampling expert samples in every step."""
 _LEVELS = (1.0, 0.5, 0.0, -0.5, -1.0)
 _STEERING = np.array(
     [(f, t, n, f) for f in _LEVELS for t in _LEVELS for n in ((STEER_STEPS // 2, STEER_STEPS) if t else (STEER_STEPS,))]
 )
-"""Ways to drive for a moment, as `roll_out` takes them."""
+"""Commands for the next steps, as `roll_out` takes them. Each turn is tried for half and for all of them."""
 _BACKING = np.array([(-1.0, t, n, -1.0) for t in _LEVELS for n in ((8, 16, ESCAPE_STEPS) if t else (ESCAPE_STEPS,))])
-"""Ways to back away: straight, or in a bend and then straight."""
+"""Commands to back away: straight, or in a bend and then straight."""
 
 
 def _steer(view: SocialNavView, target_xz: NDArray[np.float64], spec: BaseSpec) -> tuple[float, float]:
-    """Heading error to ``target_xz`` [rad] and the turn command that removes it in one step, if the limit allows."""
+    """Return the heading error to ``target_xz`` [rad] and the turn command that removes it in one step, if the limit allows."""
     dx, dz = (target_xz - view.robot_xz).tolist()  # Python floats: a third of the time of NumPy's
     error = float(wrap_angle(np.arctan2(-dz, dx) - view.robot_heading))
     return error, min(max(error / (spec.max_turn_rad_s * STEP_S), -1.0), 1.0)
 
 
 def _steps_to_turn(error: float, spec: BaseSpec) -> float:
+    """Return the number of steps that a turn by a heading error [rad] takes at the limit of the base."""
     return float(math.ceil(abs(error) / (spec.max_turn_rad_s * STEP_S)))
 
 
 def next_waypoint(view: SocialNavView, spec: BaseSpec) -> NDArray[np.float64]:
-    """The first way point on the path to the person that is not already underfoot."""
+    """Return the first way point on the path to the person that is not already underfoot."""
     path = view.free.path(view.robot_xz, view.human_xz)
     for waypoint in path[1:]:
         if np.hypot(*(waypoint - view.robot_xz).tolist()) > spec.disc_radius_m / 2:
@@ -82,18 +82,17 @@ def next_waypoint(view: SocialNavView, spec: BaseSpec) -> NDArray[np.float64]:
 
 
 def _expected_walk(view: SocialNavView) -> NDArray[np.float64]:
-    """Returns where the person will be in the next `ESCAPE_STEPS` steps if they go on as in the last one."""
+    """Return where the person will be in the next `ESCAPE_STEPS` steps if they go on as in the last one."""
     velocity = np.zeros(2) if view.human_before is None else (view.human_xz - view.human_before) / STEP_S
     return straight_walk(view.free, view.human_xz, velocity, ESCAPE_STEPS)
 
 
 def rollout_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """The two rules of `heuristic_expert` by roll-outs: it tries out ways to drive for the next steps and takes the best.
+    """Follow the two rules of `heuristic_expert` by roll-outs, of which the best command is taken.
 
-    It approaches in the way, forwards or backwards, that shortens the
-    path most, and restores 1.5 m at the smallest speed that does; before somebody who comes nearer it goes back as fast as
-    they come. Where the person would walk into it, it backs away in the bend that leaves most room. Of the person it knows
-    where they are and were a step ago.
+    The robot approaches, forwards or backwards, by the command that shortens the path most, and restores 1.5 m at the
+    smallest speed that does so. In front of a person who comes nearer it goes back as fast as they come. Where the person
+    would walk into it, it backs away in the bend that leaves most room. It knows the person's position now and one step ago.
     """
     step_m, receding = spec.max_speed_mps * STEP_S, _receding(view)
     gap_m = view.geodesic_m + receding - KEEP_DISTANCE_M
@@ -104,7 +103,7 @@ def rollout_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
 
 
 def _receding(view: SocialNavView) -> float:
-    """Distance by which the person moves away from the robot in this step, if they continue as in the last one [m].
+    """Return the distance by which the person moves away from the robot in this step, if they continue as in the last one [m].
 
     Without it, a robot in front of a person who walks towards it backs away and returns every other step.
     """
@@ -118,10 +117,11 @@ def _receding(view: SocialNavView) -> float:
 
 
 def heuristic_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """The paper's expert (section 4.1): the shortest path to the person when farther than 1.5 m, backing away from them inside.
+    """Follow the paper's two rules (section 4.1): drive to a person farther away than 1.5 m, and back away from a nearer one.
 
-    Its code was never published (spec/habitat.md 1.8). It drives at the next corner of the path, and backs straight away. It
-    tries nothing out and foresees nothing, so the person often pins it against a wall."""
+    The paper's code was never published. The robot drives to the next corner of the shortest path, and backs straight away.
+    It tries nothing out and foresees nothing, so the person often pins it against a wall.
+    """
     if not np.isfinite(view.geodesic_m):
         return Velocity(0.0, 0.0, "wait")
     gap = (view.geodesic_m - KEEP_DISTANCE_M) / (spec.max_speed_mps * STEP_S)
@@ -133,13 +133,13 @@ def heuristic_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
 
 
 def _straight_back(view: SocialNavView, spec: BaseSpec, gap: float) -> tuple[float, float, float]:
-    """Forward and turn command of backing away while the person is in front, else of turning; the heading error [rad]."""
+    """Return the commands (forward, turn) that back away if the person is in front, or else turn to them; the error [rad]."""
     error, turn = _steer(view, view.human_xz, spec)
     return max(gap, -1.0) if abs(error) < np.pi / 3 else 0.0, turn, error
 
 
 def _approach(view: SocialNavView, spec: BaseSpec, goal: NDArray[np.float64], gap: float = 1.0) -> Velocity:
-    """Towards ``goal`` [2], by at most ``gap`` steps of way."""
+    """Return the best command towards ``goal`` [2], for a path of at most ``gap`` steps at full speed."""
     if not np.isfinite(view.geodesic_m):
         return Velocity(0.0, 0.0, "wait")
     error, turn = _steer(view, next_waypoint(view._replace(human_xz=goal), spec), spec)
@@ -152,11 +152,15 @@ def _approach(view: SocialNavView, spec: BaseSpec, goal: NDArray[np.float64], ga
 
 
 def _back_up(view: SocialNavView, spec: BaseSpec, gap: float, *, hurries: bool = True) -> Velocity:
-    """Away from the person, by ``gap`` steps of way (negative); faster, if it hurries, where they would walk into it."""
+    """Return the command away from the person for a path of ``gap`` steps (negative) at full speed.
+
+    Where the person would walk into the robot it is a bend and, with ``hurries``, faster.
+    """
     backward, turn, error = _straight_back(view, spec, gap)
     straight = np.array([(backward, turn, _steps_to_turn(error, spec), backward)])
     walk = _expected_walk(view)
     trial = partial(roll_out, view.free, spec, view.robot_xz, view.robot_heading, look_steps=ESCAPE_STEPS)
+    # the usual case: one roll-out instead of dozens
     if trial(straight, walk).gap_m[0] >= MARGIN_M:
         return Velocity(backward, turn, "back_up")
     calm = _BACKING * (max(-gap, 0.0), 1.0, 1.0, max(-gap, 0.0)) if gap > -1 else _BACKING[:0]
@@ -171,18 +175,20 @@ def _back_up(view: SocialNavView, spec: BaseSpec, gap: float, *, hurries: bool =
 def _way_left(
     free: FreeSpace, goal: NDArray[np.float64], xz: NDArray[np.float64], heading: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Length of the shortest path to ``goal`` from places [N, 2] [m], and by how much headings [N] differ from its [rad]."""
+    """Return lengths of shortest paths to ``goal`` from places [N, 2] [m], and errors of headings [N] [rad]."""
+    # one field for all places costs less than a search for each
     left, direction = free.distance_field(goal).distance_and_direction(xz)
     error = np.abs(wrap_angle(np.arctan2(-direction[:, 1], direction[:, 0]) - heading))
+    # places without a path have no direction
     return left, np.where(np.isnan(error), np.pi, error)
 
 
 def sampling_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """Expert that samples commands and simulates each together with the person's expected walk.
+    """Sample commands, simulate each together with the person's expected walk, and take the best one.
 
-    It takes the best of them: on the path to 1.5 m from the person, facing them, with room between both. An expert that
-    samples waypoints without predicting the walk collides more often than one that just backs away (in 75% of episodes,
-    says a draft of the paper's appendix), because it drives to where the person is going.
+    The best one leads to 1.5 m from the person, facing them, with room between both. An expert that samples waypoints without
+    predicting the walk collides more often than one that just backs away (in 75% of episodes, according to a draft of the
+    paper's appendix), because it drives to where the person is going.
     """
     if not view.met and view.geodesic_m > REACH_M:
         return _approach(view, spec, view.human_xz)
@@ -190,10 +196,10 @@ def sampling_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
 
 
 def future_oracle(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """The sampling expert that knows the person's whole future: goes to where they can first be met, and gives way in time.
+    """Act as `sampling_expert`, but by the person's true future: go to where they can first be met, and give way in time.
 
     Raises:
-        InputError: nobody knows their future: they do not follow the script of an episode.
+        InputError: The person's future is unknown, because they do not follow the script of an episode.
     """
     if view.future is None:
         raise InputError(
@@ -208,14 +214,14 @@ def future_oracle(view: SocialNavView, spec: BaseSpec) -> Velocity:
 
 
 def _meeting(view: SocialNavView, spec: BaseSpec, future: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The first place [2] on the person's path that the robot can reach before they have left it; else where they are."""
+    """Return the first place [2] on the person's path that the robot can reach before they leave it; else their place."""
     soonest = np.arange(1, len(future) + 1) * (spec.max_speed_mps * STEP_S) + REACH_M
     in_time = view.free.geodesic(np.broadcast_to(view.robot_xz, future.shape), future) <= soonest
     return future[np.argmax(in_time)] if in_time.any() else view.human_xz
 
 
 def _best_sample(view: SocialNavView, spec: BaseSpec, walk: NDArray[np.float64]) -> Velocity:
-    """The best of drawn commands beside a person who walks along ``walk`` [H, 2]."""
+    """Return the best of fixed and sampled commands, given a person who walks along ``walk`` [H, 2]."""
     if not np.isfinite(view.geodesic_m):
         return Velocity(0.0, 0.0, "wait")
     drawn = generator(view.seed, "policy/sampling", step=view.step).uniform(-1, 1, (SAMPLES, 3))
@@ -233,20 +239,20 @@ def _best_sample(view: SocialNavView, spec: BaseSpec, walk: NDArray[np.float64])
 
 
 def stand_still(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """Does nothing: the floor under every score."""
+    """Return a velocity of 0: the lower bound of all scores."""
     del view, spec
     return Velocity(0.0, 0.0, "wait")
 
 
 def random(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """A uniformly random base velocity at every step, the same for the same seed: what chance achieves."""
+    """Return a uniformly random base velocity in every step, the same for the same seed, as a baseline."""
     del spec
     forward, turn = generator(view.seed, "policy/random", step=view.step).uniform(-1, 1, 2)
     return Velocity(float(forward), float(turn), "follow" if view.met else "find")
 
 
 def learned_follower(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """The weights that come with the package: what ``examples/train_social_nav.py`` learned (h3data docs learned-policies)."""
+    """Act by the included weights, which ``examples/train_social_nav.py`` trained (h3data docs learned-policies)."""
     return _follower()(view, spec)
 
 
@@ -264,15 +270,13 @@ POLICIES: dict[str, Policy] = {
     "random": random,
     "stand_still": stand_still,
 }
-
-
 EXPERTS = ("rollout_expert", "sampling_expert", "future_oracle")
-"""Experts that, chosen by name, also back out of where they are stuck (`sim_kinematic.policies.maneuvering`);
+"""Experts that, chosen by name, also back out of places where they are stuck (`sim_kinematic.policies.maneuvering`).
 `heuristic_expert` has the paper's two rules and no more."""
 
 
 def policy_by_name(name: str) -> Policy:
-    """The policy called ``name``, or the one in a file (``weights:FILE``); an `InputError` lists what exists."""
+    """Return the policy called ``name``, or the one in a file (``weights:FILE``); an `InputError` lists what exists."""
     if is_learned(name):
         network = network_of(name)
         with naming(name):

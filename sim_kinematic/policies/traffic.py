@@ -1,4 +1,4 @@
-"""Agents that move about one world and heed each other.
+"""Agents that wander in one world and make way for each other.
 
 Paths, right of way, maneuvers and the test for contact are those of rearrangement (`RobotActor`, `PersonActor`, `GivingWay`).
 The agents act on a copy of the world's state, one after the other; the world then makes the same step.
@@ -31,21 +31,21 @@ from sim_kinematic.world import World
 ARRIVED_M = 0.3
 """A robot that wanders has reached its goal within this distance."""
 ARM_RAD_S = 8.0
-"""Arms stay folded; whatever has unfolded them, they fold at this speed."""
+"""Speed at which arms fold [rad/s]. Robots that wander keep them folded."""
 
 
 class RobotTrafficAgent(RobotActor):
-    """A robot that drives about."""
+    """Robot that drives from goal to goal."""
 
     def go_to(self, goal: NDArray[np.float64]) -> Skill:
-        """Drives to a floor point [2]."""
+        """Drive to a floor point [2]."""
         return self.drive_to(goal, within_m=ARRIVED_M)
 
     def follow(self, state: WorldState) -> None:
-        """Takes over where the world has the robot; the actor's arrays are views of the copied state."""
+        """Do nothing: the actor's arrays are views of the copied state, which has the robot's pose already."""
 
     def choice(self) -> Velocity:
-        """The step that the robot has just made."""
+        """Return the step that the robot has just made."""
         return Velocity(0.0, 0.0) if self.hindered_by else Velocity(*self.command)
 
 
@@ -67,22 +67,22 @@ class WalkingAgent(PersonActor):
         return self.figure.gait.heading.item(0)
 
     def go_to(self, goal: NDArray[np.float64]) -> Skill:
-        """Walks to a floor point [2], or gives up where somebody does not let them pass."""
+        """Walk to a floor point [2], or gives up where somebody does not let them pass."""
         yield from self._walk(goal)
         return SkillResult("done")
 
     def follow(self, state: WorldState) -> None:
-        """Takes over where the world has the person, and how far they are in their walking cycle."""
+        """Take over where the world has the person, and how far they are in their walking cycle."""
         own = state.agents[self.number]
         assert isinstance(own, HumanState)
         self._gait = self.figure.gait = own.take([0])
 
     def choice(self) -> GaitAction:
-        """The step that the person has just made."""
+        """Return the step that the person has just made."""
         return GaitAction(self.figure.gait)
 
     def _go_aside(self, towards: NDArray) -> None:
-        """Turns first: the clip walks ahead."""
+        """Walk one step towards a floor point [2], after turning to it: in clips people walk ahead only."""
         self._pace(towards)
 
     def _posture(self) -> Any:
@@ -93,7 +93,7 @@ class WalkingAgent(PersonActor):
 
 
 class ClipBody:
-    """The part of `Person` that walking needs, posed by a motion clip."""
+    """Body with the part of `Person`'s interface that walking needs, posed by a motion clip."""
 
     look_at = None
 
@@ -120,28 +120,29 @@ class ClipBody:
 
     @property
     def speed_mps(self) -> float:
-        """People who step aside set off at once: the clip blends."""
+        """Infinite speed, with which people who step aside set off at once, as the clip blends."""
         return np.inf
 
     def stride(self, gait: HumanState | None = None) -> None:
-        """Moves the body by one step of its walk."""
+        """Move the body by one step of its walk."""
         if gait is not None:
             self.gait = gait.take([0])
             draw_arms(self.gait, self._free, self.body, self._arms)
 
     def turn(self, heading: float, *, settles: bool = True) -> Generator[None, None, MotionResult]:
-        """Does nothing: `sim_kinematic.motion.gait.walk_humans` turns people before they walk."""
+        """Do nothing: `sim_kinematic.motion.gait.walk_humans` turns people before they walk."""
         del heading, settles
         yield from ()
         return MotionResult(success=True)
 
     def frame(self) -> Frame:
-        """Pose of the body in this step."""
+        """Return the pose of the body in this step."""
         root = pose_multiply(self.base, np.concatenate([self.pelvis, self.quats[0]]))
         return Frame(self.base, root, self.quats[1:], {})
 
     def _pose(self) -> tuple[Array, Array]:
-        """Local rotations [55, 4] and the pelvis [3], computed when somebody is near enough to ask."""
+        """Return local rotations [55, 4] and the pelvis [3], computed when somebody is near enough to ask."""
+        # compared by identity: every step makes another gait, and comparing arrays costs more
         if self._posed is None or self._posed[0] is not self.gait:
             phase = walking_phase(self.body, self._clip, self.gait)
             quats, pelvis = self.body.clip_pose([self._clip], phase, self.gait.blend, arms=self.gait.arms)
@@ -150,7 +151,7 @@ class ClipBody:
 
 
 class Traffic:
-    """All agents of one world, of which some choose their steps here."""
+    """All agents of one world, of which those that wander choose their steps here."""
 
     def __init__(self, world: World, row: int, floors: Sequence[FreeSpace]) -> None:
         """``floors`` are the floors on which the agents find their paths in world number ``row``."""
@@ -164,7 +165,8 @@ class Traffic:
         rule = RightOfWay(world.floors[row], self.actors) if several else None
         self._company = GivingWay(world.roster, self.actors, rule, agreed=several, people_see_robot=True)
         for actor in self.actors:
-            actor.yields = False  # until it takes a turn: whoever follows another policy makes way for nobody
+            # until it takes its first turn: an agent that follows another policy makes way for nobody
+            actor.yields = False
 
     def _actor(self, number: int, floor: FreeSpace) -> RobotTrafficAgent | WalkingAgent:
         world, body = self._world, self._world.roster[number].body
@@ -174,7 +176,7 @@ class Traffic:
         return WalkingAgent(cast(Person, figure), floor, world.walker, self._objects, number)
 
     def begin_turn(self, number: int, step: int) -> RobotTrafficAgent | WalkingAgent:
-        """Returns an agent as it is in the world, with what it knows of the others."""
+        """Return an agent as it is in the world, with what it knows of the others."""
         if step != self._step:
             self._begin_step(step)
         actor = self.actors[number]
@@ -183,11 +185,13 @@ class Traffic:
         return actor
 
     def end_turn(self, number: int) -> None:
-        """Tells the others that an agent has made its step."""
+        """Note that an agent has made its step, so that the others see where it is now."""
         self._company.end_turn(number)
 
     def _begin_step(self, step: int) -> None:
+        """Copy the state that the world has reached, and decide who steps aside in the step that begins."""
         self._state.put([0], self._world.state.take([self._row]))
+        # the world has moved everybody, agents of other policies included
         for actor in self.actors:
             actor.follow(self._state)
             self._company.end_turn(actor.number)

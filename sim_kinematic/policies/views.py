@@ -1,4 +1,4 @@
-"""Views of the world for scripted policies. They are privileged: they know the map, and where everybody is."""
+"""Observations of scripted policies. They are privileged, as they contain the map and the poses of all agents."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from sim_kinematic.policies.traffic import Traffic
 
 Observe = Callable[..., dict[str, NDArray[Any]]]
-"""``observe(names, size=None, light="flat")``: what the agent is shown now, by the names of its environments' observations
-(h3data docs environments) and as they show it; pictures in some size (`sim_kinematic.sensing.eyes.PictureSize`)."""
+"""``observe(names, size=None, light="flat")`` returns the agent's present observations by name, equal to those of its
+environments (h3data docs environments), with pictures in a size (`sim_kinematic.sensing.eyes.PictureSize`)."""
 
 
 class AgentView(NamedTuple):
@@ -142,11 +142,11 @@ class RearrangeView(NamedTuple):
     NaN, and they count as not at their goals and in nobody's hand. None: it knows everything."""
 
     def is_known(self, k: int) -> bool:
-        """Returns whether the agent knows where an object is."""
+        """Return whether the agent knows where an object is."""
         return bool(np.isfinite(self.objects[k, 0]))
 
     def left_to_do(self) -> list[int]:
-        """Objects that are known, not at their goals and not in the other's hand."""
+        """Return objects that are known, not at their goals and not in the other's hand."""
         some = range(len(self.objects))
         mine = (NOBODY, self.agent)
         return [k for k in some if not self.at_goal[k] and self.held_by[k] in mine and self.is_known(k)]

@@ -1,10 +1,10 @@
 """Recurrent network that maps pictures and numbers to commands of a robot, stored in a file of plain arrays.
 
-``picture -> convolutions -> GRU(picture features, numbers, last action) -> two layers -> forward, turn``, of skills that move
-the arm also its joints and the grip. It is evaluated by one small kernel, in a millisecond: sums in a fixed order give the same
-bits in every process, which neither PyTorch nor NumPy's BLAS does, whose order depends on the number of threads, and threads
-for so little work cost more than the work.
-`h3data_training.networks` is the same in PyTorch; tests/training/test_policy_files.py compares the two.
+``picture -> convolutions -> GRU(picture features, numbers, last action) -> two layers -> forward, turn``, for skills that move
+the arm also its joints and the grip. One small kernel evaluates it in a millisecond. Its sums have a fixed order, so they give
+the same bits in every process. PyTorch and NumPy's BLAS do not, as their order depends on the number of threads, and threads
+cost more than so little work. `h3data_training.networks` is the same in PyTorch; tests/training/test_policy_files.py compares
+the two.
 
 The file is an npz of float32 arrays and one JSON text. Nothing in it is executed when it is read: no pickle, no code.
 """
@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import msgspec
 import numpy as np
@@ -31,14 +31,12 @@ from sim_kinematic.sensing.encodings import DETECTOR, OF_COMMANDS
 
 FILE_FORMAT = "h3data.policy/1"
 PATCH = 4
-"""Squares of 4 x 4 pixels become 16 channels, so that the first convolution works on a twelfth of the positions."""
+"""Side of the squares of pixels that become channels, so that the first convolution works on a 16th of the positions."""
 PICTURES = {"arm_depth": 1, "arm_rgb": 3}
-"""Pictures that a network may be shown, one of them, and how many planes they have."""
+"""Number of planes of each picture that a network may observe. It observes one of them at most."""
 STRIDES = (1, 2, 2)
 """Strides of the three convolutions, which are 3 x 3 with a margin of 1."""
 Floats = NDArray[np.floating]
-
-
 BASE_ACTIONS, GRIP_ACTIONS = 2, 1
 """Numbers of an action that move the base, and that close the hand where the arm's joints move."""
 
@@ -71,28 +69,13 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Origin of the policy: recipe, seed, steps, hardware, versions."""
 
 
-def digest_of(about: tuple[Any, ...], arrays: Mapping[str, Floats]) -> str:
-    """SHA-256 (hex) of a network's weights and of the fields of its card that decide how they are used."""
-    found = sha256(repr(about).encode())
-    for name, array in sorted(arrays.items()):
-        found.update(f"{name}{array.shape}".encode() + array.tobytes())
-    return found.hexdigest()
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
-class VisualPolicy:
-    """Weights of one policy with pictures, and the card that describes it."""
+class CardedNetwork:
+    """Recurrent network of a policy file: its weights, and the card that describes them."""
 
     card: PolicyCard
     arrays: Mapping[str, Floats]
-    """By name as in the file: ``conv_0.weight`` [out, in, 3, 3], ``picture.weight`` [features, flat], ``gru.weight_ih``
-    [3 H, in], ``gru.weight_hh`` [3 H, H], ``act_0.weight``, ``act_1.weight`` [actions, n], and a bias for each."""
-    kind: ClassVar[str] = "cnn_gru"
-
-    def __post_init__(self) -> None:
-        faults = _faults(type(self), self.card, self.arrays)
-        if faults:
-            raise InputError(f"These arrays make no policy: {'; '.join(faults)}.", code="H3-POLICY-007")
+    """Weights and biases by name, as in the file."""
 
     @property
     def task(self) -> str:
@@ -105,25 +88,73 @@ class VisualPolicy:
         return self.card.observations
 
     @property
+    def sees(self) -> str | None:
+        """Return which of `PICTURES` the policy observes."""
+        return picture_in(self.card.observations)
+
+    def start(self) -> Floats:
+        """Return the recurrent state at the start of an episode, [H]."""
+        return np.zeros(self.arrays["gru.weight_hh"].shape[1], np.float32)
+
+    def _digest(self, about: tuple[Any, ...]) -> str:
+        """Return SHA-256 (hex) of the weights and of the fields of the card that decide how they are used."""
+        found = sha256(repr(about).encode())
+        # sorted: the order of arrays in a file is not part of the policy
+        for name, array in sorted(self.arrays.items()):
+            found.update(f"{name}{array.shape}".encode() + array.tobytes())
+        return found.hexdigest()
+
+    @cached_property
+    def _columns(self) -> dict[str, Floats]:
+        """The weights by name, [in, out]."""
+        rows = {n: a.reshape(len(a), -1) for n, a in self.arrays.items() if ".weight" in n}
+        return {n: np.ascontiguousarray(a.T, np.float32) for n, a in rows.items()}
+
+    def _layer(self, name: str, x: Floats, kind: str = "") -> Floats:
+        """Return outputs [out] or [n, out] of a linear layer for inputs [in] or [n, in]."""
+        rows = np.ascontiguousarray(np.atleast_2d(x), np.float32)
+        out = affine(rows, self._columns[f"{name}.weight{kind}"], self.arrays[f"{name}.bias{kind}"].astype(np.float32))
+        return out if x.ndim == 2 else out[0]
+
+    def _remember(self, x: Floats, state: Floats) -> Floats:
+        """Return the recurrent state [H] after an input [in], by the formulas of `torch.nn.GRU` (Cho et al. 2014)."""
+        given, kept = self._layer("gru", x, "_ih"), self._layer("gru", state, "_hh")
+        (r, z, n), (kr, kz, kn) = np.split(given, 3), np.split(kept, 3)
+        # the logistic function by tanh: exp would overflow for large inputs
+        reset, update = 0.5 * (np.tanh(0.5 * (r + kr)) + 1), 0.5 * (np.tanh(0.5 * (z + kz)) + 1)
+        return ((1 - update) * np.tanh(n + reset * kn) + update * state).astype(np.float32)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class VisualPolicy(CardedNetwork):
+    """Network that maps a picture and numbers to commands.
+
+    Its arrays are ``conv_0.weight`` [out, in, 3, 3], ``picture.weight`` [features, flat], ``gru.weight_ih`` [3 H, in],
+    ``gru.weight_hh`` [3 H, H], ``act_0.weight``, ``act_1.weight`` [actions, n], and a bias for each.
+    """
+
+    kind: ClassVar[str] = "cnn_gru"
+
+    def __post_init__(self) -> None:
+        faults = _faults(type(self), self.card, self.arrays)
+        if faults:
+            raise InputError(f"These arrays make no policy: {'; '.join(faults)}.", code="H3-POLICY-007")
+
+    @property
     def outputs(self) -> int:
         """Numbers of an action."""
         return self.card.actions
 
     @property
-    def sees(self) -> str | None:
-        """Return which of `PICTURES` the policy observes."""
-        return picture_in(self.card.observations)
-
-    @property
     def sees_colours(self) -> bool:
-        """Returns whether the light of the home reaches it."""
+        """Return whether the policy observes colours, which depend on the light of the home."""
         return self.sees == "arm_rgb"
 
     def in_light(self, light: LightMode) -> Self:
-        """Network with the same weights that sees its colours in another light.
+        """Return a network with the same weights that sees its colours in another light.
 
         Raises:
-            InputError: it sees no colours.
+            InputError: The network sees no colours.
         """
         if not self.sees_colours:
             raise InputError("The network sees no colours, so light makes no difference to it.", code="H3-POLICY-032")
@@ -136,16 +167,13 @@ class VisualPolicy:
         about: tuple[Any, ...] = (card.task, card.observations, card.picture_size, card.hold)
         if card.network != "cnn_gru":
             about = (*about, card.network)
-        if self.sees_colours and card.light != "flat":  # digests of before cards had light stay
+        # recordings name policies by their digests, so fields that cards had not from the start count only if they differ
+        if self.sees_colours and card.light != "flat":
             about = (*about, card.light)
-        return digest_of(about, self.arrays)
-
-    def start(self) -> Floats:
-        """The recurrent state at the start of an episode, [H]."""
-        return np.zeros(self.arrays["gru.weight_hh"].shape[1], np.float32)
+        return self._digest(about)
 
     def __call__(self, shown: Mapping[str, NDArray[Any]], last: Floats, state: Floats) -> tuple[Floats, Floats]:
-        """Evaluates the policy for one step.
+        """Evaluate the policy for one step.
 
         Args:
             shown: observations by name.
@@ -159,27 +187,27 @@ class VisualPolicy:
             InputError: an observation is missing or has another shape.
         """
         numbers = self._numbers(shown, last)
-        x = np.concatenate([self._features(self._picture(shown)), numbers]) if self.sees else numbers
-        given, kept = self._layer("gru", x, "_ih"), self._layer("gru", state, "_hh")
-        (r, z, n), (kr, kz, kn) = np.split(given, 3), np.split(kept, 3)
-        reset, update = _sigmoid(r + kr), _sigmoid(z + kz)
-        state = (1 - update) * np.tanh(n + reset * kn) + update * state
+        x = numbers
+        if self.sees:
+            x = np.concatenate([picture_features(picture_of(self.card, shown), self._layer), numbers])
+        state = self._remember(x, state)
         hidden = self._layer("act_0", np.concatenate([state, numbers]))
+        # ELU, as in training; expm1 of large numbers would overflow in the branch that is not taken
         hidden = np.where(hidden > 0, hidden, np.expm1(np.minimum(hidden, 0)))
-        return self._layer("act_1", hidden), state.astype(np.float32)
+        return self._layer("act_1", hidden), state
 
     @classmethod
     def size_fault(cls, size: tuple[int, int]) -> str:
-        """Sizes of pictures that the network supports, if this is none of them; otherwise empty."""
+        """Return sizes of pictures that the network supports, if this is none of them; otherwise empty."""
         fits = all(side % PATCH == 0 and PATCH <= side <= 1024 for side in size)
         return "" if fits else f"multiples of {PATCH} up to 1024"
 
     @classmethod
     def shapes(cls, card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[int, ...]]:
-        """Shapes of all arrays by name, with the widths that the given ones have."""
+        """Return shapes of all arrays by name, with the widths that the given ones have."""
         shapes, features = picture_shapes(card, arrays)
         numbers = number_count(card.observations, card.actions)
-        state, wide = _rows(arrays, "gru.weight_ih") // 3, _rows(arrays, "act_0.weight")
+        state, wide = rows_in(arrays, "gru.weight_ih") // 3, rows_in(arrays, "act_0.weight")
         return shapes | {
             "gru.weight_ih": (3 * state, features + numbers),
             "gru.weight_hh": (3 * state, state),
@@ -191,19 +219,8 @@ class VisualPolicy:
             "act_1.bias": (card.actions,),
         }
 
-    @cached_property
-    def _columns(self) -> dict[str, Floats]:
-        """The weights by name, [in, out]."""
-        rows = {n: a.reshape(len(a), -1) for n, a in self.arrays.items() if ".weight" in n}
-        return {n: np.ascontiguousarray(a.T, np.float32) for n, a in rows.items()}
-
-    def _layer(self, name: str, x: Floats, kind: str = "") -> Floats:
-        """Outputs [out] or [n, out] of a linear layer for inputs [in] or [n, in]."""
-        rows = np.ascontiguousarray(np.atleast_2d(x), np.float32)
-        out = affine(rows, self._columns[f"{name}.weight{kind}"], self.arrays[f"{name}.bias{kind}"].astype(np.float32))
-        return out if x.ndim == 2 else out[0]
-
     def _numbers(self, shown: Mapping[str, NDArray[Any]], last: Floats) -> Floats:
+        """Return the encoded observations other than the picture, and the last action, one after the other, float32."""
         parts = []
         for name in self.observations:
             if name in PICTURES:
@@ -215,19 +232,12 @@ class VisualPolicy:
             parts.append(encoding.of(np, np.asarray(shown[name], encoding.dtype)))
         return np.concatenate([*parts, last]).astype(np.float32)
 
-    def _picture(self, shown: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
-        """The picture [H, W, planes] among the observations, where it is as in training."""
-        return picture_of(self.card, shown)
-
-    def _features(self, picture: NDArray[Any]) -> Floats:
-        return picture_features(picture, self._layer)
-
 
 def picture_of(card: PolicyCard, shown: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
-    """The picture [H, W, planes] among the observations of a policy.
+    """Return the picture [H, W, planes] among the observations of a policy.
 
     Raises:
-        InputError: it is missing, or has another size than the card says.
+        InputError: The picture is missing, or has another size than the card says.
     """
     name = picture_in(card.observations)
     assert name
@@ -240,11 +250,12 @@ def picture_of(card: PolicyCard, shown: Mapping[str, NDArray[Any]]) -> NDArray[A
 
 
 def picture_features(picture: NDArray[Any], layer: Callable[[str, Floats], Floats]) -> Floats:
-    """Features [F] of a picture [H, W, planes], by the named linear layers of a network."""
+    """Return features [F] of a picture [H, W, planes], by the named linear layers of a network."""
     height, width, planes = picture.shape
-    # depth: near things in more detail; float16 as the device keeps pictures of whole rollouts
+    # the root gives near surfaces more of the range of depths; float16, as the device stores pictures of whole rollouts
     seen = np.sqrt(picture.astype(np.float32)) if planes == 1 else picture.astype(np.float32) / np.float32(255)
     seen = seen.astype(np.float16).astype(np.float32)
+    # channels are plane, row and column within a square, as in the network of training
     x = seen.reshape(height // PATCH, PATCH, width // PATCH, PATCH, planes).transpose(4, 1, 3, 0, 2)
     x = x.reshape(planes * PATCH * PATCH, height // PATCH, width // PATCH)
     for k, stride in enumerate(STRIDES):
@@ -254,7 +265,7 @@ def picture_features(picture: NDArray[Any], layer: Callable[[str, Floats], Float
 
 
 def picture_shapes(card: PolicyCard, arrays: Mapping[str, Floats]) -> tuple[dict[str, tuple[int, ...]], int]:
-    """Shapes by name of the arrays that turn the picture of a card into features, and the number of features."""
+    """Return shapes by name of the arrays that turn the picture of a card into features, and the number of features."""
     picture = picture_in(card.observations)
     if picture is None:
         return {}, 0
@@ -262,22 +273,18 @@ def picture_shapes(card: PolicyCard, arrays: Mapping[str, Floats]) -> tuple[dict
     shapes: dict[str, tuple[int, ...]] = {}
     last = PICTURES[picture] * PATCH * PATCH
     for k in range(len(STRIDES)):
-        out = _rows(arrays, f"conv_{k}.weight")
+        out = rows_in(arrays, f"conv_{k}.weight")
         shapes |= {f"conv_{k}.weight": (out, last, 3, 3), f"conv_{k}.bias": (out,)}
         last = out
-    features = _rows(arrays, "picture.weight")
+    features = rows_in(arrays, "picture.weight")
     return shapes | {
         "picture.weight": (features, last * picture_length(card.picture_size)),
         "picture.bias": (features,),
     }, features
 
 
-def _sigmoid(x: Floats) -> Floats:
-    return 0.5 * (np.tanh(0.5 * x) + 1)
-
-
 def _windows(x: Floats, stride: int) -> tuple[Floats, tuple[int, int]]:
-    """Returns windows of a 3 x 3 convolution over [in, H, W] with a margin of zeros, [H' W', 9 in]; and H', W'."""
+    """Return windows of a 3 x 3 convolution over [in, H, W] with a margin of zeros, [H' W', 9 in]; and H', W'."""
     padded = np.pad(x, ((0, 0), (1, 1), (1, 1)))
     windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(1, 2))[:, ::stride, ::stride]
     _, height, width, _, _ = windows.shape
@@ -304,19 +311,20 @@ def picture_in(observations: tuple[str, ...]) -> str | None:
 
 
 def lengths(name: str, actions: int) -> tuple[int, int]:
-    """Numbers of an observation, and of its encoding, where an action has so many numbers."""
+    """Return how many numbers an observation has, and its encoding, for a policy with ``actions`` numbers of an action."""
     encoding = OF_COMMANDS[name]
+    # an action with an arm has one number for each joint, so it tells how many joints are observed
     repeat = max(actions - BASE_ACTIONS - GRIP_ACTIONS, 0) if encoding.times == "joints" else 1
     return repeat * encoding.given, repeat * encoding.length
 
 
 def number_count(observations: tuple[str, ...], actions: int = BASE_ACTIONS) -> int:
-    """Length of the encoded numbers and of the last action."""
+    """Return the length of the encoded numbers and of the last action."""
     return sum(lengths(name, actions)[1] for name in observations if name not in PICTURES) + actions
 
 
 def picture_length(size: tuple[int, int]) -> int:
-    """Positions that are left after the convolutions of a picture (width, height) [pixels]."""
+    """Return positions that are left after the convolutions of a picture (width, height) [pixels]."""
     width, height = (side // PATCH for side in size)
     for stride in STRIDES:
         width, height = -(-width // stride), -(-height // stride)
@@ -324,7 +332,7 @@ def picture_length(size: tuple[int, int]) -> int:
 
 
 def _faults(kind: type[VisualPolicy], card: PolicyCard, arrays: Mapping[str, Floats]) -> list[str]:
-    """Everything that does not fit together, in words."""
+    """Return everything in a card and arrays that does not fit together, in words."""
     if card.network != kind.kind:
         return [f"unknown network {card.network!r}, expected {kind.kind}"]
     known = (*PICTURES, *OF_COMMANDS)
@@ -343,7 +351,11 @@ def _faults(kind: type[VisualPolicy], card: PolicyCard, arrays: Mapping[str, Flo
         fault = "a width and a height" if card.picture_size is None else kind.size_fault(card.picture_size)
         if fault:
             return [f"the picture size is {card.picture_size}, expected {fault}"]
-    shapes = kind.shapes(card, arrays)
+    return array_faults(arrays, kind.shapes(card, arrays))
+
+
+def array_faults(arrays: Mapping[str, Floats], shapes: Mapping[str, tuple[int, ...]]) -> list[str]:
+    """Return in words which arrays are missing, unknown, not finite or of another type or shape than expected by name."""
     faults = [f"the array {name} is missing" for name in shapes if name not in arrays]
     faults += [f"unknown array {name}" for name in arrays if name not in shapes]
     for name, array in arrays.items():
@@ -356,25 +368,12 @@ def _faults(kind: type[VisualPolicy], card: PolicyCard, arrays: Mapping[str, Flo
     return faults
 
 
-def _rows(arrays: Mapping[str, Floats], name: str) -> int:
+def rows_in(arrays: Mapping[str, Floats], name: str) -> int:
+    """Return the number of rows of an array; 0 if there is none, so that a damaged file gets a message about shapes."""
     return arrays[name].shape[0] if name in arrays and arrays[name].ndim else 0
 
 
 # --- files --------------------------------------------------------------------------------------------------------------
-class CardedNetwork(Protocol):
-    """A network that is kept in a policy file."""
-
-    @property
-    def card(self) -> PolicyCard:
-        """Description of the policy: its task, observations and training."""
-        ...
-
-    @property
-    def arrays(self) -> Mapping[str, Floats]:
-        """Weights by name."""
-        ...
-
-
 Kind = TypeVar("Kind", bound=CardedNetwork)
 
 
@@ -388,7 +387,7 @@ def save_policy(network: CardedNetwork, path: str | Path) -> None:
 def policy_from(
     data: Mapping[str, NDArray[Any]], path: str | Path, *, kind_of: Callable[[str], Callable[..., Kind]]
 ) -> Kind:
-    """The policy in the arrays of a file.
+    """Return the policy in the arrays of a file.
 
     Args:
         data: Arrays by name.
@@ -396,7 +395,7 @@ def policy_from(
         kind_of: Returns the kind of network that a name on a card stands for.
 
     Raises:
-        FormatError: it is damaged, or its parts do not fit together.
+        FormatError: The file is damaged, or its parts do not fit together.
     """
     try:
         card = msgspec.json.decode(str(data["card"]), type=PolicyCard)

@@ -15,18 +15,18 @@ from sim_kinematic.policies.traffic import RobotTrafficAgent, WalkingAgent
 from sim_kinematic.policies.views import AgentView
 
 ATTEMPTS = 3
-"""Goals that are tried in one step, some of which may be reached already."""
+"""Largest number of goals that are tried in one step, as some of them may have been reached already."""
 
 
 class WaypointPolicy(WaypointHuman):
-    """The scripted person of social navigation: shortest paths to random points (paper section 4.1). Reacts to nobody."""
+    """Scripted person of social navigation, who walks shortest paths to random points (paper section 4.1) and avoids nobody."""
 
     def act(self, view: AgentView) -> WaypointAction | PoseAction:
-        """The way point to walk to, or the next stride."""
+        """Return the way point to walk to, or the next stride."""
         return self.move(np.asarray(view.xz, np.float64), view.heading)
 
     def move(self, xz: NDArray[np.float64], heading: float) -> WaypointAction | PoseAction:
-        """Choice for a position ``xz`` [2] and a heading, which are all that this policy needs."""
+        """Return the choice for a position ``xz`` [2] and a heading, which are all that this policy needs."""
         if self.spec.stride is None:
             return WaypointAction(self.target(xz))
         x, z, turned = self.stride(xz, heading)
@@ -34,23 +34,24 @@ class WaypointPolicy(WaypointHuman):
 
 
 class WanderPolicy:
-    """A robot or person that goes from one random point to another and heeds the others (`sim_kinematic.policies.traffic`)."""
+    """Robot or person that goes from one random point to another and avoids the others (`sim_kinematic.policies.traffic`)."""
 
     def __init__(self, free: FreeSpace, seed: int, walker: WalkerSpec) -> None:
         self._goals = WaypointHuman(free, seed, walker)
         self._going: Skill | None = None
 
     def act(self, view: AgentView) -> GaitAction | Velocity:
-        """A step for a person, a velocity for a robot."""
+        """Return a step for a person, a velocity for a robot."""
         traffic = view.traffic()
         actor = traffic.begin_turn(view.agent, view.step)
+        # a goal that has been reached already takes no step, so the next one is tried at once
         if not any(self._goes_on(actor) for _ in range(ATTEMPTS)):
             actor.idle()
         traffic.end_turn(view.agent)
         return actor.choice()
 
     def _goes_on(self, actor: RobotTrafficAgent | WalkingAgent) -> bool:
-        """Makes the next step to the goal, else to another one; returns whether there was one to make."""
+        """Make the next step to the goal, else to another one; returns whether there was one to make."""
         if self._going is None:
             actor.path = NO_PATH
             self._going = actor.go_to(self._goals.next_goal(actor.xz))

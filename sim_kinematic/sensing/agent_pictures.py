@@ -31,7 +31,7 @@ PREFIX = "robot_"
 
 
 class Lens(NamedTuple):
-    """Camera that takes a picture, and the size of the picture."""
+    """Camera of a picture, and the size of the picture [px]."""
 
     camera: str
     width: int
@@ -39,7 +39,7 @@ class Lens(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """The space of an observation, as `gymnasium.spaces.Box` takes it."""
+    """Bounds, shape and type of an observation, as `gymnasium.spaces.Box` takes them."""
 
     low: NDArray[Any] | float
     high: NDArray[Any] | float
@@ -48,7 +48,7 @@ class Limits(NamedTuple):
 
 
 def picture_names(body: Body) -> tuple[str, ...]:
-    """Names of the pictures that a body can observe.
+    """Return names of the pictures that a body can observe.
 
     A robot has ``CAMERA_depth`` and ``CAMERA_rgb`` of each of its cameras ``robot_CAMERA``, and `DETECTORS` if there is
     one on its arm, and `LIDAR_3D`. A person has ``head_depth`` and ``head_rgb``, their own view.
@@ -61,7 +61,7 @@ def picture_names(body: Body) -> tuple[str, ...]:
 
 
 def camera_names(body: Body) -> tuple[str, ...]:
-    """Names of the cameras that a body carries, each of which is also an observation: the colours that this camera sees.
+    """Return names of the cameras that a body carries, each of which is also an observation: the colours that this camera sees.
 
     They are the names that recordings, ``h3data rerender`` and the videos of datasets give them.
     """
@@ -69,12 +69,12 @@ def camera_names(body: Body) -> tuple[str, ...]:
 
 
 def in_colour(name: str, body: Body) -> bool:
-    """Return whether a picture of a body shows colours, and not depth or what a detector found."""
+    """Return whether a picture of a body shows colours rather than depth or an output of the detector."""
     return name.endswith("_rgb") or name in camera_names(body)
 
 
 class AgentPictures:
-    """The pictures that one agent is shown."""
+    """Pictures that one agent observes."""
 
     def __init__(
         self,
@@ -86,7 +86,7 @@ class AgentPictures:
         rgb_size: tuple[int, int] | None = None,
         sizes: Mapping[str, tuple[int, int]] | None = None,
     ) -> None:
-        """Selects the pictures of one agent.
+        """Select the pictures of one agent.
 
         Args:
             body: body of the agent.
@@ -98,7 +98,7 @@ class AgentPictures:
             sizes: width and height of single pictures by name, before the two above.
 
         Raises:
-            InputError: a size is less than 1 x 1 or too large.
+            InputError: A size is less than 1 x 1 or too large.
         """
         own = dict(sizes or {})
         for size in filter(None, (depth_size, rgb_size, *own.values())):
@@ -119,15 +119,19 @@ class AgentPictures:
         if set(DETECTORS) & set(self.names) and isinstance(body, Robot):
             arm = body.camera(PREFIX + ARM)
             lens = next(self._lenses[name] for name in self.names if name in DETECTORS)
+            # a share of the picture: in a smaller picture a person shows fewer pixels
             self._detects_from = int(DETECTED_PIXELS * lens.width * lens.height / (arm.width * arm.height))
 
     @property
     def in_colour(self) -> bool:
-        """Returns whether one of them shows the light of the home."""
+        """Return whether one of them shows colours, which depend on the light of the home."""
         return any(in_colour(name, self._body) for name in self.names)
 
     def limits(self, name: str) -> Limits:
-        """The space of one world's picture: ``rgb`` uint8 [H, W, 3], the detector float32 [1], others float32 [H, W, 1]."""
+        """Return the limits of one world's picture.
+
+        Colours are uint8 [H, W, 3], the detector is float32 [1], a 3-D scan float32 [L, C] [m], others float32 [H, W, 1].
+        """
         if name == LIDAR_3D:
             return Limits(0.0, SCAN_M, (LASERS, COLUMNS), np.float32)
         lens = self._lenses[name]
@@ -136,9 +140,10 @@ class AgentPictures:
         return Limits(0.0, 1.0, (1,) if name == "humanoid_detector" else (lens.height, lens.width, 1), np.float32)
 
     def take(self, drawn: StateRenderer) -> dict[str, NDArray[Any]]:
-        """The pictures of all worlds as last posed, [W, ...]; depth in metres, 0 = nothing hit."""
+        """Return the pictures of all worlds as last posed, [W, ...]; depth in metres, 0 = nothing hit."""
         from sim_kinematic.sensing.camera_sensor import CameraSensor
 
+        # pictures of one lens are rendered at once: depth and detector of the arm share a pass
         outputs: dict[Lens, list[Output]] = {}
         for name, lens in self._lenses.items():
             outputs.setdefault(lens, []).append(self._output(name))
@@ -158,18 +163,21 @@ class AgentPictures:
                 picture = seen[lens][self._output(name)]
                 pictures[name] = picture if in_colour(name, self._body) else picture[..., None]
                 continue
+            # the three observations of the detector are parts of one detection
             if lens not in detected:
                 detected[lens] = detect_humanoids(seen[lens]["semantic"], more_than_pixels=self._detects_from)
             pictures[name] = getattr(detected[lens], DETECTORS[name])[..., None]
         return pictures
 
     def _output(self, name: str) -> Output:
+        """Return the output of the renderer of which a picture is made."""
         if name in DETECTORS:
             return "semantic"
         return "rgb" if in_colour(name, self._body) else "depth"
 
 
 def _lens(body: Body, name: str, size: tuple[int, int] | None) -> Lens:
+    """Return the lens of a named picture, with the size of its camera if none is given."""
     if isinstance(body, Humanoid):
         from sim_kinematic.sensing.camera_sensor import HEAD_SIZE
 

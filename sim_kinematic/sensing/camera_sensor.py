@@ -1,6 +1,7 @@
-"""Pictures of a `WorldState` from cameras on robots and people: the home, robots, people and objects as the state has them.
+"""Pictures of a `WorldState` from cameras on robots and people.
 
-`StateRenderer` poses everything once per step; any number of `CameraSensor` then take pictures of all worlds:
+`StateRenderer` poses home, robots, people and objects once per step. Any number of `CameraSensor` then take pictures of all
+worlds:
 
 ```python
 drawn = StateRenderer(scene, [robot, human], worlds=16)
@@ -47,7 +48,7 @@ CAPSULE_SIDES = 12
 
 @dataclass(frozen=True, eq=False)
 class _Drawn:
-    """An agent in the pictures."""
+    """Meshes and instances of an agent in the pictures."""
 
     body: Body
     instances: list[int]
@@ -56,7 +57,7 @@ class _Drawn:
 
 
 class StateRenderer:
-    """A home with any robots, people and objects, in W worlds that differ in what moves. Holds a renderer: one per thread."""
+    """Renderer of a home with robots, people and objects in W worlds that differ in what moves. Each thread needs its own."""
 
     def __init__(
         self,
@@ -72,7 +73,7 @@ class StateRenderer:
         backend: Backend = "cpu",
         threads: int = 1,
     ) -> None:
-        """Loads the meshes of a home and its agents into a renderer.
+        """Load the meshes of a home and its agents into a renderer.
 
         Args:
             scene: the home, shared by all worlds.
@@ -97,6 +98,7 @@ class StateRenderer:
                     shared[i.asset], i.name, instance_matrix(i), semantic_id=i.semantic_id, layer=i.layer
                 )
         static = [k for name, k in drawn_as.items() if name not in set(objects)]
+        # instances without faces are not drawn, so the state cannot move them in pictures
         unknown = sorted(set(objects) - set(drawn_as))
         if unknown:
             raise InputError(
@@ -118,7 +120,7 @@ class StateRenderer:
         self.renderer = Renderer(self.scene, light=self._light, backend=backend, worlds=worlds, threads=threads)
         self._frames: list[Array] = []
         self._shown: set[tuple[int, int, bool]] = set()
-        """Agent, world and mesh of those who are skinned as last posed."""
+        """Agent, world and level of detail (True: low) of the people whose meshes are skinned as last posed."""
         self._rigid: list[tuple[list[int], Array]] = []
         """Instances [n] of objects and of each robot, and their matrices [W, n, 4, 4], as last posed."""
         self._lidar: Any = None
@@ -137,14 +139,15 @@ class StateRenderer:
         return tuple(drawn.body for drawn in self._agents)
 
     def instances(self, agent: int) -> tuple[int, ...]:
-        """Ids of an agent in ``instance`` pictures, of a person for `detect_humanoids` too."""
+        """Return ids of an agent in ``instance`` pictures, which `detect_humanoids` takes for a person."""
         return tuple(self._agents[agent].instances)
 
     def _bake(self, scene: Scene, static: Sequence[int], lit_as: Scene) -> None:
-        """Replaces static meshes by ones that carry the light of the scene.
+        """Replace static meshes by ones that carry the light of the scene.
 
         Their poses are those of recordings, so that the light equals that of replays and is baked once for both.
         """
+        # light is baked for the scene as it was lit; surfaces that have moved since carry it along
         as_lit = list(self._instances)
         for instances, other in ((self._instances, scene), (as_lit, lit_as)):
             there = {i.name: recorded_matrix(i) for i in other.instances}
@@ -206,7 +209,7 @@ class StateRenderer:
             if isinstance(drawn.body, Robot):
                 rigid = own[:, [k for k, link in enumerate(drawn.body.links) if link.mesh is not None]]
             elif self._skinned:
-                continue  # when the pictures are taken: how far the cameras are decides the mesh
+                continue  # later, when pictures are taken: the distance of the cameras decides on the mesh
             else:
                 rigid = shape_frames(drawn.body, own)
             for w in range(self.worlds):
@@ -216,12 +219,12 @@ class StateRenderer:
         self._shown.clear()
 
     def middle(self, agent: int) -> Array:
-        """The middle of the box around an agent's links or joints in all worlds, as last posed, [W, 3] [m]."""
+        """Return the middle of the box around an agent's links or joints in all worlds, as last posed, [W, 3] [m]."""
         places = self._posed(agent)[:, :, :3, 3]
         return (places.min(1) + places.max(1)) / 2
 
     def _posed(self, agent: int) -> Array:
-        """Frames of an agent as of the last `pose`."""
+        """Return frames of an agent as of the last `pose`."""
         if not self._frames:
             raise InputError("Nothing has been posed yet. Hint: call pose(state) first.", code="H3-SIM-042")
         if not 0 <= agent < len(self._agents):
@@ -229,7 +232,7 @@ class StateRenderer:
         return self._frames[agent]
 
     def cameras(self, name: str = "", *, agent: int = 0, size: tuple[int, int] | None = None) -> list[Camera]:
-        """A camera of an agent in all worlds, as last posed: a robot's by ``name``, a person's between the eyes.
+        """Return a camera of an agent in all worlds, as last posed: a robot's by ``name``, a person's between the eyes.
 
         ``size``: width and height [pixels] instead of the camera's own; its field of view stays.
         """
@@ -246,7 +249,7 @@ class StateRenderer:
         return [camera.at(pose) for pose in poses]
 
     def picture(self, cameras: Sequence[Camera], outputs: Sequence[Output]) -> dict[str, Any]:
-        """Renders N cameras per world; returns arrays by output, each [N * W, H, W', ...].
+        """Render N cameras per world; returns arrays by output, each [N * W, H, W', ...].
 
         The first cameras of all worlds come first (`h3data.render.Renderer.render`).
         """
@@ -254,27 +257,30 @@ class StateRenderer:
             for k, drawn in enumerate(self._agents):
                 if isinstance(drawn.body, Humanoid):
                     self._show_person(k, drawn, drawn.body, cameras)
+        # shadows matter to colours only, and are the same for all pictures of a pose
         if "rgb" in outputs and self._casters is not None and not self._is_shaded:
             self._shade(self._casters)
         worlds = list(range(self.worlds)) * (len(cameras) // self.worlds)
         return self.renderer.render_batch(cameras, worlds=worlds, outputs=outputs)
 
     def scans(self, agent: int) -> Array:
-        """Distances that a 3-D laser scanner on top of a robot measures in all worlds, as last posed, [W, L, C] [m].
+        """Return distances that a 3-D laser scanner on top of a robot measures in all worlds, as last posed, [W, L, C] [m].
 
         Its `LASERS` are spread over `ELEVATION_DEG`; column 0 of the `COLUMNS` looks forward, the others follow to the left.
         It sees every surface but the robot's own; rays that meet none within `SCAN_M` measure that. Needs the extra ``rays``.
 
         Raises:
-            InputError: the agent is no robot, or nothing is posed.
+            InputError: The agent is no robot, or nothing is posed.
             MissingExtraError: Embree is not installed.
         """
         body = self._agents[agent].body if 0 <= agent < len(self._agents) else None
         frames = self._posed(agent)
         if not isinstance(body, Robot):
             raise InputError(f"Laser scanners are on robots, agent {agent} is none.", code="H3-SIM-056")
-        places = frames[:, 0] @ np.linalg.inv(body.to_base)
-        places = places @ _raised(body.body_height_m)
+        above = np.eye(4)
+        above[1, 3] = body.body_height_m
+        places = frames[:, 0] @ np.linalg.inv(body.to_base) @ above
+        # a camera that looks in all directions, so that people anywhere around the robot are posed
         eyes = [equirectangular(64).at(place) for place in places]
         for k, drawn in enumerate(self._agents):
             if isinstance(drawn.body, Humanoid) and self._skinned:
@@ -284,8 +290,10 @@ class StateRenderer:
         elevations, found = np.linspace(*ELEVATION_DEG, LASERS), []
         for w, place in enumerate(places):
             poses = self.renderer.poses(w)
+            # built once from the first world: static instances are at the same places in all of them
             if self._lidar is None:
                 self._lidar = LIDARS.get("embree")(self.scene, poses, ~moving)
+            # the scanner has everything else already; people are shown by one of their two meshes
             shown = moving & poses.visible
             shown[self._agents[agent].instances] = False
             found.append(
@@ -294,7 +302,7 @@ class StateRenderer:
         return np.array(found, np.float64)
 
     def _shade(self, casters: ShadowCasters) -> None:
-        """Sets shadows and light of what moves, as last posed."""
+        """Set shadows and light of what moves, as last posed."""
         people = [
             (drawn.instances[0], drawn.body.capsules_world(self._frames[k]))
             for k, drawn in enumerate(self._agents)
@@ -307,7 +315,7 @@ class StateRenderer:
         self._is_shaded = True
 
     def _show_person(self, agent: int, drawn: _Drawn, body: Humanoid, cameras: Sequence[Camera]) -> None:
-        """Poses a person's mesh for the given cameras.
+        """Pose a person's mesh for the given cameras.
 
         As in replays, it is the mesh of low detail where that suffices for all of them. Each mesh is skinned at most
         once per pose, and only if a camera may see it: skinning takes longer than the rest of a step.
@@ -332,21 +340,14 @@ class StateRenderer:
                 self._shown |= {(agent, w, lod) for w in fresh}
 
 
-def _raised(height_m: float) -> Array:
-    """4x4 of a frame above another one."""
-    out = np.eye(4)
-    out[1, 3] = height_m
-    return out
-
-
 def recorded_matrix(instance: Instance) -> Array:
-    """Matrix [4, 4] from mesh to world of an instance whose pose is rounded as in recordings."""
+    """Return the matrix [4, 4] from mesh to world of an instance, with its pose rounded to float32 as in recordings."""
     pose, scale = (np.asarray(a, np.float32).astype(np.float64) for a in (instance.pose, instance.scale))
     return instance_matrix(replace(instance, pose=pose, scale=scale))
 
 
 def capsule_meshes(shapes: Sequence[Shape]) -> list[Mesh]:
-    """A grey mesh for each capsule, in the frame in which `h3data.scene.records.Capsule` stands along y."""
+    """Return a grey mesh for each capsule, in the frame in which `h3data.scene.records.Capsule` stands along y."""
     import trimesh
 
     y_to_z = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
@@ -365,7 +366,7 @@ def capsule_meshes(shapes: Sequence[Shape]) -> list[Mesh]:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSensor:
-    """Named camera of an agent with its outputs: depth and colours of the arm, body cameras, ids for the detector."""
+    """Named camera of an agent with its outputs, such as depth, colours or ids."""
 
     camera: str = "robot_arm"
     """Name of the robot's camera; a person has only one."""
@@ -373,7 +374,7 @@ class CameraSensor:
     """Number of the agent that carries the camera."""
     outputs: tuple[Output, ...] = ("depth",)
     depth_range_m: tuple[float, float] | None = None
-    """Depth is clipped to this range and scaled to 0..1, as Habitat's; None leaves metres."""
+    """Range to which depth is clipped before it is scaled to 0..1, as in Habitat; None leaves metres."""
     size: tuple[int, int] | None = None
     """Width and height [pixels] instead of the camera's own; its field of view stays."""
 
@@ -384,7 +385,7 @@ class CameraSensor:
             )
 
     def observe(self, drawn: StateRenderer) -> dict[str, Any]:
-        """Pictures of all worlds as last posed, by output, each [W, H, W', ...]."""
+        """Return pictures of all worlds as last posed, by output, each [W, H, W', ...]."""
         cameras = drawn.cameras(self.camera, agent=self.agent, size=self.size)
         pictures = drawn.picture(cameras, self.outputs)
         if self.depth_range_m is not None and "depth" in pictures:

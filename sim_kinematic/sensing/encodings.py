@@ -1,7 +1,7 @@
-"""Numbers of sensors as networks read them, by unit and bounds of the rows of the table, over an array namespace.
+"""Encodings of sensors for networks, chosen by units and bounds of the rows of the table.
 
-A family of networks has one encoding for each kind of number, which its files of weights have been trained with. NumPy and
-PyTorch evaluate the same functions ``of(xp, seen)``: numbers [..., given] to [..., length].
+A family of networks has one encoding for each kind of number, with which its files of weights were trained. So an encoding must
+not change. NumPy and PyTorch evaluate the same functions ``of(xp, seen)``, which turn numbers [..., given] into [..., length].
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ from sim_kinematic.sensing.sensor import FAR_M
 from sim_kinematic.sensing.table import HUMANOID_GPS, OF_SKILLS, SENSES, TABLE, Sensor, Times
 
 SPEED_MPS = 2.5
-"""Velocities and ranges are divided by this, the robot's speed limit."""
+"""Divisor of velocities and ranges, the robot's speed limit [m/s]."""
 DETECTOR = "humanoid_detector"
-"""A flag that comes from a picture, which is in no row of the table."""
+"""Name of a flag that is computed from a picture, and therefore is no row of the table."""
 _FLAG = Sensor(abs, (0.0,), (1.0,))
+"""Stand-in for its row."""
 
 
 class Encoding(NamedTuple):
@@ -33,29 +34,20 @@ class Encoding(NamedTuple):
     """NumPy type in which the encoding is computed."""
 
 
-def _plain(xp: Any, seen: Any) -> Any:
-    del xp
-    return seen
-
-
-def _divided(by: float) -> Callable[[Any, Any], Any]:
-    return lambda xp, seen: seen / by
-
-
-def _side_by_side(sensor: Sensor, of: Callable[[Any, Any], Any]) -> Encoding:
-    """Encoding with as many numbers as it is given."""
-    return Encoding(of, sensor.width, sensor.width, sensor.times)
+def _divided(sensor: Sensor, by: float | None) -> Encoding:
+    """Return the encoding that divides the numbers of a sensor; None leaves them as they are."""
+    return Encoding(lambda xp, seen: seen / by if by else seen, sensor.width, sensor.width, sensor.times)
 
 
 # --- of commands: networks beside pictures, and of skills (`sim_kinematic.policies.visual_policy`) -----------------------
 def _polar(xp: Any, seen: Any) -> Any:
-    """Distance [m] and angle [rad], [..., 6]."""
+    """Return the distance [m] and angle [rad], [..., 6]."""
     d, a = seen[..., :1], seen[..., 1:]
     return xp.concatenate([d / 5, xp.exp(-d / 2), xp.exp(-d), xp.cos(a), xp.sin(a), a / np.pi], -1)
 
 
 def _spot(xp: Any, seen: Any) -> Any:
-    """A point [m] as it is, its direction, and how near it is, [..., 8]."""
+    """Return a point [m] divided by `SPEED_MPS`, its direction, and its nearness on two scales, [..., 8]."""
     d = xp.sqrt((seen * seen).sum(-1)[..., None])
     return xp.concatenate([seen / SPEED_MPS, seen / (d + 0.1), xp.exp(-2 * d), xp.exp(-8 * d)], -1)
 
@@ -66,19 +58,22 @@ def _of_commands(sensor: Sensor) -> Encoding:
     if sensor.unit == ("m",) * 3 and sensor.frame == "hand":
         return Encoding(_spot, 3, 8)
     if sensor.unit == ("rad",):
-        return _side_by_side(sensor, _divided(np.pi))
-    return _side_by_side(sensor, _divided(SPEED_MPS) if sensor.unit else _plain)
+        return _divided(sensor, np.pi)
+    return _divided(sensor, SPEED_MPS if sensor.unit else None)
 
 
 # --- of choices: networks of rearrangement (`sim_kinematic.policies.choosers.chooser_network`) ---------------------------
 def _polars(xp: Any, seen: Any) -> Any:
-    """Distances [m] and angles [rad] by turns [..., 2 n]: all distances in two forms, all cosines, all sines, [..., 4 n]."""
+    """Return the encoding [..., 4 n] of alternating distances [m] and angles [rad] [..., 2 n].
+
+    It has all distances in two forms, then all cosines, then all sines.
+    """
     d, a = seen[..., 0::2], seen[..., 1::2]
     return xp.concatenate([d / 5, xp.exp(-d), xp.cos(a), xp.sin(a)], -1)
 
 
 def _length(xp: Any, seen: Any) -> Any:
-    """Length of a path [m], [..., 2]."""
+    """Return the length of a path [m], [..., 2]."""
     return xp.concatenate([seen.clip(None, 30.0) / 10, xp.exp(-seen / 2)], -1)
 
 
@@ -87,8 +82,7 @@ def _of_choices(sensor: Sensor) -> Encoding:
         return Encoding(_polars, sensor.width, 2 * sensor.width, sensor.times)
     if sensor.unit == ("m",) and np.ravel(sensor.high)[0] == FAR_M:
         return Encoding(_length, 1, 2, sensor.times)
-    scale = {("m/s", "m/s"): SPEED_MPS, ("s",): 50.0}.get(sensor.unit)
-    return _side_by_side(sensor, _divided(scale) if scale else _plain)
+    return _divided(sensor, {("m/s", "m/s"): SPEED_MPS, ("s",): 50.0}.get(sensor.unit))
 
 
 OF_SOCIAL_NAV = (HUMANOID_GPS, DETECTOR, "humanoid_velocity", "egomotion", "way", "range_scan")

@@ -1,4 +1,4 @@
-"""Pictures for a policy that asks for them: the observations of training environments, of one agent in one world."""
+"""Pictures of one agent in one world for policies that ask for them, equal to those of training environments."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def see(
     light: LightMode = "flat",
     lit_as: Scene | None = None,
 ) -> dict[str, NDArray[Any]]:
-    """Named pictures of an agent, exact, as `sim_kinematic.sensing.observation_set` shows them.
+    """Return named pictures of an agent without noise, scaled as `sim_kinematic.sensing.observation_set` does.
 
     Args:
         state: One world.
@@ -56,6 +56,7 @@ def see(
     Returns:
         ``*_depth`` [H, W, 1] in 0..1 of `DEPTH_RANGE_M`, ``*_rgb`` and cameras uint8 [H, W, 3], the detector [1].
     """
+    # without colours all lights look alike: they share the renderer of flat light, and nothing is baked
     seen_in, like = (light, lit_as) if any(in_colour(name, bodies[agent]) for name in names) else ("flat", None)
     rendered = shared_renderer(scene, tuple(bodies), tuple(objects), speed_mps, seen_in, like, threading.get_ident())
     rendered.pose(state, floor=floor, frames=frames)
@@ -70,7 +71,8 @@ def _pictures(body: Body, names: tuple[str, ...], agent: int, sizes: tuple[tuple
     return AgentPictures(body, names, agent=agent, sizes=dict(sizes))
 
 
-@lru_cache(maxsize=4)  # packing a home costs as much as some hundred pictures
+# packing a home costs as much as some hundred pictures
+@lru_cache(maxsize=4)
 def shared_renderer(
     scene: Scene,
     bodies: tuple[Body, ...],

@@ -1,4 +1,4 @@
-"""A 2-D laser scanner: walls and furniture by the map, agents as circles; the same for arrays and tensors.
+"""2-D laser scanner that measures walls and furniture by the map and agents as circles, with arrays or tensors.
 
 Robots are the discs of their bases. People are one disc, or two legs, the circles in which a plane at shin height cuts them.
 """
@@ -12,7 +12,7 @@ import numpy as np
 from h3data.geometry import distance_to_circles
 
 LIDAR_RAYS = 360
-"""Rays of `scan`, one each degree."""
+"""Number of rays of `scan`, one each degree."""
 LIDAR_M = 12.0
 """Largest distance that `scan` measures [m]."""
 LASERS, COLUMNS = 16, 360
@@ -24,7 +24,7 @@ SCAN_M = 30.0
 
 
 def scan(m: Any, *, legs: bool) -> Any:
-    """Free distance around an agent as a laser scanner in its middle measures it, [..., LIDAR_RAYS] [m].
+    """Return the free distance around an agent as a laser scanner in its middle measures it, [..., LIDAR_RAYS] [m].
 
     The first ray is straight ahead, the others follow to the LEFT. Without anything within `LIDAR_M`, a ray measures that.
     With ``legs``, people are two circles that move as they walk, else one disc of the radius that the rules give them.
@@ -36,6 +36,7 @@ def scan(m: Any, *, legs: bool) -> Any:
     headings = heading[..., None] + turns
     reach = m.free_along(headings, LIDAR_M)
     circles = m.circles(legs=legs)
+    # there is no minimum over nobody
     if not circles.shape[-2]:
         return reach
     return xp.minimum(reach, distance_to_circles(m.now.xz, headings, circles, xp=xp).clip(None, LIDAR_M))

@@ -34,7 +34,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 class ObservationSet:
-    """Named observations: exact values become what the agent is shown, within `space`."""
+    """Named observations of an agent, made of exact values by adding noise, scaling depth and clipping to `space`."""
 
     def __init__(
         self,
@@ -48,7 +48,7 @@ class ObservationSet:
         sizes: Mapping[str, tuple[int, int]] | None = None,
         noise: Mapping[str, NoiseModel] | None = None,
     ) -> None:
-        """Selects the observations of one agent.
+        """Select the observations of one agent.
 
         Args:
             names: some of ``states`` and of the body's `picture_names`, as `checked_names` returns them.
@@ -61,7 +61,7 @@ class ObservationSet:
             noise: noise model by name of an observation; others are exact.
 
         Raises:
-            InputError: a size is less than 1 x 1 or too large.
+            InputError: A size is less than 1 x 1 or too large.
         """
         self.names = tuple(names)
         self.pictures = AgentPictures(
@@ -69,13 +69,13 @@ class ObservationSet:
         )
         self.states = tuple(name for name in self.names if name not in self.pictures.names)
         self.limits = {n: states[n] if n in self.states else self.pictures.limits(n) for n in self.names}
-        # as exact values are: clipping doubles by floats casts twice
+        # doubles, as exact values are: clipping them by floats would cast twice
         self._bounds = {
             n: (np.asarray(one.low, np.float64), np.asarray(one.high, np.float64)) for n, one in self.limits.items()
         }
         self._noise = {name: model for name, model in (noise or {}).items() if name in self.names}
         self._plain = [n for n in self.states if n not in self._noise and self.limits[n].dtype == np.float32]
-        """Numbers that are only clipped, which is done for all of them at once."""
+        """Names of numbers that are only clipped, which is done for all of them at once."""
         self._ends = np.cumsum([0, *(self._bounds[n][0].size for n in self._plain)]).tolist()
         sides = zip(*(self._bounds[n] for n in self._plain), strict=True)
         self._low, self._high = (
@@ -84,15 +84,15 @@ class ObservationSet:
         self._agent = agent
 
     def space(self) -> Dict:
-        """The space of one world's observations."""
+        """Return the space of one world's observations."""
         return gymnasium.spaces.Dict({name: box(self.limits[name]) for name in self.names})
 
     def take(self, drawn: StateRenderer) -> Arrays:
-        """Exact pictures of all worlds as last posed, [W, ...]; none where the names have none."""
+        """Return the exact pictures of all worlds as last posed, [W, ...], if there are pictures among the names."""
         return self.pictures.take(drawn) if self.pictures.names else {}
 
     def shown(self, exact: Arrays, seeds: Sequence[int], steps: Sequence[int]) -> Arrays:
-        """Observations [W, ...] for exact values [W, ...]: with noise, depth scaled to 0..1, within the space.
+        """Return observations [W, ...] for exact values [W, ...]: with noise, depth scaled to 0..1, within the space.
 
         Noise follows from the episodes' ``seeds`` [W] and ``steps`` [W] alone.
         """
@@ -111,12 +111,13 @@ class ObservationSet:
             elif name in self._noise or name in self.states:
                 low, high = self._bounds[name]
                 values = np.minimum(np.maximum(values, low), high)  # `clip` takes twice as long for a few numbers
+                # colours with noise are rounded; conversion alone would cut them off
                 values = np.rint(values) if limits.dtype == np.uint8 else values
             shown[name] = values.astype(limits.dtype, copy=False)
         return shown
 
     def _clipped(self, exact: Arrays) -> Arrays:
-        """The plain numbers [W, ...] within their bounds."""
+        """Return the plain numbers [W, ...] within their bounds."""
         worlds = len(exact[self._plain[0]])
         every = np.concatenate([exact[name].reshape(worlds, -1) for name in self._plain], axis=1)
         every = np.minimum(np.maximum(every, self._low), self._high).astype(np.float32)
@@ -124,8 +125,14 @@ class ObservationSet:
         return {name: every[:, a:b].reshape(exact[name].shape) for name, a, b in ends}
 
     def _with_noise(self, name: str, values: NDArray[Any], seeds: Sequence[int], steps: Sequence[int]) -> NDArray[Any]:
+        """Return the values [W, ...] of an observation with noise.
+
+        Raises:
+            InputError: A model of noise changes the shape, or gives values that are not finite.
+        """
         noisy = np.empty(values.shape, np.float64)
         for w, (seed, step) in enumerate(zip(seeds, steps, strict=True)):
+            # by seed and step alone, so that an episode has the same noise in any batch of worlds
             rng = generator(int(seed), f"noise/{name}", world=self._agent, step=int(step))
             drawn = np.asarray(self._noise[name](values[w], rng=rng), np.float64)
             if drawn.shape != values[w].shape or not np.isfinite(drawn).all():
@@ -139,7 +146,7 @@ class ObservationSet:
 
 
 def box(limits: Limits) -> gymnasium.spaces.Box:
-    """The space with these limits."""
+    """Return the space of an observation with these limits."""
     return gymnasium.spaces.Box(limits.low, limits.high, limits.shape, limits.dtype)
 
 

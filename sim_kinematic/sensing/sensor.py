@@ -1,10 +1,10 @@
-"""Observations of agents, as pure functions on arrays: any leading axes (worlds first), float64 in SI units.
+"""Observations of agents as pure functions on arrays with any leading axes (worlds first), in float64 and SI units.
 
 Functions with the argument ``xp``, an array namespace, are the same on the CPU (``numpy``) and on a device (``torch``), where
-all arguments are tensors. `sim_kinematic.sensing.table` is the table of sensors that are made of them. Places on the floor
-are ``(x, z)``, headings as in h3data docs conventions. Where Habitat has the sensor, this is its value
-(spec/habitat.md 1.5, 2.5); tests/sim/sensing/test_sensors.py compares them with outputs of the real code. All are exact;
-noise is added by `with_noise` and `depth_with_noise`, where wanted. Pictures: `sim_kinematic.sensing.camera_sensor`.
+all arguments are tensors. `sim_kinematic.sensing.table` makes sensors of them. Places on the floor are ``(x, z)``, and headings
+are those of h3data docs conventions. Where Habitat has the same sensor, the values are Habitat's, and
+tests/sim/sensing/test_sensors.py compares them with outputs of its code. All values are exact; `with_noise` and
+`depth_with_noise` add noise. Pictures are in `sim_kinematic.sensing.camera_sensor`.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ Floats = NDArray[np.floating]
 HUMAN_ID = 100
 """Semantic id of people, in Habitat and in our recordings."""
 DETECTED_PIXELS = 1000
-"""A person is detected in a picture if more pixels than this show them (spec/habitat.md 1.5)."""
+"""Number of pixels above which a person counts as detected in a picture, as in Habitat."""
 DEPTH_RANGE_M = (0.0, 10.0)
-"""Observed depth is clipped to this range and scaled to 0..1 (spec/habitat.md 1.1, 1.5)."""
+"""Range to which observed depth is clipped, then scaled to 0..1, as in Habitat [m]."""
 FAR_M = 1000.0
-"""Length that is used for a path that does not exist; no home reaches as far [m]."""
+"""Length that stands for a path that does not exist; no home is as large [m]."""
 FAST = 10.0
 """Bound of velocities [m/s, rad/s]: four times the robot's limits."""
 RANGES = 12
-"""Rays of `range_scan`, one every 30 degrees."""
+"""Number of rays of `range_scan`, one every 30 degrees."""
 RANGE_M = 2.0
-"""Largest distance that the sensor measures [m]."""
+"""Largest distance that `range_scan` measures [m]."""
 RANGE_STRIDES = 8
-"""Number of strides of sphere tracing: with these, 95% of rays in furnished homes are within 3 cm."""
+"""Number of strides of sphere tracing, with which 95% of rays in furnished homes are right within 3 cm."""
 
 
 def scaled_depth(depth: Any, limits_m: tuple[float, float] = DEPTH_RANGE_M) -> Any:
@@ -55,20 +55,22 @@ def scaled_depth(depth: Any, limits_m: tuple[float, float] = DEPTH_RANGE_M) -> A
 
 # --- where things are ---------------------------------------------------------------------------------------------------
 def stacked(xp: Any, *columns: Any) -> Any:
-    """Columns [...] of numbers side by side, [..., n]; on the CPU columns may be numbers, but for the first."""
+    """Return columns [...] of numbers side by side, [..., n]; on the CPU columns may be numbers, but for the first."""
     if xp is not np:
         return xp.stack(columns, -1)
-    out = np.empty((*columns[0].shape, len(columns)))  # for a few numbers `np.stack` takes three times as long
+    # for a few numbers `np.stack` takes three times as long
+    out = np.empty((*columns[0].shape, len(columns)))
     for k, column in enumerate(columns):
         out[..., k] = column
     return out
 
 
 def _wrapped(xp: Any, angle: Any) -> Any:
-    """Angles in [-pi, pi)."""
+    """Return angles in [-pi, pi)."""
     if xp is np:
         return wrap_angle(np.asarray(angle, np.float64))
-    return angle - 2.0 * math.pi * xp.floor(angle / (2.0 * math.pi) + 0.5)  # exact for small angles of 32 bits
+    # unlike a remainder, this leaves small angles of 32 bits as they are
+    return angle - 2.0 * math.pi * xp.floor(angle / (2.0 * math.pi) + 0.5)
 
 
 def in_base_frame(robot_xz: Any, heading: Any, point_xz: Any, *, xp: Any = np) -> Any:
@@ -86,6 +88,7 @@ def _gaps(xz: ArrayLike, heading: ArrayLike, other_xz: ArrayLike) -> tuple[Float
     if (heading.size > 1 or heading.ndim >= gap.ndim) and gap.shape[:-1] != heading.shape:
         shape = np.broadcast_shapes(gap.shape[:-1], heading.shape)
         gap, heading = np.broadcast_to(gap, (*shape, 2)), np.broadcast_to(heading, shape)
+    # the kernels below are compiled for C order
     return np.asarray(gap, order="C"), np.asarray(heading, order="C")
 
 
@@ -100,10 +103,10 @@ def _in_frames(gap, heading):
 
 
 def gps_compass(robot_xz: Any, heading: Any, point_xz: Any, *, xp: Any = np) -> Any:
-    """Polar place of points: ``(distance [m], angle [rad])`` [..., 2]; the angle is positive to the RIGHT.
+    """Return the polar positions of points: ``(distance [m], angle [rad])`` [..., 2]; angles are positive to the RIGHT.
 
-    Of a person this is Habitat's ``goal_to_agent_gps_compass``, the paper's humanoid GPS; of a navigation goal, its
-    point-goal; of objects and goals its ``obj_start_gps_compass`` and ``obj_goal_gps_compass``.
+    For a person this is Habitat's ``goal_to_agent_gps_compass``, the paper's humanoid GPS; for a navigation goal, its
+    point-goal; for objects and goals its ``obj_start_gps_compass`` and ``obj_goal_gps_compass``.
     """
     seen = in_base_frame(robot_xz, heading, point_xz, xp=xp)
     ahead, left = seen[..., 0], seen[..., 1]
@@ -111,7 +114,7 @@ def gps_compass(robot_xz: Any, heading: Any, point_xz: Any, *, xp: Any = np) -> 
 
 
 def other_agent_gps(own_xz: Any, other_xz: Any, *, xp: Any = np) -> Any:
-    """Own place minus the other's, world axes ``(x, z)`` [..., 2] [m], as in Habitat: without heading (spec/habitat.md 1.5)."""
+    """Return the own position minus the other's in world axes ``(x, z)`` [..., 2] [m], as in Habitat: without heading."""
     if xp is np:
         own_xz, other_xz = np.asarray(own_xz, np.float64), np.asarray(other_xz, np.float64)
     return own_xz - other_xz
@@ -126,42 +129,44 @@ def agents_within_threshold(
     aside_m: float = 1.5,
     xp: Any = np,
 ) -> Any:
-    """Returns whether the other agent is inside the ellipse with these half axes around the own base, bool [...]."""
+    """Return whether the other agent is inside the ellipse with these half axes around the own base, bool [...]."""
     seen = in_base_frame(own_xz, heading, other_xz, xp=xp)
     return (seen[..., 0] / ahead_m) ** 2 + (seen[..., 1] / aside_m) ** 2 < 1.0
 
 
 def localization(xz: Any, heading: Any, floor_y: Any = 0.0, *, xp: Any = np) -> Any:
-    """``(x, y, z, heading)`` [..., 4] of a base, the heading in [-pi, pi)."""
+    """Return ``(x, y, z, heading)`` [..., 4] of a base, with the heading in [-pi, pi)."""
     place: Any = np.asarray(xz, np.float64) if xp is np else xz
     return stacked(xp, place[..., 0], floor_y, place[..., 1], _wrapped(xp, heading))
 
 
 def localization_in_start_frame(start_xz: Any, start_heading: Any, xz: Any, heading: Any, *, xp: Any = np) -> Any:
-    """``(x, y, z, heading)`` [..., 4] of a base in the agent root frame that it began in: x forward, y up, z right."""
+    """Return ``(x, y, z, heading)`` [..., 4] of a base in the agent root frame of its start: x forward, y up, z right."""
     seen = in_base_frame(start_xz, start_heading, xz, xp=xp)
+    # the root frame's z points to the right, and base frames have left positive
     return stacked(xp, seen[..., 0], xp.zeros_like(seen[..., 0]), -seen[..., 1], _turned(xp, start_heading, heading))
 
 
 def _turned(xp: Any, before: Any, now: Any) -> Any:
-    """By how much a heading has changed, in [-pi, pi)."""
+    """Return the change of a heading, in [-pi, pi)."""
     if xp is np:
         before, now = np.asarray(before, np.float64), np.asarray(now, np.float64)
     return _wrapped(xp, now - before)
 
 
 def in_frame(pose: ArrayLike, points: ArrayLike) -> Floats:
-    """World points [..., K, 3] in the frame of a pose7 [..., 7], shape [..., K, 3] [m].
+    """Return world points [..., K, 3] in the frame of a pose7 [..., 7], shape [..., K, 3] [m].
 
     With the robot's start pose: object and goal positions in its start frame (paper appendix); with the hand's pose:
     Habitat's ``obj_start_sensor`` and ``obj_goal_sensor``.
     """
+    # one more axis, so that one pose goes with all K points
     p = np.asarray(pose, np.float64)[..., None, :]
     return np.asarray(quat_rotate(quat_conjugate(p[..., 3:]), np.asarray(points, np.float64) - p[..., :3]))
 
 
 def humanoid_velocity(robot_heading: Any, before_xz: Any, xz: Any, *, dt: float = STEP_S, xp: Any = np) -> Any:
-    """Velocity of a person along the axes of a robot's base: ``(forward, left)`` [..., 2] [m/s].
+    """Return the velocity of a person along the axes of a robot's base: ``(forward, left)`` [..., 2] [m/s].
 
     It is the velocity over the ground, not relative to the robot.
 
@@ -178,17 +183,17 @@ def humanoid_velocity(robot_heading: Any, before_xz: Any, xz: Any, *, dt: float 
 def way(xz: Any, heading: Any, length_m: Any, point_xz: Any, *, xp: Any = np) -> Any:
     """Return the shortest path from a base, by the map: ``(length [m], initial angle [rad])`` [..., 2].
 
-    The angle is to a point on the way [..., 2] (`first_point`), positive to the RIGHT. ``length_m`` [...] is that of
-    `FreeSpace.geodesic`; a way that does not exist counts as `FAR_M`, straight ahead.
+    The angle is that of a point on the path [..., 2] (`first_point`), positive to the RIGHT. ``length_m`` [...] is that of
+    `FreeSpace.geodesic`; a path that does not exist counts as `FAR_M` long and straight ahead.
     """
     angle = gps_compass(xz, heading, point_xz, xp=xp)[..., 1]
     return stacked(xp, length_m.clip(None, FAR_M), xp.where(xp.isfinite(length_m), angle, 0.0))
 
 
 def first_point(free: FreeSpace, xz: Floats, goal_xz: ArrayLike, length_m: float, *, beyond_m: float) -> Floats:
-    """The first way point from ``xz`` [2] to ``goal_xz`` [2] that is farther than ``beyond_m``, [2] [m].
+    """Return the first way point from ``xz`` [2] to ``goal_xz`` [2] that is farther than ``beyond_m``, [2] [m].
 
-    It is ``xz`` where there is no way, whose length ``length_m`` is infinite.
+    It is ``xz`` where there is no path, whose length ``length_m`` is infinite.
     """
     return free.next_waypoint(xz, goal_xz, beyond_m=beyond_m) if np.isfinite(length_m) else xz
 
@@ -196,9 +201,9 @@ def first_point(free: FreeSpace, xz: Floats, goal_xz: ArrayLike, length_m: float
 def path_points(
     free: FreeSpace, xz: ArrayLike, goal_xz: ArrayLike, lengths_m: Sequence[float], *, max_snap_m: float
 ) -> Floats:
-    """Points on the shortest path from ``xz`` [2] to ``goal_xz`` [2], so far along it: [n, 2]; its end where it is shorter.
+    """Return the points at some lengths [n] of the shortest path from ``xz`` [2] to ``goal_xz`` [2], [n, 2] [m].
 
-    Where there is no path they are on the straight line.
+    On a shorter path it is the end, and where there is no path they are on the straight line.
     """
     path = free.path(xz, goal_xz, max_snap_m=max_snap_m)
     if len(path) < 2:
@@ -208,7 +213,7 @@ def path_points(
 
 
 def range_scan(clearance: Callable[[Any], Any], xz: Any, heading: Any, *, xp: Any = np) -> Any:
-    """Free distance around bases [..., 2] as a laser scanner in their middle measures it, [..., RANGES] [m].
+    """Return the free distance around bases [..., 2] as a laser scanner in their middle measures it, [..., RANGES] [m].
 
     ``clearance`` gives the distance [..., RANGES] [m] of points [..., RANGES, 2] to the nearest obstacle, negative inside of
     one, as `FreeSpace.signed_distance` does. The first direction is straight ahead, the others follow to the LEFT. Distances
@@ -220,6 +225,7 @@ def range_scan(clearance: Callable[[Any], Any], xz: Any, heading: Any, *, xp: An
     along = stacked(xp, *(heading + 2 * np.pi / RANGES * k for k in range(RANGES)))
     direction, start = stacked(xp, xp.cos(along), -xp.sin(along)), xz[..., None, :]
     reach = xp.zeros_like(along)
+    # a stride as long as the distance to the nearest obstacle cannot enter one
     for _ in range(RANGE_STRIDES):
         left = clearance(start + reach[..., None] * direction)
         reach = (reach + left.clip(0.0, None)).clip(None, RANGE_M)
@@ -236,13 +242,13 @@ def egomotion(
     dt: float = STEP_S,
     xp: Any = np,
 ) -> Any:
-    """Velocity of a base in its frame before the step: ``(forward [m/s], left [m/s], turn [rad/s])`` [..., 3]."""
+    """Return the velocity of a base in its frame before the step: ``(forward [m/s], left [m/s], turn [rad/s])`` [..., 3]."""
     moved = in_base_frame(before_xz, before_heading, xz, xp=xp)
     return stacked(xp, moved[..., 0], moved[..., 1], _turned(xp, before_heading, heading)) / dt
 
 
 def arm_joints(joints: ArrayLike, columns: tuple[int, ...]) -> Floats:
-    """Positions of the arm's joints [..., n] of all [..., J]; `h3data.bodies.Robot.arm_columns` names them."""
+    """Return positions of the arm's joints [..., n] of all [..., J]; `h3data.bodies.Robot.arm_columns` names them."""
     return np.asarray(joints, np.float64)[..., list(columns)]
 
 
@@ -267,7 +273,7 @@ class Detection(NamedTuple):
 def detect_humanoids(
     ids: ArrayLike, human: int | tuple[int, ...] = HUMAN_ID, *, more_than_pixels: int = DETECTED_PIXELS
 ) -> Detection:
-    """Applies the humanoid detector to pictures of ids [..., H, W].
+    """Apply the humanoid detector to pictures of ids [..., H, W].
 
     The ids are those of ``semantic`` with the default, or of ``instance`` with the numbers of the instances that are
     people.
@@ -282,7 +288,7 @@ def detect_humanoids(
 
 
 def _but_last(used: ArrayLike) -> NDArray[np.bool_]:
-    """From the first True of each line [..., n] up to the last, which is left out."""
+    """Return what lies from the first True of each line [..., n] up to the last one, which is left out, [..., n]."""
     used = np.asarray(used, np.bool_)
     begun = np.logical_or.accumulate(used, axis=-1)
     later = np.logical_or.accumulate(used[..., ::-1], axis=-1)[..., ::-1]
@@ -291,7 +297,7 @@ def _but_last(used: ArrayLike) -> NDArray[np.bool_]:
 
 
 def facing(xz: Any, heading: Any, other_xz: Any, *, xp: Any = np) -> Any:
-    """Cosine [...] between an agent's forward axis and the direction to a point; 0 where they coincide."""
+    """Return the cosine [...] between an agent's forward axis and the direction to a point; 0 where they coincide."""
     if xp is np:
         gap, heading = _gaps(xz, heading, other_xz)
         return _facing(gap.reshape(-1, 2), heading.reshape(-1)).reshape(gap.shape[:-1])[()]
@@ -320,7 +326,7 @@ NoiseModel = Callable[..., ArrayLike]
 
 
 def with_noise(values: ArrayLike, sigma: ArrayLike, rng: np.random.Generator) -> Floats:
-    """Values with Gaussian noise of this standard deviation (one, or one for each value), in their own unit."""
+    """Return values with Gaussian noise of this standard deviation (one, or one for each value), in their own unit."""
     exact = np.asarray(values, np.float64)
     return exact + np.asarray(sigma, np.float64) * rng.standard_normal(exact.shape)
 
@@ -328,7 +334,7 @@ def with_noise(values: ArrayLike, sigma: ArrayLike, rng: np.random.Generator) ->
 def depth_with_noise(
     depth: ArrayLike, rng: np.random.Generator, *, base_m: float = 0.0012, growth: float = 0.0019, missing: float = 0.0
 ) -> NDArray[np.float32]:
-    """Adds the axial noise of a structured-light camera to depth [...] [m].
+    """Add the axial noise of a structured-light camera to depth [...] [m].
 
     sigma = base + growth (d - 0.4)^2 (Nguyen, Izadi and Lovell, "Modeling Kinect sensor noise", 2012). ``missing`` is
     the share of pixels that are lost (0). Pixels without depth stay 0.

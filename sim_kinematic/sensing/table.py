@@ -1,8 +1,8 @@
-"""The sensors of all tasks beside pictures: one table, a row per sensor.
+"""Table of the sensors of all tasks except pictures, with one row per sensor.
 
-A row is a function of a `Context`, over the array namespace of the moment: the same row serves environments and policies on the
-CPU (``numpy``), weights files, training, and worlds on a device (``torch``). A sensor of one's own is one more row:
-``{**SENSORS, "goal": Sensor(...)}`` returned by `Task.sensors`.
+A row is a function of a `Context` over its array namespace. So the same row serves environments and policies on the CPU
+(``numpy``), files of weights, training, and worlds on a device (``torch``). A task adds a sensor of its own as one more row:
+`Task.sensors` returns ``{**SENSORS, "goal": Sensor(...)}``.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ else:
 JOINT_MOST = 10.0
 """Bound of joint positions [rad or m]."""
 NEARER_M = 3.0
-"""Distance by which an agent can get nearer to anything within a second, at most [m]."""
+"""Largest distance by which an agent can get nearer to anything within a second [m]."""
 AHEAD_M = (1.0, 2.5)
-"""``path_ahead`` tells where the shortest path is after so much of it: what a hurrying agent walks in 0.4 s and in a second."""
+"""Lengths of the shortest path after which ``path_ahead`` gives points, for 0.4 s and 1 s at the robot's largest speed [m]."""
 Times = Literal["once", "objects", "joints", "choices"]
 Ending = Literal["done", "failed", "aborted"]
 
@@ -76,7 +76,7 @@ class Context(Protocol):
     """The other agent."""
     other_before: Any
     contact: Any
-    """The agent touched an obstacle in the last step, bool [...]."""
+    """True if the agent touched an obstacle in the last step, bool [...]."""
     touching: Any
     """True if the agent touches another one, bool [...]."""
     arm: Any
@@ -89,7 +89,7 @@ class Context(Protocol):
     at_goal: Any
     """True if the object is at its goal, bool [..., K]."""
     close: Any
-    """The other is inside the ellipse in which skills may be interrupted, bool [...]."""
+    """True if the other agent is inside the ellipse in which skills may be interrupted, bool [...]."""
     steps: Any
     """Steps since the episode began [...]."""
     target: Any
@@ -98,7 +98,7 @@ class Context(Protocol):
     """Place of the hand at rest [..., 3] [m]."""
 
     def floor_y(self) -> Any:
-        """Heights of the floor where the agent is, [...] [m]."""
+        """Return heights of the floor where the agent is, [...] [m]."""
         ...
 
     def path(self) -> tuple[Any, Any]:
@@ -106,7 +106,7 @@ class Context(Protocol):
         ...
 
     def clearance(self, points: Any) -> Any:
-        """Signed distance [..., n] [m] of points [..., n, 2] to the nearest obstacle."""
+        """Return signed distance [..., n] [m] of points [..., n, 2] to the nearest obstacle."""
         ...
 
     def free_along(self, headings: Any, max_m: float) -> Any:
@@ -114,34 +114,34 @@ class Context(Protocol):
         ...
 
     def circles(self, *, legs: bool) -> Any:
-        """The other agents as circles ``(x, z, radius)`` [..., N, 3] [m]; with ``legs``, people as two legs each."""
+        """Return the other agents as circles ``(x, z, radius)`` [..., N, 3] [m]; with ``legs``, people as two legs each."""
         ...
 
     def in_hand(self, points: Any) -> Any:
-        """World points [..., n, 3] in the frame of the hand."""
+        """Return world points [..., n, 3] in the frame of the hand."""
         ...
 
     def from_start(self, points: Any) -> Any:
-        """World points [..., n, 3] in the agent root frame of the start."""
+        """Return world points [..., n, 3] in the agent root frame of the start."""
         ...
 
     def other_root(self) -> Any:
-        """Root of the other agent in the world [..., 3] [m]."""
+        """Return the root of the other agent in the world [..., 3] [m]."""
         ...
 
     def ways(self, end: Literal["objects", "goals"], *, other: bool, then: bool = False) -> Any:
-        """Lengths of the shortest paths from the agent or the other to objects or goals, [..., K] [m].
+        """Return lengths of the shortest paths from the agent or the other to objects or goals, [..., K] [m].
 
-        With ``then`` from where the agent was a second ago.
+        With ``then``, the paths begin where the agent was a second ago.
         """
         ...
 
     def ahead(self, *, other: bool) -> Any:
-        """Points `AHEAD_M` further on, on the agent's or the other's path to each object, [..., K, n, 2] [m]."""
+        """Return points `AHEAD_M` further on, on the agent's or the other's path to each object, [..., K, n, 2] [m]."""
         ...
 
     def ended(self, outcome: Ending) -> Any:
-        """Number for each of the agent's C choices: 1 for the last one, if it ended in this way, [..., C]."""
+        """Return the number for each of the agent's C choices: 1 for the last one, if it ended in this way, [..., C]."""
         ...
 
 
@@ -163,13 +163,13 @@ class SensorContext(NamedTuple):
     agent: int
     now: AgentState
     before: AgentState
-    """Context of the same agent one step ago."""
+    """State of the same agent one step ago."""
     start: AgentState
     other: AgentState
     """The other agent: of a robot the first person, of a person the first robot, else the next agent."""
     other_before: AgentState
     contact: NDArray[np.bool_]
-    """The agent touched an obstacle in the last step, [W]."""
+    """True if the agent touched an obstacle in the last step, [W]."""
     touching: NDArray[np.bool_]
     """True if the agent touches another one, [W]."""
     arm: Array
@@ -184,11 +184,11 @@ class SensorContext(NamedTuple):
         return self.world.state.held_by
 
     def floor_y(self) -> Array:
-        """Heights of the floor where the agent is, [W] [m]."""
+        """Return heights of the floor where the agent is, [W] [m]."""
         return self.world.heights(self.now.xz)
 
     def clearance(self, points: Array) -> Array:
-        """Signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
+        """Return signed distance [W, n] [m] of points [W, n, 2] to the nearest obstacle."""
         return self.world.clearance(points)
 
     def free_along(self, headings: Array, max_m: float) -> Array:
@@ -196,15 +196,15 @@ class SensorContext(NamedTuple):
         return self.world.free_along(self.now.xz, headings, max_m)
 
     def circles(self, *, legs: bool) -> Array:
-        """The other agents as circles ``(x, z, radius)`` [W, N, 3] [m]; with ``legs``, people as two legs each."""
+        """Return the other agents as circles ``(x, z, radius)`` [W, N, 3] [m]; with ``legs``, people as two legs each."""
         return self.world.circles(self.agent, legs=legs)
 
     def from_start(self, points: Array) -> Array:
-        """World points [W, n, 3] in the agent root frame of the start."""
+        """Return world points [W, n, 3] in the agent root frame of the start."""
         return self.world.in_root_frame(self.start, points)
 
     def other_root(self) -> Array:
-        """Root of the other agent in the world [W, 3] [m]."""
+        """Return the root of the other agent in the world [W, 3] [m]."""
         xz = self.other.xz
         return self.xp.stack([xz[:, 0], self.world.heights(xz), xz[:, 1]], -1)
 
@@ -219,10 +219,10 @@ class Sensor(NamedTuple):
     high: ArrayLike
     """Largest values of one unit of the sensor."""
     unit: tuple[str, ...] = ()
-    """Unit of each of these numbers, empty for plain ones; none: all are plain."""
+    """Unit of each of these numbers, empty for numbers without a unit; no units at all if no number has one."""
     frame: str = ""
-    """Axes in which they are given: ``base`` (forward, left, or an angle to the right), ``world``, ``start`` (the agent root
-    frame of the start: x forward, y up, z right), ``hand``."""
+    """Axes of the numbers: ``base`` (forward, left, or an angle to the right), ``world``, ``start`` (the agent root frame of
+    the start: x forward, y up, z right) or ``hand``."""
     times: Times = "once"
     """Number of times that the unit is repeated: once, for each object, joint of the arm or choice."""
     of_other: bool = False
@@ -234,19 +234,19 @@ class Sensor(NamedTuple):
         return int(np.size(self.low))
 
     def limits(self, repeat: int = 1) -> Limits:
-        """The space of one world's values."""
+        """Return the limits of one world's values, [n] for ``repeat`` units."""
         low, high = (np.tile(np.atleast_1d(np.array(bound, np.float32)), repeat) for bound in (self.low, self.high))
         return Limits(low, high, low.shape, np.float32)
 
 
 # --- shapes -------------------------------------------------------------------------------------------------------------
 def _flat(m: Context, values: Any) -> Any:
-    """Values [..., K, ...] of each object as one row, [..., n]."""
+    """Return values [..., K, ...] of each object as one row, [..., n]."""
     return values.reshape((*m.now.heading.shape, -1))
 
 
 def _polar_of(m: Context, points_xz: Any) -> Any:
-    """Distance and angle of points [..., n, 2], [..., 2 n]."""
+    """Return the distance and angle of points [..., n, 2], [..., 2 n]."""
     return _flat(m, gps_compass(m.now.xz[..., None, :], m.now.heading[..., None], points_xz, xp=m.xp))
 
 
@@ -257,10 +257,7 @@ _POSE: Any = {
     "high": (*_POINT["high"], np.pi),
     "unit": (*_POINT["unit"], "rad"),
 }
-_MOVES: Any = {"low": (-FAST,) * 2, "high": (FAST,) * 2, "unit": ("m/s",) * 2, "frame": "base"}
 _FLAG: Any = {"low": (0.0,), "high": (1.0,)}
-_WAYS: Any = {"low": (0.0,), "high": (FAR_M,), "unit": ("m",), "times": "objects"}
-_AHEAD: Any = {name: side * len(AHEAD_M) for name, side in _POLAR.items() if name != "frame"}
 
 
 def _gps(points: Callable[[Context], Any]) -> Sensor:
@@ -280,7 +277,7 @@ def _one_of_choices(outcome: Ending) -> Sensor:
 
 
 def _ways(end: Literal["objects", "goals"], *, other: bool = False) -> Sensor:
-    return Sensor(lambda m: m.ways(end, other=other), **_WAYS, of_other=other)
+    return Sensor(lambda m: m.ways(end, other=other), (0.0,), (FAR_M,), ("m",), times="objects", of_other=other)
 
 
 def _path_ahead(*, other: bool) -> Sensor:
@@ -288,11 +285,13 @@ def _path_ahead(*, other: bool) -> Sensor:
         points = m.ahead(other=other)
         return _polar_of(m, points.reshape((*m.now.heading.shape, -1, 2)))
 
-    return Sensor(seen, **_AHEAD, frame="base", times="objects", of_other=other)
+    # one unit of the sensor has a distance and an angle for each of the points
+    unit: Any = {name: side * len(AHEAD_M) for name, side in _POLAR.items() if name != "frame"}
+    return Sensor(seen, **unit, frame="base", times="objects", of_other=other)
 
 
 def _approach(m: Context) -> Any:
-    """Returns how much shorter per second the other's path to each object became over their known track [..., K] [m]."""
+    """Return how much shorter per second the other's path to each object became over their known track [..., K] [m]."""
     return (m.ways("objects", other=True, then=True) - m.ways("objects", other=True)).clip(-NEARER_M, NEARER_M)
 
 
@@ -303,7 +302,12 @@ def _lidar(*, legs: bool) -> Sensor:
 
 _OTHER_GPS = Sensor(lambda m: gps_compass(m.now.xz, m.now.heading, m.other.xz, xp=m.xp), **_POLAR, of_other=True)
 _OTHER_VELOCITY = Sensor(
-    lambda m: humanoid_velocity(m.now.heading, m.other_before.xz, m.other.xz, xp=m.xp), **_MOVES, of_other=True
+    lambda m: humanoid_velocity(m.now.heading, m.other_before.xz, m.other.xz, xp=m.xp),
+    (-FAST,) * 2,
+    (FAST,) * 2,
+    ("m/s",) * 2,
+    "base",
+    of_other=True,
 )
 
 # --- the table ----------------------------------------------------------------------------------------------------------
@@ -387,8 +391,6 @@ TABLE: Mapping[str, Sensor] = {
     "resting_sensor": Sensor(lambda m: m.in_hand(m.resting[..., None, :])[..., 0, :], **_POINT, frame="hand"),
 }
 """Every sensor by name (h3data docs environments)."""
-
-
 LIDARS = ("lidar", "lidar_legs")
 """Laser scanners that see agents, as discs or by their legs."""
 
@@ -407,7 +409,8 @@ OF_SKILLS = (
     "is_holding",
     "arm_joints",
 )
-"""Observations of a learned skill besides a picture."""
+"""Observations that a learned skill may have besides a picture."""
+# the order of the table counts here: rows up to ``arm_joints`` are those of any agent
 SENSORS = _rows(*list(TABLE)[: list(TABLE).index("arm_joints") + 1])
 """Sensors of agents of any task whose agents drive and walk."""
 SENSES = _rows(
@@ -444,15 +447,15 @@ HABITAT_SENSES = (
     "obj_start_sensor",
     "obj_goal_sensor",
 )
-"""Observations of the upper layer in Habitat's configuration (spec/habitat.md 2.5). They need a picture in every step."""
+"""Observations of the upper layer in Habitat's configuration. They need a picture in every step."""
 PAPER_SENSES = (
     *(name for name in HABITAT_SENSES if name != "other_agent_gps"),
     HUMANOID_GPS,
     "arm_joints",
     "egomotion",
 )
-"""Observations of the robot in the paper (section 4.2): depth, arm joints, egomotion, the person's distance and direction;
-and those of the task in Habitat's configuration. They need a picture in every step."""
+"""Observations of the robot in the paper (section 4.2): depth, arm joints, egomotion, distance and direction of the person, and
+those of the task in Habitat's configuration. They need a picture in every step."""
 STATE_SENSES = (
     "obj_gps_compass",
     "obj_goal_gps_compass",
@@ -467,14 +470,15 @@ STATE_SENSES = (
 
 
 def sensed(name: str, sensor: Sensor, moment: Any, task: str, agent: str) -> Any:
-    """Values of a named sensor of an agent.
+    """Return values of a named sensor of an agent.
 
     Raises:
-        InputError: the sensor needs what the worlds of the task do not have; the message names task, agent and sensor.
+        InputError: The sensor needs a field that the worlds of the task do not have; the message names task, agent and sensor.
     """
     try:
         return sensor.of(moment)
     except AttributeError as fault:
+        # an attribute that something else lacks is an error in the sensor itself
         if fault.obj is not moment:
             raise
         raise InputError(
@@ -485,5 +489,5 @@ def sensed(name: str, sensor: Sensor, moment: Any, task: str, agent: str) -> Any
 
 
 def sensors_of(kind: str) -> Mapping[str, Sensor]:
-    """The sensors of agents of a kind: people have no arm joints that could be read."""
+    """Return the sensors of agents of a kind: people have no arm joints that could be read."""
     return SENSORS if kind == "robot" else {name: sensor for name, sensor in SENSORS.items() if name != "arm_joints"}

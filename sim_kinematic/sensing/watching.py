@@ -1,4 +1,4 @@
-"""The picture of a training environment for people who watch: an agent from obliquely above, without ceilings."""
+"""Pictures of training environments for people who watch: an agent from obliquely above, without ceilings."""
 
 from __future__ import annotations
 
@@ -17,15 +17,10 @@ SIZE, HFOV_DEG = (640, 480), 60.0
 DISTANCE_M, ELEVATION_DEG = 4.2, 50.0
 SIDES = 12
 """Number of directions from which the camera may look."""
-TRIAL = (64, 48)
-"""Size of the pictures that tell from which side the agent is seen best."""
 OTHERS = 0.5
 """Weight of another agent in the picture relative to the agent itself."""
-OPEN = 1.0
-"""Weight of the share of the picture in front of which nothing stands within ``IN_FRONT_M`` of the camera."""
 IN_FRONT_M = 3.2
-BETTER = 0.25
-"""Difference by which another side must be better before the camera moves there."""
+"""Surfaces nearer to the camera than this are in front of the agent, which is 4.2 m away [m]."""
 
 
 class DebugRenderer:
@@ -41,15 +36,17 @@ class DebugRenderer:
     def picture(self, drawn: StateRenderer, agent: int = 0) -> NDArray[np.uint8]:
         """Return a picture uint8 [480, 640, 3] of the only world of ``drawn``, as last posed."""
         target = drawn.middle(agent)[0]
-        trials = [_camera(target, side, TRIAL) for side in range(SIDES)]
+        # small pictures are enough to tell from which side the agent is seen best
+        trials = [_camera(target, side, (64, 48)) for side in range(SIDES)]
         pictures = drawn.picture(trials, ("instance", "depth"))
         seen, depth = (pictures[output].reshape(SIDES, -1) for output in ("instance", "depth"))
         pixels = [np.isin(seen, drawn.instances(k)).sum(1) for k in range(len(drawn.bodies))]
         most = max(int(pixels[agent].max()), 1)
         others = sum((np.minimum(p / most, 1.0) for k, p in enumerate(pixels) if k != agent), np.zeros(SIDES))
         is_open = 1 - ((depth > 0) & (depth < IN_FRONT_M)).mean(1)
-        score = pixels[agent] / most + OTHERS * others + OPEN * is_open
-        if self._side < 0 or score[self._side] < score.max() - BETTER:
+        score = pixels[agent] / most + OTHERS * others + is_open
+        # only to a side that is clearly better, or the camera would jump back and forth
+        if self._side < 0 or score[self._side] < score.max() - 0.25:
             self._side = int(score.argmax())
         return drawn.picture([_camera(target, self._side, SIZE)], ("rgb",))["rgb"][0]
 
@@ -58,6 +55,7 @@ class DebugRenderer:
 
 
 def _camera(target: Array, side: int, size: tuple[int, int]) -> Camera:
+    """Return a camera that looks at a point [3] from one of the `SIDES`."""
     elevation = np.radians(ELEVATION_DEG)
     x, z = np.cos(elevation) * heading_direction(2 * np.pi * side / SIDES)
     pose = look_at(target + DISTANCE_M * np.array([x, np.sin(elevation), z]), target)

@@ -1,7 +1,7 @@
-"""Form of an episode outside the simulator: record in episode files, entries in a recording, identity and words.
+"""Form of an episode outside the simulator: its record in files, its entries in a recording, its identity and instruction.
 
 A task has one `EpisodeCodec` (`sim_kinematic.tasks.task.Task.codec`), the only place where its episodes are written and read.
-`TaskCodec` does that for all tasks whose episodes are an `Episode`.
+`TaskCodec` is that of all tasks whose episodes are an `Episode` with nothing of their own.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from sim_kinematic.tasks.episode import MAX_STEPS, Episode, rules_dict
 from sim_kinematic.tasks.play import WorldRollout
 
 SNAP_M = 0.05
-"""A stored point may be this far off the free floor: files round to a centimeter, navigation meshes to a cell."""
+"""Distance by which a stored point may be off the free floor [m]: files round to a centimetre, navigation meshes to a cell."""
 
 POLICY_ENTRIES = ("policy", "partner", "partner_plan", "population")
-"""Entries of a recording's info that name policies: those that change when a recording is continued by others."""
+"""Entries of a recording's info that name policies. They change when a recording is continued by other policies."""
 SceneAndMap = Callable[[float, float], tuple[Scene, FreeSpace]]
-"""The scene of a recording, and its map for agents of a radius [m] and a height [m]."""
+"""Function that returns the scene of a recording, and its map for agents of a radius [m] and a height [m]."""
 
 R = TypeVar("R", bound=StoredEpisode)
 
@@ -62,7 +62,7 @@ class EpisodePlace:
 
 
 class EpisodeCodec(Generic[R]):
-    """Converts the episodes of a task to JSON and back: records in episode files, and the info of recordings. A base class."""
+    """Base class of codecs, which convert the episodes of a task to JSON and back, for episode files and recordings."""
 
     samples_starts: ClassVar[bool] = False
     """True if the codec reads files without starts, which are then sampled."""
@@ -71,17 +71,17 @@ class EpisodeCodec(Generic[R]):
     ``task``. The built-in tasks, whose metrics follow from other columns, do without."""
 
     def __init__(self, task: Any) -> None:
-        """Makes the codec of a `sim_kinematic.tasks.task.Task`."""
+        """Make the codec of a `sim_kinematic.tasks.task.Task`."""
         self.task = task
 
     # --- episode files ------------------------------------------------------------------------------------------------
 
     def record(self, episode: Episode) -> R:
-        """The record of an episode, from which `episode` makes the same one, bit for bit."""
+        """Return the record of an episode, from which `episode` makes the same one, bit for bit."""
         raise NotImplementedError
 
     def entry(self, record: R, *, episode_id: str, scene_id: str, scene_dataset_config: str = "default") -> FileEntry:
-        """The entry of an episode file that carries a record: in its info, unless the task has a form of its own."""
+        """Return the entry of an episode file with a record, which is in its info unless the task has a form of its own."""
         return FileEntry(
             episode_id=episode_id,
             scene_id=scene_id,
@@ -90,87 +90,87 @@ class EpisodeCodec(Generic[R]):
         )
 
     def read(self, entry: FileEntry, *, seed: int) -> R | None:
-        """The record that an entry carries; None if it says nothing about this task.
+        """Return the record in an entry; None if the entry has none of this task.
 
-        ``seed`` is for what the file leaves to chance.
+        ``seed`` determines what the file leaves to chance.
 
         Raises:
-            FormatError: it is damaged or from a newer version.
-            InputError: it cannot be played; the message says why.
+            FormatError: The record is damaged or from a newer version.
+            InputError: The record cannot be played; the message says why.
         """
         raise NotImplementedError
 
     def is_complete(self, record: R) -> bool:
-        """Returns whether the record leaves nothing to chance."""
+        """Return whether the record leaves nothing to chance."""
         del record
         return True
 
     def rules(self, record: R) -> Any:
-        """The rules that a record names.
+        """Return the rules that a record names.
 
         Raises:
-            InputError: they are none of this task.
+            InputError: The rules are none of this task.
         """
         raise NotImplementedError
 
     def stand_ins(self, record: R, source: SceneSource) -> tuple[str, ...]:
-        """A sentence on each thing of the record that is replaced because its files are missing."""
+        """Return a sentence on each thing of the record that is replaced because its files are missing."""
         del record, source
         return ()
 
     def episode(self, record: R, place: EpisodePlace) -> Episode:
-        """The episode that a record stores.
+        """Return the episode that a record stores.
 
         Raises:
-            SceneError: it does not fit the scene.
-            InputError: its bodies are none that we know.
+            SceneError: The episode does not fit the scene.
+            InputError: There is no such body.
         """
         raise NotImplementedError
 
     # --- recordings ---------------------------------------------------------------------------------------------------
     def instruction(self, episode: Episode) -> str:
-        """The task in words, as one would tell it to a robot; recorded in ``info["instruction"]``.
+        """Return the instruction that one would give to a robot, as recorded in ``info["instruction"]``.
 
-        LeRobot datasets have it for every frame, and policies that are conditioned on language learn from it. By default the
-        task's name in words.
+        LeRobot datasets have it for every frame, and policies that are conditioned on language learn from it. By default it is
+        the task's name in words.
         """
         del episode
         return str(self.task.name).replace("_", " ").strip() or "act"
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Entries of a recording's info that are known from the start, besides scene and bodies: enough for `restore`."""
+        """Return entries of a recording's info that are known at the start, enough for `restore` besides scene and bodies."""
         raise NotImplementedError
 
     def final_info(self, episode: Episode, play: WorldRollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Entries of a recording's info that are known only after the last step."""
+        """Return entries of a recording's info that are known only after the last step."""
         del episode, policies
         return {"ended": play.ended}
 
     def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
-        """Identity of an episode's recording: the same inputs give the same one."""
+        """Return the identity of an episode's recording: the same inputs give the same one."""
         raise NotImplementedError
 
     def restore(self, recording: Recording, scene: SceneAndMap) -> Episode:
-        """The episode that a recording was made of.
+        """Return the episode that a recording was made of.
 
         Raises:
-            InputError: the recording lacks something or its info is malformed; the message names it.
+            InputError: The recording lacks something or its info is malformed; the message names it.
         """
         raise NotImplementedError
 
     def precompute(self, episode: Episode) -> dict[str, Any]:
-        """Entries of a recording's info that take long to compute and do not depend on how the episode is played.
+        """Return entries of a recording's info that take long to compute and do not depend on how the episode is played.
 
-        `final_info` has them too. They are plain data, so that another process can compute them.
+        `final_info` has them too. They are plain data, so that another process can compute them meanwhile.
         """
         del episode
         return {}
 
     def load_precomputed(self, episode: Episode, facts: Mapping[str, Any]) -> None:
-        """Takes over the facts that `precompute` has found earlier: in another process, or when the episode was recorded."""
+        """Take over the facts that `precompute` has found earlier: in another process, or when the episode was recorded."""
 
     def policy_names(self, recording: Recording) -> list[str]:
-        """Name of each agent's policy, as recorded."""
+        """Return the name of each agent's policy, as recorded."""
         info, names = recording.episode.info, []
         for kind, entry in (("robot", "policy"), ("human", "partner")):
             count = sum(agent.kind == kind for agent in recording.agents)
@@ -179,7 +179,7 @@ class EpisodeCodec(Generic[R]):
         return names
 
     def check_changes(self, recording: Recording, chosen: Mapping[str, Any]) -> None:
-        """Raises an `InputError` if a recording cannot be continued with the policies ``chosen``; by default it can."""
+        """Raise an `InputError` if a recording cannot be continued with the policies ``chosen``; by default it can."""
 
 
 class TaskRecord(msgspec.Struct, frozen=True, kw_only=True):
@@ -198,10 +198,10 @@ class TaskRecord(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TaskCodec(EpisodeCodec[TaskRecord]):
-    """Writes what every episode has: starts, roster, seed, rules, and `Episode.extra`."""
+    """Codec of episodes that consist of starts, roster, seed, rules, and `Episode.extra`."""
 
     def record(self, episode: Episode) -> TaskRecord:
-        """Record of an episode: starts, agents, seed, rules, scene and `Episode.extra`."""
+        """Return the record of an episode: starts, agents, seed, rules, scene and `Episode.extra`."""
         return TaskRecord(
             starts=tuple((float(x), float(z), float(heading)) for x, z, heading in episode.starts.tolist()),
             agents=tuple(f"{member.kind}:{split_walk(member.model)[0]}" for member in episode.roster),
@@ -213,10 +213,10 @@ class TaskCodec(EpisodeCodec[TaskRecord]):
         )
 
     def read(self, entry: FileEntry, *, seed: int) -> TaskRecord | None:
-        """Record in an entry of a file; None if the entry belongs to another task.
+        """Return the record in an entry of a file; None if the entry belongs to another task.
 
         Raises:
-            InputError: the record is malformed or its starts are not finite.
+            InputError: The record is malformed or its starts are not finite.
         """
         del seed
         record = read_info_block(entry, self.task.name, TaskRecord)
@@ -225,20 +225,21 @@ class TaskCodec(EpisodeCodec[TaskRecord]):
         return record
 
     def rules(self, record: TaskRecord) -> Any:
-        """Rules in a record, as the task's class of rules."""
+        """Return rules in a record, as the task's class of rules."""
         return read_rules(record.rules, self.task.Spec)
 
     def episode(self, record: TaskRecord, place: EpisodePlace) -> Episode:
-        """Episode of a record in an opened scene, with the agents of the record or those that the caller names.
+        """Return the episode of a record in an opened scene, with the agents of the record or those that the caller names.
 
         Raises:
-            InputError: the number of starts and of agents differ, or a start is not on the free floor.
+            InputError: The number of starts and of agents differ, or a start is not on the free floor.
         """
         names = place.agents or record.agents
         if place.human is not None and place.human.startswith(JOIN):  # a motion alone, for everybody
             names = with_motion(names, place.human)
         if place.robot:
-            load_robot(place.robot)  # of the user, as a name of the file may not be
+            # loaded outside of names_from_data: the user may name any file, and an episode file may not
+            load_robot(place.robot)
         with nullcontext() if place.agents else names_from_data():
             roster = make_roster(names, robot=place.robot or ROBOT_BODY, human=place.human or HUMAN_BODY)
         self.task.control.check_roster(roster)
@@ -273,16 +274,16 @@ class TaskCodec(EpisodeCodec[TaskRecord]):
         return info
 
     def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
-        """Identifier derived from task, scene, bodies, policies, seed, rules, starts and `Episode.extra`."""
+        """Return the identifier derived from task, scene, bodies, policies, seed, rules, starts and `Episode.extra`."""
         who = ",".join(f"{member.model}:{policy.name}" for member, policy in zip(episode.roster, policies, strict=True))
         what = f"{self.task.name}:{scene_attachment(episode.scene)[1]}:{who}:{episode.seed}:{episode.spec}"
         return uid_of(f"{what}:{episode.starts.tolist()}:{episode.extra}")
 
     def restore(self, recording: Recording, scene: SceneAndMap) -> Episode:
-        """Episode of a recording, from the rules and starts in its info.
+        """Return the episode of a recording, from the rules and starts in its info.
 
         Raises:
-            InputError: the recording lacks one of them, or its info is malformed.
+            InputError: The recording lacks one of them, or its info is malformed.
         """
         info, agents = recording.episode.info, recording.agents
         require_info(recording, "spec", "starts")
@@ -291,6 +292,7 @@ class TaskCodec(EpisodeCodec[TaskRecord]):
             starts = np.array(msgspec.convert(info["starts"], list[Start]), np.float64)
         except (msgspec.ValidationError, TypeError) as fault:
             raise malformed_info(fault) from None
+        # a damaged or hostile file must not keep the simulator busy for days
         if not 0 < spec.max_steps <= MAX_STEPS:
             raise InputError(
                 f"Expected 1 to {MAX_STEPS} steps, the recording's rules say {spec.max_steps}.", code="H3-TASK-063"
@@ -312,22 +314,22 @@ class TaskCodec(EpisodeCodec[TaskRecord]):
 # --- parts of several codecs ------------------------------------------------------------------------------------------
 @lru_cache(maxsize=4)
 def scene_attachment(scene: Scene) -> tuple[bytes, str]:
-    """The scene file and its digest: the same for all episodes in this home."""
+    """Return the scene file and its digest: the same for all episodes in this home."""
     buffer = io.BytesIO()
     save_scene(scene, buffer)
     return buffer.getvalue(), scene_digest(scene)
 
 
 def uid_of(what: str) -> str:
-    """The identity of a recording, derived from a text that names all its inputs."""
+    """Return the identity of a recording, derived from a text that names all its inputs."""
     return str(uuid.uuid5(uuid.NAMESPACE_URL, f"h3data:{what}"))
 
 
 def require_info(recording: Recording, *names: str) -> None:
-    """Checks that a recording's info has some entries.
+    """Check that a recording's info has some entries.
 
     Raises:
-        InputError: it lacks some; the message names them.
+        InputError: The info lacks some; the message names them.
     """
     lacks = [name for name in names if name not in recording.episode.info]
     if lacks:
@@ -335,15 +337,15 @@ def require_info(recording: Recording, *names: str) -> None:
 
 
 def malformed_info(fault: Exception) -> InputError:
-    """The error for a recording's info that does not convert."""
+    """Return the error for a recording's info that does not convert."""
     return InputError(f"The recording's info is malformed: {str(fault).replace('`', '')}", code="H3-TASK-030")
 
 
 def recorded_roster(agents: Sequence[Agent]) -> tuple[AgentSpec, ...]:
-    """The roster of a recording's agents.
+    """Return the roster of a recording's agents.
 
     Raises:
-        InputError: people come before robots, or a body is none that we know.
+        InputError: People come before robots, or there is no such body.
     """
     roster, kinds = (
         make_roster([f"{agent.kind}:{agent.model.partition('/')[2]}" for agent in agents]),
@@ -355,10 +357,10 @@ def recorded_roster(agents: Sequence[Agent]) -> tuple[AgentSpec, ...]:
 
 
 def require_on_floor(starts: Array, free: FreeSpace, count: int) -> None:
-    """Checks recorded starts ``(x, z, heading)``.
+    """Check recorded starts ``(x, z, heading)``.
 
     Raises:
-        InputError: they are not ``count`` finite places on the free floor.
+        InputError: The starts are not ``count`` finite places on the free floor.
     """
     if starts.shape != (count, 3) or not np.isfinite(starts).all() or not free.is_navigable(starts[:, :2]).all():
         raise InputError(
@@ -367,10 +369,10 @@ def require_on_floor(starts: Array, free: FreeSpace, count: int) -> None:
 
 
 def read_rules(rules: Mapping[str, Any], kind: type[Any], **defaults: Any) -> Any:
-    """Rules from a file; what they do not name is as in the paper.
+    """Return rules from a file; what they do not name is as in the paper.
 
     Raises:
-        InputError: they are none of this kind.
+        InputError: The rules are none of this kind.
     """
     try:
         spec = msgspec.convert({"robot": {}, "human": {}, **defaults, **rules}, kind)
@@ -388,10 +390,10 @@ def read_rules(rules: Mapping[str, Any], kind: type[Any], **defaults: Any) -> An
 
 
 def starts_on_floor(free: FreeSpace, starts: Sequence[Start]) -> Array:
-    """Starts [A, 3]; those that rounding has put beside the free floor are moved onto it.
+    """Start [A, 3]; those that rounding has put beside the free floor are moved onto it.
 
     Raises:
-        SceneError: one is farther off: it is another scene.
+        SceneError: A start is farther off, so the scene must be another one.
     """
     places = np.array(starts, np.float64).reshape(-1, 3)
     off = ~free.is_navigable(places[:, :2])

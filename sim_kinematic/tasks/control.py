@@ -24,7 +24,7 @@ from sim_kinematic.tasks.team import MotionTeam, Team
 
 
 class Control:
-    """Control of agents. A base class; ``play`` is a `sim_kinematic.tasks.play.WorldRollout`, ``number`` an agent's index."""
+    """Base class of controls. ``play`` is a `sim_kinematic.tasks.play.WorldRollout`, and ``number`` an agent's index."""
 
     has_skills: ClassVar[bool] = False
     """True if choices are skills that take many steps: then each rollout has one world, people are recorded joint by joint
@@ -34,23 +34,23 @@ class Control:
     """Names of the sensors that an environment shows by default."""
 
     def __init__(self, skills: Mapping[str, tuple[str, ...]] | None = None) -> None:
-        """Creates the control.
+        """Create the control.
 
         Args:
-            skills: names of what agents report to be doing, by kind; a kind without any has no skill column.
+            skills: Names of skills that agents report, by kind; a kind without any has no skill column.
         """
         self.skills = dict(skills or {})
 
     def check_roster(self, roster: Sequence[AgentSpec]) -> None:
-        """Raises an `InputError` if an agent cannot be told such things; by default all can."""
+        """Raise an `InputError` if an agent cannot be told such things; by default all can."""
 
     def team(self, play: Any) -> Team:
-        """The controllers of all agents of a `sim_kinematic.tasks.play.WorldRollout` that is about to begin."""
+        """Return the controllers of all agents of a `sim_kinematic.tasks.play.WorldRollout` that is about to begin."""
         raise NotImplementedError
 
     # --- choices from outside -----------------------------------------------------------------------------------------
     def checked(self, play: Any, number: int, choice: Any) -> Any:
-        """A command from outside in the form that the play takes.
+        """Return a command from outside in the form that the play takes.
 
         Raises:
             InputError: it is malformed.
@@ -58,7 +58,7 @@ class Control:
         raise NotImplementedError
 
     def accepted(self, play: Any, number: int, choice: Any) -> Any:
-        """A policy's choice in the form that the play takes; by default as `checked`.
+        """Return a policy's choice in the form that the play takes; by default as `checked`.
 
         Raises:
             InputError: it is malformed.
@@ -66,31 +66,31 @@ class Control:
         return self.checked(play, number, choice)
 
     def idle(self, play: Any, number: int, last: Any) -> Any:
-        """The choice of an agent controlled from outside that was told nothing new; ``last`` is its latest command."""
+        """Return the choice of an agent controlled from outside without a new command; ``last`` is its latest command."""
         raise NotImplementedError
 
     def is_busy(self, play: Any, number: int) -> bool:
-        """Returns whether an agent goes on with something by itself until it ends or a command interrupts it."""
+        """Return whether an agent goes on with something by itself until it ends or a command interrupts it."""
         del play, number
         return False
 
     def interrupts(self, play: Any, number: int, choice: Any) -> bool:
-        """Returns whether a command from outside interrupts what the agent is doing; by default all do."""
+        """Return whether a command from outside interrupts what the agent is doing; by default all do."""
         del play, number, choice
         return True
 
     def refusal(self, play: Any, number: int, choice: Any) -> str | None:
-        """Reason why a command, as `checked` returned it, would be refused now, as a sentence; None: it would not."""
+        """Return in a sentence why a command, as `checked` returned it, would be refused now; None: it would not."""
         del play, number, choice
         return None
 
     # --- recordings ---------------------------------------------------------------------------------------------------
     def to_json(self, choice: Any) -> Any:
-        """A choice as JSON types, for the recorded raw input."""
+        """Return a choice as JSON types, for the recorded raw input."""
         raise NotImplementedError
 
     def from_json(self, data: Any) -> Any:
-        """The choice that `to_json` wrote."""
+        """Return the choice that `to_json` wrote."""
         raise NotImplementedError
 
     def recorded_agent(self, agent: Agent, episode: Episode, *, is_external: bool) -> Agent:
@@ -99,7 +99,7 @@ class Control:
         return agent
 
     def needed_columns(self, recording: Recording) -> list[str]:
-        """Columns without which a recording cannot be simulated again."""
+        """Return columns without which a recording cannot be simulated again."""
         raise NotImplementedError
 
     def decided(self, recording: Recording, names: Sequence[str]) -> set[int]:
@@ -131,7 +131,7 @@ class Control:
     def keep_people(
         self, play: Any, recording: Recording, since: int
     ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
-        """Puts people on their recorded tracks; returns facts about that for the info, and what to call after each step.
+        """Put people on their recorded tracks; returns facts about that for the info, and what to call after each step.
 
         ``since`` is the step from which robots follow other policies.
         """
@@ -165,7 +165,7 @@ class VelocityControl(Control):
         return choice
 
     def accepted(self, play: Any, number: int, choice: Any) -> Any:
-        """A velocity as `checked`, or a way point, a place, a gait or a recorded pose.
+        """Return a velocity as `checked`, or a way point, a place, a gait or a recorded pose.
 
         Raises:
             InputError: it is malformed.
@@ -185,15 +185,15 @@ class VelocityControl(Control):
         return Velocity(0.0, 0.0) if last is None else last
 
     def to_json(self, choice: Any) -> Any:
-        """A velocity as JSON types."""
+        """Return a velocity as JSON types."""
         return {"forward": float(choice.forward), "turn": float(choice.turn), "skill": choice.skill}
 
     def from_json(self, data: Any) -> Any:
-        """The velocity that `to_json` wrote."""
+        """Return the velocity that `to_json` wrote."""
         return Velocity(float(data["forward"]), float(data["turn"]), str(data.get("skill", "")))
 
     def needed_columns(self, recording: Recording) -> list[str]:
-        """The velocities of robots, and what they reported to be doing."""
+        """Return the columns of the velocities of robots, and of the skills that they report."""
         robots = [k for k, agent in enumerate(recording.agents) if agent.kind == "robot"]
         names = ("action", "skill") if self.skills.get("robot") else ("action",)
         return [f"agent_{k}.{name}" for k in robots for name in names]
@@ -206,12 +206,12 @@ class VelocityControl(Control):
             for k, agent in enumerate(recording.agents)
             if f"agent_{k}.action" in recording.columns and (agent.kind == "robot" or k in commanded)
         }
-        # those who wander share how they heed each other, so that one of them who is asked needs the others asked too
+        # agents that wander make way for each other, so one of them can only decide again if the others do too
         wanderers = {k for k, name in enumerate(names) if name == "wander"}
         return decided if wanderers <= decided else decided - wanderers
 
     def still(self, episode: Episode, number: int) -> Any:
-        """Returns a policy that stands still."""
+        """Return a policy that stands still."""
         del episode, number
         return Still()
 
@@ -224,7 +224,7 @@ class VelocityControl(Control):
         until: int,
         changed: Sequence[bool] = (),
     ) -> list[AssignedPolicy]:
-        """Policies that repeat the recorded velocities.
+        """Return policies that repeat the recorded velocities.
 
         A scripted person has no recorded decisions: its own policy decides again.
         """
@@ -246,7 +246,7 @@ class VelocityControl(Control):
     def keep_people(
         self, play: Any, recording: Recording, since: int
     ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
-        """People follow their recorded places and postures from the first step on."""
+        """Let people follow their recorded places and postures from the first step on."""
         del since
         for k, member in enumerate(play.episode.roster):
             if member.kind == "human":

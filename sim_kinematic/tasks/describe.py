@@ -10,7 +10,7 @@ from h3data.scene import Scene
 from sim_kinematic.tasks.sources import Scenes
 
 LISTED = 3
-"""Number of scenes of a list that are named."""
+"""Largest number of scenes of a list that are named."""
 
 
 def in_words(
@@ -22,7 +22,7 @@ def in_words(
     beside: Mapping[str, str] | None = None,
     worlds: int = 1,
 ) -> str:
-    """``social_nav, 37 scenes of h3-homes/train, robot quad_arm beside human female_0, 64 worlds``.
+    """Describe an environment: ``social_nav, 37 scenes of h3-homes/train, robot quad_arm beside human female_0, 64 worlds``.
 
     Args:
         task: Name of the task.

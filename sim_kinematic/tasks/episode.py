@@ -1,4 +1,4 @@
-"""The records of a task: its rules, an episode, the outcome of a step."""
+"""Records of a task: its rules, an episode, the outcome of a step."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if not TYPE_CHECKING:
     __getattr__ = refuse_renamed(__name__)
 
 MAX_STEPS = 1_000_000
-"""Number of steps of the longest episode that is simulated again: nine hours."""
+"""Largest number of steps of an episode that is simulated again, nine hours."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +38,7 @@ class TaskSpec:
     """Least distance between any two agents at the start, where there is room."""
     agent_radius_m: float = 0.25
     agent_height_m: float = 1.41
-    """Size of the agent for which the free floor is computed; Habitat's navigation mesh for Spot (spec/habitat.md 1.2)."""
+    """Size of the agent for which the free floor is computed, that of Habitat's navigation mesh for Spot."""
     robot: BaseSpec = HOME_BASE
     human: WalkerSpec = NATURAL_WALKER
     rule_sets: ClassVar[Mapping[str, Mapping[str, Any]]] = RULE_SETS
@@ -47,7 +47,7 @@ class TaskSpec:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Episode:
-    """The unchanging half of an episode: home, map, rules, agents, starts, seed."""
+    """Part of an episode that does not change while it is played: home, map, rules, agents, starts and seed."""
 
     scene: Scene
     free: FreeSpace
@@ -62,10 +62,11 @@ class Episode:
     """Further data that the task sampled, as JSON types; recorded in ``info["extra"]``."""
 
     def __post_init__(self) -> None:
+        # agents must reach each other, whoever made the episode: paths are found on the floor that all can use
         object.__setattr__(self, "free", common_floor(self.roster, self.free))
 
     def only(self, *numbers: int) -> Self:
-        """The episode with only some of its agents."""
+        """Return the episode with only some of its agents."""
         return replace(self, roster=tuple(self.roster[k] for k in numbers), starts=self.starts[list(numbers)])
 
     @property
@@ -77,9 +78,9 @@ class Episode:
 def sample_starts(
     scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: Sequence[AgentSpec], stream: str = "starts"
 ) -> Array:
-    """Random free starts [A, 3], at least ``spec.spawn_distance_m`` apart where there is room.
+    """Return random free starts [A, 3], at least ``spec.spawn_distance_m`` apart where there is room.
 
-    ``stream`` names the random numbers: those of another name are others.
+    ``stream`` names the stream of random numbers; another name gives other starts.
     """
     rng = generator(seed, stream)
     return sample_places(scene, free, roster, rng, apart_m=spec.spawn_distance_m, rules=spec.robot)
@@ -87,14 +88,14 @@ def sample_starts(
 
 @lru_cache(maxsize=256)
 def agent_base(episode: Episode, number: int) -> BaseSpec:
-    """Discs and limits of an agent that drives: a robot's own, else the rules'."""
+    """Return discs and limits of an agent that drives: a robot's own, else the rules'."""
     body = episode.roster[number].body
     return base_of(body, episode.spec.robot) if isinstance(body, Robot) else episode.spec.robot
 
 
 @lru_cache(maxsize=256)
 def agent_floor(episode: Episode, number: int) -> FreeSpace:
-    """The floor on which an agent finds its paths: a robot wider than the rules' agents has one of its own."""
+    """Return the floor on which an agent finds its paths: a robot wider than the rules' agents has one of its own."""
     body = episode.roster[number].body
     if not isinstance(body, Robot):
         return episode.free
@@ -103,23 +104,23 @@ def agent_floor(episode: Episode, number: int) -> FreeSpace:
 
 @dataclass(frozen=True, kw_only=True)
 class StepOutcome:
-    """The judgement of one step in W worlds, each array [W]."""
+    """Evaluation of one step in W worlds, with arrays [W]."""
 
     reward: NDArray[np.float64]
     terminated: NDArray[np.bool_]
-    """The rules end the episode."""
+    """True if the rules end the episode."""
     success: NDArray[np.bool_]
     """True if the task is done; once true in an episode it should stay true."""
     columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     """Values to record, by column name (`Task.columns`), [W, ...] each."""
     ended: str = ""
-    """The word in ``info["ended"]`` for an episode that the rules end; by default ``success`` or ``terminated``."""
+    """Word in ``info["ended"]`` for an episode that the rules end; if empty, ``success`` or ``terminated``."""
     events: Sequence[tuple[int, Event]] = ()
     """Events of this step with the world that each belongs to."""
 
 
 def rules_dict(spec: Any) -> dict[str, Any]:
-    """Rules of an episode as a dictionary, as recordings and episode files hold them.
+    """Return rules of an episode as a dictionary, as recordings and episode files hold them.
 
     A rule added after the first version of the format has no entry as long as it has its neutral value: people turn on
     the spot (no ``stride``), nobody is solid, no floor moves, people collide with their whole bodies, and no skill is
@@ -138,7 +139,7 @@ def rules_dict(spec: Any) -> dict[str, Any]:
 
 
 def with_options(spec: Any, **options: Any) -> Any:
-    """Rules with some options replaced; options that are None leave them as they are.
+    """Return rules with some options replaced; options that are None leave them as they are.
 
     Beside the fields of ``spec`` there are ``rules``, the name of a set of rules (``paper`` or ``natural``) that the other
     options change, and ``human_speed``, the walking speed of people [m/s].
@@ -175,10 +176,10 @@ _RULE_KINDS = {
 
 
 def rule_value(spec: Any, name: str, value: Any) -> Any:
-    """The value of a rule, given as JSON, in the type that the rules have.
+    """Return the value of a rule, given as JSON, in the type that the rules have.
 
     Raises:
-        InputError: the task has no such rule, or its values are of another type.
+        InputError: The task has no such rule, or its values are of another type.
     """
     there = [f.name for f in fields(spec) if type(getattr(spec, f.name)) in _RULE_KINDS]
     if name not in there:
@@ -189,6 +190,7 @@ def rule_value(spec: Any, name: str, value: Any) -> Any:
         value = float(value)
     if kind is tuple and isinstance(value, list) and len(value) == len(now):
         value = tuple(map(_rule_number, value))
+    # True is an int to Python and NaN a float, so types are compared exactly and NaN is refused
     numbers = value if isinstance(value, tuple) else (value,)
     if type(value) is not kind or any(number is None or number != number for number in numbers):
         given = value if isinstance(value, str) else json.dumps(value)

@@ -1,4 +1,4 @@
-"""Rollouts of episodes: W worlds of one task, or one world whose agents are asked in turn."""
+"""Rollouts of episodes in W worlds of one task, or in one world whose agents are asked in turn."""
 
 from __future__ import annotations
 
@@ -46,26 +46,26 @@ class Rules(Protocol):
         ...
 
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> Mapping[str, Any] | None:
-        """Prepares the worlds ``rows`` [n], whose episodes have just begun."""
+        """Prepare the worlds ``rows`` [n], whose episodes have just begun."""
 
     def judge(self, play: WorldRollout) -> StepOutcome:
-        """Returns reward, end and events of the step that all worlds have just made."""
+        """Return reward, end and events of the step that all worlds have just made."""
         ...
 
     def view(self, play: WorldRollout, agent: int, world: int) -> Any:
-        """Returns the observation of an agent's policy in one world."""
+        """Return the observation of an agent's policy in one world."""
         ...
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Returns the observations of agents of a kind, beyond pictures, by name."""
+        """Return the observations of agents of a kind, beyond pictures, by name."""
         ...
 
 
 class WorldRollout:
-    """W worlds of one task, each in an episode of its own; `sim_kinematic.tasks.runner.DecisionLoop` plays a world of one."""
+    """Rollout of W worlds of a task, each in its own episode. `sim_kinematic.tasks.runner.DecisionLoop` plays a single one."""
 
     xp: ClassVar[Any] = np
-    """The array namespace: `Task.begin`, `Task.judge` and sensors written with it run on a torch device too."""
+    """Array namespace with which `Task.begin`, `Task.judge` and sensors also run on a torch device."""
 
     def __init__(
         self,
@@ -79,7 +79,7 @@ class WorldRollout:
         objects: int = 0,
         scene_joints: int = 0,
     ) -> None:
-        """Creates worlds without episodes; `begin` puts episodes into them.
+        """Create worlds without episodes; `begin` puts episodes into them.
 
         Args:
             task: rules by which each step is judged.
@@ -158,6 +158,7 @@ class WorldRollout:
             episode.spec,
             episode.roster,
             measure=measure,
+            # without skills nothing moves the things of a home, so they are no part of the state
             objects=len(episode.moving) if has_skills else 0,
             scene_joints=len(joint_names(episode.scene)) if has_skills else 0,
         )
@@ -167,7 +168,7 @@ class WorldRollout:
 
     # --- W worlds -----------------------------------------------------------------------------------------------------
     def begin(self, episodes: Sequence[Episode], rows: NDArray[np.intp] | None = None) -> None:
-        """Begins episodes in the worlds ``rows`` [n] (default: all)."""
+        """Begin episodes in the worlds ``rows`` [n] (default: all)."""
         rows = np.arange(self.world.worlds) if rows is None else rows
         agents = len(self.world.roster)
         if other := next((len(e.roster) for e in episodes if len(e.roster) != agents), 0):
@@ -184,36 +185,39 @@ class WorldRollout:
         self.steps[rows] = 0
         self.team.begin(rows)
         begun = self.task.begin(self, rows)
+        # at first all worlds begin; later the values of the others must stay
         if begun is not None and self.memory is None:
             self.memory = dict(begun)
         elif begun is not None:
             for name, values in begun.items():
-                kept = np.array(self.memory[name])  # a copy: the last outcome may hold the same array
+                # a copy, as the last outcome may hold the same array
+                kept = np.array(self.memory[name])
                 kept[rows] = values[rows]
                 self.memory[name] = kept
 
     def advance(self, commands: Sequence[Command | None]) -> StepOutcome:
-        """Moves all worlds one step and judges it.
+        """Move all worlds one step and judges it.
 
         Raises:
-            InputError: no episode has begun, or the commands do not fit; then nothing has moved.
+            InputError: No episode has begun, or the commands do not fit; then nothing has moved.
         """
         if not self.episodes:
             raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
         self.team.move(commands)
         self.steps += 1
         outcome = self.task.judge(self)
+        # the first outcome is always checked, the others where rewards are used
         if not self._checked or self._checks:
             outcome, self._checked = checked_outcome(self.task, outcome, self.world.worlds), True
         self.outcome = outcome
         return outcome
 
     def extra(self, name: str) -> NDArray[Any]:
-        """An entry of `Episode.extra` of every world, [W, ...]."""
+        """Return an entry of `Episode.extra` for all worlds, [W, ...]."""
         return np.array([episode.extra[name] for episode in self.episodes])
 
     def path_length(self, agent: int, points: Array) -> Array:
-        """Lengths of the shortest paths from an agent to points [W, 2], [W] [m]; inf where there is none."""
+        """Return lengths of the shortest paths from an agent to points [W, 2], [W] [m]; inf where there is none."""
         xz, lengths = self.world.state.agents[agent].xz, np.zeros(self.world.worlds)
         for free, rows in self.world.groups:
             lengths[rows] = free.geodesic(xz[rows], points[rows])
@@ -222,7 +226,7 @@ class WorldRollout:
     def events_where(
         self, flags: NDArray[np.bool_], kind: str, *, agent: int = -1, target: str = ""
     ) -> list[tuple[int, Event]]:
-        """An event of this step for each world where a flag [W] is set, as `StepOutcome.events` takes them."""
+        """Return an event of this step for each world where a flag [W] is set, as `StepOutcome.events` takes them."""
         worlds = np.flatnonzero(flags).tolist()
         return [(w, Event(step=int(self.steps[w]) - 1, agent=agent, kind=kind, target=target)) for w in worlds]
 
@@ -232,17 +236,18 @@ class WorldRollout:
         return self.steps >= self.spec.max_steps
 
     def agent_view(self, agent: int, world: int = 0) -> Any:
-        """Observation of an agent in one world: an `AgentView`, or a `RearrangeView` where agents have skills."""
+        """Return the observation of an agent in one world: an `AgentView`, or a `RearrangeView` where agents have skills."""
         return self.team.view(agent, world)
 
     def observe(
         self, agent: int, world: int, names: Sequence[str], size: PictureSize = None, light: LightMode = "flat"
     ) -> dict[str, NDArray[Any]]:
-        """Named observations of an agent in one world now, exact, as environments show them.
+        """Return named observations of an agent in one world now, exact, as environments show them.
 
         Raises:
             InputError: it has no observation of such a name.
         """
+        # at least one object, as limits of sensors of objects need a number
         if agent not in self._sensors:
             self._sensors[agent] = AgentSensors.of(
                 self.task, self.world.roster[agent], max(self.world.state.held_by.shape[1], 1)
@@ -265,7 +270,7 @@ class WorldRollout:
         size: PictureSize,
         light: LightMode = "flat",
     ) -> dict[str, NDArray[Any]]:
-        """Named pictures of an agent now, as `sim_kinematic.sensing.eyes.see`."""
+        """Return named pictures of an agent now, as `sim_kinematic.sensing.eyes.see`."""
         from sim_kinematic.sensing.eyes import see
 
         bodies, lit_as = [member.body for member in self.world.roster], self.episodes[world].scene
@@ -291,15 +296,15 @@ class WorldRollout:
 
     @property
     def over(self) -> bool:
-        """Returns whether the rules or the time limit have ended the first world's episode."""
+        """Return whether the rules or the time limit have ended the first world's episode."""
         return bool(self.outcome.terminated[0] or self.out_of_time[0])
 
     def view(self, agent: int) -> Any:
-        """Observation of an agent's policy in the first world, as the task defines it."""
+        """Return the observation of an agent's policy in the first world, as the task defines it."""
         return self.task.view(self, agent, 0)
 
     def decide(self, agent: int) -> Any:
-        """Choice of an agent's policy in the first world, in the form that `Control` takes.
+        """Return the choice of an agent's policy in the first world, in the form that `Control` takes.
 
         Raises:
             InputError: the policy returned something else; the message names it.
@@ -320,13 +325,13 @@ class WorldRollout:
 
     # --- recording ----------------------------------------------------------------------------------------------------
     def snapshot(self) -> tuple[Any, dict[str, Any], NDArray[np.bool_]]:
-        """State of the first world after a step; `columns` makes blocks of them."""
+        """Return the state of the first world after a step; `columns` makes blocks of them."""
         judged = {name: values[0] for name, values in self.outcome.columns.items()}
         judged |= {name: getattr(self.outcome, name.partition(".")[2])[0] for name in self._judgement}
         return self.team.snapshot(), judged, self.world.touching[0]
 
     def columns(self, snapshots: Sequence[Any], first: int) -> Columns:
-        """Columns of a recording from the snapshots of consecutive steps, the first of which is step ``first``."""
+        """Return columns of a recording from the snapshots of consecutive steps, the first of which is step ``first``."""
         result: Columns = {"time_ns": np.arange(first + 1, first + len(snapshots) + 1, dtype=np.int64) * STEP_NS}
         own, places, contact = self.team.columns([row[0] for row in snapshots])
         touched: Columns = {}
@@ -369,10 +374,10 @@ def contact_columns(kinds: Sequence[str], touching: NDArray[np.bool_]) -> Column
 
 
 def checked_outcome(task: Rules, outcome: Any, worlds: int) -> StepOutcome:
-    """The outcome, if its arrays are [W], finite, and of the declared columns.
+    """Return the outcome, if its arrays are [W], finite, and of the declared columns.
 
     Raises:
-        H3DataError: they are not: a fault of the task, which the message names with the field.
+        H3DataError: The outcome has another form, which is a fault of the task; the message names it and the field.
     """
     who = f"{type(task).__module__}:{type(task).__qualname__}.judge"
     if not isinstance(outcome, StepOutcome):
@@ -407,7 +412,7 @@ class AgentSensors(NamedTuple):
     agent: str
     sensors: Mapping[str, Sensor]
     limits: Mapping[str, tuple[Array, Array]]
-    """Return the least and the largest values of each sensor."""
+    """Least and largest values of each sensor."""
     pictures: frozenset[str]
 
     @classmethod

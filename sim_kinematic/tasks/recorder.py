@@ -1,4 +1,4 @@
-"""Recording of an episode while it runs: one recorder for all tasks.
+"""Recorder of episodes of all tasks while they run.
 
 Steps become blocks of columns that go to a sink; events, skills and raw input are written between them.
 """
@@ -43,31 +43,29 @@ from sim_kinematic.tasks.task import Task
 
 BLOCK = 30
 """Number of rows that the sink gets at once: one second, which is what a crash may lose."""
-
-
 SHORT_M = 16.0
-"""Lengths up to this are recorded in 16 bits: to 4 mm at 8 m."""
+"""Largest length of sensors that are recorded in 16 bits, which resolve 4 mm at 8 m [m]."""
 
 
 class Sink(Protocol):
-    """Receives an episode while it runs; `h3data.recording.RecordingWriter` is one."""
+    """Receiver of an episode while it runs, such as `h3data.recording.RecordingWriter`."""
 
     def append(self, rows: dict[str, NDArray[Any]]) -> None:
-        """Appends steps: every column, with the same number of rows."""
+        """Append steps: every column, with the same number of rows."""
 
     def event(self, event: Event) -> None:
-        """Appends an event."""
+        """Append an event."""
 
     def skill(self, span: SkillSpan) -> int:
-        """Appends a skill, running or ended, and returns its number."""
+        """Append a skill, running or ended, and returns its number."""
         ...
 
     def input(self, event: InputEvent) -> Any:
-        """Appends raw input of an agent that is controlled from outside."""
+        """Append raw input of an agent that is controlled from outside."""
         ...
 
     def close(self, *, info: dict[str, Any]) -> object:
-        """Completes the recording with the entries of info that are known only at the end."""
+        """Complete the recording with the entries of info that are known only at the end."""
         ...
 
     def abort(self) -> None:
@@ -78,7 +76,7 @@ class RecordedSensors:
     """Sensors of an episode's robots that are recorded with every step."""
 
     def __init__(self, task: Task, roster: Sequence[AgentSpec], names: Sequence[str]) -> None:
-        """Checks the names of the sensors.
+        """Check the names of the sensors.
 
         Raises:
             InputError: there is no robot, or it has no sensor of such a name.
@@ -112,19 +110,20 @@ class RecordedSensors:
                     "low": _one(low.tolist()),
                     "high": _one(high.tolist()),
                 }
+                # 16 bits are fine enough for short lengths only, and halve the size of a scan of many rays
                 short = {*sensor.unit} == {"m"} and low.min() >= 0 and high.max() <= SHORT_M
                 self._types[column] = np.float16 if short else np.float32
 
     @classmethod
     def again(cls, task: Task, roster: Sequence[AgentSpec], recording: Recording) -> RecordedSensors | None:
-        """The sensors that a recording holds, None if there are none; raises as the constructor does."""
+        """Return the sensors that a recording holds, None if there are none; raises as the constructor does."""
         told = recording.episode.info.get("sensors")
         found = [facts for name, facts in told.items() if name in recording.columns] if isinstance(told, dict) else []
         names = dict.fromkeys(str(facts.get("sensor")) for facts in found if isinstance(facts, dict))
         return cls(task, roster, tuple(names)) if names else None
 
     def read(self, play: Any) -> dict[str, Any]:
-        """Values of the step that has just been played, by column."""
+        """Return values of the step that has just been played, by column."""
         values = {}
         for k in self._robots:
             for name, shown in play.observe(k, 0, self._names).items():
@@ -134,7 +133,7 @@ class RecordedSensors:
 
 
 def _one(values: Sequence[Any]) -> Any:
-    """The value if all are equal, else the values as a list."""
+    """Return the value if all are equal, else the values as a list."""
     return values[0] if len(set(values)) == 1 else list(values)
 
 
@@ -150,8 +149,8 @@ class Recorder:
     skills: list[SkillSpan] = field(default_factory=list)
     inputs: list[InputEvent] = field(default_factory=list)
     beside: dict[str, np.generic] = field(default_factory=dict)
-    """Values of columns beside those of the task, taken down with every row. All of them have to be there before the first
-    row, and keep their dtypes. A recording that is simulated again does not have them, so they must not be state."""
+    """Values of further columns, which are written with every row. All of them have to be set before the first row, and keep
+    their dtypes. A recording that is simulated again does not have them, so they must not be state."""
     sensors: RecordedSensors | None = None
     """Sensors that are recorded with every step; their columns are measurements, not state."""
     latest: Any = None
@@ -164,7 +163,7 @@ class Recorder:
         return self._count + len(self._rows)
 
     def add(self) -> None:
-        """Takes down the step that has just been played."""
+        """Take down the step that has just been played."""
         if self.sensors is not None:
             self.beside |= self.sensors.read(self.play)
         self.latest = self.play.snapshot()
@@ -175,7 +174,7 @@ class Recorder:
         self._take()
 
     def input(self, event: InputEvent) -> None:
-        """Takes down raw input."""
+        """Take down raw input."""
         self.inputs.append(event)
         if self.sink is not None:
             self.sink.input(event)
@@ -188,11 +187,11 @@ class Recorder:
         return {name: np.concatenate([b[name] for b in self.blocks]) for name in self.blocks[0]}
 
     def latest_columns(self) -> Columns:
-        """Columns of the step that has just been played, one row each, without the hash of the state."""
+        """Return columns of the step that has just been played, one row each, without the hash of the state."""
         return self.play.columns([self.latest], len(self) - 1)
 
     def flush(self) -> None:
-        """Hands all rows to the sink now, so that a crash from here on loses none of them."""
+        """Hand all rows to the sink now, so that a crash from here on loses none of them."""
         self._close_block()
 
     def finish(self, info: Mapping[str, Any]) -> Recording:
@@ -200,6 +199,7 @@ class Recorder:
         self.play.finish()
         columns = self.columns()
         self._take()
+        # agents that report a skill in every step have no spans yet: their columns have all of them
         for span in () if self.skills else skill_spans(columns, self.header.agents):
             self._skill(span)
         recording = finished(self.header, columns, info, self.skills, self.events, self.inputs)
@@ -213,7 +213,7 @@ class Recorder:
             self.sink.abort()
 
     def _take(self) -> None:
-        """Events and skills since the last step."""
+        """Write the events and skills since the last step."""
         for event in self.play.events:
             self.events.append(event)
             if self.sink is not None:
@@ -235,6 +235,7 @@ class Recorder:
         block |= {
             name: np.array(values) for name, values in zip(self.beside, zip(*self._beside, strict=True), strict=True)
         }
+        # each hash covers the ones before, so that the last row vouches for the whole recording
         last_hash = int(self.blocks[-1]["state_hash"][-1]) if self.blocks else 0
         block["state_hash"] = state_hash(block, previous=last_hash)
         if self.sink is not None:
@@ -252,7 +253,7 @@ def finished(
     events: Sequence[Event],
     inputs: Sequence[InputEvent] = (),
 ) -> Recording:
-    """A recording from its parts."""
+    """Return a recording from its parts."""
     episode = replace(header.episode, info={**header.episode.info, **info})
     return Recording(
         episode=episode,
@@ -271,7 +272,7 @@ def finished(
 def describe(
     task: Task, episode: Episode, policies: Sequence[AssignedPolicy], *, episode_id: str = "0", reference: str = ""
 ) -> RecordingHeader:
-    """Header of a recording, known before the first step: agents, bodies, scene and rules.
+    """Return the header of a recording, known before the first step: agents, bodies, scene and rules.
 
     ``reference`` (``module:Class``) is recorded for tasks that the package does not know by name.
     """
@@ -290,7 +291,8 @@ def describe(
         info["profile"] = task.profile
     for own in (reference, task.profile):
         if own and REFERENCE.fullmatch(own) and not own.startswith("__main__:"):
-            trust(own.partition(":")[0])  # it runs already: this process may read what it records
+            # its code runs already, so this process may also load it by the name in the recording
+            trust(own.partition(":")[0])
     robots = {member.model for member in episode.roster if member.kind == "robot"}
     if digests := {model: digest for model in sorted(robots) if (digest := robot_digest(model))}:
         info["robots_sha256"] = digests
@@ -332,7 +334,7 @@ def describe(
 
 
 def _moving(bodies: tuple[Body, ...], poses: Mapping[str, Array]) -> tuple[Body, ...]:
-    """Bodies of the scene, of which those with poses may move."""
+    """Return bodies of the scene, of which those with poses may move."""
     numbers = {name: k for k, name in enumerate(poses)}
     return tuple(
         replace(body, pose=poses[body.name].astype(np.float32), moving=numbers[body.name])
@@ -366,7 +368,7 @@ def _agent(task: Task, member: AgentSpec) -> Agent:
 
 
 def skill_spans(columns: Mapping[str, NDArray[Any]], agents: Sequence[Agent]) -> tuple[SkillSpan, ...]:
-    """The runs of equal codes in each agent's ``skill`` column, as spans."""
+    """Return the runs of equal codes in each agent's ``skill`` column, as spans."""
     spans = []
     for index, agent in enumerate(agents):
         codes = columns.get(f"agent_{index}.skill")

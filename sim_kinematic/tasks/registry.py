@@ -1,4 +1,4 @@
-"""Tasks by name: those of the package, entry points of the group ``h3data.tasks``, and ``module:Class``."""
+"""Lookup of tasks by name: included ones, entry points of the group ``h3data.tasks``, and ``module:Class``."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ BUILT_IN = {
 
 @cache
 def task_registry() -> Registry[Any]:
-    """All tasks by name."""
+    """Return all tasks by name."""
     return Registry("h3data.tasks", BUILT_IN, what="task")
 
 
 def find_task(task: str | Task | type[Task]) -> Task:
-    """The task with this name or ``module:Class``, of this class, or the task itself.
+    """Return the task with this name or ``module:Class``, of this class, or the task itself.
 
     Raises:
-        InputError: there is none, or what it names is no task.
+        InputError: There is no such task, or the name is that of something else.
     """
     if isinstance(task, Task):
         return task
@@ -52,8 +52,9 @@ def _checked(made: Any, name: str) -> Task:
 
 
 def reference_of(task: Task) -> str:
-    """``module:Class`` of a task that cannot be found by its name; empty for one that can."""
+    """Return ``module:Class`` of a task that cannot be found by its name; empty for one that can."""
     kind = type(task)
+    # whatever goes wrong with the name, an entry point that fails included, the reference still finds the task
     try:
         known = type(find_task(task.name)) is kind
     except Exception:

@@ -21,19 +21,18 @@ from h3data.recording import SCHEMA_VERSION, Recording, RecordingHeader, state_h
 from h3data.scene import FreeSpace, Scene, load_scene
 
 MAX_STEPS = 1_000_000
-"""Number of steps up to which episodes are simulated again: nine hours."""
+"""Largest number of steps of an episode that is simulated again, nine hours."""
 _OF_THE_RUN = ("job", "recovered", "resumed_from", "counterfactual", "human_reactive", "deciding_since")
 """Entries of ``info`` on the origin of a recording, which do not hold for one made from it."""
-
 ADDED = ("metrics.collision_people", "metrics.collision_robots")
-"""Measurements that recordings of earlier versions lack."""
+"""Columns of measurements that recordings of earlier versions lack."""
 
 Columns = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
-    """The first place where a recording and its simulation part."""
+    """First place at which a recording and its simulation differ."""
 
     step: int
     column: str
@@ -54,12 +53,12 @@ class Verification:
 
     @property
     def equal(self) -> bool:
-        """Returns whether every stored value came out again, bit for bit."""
+        """Return whether every stored value came out again, bit for bit."""
         return self.difference is None
 
 
 def compared(recording: Recording, simulated: Columns, ended: str) -> Verification:
-    """Comparison of a recording with its simulation, which ended for the reason ``ended``."""
+    """Return the comparison of a recording with its simulation, which ended for the reason ``ended``."""
     steps = len(recording)
     found = first_difference(recording.columns, simulated)
     done = len(simulated["time_ns"])
@@ -71,10 +70,10 @@ def compared(recording: Recording, simulated: Columns, ended: str) -> Verificati
 def require_recorded(
     recording: Recording, step: int, simulated: Columns, ended: str, names: list[str] | None = None
 ) -> None:
-    """Make sure that the first ``step`` steps came out again; ``names`` are by default all simulated columns.
+    """Check that the first ``step`` steps came out again; ``names`` are by default all simulated columns.
 
     Raises:
-        InputError: they did not, so nothing can follow them.
+        InputError: The steps differ, so nothing can follow them.
     """
     done = len(simulated["time_ns"])
     if done < step:
@@ -91,10 +90,10 @@ def require_recorded(
 
 
 def require_step(recording: Recording, step: int) -> None:
-    """Checks that a recording has a step of this number.
+    """Check that a recording has a step of this number.
 
     Raises:
-        InputError: the recording has fewer steps, or ``step`` is negative.
+        InputError: The recording has fewer steps, or ``step`` is negative.
     """
     if not 0 <= step <= len(recording):
         raise InputError(
@@ -103,10 +102,10 @@ def require_step(recording: Recording, step: int) -> None:
 
 
 def require(recording: Recording, *, info: Iterable[str] = (), columns: Iterable[str] = ()) -> None:
-    """Checks that a recording holds everything needed to simulate it again.
+    """Check that a recording holds everything needed to simulate it again.
 
     Raises:
-        InputError: the recording lacks entries of its info, columns or its scene; the message names them.
+        InputError: The recording lacks entries of its info, columns or its scene; the message names them.
     """
     lacks = [name for name in info if name not in recording.episode.info]
     lacks += ["scene.glb"] if "scene.glb" not in recording.attachments else []
@@ -116,7 +115,7 @@ def require(recording: Recording, *, info: Iterable[str] = (), columns: Iterable
 
 
 def first_difference(recorded: Columns, simulated: Columns, names: Iterable[str] | None = None) -> Difference | None:
-    """The first step at which columns differ in any bit, in the rows that both have; None if there is none.
+    """Return the first step at which columns differ in any bit, in the rows that both have; None if there is none.
 
     ``names`` are by default all simulated columns; one that the recording lacks differs from step 0 on, except `ADDED`.
     Columns that the simulator does not make are checked by the hash alone.
@@ -131,10 +130,12 @@ def first_difference(recorded: Columns, simulated: Columns, names: Iterable[str]
             return Difference(step=0, column=name, recorded="no such column", simulated=_text(ours[:1]))
         theirs = np.asarray(recorded[name])[:rows]
         if name == "state_hash":
+            # not the hash of the simulation: columns that the simulator does not make are part of the recorded one
             ours = state_hash({n: np.asarray(a)[:rows] for n, a in recorded.items()})
         if theirs.dtype != ours.dtype or theirs.shape != ours.shape:
             kinds = (f"{a.dtype} {list(a.shape[1:])}" for a in (theirs, ours))
             return Difference(step=0, column=name, recorded=next(kinds), simulated=next(kinds))
+        # by bits, so that NaN equals NaN, and 0.0 does not equal -0.0
         differ = np.flatnonzero(_bits(theirs) != _bits(ours)) if theirs.size else np.zeros(0, int)
         step = int(differ[0]) // (theirs.size // rows) if len(differ) else rows
         if step < (rows if first is None else first.step):
@@ -152,18 +153,18 @@ def _text(values: NDArray[Any]) -> str:
 
 @lru_cache(maxsize=4)
 def scene_and_map(file: bytes, radius_m: float, height_m: float) -> tuple[Scene, FreeSpace]:
-    """Scene and free floor from a scene file; shared by all recordings in one home."""
+    """Return the scene and free floor from a scene file; shared by all recordings in one home."""
     scene = load_scene(file)
     return scene, FreeSpace.from_scene(scene, radius_m=radius_m, height_m=height_m)
 
 
 def is_counterfactual(recording: Recording) -> bool:
-    """Returns whether its person does not react."""
+    """Return whether its person does not react."""
     return recording.episode.info.get("human_reactive") is False
 
 
 def origin(recording: Recording, step: int) -> dict[str, Any]:
-    """Entries of info about the recording from which another one is made."""
+    """Return entries of info about the recording from which another one is made."""
     return {"uid": recording.episode.uid, "step": step, "policy": recording.episode.info.get("policy")}
 
 

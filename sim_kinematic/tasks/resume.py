@@ -1,8 +1,8 @@
-"""Simulation of recordings: compared step by step, continued from any step, or with other robots among the same people.
+"""Simulation of recordings: to compare them step by step, or to continue them from any step or with other robots.
 
-A recording holds its scene, its rules, its starts, its seed and every decision, so the simulator's state after any step
-follows from it: no hidden numbers are stored. "Resume from step K" plays the K recorded steps, and is refused if that does
-not give the recorded states bit for bit.
+A recording holds its scene, rules, starts, seed and every decision. The simulator's state after any step follows from these, so
+no hidden numbers are stored. "Resume from step K" plays the K recorded steps, and is refused if that does not give the recorded
+states bit for bit.
 """
 
 from __future__ import annotations
@@ -60,10 +60,10 @@ __all__ = [
 
 
 def task_of(recording: Recording) -> Task:
-    """The task of a recording.
+    """Return the task of a recording.
 
     Raises:
-        InputError: it is not installed, or the recording is of no simulated task.
+        InputError: The task is not installed, or the recording is of no simulated task.
     """
     name = str(recording.episode.info.get("task") or recording.episode.task)
     try:
@@ -81,14 +81,13 @@ def task_of(recording: Recording) -> Task:
 
 
 def verify(recording: Recording) -> Verification:
-    """Simulates what was recorded and compares every stored column, and the hash of the state, step by step.
+    """Simulate what was recorded and compares every stored column, and the hash of the state, step by step.
 
-    Policies whose decisions are recorded are neither made nor asked.
-
-    Bit for bit on one architecture; elsewhere the last bits of sines and square roots may differ.
+    Policies whose decisions are recorded are neither made nor asked. Values are equal bit for bit on one architecture;
+    elsewhere the last bits of sines and square roots may differ.
 
     Raises:
-        H3DataError: it cannot be simulated again: its task is not installed, or it lacks something.
+        H3DataError: The recording cannot be simulated again, as its task is not installed or it lacks something.
     """
     task, episode = _restored(recording)
     steps = len(recording)
@@ -110,10 +109,10 @@ def verify(recording: Recording) -> Verification:
 
 
 def verify_episode(recording: Recording, task: Task, episode: Episode, people: Any = None) -> Verification:
-    """Plays an episode with the robots' recorded decisions, and compares the outcome with the recording as `verify` does.
+    """Play an episode with the robots' recorded decisions, and compares the outcome with the recording as `verify` does.
 
-    Nothing else of the recording is used: it is wrong if it is of another episode, or if people did not decide as their policy
-    does. The results that the task adds at the end (`EpisodeCodec.final_info`) are compared too.
+    Nothing else of the recording is used, so a recording of another episode differs, and so does one in which people did not
+    decide as their policy does. The results that the task adds at the end (`EpisodeCodec.final_info`) are compared too.
 
     Args:
         recording: The recording to check.
@@ -122,7 +121,7 @@ def verify_episode(recording: Recording, task: Task, episode: Episode, people: A
         people: Policy of people, a name or an object (default: the task's own).
 
     Raises:
-        H3DataError: the robots' decisions are not in the recording.
+        H3DataError: The robots' decisions are not in the recording.
     """
     steps, named = len(recording), task.codec.policy_names(recording)
     if [agent.kind for agent in recording.agents] != [member.kind for member in episode.roster]:
@@ -142,6 +141,7 @@ def verify_episode(recording: Recording, task: Task, episode: Episode, people: A
     found = compared(recording, played.columns, played.ended)
     if not found.equal:
         return found
+    # through JSON, as the recorded info has been: tuples are lists there
     results = json.loads(msgspec.json.encode(task.codec.final_info(episode, played.play, own)))
     for name, value in results.items():
         if (recorded := recording.episode.info.get(name)) != value:
@@ -158,7 +158,7 @@ def resume(
     ``policy`` moves the robots from then on, ``partner`` the people; ``agents`` chooses by agent or kind.
 
     Raises:
-        InputError: there is no such step or policy, or the recorded states before it do not come out again.
+        InputError: There is no such step or policy, or the recorded states before it do not come out again.
     """
     chosen = {**_by_kind(policy, partner), **(agents or {})}
     if is_counterfactual(recording):
@@ -172,12 +172,12 @@ def resume(
 
 
 def counterfactual(recording: Recording, policy: Any, *, step: int = 0) -> Recording:
-    """Simulates people on their recorded tracks with robots that follow ``policy`` from ``step`` on.
+    """Simulate people on their recorded tracks with robots that follow ``policy`` from ``step`` on.
 
-    People do not react: ``info["human_reactive"]`` is False. It ends with their tracks, or as the rules say.
+    People do not react, so ``info["human_reactive"]`` is False. The episode ends with their tracks, or by its rules.
 
     Raises:
-        InputError: as `resume`; or it has no robot or no person, or a person's body was not recorded.
+        InputError: As `resume`; or there is no robot or no person, or a person's body was not recorded.
     """
     if {agent.kind for agent in recording.agents} != {"robot", "human"}:
         raise InputError(
@@ -188,7 +188,7 @@ def counterfactual(recording: Recording, policy: Any, *, step: int = 0) -> Recor
 
 
 class AddedTime(NamedTuple):
-    """Time by which robots make a person later."""
+    """Time that robots cost one person."""
 
     person: str
     goals: int
@@ -198,13 +198,13 @@ class AddedTime(NamedTuple):
 
 
 def added_time(recording: Recording) -> list[AddedTime]:
-    """Added time of each person of a crowd: the same seed and starts are simulated once more without robots.
+    """Return the added time of each person of a crowd: the same seed and starts are simulated once more without robots.
 
-    What differs is what the robots cause. People compare by the goals that they go to in both; who goes elsewhere because of
-    a robot is compared up to there.
+    The difference is caused by the robots. People are compared by the goals that they go to in both simulations, up to the
+    first one that differs because of a robot.
 
     Raises:
-        InputError: as `verify`; or people are of no crowd, or there is no robot.
+        InputError: As `verify`; or people are of no crowd, or there is no robot.
     """
     task, episode = _restored(recording)
     robots, people = _numbers(recording, "robot"), _numbers(recording, "human")
@@ -251,7 +251,7 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
         since=step,
     )
     robots = [n for n in played.columns if any(n.startswith(f"agent_{k}.") for k in _numbers(recording, "robot"))]
-    # beside a kept track, what was measured of the person may differ in its last bits
+    # people keep their recorded tracks, which are rounded, so measurements of them may differ in the last bits
     require_recorded(
         recording, step, played.columns, played.ended, robots if keeps_people and not task.control.has_skills else None
     )
@@ -307,6 +307,7 @@ class _Played:
         self.skills: tuple[SkillSpan, ...] = tuple(recorder.skills)
         self.events: tuple[Event, ...] = tuple(recorder.events)
         rows = len(self.columns["time_ns"])
+        # raw input before the change is that of the same steps, and replays need it
         self.inputs: tuple[InputEvent, ...] = tuple(
             event for event in recording.inputs if event.time_ns < since * recording.episode.dt_ns
         )
@@ -324,6 +325,7 @@ class _Played:
             if name in recording.columns and _is_kept(name, people)
         }
         self.columns |= kept
+        # over the kept columns, which are part of the new recording
         self.columns["state_hash"] = state_hash({n: a for n, a in self.columns.items() if n != "state_hash"})
         cut_short: dict[str, Any] = {} if not task.control.has_skills else {"outcome": "running", "reason": ""}
         cut = [
@@ -341,7 +343,7 @@ class _Played:
 
 
 def _is_kept(column: str, people: Sequence[int]) -> bool:
-    """Returns whether a column is taken from the recording if people keep their tracks; what they hold is simulated again."""
+    """Return whether a column of people who keep their tracks is the recorded one. What they hold is simulated again."""
     if column.startswith("sim."):
         return True
     return column.startswith(tuple(f"agent_{k}." for k in people)) and not column.endswith("grasp_body")
@@ -372,7 +374,7 @@ def _assigned(
     keeps_people: bool = False,
     recorded: Collection[int] = (),
 ) -> list[AssignedPolicy]:
-    """The policy of each agent: the one that is chosen, else the recording's own; none for those in ``recorded``."""
+    """Return the policy of each agent: the one that is chosen, else the recording's own; none for those in ``recorded``."""
     named = task.codec.policy_names(recording)
     result = []
     for k, member in enumerate(episode.roster):
@@ -399,14 +401,14 @@ def _assigned(
 
 
 def _policy(task: Task, episode: Episode, number: int, choice: Any) -> AssignedPolicy:
-    """The policy with a recorded name, or one that is chosen instead; whoever decided outside is not here."""
+    """Return the policy with a recorded name, or one that is chosen instead; for ``external`` one that does nothing."""
     if choice == "external":
         return AssignedPolicy(task.control.still(episode, number), "external", episode.roster[number].kind)
     return make_policy(task, episode, number, choice)
 
 
 def _chosen_for(episode: Episode, number: int, new: dict[str, Any]) -> Any:
-    """The choice for one agent: by its name, else by its kind, one for all or one for each."""
+    """Return the choice for one agent: by its name, else by its kind, one for all or one for each."""
     from sim_kinematic.policies.assignment import each_of
 
     member = episode.roster[number]

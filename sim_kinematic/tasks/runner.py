@@ -1,7 +1,7 @@
-"""The only loop over steps, in three forms.
+"""Loop over the steps of an episode, in three forms.
 
-`run` lets policies play an episode to its end, and `simulate` also records it. A `Session` is the same loop for callers
-that bring their own clock, such as a live server or a learning algorithm.
+`run` lets policies play an episode to its end, and `simulate` also records it. A `Session` is the same loop for callers with a
+clock of their own, such as a live server or a learning algorithm.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if not TYPE_CHECKING:
 
 
 class DecisionLoop:
-    """Loop over the turns of an episode: the agent that must decide next, or the end of a step."""
+    """Loop over the turns of an episode, which stops where an agent must decide and at the end of each step."""
 
     def __init__(self, play: WorldRollout) -> None:
         self._play, self._left = play, play.spec.max_steps
@@ -42,20 +42,20 @@ class DecisionLoop:
         self._turn = 0
         """Number of agents that have made this step."""
         self._begun = self._ended = False
-        """True if the agent whose turn it is has been shown the others; true if the rules have ended the episode."""
+        """True if the agent whose turn it is has observed the others; true if the rules have ended the episode."""
         self.over = False
         self.asked: int | None = None
-        """The agent that must decide; None: a step is over, or nothing has begun."""
+        """Number of the agent that must decide; None: a step is over, or nothing has begun."""
         self.go_on()
 
     def answer(self, choice: Any) -> None:
-        """Takes the choice of the agent that was asked."""
+        """Take the choice of the agent that was asked."""
         assert self.asked is not None
         self._start(self.asked, choice)
         self._go_on()
 
     def go_on(self) -> None:
-        """Begins the next step."""
+        """Begin the next step."""
         if self._ended or not self._left:
             self.over = True
             return
@@ -64,7 +64,7 @@ class DecisionLoop:
         self._go_on()
 
     def _go_on(self) -> None:
-        """Plays on until an agent must decide or the step is over."""
+        """Play on until an agent must decide or the step is over."""
         play, team = self._play, self._play.team
         while self._turn < len(team.order):
             number = team.order[self._turn]
@@ -110,7 +110,7 @@ def rollout(task: Task, episode: Episode, policies: Assigned | None = None, *, m
     ``measure=False`` leaves out what only rewards need.
 
     Raises:
-        InputError: no such policy or agent.
+        InputError: There is no such policy or agent.
     """
     return WorldRollout.of(task, episode, assign(task, episode, policies), measure=measure)
 
@@ -123,9 +123,9 @@ def run(
     progress: Callable[[int], object] | None = None,
     note: Callable[[int, Any], object] | None = None,
 ) -> str:
-    """Plays an episode to its end, or for ``steps`` at most, under the policies of ``play``; returns what ended it.
+    """Play an episode to its end, or for ``steps`` at most, under the policies of ``play``; returns what ended it.
 
-    ``progress`` is called with 1 after every step, ``note`` with the number of an agent and its choice that no column holds.
+    ``progress`` is called with 1 after every step, ``note`` with the number of an agent and its choice if no column has it.
     """
     if steps == 0:
         return play.ended
@@ -160,7 +160,7 @@ def simulate(
     info: Mapping[str, Any] | None = None,
     sensors: Sequence[str] = (),
 ) -> Recording:
-    """Plays one episode to its end and returns its recording.
+    """Play one episode to its end and returns its recording.
 
     Args:
         task: Task to play.
@@ -174,7 +174,7 @@ def simulate(
         sensors: Names of sensors of robots that are recorded with every step, as columns ``metrics.agent_<i>.<sensor>``.
 
     Raises:
-        InputError: no such policy, agent or sensor, or a policy returned no valid choice.
+        InputError: There is no such policy, agent or sensor, or a policy returned no valid choice.
     """
     assigned = assign(task, episode, policies)
     measured = RecordedSensors(task, episode.roster, sensors) if sensors else None
@@ -189,17 +189,18 @@ def simulate(
             {**task.codec.final_info(episode, play, assigned), **policies_info(assigned), **(info or {})}
         )
     except BaseException:
+        # also when the user stops the process: the rows so far stay readable
         recorder.abort()
         raise
 
 
 def _needs_note(policy: Any, choice: Any) -> bool:
-    """Returns whether a choice is recorded as raw input: commands of a server to an arm are in no column."""
+    """Return whether a choice is recorded as raw input: commands of a server to an arm are in no column."""
     return isinstance(choice, Action) and is_remote(policy)
 
 
 def _record(task: Task, recorder: Recorder, number: int, choice: Any, reason: str = "") -> None:
-    """Takes down a choice as raw input; ``reason``: why it interrupted a running skill."""
+    """Take down a choice as raw input; ``reason``: why it interrupted a running skill."""
     step = len(recorder)
     payload = {"agent": number, "step": step, "choice": task.control.to_json(choice)}
     if reason:
@@ -210,9 +211,9 @@ def _record(task: Task, recorder: Recorder, number: int, choice: Any, reason: st
 
 
 def policies_info(policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-    """Entries of a recording's info that policies themselves know at the end, such as how long a server took.
+    """Return entries of a recording's info that only policies know at the end, such as the times that a server took.
 
-    A policy that has some returns them from ``recorded_info()``; lists of several policies are joined.
+    A policy with such entries returns them from ``recorded_info()``; lists of several policies are joined.
     """
     found: dict[str, Any] = {}
     for assigned in policies:
@@ -234,7 +235,7 @@ class StepResult:
     skills: tuple[SkillSpan, ...]
     """Skills that ended before or in this step, with outcome and reason."""
     refused: Mapping[str, str]
-    """Sentence that says why a skill failed in this step, by agent controlled from outside."""
+    """Reason in a sentence why a skill failed in this step, by the name of an agent controlled from outside."""
     waiting: tuple[str, ...]
     """Agents that wait for a command for the next step (`Session.waiting`)."""
     ended: str
@@ -242,9 +243,9 @@ class StepResult:
 
 
 class _Inbox(External):
-    """Holds the commands for one agent until it decides."""
+    """Policy that holds the commands for one agent until it decides."""
 
-    interrupts_only_when_close = False  # commands interrupt too
+    interrupts_only_when_close = False  # commands interrupt at any distance
 
     def __init__(self, external: External) -> None:
         super().__init__(interrupts_when_close=external.interrupts_when_close)
@@ -254,7 +255,7 @@ class _Inbox(External):
         self.has_news = False
         """True if `pending` has not been followed yet."""
         self.is_urgent = False
-        """True if it interrupts a running skill."""
+        """True if `pending` interrupts a running skill."""
         self.reason = ""
         """Reason why a running skill has just been interrupted."""
 
@@ -264,7 +265,7 @@ class _Inbox(External):
 
 
 class Session:
-    """Episode that advances one step at a time. Agents whose policy is `External` act as `act` says.
+    """Episode that advances one step at a time. Agents whose policy is `External` follow the commands of `act`.
 
     ```python
     session = h3data.session("rearrange", scenes="small:3", agents={"person": External(), "robot": "complement"})
@@ -287,7 +288,7 @@ class Session:
         episode_id: str = "0",
         info: Mapping[str, Any] | None = None,
     ) -> None:
-        """Begins an episode and its recording; arguments are those of `simulate`, and ``info`` is recorded from the start."""
+        """Begin an episode and its recording; arguments are those of `simulate`, and ``info`` is recorded from the start."""
         self.task, self.episode = task, episode
         self._inboxes: dict[int, _Inbox] = {}
         self.policies: list[AssignedPolicy] = []
@@ -311,10 +312,10 @@ class Session:
 
     # --- who and what -------------------------------------------------------------------------------------------------
     def number(self, agent: str) -> int:
-        """Number of the agent with this name; ``person`` is ``human``.
+        """Return the number of the agent with this name; ``person`` is ``human``.
 
         Raises:
-            InputError: there is none.
+            InputError: There is no such agent.
         """
         name = agent if agent in self._numbers else agent.replace("person", "human", 1)
         if name not in self._numbers:
@@ -334,12 +335,12 @@ class Session:
         return tuple(self.episode.roster[k].name for k in self._inboxes if not self.task.control.is_busy(self.play, k))
 
     def observe(self, agent: str) -> Any:
-        """Observation that a privileged policy of this agent would get now (`Task.view`)."""
+        """Return the observation that a privileged policy of this agent would get now (`Task.view`)."""
         return self.play.view(self.number(agent))
 
     # --- commands -----------------------------------------------------------------------------------------------------
     def act(self, agent: str, command: Any) -> None:
-        """Sets the command of an agent for the next step.
+        """Set the command of an agent for the next step.
 
         A new command interrupts a running skill. It is recorded as raw input, so that the recording can be simulated
         again from it.
@@ -353,7 +354,7 @@ class Session:
         inbox.is_urgent = self.task.control.interrupts(self.play, number, choice)
 
     def refusal(self, agent: str, command: Any) -> str | None:
-        """Reason why an agent could not carry out a command now, as a sentence; None if it could. Nothing is carried out.
+        """Return in a sentence why an agent could not carry out a command now; None if it could. Nothing is carried out.
 
         Raises:
             InputError: the agent is not controlled from outside, or the command is malformed.
@@ -371,13 +372,13 @@ class Session:
         return number, self._inboxes[number]
 
     def step(self) -> StepResult:
-        """Plays one step.
+        """Play one step.
 
         An agent that must decide and has no new command continues with its last one, or does nothing
         (`Control.idle`).
 
         Raises:
-            InputError: the episode is over.
+            InputError: The episode is over.
         """
         if self.ended:
             raise InputError(
@@ -386,12 +387,14 @@ class Session:
             )
         if self._turns is None:
             self._turns = DecisionLoop(self.play)
-        else:  # only now: a command that has come since may interrupt a running skill
+        else:
+            # only now: a command that has come since the last step may interrupt a running skill
             self._turns.go_on()
         while self._turns.asked is not None:
             number = self._turns.asked
             if number in self._inboxes:
                 choice, inbox = self._choice(number), self._inboxes[number]
+                # recorded even if it only repeats the last command: a replay asks for a command wherever there was one
                 reason, inbox.reason = inbox.reason, ""
                 _record(self.task, self.recorder, number, choice, reason)
             else:
@@ -417,7 +420,7 @@ class Session:
         )
 
     def close(self, info: Mapping[str, Any] | None = None) -> Recording:
-        """Ends the session and returns its recording; one that has not ended says so in ``info["ended"]``.
+        """End the session and returns its recording; one that has not ended says so in ``info["ended"]``.
 
         ``info`` is recorded too: entries that the caller knows only now.
         """
@@ -445,6 +448,7 @@ class Session:
 
     # --- inside -------------------------------------------------------------------------------------------------------
     def _choice(self, number: int) -> Any:
+        """Return the command of an agent for this step: a new one, or what it does without one."""
         inbox = self._inboxes[number]
         if inbox.has_news:
             inbox.latest, inbox.has_news = inbox.pending, False

@@ -1,4 +1,4 @@
-"""`h3data.session` and `h3data.simulate`: one episode by a few names."""
+"""Implementation of `h3data.session` and `h3data.simulate`, which play one episode that is chosen by names."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def session(
     max_steps: int | None = None,
     **overrides: RuleValue,
 ) -> Session:
-    """Begins an episode that is played one step at a time, with agents driven from outside (h3data docs sessions).
+    """Begin an episode that is played one step at a time, with agents driven from outside (h3data docs sessions).
 
     Args:
         task: Name, ``module:Class``, or a task.
@@ -69,7 +69,7 @@ def session(
 
     Raises:
         InputError: there is no such task, scene, agent, policy or rule.
-        SceneError: no scene has room for the episode.
+        SceneError: No scene has room for the episode.
     """
     changes = {"rules": rules, "human_speed": human_speed, "max_steps": max_steps, **overrides}
     found, episode = _episode(task, scenes, roster, seed, index, spec, robot, human, changes)
@@ -96,7 +96,7 @@ def simulate(
     sensors: Sequence[str] = (),
     **overrides: RuleValue,
 ) -> Recording:
-    """Plays one episode under policies and returns its recording; arguments as `session`.
+    """Play one episode under policies and returns its recording; arguments as `session`.
 
     ``sensors`` of robots, such as ``("lidar",)``, are recorded with every step (h3data docs lidar).
     """

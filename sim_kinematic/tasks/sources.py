@@ -1,4 +1,4 @@
-"""Sources of episodes: homes by name, made at first use and kept, and the episodes that seeds sample in them."""
+"""Sources of episodes: homes by name, opened at first use, and episodes that are sampled in them by seeds."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sim_kinematic.tasks.task import Task
 SceneChoice = str | os.PathLike[str] | Scene
 Scenes = SceneChoice | Sequence[SceneChoice]
 ATTEMPTS = 20
-"""Homes and seeds that are tried before a source gives up: some homes have no room for some episodes."""
+"""Number of homes and seeds that are tried before a source gives up, as some homes have no room for some episodes."""
 
 
 class Home:
@@ -46,12 +46,12 @@ class Home:
 
     @property
     def is_ready(self) -> bool:
-        """Returns whether scene and floor have been made."""
+        """Return whether scene and floor have been made."""
         return "free" in vars(self) and "scene" in vars(self)
 
 
 class EpisodeSource:
-    """Episodes of one task in some homes: scene and episode follow from a run's seed and the episode's index alone."""
+    """Source of episodes of one task in some homes, each determined by the seed of a run and the index of the episode."""
 
     def __init__(
         self,
@@ -63,7 +63,7 @@ class EpisodeSource:
         robot: str | Path | Robot = ROBOT_BODY,
         human: str = HUMAN_BODY,
     ) -> None:
-        """Looks up scenes and agents; scenes are opened at first use.
+        """Look up scenes and agents; scenes are opened at first use.
 
         Args:
             task: task of the episodes.
@@ -74,7 +74,7 @@ class EpisodeSource:
             human: body of people named by their kind.
 
         Raises:
-            InputError: there are no such scenes or agents.
+            InputError: There are no such scenes or agents.
         """
         self.task, self.scenes = task, scenes
         self.spec = task.Spec() if spec is None else spec
@@ -85,17 +85,18 @@ class EpisodeSource:
         self.homes = tuple(Home(source, *size) for source in scene_sources(scenes))
 
     def home_of(self, seed: int, index: int) -> int:
-        """Number of the home of episode ``index`` in the run ``seed``."""
+        """Return the number of the home of episode ``index`` in the run ``seed``."""
         return int(generator(seed, "scene", step=index).integers(len(self.homes)))
 
     def sample(self, seed: int, index: int) -> Episode:
-        """Episode ``index`` of the run ``seed``.
+        """Return the episode ``index`` of the run ``seed``.
 
         Raises:
-            SceneError: after `ATTEMPTS` homes and seeds none gave an episode.
+            SceneError: None of `ATTEMPTS` homes and seeds has room for an episode.
         """
         fault: SceneError | None = None
         for attempt in range(ATTEMPTS):
+            # another seed changes home and episode; another index would give a later episode of the run twice
             run = seed if attempt == 0 else episode_seed(seed, attempt)
             home = self.homes[self.home_of(run, index)]
             try:
@@ -106,7 +107,7 @@ class EpisodeSource:
         raise fault
 
     def prepare(self, runs: Sequence[tuple[int, int]]) -> None:
-        """Makes the homes of some episodes; a progress bar shows how far it is."""
+        """Make the homes of some episodes; a progress bar shows how far it is."""
         numbers = dict.fromkeys(self.home_of(seed, index) for seed, index in runs)
         missing = [self.homes[k] for k in numbers if not self.homes[k].is_ready]
         if not missing:
@@ -119,7 +120,7 @@ class EpisodeSource:
 
 @lru_cache(maxsize=64)
 def _sampled(task: Task, scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: tuple[AgentSpec, ...]) -> Episode:
-    """An episode, sampled once while it is played again and again."""
+    """Return an episode, which is sampled once however often it is played."""
     return task.sample(scene, free, seed, spec, roster)
 
 
@@ -127,7 +128,7 @@ def scene_sources(scenes: Scenes) -> list[Scene | SceneSource]:
     """Scenes by name, as the command line takes them, and given ones, one after the other.
 
     Raises:
-        InputError: there are no such scenes.
+        InputError: There are no such scenes.
     """
     listed = list(scenes) if isinstance(scenes, list | tuple) else [scenes]
     sources: list[Scene | SceneSource] = []

@@ -1,8 +1,8 @@
 """Base class of tasks: how episodes are sampled, how steps are evaluated, and which policies are available.
 
-A task of one's own is a subclass of `Task` with a frozen `TaskSpec`, found by entry point (group ``h3data.tasks``) or as
-``module:Class``. `sample` and `judge` are enough; recording, resuming, environments, datasets, metrics and reports follow
-(h3data docs extending).
+A task of your own is a subclass of `Task` with a frozen `TaskSpec`, found by entry point (group ``h3data.tasks``) or as
+``module:Class``. `sample` and `judge` are enough. Recording, resuming, environments, datasets, metrics and reports then work
+for it (h3data docs extending).
 """
 
 from __future__ import annotations
@@ -86,14 +86,14 @@ class TaskUsage:
     device_rules: Any = None
     """Rules of environments on a device; None: those of the other environments."""
     set_rules: Callable[[SceneSet], Any] | None = None
-    """Returns the rules by which a scene set samples starts; users' changes do not affect them. None: the dataset's rules."""
+    """Function that returns the rules by which a scene set samples starts, whatever users change. None: the dataset's rules."""
     env_options: Mapping[str, Callable[[Any], object]] = field(default_factory=dict)
     """Names of further options of environments, which the task finds in ``WorldRollout.options``, each with a function that
     raises an `InputError` if a value is not allowed."""
     env_partners: Mapping[str, str] = field(default_factory=dict)
     """Policies of the agents that do not act in an environment, by kind, where they are not those of `Task.defaults`."""
     named_kinds: tuple[str, ...] = ("robot", "human")
-    """Kinds of agents of which a job names the policy also where it is the default one."""
+    """Kinds of agents whose policy a job names even if it is the default one."""
     bodies_in_agents: bool = False
     """True if the body that ``--human`` names is written into the roster, for each person of it."""
     crosses_partners: bool = False
@@ -103,7 +103,7 @@ class TaskUsage:
 
 
 class Task:
-    """Base class of tasks. Class attributes declare; methods have defaults that suit robots and people who move about.
+    """Base class of tasks. The defaults of its attributes and methods suit robots and people who move about.
 
     Hooks take W worlds at once, or one where `Task.control` plays one at a time.
     """
@@ -121,7 +121,7 @@ class Task:
     columns: ClassVar[Mapping[str, Any]] = {}
     """Type (dtype) of each column in `StepOutcome.columns`."""
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
-    """Policies by kind of agent and name, beside those that every task has (`sim_kinematic.policies.policy`)."""
+    """Policies by kind of agent and name, besides those of every task (`sim_kinematic.policies.assignment.COMMON`)."""
     defaults: ClassVar[Mapping[str, str]] = {"robot": "wander", "human": "waypoints"}
     """Name of the policy of each kind where none is chosen."""
     usage: ClassVar[TaskUsage] = TaskUsage()
@@ -129,17 +129,18 @@ class Task:
 
     def __init_subclass__(cls) -> None:
         for old, new in _MOVED.items():
-            if old in vars(cls):  # it would never be called
+            # an old hook would never be called, and the task would play by the defaults
+            if old in vars(cls):
                 raise H3DataError(f"The member {cls.__name__}.{old} of a task is {new} now.", code="H3-TASK-070")
         if "name" not in vars(cls):
             cls.name = "".join(f"_{c.lower()}" if c.isupper() else c for c in cls.__name__).lstrip("_")
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     def sample(self, scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: tuple[AgentSpec, ...]) -> Episode:
-        """Samples an episode; everything follows from the arguments.
+        """Sample an episode; everything follows from the arguments.
 
         Raises:
-            SceneError: the scene has no room for it.
+            SceneError: The scene has no room for it.
         """
         free = common_floor(roster, free)
         return Episode(
@@ -162,7 +163,7 @@ class Task:
         robot: str = ROBOT_BODY,
         human: str = HUMAN_BODY,
     ) -> Episode:
-        """`sample` with defaults: the default rules and roster, and the map of the scene.
+        """Return what `sample` gives, by default for the rules and roster of the task and the map of the scene.
 
         ``robot`` and ``human`` are the bodies of agents named by their kind.
         """
@@ -173,14 +174,14 @@ class Task:
 
     # --- rules --------------------------------------------------------------------------------------------------------
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> Mapping[str, Any] | None:
-        """Prepares the worlds ``rows`` [n], whose episodes have just begun; keeps what it needs in ``play.memory``.
+        """Prepare the worlds ``rows`` [n], whose episodes have just begun; keeps what it needs in ``play.memory``.
 
-        It may return that instead: arrays by name, [W, ...], with the values of worlds that begin where they are now. The
-        worlds ``rows`` get theirs. Of a task that plays on a device, this is how it remembers.
+        Instead it may return arrays by name, [W, ...], with the values of worlds that begin now; only those of the worlds
+        ``rows`` are taken over. A task that plays on a device keeps its memory in this way.
         """
 
     def judge(self, play: WorldRollout) -> StepOutcome:
-        """Judges the step that all worlds have just made.
+        """Judge the step that all worlds have just made.
 
         By default nothing is rewarded and an episode lasts ``max_steps``.
         """
@@ -188,33 +189,33 @@ class Task:
         return StepOutcome(reward=nothing, terminated=never, success=never)  # type: ignore[arg-type]
 
     def view(self, play: WorldRollout, agent: int, world: int) -> Any:
-        """Observation of an agent's policy, by default an `AgentView`."""
+        """Return the observation of an agent's policy, by default an `AgentView`."""
         return play.agent_view(agent, world)
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Observations of agents of a kind, beyond pictures, by name; by default `sim_kinematic.sensing.table.SENSORS`."""
+        """Return the sensors of agents of a kind by name, except pictures; by default `sim_kinematic.sensing.table.SENSORS`."""
         from sim_kinematic.sensing.table import sensors_of
 
         return sensors_of(kind)
 
     def info_of(self, play: WorldRollout) -> dict[str, NDArray[Any]]:
-        """Entries of an environment's ``info`` beyond its reward, [W] each."""
+        """Return entries of an environment's ``info`` beyond its reward, [W] each."""
         return {"success": play.outcome.success.copy()}
 
     # --- what it is elsewhere -----------------------------------------------------------------------------------------
     @property
     def codec(self) -> EpisodeCodec[Any]:
-        """Writes and reads its episodes: in episode files, in recordings, in words; by default a `TaskCodec`."""
+        """Write and reads its episodes: in episode files, in recordings, in words; by default a `TaskCodec`."""
         return TaskCodec(self)
 
     # --- policies -----------------------------------------------------------------------------------------------------
     def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
-        """Returns a maker of the policy that a name means in this task beyond its tables; None if only the tables have it.
+        """Return a maker of the policy that a name means in this task beyond its tables; None if only the tables have it.
 
         ``spec`` are the rules that it must fit, None where they are not known yet.
 
         Raises:
-            InputError: what the name means cannot play this task.
+            InputError: The policy of this name cannot play this task.
         """
         del kind, name, spec
         return None

@@ -1,4 +1,4 @@
-"""Agents of a rollout: their controllers, in which order they act, what they see, and how their steps are recorded."""
+"""Agents of a rollout: their controllers, the order in which they act, their observations, and the columns of their steps."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Columns = dict[str, NDArray[Any]]
 
 
 class Team(ABC):
-    """Agents of a rollout. A base class: ``play`` is the `sim_kinematic.tasks.play.WorldRollout`."""
+    """Base class of the agents of a rollout; ``play`` is the `sim_kinematic.tasks.play.WorldRollout`."""
 
     def __init__(self, play: Any) -> None:
         # no circle of references: policies with open connections are freed with the last use of their rollout
@@ -41,49 +41,49 @@ class Team(ABC):
 
     @abstractmethod
     def begin(self, rows: NDArray[np.intp]) -> None:
-        """Begins episodes in the worlds ``rows`` [n]."""
+        """Begin episodes in the worlds ``rows`` [n]."""
 
     def begin_step(self) -> None:
-        """Begins a step of the only world."""
+        """Begin a step of the only world."""
         for controller in self.controllers:
             controller.begin(self.play.step)
 
     def begin_turn(self, number: int) -> None:  # noqa: B027
-        """Called before an agent is asked or moved."""
+        """Prepare an agent before it is asked or moved."""
 
     def end_turn(self, number: int) -> None:  # noqa: B027
         """Update the team after an agent has made its step."""
 
     @abstractmethod
     def move(self, commands: Sequence[Command | None]) -> None:
-        """Completes a step by one command for each agent, None for those whose controllers have moved them."""
+        """Complete a step by one command for each agent, None for agents that their controllers have moved."""
 
     def finish(self) -> None:  # noqa: B027
-        """Closes what is still going on, such as running skills."""
+        """Close what is still going on, such as running skills."""
 
     @abstractmethod
     def view(self, agent: int, world: int) -> Any:
-        """Observation of an agent's policy, for any task."""
+        """Return the observation of an agent's policy, for any task."""
 
     @abstractmethod
     def exact(self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor]) -> dict[str, Array]:
-        """The named observations as they are, [W, n] each."""
+        """Return the named observations as they are, [W, n] each."""
 
     @abstractmethod
     def scenery(self, world: int) -> dict[str, Any]:
-        """Arguments of `sim_kinematic.sensing.eyes.see` that say where everything is in a world."""
+        """Return the arguments of `sim_kinematic.sensing.eyes.see` that describe the present state of a world."""
 
     def new_events(self) -> Sequence[Event]:
-        """Events of agents of the first world in the last step, beyond those that the task judges."""
+        """Return events of agents of the first world in the last step, beyond those that the task judges."""
         return ()
 
     @abstractmethod
     def snapshot(self) -> Any:
-        """The step just played in the first world, as `columns` takes it."""
+        """Return the step just played in the first world, as `columns` takes it."""
 
     @abstractmethod
     def columns(self, snapshots: Sequence[Any]) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:
-        """Columns of consecutive steps, the places of each agent [T, 2], and whether a robot touched an obstacle [T]."""
+        """Return columns of consecutive steps, the places of each agent [T, 2], and whether a robot touched an obstacle [T]."""
 
 
 class MotionTeam(Team):
@@ -104,20 +104,20 @@ class MotionTeam(Team):
         """Places of all agents in this step, once they were requested."""
 
     def begin(self, rows: NDArray[np.intp]) -> None:
-        """Forgets who heeded whom in these worlds."""
+        """Forget traffic and crowds of these worlds, as their agents begin at other places."""
         for w in rows.tolist():
             self._traffic.pop(w, None)
             self._crowds.pop(w, None)
         self._moment = None
 
     def move(self, commands: Sequence[Command | None]) -> None:
-        """Moves all agents of all worlds at once."""
+        """Move all agents of all worlds at once."""
         self.play.world.step(commands)
         self._moment = None
         self._commands = commands
 
     def view(self, agent: int, world: int) -> AgentView:
-        """Observation of an agent in one world."""
+        """Return the observation of an agent in one world."""
         play, w = self.play, world
         episode = play.episodes[w]
         places, was = (
@@ -141,34 +141,37 @@ class MotionTeam(Team):
         )
 
     def _traffic_of(self, world: int) -> Traffic:
+        """Return the traffic of one world, made when an agent that wanders first asks for it."""
         if world not in self._traffic:
             floors = [agent_floor(self.play.episodes[world], number) for number in range(len(self.play.world.roster))]
             self._traffic[world] = Traffic(self.play.world, world, floors)
         return self._traffic[world]
 
     def crowds_of(self, world: int) -> Crowds:
-        """The crowds of one world."""
+        """Return the crowds of one world."""
         if world not in self._crowds:
             self._crowds[world] = Crowds(self.play.world, world, self._where)
         return self._crowds[world]
 
     def _where(self) -> Moment:
+        """Return the places of all agents, put together once per step for all crowds."""
         if self._moment is None:
             self._moment = Moment.of(self.play.world)
         return self._moment
 
     def new_events(self) -> Sequence[Event]:
-        """Reactions to robots and activities that people of crowds have begun."""
+        """Return the reactions to robots and activities that people of crowds have begun."""
         return self._crowds[0].new_events if 0 in self._crowds else ()
 
     def exact(self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor]) -> dict[str, Array]:
-        """The named observations of an agent in all worlds."""
+        """Return the named observations of an agent in all worlds."""
         if not names:
             return {}
         context, who = self._context(agent), (self.play.task.name, self.play.world.roster[agent].name)
         return {name: np.asarray(sensed(name, sensors[name], context, *who), np.float64) for name in names}
 
     def _context(self, agent: int) -> SensorContext:
+        """Return the inputs of an agent's sensors in all worlds."""
         world = self.play.world
         kinds = [member.kind for member in world.roster]
         other = next((n for n, kind in enumerate(kinds) if kind != kinds[agent]), (agent + 1) % len(kinds))
@@ -193,7 +196,7 @@ class MotionTeam(Team):
         )
 
     def _path(self, agent: int, other: int) -> tuple[Array, Array]:
-        """The shortest paths from an agent to another: their lengths [W] [m] and their first way points [W, 2] [m]."""
+        """Return the shortest paths from an agent to another: their lengths [W] [m] and their first way points [W, 2] [m]."""
         world = self.play.world
         lengths = world.geodesic(agent, other)
         xz, to, begun = world.state.agents[agent].xz, world.state.agents[other].xz, world.bases[agent].disc_radius_m / 2
@@ -201,7 +204,7 @@ class MotionTeam(Team):
         return lengths, np.array([first_point(free, a, b, length, beyond_m=begun) for free, a, b, length in ends])
 
     def scenery(self, world: int) -> dict[str, Any]:
-        """The scene as it was sampled, and people in their motion clips."""
+        """Return the scene as it was sampled, and people in their motion clips."""
         play = self.play
         return {
             "state": play.world.state.take(np.array([world])),
@@ -216,7 +219,8 @@ class MotionTeam(Team):
         world, skills = self.play.world, self.play.task.control.skills
         for k, (member, own) in enumerate(zip(world.roster, world.state.agents, strict=True)):
             words = skills.get(member.kind, ())
-            (x, z), heading = own.xz[0].tolist(), own.heading.item(0)  # Python floats: half the time of NumPy's
+            # Python floats take half the time of NumPy's
+            (x, z), heading = own.xz[0].tolist(), own.heading.item(0)
             if isinstance(own, RobotState):
                 command, word = self._commands[k], self.controllers[k].word
                 forward, turn = command[0][0, :2].tolist() if isinstance(command, DriveCommand) else (0.0, 0.0)
@@ -233,7 +237,7 @@ class MotionTeam(Team):
         return numbers
 
     def columns(self, snapshots: Sequence[list[float]]) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:
-        """Columns of robots that drive and of people in motion clips."""
+        """Return columns of robots that drive and of people in motion clips."""
         numbers, steps, floor = np.array(snapshots, np.float64), len(snapshots), self.play.episode.free
         result: Columns = {}
         places, contact, at = [], [], 0
@@ -256,6 +260,7 @@ class MotionTeam(Team):
         return result, places, np.any(contact, axis=0) if contact else None
 
     def _motion_columns(self, k: int, body: Humanoid, own: Array) -> Columns:
+        """Return the columns of a person's motion clip, of the numbers [10, T] in their snapshots."""
         clip = self.play.world.clips[k]
         walk = body.clips[clip]
         columns: Columns = {
@@ -271,5 +276,5 @@ class MotionTeam(Team):
 
 
 def resting_arm(body: Humanoid | Robot) -> Array:
-    """Resting positions of a robot's arm joints, [n]; [0] of a person or of a robot without a hand."""
+    """Return the resting positions of a robot's arm joints, [n]; [0] for a person or a robot without a hand."""
     return body.rest[list(body.arm_columns)].astype(np.float64) if isinstance(body, Robot) else np.zeros(0)

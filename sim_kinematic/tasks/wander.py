@@ -1,4 +1,4 @@
-"""Task in which any robots and people walk about a home from one random point to another: the least that agents can do."""
+"""Task in which any robots and people move about a home from one random point to another."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class WanderCodec(TaskCodec):
     records_judgement: ClassVar[bool] = False
 
     def instruction(self, episode: Episode) -> str:
-        """Instruction in words, the same for all episodes."""
+        """Return the instruction in words, the same for all episodes."""
         del episode
         return "walk about the home"
 
@@ -46,7 +46,7 @@ class WanderCodec(TaskCodec):
         return info
 
     def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
-        """Identifier derived from scene, bodies, seed, rules and, where they differ from the default, policies."""
+        """Return the identifier derived from scene, bodies, seed, rules and, where they differ from the default, policies."""
         digest = scene_attachment(episode.scene)[1]
         models = ",".join(member.model for member in episode.roster)
         what = f"wander:{digest}:{models}:{episode.seed}:{episode.spec.max_steps}:{episode.spec}"
@@ -55,12 +55,12 @@ class WanderCodec(TaskCodec):
         return uid_of(what)
 
     def policy_names(self, recording: Recording) -> list[str]:
-        """Name of each agent's policy; ``wander`` where the recording names none."""
+        """Return the name of each agent's policy; ``wander`` where the recording names none."""
         names = recording.episode.info.get("policies", ["wander"] * len(recording.agents))
         return [str(name) for name in names]
 
     def check_changes(self, recording: Recording, chosen: Mapping[str, Any]) -> None:
-        """Raises an `InputError` if a policy is chosen, which this task does not support."""
+        """Raise an `InputError` if a policy is chosen, which this task does not support."""
         if chosen:
             what = "policy" if "robot" in chosen else "partner"
             raise InputError(
@@ -69,7 +69,7 @@ class WanderCodec(TaskCodec):
 
 
 class Wander(Task):
-    """Everybody goes somewhere, gives way to the others, and an episode lasts ``max_steps``."""
+    """Task in which all agents go to random points and give way to each other, and an episode lasts ``max_steps``."""
 
     name: ClassVar[str] = "wander"
     Spec: ClassVar[type[Any]] = SocialNavSpec
@@ -84,17 +84,18 @@ class Wander(Task):
         return WanderCodec(self)
 
     def sample(self, scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: tuple[AgentSpec, ...]) -> Episode:
-        """Samples random starts from this task's own random stream."""
+        """Sample random starts from this task's own random stream."""
         free = common_floor(roster, free)
         starts = sample_starts(scene, free, seed, spec, roster, "agent_worlds")
         return Episode(scene=scene, free=free, seed=seed, spec=spec, roster=roster, starts=starts)
 
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
-        """Forgets all contacts, so that agents who touch at the start cause an event."""
-        play.memory = np.zeros_like(play.world.touching)  # who touched whom a step ago
+        """Forget all contacts, so that agents who touch at the start cause an event."""
+        # pairs of agents that touched one step ago
+        play.memory = np.zeros_like(play.world.touching)
 
     def judge(self, play: WorldRollout) -> StepOutcome:
-        """Reports each new contact between two agents as an event; rewards are 0 and the rules end no episode."""
+        """Report each new contact between two agents as an event; rewards are 0 and the rules end no episode."""
         world = play.world
         events = [
             (int(w), Event(step=int(play.steps[w]) - 1, agent=a, kind="collision", target=world.roster[b].name))

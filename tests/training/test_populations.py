@@ -175,7 +175,7 @@ def shown(agent: str, rng: np.random.Generator, objects: int = 2) -> dict[str, n
         "arm_depth": rng.uniform(0, 1, (48, 64, 1)).astype(np.float32),
         "humanoid_detector": np.ones(1, np.float32),
     }
-    for name in {*OBSERVATIONS, *PIXELS} - set(found):
+    for name in sorted({*OBSERVATIONS, *PIXELS} - set(found)):  # sets have another order in each process
         low, high = np.maximum(known[name].low, -9), np.minimum(known[name].high, 9)
         found[name] = rng.uniform(low, high).astype(np.float32)
     return found

@@ -1,8 +1,9 @@
-"""A recurrent network that scores what an agent of rearrangement can choose, in a file of plain arrays.
+"""Recurrent network that scores the choices of an agent of rearrangement, stored in a file of plain arrays.
 
-``objects -> shared layer -> GRU(all objects, the rest) -> a score for each skill with each object, and for what has no
-object``. All objects go through the same weights, with their number as one of the inputs: what is learned about one holds for
-the other, and yet a policy may keep to one of them. `h3data_training.populations.networks` is the same in PyTorch.
+``objects -> shared layer -> GRU(all objects, the rest) -> a score for each skill with each object, and for each choice without
+an object``. All objects go through the same weights, with their number as one of the inputs. So what is learned about one
+object holds for the other, and a policy can still prefer one of them. `h3data_training.populations.networks` is the same in
+PyTorch.
 
 The file is that of `sim_kinematic.policies.visual_policy`: arrays and a card, nothing in it is executed.
 """
@@ -21,19 +22,20 @@ from h3data.errors import InputError
 from sim_kinematic.agents.skills import PRIMITIVES
 from sim_kinematic.policies.visual_policy import (
     PICTURES,
+    CardedNetwork,
+    Floats,
     PolicyCard,
     VisualPolicy,
-    affine,
-    digest_of,
+    array_faults,
     picture_features,
     picture_in,
     picture_of,
     picture_shapes,
+    rows_in,
 )
 from sim_kinematic.sensing.encodings import DETECTOR, OF_CHOICES
 from sim_kinematic.sensing.table import HUMANOID_GPS, SENSES
 
-Floats = NDArray[np.floating]
 KIND = "gru_chooser"
 SKILLS_WITH_OBJECT = 4
 """``nav_to_object``, ``nav_to_goal``, ``pick`` and ``place``, the first of `sim_kinematic.agents.skills.choices`."""
@@ -79,26 +81,26 @@ PIXELS = (
 Habitat's configuration, at the places that the task gave them), and the result of its own last choice. It is told neither what
 the person does or holds, nor where objects are now, nor what is at its goal, nor any path."""
 CHOOSING = ("last_done", "last_failed", "interrupted")
-"""Observations without which no chooser works;"""
+"""Observations without which no chooser works."""
 NEEDED = ("held_by_other", *CHOOSING)
-"""and without which none works that does not see."""
+"""Observations without which no chooser works that has no camera."""
 PLACES = ("obj_gps_compass", "way_to_objects", "path_ahead")
-"""Observations that tell where objects are. What the other agent holds is where that agent is, so a chooser without the GPS
-gets zeros there."""
+"""Observations that tell where objects are. An object in the other agent's hand would tell where that agent is, so a chooser
+without the GPS gets zeros for it."""
 
 
 def rest_count(agent: str) -> int:
-    """Returns the number of choices without an object: ``wait`` and a robot's primitives."""
+    """Return the number of choices without an object: ``wait`` and a robot's primitives."""
     return 1 + (len(PRIMITIVES) if agent == "robot" else 0)
 
 
 def numbers_of(observations: tuple[str, ...]) -> tuple[str, ...]:
-    """The observations that are no pictures."""
+    """Return the names of observations that are no pictures."""
     return tuple(name for name in observations if name not in PICTURES)
 
 
 def input_lengths(agent: str, observations: tuple[str, ...] = OBSERVATIONS) -> tuple[int, int]:
-    """Lengths of the inputs of one object, without its number, and of the rest, without features of a picture."""
+    """Return lengths of the inputs of one object, without its number, and of the rest, without features of a picture."""
     observations = numbers_of(observations)
     encodings = [OF_CHOICES[name] for name in observations if name in OF_CHOICES]
     of_object = sum(e.length for e in encodings if e.times == "objects")
@@ -110,7 +112,7 @@ def input_lengths(agent: str, observations: tuple[str, ...] = OBSERVATIONS) -> t
 def encoded(
     shown: Mapping[str, NDArray[Any]], *, agent: str, objects: int, observations: tuple[str, ...] = OBSERVATIONS
 ) -> tuple[Floats, Floats]:
-    """Inputs of the network from observations by name: those of each object [K, F] and the rest [R], float32.
+    """Return inputs of the network from observations by name: those of each object [K, F] and the rest [R], float32.
 
     The last columns of both mark the choice that has been interrupted.
 
@@ -120,6 +122,7 @@ def encoded(
     each, rest = [], []
     for name in numbers_of(observations):
         encoding = OF_CHOICES.get(name)
+        # observations without an encoding have a number for each choice, skill by skill as `choices` lists them
         own = SKILLS_WITH_OBJECT * objects
         length = (
             own + rest_count(agent)
@@ -144,40 +147,25 @@ def encoded(
 
 
 def hides(name: str, observations: tuple[str, ...]) -> bool:
-    """Returns whether inputs of an observation are 0 for what the other agent holds."""
+    """Return whether inputs of an observation are 0 for what the other agent holds."""
     return name in PLACES and "other_gps_compass" not in observations
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SkillPolicyNetwork:
-    """The weights of one policy and what they are for."""
+class SkillPolicyNetwork(CardedNetwork):
+    """Network that scores the choices of an agent of rearrangement.
 
-    card: PolicyCard
-    arrays: Mapping[str, Floats]
-    """By name as in the file: weight and bias of ``object``, ``each_0``, ``each_1`` [4, n], ``rest_0`` and ``rest_1``, those of
-    ``gru`` [3 H, ...], and ``persist`` [1], what is added to the score of the choice that was interrupted. A network that sees
-    has those of `sim_kinematic.policies.visual_policy.picture_shapes` too."""
+    Its arrays are weight and bias of ``object``, ``each_0``, ``each_1`` [4, n], ``rest_0`` and ``rest_1``, those of ``gru``
+    [3 H, ...], and ``persist`` [1], which is added to the score of the choice that was interrupted. A network that sees has
+    those of `sim_kinematic.policies.visual_policy.picture_shapes` too.
+    """
+
     kind: ClassVar[str] = KIND
 
     def __post_init__(self) -> None:
         faults = _faults(self.card, self.arrays)
         if faults:
             raise InputError(f"These arrays make no policy: {'; '.join(faults)}.", code="H3-POLICY-007")
-
-    @property
-    def task(self) -> str:
-        """Name of the task that the policy was trained for."""
-        return self.card.task
-
-    @property
-    def observations(self) -> tuple[str, ...]:
-        """Names of the observations that the policy needs."""
-        return self.card.observations
-
-    @property
-    def sees(self) -> str | None:
-        """Name of the picture that it is shown."""
-        return picture_in(self.card.observations)
 
     @property
     def outputs(self) -> int:
@@ -191,7 +179,8 @@ class SkillPolicyNetwork:
         about: tuple[Any, ...] = (card.task, card.network, card.agent, card.objects, card.observations, card.hold)
         if self.sees:
             about = (*about, card.picture_size)
-        return digest_of(about if card.primitives else (*about, "without primitives"), self.arrays)
+        # digests of files from before cards had this entry stay
+        return self._digest(about if card.primitives else (*about, "without primitives"))
 
     @cached_property
     def offered(self) -> NDArray[np.bool_]:
@@ -201,14 +190,10 @@ class SkillPolicyNetwork:
             found[SKILLS_WITH_OBJECT * self.card.objects + 1 :] = False  # after ``wait``
         return found
 
-    def start(self) -> Floats:
-        """The recurrent state at the start of an episode, [H]."""
-        return np.zeros(self.arrays["gru.weight_hh"].shape[1], np.float32)
-
     def __call__(
         self, each: Floats, rest: Floats, state: Floats, shown: Mapping[str, NDArray[Any]] | None = None
     ) -> tuple[Floats, Floats]:
-        """Scores of all choices and the next state [H], for inputs of `encoded` and the state [H].
+        """Return scores of all choices and the next state [H], for inputs of `encoded` and the state [H].
 
         Raises:
             InputError: the picture that a network sees is not among the observations ``shown``, or has another size.
@@ -216,50 +201,25 @@ class SkillPolicyNetwork:
         count = len(each)
         if self.sees:
             rest = np.concatenate([picture_features(picture_of(self.card, shown or {}), self._layer), rest])
-        things = _rectified(self._layer("object", np.concatenate([each, np.eye(count, dtype=np.float32)], 1)))
-        given = self._layer("gru", np.concatenate([rest, things.ravel()]), "_ih")
-        (r, z, n), (kr, kz, kn) = np.split(given, 3), np.split(self._layer("gru", state, "_hh"), 3)
-        reset, update = _sigmoid(r + kr), _sigmoid(z + kz)
-        state = ((1 - update) * np.tanh(n + reset * kn) + update * state).astype(np.float32)
+        # one-hot numbers of the objects: with equal weights for all, a policy could not keep to one of two alike
+        things = np.maximum(self._layer("object", np.concatenate([each, np.eye(count, dtype=np.float32)], 1)), 0)
+        state = self._remember(np.concatenate([rest, things.ravel()]), state)
         known = np.concatenate([np.broadcast_to(state, (count, len(state))), things], 1)
-        of_objects = self._layer("each_1", _rectified(self._layer("each_0", known)))
-        others = self._layer("rest_1", _rectified(self._layer("rest_0", np.concatenate([state, rest]))))
+        of_objects = self._layer("each_1", np.maximum(self._layer("each_0", known), 0))
+        others = self._layer("rest_1", np.maximum(self._layer("rest_0", np.concatenate([state, rest])), 0))
+        # scores are by skill first and object second, as `choices` lists them; the transposes bring them there
         interrupted = np.concatenate([each[:, -SKILLS_WITH_OBJECT:].T.ravel(), rest[-len(others) :]])
         scores = np.concatenate([of_objects.T.ravel(), others]) + self.arrays["persist"][0] * interrupted
         return scores.astype(np.float32), state
 
-    @cached_property
-    def _columns(self) -> dict[str, Floats]:
-        """The weights by name, [in, out]."""
-        rows = {n: a.reshape(len(a), -1) for n, a in self.arrays.items() if ".weight" in n}
-        return {n: np.ascontiguousarray(a.T, np.float32) for n, a in rows.items()}
-
-    def _layer(self, name: str, x: Floats, kind: str = "") -> Floats:
-        """Outputs [out] or [n, out] of a linear layer for inputs [in] or [n, in]."""
-        rows = np.ascontiguousarray(np.atleast_2d(x), np.float32)
-        out = affine(rows, self._columns[f"{name}.weight{kind}"], self.arrays[f"{name}.bias{kind}"].astype(np.float32))
-        return out if x.ndim == 2 else out[0]
-
-
-def _rectified(x: Floats) -> Floats:
-    return np.maximum(x, 0)
-
-
-def _sigmoid(x: Floats) -> Floats:
-    return 0.5 * (np.tanh(0.5 * x) + 1)
-
 
 def shapes(card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[int, ...]]:
-    """Shapes of all arrays by name, with the widths that the given ones have."""
-
-    def width(name: str) -> int:
-        return arrays[name].shape[0] if name in arrays and arrays[name].ndim else 0
-
+    """Return shapes of all arrays by name, with the widths that the given ones have."""
     of_object, rest = input_lengths(card.agent, card.observations)
     found, features = picture_shapes(card, arrays)
     rest += features
-    wide, hidden = width("object.weight"), width("gru.weight_ih") // 3
-    each, other = width("each_0.weight"), width("rest_0.weight")
+    wide, hidden = rows_in(arrays, "object.weight"), rows_in(arrays, "gru.weight_ih") // 3
+    each, other = rows_in(arrays, "each_0.weight"), rows_in(arrays, "rest_0.weight")
     layers = {
         "object": (wide, of_object + card.objects),
         "each_0": (each, hidden + wide),
@@ -279,7 +239,7 @@ def shapes(card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[in
 
 
 def _faults(card: PolicyCard, arrays: Mapping[str, Floats]) -> list[str]:
-    """Everything that does not fit together, in words."""
+    """Return everything in a card and arrays that does not fit together, in words."""
     if card.network != KIND:
         return [f"unknown network {card.network!r}, expected {KIND}"]
     if card.agent not in ("robot", "human"):
@@ -299,14 +259,4 @@ def _faults(card: PolicyCard, arrays: Mapping[str, Floats]) -> list[str]:
         return [f"it knows {card.objects} objects, expected 1 to 16"]
     if not 1 <= card.hold <= 3000:
         return [f"it thinks again after {card.hold} steps, expected 1 to 3000"]
-    expected = shapes(card, arrays)
-    faults = [f"the array {name} is missing" for name in expected if name not in arrays]
-    faults += [f"unknown array {name}" for name in arrays if name not in expected]
-    for name, array in arrays.items():
-        if name in expected and array.shape != expected[name]:
-            faults.append(f"{name} has the shape {list(array.shape)}, expected {list(expected[name])}")
-        if array.dtype != np.float32:
-            faults.append(f"{name} is {array.dtype}, expected float32")
-        elif not np.isfinite(array).all():
-            faults.append(f"{name} holds numbers that are not finite")
-    return faults
+    return array_faults(arrays, shapes(card, arrays))

@@ -1,4 +1,4 @@
-"""Plays a `SkillPolicyNetwork`: what may be chosen, when to think again, and the best of it."""
+"""Policy that plays a `SkillPolicyNetwork`: which actions are allowed, when it chooses again, and which one it samples."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.policies.visual_policy import PolicyCard
 
 ALERT_M, ALERT_STEPS = 4.0, 5
-"""While the other agent is nearer than this, a running walk is thought over after so many steps: both walk at 2.5 m/s, so
-what was 4 m away may be here in 0.8 s."""
+"""Distance of the other agent below which a policy chooses again during a walk, and the number of steps after which it does. At
+2.5 m/s each, two agents that are 4 m apart meet after 0.8 s."""
 
 
 class RecurrentSkillPolicy:
@@ -33,7 +33,7 @@ class RecurrentSkillPolicy:
     """
 
     def __init__(self, network: SkillPolicyNetwork, objects: int = 2, *, robot: bool = True) -> None:
-        """Checks that the network fits the agent, and starts with an empty memory.
+        """Check that the network fits the agent, and starts with an empty memory.
 
         Args:
             network: the policy.
@@ -41,7 +41,7 @@ class RecurrentSkillPolicy:
             robot: whether the agent is a robot; otherwise it is a person.
 
         Raises:
-            FormatError: the network is for another task, another number of objects or the other agent.
+            FormatError: The network is for another task, another number of objects or the other agent.
         """
         card, agent = network.card, "robot" if robot else "human"
         if card.task != "rearrange":
@@ -64,10 +64,10 @@ class RecurrentSkillPolicy:
         self._thought, self._times = 0, 0
 
     def require_body(self, body: str) -> None:
-        """Refuses another robot than the one that it was trained with.
+        """Check that the robot is the one that the network was trained with.
 
         Raises:
-            FormatError: it is another.
+            FormatError: The robot is another one.
         """
         if body != self.network.card.robot:
             raise FormatError(
@@ -76,12 +76,13 @@ class RecurrentSkillPolicy:
             )
 
     def act(self, view: RearrangeView) -> Action:
-        """Next action, sampled by the scores of the network."""
+        """Return the next action, sampled by the scores of the network."""
         card = self.network.card
         shown = observed(view, card)
         each, rest = encoded(shown, agent=card.agent, objects=card.objects, observations=card.observations)
         scores, state = self.network(each, rest, self.state, shown)
-        self._times = self._times + 1 if view.step == self._thought else 0  # several choices may be made in one step
+        # several choices may be made in one step, and each needs random numbers of its own
+        self._times = self._times + 1 if view.step == self._thought else 0
         may = allowed(view, self.choices, informed=not self.network.sees) & self.network.offered
         self.shown = shown
         number = self.choose(view, each, rest, np.where(may, scores, -np.inf))
@@ -90,11 +91,12 @@ class RecurrentSkillPolicy:
 
     def choose(self, view: RearrangeView, each: Floats, rest: Floats, scores: Floats) -> int:
         """Return the number of a choice, given the network's inputs and scores; forbidden choices score minus infinity."""
+        # Gumbel noise (Gumbel 1954): the largest sum is a sample of the softmax of the scores
         rng = generator(self.seed, f"choices/{view.agent}", world=self._times, step=view.step)
         return int(np.argmax(scores + rng.gumbel(size=len(scores))))
 
     def interrupts(self, view: RearrangeView) -> str:
-        """Reason to interrupt the running action and choose again; empty if there is none."""
+        """Return the reason to interrupt the running action and choose again; empty if there is none."""
         action = view.action
         if action is None or action.skill not in ("nav_to_object", "nav_to_goal"):
             return ""
@@ -108,10 +110,10 @@ class RecurrentSkillPolicy:
 
 
 def observed(view: RearrangeView, card: PolicyCard) -> dict[str, NDArray[np.float32]]:
-    """The observations of a chooser by name: numbers [n], and those of its camera.
+    """Return the observations of a chooser by name: numbers [n], and those of its camera.
 
     Raises:
-        InputError: nobody takes pictures here.
+        InputError: The network observes pictures, and the view takes none.
     """
     shown = observe(view, [name for name in card.observations if name in SENSES])
     taken = [name for name in card.observations if name not in SENSES]
@@ -136,6 +138,7 @@ def allowed(view: RearrangeView, known: Sequence[Action], *, informed: bool = Tr
     for number, (skill, k, *_) in enumerate(known):
         if k < 0:
             continue
+        # each handling skill belongs to the navigation that leads to it
         came = {"pick": "nav_to_object", "place": "nav_to_goal"}.get(skill, skill)
         arrived = done is not None and (done.skill, done.target) == (came, k)
         going_on = begun is not None and (begun.skill, begun.target) == (skill, k)

@@ -22,7 +22,7 @@ from sim_kinematic.policies.policy import PoseAction
 from sim_kinematic.world import World
 
 OTHERS_M = 0.3
-"""Radius of people who follow another policy."""
+"""Radius of people who follow another policy [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,7 +53,7 @@ class Moment(NamedTuple):
 
     @classmethod
     def of(cls, world: World) -> Moment:
-        """Places in all worlds."""
+        """Return the places of all agents now and one step ago."""
         states = world.state.agents, world.before.agents
         return cls(
             *(np.stack([getattr(own, name) for own in agents], 1) for agents in states for name in ("xz", "heading"))
@@ -61,13 +61,13 @@ class Moment(NamedTuple):
 
 
 class Crowds:
-    """The crowds of one world: all people who follow one model make up one.
+    """Crowds of one world, one for each model that people follow.
 
-    People join in their first step, in which they stand still; from the next one on, the first who is asked moves them all.
+    People join in their first step, in which they stand still. From the next step on, the first person who is asked moves all.
     """
 
     def __init__(self, world: World, row: int, moment: Callable[[], Moment]) -> None:
-        """Creates crowds without people for world number ``row``; ``moment`` says where everybody is."""
+        """Create crowds without people for world number ``row``; ``moment`` says where everybody is."""
         self._world, self._row, self._step, self._moment = world, row, -1, moment
         self._members: dict[CrowdModel, dict[int, CrowdMember]] = {}
         self._crowds: dict[CrowdModel, Crowd] = {}
@@ -78,8 +78,9 @@ class Crowds:
         """Reactions to robots and activities that people of the crowds began in the last step."""
 
     def move(self, member: CrowdMember, number: int, step: int) -> PoseAction:
-        """Place of an agent after step number ``step``."""
+        """Return the place of an agent after step number ``step``."""
         members = self._members.setdefault(member.model, {})
+        # another member of the same number is that of a new episode
         if members.get(number) is not member:
             members[number] = member
             self._crowds.pop(member.model, None)
@@ -92,6 +93,7 @@ class Crowds:
         return self._moved[number]
 
     def _move_all(self, model: CrowdModel) -> None:
+        """Move all people who follow one model by one step."""
         w, members = self._row, self._members[model]
         if model not in self._crowds:
             people = list(members.values())
@@ -114,6 +116,7 @@ class Crowds:
                 moments = np.stack([xz[k], was_xz[k]]), np.array([heading[k], was_heading[k]])
                 discs.append(robot_discs(*moments, base.disc_offsets_m, base.disc_radius_m))
             elif k not in members:
+                # people of other models and policies are obstacles that move
                 discs.append(Discs(xz[k, None], was_xz[k, None], np.array([OTHERS_M])))
         others = NO_DISCS
         if len(discs) > 1:

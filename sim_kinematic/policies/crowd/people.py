@@ -36,9 +36,9 @@ class CrowdPolicy:
         role: Role = ALONE,
         routine: Routine | None = None,
     ) -> None:
-        """Makes agent ``number`` of the episode with a seed, with the traits that they have in it.
+        """Make agent ``number`` of the episode with a seed, with the traits that they have in it.
 
-        Who has a routine follows it, and others walk from one random goal to another.
+        A person with a routine follows it; others walk from one random goal to another.
         """
         self._routine = routine
         self._goals = WaypointHuman(free, episode_seed(seed, number), walker)
@@ -49,15 +49,15 @@ class CrowdPolicy:
 
     @property
     def sits(self) -> bool:
-        """Returns whether the person may sit down."""
+        """Return whether the person may sit down."""
         return self._routine is not None
 
     def act(self, view: AgentView) -> PoseAction:
-        """Place after the next step."""
+        """Return the place after the next step."""
         return self.move(view.crowds(), view.agent, view.step)
 
     def move(self, crowds: Crowds, agent: int, step: int) -> PoseAction:
-        """Place after step number ``step``, which the crowds of the person's world know: all that this policy needs."""
+        """Return the place after step number ``step``, computed by the crowds of the person's world."""
         return crowds.move(self.member, agent, step)
 
     @property

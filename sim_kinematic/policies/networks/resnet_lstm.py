@@ -1,7 +1,7 @@
-"""The paper's network: ResNet18 for pictures (He et al. 2016), two layers of LSTM, a linear head. Training and play use it.
+"""The paper's network for training and play: ResNet18 for pictures (He et al. 2016), two layers of LSTM, a linear head.
 
-As in Wijmans et al. 2019 the residual network is half as wide as the original, has group instead of batch norms, and sees a
-picture of half the size; what it finds is squeezed to about 2,048 numbers and then to 512.
+As in Wijmans et al. 2019, the residual network is half as wide as the original, has group instead of batch norms, and gets the
+picture in half its size. Its features are squeezed to about 2,048 numbers and then to 512.
 """
 
 from __future__ import annotations
@@ -17,7 +17,15 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from sim_kinematic.policies.visual_policy import PICTURES, Floats, PolicyCard, VisualPolicy, number_count, picture_in
+from sim_kinematic.policies.visual_policy import (
+    PICTURES,
+    Floats,
+    PolicyCard,
+    VisualPolicy,
+    number_count,
+    picture_in,
+    picture_of,
+)
 
 KIND = "resnet18_lstm"
 GROUPS = 16
@@ -45,6 +53,8 @@ class _Norm(nn.GroupNorm):
 
 
 class _Block(nn.Module):
+    """Residual block of two convolutions (He et al. 2016, section 3.3); a stride or other planes need a convolution to skip."""
+
     def __init__(self, given: int, planes: int, stride: int) -> None:
         super().__init__()
         self.conv_0 = nn.Conv2d(given, planes, 3, stride, 1, bias=False)
@@ -65,7 +75,7 @@ class ResNet18(nn.Module):
     """Residual network for pictures: [n, 1 or 3, H, W] -> features [n, F]."""
 
     def __init__(self, size: tuple[int, int], *, given: int, planes: int, features: int) -> None:
-        """``size`` is width and height [pixels]; ``given`` are the planes of a picture, ``planes`` those of the first stage."""
+        """Make a network for pictures of a ``size`` (width, height) [pixels], with ``planes`` in the first stage."""
         super().__init__()
         self.first = nn.Conv2d(given, planes, 7, 2, 3, bias=False)
         self.norm = _Norm(GROUPS, planes)
@@ -82,7 +92,7 @@ class ResNet18(nn.Module):
         self.out = nn.Linear(squeezed * places, features)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Features [n, F] of pictures [n, 1 or 3, H, W]."""
+        """Return features [n, F] of pictures [n, 1 or 3, H, W]."""
         x = F.max_pool2d(F.relu(self.norm(self.first(F.avg_pool2d(x, 2)))), 3, 2, 1)
         for block in self.blocks:
             x = block(x)
@@ -90,7 +100,8 @@ class ResNet18(nn.Module):
 
 
 def _places(size: tuple[int, int]) -> int:
-    """Positions that are left of a picture (width, height) [pixels]: it is halved once without and five times with a margin."""
+    """Return the number of positions that are left of a picture (width, height) [pixels]."""
+    # halved once by the pooling of the input, which drops an odd row, and five times by layers with a margin, which keep it
     width, height = (side // 2 for side in size)
     for _ in range(5):
         width, height = -(-width // 2), -(-height // 2)
@@ -98,7 +109,7 @@ def _places(size: tuple[int, int]) -> int:
 
 
 class ResNetLSTM(nn.Module):
-    """The actor. Its state [n, S] is what all layers of the LSTM hold, one after the other."""
+    """Network of the actor. Its state [n, S] is that of all layers of the LSTM, one after the other."""
 
     def __init__(
         self,
@@ -110,7 +121,7 @@ class ResNetLSTM(nn.Module):
         features: int = 512,
         hidden: int = 512,
     ) -> None:
-        """``size`` of pictures, None where there are none; ``given`` their planes."""
+        """Make a network for ``numbers`` and pictures of a ``size`` (width, height) with ``given`` planes, or without any."""
         super().__init__()
         self.visual = None if size is None else ResNet18(size, given=given, planes=planes, features=features)
         self.lstm = nn.LSTM((0 if size is None else features) + numbers, hidden, LAYERS)
@@ -118,7 +129,7 @@ class ResNetLSTM(nn.Module):
         self.state_length = 2 * LAYERS * hidden
 
     def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
-        """Input of the recurrent layers, [n, F], for pictures [n, planes, H, W] and numbers [n, N]."""
+        """Return the input of the recurrent layers, [n, F], for pictures [n, planes, H, W] and numbers [n, N]."""
         if self.visual is None or pixels is None:
             return numbers
         with torch.autocast(pixels.device.type, torch.bfloat16, enabled=pixels.is_cuda):
@@ -128,19 +139,20 @@ class ResNetLSTM(nn.Module):
 
     def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """Return the recurrent layers' output for features [T, n, F]: after each step [T, n, H], and the last state [n, S]."""
+        # a state holds the h of all layers, then their c, and LSTM takes them layer by layer
         long, short = state.unflatten(1, (2 * LAYERS, -1)).transpose(0, 1).contiguous().chunk(2)
         out, (long, short) = self.lstm(x, (long, short))
         return out, torch.cat([long, short]).transpose(0, 1).flatten(1)
 
     def take(self, arrays: Mapping[str, Any]) -> None:
-        """Replaces all weights."""
+        """Replace all weights by arrays or tensors by name."""
         with torch.no_grad():
             for name, tensor in self.named_parameters():
                 tensor.copy_(torch.as_tensor(arrays[name]))
 
 
 def pixels_of(picture: Tensor) -> Tensor:
-    """Converts depth or uint8 colours [n, H, W, planes] to the network's input [n, planes, H, W] in half precision.
+    """Convert depth or uint8 colours [n, H, W, planes] to the network's input [n, planes, H, W] in half precision.
 
     Devices store the pictures of whole rollouts in this form.
     """
@@ -154,13 +166,15 @@ class ResNetPolicy(VisualPolicy):
     kind = KIND
 
     def start(self) -> Floats:
-        """Recurrent state at the start of an episode [H]."""
+        """Return the recurrent state at the start of an episode [H]."""
         return np.zeros(2 * LAYERS * self.arrays["lstm.weight_hh_l0"].shape[1], np.float32)
 
     def __call__(self, shown: Mapping[str, NDArray[Any]], last: Floats, state: Floats) -> tuple[Floats, Floats]:
-        """Action [n] and next state [H], for observations by name, the last action [n] and the state [H]."""
+        """Return the action [n] and next state [H], for observations by name, the last action [n] and the state [H]."""
         numbers = torch.as_tensor(self._numbers(shown, last))[None]
-        pixels = pixels_of(torch.as_tensor(np.ascontiguousarray(self._picture(shown)))[None]) if self.sees else None
+        pixels = (
+            pixels_of(torch.as_tensor(np.ascontiguousarray(picture_of(self.card, shown)))[None]) if self.sees else None
+        )
         with torch.no_grad(), one_thread():
             x = self._net.features(pixels, numbers)
             out, after = self._net.remember(x[None], torch.as_tensor(state)[None])
@@ -168,25 +182,27 @@ class ResNetPolicy(VisualPolicy):
 
     @cached_property
     def _net(self) -> ResNetLSTM:
+        """The network with the weights of the file, made at the first evaluation."""
         net = _net(self.card, self.arrays)
         net.take(self.arrays)
         return net.eval()
 
     @classmethod
     def shapes(cls, card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[int, ...]]:
-        """Shapes of all weights by name, for the sizes in a card."""
+        """Return shapes of all weights by name, for the sizes in a card."""
+        # on the device "meta" a network has shapes and no numbers, so a card with huge sizes costs no memory
         with torch.device("meta"):
             net = _net(card, arrays)
         return {name: tuple(tensor.shape) for name, tensor in net.named_parameters()}
 
     @classmethod
     def size_fault(cls, size: tuple[int, int]) -> str:
-        """Sentence about what is wrong with a picture size; empty if it is supported."""
+        """Return the sizes of pictures that the network supports, if this is none of them; otherwise empty."""
         return "" if all(LEAST_SIDE <= side <= 1024 for side in size) else f"sides of {LEAST_SIDE} to 1024"
 
 
 def _net(card: PolicyCard, arrays: Mapping[str, Floats]) -> ResNetLSTM:
-    """A network with the widths that the arrays have, as far as they have one."""
+    """Return an untrained network with the widths of the arrays; for arrays that are missing, with the least widths."""
 
     def rows(name: str, other: int) -> int:
         return arrays[name].shape[0] if name in arrays and arrays[name].ndim else other
@@ -205,7 +221,7 @@ def _net(card: PolicyCard, arrays: Mapping[str, Floats]) -> ResNetLSTM:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """PyTorch in one thread: sums in one order, and no threads that wait for each other."""
+    """Let PyTorch use one thread, so that sums have one order and no threads wait for each other."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

@@ -14,12 +14,12 @@ from sim_kinematic.policies.skills.player import TASKS, NetworkSkill
 from sim_kinematic.policies.visual_policy import VisualPolicy
 
 LEARNED = "learned"
-"""The three skills that come with the package."""
+"""Name of the three skills that come with the package."""
 SHIPPED = tuple(f"policies/{task}.npz" for task in TASKS)
 
 
 def recorded_skills(skills: str) -> str:
-    """Names of learned skills as recordings hold them.
+    """Return names of learned skills as recordings hold them.
 
     They are files of weights with the digests of their contents, separated by commas; or ``learned@`` and one digest of
     all three for the skills that ship with the package.
@@ -29,13 +29,13 @@ def recorded_skills(skills: str) -> str:
             by commas, or an earlier result of this function. Empty means none.
 
     Raises:
-        InputError: a file does not exist, holds no skill, or differs from the digest in its name; or two files are for the
+        InputError: A file does not exist, has no skill, or differs from the digest in its name; or two files are for the
             same skill.
     """
     if not skills:
         return ""
     if skills.partition("@")[0] == LEARNED:
-        skills_of(skills)
+        skills_of(skills)  # raises if the digest in the name is that of another version
         return f"{LEARNED}@{_shipped_digest()}"
     names = []
     for word in skills.split(","):
@@ -49,7 +49,7 @@ def recorded_skills(skills: str) -> str:
 
 
 def _files_in(folder: Path) -> list[Path]:
-    """The policy file of a training run, those of the runs in a folder, or the policy files in it."""
+    """Return the policy file of a training run, those of the runs in a folder, or the policy files in it."""
     runs = [file for file in (folder / RUN_POLICY, *sorted(folder.glob(f"*/{RUN_POLICY}"))) if file.is_file()]
     files = runs or sorted(folder.glob("*.npz"))
     if not files:
@@ -58,6 +58,7 @@ def _files_in(folder: Path) -> list[Path]:
 
 
 def _shipped_digest() -> str:
+    """Return the first 12 digits of one digest of the three included skills."""
     from hashlib import sha256
 
     digests = [network_of(PREFIX + str(builtin_path(file))).digest for file in SHIPPED]
@@ -65,11 +66,11 @@ def _shipped_digest() -> str:
 
 
 def skills_of(skills: str, *, robot: str = "") -> Mapping[str, NetworkSkill]:
-    """The learned skills that names mean, by the skills of the upper layer that they stand for.
+    """Return the learned skills that names mean, by the skills of the upper layer that they stand for.
 
     Raises:
-        InputError: as `recorded_skills`.
-        FormatError: a file is for another robot.
+        InputError: As `recorded_skills`.
+        FormatError: A file is for another robot.
     """
     if not skills:
         return {}
@@ -86,6 +87,7 @@ def skills_of(skills: str, *, robot: str = "") -> Mapping[str, NetworkSkill]:
 
 @lru_cache(maxsize=8)
 def _found(names: tuple[str, ...], robot: str) -> Mapping[str, NetworkSkill]:
+    """Return the skills of files by the skills of the upper layer, loaded once."""
     found: dict[str, NetworkSkill] = {}
     for name in names:
         network = network_of(name)

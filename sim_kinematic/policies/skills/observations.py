@@ -18,7 +18,7 @@ Floats = NDArray[np.floating]
 
 
 class SkillView(NamedTuple):
-    """View of a robot that has one object to handle."""
+    """State of a robot that moves to an object or its goal, or handles it."""
 
     free: FreeSpace
     """The floor for its base."""
@@ -49,7 +49,7 @@ class SkillView(NamedTuple):
 
 
 class SkillContext:
-    """A view as a `sim_kinematic.sensing.table.Context` of one world: the path leads to the stand."""
+    """View of a skill as a `sim_kinematic.sensing.table.Context` of one world, whose path leads to the stand."""
 
     xp = np
     agent = ROBOT
@@ -61,20 +61,20 @@ class SkillContext:
         self.held_by = np.array([ROBOT if view.holds else NOBODY])
 
     def path(self) -> tuple[Floats, Floats]:
-        """The shortest path to the stand: its length [] [m] and its first way point [2] [m]."""
+        """Return the shortest path to the stand: its length [] [m] and its first way point [2] [m]."""
         view, length = self._view, self._view.path_m
         return np.asarray(length), first_point(view.free, view.xz, view.stand_xz, length, beyond_m=view.beyond_m)
 
     def clearance(self, points: Floats) -> Floats:
-        """Signed distance [n] [m] of points [n, 2] to the nearest obstacle."""
+        """Return signed distance [n] [m] of points [n, 2] to the nearest obstacle."""
         return self._view.free.signed_distance(points)
 
     def in_hand(self, points: Floats) -> Floats:
-        """World points [n, 3] in the frame of the hand."""
+        """Return world points [n, 3] in the frame of the hand."""
         return in_frame(self._view.hand, points)
 
 
 def observe(view: SkillView, names: Sequence[str]) -> dict[str, NDArray[np.float32]]:
-    """The named observations, some of `sim_kinematic.sensing.table.OF_SKILLS`, float32."""
+    """Return the named observations, some of `sim_kinematic.sensing.table.OF_SKILLS`, float32."""
     moment = SkillContext(view)
     return {name: np.asarray(TABLE[name].of(moment), np.float32) for name in names}

@@ -1,4 +1,4 @@
-"""Plays a learned skill: a network moves a robot's base, arm and hand until it has done what it should, or cannot any more."""
+"""Play of a learned skill: a network moves a robot's base, arm and hand until the skill succeeds or fails."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ TASKS = {"skill_nav": ("nav_to_object", "nav_to_goal"), "skill_pick": ("pick",),
 """The skills of the upper layer that a policy file stands for, by the task on its card."""
 PICTURE = "arm_depth"
 BEGINS_WITHIN_M = 6.0
-"""``pick`` and ``place`` begin within this distance of their target."""
+"""Largest distance from the target at which ``pick`` and ``place`` begin [m]."""
 
 
 class NetworkSkill:
     """Learned skill of a robot, played by a network whose recurrent state is reset each time that the skill starts."""
 
     def __init__(self, network: VisualPolicy, *, robot: str = "", rules: SkillSpec | None = None) -> None:
-        """Checks that the network fits the robot.
+        """Check that the network fits the robot.
 
         Args:
             network: the policy.
@@ -68,14 +68,14 @@ class NetworkSkill:
         return TASKS[self.network.card.task]
 
     def infeasible(self, actor: RobotActor, action: Action) -> str:
-        """Reason why the skill cannot begin; empty if it can."""
+        """Return the reason why the skill cannot begin; empty if it can."""
         if action.skill in ("nav_to_object", "nav_to_goal"):
             return ""
         gap = self._point(actor, action)[[0, 2]] - actor.xz
         return "out_of_reach" if float(np.hypot(*gap)) > BEGINS_WITHIN_M else ""
 
     def start(self, actor: RobotActor, action: Action) -> Skill:
-        """Begins the skill: the network is evaluated in each step until the skill succeeds or fails."""
+        """Begin the skill: the network is evaluated in each step until the skill succeeds or fails."""
         point = self._point(actor, action)
         stand = actor.open_stand(point)
         if stand is None:
@@ -83,13 +83,14 @@ class NetworkSkill:
         return (yield from self.play(actor, action, point, stand[:2]))
 
     def play(self, actor: RobotActor, action: Action, point: Array, stand_xz: Array) -> Skill:
-        """Moves a robot to a point [3] that is reached from a place [2]."""
+        """Move a robot to a point [3] that is reached from a place [2]."""
         network, moves_arm = self.network, self.network.card.task != "skill_nav"
         state, command = network.start(), np.zeros(network.outputs, np.float32)
         before = actor.xz.copy(), actor.heading
         held = actor.objects.held(actor.number) == action.target
         step = 0
         while step < (self.rules.arm_steps if moves_arm else self.rules.nav_steps):
+            # meanwhile the network is not asked, and its steps do not count
             if actor.aside is not None:
                 actor.step_aside()
                 yield
@@ -109,12 +110,13 @@ class NetworkSkill:
         return SkillResult("failed", "timed_out")
 
     def _point(self, actor: RobotActor, action: Action) -> Array:
+        """Return the point [3] [m] at which the object of an action lies now, or is to be placed."""
         to_object = action.skill in ("nav_to_object", "pick")
         k = action.target
         return (actor.objects.poses[k, :3] if to_object else actor.objects.goals[k]).copy()
 
     def _shown(self, actor: RobotActor, view: SkillView) -> dict[str, NDArray[Any]]:
-        """All that the network is shown now."""
+        """Return the present observations of the network by name."""
         card = self.network.card
         shown: dict[str, NDArray[Any]] = dict(observe(view, [name for name in card.observations if name != PICTURE]))
         if not self.network.sees:
@@ -153,7 +155,7 @@ class NetworkSkill:
     def _ending(
         self, actor: RobotActor, action: Action, point: Array, stand_xz: Array, before: tuple[Array, float], held: bool
     ) -> SkillResult | None:
-        """Returns how it ended in the last step, as in training; None if it goes on."""
+        """Return the result if the skill ended in the last step, by the rules of training; None if it goes on."""
         rules, objects, k = self.rules, actor.objects, action.target
         if action.skill in ("nav_to_object", "nav_to_goal"):
             gap = point[[0, 2]] - actor.xz
@@ -161,6 +163,7 @@ class NetworkSkill:
             cosine = float(gap @ [np.cos(actor.heading), -np.sin(actor.heading)]) / max(straight, 1e-9)
             if straight >= rules.near_m or cosine <= rules.facing_dot:
                 return None
+            # the path last, as it takes a search; near the object but behind a wall is not there
             view = self._view(actor, point, stand_xz, before)
             return SkillResult("done") if view.path_m < rules.near_m else None
         folded = float(np.linalg.norm(actor.hand_pose[:3] - actor.resting_point)) < rules.rest_m

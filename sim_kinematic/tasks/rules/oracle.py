@@ -11,7 +11,7 @@ from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
 
 
 def steps_to_find(path: NDArray[np.float64], heading: float, spec: SocialNavSpec) -> float:
-    """Lower bound of the steps along ``path`` [K, 2] until the robot has found the person.
+    """Return a lower bound of the steps along ``path`` [K, 2] until the robot has found the person.
 
     The person is found when the robot is ``spec.far_m`` from the end of the path and faces along it (paper appendix,
     "Oracle for the Minimum Steps"). The robot turns while it drives, so the larger of the two numbers of steps counts.
@@ -21,7 +21,8 @@ def steps_to_find(path: NDArray[np.float64], heading: float, spec: SocialNavSpec
     lengths = np.hypot(legs[:, 0], legs[:, 1])
     legs, lengths = legs[lengths > 1e-9], lengths[lengths > 1e-9]
     drive = max(float(lengths.sum()) - spec.far_m, 0.0)
-    driven = int(np.searchsorted(np.cumsum(lengths), drive)) + 1  # legs on which the robot is before it has arrived
+    # only legs on which the robot drives: it need not turn at corners beyond its place
+    driven = int(np.searchsorted(np.cumsum(lengths), drive)) + 1
     headings = np.concatenate([[heading], np.arctan2(-legs[:driven, 1], legs[:driven, 0])])
     turn = float(np.abs(wrap_angle(np.diff(headings))).sum())
     robot = spec.robot
@@ -31,7 +32,7 @@ def steps_to_find(path: NDArray[np.float64], heading: float, spec: SocialNavSpec
 def oracle_min_steps(
     free: FreeSpace, robot_xz: NDArray[np.float64], heading: float, track: NDArray[np.float64], spec: SocialNavSpec
 ) -> int | None:
-    """``l``: the first i with ``r_i < i`` along the human's ``track`` [E, 2], tested at every step (paper appendix).
+    """Return ``l``, the first i with ``r_i < i`` along the person's ``track`` [E, 2], tested at every step (paper appendix).
 
     ``track[k]`` is where the person is after step ``k + 1``. None if they cannot be found within the track.
     """

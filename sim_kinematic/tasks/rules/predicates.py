@@ -1,6 +1,6 @@
 """Predicates on states, as pure functions on arrays with any leading axes.
 
-They are Habitat's PDDL predicates (spec/habitat.md 2.2) and those of social navigation.
+They are Habitat's PDDL predicates and those of social navigation.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from sim_kinematic.sensing.sensor import facing
 Flags = NDArray[np.bool_]
 
 OBJECT_AT_M = 0.3
-"""An object nearer to its goal than this is there."""
+"""Distance from its goal below which an object is there [m]."""
 ROBOT_AT_M = 2.0
-"""A robot at most this far from a thing is at it: the domain's value; 3.0 in Habitat's task file is never read."""
+"""Largest distance of a robot that is at a thing, the value of Habitat's domain; 3.0 in its task file is never read [m]."""
 
 
 def is_object_at(position: Any, goal: Any, *, distance_m: float = OBJECT_AT_M, xp: Any = np) -> Any:
-    """``object_at``: whether objects [..., 3] are nearer to goals [..., 3] than this, in space; arrays or tensors."""
+    """Return ``object_at``: whether objects [..., 3] are nearer to goals [..., 3] than a distance, as arrays or tensors."""
     if xp is np:
         position, goal = np.asarray(position, np.float64), np.asarray(goal, np.float64)
     gap = position - goal
@@ -38,7 +38,7 @@ def is_robot_at_position(
     distance_m: float = ROBOT_AT_M,
     angle_rad: float | None = None,
 ) -> Flags:
-    """Habitat's predicate ``robot_at``: whether bases [..., 2] are near positions [..., 3] on the floor.
+    """Return Habitat's predicate ``robot_at``: whether bases [..., 2] are near positions [..., 3] on the floor.
 
     With ``angle_rad``, they must also face the positions to within that angle.
     """
@@ -51,13 +51,13 @@ def is_robot_at_position(
 
 
 def is_holding(held_by: ArrayLike, agent: int = ROBOT, item: int | None = None) -> Flags:
-    """``holding``: whether an agent holds object ``item``, or anything if that is None; of holders [..., O]."""
+    """Return ``holding``: whether an agent holds object ``item``, or anything if it is None, by holders [..., O]."""
     held = np.asarray(held_by) == agent
     return held.any(axis=-1) if item is None else held[..., item]
 
 
 def not_holding(held_by: ArrayLike, agent: int = ROBOT) -> Flags:
-    """``not_holding``: whether an agent holds nothing; of holders [..., O]."""
+    """Return ``not_holding``: whether an agent holds nothing, by holders [..., O]."""
     return ~is_holding(held_by, agent)
 
 
@@ -67,5 +67,5 @@ def is_free(held_by: ArrayLike) -> Flags:
 
 
 def is_found(geodesic_m: Any, facing_dot: Any, spec: SocialNavSpec) -> Any:
-    """Returns whether the robot faces the person at the right distance (paper section 4.1), arrays or tensors [...]."""
+    """Return whether the robot faces the person at the right distance (paper section 4.1), arrays or tensors [...]."""
     return (geodesic_m >= spec.near_m) & (geodesic_m <= spec.far_m) & (facing_dot > spec.facing_dot)

@@ -1,7 +1,7 @@
 """Rewards of both tasks, step by step for W worlds at once, in two profiles.
 
 ``paper`` are the published rewards (appendix, social navigation and social rearrangement), ``habitat`` those of
-habitat-lab's main branch (spec/habitat.md 1.7, 2.1).
+habitat-lab's main branch.
 
 `h3data.metrics` (profile ``habitat``) computes the same over whole recordings; its configuration is used here.
 """
@@ -24,7 +24,7 @@ RewardProfile = Literal["paper", "habitat"]
 
 
 def check_profile(profile: str) -> None:
-    """Raises an `InputError` if there is no such `RewardProfile`."""
+    """Raise an `InputError` if there is no such `RewardProfile`."""
     if profile not in get_args(RewardProfile):
         raise InputError(
             f"Unknown reward {profile!r}. Expected one of: {', '.join(get_args(RewardProfile))}.", code="H3-TASK-041"
@@ -41,7 +41,7 @@ class Encounter(NamedTuple):
     human_xz: ArrayLike
     """Place of the person, shape [W, 2] [m]."""
     geodesic: ArrayLike
-    """Shortest way between the two [m], shape [W]; inf where there is none: then the straight distance counts."""
+    """Length of the shortest path between the two [m], shape [W]; inf where there is none, and the straight distance counts."""
     collides: ArrayLike = False
     """True if both touch, shape [W]."""
     collisions: ArrayLike = 0
@@ -64,14 +64,14 @@ class RewardStep(NamedTuple):
 
     reward: NDArray[np.float64]
     success: NDArray[np.bool_]
-    """The person has been followed long enough. It stays true."""
+    """True once the person has been followed long enough; it stays true."""
     ends: NDArray[np.bool_]
-    """The rules end the episode: a collision."""
+    """True if the rules end the episode, because of a collision."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PaperReward:
-    """The published numbers: ``10 success + r_distance + 3 r_orientation - 0.1``."""
+    """Published reward ``10 success + r_distance + 3 r_orientation - 0.1`` (paper appendix)."""
 
     success: float = 10.0
     kept: float = 2.0
@@ -83,7 +83,7 @@ class PaperReward:
     def of(
         self, distance: Any, before: Any, faces: Any, followed: Any, rules: SocialNavSpec, *, xp: Any = np
     ) -> tuple[Any, Any, Any]:
-        """Computes the reward of a step, from arrays or tensors [W].
+        """Compute the reward of a step, from arrays or tensors [W].
 
         Args:
             distance: distance between robot and person after the step [m].
@@ -96,6 +96,7 @@ class PaperReward:
         Returns:
             The reward; the steps in which the person has been followed now; whether these are enough.
         """
+        # the paper counts 1 m itself as too near and 2 m as right; Habitat's interval is half-open the other way
         near = distance <= rules.near_m
         kept = (distance <= rules.far_m) & ~near
         count = followed + (kept & (faces > rules.facing_dot))
@@ -106,7 +107,7 @@ class PaperReward:
 
 
 class SocialNavReward:
-    """The reward of social navigation in W worlds. It remembers the last distances and how long each robot has followed."""
+    """Reward of social navigation in W worlds, with the last distances and the steps for which each robot has followed."""
 
     def __init__(
         self,
@@ -134,14 +135,15 @@ class SocialNavReward:
     def reset(self, seen: Encounter, *, where: ArrayLike = True) -> RewardStep:
         """Begin new episodes in the worlds ``where`` [W], which look like ``seen``.
 
-        The result is of use in ``habitat`` only: there the reset is evaluated as a step, and may count as followed.
+        The result has a meaning for ``habitat`` only, where the reset is evaluated as a step and may count as followed.
         """
         fresh = np.broadcast_to(np.asarray(where, np.bool_), self.followed.shape)
         new = SocialNavReward(
             int(fresh.sum()), profile=self.profile, rules=self.rules, paper=self.paper, habitat=self.habitat
         )
         first = new.step(seen.of(fresh))
-        if self.profile == "paper":  # what is paid, and counts, begins with the first step
+        # in the paper rewards and followed steps begin with the first step, after the reset
+        if self.profile == "paper":
             new.followed[:] = 0
         self.followed[fresh], self._distance[fresh] = new.followed, new._distance
         self._collisions[fresh], self._found[fresh] = new._collisions, new._found
@@ -154,7 +156,7 @@ class SocialNavReward:
         return result
 
     def step(self, seen: Encounter) -> RewardStep:
-        """Computes the reward of the last step from the state after it."""
+        """Compute the reward of the last step from the state after it."""
         xz, human = np.asarray(seen.robot_xz, np.float64), np.asarray(seen.human_xz, np.float64)
         if xz.shape != (len(self.followed), 2) or human.shape != xz.shape:
             raise InputError(
@@ -197,6 +199,7 @@ class SocialNavReward:
             reward += near * worth.near_human_bonus
         if worth.explore_reward != -1:
             reward += self._explores(np.asarray(seen.robot_xz), first) * worth.explore_reward
+        # as in Habitat, the first step has no distance before it and gives no reward
         reward = np.where(first, 0.0, reward) - worth.collide_penalty * collides
         collisions = np.broadcast_to(np.asarray(seen.collisions, np.int64), straight.shape)
         ends = collides.copy()
@@ -224,11 +227,12 @@ class SocialNavReward:
             distance = geodesic if rules.use_geo_distance else np.hypot(*(goal - xz).T)
         near = (distance >= rules.safe_dis_min) & (distance < rules.safe_dis_max)
         self.followed += near & ((faces > rules.facing_threshold) | (not rules.need_to_face_human))
+        # not in a row, and true from then on: Habitat pays the success in every later step too
         success = self.followed >= rules.following_step_succ_threshold
         return success & (angle < rules.success_angle_dist) if rules.must_look_at_targ else success
 
     def _explores(self, xz: NDArray, first: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Worlds whose robot, which has not found the human, enters a cell of 0.5 m for the first time."""
+        """Return in which worlds the robot has not found the person and enters a cell of 0.5 m for the first time, [W]."""
         new = np.zeros(len(first), np.bool_)
         for w in np.flatnonzero(~first & ~self._found):
             cell = int(np.round(xz[w, 0] * 2)), int(np.round(xz[w, 1] * 2))
@@ -238,7 +242,7 @@ class SocialNavReward:
 
 
 def _each(values: NDArray, shape: tuple[int, ...]) -> NDArray:
-    """Values of this shape; one that holds for all is repeated."""
+    """Return values of this shape; a single one is repeated for all."""
     return values if values.shape == shape else np.broadcast_to(values, shape)
 
 
@@ -251,11 +255,11 @@ class RearrangeReward:
     stage: float = 5.0
     """Reward for each sub-goal (an object picked, an object at its goal), once."""
     collision: float = 5.0
-    """Taken away when the agents touch, which ends the episode."""
+    """Penalty when the agents touch, which ends the episode."""
     slack: float = -0.005
 
     def step(self, held: Any, at_goal: Any, paid: Any, collides: Any, *, xp: Any = np) -> tuple[Any, Any, Any]:
-        """Reward of a step in W worlds of K objects, as arrays or tensors.
+        """Return the reward of a step in W worlds of K objects, as arrays or tensors.
 
         Args:
             held: which objects somebody holds, bool [W, K].
@@ -271,7 +275,7 @@ class RearrangeReward:
         return self.of((stages & ~paid).sum(-1), collides, success), paid | stages, success
 
     def of(self, reached: Any, collides: Any, success: Any) -> Any:
-        """The reward of a step in which ``reached`` sub-goals were paid: numbers, or arrays [W]."""
+        """Return the reward of a step in which ``reached`` sub-goals were paid: numbers, or arrays [W]."""
         return self.stage * reached - self.collision * collides + self.success * success + self.slack
 
 

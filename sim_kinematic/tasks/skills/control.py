@@ -1,4 +1,4 @@
-"""Skills as what agents are told to do: they go to things, take them, put them down, open and close."""
+"""Control of agents by skills: they go to things, take them, put them down, open and close."""
 
 from __future__ import annotations
 
@@ -41,34 +41,35 @@ from sim_kinematic.tasks.skills.household import Household
 from sim_kinematic.tasks.skills.kept_track import SkillTrack, follow_track
 
 SHORT_WAIT = Action("wait", steps=1)
+"""Choice of a robot without a command, which lasts one step, so that the next command is followed at once."""
 
 
 class SkillControl(Control):
-    """Agents have skills; one world at a time."""
+    """Control of agents with skills, in one world at a time."""
 
     has_skills: ClassVar[bool] = True
     observations: ClassVar[tuple[str, ...]] = STATE_SENSES
 
     def __init__(self) -> None:
-        """Creates the control."""
+        """Create the control."""
         super().__init__({"robot": SKILLS, "human": SKILLS[:5]})
 
     def check_roster(self, roster: Sequence[AgentSpec]) -> None:
-        """Raises an `InputError` if a robot of the roster has no arm."""
+        """Raise an `InputError` if a robot of the roster has no arm."""
         for agent in roster:
             if isinstance(agent.body, Robot):
                 agent.body.require_arm()
 
     def team(self, play: Any) -> Household:
-        """Agents and things of one world."""
+        """Return agents and things of one world."""
         return Household(play)
 
     # --- choices from outside -----------------------------------------------------------------------------------------
     def checked(self, play: Any, number: int, choice: Any) -> Action:
-        """Skill, robot command or person command from outside as an `Action`.
+        """Return a skill, robot command or person command from outside as an `Action`.
 
         Raises:
-            InputError: the choice is malformed or names an object or skill that does not exist.
+            InputError: The choice is malformed or names an object or skill that does not exist.
         """
         body = play.episode.roster[number].body
         if not isinstance(choice, Action):
@@ -86,13 +87,16 @@ class SkillControl(Control):
         return choice
 
     def accepted(self, play: Any, number: int, choice: Any) -> Action:
-        """As `checked`; recorded commands of a driven person may be impossible, which they themselves refuse again."""
+        """Return a choice as `checked`, except that a driven person takes any `Action`.
+
+        Their recorded commands may be impossible; in a replay they refuse them again.
+        """
         if isinstance(choice, Action) and isinstance(play.team.actors[number], DrivenPerson):
             return choice
         return self.checked(play, number, choice)
 
     def idle(self, play: Any, number: int, last: Any) -> Action:
-        """Choice to continue the running skill or the last velocity, otherwise to stand for a step."""
+        """Return the choice to continue the running skill or the last velocity, otherwise to stand for a step."""
         runner = play.team.controllers[number]
         if runner.skill is not None:
             return runner.action
@@ -101,47 +105,47 @@ class SkillControl(Control):
         return Action(CONTROL, command=STAND) if isinstance(runner.actor, DrivenPerson) else SHORT_WAIT
 
     def is_busy(self, play: Any, number: int) -> bool:
-        """Returns whether a skill other than ``wait`` is running."""
+        """Return whether a skill other than ``wait`` is running."""
         runner = play.team.controllers[number]
         return not runner.is_free and runner.action.skill != "wait"
 
     def interrupts(self, play: Any, number: int, choice: Any) -> bool:
-        """Returns whether the choice is a skill that interrupts, and not the one that is running already."""
+        """Return whether the choice is a skill that interrupts, and not the one that is running already."""
         return interrupts_skill(choice) and choice != play.team.controllers[number].action
 
     def refusal(self, play: Any, number: int, choice: Any) -> str | None:
-        """Reason why a choice is infeasible now, as a sentence; None if it is feasible."""
+        """Return the reason why a choice is infeasible now, as a sentence; None if it is feasible."""
         actor = play.team.actors[number]
         why = actor.refusal(choice) if isinstance(actor, DrivenPerson) else actor.infeasible(choice)
         return sentence(why) if why else None
 
     def to_json(self, choice: Any) -> Any:
-        """Skill or command as JSON types, for the recorded raw input."""
+        """Return the skill or command as JSON types, for the recorded raw input."""
         return command_to_json(choice)
 
     def from_json(self, data: Any) -> Any:
-        """Skill or command that `to_json` wrote."""
+        """Return the skill or command that `to_json` wrote."""
         return command_from_json(data)
 
     # --- recordings ---------------------------------------------------------------------------------------------------
     def recorded_agent(self, agent: Agent, episode: Episode, *, is_external: bool) -> Agent:
-        """An agent with its skills: in scenes with doors or drawers they include opening and closing."""
+        """Return an agent with its skills: in scenes with doors or drawers they include opening and closing."""
         if is_external and agent.kind == "human":
             agent = replace(agent, skill_names=ALL_SKILLS, action_names=("forward", "turn_left"))
         seen = getattr(episode.spec, "observe", "full") == "seen"
         return replace(agent, skill_names=ALL_SKILLS) if seen or episode.scene.articulations else agent
 
     def needed_columns(self, recording: Recording) -> list[str]:
-        """Skill and skill target of every agent."""
+        """Return the skill and skill target of every agent."""
         return [f"agent_{k}.{name}" for k in range(len(recording.agents)) for name in ("skill", "skill_target")]
 
     def decided(self, recording: Recording, names: Sequence[str]) -> set[int]:
-        """Numbers of all agents, since every skill that is chosen is recorded."""
+        """Return numbers of all agents, since every skill that is chosen is recorded."""
         del names
         return set(range(len(recording.agents)))
 
     def still(self, episode: Episode, number: int) -> Any:
-        """A policy that waits."""
+        """Return a policy that waits."""
         del number
         assert isinstance(episode, RearrangeEpisode)
         return planner("still", episode.seed, len(episode.targets))
@@ -155,7 +159,7 @@ class SkillControl(Control):
         until: int,
         changed: Sequence[bool] = (),
     ) -> list[AssignedPolicy]:
-        """Policies that repeat the recorded skills of each agent until step ``until``, then continue with ``own``."""
+        """Return policies that repeat the recorded skills of each agent until step ``until``, then continue with ``own``."""
         assert isinstance(episode, RearrangeEpisode)
         objects, joints = tuple(target.name for target in episode.targets), joint_names(episode.scene)
         surfaces = surface_names(episode.scene) if episode.spec.observe == "seen" else ()
@@ -181,7 +185,8 @@ class SkillControl(Control):
                 if assigned.policy is not None:
                     begins = until if (changed and changed[k]) or is_remote(assigned.policy) else min(since, until)
                     policy.own, policy.since = assigned.policy, begins
-            if k in commands or on_track:  # of a recording that was continued, only the steps before
+            # a recording that was continued has commands only for the steps before
+            if k in commands or on_track:
                 policy = RecordedCommands(commands.get(k, []), until=min(since or until, until), own=policy)
             policies.append(assigned._replace(policy=policy))
         return policies
@@ -189,7 +194,7 @@ class SkillControl(Control):
     def keep_people(
         self, play: Any, recording: Recording, since: int
     ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
-        """People take things and put them down as recorded, except what is not there."""
+        """Let people take things and put them down as recorded, except things that are not there."""
         first = min(since, _track_from(recording))
         tracks = [SkillTrack.of(recording, person.number, play.team.bodies) for person in play.team.people]
 
@@ -203,7 +208,7 @@ class SkillControl(Control):
 
 
 def _robot_action(command: Any, robot: Robot) -> Action:
-    """The action by which a robot follows a velocity (forward, turn): its arm and its grip stay as they are."""
+    """Return the action by which a robot follows a velocity (forward, turn) while its arm and its grip stay as they are."""
     if np.shape(command) == (2,):
         forward, turn = command
     elif hasattr(command, "forward") and hasattr(command, "turn"):
@@ -217,7 +222,7 @@ def _robot_action(command: Any, robot: Robot) -> Action:
 
 
 def _track_from(recording: Recording) -> int:
-    """The step from which people keep their tracks; the end where they react throughout."""
+    """Return the step from which people keep their tracks; the end where they react throughout."""
     if not is_counterfactual(recording):
         return len(recording)
     step = recording.episode.info.get("counterfactual", {}).get("track_from")

@@ -1,4 +1,4 @@
-"""Places at which agents with oracle skills take and put down the objects of an episode, and their paths to there."""
+"""Places at which agents with oracle skills take and put down the objects of an episode, and paths to these places."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 _ERRANDS = "_errands"
 
 Stands = tuple[Array, Callable[[Array], bool]]
-"""Stands ``(x, z, heading)`` [N, 3] and whether the body has room at one of them."""
+"""Stands ``(x, z, heading)`` [N, 3], and a function that tells whether the body has room at one of them."""
 
 
 def errands_of(episode: RearrangeEpisode, number: int) -> SubGoals:
-    """The errands of an agent in an episode. Computed once and kept with the episode, as long as that is in memory.
+    """Return the errands of an agent in an episode, which are computed once and kept in the episode.
 
     Raises:
-        InputError: something in the home opens.
+        InputError: The home has doors or drawers that open.
     """
     known = vars(episode).setdefault(_ERRANDS, {})
     if number not in known:
@@ -46,6 +46,7 @@ def errands_of(episode: RearrangeEpisode, number: int) -> SubGoals:
 
 
 def _errands(episode: RearrangeEpisode, number: int) -> SubGoals:
+    """Compute the errands of an agent: paths to the places where it takes and puts down each object."""
     starts = np.array([target.start[:3] for target in episode.targets], np.float64)
     goals = np.array([target.goal for target in episode.targets], np.float64)
     floor = agent_floor(episode, number)
@@ -60,7 +61,7 @@ def _errands(episode: RearrangeEpisode, number: int) -> SubGoals:
 
 
 def stand_places(episode: RearrangeEpisode, number: int, points: list[Array]) -> list[Array]:
-    """Floor points [S, 2] from which an agent reaches the given world points [3].
+    """Return floor points [S, 2] from which an agent reaches each of the given world points [3].
 
     For each point they are the nearest to the agent's start and the nearest to the stands of each other point, among
     those with room for the agent's reach.
@@ -77,12 +78,13 @@ def stand_places(episode: RearrangeEpisode, number: int, points: list[Array]) ->
 
 
 def _stands(episode: RearrangeEpisode, number: int, floor: FreeSpace, point: Array) -> Iterator[Stands]:
-    """Stands to be tried one after the other."""
+    """Yield stands to be tried one after the other, the best ones first."""
     body, scene, floor_y = episode.roster[number].body, episode.scene, episode.free.floor_y
     island = island_of(floor, episode.starts[number, :2])
     if isinstance(body, Robot):
         clearance = arm_clearance(scene, body, floor_y)
         stands = robot_stands(floor, body, agent_base(episode, number), point, island=island)
+        # with room for the whole arm if possible, else with a free line from shoulder to point
         for test in (clearance.is_clear, clearance.is_open):
             yield stands, partial(test, point=point)
         return
@@ -96,6 +98,7 @@ def _stands(episode: RearrangeEpisode, number: int, floor: FreeSpace, point: Arr
 
 
 def _nearest(floor: FreeSpace, tried: list[Stands], start: Array) -> Array | None:
+    """Return the place [2] of the nearest stand with room, by the path from ``start`` [2]; None: there is none."""
     for stands, has_room in tried:
         k, _ = nearest_stand(floor, stands, start, is_clear=has_room)
         if k >= 0:

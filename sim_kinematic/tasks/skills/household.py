@@ -1,6 +1,6 @@
-"""Agents who have skills, in one home: what each of them sees and does, and what has happened to things.
+"""Agents with skills in one home: their observations and actions, and the state of the things that they use.
 
-What a step is worth and when the episode ends is for the task to say (`sim_kinematic.tasks.task.Task.judge`).
+The task decides on rewards and on the end of the episode (`sim_kinematic.tasks.task.Task.judge`).
 """
 
 from __future__ import annotations
@@ -69,16 +69,16 @@ DTYPES: dict[str, type] = {
     "object_pose": np.float32,
     JOINTS: np.float32,
 }
-"""Types (dtype) of the columns of a step; those of agents without the prefix ``agent_<i>.``."""
+"""Types (dtype) of the columns of a step, those of agents without their prefix ``agent_<i>.``."""
 CONTACT = "contact"
 COMMANDED = (CONTROL, *PRIMITIVES)
-"""Skills that move a robot as somebody says."""
+"""Skills by which somebody else moves a robot step by step."""
 TRACK = 31
-"""Past positions of the other agent that a policy sees, the present one included."""
+"""Number of positions of the other agent that a policy observes, the present one included."""
 
 
 class Household(Team):
-    """The agents of one home who have skills, and the things that they use: objects, doors, drawers, the floor between them."""
+    """Agents with skills in one home, and the things that they use: objects, doors, drawers and the floor."""
 
     def __init__(self, play: Any) -> None:
         super().__init__(play)
@@ -95,7 +95,7 @@ class Household(Team):
         """`World.touching` where nobody touches anybody."""
 
     def begin(self, rows: NDArray[np.intp]) -> None:
-        """Puts agents and things where the episode begins."""
+        """Put agents and things where the episode begins."""
         del rows
         play, state = self.play, self.play.world.state
         self.episode = episode = play.episode
@@ -110,12 +110,14 @@ class Household(Team):
         self.actors = [self._actor(number) for number in range(len(episode.roster))]
         self.people = [actor for actor in self.actors if isinstance(actor, PersonActor)]
         self.robots = [actor for actor in self.actors if isinstance(actor, RobotActor)]
-        self.order = [actor.number for actor in (*self.people, *self.robots)]  # people first: robots see where to
+        # people move first, so robots see where they are going
+        self.order = [actor.number for actor in (*self.people, *self.robots)]
         self.controllers = [
             SkillController(actor.number, actor, play.spans, names, joints, aim=self.aim) for actor in self.actors
         ]
         self.company = self._introduced()
         self.objects.openables = self._openables()
+        # a drawer in which a goal lies takes it along; -1: the goal lies in none
         owner = joints_of(episode.scene).owner
         self._carriers = [owner.get(t.destination.partition("|")[0], -1) for t in episode.targets]
         self._goals = goals.copy()
@@ -130,9 +132,9 @@ class Household(Team):
         self._look()
 
     def _introduced(self) -> GivingWay:
-        """The agents, and whether they heed each other.
+        """Return the mutual attention of the agents.
 
-        A robot gives way to a person by itself, and the person to nobody: as Habitat's, or as whoever drives them decides.
+        In a pair, the robot may give way alone: by Habitat's rules, or because somebody outside drives the person.
         """
         episode, spec, oracle = self.episode, self.episode.spec, self.episode.spec.oracle
         is_pair = kinds_of(episode.roster) == ("robot", "human")
@@ -151,6 +153,7 @@ class Household(Team):
         )
 
     def _actor(self, number: int) -> RobotActor | PersonActor:
+        """Return the actor of an agent: learned or oracle skills if the rules say so, and a person driven from outside."""
         world, spec, body = self.episode, self.episode.spec, self.episode.roster[number].body
         if isinstance(body, Robot):
             base, clearance = base_of(body, spec.robot), arm_clearance(world.scene, body, world.free.floor_y)
@@ -196,7 +199,7 @@ class Household(Team):
         )
 
     def _openables(self) -> ArticulatedParts | None:
-        """The doors and drawers of the home at their rest positions; None if nothing opens."""
+        """Return the doors and drawers of the home at their rest positions; None if nothing opens."""
         world = self.episode
         if not self.objects.joints:
             return None
@@ -207,11 +210,12 @@ class Household(Team):
             self.company,
             doors=frozenset(self.doorways.joints),
         )
-        self.objects.state.joint_pos[0] = found.joints.rest.astype(np.float32)  # as they are recorded
+        # rounded as in recordings, which continue from these positions
+        self.objects.state.joint_pos[0] = found.joints.rest.astype(np.float32)
         return found
 
     def _move_joints(self, before: NDArray[np.float64]) -> None:
-        """Reports doors and drawers that have opened or closed in this step, as events.
+        """Report doors and drawers that have opened or closed in this step, as events.
 
         When all of them have come to rest, the collision shapes that bodies and arms avoid are updated.
         """
@@ -241,7 +245,7 @@ class Household(Team):
             self._show_scene(openables.scene_now())
 
     def _look(self) -> None:
-        """Has agents take in what they see, and tells what they find or miss as events."""
+        """Update the knowledge of the agents by what they see, and report objects that they find or miss as events."""
         sight, openables, held_by = self.objects.sight, self.objects.openables, self.objects.held_by
         if sight is None:
             return
@@ -249,6 +253,7 @@ class Household(Team):
         if changed and openables is not None:
             sight.open(openables.joints.is_open(openables.positions))
             sight.hidden[:] = [openables.barrier_of(k) >= 0 for k in range(len(held_by))]
+        # between looks only where something has changed: hands and doors reveal and hide objects at once
         if not changed and self.play.step % LOOK_STEPS:
             return
         for agent, k, found in sight.look(np.array(self._places), self.objects.poses[:, :3], held_by):
@@ -263,12 +268,12 @@ class Household(Team):
         self._carry_goals()
 
     def aim(self, number: int, action: Action) -> str:
-        """Give an object the goal of a `Destination`; returns the reason if this is impossible, which it is in most tasks."""
+        """Give an object the goal of a `Destination`, and return the reason if this is impossible, as it is in most tasks."""
         del number, action
         return "no_space"
 
     def _carry_goals(self) -> None:
-        """Moves the goals that are in drawers with these."""
+        """Move goals that are in drawers together with the drawers."""
         openables = self.objects.openables
         if openables is None or max(self._carriers, default=-1) < 0:
             return
@@ -278,6 +283,7 @@ class Household(Team):
                 self.objects.goals[k] = transform_points(motions[joint], self._goals[k][None])[0]
 
     def _show_scene(self, scene: Scene) -> None:
+        """Let all agents move, reach and avoid by a scene whose doors and drawers have come to rest."""
         world, floor_y, self.objects.scene = self.episode, self.episode.free.floor_y, scene
         if world.spec.floor_moves:
             self.floor = common_floor(world.roster, world.free.as_in(scene))
@@ -296,16 +302,16 @@ class Household(Team):
                     actor.object_room = ObjectRoom(scene, self.objects.names, floor_y)
 
     def begin_step(self) -> None:
-        """Decides who steps aside."""
+        """Decide who steps aside."""
         super().begin_step()
         self._held, self._joints = self.objects.held_by.tolist(), self.objects.state.joint_pos[0].copy()
         self.company.begin_step([number for number in self._held if number != NOBODY])
 
     def begin_turn(self, number: int) -> None:
-        """Shows an agent the others; its policy may interrupt what it does."""
+        """Show an agent the others, and interrupt its skill if its policy wants to."""
         controller = self.controllers[number]
         self.company.begin_turn(controller.actor)
-        # a command lasts one step: there is nothing to abort
+        # a command lasts one step, so there is nothing to interrupt
         policy = self.play.policies[number].policy
         rests = self.play.step % getattr(policy, "interrupts_every", 1)
         interrupts = None if controller.is_free or rests else getattr(policy, "interrupts", None)
@@ -316,18 +322,18 @@ class Household(Team):
             controller.interrupt(reason)
 
     def end_turn(self, number: int) -> None:
-        """Notes that an agent has moved."""
+        """Note that an agent has moved."""
         self.company.end_turn(number)
 
     def note_places(self) -> None:
-        """Writes down where everybody is now: in the next call, `World.before` says so."""
+        """Store the poses of all agents now, and those of the last call in `World.before`."""
         world = self.play.world
         for was, place in zip(world.before.agents, self._places, strict=True):
             was.xz[0, 0], was.xz[0, 1], was.heading[0] = place
         self._places = [[*own.xz[0].tolist(), own.heading.item(0)] for own in world.state.agents]
 
     def move(self, commands: Sequence[Command | None]) -> None:
-        """Completes a step in which the agents have moved one after the other."""
+        """Complete a step in which the agents have moved one after the other."""
         del commands
         world, was_at_goal, held_now = self.play.world, self.at_goal, self.objects.held_by.tolist()
         self.company.end_step()
@@ -356,14 +362,14 @@ class Household(Team):
         return self.objects.openables
 
     def finish(self) -> None:
-        """Reports the skills that are still running."""
+        """Report the skills that are still running."""
         success = bool(self.play.outcome.success[0])
         for number in self.order:
             done = success and number in self._finishers
             self.controllers[number].finish(max(self.play.step - 1, 0), completed=done)
 
     def view(self, agent: int, world: int = 0) -> RearrangeView:
-        """The knowledge of an agent at this moment, for policies that choose skills."""
+        """Return the knowledge of an agent at this moment, for policies that choose skills."""
         del world
         runner, before = self.controllers[agent], self.play.world.before.agents[agent]
         me, other = self.actors[runner.number], self.company.nearest(runner.number)
@@ -405,8 +411,10 @@ class Household(Team):
         objects, sight = self.objects, self.objects.sight
         if sight is None:
             return objects.poses[:, :3].copy(), objects.held_by.copy(), self._at_goal(), None
+        # an agent knows where its own hand is, whatever it sees
         mine = objects.held_by == agent
         where = np.where(mine[:, None], objects.poses[:, :3], sight.where[agent])
+        # what the agent last saw in its own hand has left it, unless it still holds it
         held = np.where(mine, agent, np.where(sight.held[agent] == agent, NOBODY, sight.held[agent]))
         near = np.linalg.norm(where - objects.goals, axis=1) < self.episode.spec.at_goal_m
         return (
@@ -417,7 +425,7 @@ class Household(Team):
         )
 
     def _is_close(self, agent: int) -> bool:
-        """Returns whether the nearest other agent is inside the ellipse in which skills may be interrupted."""
+        """Return whether the nearest other agent is inside the ellipse in which skills may be interrupted."""
         me, other, (a, b) = self.actors[agent], self.company.nearest(agent), self.episode.spec.near_m
         if other < 0:
             return False
@@ -425,7 +433,7 @@ class Household(Team):
         return (ahead / a) ** 2 + (aside / b) ** 2 < 1
 
     def errand(self, number: int) -> TaskProgress:
-        """Progress of an agent with its present task."""
+        """Return progress of an agent with its present task."""
         runner = self.controllers[number]
         skill, k, *_ = runner.action
         driven = skill in COMMANDED or isinstance(runner.actor, DrivenPerson)
@@ -433,7 +441,7 @@ class Household(Team):
         return TaskProgress(busy, (skill, k), partial(self._left_m, runner), runner.completed, obeys=not driven)
 
     def _left_m(self, runner: SkillController) -> float:
-        """Length of the path to the object, goal or handle to which an agent is going [m]; infinite: it goes nowhere."""
+        """Return the length of the path to the object, goal or handle of an agent's skill [m]; infinite: it goes nowhere."""
         skill, k = runner.action[:2]
         if runner.skill is None or not skill.startswith("nav"):
             return math.inf
@@ -445,7 +453,7 @@ class Household(Team):
         return float(self.floor.geodesic(runner.actor.xz, point[[0, 2]], max_snap_m=2.0))
 
     def barrier(self, actor: AnyActor, k: int, at_goal: bool, *, detour_m: float = DETOUR_M) -> int:
-        """Returns `RearrangeView.barrier` for an agent that walks up to ``detour_m`` farther to avoid opening a door."""
+        """Return `RearrangeView.barrier` for an agent that walks up to ``detour_m`` farther to avoid opening a door."""
         if self.objects.openables is None:
             return -1
         shut, positions = self.objects.openables.barrier_of(k, at_goal=at_goal), self.objects.openables.positions
@@ -461,13 +469,14 @@ class Household(Team):
             start = stands[nearest, :2] if nearest >= 0 else start
         first = partial(self.doorways.first, floor=self.floor, positions=positions, detour_m=detour_m)
         door, nearer = shut, first(start, partial(actor.stands_on, point=point))
+        # doors before that door, until one can be reached
         while nearer >= 0 and nearer != door:
             door = nearer
             nearer = first(actor.xz, partial(actor.stands_on, point=handles[door]))
         return door
 
     def door_before(self, actor: AnyActor, stands: Callable[[FreeSpace], Array]) -> int:
-        """Number of the first closed door between rooms that blocks all poses from which an agent could act.
+        """Return the number of the first closed door between rooms that blocks all poses from which an agent could act.
 
         Args:
             actor: the agent.
@@ -484,20 +493,21 @@ class Household(Team):
         return self.doorways.first(actor.xz, stands, self.floor, positions, detour_m=np.inf)
 
     def _at_goal(self) -> NDArray[np.bool_]:
-        """Which objects are at their goals and in nobody's hand, [K]."""
+        """Return which objects are at their goals and in nobody's hand, [K]."""
         at_goal = np.empty(len(self.objects.goals), np.bool_)
         _reached(self.objects.poses, self.objects.goals, self.objects.held_by, self.episode.spec.at_goal_m, at_goal)
         return at_goal
 
     def exact(self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor]) -> dict[str, Array]:
-        """The named observations of an agent in the only world."""
+        """Return the named observations of an agent in the only world."""
         shown = exact(self.view(agent), names, sensors)
         if self.objects.sight is not None:
-            shown = {name: np.nan_to_num(values) for name, values in shown.items()}  # of things that it has not seen
+            # positions of things that the agent has not seen are NaN, which no network takes
+            shown = {name: np.nan_to_num(values) for name, values in shown.items()}
         return {name: values[None] for name, values in shown.items()}
 
     def info(self, number: int, known: Sequence[Action]) -> dict[str, Any]:
-        """Facts about an agent's last skill, the objects, and which of the choices that it knows are possible now."""
+        """Return facts about an agent's last skill, the objects, and which of the choices that it knows are possible now."""
         ending = self.controllers[number].ending
         return {
             "outcome": ending.outcome if ending else "running",
@@ -509,7 +519,7 @@ class Household(Team):
         }
 
     def scenery(self, world: int) -> dict[str, Any]:
-        """Arms and hands where they are now, objects where they lie or are held, doors and drawers where they last stood."""
+        """Return arms, hands and objects where they are now, and doors and drawers where they last came to rest."""
         del world
         objects = self.objects
         return {
@@ -558,7 +568,7 @@ class Household(Team):
         return block, places, np.any(contact, axis=0) if contact else None
 
     def _tell(self, held: Sequence[int], held_now: Sequence[int]) -> None:
-        """Reports the events of this step, of things that changed hands and between agents."""
+        """Report objects that changed hands and agents that touch as events of this step."""
         finishers = set()
         for k, (was, now) in enumerate(zip(held, held_now, strict=True)):
             name = self.objects.names[k]
@@ -585,7 +595,7 @@ def _reached(poses, goals, held_by, within, at_goal):
 
 
 def _seen(xz: NDArray, heading: float, other: NDArray) -> tuple[float, float]:
-    """Another place in an agent's frame: ahead and to its right [m]."""
+    """Return another place in an agent's frame: ahead and to its right [m]."""
     (x, z), (other_x, other_z) = xz.tolist(), other.tolist()
     dx, dz = other_x - x, other_z - z
     c, s = math.cos(heading), math.sin(heading)

@@ -1,4 +1,4 @@
-"""A person with skills who keeps a recorded track, whatever the robots do."""
+"""Recorded tracks of people with skills, which they keep whatever the robots do."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.tasks.play import WorldRollout
 
 THERE_M = 0.01
-"""Distance from its recorded place up to which the person takes an object [m]."""
+"""Largest distance of an object from its recorded place at which the person takes it [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,10 +39,10 @@ class SkillTrack:
 
     @classmethod
     def of(cls, recording: Recording, number: int, bodies: NDArray[np.integer]) -> SkillTrack:
-        """The track of an agent; ``bodies`` [K + 1] are the objects' bodies, and -1.
+        """Return the track of an agent; ``bodies`` [K + 1] are the objects' bodies, and -1.
 
         Raises:
-            InputError: the body was not recorded at every step.
+            InputError: The body was not recorded at every step.
         """
         names = [f"agent_{number}.{name}" for name in ("base_pose", "root_pose", "joint_quat", "grasp_body")]
         lacks = [name for name in (*names, "object_pose") if name not in recording.columns]
@@ -71,7 +71,7 @@ class SkillTrack:
 
 
 def _led(recording: Recording, number: int) -> dict[int, list[tuple[int, float]]]:
-    """Joints that an agent led, with their positions, by step."""
+    """Return joints that an agent led, with their positions, by step."""
     positions = recording.columns.get(JOINTS)
     if positions is None:
         return {}
@@ -88,7 +88,8 @@ def _led(recording: Recording, number: int) -> dict[int, list[tuple[int, float]]
 
 def follow_track(play: WorldRollout, actor: PersonActor, track: SkillTrack, step: int) -> None:
     """Let a person, from ``step`` on, follow a track to its end; no policy is asked."""
-    if len(play.team.actors) == 2:  # the person reacts to nobody any more, so there is nothing to agree on
+    # the person reacts to nobody any more, so a pair has nothing to agree on
+    if len(play.team.actors) == 2:
         play.team.company.right_of_way, play.team.company.agreed = None, False
         for other in play.team.actors:
             other.aside = None
@@ -99,7 +100,7 @@ def follow_track(play: WorldRollout, actor: PersonActor, track: SkillTrack, step
 
 
 class _Silent:
-    """Never interrupts; asked only after the end."""
+    """Policy of a person on a track, which never interrupts and is asked only after the end."""
 
     def act(self, view: object) -> Action:
         return Action("wait")
@@ -109,6 +110,7 @@ class _Silent:
 
 
 def _following(actor: PersonActor, track: SkillTrack, first: int) -> Skill:
+    """Pose a person by a track from step ``first`` on, one step at a time."""
     for step in range(first, len(track.base)):
         pelvis = pose_multiply(pose_inverse(track.base[step]), track.root[step])
         actor.person.set_pose(np.vstack([pelvis[3:], track.joints[step]]), pelvis[:3], track.base[step])
@@ -121,7 +123,7 @@ def _following(actor: PersonActor, track: SkillTrack, first: int) -> Skill:
 
 
 def _handle(objects: Objects, number: int, track: SkillTrack, step: int) -> None:
-    """Take, carry and put down as recorded; what is not there, or in another's hand, stays where it is."""
+    """Take, carry and put down objects as recorded; an object that is elsewhere, or in another's hand, stays there."""
     mine, wanted = objects.held(number), int(track.held[step])
     if mine >= 0 and wanted != mine:
         objects.held_by[mine], objects.poses[mine] = NOBODY, track.objects[step, mine]

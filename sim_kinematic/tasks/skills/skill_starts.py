@@ -1,4 +1,4 @@
-"""States from which a robot begins to navigate, pick or place, for training and evaluating learned skills.
+"""Start states of navigation, picking and placing, for training and evaluating learned skills.
 
 They are taken from episodes of rearrangement.
 """
@@ -25,14 +25,14 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 Skill = Literal["nav", "pick", "place"]
 SKILL_NAMES: tuple[Skill, ...] = get_args(Skill)
 CANDIDATES = 64
-"""Floor points that are looked at for one start."""
+"""Number of floor points that are compared at once for one start."""
 ROUNDS = 8
-"""Attempts, each with as many, before a spot is given up."""
+"""Number of attempts, each with `CANDIDATES` points, before a start is given up."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SkillStart:
-    """A robot at rest that has one thing to do."""
+    """Start state of a robot at rest that has one skill to carry out."""
 
     skill: Skill
     target: int
@@ -51,10 +51,10 @@ class SkillStart:
 
 
 def check_skill(skill: str) -> Skill:
-    """The name of a skill.
+    """Return the name of a skill.
 
     Raises:
-        InputError: there is no such skill.
+        InputError: There is no such skill.
     """
     if skill not in SKILL_NAMES:
         raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(SKILL_NAMES)}.", code="H3-SIM-022")
@@ -77,13 +77,13 @@ def draw_starts(
     any_spot: bool = False,
     rules: SkillSpec | None = None,
 ) -> list[SkillStart]:
-    """Starts of a robot of an episode for one skill, ``count`` of them; fewer where there is no room.
+    """Sample ``count`` starts of a robot of an episode for one skill, fewer where there is no room.
 
     Args:
         episode: Its home, objects and goals.
         skill: Navigation leads to an object or, with it in the hand, to its goal.
-        count: Starts.
-        rng: Decides.
+        count: Number of starts.
+        rng: Source of random numbers.
         robot: Number of the agent.
         path_m: Least and greatest length of the path to the nearest stand; None: those with which the skill is judged.
         any_spot: True if objects may also be picked up at their goals and put down where they lay, for more variety.
@@ -102,6 +102,7 @@ def draw_starts(
     if not any_spot:
         spots = [(k, at_goal) for k, at_goal in spots if skill == "nav" or at_goal == (skill == "place")]
     stands: dict[tuple[int, bool], Array] = {}
+    # each spot comes equally often, in a random order
     for number in rng.permutation(count):
         k, at_goal = spots[number % len(spots)]
         point = np.asarray(episode.targets[k].goal if at_goal else lies[k], np.float64)
@@ -137,7 +138,7 @@ def _place(
     most: float,
     fits: Callable[[Array, float], bool],
 ) -> NDArray[np.float64] | None:
-    """A place ``(x, z, heading)`` [3] at some distance from the nearest of the stands; None: none was found."""
+    """Return a place ``(x, z, heading)`` [3] at some distance from the nearest of the stands; None: none was found."""
     if not len(stands):
         return None
     field = floor.distance_field(stands[:, :2])

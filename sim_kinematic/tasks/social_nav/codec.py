@@ -1,4 +1,4 @@
-"""Episodes of social navigation as JSON: in episode files, and in the info of recordings."""
+"""Codec of episodes of social navigation, for episode files and the info of recordings."""
 
 from __future__ import annotations
 
@@ -35,41 +35,41 @@ from sim_kinematic.tasks.social_nav.episode import Starts, episode_from, goals_o
 
 
 class SocialNavCodec(EpisodeCodec[SocialNavEpisode]):
-    """Writes starts and the person's goals."""
+    """Codec of episodes that consist of two starts, the person's goals and the rules."""
 
     records_judgement: ClassVar[bool] = False
 
     def record(self, episode: Episode) -> SocialNavEpisode:
-        """Record of an episode: the starts of both agents, the person's goals and the rules."""
+        """Return the record of an episode: the starts of both agents, the person's goals and the rules."""
         return stored_episode(episode)
 
     def entry(
         self, record: SocialNavEpisode, *, episode_id: str, scene_id: str, scene_dataset_config: str = "default"
     ) -> FileEntry:
-        """Entry of an episode file, in the form of Habitat's social navigation episodes."""
+        """Return the entry of an episode file, in the form of Habitat's social navigation episodes."""
         return social_nav_episode(
             record, episode_id=episode_id, scene_id=scene_id, scene_dataset_config=scene_dataset_config
         )
 
     def read(self, entry: FileEntry, *, seed: int) -> SocialNavEpisode | None:
-        """Record in an entry of a file; None if the entry belongs to another task."""
+        """Return the record in an entry of a file; None if the entry belongs to another task."""
         del seed
         return read_social_nav(entry)
 
     def rules(self, record: SocialNavEpisode) -> SocialNavSpec:
-        """Rules in a record."""
+        """Return rules in a record."""
         return rules_of(record)
 
     def episode(self, record: SocialNavEpisode, place: EpisodePlace) -> Episode:
-        """Episode of a record in an opened scene."""
+        """Return the episode of a record in an opened scene."""
         return episode_from(record, place.scene, spec=place.spec, free=place.free, human=place.human, robot=place.robot)
 
     # --- recordings ---------------------------------------------------------------------------------------------------
     def restore(self, recording: Recording, scene: SceneAndMap) -> Episode:
-        """Episode of a recording, from the rules and starts in its info.
+        """Return the episode of a recording, from the rules and starts in its info.
 
         Raises:
-            InputError: the recording lacks one of them, or its agents are not a robot and a person.
+            InputError: The recording lacks one of them, or its agents are not a robot and a person.
         """
         info, agents = recording.episode.info, recording.agents
         require_info(recording, "spec", "robot_start", "human_start")
@@ -106,12 +106,12 @@ class SocialNavCodec(EpisodeCodec[SocialNavEpisode]):
         return episode_from(stored, home, spec=rules, free=free)
 
     def instruction(self, episode: Episode) -> str:
-        """Instruction in words, the same for all episodes."""
+        """Return the instruction in words, the same for all episodes."""
         del episode
         return "follow the person"
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Policies, rules, starts and the person's goals for the recording's info."""
+        """Return policies, rules, starts and the person's goals for the recording's info."""
         spec, (robot, human) = episode.spec, episode.starts.tolist()
         info = {
             "policy": policies[ROBOT].name,
@@ -123,22 +123,24 @@ class SocialNavCodec(EpisodeCodec[SocialNavEpisode]):
         if policies[HUMAN].name != "waypoints":
             info["partner"] = policies[HUMAN].name
         goals = goals_of(episode)
-        if goals:  # known before the first step, so that what a crash leaves can be continued
+        # before the first step, so that a recording that ends in a crash can be continued
+        if goals:
             info["human_goals"] = [list(goal) for goal in goals]
         return info
 
     def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
-        """Identifier derived from scene, bodies, seed, policies and rules; also from the goals where they are given."""
+        """Return the identifier, derived from scene, bodies, seed, policies, rules and, where they are given, goals."""
         digest = scene_attachment(episode.scene)[1]
         robot, human = episode.roster
         goals, partner = goals_of(episode), policies[HUMAN].name
-        told = f":{Starts.of(episode.starts)}:{goals}" if goals else ""  # else they follow from the seed
+        # without goals of a file, starts and goals follow from the seed
+        told = f":{Starts.of(episode.starts)}:{goals}" if goals else ""
         policy = policies[ROBOT].name + ("" if partner == "waypoints" else f":{partner}")
         what = f"social_nav:{digest}:{robot.model}:{human.model}:{episode.seed}:{policy}:{episode.spec}{told}"
         return uid_of(what)
 
     def check_changes(self, recording: Recording, chosen: Mapping[str, Any]) -> None:
-        """Raises an `InputError` if a policy is chosen for a person who walks by a script."""
+        """Raise an `InputError` if a policy is chosen for a person who walks by a script."""
         if chosen.get("human") is not None and "external" not in str(recording.episode.info.get("partner", "")):
             raise InputError(
                 "Nobody in recordings of social_nav follows a partner: the person walks by a script. Hint: leave it out.",
@@ -146,7 +148,7 @@ class SocialNavCodec(EpisodeCodec[SocialNavEpisode]):
             )
 
     def final_info(self, episode: Episode, play: WorldRollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """The person's goals, and the fewest steps ``l`` in which an oracle finds them.
+        """Return the person's goals, and the fewest steps ``l`` in which an oracle finds them.
 
         Both follow from the person's whole plan, however long the episode lasted; for a person without a script, from
         the track that they walked.
@@ -161,7 +163,7 @@ class SocialNavCodec(EpisodeCodec[SocialNavEpisode]):
 
 
 def plan_info(episode: Episode, plan: HumanPlan) -> dict[str, Any]:
-    """The person's goals, and the oracle's minimum steps ``l``."""
+    """Return the person's goals, and the oracle's minimum steps ``l``."""
     return {
         "human_goals": [[float(x), float(z)] for x, z in plan.goals],
         "oracle_min_steps": _oracle(episode, plan.xz),
@@ -169,6 +171,8 @@ def plan_info(episode: Episode, plan: HumanPlan) -> dict[str, Any]:
 
 
 def _oracle(episode: Episode, track: NDArray[np.float64]) -> Any:
+    """Return the fewest steps in which a robot could find a person on a track [E, 2]; None: in none of them."""
+    # by the limits of the robot itself, which may be slower than the rules allow
     x, z, heading = episode.starts[ROBOT]
     return oracle_min_steps(
         episode.free, np.array([x, z]), float(heading), track, replace(episode.spec, robot=agent_base(episode, ROBOT))

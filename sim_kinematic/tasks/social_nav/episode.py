@@ -1,7 +1,7 @@
 """Episodes of social navigation: sampled from a seed, stored as records, and read back.
 
 In the paper's evaluation the starts and the person's path are the same for all policies (appendix, social navigation), but
-Habitat does not store them (spec/habitat.md 1.2). Here an episode is a record, `SocialNavEpisode`, whoever made it.
+Habitat does not store them. Here every episode is a record, `SocialNavEpisode`.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Starts:
 
     @classmethod
     def of(cls, places: Array) -> Starts:
-        """Starts from an array [2, 3] whose first row is the robot's and second the person's."""
+        """Start from an array [2, 3] whose first row is the robot's and second the person's."""
         robot, human = np.asarray(places, np.float64)
         return cls(robot_xz=robot[:2], robot_heading=float(robot[2]), human_xz=human[:2], human_heading=float(human[2]))
 
@@ -56,13 +56,13 @@ class Starts:
 def sample_pair_starts(
     free: FreeSpace, seed: int, spec: SocialNavSpec, *, fits: Callable[[Array, float], bool] | None = None
 ) -> Starts:
-    """Samples starts at least ``spec.spawn_distance_m`` apart on one island (spec/habitat.md 1.2).
+    """Sample starts at least ``spec.spawn_distance_m`` apart on one island of the free floor.
 
     ``fits`` tests the robot at ``(xz [2], heading)`` (`sim_kinematic.agents.stands.robot_fits`); without it only the base of
     the rules is kept free of obstacles.
 
     Raises:
-        SceneError: the scene has no two such places.
+        SceneError: The scene has no two such places.
     """
     rng = generator(seed, "spawn")
     base_fits = partial(discs_fit, free, spec.robot)
@@ -96,12 +96,12 @@ def sample_pair_starts(
 
 
 def goals_of(episode: Episode) -> tuple[tuple[float, float], ...]:
-    """Points ``(x, z)`` that the person walks to first; none: they are all sampled from the seed."""
+    """Return the points ``(x, z)`` that the person walks to first; without any, all are sampled by the seed."""
     return tuple((float(x), float(z)) for x, z in episode.extra.get("human_goals", ()))
 
 
 def plan_of(episode: Episode) -> HumanPlan:
-    """Plan of the scripted person for an episode of the greatest length."""
+    """Return the plan of the scripted person for an episode of the greatest length."""
     x, z, heading = episode.starts[HUMAN]
     return human_plan(
         episode.free,
@@ -115,9 +115,9 @@ def plan_of(episode: Episode) -> HumanPlan:
 
 
 def stored_episode(episode: Episode) -> SocialNavEpisode:
-    """The record of an episode, with every goal that the person can reach in its time.
+    """Return the record of an episode, with every goal that the person can reach in its time.
 
-    Depends on scene, seed and rules alone; `episode_from` gives the same episode back, bit for bit.
+    The record follows from scene, seed and rules alone, and `episode_from` makes the same episode of it, bit for bit.
     """
     robot, human = episode.starts.tolist()
     return SocialNavEpisode(
@@ -144,13 +144,13 @@ def episode_from(
     human: str | None = None,
     robot: str | None = None,
 ) -> Episode:
-    """The episode that a record stores, in its scene.
+    """Return the episode that a record stores, in its scene.
 
     ``spec`` and the bodies ``human`` and ``robot`` stand in for the record's own; ``free`` saves building the map again.
 
     Raises:
-        SceneError: a start or a goal is not on the free floor, or they are not on one island: it is another scene.
-        InputError: the episode's rules or bodies are none that we know.
+        SceneError: A start or a goal is not on the free floor, or they are not on one island: the scene is another one.
+        InputError: There are no such rules or bodies.
     """
     spec = spec or rules_of(episode)
     free = free or FreeSpace.from_scene(scene, radius_m=spec.agent_radius_m, height_m=spec.agent_height_m)
@@ -173,7 +173,7 @@ def episode_from(
 
 
 def rules_of(episode: SocialNavEpisode) -> SocialNavSpec:
-    """The rules that an episode names; what it does not name is as in the paper."""
+    """Return the rules that an episode names; what it does not name is as in the paper."""
     rules: dict[str, Any] = {"max_steps": episode.max_steps, "robot": {}, "human": {}, **episode.rules}
     try:
         spec = msgspec.convert(rules, SocialNavSpec)
@@ -191,7 +191,7 @@ def rules_of(episode: SocialNavEpisode) -> SocialNavSpec:
 
 
 def _on_free_floor(free: FreeSpace, episode: SocialNavEpisode) -> np.ndarray:
-    """Robot, human and goals [2 + G, 2]; those that rounding has put beside the free floor are moved onto it."""
+    """Return starts and goals [2 + G, 2]; those that rounding has put beside the free floor are moved onto it."""
     points = np.array([episode.robot_start[:2], episode.human_start[:2], *episode.human_goals], np.float64)
     off = ~free.is_navigable(points)
     points[off] = free.snap(points[off], max_distance_m=SNAP_M)

@@ -1,6 +1,6 @@
 """Social navigation: a robot must find a walking person and follow them at 1-2 m, facing them, without contact.
 
-The rules follow the paper (section 4.1 and appendix) and habitat-lab (spec/habitat.md 1).
+The rules follow the paper (section 4.1 and appendix) and habitat-lab.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from sim_kinematic.tasks.task import Task, TaskUsage
 
 HUMAN_SKILLS = ("walk", "turn")
 TRAINING = SocialNavSpec(spawn_distance_m=3.0)
-"""The paper's rules for training: both start at least 3 m apart (appendix, social navigation)."""
+"""Rules of the paper for training, in which both start at least 3 m apart (appendix, social navigation)."""
 
 
 @dataclass(eq=False)
@@ -53,16 +53,16 @@ class SocialNavState:
     geodesic: Array
     """Shortest path from robot to person [m], inf where there is none."""
     collides: NDArray[np.bool_]
-    """Robot and person touch."""
+    """True if robot and person touch."""
     found: NDArray[np.bool_]
-    """The robot has found the person in this episode."""
+    """True if the robot has found the person in this episode."""
     success: NDArray[np.bool_]
-    """The robot has followed the person long enough."""
+    """True if the robot has followed the person long enough."""
     faces: Array
     """Cosine between the robot's forward axis and the direction to the person."""
     collisions: NDArray[np.int64]
     goal: NDArray[np.int64]
-    """Number of the goal that a scripted person walks to, -1 before the first and where nobody keeps to a script."""
+    """Number of the goal that a scripted person walks to, -1 before the first one and for people without a script."""
     leg: NDArray[np.int64]
     """Index of the way point within the path to the goal."""
     plan: HumanPlan | None = None
@@ -71,14 +71,14 @@ class SocialNavState:
     """Positions so far of a person who follows no script."""
 
     def whole_walk(self, episode: Episode) -> HumanPlan:
-        """The scripted person's walk from the start to the time limit."""
+        """Return the scripted person's walk from the start to the time limit."""
         if self.plan is None:
             self.plan = plan_of(episode)
         return self.plan
 
 
 class SocialNav(Task):
-    """Find the person, then follow them (paper section 4.1)."""
+    """Task in which a robot finds a person and then follows them (paper section 4.1)."""
 
     name: ClassVar[str] = "social_nav"
     Spec: ClassVar[type[Any]] = SocialNavSpec
@@ -102,10 +102,10 @@ class SocialNav(Task):
     def sample(
         self, scene: Scene, free: FreeSpace, seed: int, spec: SocialNavSpec, roster: tuple[AgentSpec, ...]
     ) -> Episode:
-        """Samples the starts of the robot and the person on the floor that both can use.
+        """Sample the starts of the robot and the person on the floor that both can use.
 
         Raises:
-            InputError: the roster is not one robot and one person.
+            InputError: The roster is not one robot and one person.
         """
         _require_pair(roster)
         free = common_floor(roster, free)
@@ -120,11 +120,11 @@ class SocialNav(Task):
 
     # --- policies -----------------------------------------------------------------------------------------------------
     def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
-        """Maker of a learned policy or expert of the robot, or of the person's scripted walk; None for other names."""
+        """Return the maker of a learned policy or expert of the robot, or of the person's walk; None for other names."""
         if kind == "robot" and is_learned(name):
             network = network_of(name)
             if spec is not None:
-                policy_by_name(name)  # refuses what was trained for another task
+                policy_by_name(name)  # raises if the network was trained for another task
 
             def learned(episode: Episode, number: int) -> AssignedPolicy:
                 with naming(name):
@@ -143,7 +143,7 @@ class SocialNav(Task):
         return None
 
     def view(self, play: WorldRollout, agent: int, world: int) -> Any:
-        """Observation of a policy: a `SocialNavView` for the robot, an `AgentView` for the person."""
+        """Return the observation of a policy: a `SocialNavView` for the robot, an `AgentView` for the person."""
         if agent != ROBOT:
             return play.agent_view(agent, world)
         state: SocialNavState = play.memory
@@ -167,7 +167,7 @@ class SocialNav(Task):
         )
 
     def _future(self, play: WorldRollout, step: int) -> Callable[[], NDArray[np.float64]] | None:
-        """The person's positions from this step on, where somebody knows them."""
+        """Return a function that gives the person's positions from this step on; None: nobody knows them."""
         policy = play.policies[HUMAN].policy if play.policies else None
         if isinstance(policy, WaypointPolicy):
             return lambda: play.memory.whole_walk(play.episode).xz[step:]
@@ -176,7 +176,7 @@ class SocialNav(Task):
 
     # --- rules --------------------------------------------------------------------------------------------------------
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
-        """Resets rewards, counters and the person's goals in the worlds ``rows`` [n]."""
+        """Reset rewards, counters and the person's goals in the worlds ``rows`` [n]."""
         worlds = play.world.worlds
         if play.memory is None:
             reward = play.options.get("reward", "paper")
@@ -203,7 +203,7 @@ class SocialNav(Task):
             state.success[rows] |= worth.success[rows]
 
     def judge(self, play: WorldRollout) -> StepOutcome:
-        """Computes reward, success and end of a step, with an event when the person is first found."""
+        """Compute reward, success and end of a step, with an event when the person is first found."""
         state: SocialNavState = play.memory
         lost = not state.found[0]
         self._look(play)
@@ -211,6 +211,7 @@ class SocialNav(Task):
         if state.rewards is not None:
             state.collisions += state.collides | play.world.state.robots[0].contact
             worth = state.rewards.step(self._encounter(play))
+            # once true it stays true, as every task's success does
             state.success |= worth.success
             reward, ends = worth.reward, worth.ends
         else:
@@ -225,12 +226,12 @@ class SocialNav(Task):
                 "metrics.geodesic_agents": state.geodesic,
                 "metrics.facing": state.faces,
             },
-            ended="collision",  # the only reason besides the time limit
+            ended="collision",  # the only end besides the time limit
             events=self._events(play, state, lost) if play.policies else (),
         )
 
     def _events(self, play: WorldRollout, state: SocialNavState, lost: bool) -> list[tuple[int, Event]]:
-        """Events of a world that is recorded; also takes down where the person is heading for, or where they are."""
+        """Return the events of a world that is recorded, and store the goal or the position of the person."""
         events, step, walker = [], play.step - 1, play.policies[HUMAN].policy
         if not isinstance(walker, WaypointPolicy):
             state.track.append(play.world.state.people[0].xz[0].copy())
@@ -259,7 +260,7 @@ class SocialNav(Task):
         }
 
     def _look(self, play: WorldRollout, rows: NDArray[np.intp] | None = None) -> None:
-        """Distances and contact in the worlds ``rows`` [n] (default: all)."""
+        """Update distances and contact in the worlds ``rows`` [n] (default: all)."""
         state: SocialNavState = play.memory
         world, at = play.world, slice(None) if rows is None else rows
         robot, person = world.state.agents
@@ -282,10 +283,12 @@ class SocialNav(Task):
 
 
 def _after(track: Callable[[], NDArray[np.float64]], step: int) -> NDArray[np.float64]:
+    """Return the part of a track [T, 2] from a step on."""
     return track()[step:]
 
 
 def _require_pair(roster: Sequence[AgentSpec]) -> None:
+    """Raise an `InputError` if a roster is not one robot and one person."""
     if kinds_of(roster) != ("robot", "human"):
         raise InputError(
             f"In social_nav one robot follows one person, got: {', '.join(kinds_of(roster))}. "
