@@ -21,7 +21,7 @@ from h3data.scene import FreeSpace, load_scene
 
 ROSTER = ("robot", "human", "human", "human", "human")
 EVERY, CELL_M = 3, 0.05
-SHARE = 0.7
+SHARE = 0.45
 CAMERAS = ("orbit", "robot/third_person")
 
 
