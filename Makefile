@@ -186,7 +186,9 @@ check-lerobot: $(INSTALLED) $(LEROBOT_ENV)/.installed  ### lerobot opens dataset
 		--dataset.video_backend=pyav $(LEROBOT_ACT) --output_dir=out/lerobot/run
 	$(LEROBOT_RUN)/lerobot-eval --policy.path=out/lerobot/run/checkpoints/last/pretrained_model --policy.device=cpu \
 		$(if $(PYTHON_3_12),,--env.discover_packages_path=lerobot_env_h3data) --env.type=h3data --env.dataset=out/lerobot/demos \
-		--env.episodes=recorded --eval.n_episodes=2 --eval.batch_size=2 --eval.use_async_envs=false --seed=0 --output_dir=out/lerobot/eval
+		--env.episodes=recorded --eval.n_episodes=2 --eval.batch_size=2 --eval.use_async_envs=false --seed=0 --output_dir=out/lerobot/eval \
+		--env.record=out/lerobot/eval/played
+	$(BIN)/h3data metrics out/lerobot/eval/played
 	$(LEROBOT_RUN)/python $(LEROBOT_FILES)/replay_actions.py out/lerobot/demos out/lerobot/eval
 
 RL := .venv-rl

@@ -30,6 +30,8 @@ class H3DataEnvConfig(EnvConfig):
     """Length limit of an episode (default: that of the dataset's rules)."""
     light: str | None = None
     """Light of the pictures: baked or flat (default: that of the videos)."""
+    record: str | None = None
+    """Folder for recordings of the evaluated episodes."""
     render_mode: str = "rgb_array"
 
     def __post_init__(self) -> None:
@@ -58,7 +60,13 @@ class H3DataEnvConfig(EnvConfig):
         options: dict[str, Any] = {name: text.split(",") for name, text in listed.items() if text is not None}
         if self.cameras == "":
             options["cameras"] = []
-        return {**options, "episodes": self.episodes, "max_steps": self.max_steps, "light": self.light}
+        return {
+            **options,
+            "episodes": self.episodes,
+            "max_steps": self.max_steps,
+            "light": self.light,
+            "record": self.record,
+        }
 
     @property
     def package_name(self) -> str:

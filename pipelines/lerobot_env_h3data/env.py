@@ -34,7 +34,7 @@ class LeRobotEnv(gymnasium.Env[Any, Any]):
             InputError: the dataset cannot be played.
         """
         self.env = DatasetEnv(dataset, render_mode=render_mode, **options)
-        self.render_mode = render_mode
+        self._record, self.render_mode = self.env.record, render_mode
         self.action_space = self.env.action_space
         shown: Any = self.env.observation_space
         self.observation_space = gymnasium.spaces.Dict(_sorted(dict(shown.spaces), gymnasium.spaces.Dict))
@@ -44,8 +44,13 @@ class LeRobotEnv(gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin the next episode; ``options`` have no effect."""
+        """Begin the next episode; ``options`` have no effect.
+
+        Episodes without a seed are those that worlds begin by themselves while others still play. LeRobot does not count them,
+        so they are not recorded.
+        """
         del options
+        self.env.record = self._record if seed is not None else None
         shown, info = self.env.reset(seed=seed)
         return _sorted(shown, dict), info
 

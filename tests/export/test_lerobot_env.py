@@ -67,6 +67,14 @@ def test_worlds_tell_success_in_their_last_step(demos: Path) -> None:
     assert set(shown) == {"agent_pos"}
 
 
+def test_evaluated_episodes_are_recorded_and_no_others(demos: Path, tmp_path: Path) -> None:
+    worlds = make_vector(demos, 2, episodes="recorded", cameras=[], record=str(tmp_path / "played"))
+    worlds.reset(seed=[0, 1])
+    for _ in range(20):  # more than two episodes each
+        worlds.step(np.zeros((2, 2), np.float32))
+    assert sorted(file.name for file in (tmp_path / "played").iterdir()) == ["0-0.mcap", "1-0.mcap"]
+
+
 @pytest.mark.parametrize(
     "action", [np.full((2, 2), np.nan), np.full((2, 2), np.inf), np.zeros((2, 3)), np.zeros((2, 1))]
 )

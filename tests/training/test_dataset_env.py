@@ -15,11 +15,12 @@ from gymnasium.utils.env_checker import check_env
 import h3data
 from h3data.envs import DatasetEnv
 from h3data.errors import FormatError, H3DataError, InputError
-from h3data.recording import Dataset
+from h3data.recording import Dataset, read_mcap
 from h3data.recording.demonstrations import FILE, read_demonstrations
 from h3data.replay import Replay, camera_at, camera_track
 from h3data.replay.cameras import split_size
 from h3data_exporters.lerobot import write_lerobot
+from sim_kinematic.tasks.resume import verify
 from tests.simulated import rearrange_episode, simulate_rearrange
 
 CAMERAS = ("robot_arm_rgb@64x48", "robot_arm", "human_head@32x32")
@@ -81,6 +82,25 @@ def test_recorded_actions_give_the_recorded_states_and_pictures(exported: Path, 
                 difference = np.abs(seen[step][key][:height, :width].astype(int) - images["rgb"])
                 assert difference.max() <= 8, (name, step)
                 assert (difference > 1).mean() < 0.001, (name, step)
+
+
+def test_played_episodes_are_recorded_and_verify(exported: Path, source: Path, tmp_path: Path) -> None:
+    out, made = tmp_path / "played", Dataset(source)
+    env = DatasetEnv(exported, episodes="recorded", cameras=[], record=out)
+    frames_of(pickle.loads(pickle.dumps(env)), Dataset(exported), 1)
+    (file,) = out.iterdir()
+    assert file.name == "1-0.mcap"
+    recording = read_mcap(file)
+    kept = {"agent_0.base_pose", "agent_0.action", "agent_1.base_pose", "metrics.dist_agents"}
+    assert kept < set(recording.columns)
+    for name in kept:
+        assert np.array_equal(recording.columns[name], made[1].columns[name]), name
+    assert verify(recording).difference is None
+    assert dict(h3data.measure(recording).values) == dict(h3data.measure(made[1]).values)
+    env.reset(seed=0)
+    env.step([1.0, 0.0])
+    env.reset(seed=0)
+    assert [each.name for each in out.iterdir()] == [file.name], "episodes that are broken off are not kept"
 
 
 def test_the_file_says_what_was_shown(exported: Path) -> None:

@@ -21,7 +21,7 @@ from h3data.scene import FreeSpace, load_scene
 
 ROSTER = ("robot", "human", "human", "human", "human")
 EVERY, CELL_M = 3, 0.05
-SHARE = 0.7
+SHARE = 0.45
 CAMERAS = ("orbit", "robot/third_person")
 
 
@@ -35,7 +35,7 @@ def write_tracks(episode: Recording, folder: Path) -> None:
     (folder / "tracks.csv").write_text("\n".join(lines) + "\n")
     free = FreeSpace.from_scene(load_scene(episode.attachments["scene.glb"]))
     low = free.origin - 0.2
-    columns, rows = np.ceil((np.array(free.sdf.shape[::-1]) * free.cell_m + 0.4) / CELL_M).astype(int)
+    columns, rows = np.ceil((np.array(free.sdf.shape) * free.cell_m + 0.4) / CELL_M).astype(int)
     x, z = np.meshgrid(low[0] + (np.arange(columns) + 0.5) * CELL_M, low[1] + (np.arange(rows) + 0.5) * CELL_M)
     cells = np.where(free.signed_distance(np.stack([x, z], -1)) > 0, 254, 0).astype(np.uint8)
     (folder / "map.pgm").write_bytes(f"P5 {columns} {rows} 255\n".encode() + cells.tobytes())

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 import numpy as np
@@ -18,7 +19,7 @@ from h3data.bodies.people.planted_gait import PlantedWalk, on_stairs, pose_plant
 from h3data.bodies.people.sitting import take_seats
 from h3data.errors import InputError, suggest
 from h3data.plugins import names_from_data
-from h3data.recording import Dataset, Recording
+from h3data.recording import Dataset, Recording, write_mcap
 from h3data.recording.demonstrations import Demonstrations, read_demonstrations
 from h3data.render.light.sources import LightMode, check_light
 from h3data.scene.floor_heights import room_heights
@@ -33,6 +34,8 @@ from sim_kinematic.sensing.eyes import shared_renderer
 from sim_kinematic.sensing.watching import DebugRenderer
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode
 from sim_kinematic.tasks.play import WorldRollout
+from sim_kinematic.tasks.recorder import Recorder, describe
+from sim_kinematic.tasks.registry import reference_of
 from sim_kinematic.tasks.resimulation import scene_and_map
 from sim_kinematic.tasks.resume import task_of
 from sim_kinematic.tasks.runner import DecisionLoop
@@ -67,6 +70,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         max_steps: int | None = None,
         light: LightMode | None = None,
         render_mode: str | None = None,
+        record: str | os.PathLike[str] | None = None,
     ) -> None:
         """Read a dataset that ``h3data export --to lerobot`` wrote.
 
@@ -79,6 +83,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
             max_steps: length limit of an episode (default: that of its rules).
             light: light of the pictures (default: that of the videos).
             render_mode: ``rgb_array`` for `render`, or None.
+            record: folder for the recording of each episode that is played to its end, ``SEED-NUMBER.mcap`` (default: none).
 
         Raises:
             InputError: the dataset was not exported to LeRobot, or it cannot be played: its task has skills, its agent is no
@@ -86,7 +91,8 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
             FormatError: it is damaged.
         """
         given = {"episodes": episodes, "cameras": cameras, "max_steps": max_steps, "light": light}
-        self._arguments = (str(dataset), scenes, {**given, "render_mode": render_mode})
+        folder = None if record is None else str(record)
+        self._arguments = (str(dataset), scenes, {**given, "render_mode": render_mode, "record": folder})
         if episodes not in get_args(EpisodeChoice):
             raise InputError(
                 f"Expected episodes {' or '.join(get_args(EpisodeChoice))}, got {episodes!r}.", code="H3-ENV-043"
@@ -118,6 +124,9 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         self._source: EpisodeSource | None = None
         self._seed, self._index = 0, -1
         self.play: WorldRollout | None = None
+        self.record = None if folder is None else Path(folder)
+        """Folder of recordings; changes count from the next `reset`."""
+        self._recorder: Recorder | None = None
         self._loop: DecisionLoop | None = None
         self._succeeded = False
         self._columns: dict[str, NDArray[Any]] = {}
@@ -200,6 +209,11 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
             policies = assign(self._task, episode, {**others, shown.agent: External()})
         play = WorldRollout.of(self._task, episode, policies, measure=False)
         self.play, self._loop = play, DecisionLoop(play)
+        self._recorder = None
+        if self.record is not None:
+            name = f"{self._seed}-{self._index}"
+            header = describe(self._task, episode, policies, episode_id=name, reference=reference_of(self._task))
+            self._recorder = Recorder(header, play)
 
     def step(self, action: ArrayLike) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
         """Act for 1/30 s.
@@ -228,12 +242,25 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
             loop.answer(choice if own else play.policies[loop.asked].policy.act(play.view(loop.asked)))
         happened = any(event.kind in self.demonstrations.success_events for event in play.events)
         happened = happened or (play.over and play.ended == "success")
-        play.events.clear()
-        self._columns = play.columns([play.snapshot()], play.step - 1)
+        if self._recorder is None:
+            play.events.clear()
+            self._columns = play.columns([play.snapshot()], play.step - 1)
+        else:
+            self._recorder.add()
+            self._columns = self._recorder.latest_columns()
+            self._keep(self._recorder)
         if self._cameras or self.render_mode:
             self._walk(play)
         first, self._succeeded = happened and not self._succeeded, self._succeeded or happened
         return float(first)
+
+    def _keep(self, recorder: Recorder) -> None:
+        """Writes the recording of an episode that has just ended."""
+        play = recorder.play
+        if play.over and self.record is not None:
+            self.record.mkdir(parents=True, exist_ok=True)
+            recording = recorder.finish(self._task.codec.final_info(play.episode, play, play.policies))
+            write_mcap(recording, self.record / f"{recording.episode.episode_id}.mcap", overwrite=True)
 
     # --- what is shown ------------------------------------------------------------------------------------------------
     def _observed(self) -> dict[str, NDArray[Any]]:
