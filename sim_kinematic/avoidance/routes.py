@@ -29,7 +29,7 @@ def _flood(room, least, discs, origin, cell, si, sj, goal, near, farthest):
     """Distances [nx, nz] [m] over the grid from cell (si, sj), infinite where no path leads, and each cell's predecessor.
 
     It ends where distances exceed ``farthest`` [m], and where no other cell can be on the shortest path to within ``near`` of
-    ``goal`` [2], if that is finite; all distances up to there are final.
+    ``goal`` [2], if that is finite; all distances up to there are final. If no cell there is free, it does not begin.
     """
     nx, nz = room.shape
     shut = room < least
@@ -46,7 +46,13 @@ def _flood(room, least, discs, origin, cell, si, sj, goal, near, farthest):
     before = np.full((nx, nz), -1, np.int64)
     distance[si, sj] = 0.0
     heap = [(0.0, si * nz + sj)]
-    while len(heap) > 0:
+    # somebody who stands at the goal shuts all cells there, and a search for it would cover the whole home
+    is_open = math.isnan(goal[0])
+    for a in range(nx if not is_open else 0):
+        for b in range(nz if abs(origin[0] + (a + 0.5) * cell - goal[0]) < near + cell else 0):
+            gap = math.hypot(origin[0] + (a + 0.5) * cell - goal[0], origin[1] + (b + 0.5) * cell - goal[1])
+            is_open |= gap <= near + ROUNDING_M and (not shut[a, b] or (a == si and b == sj))
+    while is_open and len(heap) > 0:
         far, at = heapq.heappop(heap)
         if far > farthest:
             break
