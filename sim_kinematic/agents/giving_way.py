@@ -70,7 +70,7 @@ class GivingWay:
         """One track for each agent, of which the first `_moments` rows are filled."""
         for track, actor in zip(self._places, actors, strict=True):
             track[0] = actor.xz
-        self._pairs = list(combinations(actors, 2))
+        self._pairs = list(combinations(range(len(actors)), 2))
         self._avoided = [[other for other in actors if self.avoids(me, other)] for me in actors]
         self.bodies = [agent.body for agent in roster]
         self._capsules = [
@@ -83,6 +83,10 @@ class GivingWay:
         """Postures to which the shapes of agents, and the capsules around them, were last moved (`_has_changed`)."""
         self._acted: set[int] = set()
         """Agents that have acted in this step."""
+        self._at: list[list[float]] = [actor.xz.tolist() for actor in actors]
+        """Place of each agent; of the one whose turn it is, before that."""
+        self._seen: dict[int, ObservedAgent] = {}
+        """What others see of the agents, as far as anybody has looked since they last acted."""
         self._settled: set[int] = set()
 
     @cached_property
@@ -119,27 +123,37 @@ class GivingWay:
 
     def begin_turn(self, me: AnyActor) -> None:
         """Shows an agent the others before it moves: where they are and how they move."""
-        seen, me.hindered_by = [], frozenset()
-        for other in self._avoided[me.number]:
-            number, count = other.number, self._moments
+        seen, me.hindered_by = [self._observed(other) for other in self._avoided[me.number]], frozenset()
+        if len(seen) > 1:
+            gaps = np.array([other.xz for other in seen]) - me.xz
+            seen = [seen[k] for k in np.hypot(*gaps.T).argsort(kind="stable").tolist()]
+        me.others = tuple(seen)
+
+    def _observed(self, other: AnyActor) -> ObservedAgent:
+        """Returns what all see of an agent, which only its own turn changes."""
+        number, count = other.number, self._moments
+        if number not in self._seen:
             track, is_robot, moved = self._places[number], other.is_robot, number in self._acted
             now = other.xz.copy() if moved else track[count - 1]
             first = max(count - AVOIDANCE.velocity_steps - (not moved), 0)
             velocity = (now - track[first]) / (STEP_S * max(count - first - (not moved), 1))
             steps_aside = self.agreed and other.yields and other.path_start is None
             settled, heading, footprint = number in self._settled, other.heading, other.footprint
-            seen.append(ObservedAgent(number, now, velocity, settled, is_robot, heading, steps_aside, footprint))
-        if len(seen) > 1:
-            seen.sort(key=lambda other: float(np.hypot(*(other.xz - me.xz))))
-        me.others = tuple(seen)
+            self._seen[number] = ObservedAgent(
+                number, now, velocity, settled, is_robot, heading, steps_aside, footprint
+            )
+        return self._seen[number]
 
     def end_turn(self, number: int) -> None:
         """Take note that an agent has acted and has moved."""
         self._acted.add(number)
+        self._seen.pop(number, None)
+        self._at[number] = self.actors[number].xz.tolist()
 
     def meets(self, me: AnyActor) -> bool:
         """Returns whether an agent in its present posture touches another that it avoids and did not touch before."""
-        near = [other.number for other in self._avoided[me.number] if self._is_near(me, other)]
+        here = me.xz.tolist()
+        near = [other.number for other in self._avoided[me.number] if self._is_near(me.number, here, other.number)]
         if not near:
             return False
         pairs = {other: (min(me.number, other), max(me.number, other)) for other in near}
@@ -180,18 +194,17 @@ class GivingWay:
             self._places = np.concatenate([self._places, np.empty_like(self._places)], axis=1)
         self._moments += 1
         self._acted.clear()
+        self._seen.clear()
         for actor in self.actors:
             track = self.track(actor.number)
-            track[-1] = actor.xz
+            track[-1] = xz = actor.xz
+            self._at[actor.number] = xz.tolist()
             (self._settled.add if _stays(track) else self._settled.discard)(actor.number)
-        self.touching = [
-            (a.number, b.number) for a, b in self._pairs if self._is_near(a, b) and self._touch(a.number, b.number)
-        ]
+        self.touching = [(a, b) for a, b in self._pairs if self._is_near(a, self._at[a], b) and self._touch(a, b)]
 
-    def _is_near(self, a: AnyActor, b: AnyActor) -> bool:
-        """Returns whether two agents could touch with their arms stretched out."""
-        (ax, az), (bx, bz) = a.xz.tolist(), b.xz.tolist()
-        return math.hypot(ax - bx, az - bz) <= self._reach_m[a.number] + self._reach_m[b.number]
+    def _is_near(self, a: int, here: list[float], b: int) -> bool:
+        """Returns whether an agent at (x, z) could touch another with their arms stretched out."""
+        return math.dist(here, self._at[b]) <= self._reach_m[a] + self._reach_m[b]
 
     def _touch(self, a: int, b: int) -> bool:
         """Returns whether two agents touch as they are now."""

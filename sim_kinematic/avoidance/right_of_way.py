@@ -384,8 +384,9 @@ class RightOfWay:
         if not len(walker.path):
             return False
         discs = discs_of(other) + np.array([0.0, 0.0, walker.footprint.radius_m + gap_m])
-        floods = (self._routes.flood(walker.xz, around) for around in (discs, discs[:0]))
-        around, alone = (flood.path_to(walker.path[-1]) is not None for flood in floods)
+        goal = walker.path[-1]
+        floods = (self._routes.flood(walker.xz, around, goal=goal) for around in (discs, discs[:0]))
+        around, alone = (flood.path_to(goal) is not None for flood in floods)
         return around or not alone
 
     def _is_past(self, walker: Walker, other: Walker) -> bool:
@@ -443,8 +444,8 @@ class RightOfWay:
                 for other in around
                 for place in (self._places_soon(other) if ahead and other in first else other.xz[None])
             ]
-            flood = self._routes.flood(walker.xz, np.array(discs).reshape(-1, 3))
             least, farthest = spec.step_aside_m
+            flood = self._routes.flood(walker.xz, np.array(discs), farthest_m=farthest)
             fits = (flood.distance >= least) & (flood.distance <= farthest) & (self._routes.room >= room)
             cells = self._routes.centres[fits]
             good = np.ones(len(cells), np.bool_)

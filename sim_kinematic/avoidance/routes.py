@@ -19,40 +19,76 @@ from h3data.scene import FreeSpace
 from h3data.scene.freespace.free_space import line_of_sight
 from sim_kinematic.avoidance.spec import AVOIDANCE
 
+ROUNDING_M = 1e-6
+"""Margin for rounding errors within which `_flood` goes on, although it is where it has to get [m]."""
+NOWHERE = np.full(2, np.nan)
+
 
 @kernel(error_model="numpy")
-def _flood(room, least, discs, origin, cell, si, sj):
-    """Distances [nx, nz] [m] over the grid from cell (si, sj), infinite where no path leads, and each cell's predecessor."""
+def _flood(room, least, discs, origin, cell, si, sj, goal, near, farthest):
+    """Distances [nx, nz] [m] over the grid from cell (si, sj), infinite where no path leads, and each cell's predecessor.
+
+    It ends where distances exceed ``farthest`` [m], and where no other cell can be on the shortest path to within ``near`` of
+    ``goal`` [2], if that is finite; all distances up to there are final. If no cell there is free, it does not begin.
+    """
     nx, nz = room.shape
+    shut = room < least
+    for d in range(len(discs)):
+        x, z, radius = discs[d, 0], discs[d, 1], discs[d, 2]
+        first, last = (x - radius - origin[0]) / cell - 1.0, (x + radius - origin[0]) / cell + 1.0
+        for a in range(max(int(first), 0), min(int(last) + 1, nx)):
+            for b in range(max(int((z - radius - origin[1]) / cell - 1.0), 0), nz):
+                at_z = origin[1] + (b + 0.5) * cell
+                if at_z > z + radius + cell:
+                    break
+                shut[a, b] |= math.hypot(x - (origin[0] + (a + 0.5) * cell), z - at_z) < radius
     distance = np.full((nx, nz), np.inf)
     before = np.full((nx, nz), -1, np.int64)
     distance[si, sj] = 0.0
     heap = [(0.0, si * nz + sj)]
-    while len(heap) > 0:
+    # somebody who stands at the goal shuts all cells there, and a search for it would cover the whole home
+    is_open = math.isnan(goal[0])
+    for a in range(nx if not is_open else 0):
+        for b in range(nz if abs(origin[0] + (a + 0.5) * cell - goal[0]) < near + cell else 0):
+            gap = math.hypot(origin[0] + (a + 0.5) * cell - goal[0], origin[1] + (b + 0.5) * cell - goal[1])
+            is_open |= gap <= near + ROUNDING_M and (not shut[a, b] or (a == si and b == sj))
+    while is_open and len(heap) > 0:
         far, at = heapq.heappop(heap)
+        if far > farthest:
+            break
         i, j = at // nz, at % nz
         # an entry from before a shorter path was found: heapq cannot change an entry, so outdated ones stay in
         # the heap
         if far > distance[i, j]:
             continue
+        gap = math.hypot(origin[0] + (i + 0.5) * cell - goal[0], origin[1] + (j + 0.5) * cell - goal[1])
+        if gap <= near - ROUNDING_M:
+            farthest = min(farthest, far + gap + ROUNDING_M)
         for di in range(-1, 2):
             for dj in range(-1, 2):
                 a, b = i + di, j + dj
-                if (di == 0 and dj == 0) or a < 0 or b < 0 or a >= nx or b >= nz or room[a, b] < least:
+                if (di == 0 and dj == 0) or a < 0 or b < 0 or a >= nx or b >= nz or shut[a, b]:
                     continue
                 new = far + cell * math.sqrt(di * di + dj * dj)
-                if new >= distance[a, b]:
-                    continue
-                x, z = origin[0] + (a + 0.5) * cell, origin[1] + (b + 0.5) * cell
-                fits = True
-                for d in range(len(discs)):
-                    if math.hypot(x - discs[d, 0], z - discs[d, 1]) < discs[d, 2]:
-                        fits = False
-                if fits:
+                if new < distance[a, b]:
                     distance[a, b] = new
                     before[a, b] = at
                     heapq.heappush(heap, (new, a * nz + b))
     return distance, before
+
+
+@kernel(error_model="numpy")
+def _last_seen(sdf, origin, cell, room, discs, points, k):
+    """Number of the last of some points [N, 2] to which the straight line from point ``k`` is free, k + 1 if there is none."""
+    leg = np.empty((2, 2))
+    leg[0] = points[k]
+    for n in range(len(points) - 1, k + 1, -1):
+        if line_of_sight(sdf, origin, cell, room, points[k, 0], points[k, 1], points[n, 0], points[n, 1]):
+            # it knows the obstacles only, so discs are measured here
+            leg[1] = points[n]
+            if (_distances(discs[:, :2], leg) >= discs[:, 2]).all():
+                return n
+    return k + 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,10 +113,13 @@ class FloorRoutes:
         centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         return FloorRoutes(free, np.asarray(free.origin, np.float64), centres, free.signed_distance(centres))
 
-    def flood(self, start: NDArray, discs: NDArray) -> DistanceMap:
+    def flood(
+        self, start: NDArray, discs: NDArray, *, goal: NDArray = NOWHERE, farthest_m: float = math.inf
+    ) -> DistanceMap:
         """Distances and shortest paths from ``start`` [2] to all of the floor outside of some discs.
 
-        The discs are ``(x, z, radius)`` [N, 3]; a path may lead out of discs that contain the start.
+        The discs are ``(x, z, radius)`` [N, 3]; a path may lead out of discs that contain the start. A map that is asked only
+        for the path to ``goal`` [2], or for cells up to a distance, is made no larger than that takes.
         """
         cell = AVOIDANCE.cell_m
         discs = np.array(discs, np.float64).reshape(-1, 3)
@@ -89,7 +128,10 @@ class FloorRoutes:
         discs[:, 2] = np.minimum(discs[:, 2], gaps - AVOIDANCE.leaves_m)
         i, j = np.clip(((start - self.origin) / cell).astype(int), 0, np.array(self.room.shape) - 1).tolist()
         least = self.free.radius_m + AVOIDANCE.spare_m
-        distance, before = _flood(self.room, least, discs, self.origin, cell, i, j)
+        goal = np.asarray(goal, np.float64)
+        distance, before = _flood(
+            self.room, least, discs, self.origin, cell, i, j, goal, AVOIDANCE.near_m, float(farthest_m)
+        )
         return DistanceMap(self, np.array(start, np.float64), discs, distance, before)
 
 
@@ -107,10 +149,15 @@ class DistanceMap:
 
     def path_to(self, goal: NDArray) -> NDArray[np.float64] | None:
         """Returns floor points [N, 2] from the start to ``goal`` [2] with free straight legs; None if there is no path."""
-        gap = np.hypot(*(self.grid.centres - goal).transpose(2, 0, 1))
-        near = np.where(gap <= AVOIDANCE.near_m, self.distance + gap, np.inf)
-        best = int(near.argmin())
-        return self._path(best, goal) if np.isfinite(near.flat[best]) else None
+        # cells near the goal are few: distances to all of them took longer than the search
+        i, j = (max(int((goal[k] - self.grid.origin[k]) / AVOIDANCE.cell_m) - 3, 0) for k in (0, 1))
+        part = slice(i, i + 7), slice(j, j + 7)
+        gap = np.hypot(*(self.grid.centres[part] - goal).transpose(2, 0, 1))
+        near = np.where(gap <= AVOIDANCE.near_m, self.distance[part] + gap, np.inf)
+        if not np.isfinite(near).any():
+            return None
+        a, b = np.unravel_index(near.argmin(), near.shape)
+        return self._path(int((i + a) * self.distance.shape[1] + j + b), goal)
 
     def reaches(self, places: NDArray) -> NDArray[np.bool_]:
         """Returns whether a path leads to each of some floor points [N, 2], as `path_to` finds them, [N]."""
@@ -129,28 +176,20 @@ class DistanceMap:
 
     def _path(self, cell: int, goal: NDArray) -> NDArray[np.float64]:
         """Return the path [N, 2] to a cell, by its flat index, with ``goal`` in place of its centre, and straightened."""
-        cells = [cell]
-        while self.before.flat[cells[-1]] >= 0:
-            cells.append(int(self.before.flat[cells[-1]]))
-        points = [self.start, *self.grid.centres.reshape(-1, 2)[cells[-2:0:-1]], np.asarray(goal, np.float64)]
-        path, k = [points[0]], 0
+        cells, before = [cell], self.before.ravel()
+        while before.item(cells[-1]) >= 0:
+            cells.append(before.item(cells[-1]))
+        centres, free = self.grid.centres.reshape(-1, 2)[cells[-2:0:-1]], self.grid.free
+        points = np.vstack([self.start, centres, np.asarray(goal, np.float64)])
+        path, k, room = [points[0]], 0, free.radius_m + AVOIDANCE.spare_m
         # a path over cells knows eight directions only, and would lead in zigzags across an open room
         while k < len(points) - 1:
-            ahead = next((n for n in range(len(points) - 1, k + 1, -1) if self._sees(points[k], points[n])), k + 1)
+            ahead = _last_seen(free.sdf, free.origin, free.cell_m, room, self.discs, points, k)
             # where a cell's corner is cut, the exact shortest path goes around it
-            leg = self.grid.free.path(points[k], points[ahead], max_snap_m=1.0)
+            leg = free.path(points[k], points[ahead], max_snap_m=1.0)
             path += list(leg[1:]) if len(leg) else [points[ahead]]
             k = ahead
         return np.array(path)
-
-    def _sees(self, a: NDArray, b: NDArray) -> bool:
-        free = self.grid.free
-        room = free.radius_m + AVOIDANCE.spare_m
-        if not line_of_sight(free.sdf, free.origin, free.cell_m, room, a[0], a[1], b[0], b[1]):
-            return False
-        # line_of_sight knows the obstacles only, so discs are measured here
-        gaps = distance_to_path(self.discs[:, :2], np.stack([a, b]))
-        return not len(self.discs) or bool((gaps >= self.discs[:, 2]).all())
 
 
 def distance_to_path(points: NDArray, path: NDArray) -> NDArray[np.float64]:

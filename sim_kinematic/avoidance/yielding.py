@@ -144,7 +144,7 @@ def path_around(
     # a narrow path is taken only where there is no other
     for gap in passing_m:
         wide = discs + np.array([0.0, 0.0, radius_m + gap])
-        path = FloorRoutes.of(free).flood(xz, wide).path_to(goal)
+        path = FloorRoutes.of(free).flood(xz, wide, goal=goal).path_to(goal)
         if path is not None:
             return path[1:]
     return None

@@ -75,7 +75,7 @@ class WalkingAgent(PersonActor):
         """Take over where the world has the person, and how far they are in their walking cycle."""
         own = state.agents[self.number]
         assert isinstance(own, HumanState)
-        self._gait = self.figure.gait = own.take([0])
+        self._gait = self.figure.gait = own.copy()
 
     def choice(self) -> GaitAction:
         """Return the step that the person has just made."""
@@ -86,7 +86,7 @@ class WalkingAgent(PersonActor):
         self._pace(towards)
 
     def _posture(self) -> Any:
-        return self.figure.gait.take([0])
+        return self.figure.gait.copy()
 
     def _take(self, posture: Any) -> None:
         self.figure.gait = posture
@@ -126,7 +126,7 @@ class ClipBody:
     def stride(self, gait: HumanState | None = None) -> None:
         """Move the body by one step of its walk."""
         if gait is not None:
-            self.gait = gait.take([0])
+            self.gait = gait.copy()
             draw_arms(self.gait, self._free, self.body, self._arms)
 
     def turn(self, heading: float, *, settles: bool = True) -> Generator[None, None, MotionResult]:
@@ -190,8 +190,9 @@ class Traffic:
 
     def _begin_step(self, step: int) -> None:
         """Copy the state that the world has reached, and decide who steps aside in the step that begins."""
-        self._state.put([0], self._world.state.take([self._row]))
         # the world has moved everybody, agents of other policies included
+        for mine, theirs in zip(self._state.arrays(), self._world.state.arrays(), strict=True):
+            mine[0] = theirs[self._row]
         for actor in self.actors:
             actor.follow(self._state)
             self._company.end_turn(actor.number)

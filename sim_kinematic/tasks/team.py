@@ -119,11 +119,8 @@ class MotionTeam(Team):
     def view(self, agent: int, world: int) -> AgentView:
         """Return the observation of an agent in one world."""
         play, w = self.play, world
-        episode = play.episodes[w]
-        places, was = (
-            np.array([[*own.xz[w], own.heading[w]] for own in state.agents])
-            for state in (play.world.state, play.world.before)
-        )
+        episode, (xz, heading, was_xz, was_heading) = play.episodes[w], (values[w] for values in self._where())
+        places, was = np.column_stack([xz, heading]), np.column_stack([was_xz, was_heading])
         return AgentView(
             int(play.steps[w]),
             episode.seed,

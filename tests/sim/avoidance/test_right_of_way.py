@@ -111,6 +111,27 @@ def test_ways_lead_round_discs_and_out_of_them(free: FreeSpace) -> None:
         assert reached.sum() > 10
 
 
+def test_floods_that_end_early_find_the_same_paths(free: FreeSpace) -> None:
+    rng, routes = np.random.default_rng(3), FloorRoutes.of(free)
+    found = 0
+    for _ in range(30):
+        (start, goal), discs = (
+            free.sample(rng, 2),
+            np.append(free.sample(rng, 4), rng.uniform(0.2, 0.7, (4, 1)), axis=1),
+        )
+        whole, to_goal = routes.flood(start, discs), routes.flood(start, discs, goal=goal)
+        path, other = whole.path_to(goal), to_goal.path_to(goal)
+        assert (path is None) == (other is None)
+        if path is not None:
+            found += 1
+            np.testing.assert_array_equal(path, other)
+        near = routes.flood(start, discs, farthest_m=1.5).distance
+        np.testing.assert_array_equal(near[near <= 1.5], whole.distance[near <= 1.5])
+        assert (near <= 1.5).sum() == (whole.distance <= 1.5).sum()
+        assert np.isfinite(to_goal.distance).sum() <= np.isfinite(whole.distance).sum()
+    assert found > 10
+
+
 # --- what is in the way -------------------------------------------------------------------------------------------------
 def seen(xz: object, *, is_robot: bool = False, heading: float = 0.0, velocity: object = (0, 0)) -> ObservedAgent:
     footprint = AVOIDANCE.robot if is_robot else AVOIDANCE.person
