@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 
@@ -53,6 +53,8 @@ class SceneSet:
     about: str
     sha256: str
     """Digest of the file: an interrupted dataset can only be continued with the same set."""
+    skipped: Mapping[str, Mapping[str, tuple[int, ...]]] = field(default_factory=dict)
+    """Indexes of episodes that are none in a task, because they cannot be sampled or completed: by task and id of the scene."""
 
     @property
     def label(self) -> str:
@@ -64,13 +66,16 @@ class SceneSet:
         """Number of episodes in all scenes together."""
         return len(self.scenes) * self.social_nav.episodes_per_scene
 
-    def place(self, episode: int) -> tuple[SceneEntry, int]:
-        """Scene of an episode of the set, and its index within that scene.
+    def place(self, episode: int, task: str = "") -> tuple[SceneEntry, int]:
+        """Scene of an episode of the set, and its index within that scene, without those that the set skips in a task.
 
         Consecutive episodes take consecutive scenes, so that the first few episodes already cover many of them.
         """
         # all scenes once before any of them twice
-        return self.scenes[episode % len(self.scenes)], episode // len(self.scenes)
+        entry, index = self.scenes[episode % len(self.scenes)], episode // len(self.scenes)
+        for other in sorted(self.skipped.get(task, {}).get(entry.id, ())):
+            index += other <= index
+        return entry, index
 
     def episode_seed(self, scene_id: str, index: int, *, seed: int = 0) -> int:
         """Seed (63 bits) of episode ``index`` in a scene. It does not depend on the other scenes, so sets may grow.
@@ -147,6 +152,7 @@ class _SetFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     split: str = ""
     about: str = ""
     social_nav: SocialNavRules = msgspec.field(default_factory=SocialNavRules)
+    skipped: dict[str, dict[str, tuple[Annotated[int, msgspec.Meta(ge=0)], ...]]] = {}
 
 
 def read_scene_set(path: str | Path) -> SceneSet:
@@ -183,6 +189,8 @@ def read_scene_set(path: str | Path) -> SceneSet:
     # all faults before anything is refused: whoever writes a set by hand mends them in one go
     ids = [e.id for e in scenes]
     faults += [f"scenes: the id {i!r} occurs {ids.count(i)} times." for i in dict.fromkeys(ids) if ids.count(i) > 1]
+    strange = {name for some in content.skipped.values() for name in some} - set(ids)
+    faults += [f"skipped: there is no scene {name!r}." for name in sorted(strange)]
     if faults:
         more = f" ... and {len(faults) - 5} more faults." if len(faults) > 5 else ""
         raise FormatError(f"{' '.join(faults[:5])}{more} Scene set: {path}", code="H3-SCENE-058")
@@ -193,6 +201,7 @@ def read_scene_set(path: str | Path) -> SceneSet:
         social_nav=content.social_nav,
         about=content.about,
         sha256=hashlib.sha256(data).hexdigest(),
+        skipped={task: {k: tuple(set(v)) for k, v in some.items()} for task, some in content.skipped.items()},
     )
 
 

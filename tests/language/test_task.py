@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import json
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import h3data
-from h3data.errors import InputError
+from h3data.errors import FormatError, InputError
 from h3data.policies import Action, External
 from h3data.recording.task_episodes.stored_episodes import info_block
 from h3data.scene import FreeSpace
+from h3data.scene.scene_sets import read_scene_set
 from h3data_language.episode import LanguageSpec, can_be_done
 from h3data_language.evaluation.layout import Layout
 from h3data_language.evaluation.predicates import Rows, truth_of
@@ -22,8 +24,17 @@ from h3data_language.evaluation.records import Evaluation, Proposition
 from h3data_language.grounding import home_of, parse
 from h3data_language.task import HANDLING_STEPS, Language, check_extra, put
 from h3data_language.templates import KINDS, TEMPLATES, affords
-from h3data_language.verification import VerifiedTask, rows_of_kinds, verify_task
+from h3data_language.verification import (
+    PlayedTask,
+    VerifiedTask,
+    rows_of_kinds,
+    skip_table,
+    tasks_in,
+    verify_home,
+    verify_task,
+)
 from h3data_pipelines.cli import main
+from h3data_pipelines.jobs.episodes import Choices, make_jobs
 from sim_kinematic.agents.skills import Destination
 from sim_kinematic.policies.rearrange import errand
 from sim_kinematic.tasks.resume import verify
@@ -140,7 +151,7 @@ def test_the_expert_does_a_task_alone_and_in_a_pair(template: str) -> None:
     assert alone.success
     assert pair.success
     rows = rows_of_kinds([VerifiedTask(0, "", "free", "", alone, pair)])
-    assert rows[1][2] == rows[1][4] == "1.00"
+    assert rows[1] == ["free", "1", str(alone.steps), str(pair.steps), f"{alone.steps / pair.steps:.2f}", rows[1][5]]
 
 
 def test_greedy_agents_do_a_task_without_a_common_plan() -> None:
@@ -193,6 +204,67 @@ def test_the_commands_list_templates_and_verify_tasks(capsys: pytest.CaptureFixt
     assert f"{len(TEMPLATES)} templates" in run(capsys, "language", "templates")
     assert "faster" in run(capsys, "language", "verify", "--scenes", HOME, "--episodes", 1)
     assert "H3-LANGUAGE-" in run(capsys, "language", "verify", "--episodes", 0, code=2)
+
+
+def test_generate_measures_the_other_episodes_if_one_cannot_be_sampled(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from h3data_language import task
+
+    real, calls = task.sample_task, []
+
+    def sample(*given: Any) -> Any:
+        calls.append(given)
+        if len(calls) == 2:
+            raise h3data.errors.SceneError("no room", code="H3-LANGUAGE-010")
+        return real(*given)
+
+    monkeypatch.setattr(task, "sample_task", sample)
+    args = ("generate", "language", "--scenes", HOME, "--episodes", 2, "--max-steps", 40, "-o", tmp_path / "ds")
+    said = run(capsys, *args, code=1)
+    assert "H3-LANGUAGE-010" in said
+    assert "state_success" in said
+
+
+def test_episodes_that_are_no_task_or_are_not_completed_make_room_for_the_next(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What verify skips, a set with its lines skips too, in this task alone."""
+    done, failed = PlayedTask(True, 1.0, 20), PlayedTask(False, 0.5, 90)
+    results = iter([(done, failed), (done, done), (done, done)])
+    monkeypatch.setattr("h3data_language.verification.verify_task", lambda *_: next(results))
+    sampled, home = episode("two_on"), tasks_in("h3-homes/val", episodes=24, seed=0)[3]
+    assert home.numbers == (3, 15)
+
+    class Refuses(Language):
+        def episode(self, scene: Any, **more: Any) -> Any:
+            if more["seed"] == home.seed_of(1):
+                raise h3data.errors.SceneError("no room", code="H3-LANGUAGE-010")
+            return sampled
+
+    found, skipped = verify_home(Refuses(), home)
+    assert [t.number for t in found] == [3, 15]
+    assert [(s.index, s.reason) for s in skipped] == [
+        (0, "not completed by robot and person"),
+        (1, "could not be sampled [H3-LANGUAGE-010]"),
+    ]
+    text = 'format = 1\nname = "h3-homes"\nsplit = "val"\nscenes = [{ id = "val_03", seed = 1 }]\n'
+    file = tmp_path / "mine.toml"
+    file.write_text(text + skip_table(skipped))
+    known = read_scene_set(file)
+    assert [known.place(k, "language")[1] for k in range(3)] == [2, 3, 4]
+    assert [known.place(k)[1] for k in range(3)] == [0, 1, 2]
+    for seed, index in ((0, 2), (5, 0)):  # another seed has other episodes
+        (home,) = tasks_in(str(file), episodes=1, seed=seed)
+        jobs = make_jobs(Choices(task="language"), str(file), episodes=1, seed=seed)
+        assert jobs[0].seed == known.episode_seed("val_03", index, seed=seed)
+        assert home.skipped == (() if seed else (0, 1))
+    file.write_text(text + "[skipped.language]\nval_04 = [1]\n")
+    with pytest.raises(FormatError, match="H3-SCENE-058"):
+        read_scene_set(file)
+    monkeypatch.setattr("h3data_language.verification.TRIES", 1)
+    monkeypatch.setattr("h3data_language.verification.verify_task", lambda *_: (failed, failed))
+    assert "H3-LANGUAGE-" in run(capsys, "language", "verify", "--scenes", HOME, "--episodes", 1, code=2)
 
 
 def test_only_people_beside_a_thing_can_handle_it() -> None:

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 from h3data.commands import Group, JsonFlag, Outcome
 from h3data.commands.executors import opened
-from h3data.errors import InputError
+from h3data.errors import InputError, SceneError
 from h3data.progress import progress
-from h3data.terminal import aligned
+from h3data.terminal import aligned, counted
 
 if TYPE_CHECKING:
     from h3data_language.verification import VerifiedTask
@@ -43,10 +43,12 @@ class LanguageTemplates:
 
 @dataclass(frozen=True, kw_only=True)
 class LanguageVerify:
-    """Sample tasks in words and play each: a person alone, then a robot and a person. Lists what could not be done.
+    """Sample tasks in words and play each: a person alone, then a robot and a person.
 
-    Tasks are those of `h3data generate language` with the same scenes and seed. The digest is that of the
-    identities of all tasks. The second example has the tasks of the benchmark h3-language@1.
+    Tasks are those of `h3data generate language` with the same scenes and seed. An episode that cannot be sampled, or that the
+    expert does not complete, is skipped, and the next of its home takes its place; the lines `[skipped.language]` make a scene
+    set skip it too (h3data docs scene-sets). The digest is that of the identities of all tasks. The second example has the
+    tasks of the benchmark h3-language@1.
 
     Examples:
         h3data language verify --scenes h3-homes/val --episodes 20
@@ -64,38 +66,49 @@ class LanguageVerify:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """A table by type of task; exit code 1 if a task could not be done."""
+        """A table by type of task; exit code 1 if a home has too few tasks."""
         from h3data_language.task import Language
-        from h3data_language.verification import digest_of, rows_of_kinds, tasks_in, verify_home
+        from h3data_language.verification import (
+            SkippedTask,
+            digest_of,
+            rows_of_kinds,
+            skip_table,
+            tasks_in,
+            verify_home,
+        )
 
         if self.episodes < 1:
             raise InputError(f"Expected --episodes of at least 1, got {self.episodes}.", code="H3-LANGUAGE-016")
         homes = tasks_in(self.scenes, episodes=self.episodes, seed=self.seed)
         tasks: list[VerifiedTask] = []
+        skipped: list[SkippedTask] = []
         with (
             opened("local", self.workers) as workforce,
             progress(total=self.episodes, desc="verify", unit="task") as bar,
             closing(workforce.run(partial(verify_home, Language()), homes)) as results,
         ):
-            for some in results:
+            for some, others in results:
                 tasks += some
+                skipped += others
                 bar.update(len(some))
+        if not tasks:
+            raise SceneError(
+                f"None of {len(skipped)} episodes of {self.scenes} is a task: {skipped[0].reason}.",
+                code="H3-LANGUAGE-020",
+            )
         tasks.sort()
-        failed = [
-            f"{t.number} ({who}, {played.complete:.0%} in {played.steps} steps): {t.instruction}"
-            for t in tasks
-            for who, played in (("a person alone", t.alone), ("robot and person", t.pair))
-            if not played.success
-        ]
-        digest = digest_of(tasks)
+        reasons = Counter(each.reason for each in skipped)
+        lines = [aligned(rows_of_kinds(tasks))]
+        lines += [f"skipped {counted(count, 'episode')}: {reason}" for reason, count in reasons.items()]
+        digest, table = digest_of(tasks), skip_table(skipped)
         return Outcome(
-            text="\n".join([aligned(rows_of_kinds(tasks)), *failed, f"sha256 {digest}"]),
+            text="\n".join([*lines, *([table] if table else []), f"sha256 {digest}"]),
             data={
                 "tasks": [{**t._asdict(), "alone": t.alone._asdict(), "pair": t.pair._asdict()} for t in tasks],
-                "failed": failed,
+                "skipped": [each._asdict() for each in skipped],
                 "sha256": digest,
             },
-            exit_code=int(bool(failed)),
+            exit_code=int(len(tasks) < self.episodes),
         )
 
 

@@ -291,7 +291,7 @@ class Generate:
         written = WrittenDataset(
             Dataset(out), out / "mcap" if self.mcap else None, share_in=out if self.share_scenes else None
         )
-        table = measure_many(written)
+        table = measure_many(r for r in written if not is_failed(r))
         text = f"{counted(len(written), 'episode')}{whose(jobs[0])}, {counted(written.steps, 'step')} in {out}"
         text += f"\n\n{table.to_text()}"
         if cameras := written.dataset.cameras:

@@ -327,7 +327,10 @@ def make_jobs(
         set_rules = choices.found_task.usage.set_rules
         drawn_with = set_rules(chosen) if set_rules is not None else None
         more = {} if drawn_with is None else {"drawn_with": drawn_with, "spec": choices.spec(drawn_with)}
-        return [choices.job(drawn, **more) for drawn in set_episodes(chosen, episodes=episodes, seed=seed)]
+        return [
+            choices.job(drawn, **more)
+            for drawn in set_episodes(chosen, choices.found_task.name, episodes=episodes, seed=seed)
+        ]
     options: dict[str, Any] = {"homes": homes, "assets": assets, "allow_missing": allow_missing}
     named = [scene for name in names for scene in named_scenes(name, **options)]
     return SampledJobs(choices, named, range(10 if episodes is None else episodes), seed=seed)
@@ -375,10 +378,10 @@ def most_steps(jobs: Sequence[Job]) -> int:
     return sum(job.spec.max_steps for job in jobs)
 
 
-def set_episodes(scenes: SceneSet, *, episodes: int | None, seed: int) -> Iterator[SampledEpisode]:
-    """The first ``episodes`` episodes of a set; with another ``seed`` than 0, others."""
+def set_episodes(scenes: SceneSet, task: str, *, episodes: int | None, seed: int) -> Iterator[SampledEpisode]:
+    """The first ``episodes`` episodes of a set in a task; with another ``seed`` than 0, others."""
     for i in range(chosen_count(episodes, scenes.episodes, scenes.label)):
-        entry, index = scenes.place(i)
+        entry, index = scenes.place(i, "" if seed else task)
         origin = {
             "set": scenes.name,
             "split": scenes.split,
