@@ -90,7 +90,7 @@ class AssignedPolicy(NamedTuple):
         return bool(getattr(self.policy, "takes_commands", False))
 
 
-ADDRESS = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]*)://.*", re.DOTALL)
+ADDRESS = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]*):(https?:)?//.*", re.DOTALL)
 """A name that is the address of a policy server."""
 SERVED = re.compile(r"(?P<scheme>[a-z]+):(?P<name>[^:,]+)@(?P<digest>[0-9a-f]{12})")
 """Name of a policy server in recordings: its own name, and a digest of what it says about itself."""

@@ -38,6 +38,7 @@ PLACES = {
     "h3data_remote": "pipelines",
     "h3data_crowds": "pipelines",
     "h3data_language": "pipelines",
+    "h3data_llm": "pipelines",
     "h3data_ros": "pipelines",
     "h3data_social": "pipelines",
     "h3data_play": "viewers",
@@ -125,6 +126,14 @@ CALLS = [
     ("h3data_training", "from h3data.envs import DatasetEnv"),
     ("h3data_homes", "from h3data.scenes import HomeSpec"),
     ("h3data_homes", "from h3data import HomeSpec"),
+    (
+        "h3data_llm",
+        "import h3data; h3data.session('rearrange', 'small:1', agents={'robot': 'llm:http://127.0.0.1:1/v1?model=m'})",
+    ),
+    (
+        "h3data_language",
+        "import h3data; h3data.session('rearrange', 'small:1', agents={'robot': 'llm:http://127.0.0.1:1/v1?model=m'})",
+    ),
     ("h3data_viewers", "import h3data; h3data.report"),
 ]
 """Packages, and what is refused in Python without them."""

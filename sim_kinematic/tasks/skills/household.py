@@ -37,7 +37,9 @@ from sim_kinematic.agents.skills import (
     ALL_SKILLS,
     CONTROL,
     PRIMITIVES,
+    SAY,
     Action,
+    Message,
     Objects,
 )
 from sim_kinematic.agents.stands import nearest_stand
@@ -114,6 +116,8 @@ class Household(Team):
         self.controllers = [
             SkillController(actor.number, actor, play.spans, names, joints, aim=self.aim) for actor in self.actors
         ]
+        self.messages: list[list[Event]] = [[] for _ in self.actors]
+        """Messages so far that each agent has said or heard."""
         self.company = self._introduced()
         self.objects.openables = self._openables()
         owner = joints_of(episode.scene).owner
@@ -263,9 +267,20 @@ class Household(Team):
         self._carry_goals()
 
     def aim(self, number: int, action: Action) -> str:
-        """Give an object the goal of a `Destination`; returns the reason if this is impossible, which it is in most tasks."""
-        del number, action
-        return "no_space"
+        """Carry out a command that takes no time: say a `Message`, or give an object the goal of a `Destination`.
+
+        Returns:
+            The reason if this is impossible, which another goal is in most tasks; empty if it is done.
+        """
+        message = action.command
+        if not isinstance(message, Message):
+            return "no_space"
+        event = Event(step=self.play.step, agent=number, kind=SAY, target=message.to, detail=message.text)
+        self.play.events.append(event)
+        for own, member in zip(self.messages, self.episode.roster, strict=True):
+            if message.to in ("", member.name) or own is self.messages[number]:
+                own.append(event)
+        return ""
 
     def _carry_goals(self) -> None:
         """Moves the goals that are in drawers with these."""
@@ -398,6 +413,7 @@ class Household(Team):
             barrier=partial(self.barrier, me),
             observe=partial(self.play.observe, runner.number, 0),
             places=known[3],
+            messages=self.messages[runner.number],
         )
 
     def _known(self, agent: int) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_], Places | None]:
