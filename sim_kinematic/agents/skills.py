@@ -134,8 +134,6 @@ class Destination(NamedTuple):
         return cls(place, next_to)
 
 
-SAY = "say"
-"""Kind of the event of a message: its agent is the sender, its target the receiver, its detail the text."""
 LONGEST_MESSAGE = 500
 """Number of characters of a message, at most."""
 
@@ -158,10 +156,11 @@ class Message(NamedTuple):
         Raises:
             InputError: it is empty, too long or no text, or there is no such agent.
         """
-        length = len(self.text) if isinstance(self.text, str) else -1
-        if not 0 < length <= LONGEST_MESSAGE:
-            what = f"{length:,} characters" if length >= 0 else type(self.text).__name__
-            raise InputError(f"Expected a message of 1 to {LONGEST_MESSAGE} characters, got {what}.", code="H3-SIM-067")
+        if not isinstance(self.text, str) or not 0 < len(self.text) <= LONGEST_MESSAGE:
+            raise InputError(
+                f"Expected a message of 1 to {LONGEST_MESSAGE} characters, got {len(str(self.text)):,}.",
+                code="H3-SIM-067",
+            )
         if self.to not in ("", *names):
             raise InputError(
                 f"Nobody is called {str(self.to)[:50]!r} here.{suggest(str(self.to)[:50], names)}", code="H3-SIM-068"

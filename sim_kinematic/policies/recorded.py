@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.geometry import heading_from_quat
 from h3data.recording import Recording, SkillSpan
+from h3data.recording.log_lines import SAY
 from sim_kinematic.agents.skills import (
     ALL_SKILLS,
     CONTROL,
     OPENING_SKILLS,
-    SAY,
     SEARCH,
     SKILLS,
     Action,

@@ -142,7 +142,7 @@ class RearrangeView(NamedTuple):
     """Surfaces on which things may lie, if the agent knows only what it has seen: then the positions of unknown things are
     NaN, and they count as not at their goals and in nobody's hand. None: it knows everything."""
     messages: Sequence[Event] = ()
-    """Messages so far that the agent has said or heard (`sim_kinematic.agents.skills.SAY`)."""
+    """Messages so far that the agent has said or heard (`h3data.recording.log_lines.SAY`)."""
 
     def is_known(self, k: int) -> bool:
         """Returns whether the agent knows where an object is."""

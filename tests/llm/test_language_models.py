@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 import h3data
 from h3data.errors import InputError
+from h3data.recording.log_lines import SAY
 from h3data.scene import FreeSpace
 from h3data_language.episode import LanguageSpec
 from h3data_language.task import Language
@@ -22,7 +23,6 @@ from h3data_llm.endpoint import KEY_VARIABLE, MOST_BYTES, Address, LanguageModel
 from h3data_llm.policy import FAULTS, LanguageModelPolicy
 from h3data_llm.tools import Names, called, kept, tools_for
 from h3data_pipelines.cli import main
-from sim_kinematic.agents.skills import SAY
 from sim_kinematic.tasks.resume import resume, verify
 from sim_kinematic.tasks.runner import simulate
 from tests.llm.scripted_endpoint import call, chat_server, script, text

@@ -18,6 +18,7 @@ from h3data.errors import InputError
 from h3data.geometry import Array, transform_points
 from h3data.kernels import kernel
 from h3data.recording import Event
+from h3data.recording.log_lines import SAY
 from h3data.recording.records import JOINTS
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.articulation import AJAR, joint_names, joints_of
@@ -37,7 +38,6 @@ from sim_kinematic.agents.skills import (
     ALL_SKILLS,
     CONTROL,
     PRIMITIVES,
-    SAY,
     Action,
     Message,
     Objects,
@@ -116,8 +116,8 @@ class Household(Team):
         self.controllers = [
             SkillController(actor.number, actor, play.spans, names, joints, aim=self.aim) for actor in self.actors
         ]
-        self.messages: list[list[Event]] = [[] for _ in self.actors]
-        """Messages so far that each agent has said or heard."""
+        self.messages: list[Event] = []
+        """Everything that has been said so far."""
         self.company = self._introduced()
         self.objects.openables = self._openables()
         owner = joints_of(episode.scene).owner
@@ -272,14 +272,11 @@ class Household(Team):
         Returns:
             The reason if this is impossible, which another goal is in most tasks; empty if it is done.
         """
-        message = action.command
-        if not isinstance(message, Message):
+        if not isinstance(action.command, Message):
             return "no_space"
-        event = Event(step=self.play.step, agent=number, kind=SAY, target=message.to, detail=message.text)
-        self.play.events.append(event)
-        for own, member in zip(self.messages, self.episode.roster, strict=True):
-            if message.to in ("", member.name) or own is self.messages[number]:
-                own.append(event)
+        text, to = action.command
+        self.messages.append(Event(step=self.play.step, agent=number, kind=SAY, target=to, detail=text))
+        self.play.events.append(self.messages[-1])
         return ""
 
     def _carry_goals(self) -> None:
@@ -413,7 +410,9 @@ class Household(Team):
             barrier=partial(self.barrier, me),
             observe=partial(self.play.observe, runner.number, 0),
             places=known[3],
-            messages=self.messages[runner.number],
+            messages=[
+                e for e in self.messages if agent == e.agent or e.target in ("", self.episode.roster[agent].name)
+            ],
         )
 
     def _known(self, agent: int) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_], Places | None]:

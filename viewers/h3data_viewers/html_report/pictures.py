@@ -19,6 +19,7 @@ from h3data.errors import H3DataError
 from h3data.metrics import Profile
 from h3data.metrics.report_layout import Milestone
 from h3data.recording import Recording
+from h3data.recording.log_lines import SAY, speech
 from h3data.render.image_files import jpeg_data_uri
 from h3data.render.light.sources import LightMode
 from h3data_viewers.html_report.charts import series_class
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 Posing = Callable[..., "Replay"]
 """Makes the `Replay` of a recording, with further arguments by name."""
 _PLAN_WIDTH, _PLAN_HEIGHT = 360.0, 400.0
+MOST_MESSAGES = 12
+"""Number of messages that a card of an episode shows."""
 _PIXELS = 2.0
 """Pixels of the plan's picture per unit of the drawing."""
 _SCENES = 3
@@ -292,10 +295,11 @@ def highlight_card(
     episode, link = highlight.episode, ""
     tag = highlight.kind if len(highlight.run.episodes) > 1 else "only one"
     rows = key_rows(episode, highlight.run.profile.report.milestones)
-    scene, frames, missing, told = None, [], "", ""
+    scene, frames, missing, told, said = None, [], "", "", ""
     try:
         recording = read_whole(episode)
         told = str(recording.episode.info.get("instruction") or "")
+        said = _messages(recording)
         replay = posed(recording, light=light)
         scene = replay.scene
         if replays is not None:
@@ -341,12 +345,21 @@ def highlight_card(
         f'<span class="chip {series_class(highlight.place)}"></span>{escape(highlight.run.name)}: episode '
         f"{escape(episode.metrics.episode_id)}</h3><p class=quiet>{escape(episode.metrics.scene)}, "
         f"{episode.metrics.rows} steps, {episode.seconds(episode.metrics.rows - 1):.1f} s</p>"
-        f"{f'<p>{escape(told)}</p>' if told else ''}"
+        f"{f'<p>{escape(told)}</p>' if told else ''}{said}"
         f'<ul class="values">{values}</ul><div class="card-body"><div class="card-plan">{svg.to_html()}'
         f"{_sparkline(episode, series_class(highlight.place))}</div>"
         f'<div class="frames">{pictures}{missing}</div></div>'
         f"<p class=quiet>{link}Look: <code>h3data view {escape(_quoted(name))}</code></p></article>"
     )
+
+
+def _messages(recording: Recording) -> str:
+    """The first messages of an episode as a list; empty if nobody says anything."""
+    names, said = [agent.name for agent in recording.agents], [e for e in recording.events if e.kind == SAY]
+    seconds = recording.episode.dt_ns * 1e-9
+    lines = [f"<li>{e.step * seconds:.1f} s: {escape(speech(e, names))}</li>" for e in said[:MOST_MESSAGES]]
+    more = f"<li>and {len(said) - len(lines)} more</li>" if len(said) > len(lines) else ""
+    return f"<ul class=quiet>{''.join(lines)}{more}</ul>" if said else ""
 
 
 def key_rows(episode: ReportEpisode, milestones: Sequence[Milestone] = ()) -> list[tuple[int, str]]:
