@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import time
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from h3data_language.episode import LanguageSpec
 from h3data_language.task import Language
 from h3data_llm.endpoint import KEY_VARIABLE, MOST_BYTES, Address, LanguageModelError, reply_of
 from h3data_llm.policy import FAULTS, LanguageModelPolicy
+from h3data_llm.replies import models_in
 from h3data_llm.tools import Names, called, kept, tools_for
 from h3data_pipelines.cli import main
 from sim_kinematic.tasks.resume import resume, verify
@@ -366,7 +368,7 @@ def test_text_means_a_call_by_its_last_line() -> None:
 
 # --- commands ---------------------------------------------------------------------------------------------------------
 def test_generate_evaluate_and_replay_take_a_model_and_list_what_fails(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def answer(body: dict[str, Any]) -> dict[str, Any]:
         return call("say", text="hm") if len(body["messages"]) == 2 else call("done")
@@ -380,6 +382,16 @@ def test_generate_evaluate_and_replay_take_a_model_and_list_what_fails(
     assert "60" in run(capsys, "replay", tmp_path / "ds", "--verify")
     question = f"select count(*) from events where kind = '{SAY}'"
     assert "1" in run(capsys, "sql", question, tmp_path / "ds")
+    shown = run(capsys, "llm", "show", tmp_path / "ds")
+    assert 'say {"text": "hm"}' in shown
+    again = run(capsys, "llm", "again", tmp_path / "ds")
+    assert again.count("the same") == 3
+    monkeypatch.setattr("h3data_llm.policy.FAULTS", 2)
+    monkeypatch.setattr("h3data_llm.policy.RULES", "Do this: {instruction}")
+    assert "another from 0 on" in run(capsys, "llm", "again", tmp_path / "ds", code=1)
+    plain = ("generate", "language", *common, "--policy", "language_still", "--partner", "language_still")
+    run(capsys, *plain, "-o", tmp_path / "plain")
+    assert "No language model has played" in run(capsys, "llm", "show", tmp_path / "plain", code=2)
     seeds: list[int] = []
 
     def one_good(body: dict[str, Any]) -> Any:
@@ -394,3 +406,21 @@ def test_generate_evaluate_and_replay_take_a_model_and_list_what_fails(
     assert "No language model answers" in run(
         capsys, "generate", "language", *two, "--policy", server.policy(), "-o", tmp_path / "gone", code=2
     )
+
+
+@pytest.mark.parametrize(
+    ("told", "code"),
+    [
+        ("x", "026"),
+        ([{"policy": "llm:m", "agent": 0}], "026"),
+        ([{"policy": "llm:m", "agent": 0, "options": {"model": "m", "calls": "many"}, "decisions": []}], "026"),
+        ([{"policy": "llm:m", "agent": 0, "options": {"model": "m"}, "decisions": [{"step": 0}]}], "026"),
+        ([{"policy": "llm:m", "agent": 9, "options": {"model": "m"}, "decisions": []}], "027"),
+    ],
+)
+def test_malformed_answers_in_a_recording_are_one_sentence(told: Any, code: str) -> None:
+    with chat_server(lambda body: call("done")) as server:
+        made = play(episode("two_on", seed=1, max_steps=20), server.policy())
+    wrong = replace(made, episode=replace(made.episode, info={**made.episode.info, "llm": told}))
+    with pytest.raises(InputError, match=f"H3-LLM-{code}"):
+        models_in(wrong)

@@ -99,6 +99,7 @@ def run_without(package: str, tree: Path, commands: list[list[str]]) -> dict[str
         ("h3data_motion", {"motion"}),
         ("h3data_remote", {"serve"}),
         ("h3data_language", {"language"}),
+        ("h3data_llm", {"llm"}),
     ],
 )
 def test_a_package_that_is_not_there_costs_only_its_commands(package: str, lost: set[str], tmp_path: Path) -> None:
@@ -107,7 +108,7 @@ def test_a_package_that_is_not_there_costs_only_its_commands(package: str, lost:
     said = run_without(package, tmp_path, asked)
     assert all(said[f"{word} --help"][0] == 0 for word in others)
     listed = said["--help"][1]
-    for word in ("view", "report", "play", "study", "train", "motion", "serve", "language"):
+    for word in ("view", "report", "play", "study", "train", "motion", "serve", "language", "llm"):
         assert (f"\n  {word} " in listed) is (word not in lost)
     for word in lost:
         assert said[word][0] == 2
