@@ -68,6 +68,7 @@ AREAS = {
     "TRAIN": ("training", "training", "pipelines/h3data_training"),
     "REMOTE": ("policy servers", "remote-policies", "pipelines/h3data_remote"),
     "LANGUAGE": ("tasks in words", "language", "pipelines/h3data_language"),
+    "LLM": ("language models", "language", "pipelines/h3data_llm"),
     "VIEW": ("viewers and reports", "view", "viewers/h3data_viewers"),
     "PLAY": ("live play", "play", "viewers/h3data_play"),
     "STUDY": ("studies with people", "study", "viewers/h3data_studies"),

@@ -33,6 +33,7 @@ PACKAGES = {
     "h3data_remote": ROOT / "pipelines" / "h3data_remote",
     "h3data_ros": ROOT / "pipelines" / "h3data_ros",
     "h3data_language": ROOT / "pipelines" / "h3data_language",
+    "h3data_llm": ROOT / "pipelines" / "h3data_llm",
     "h3data_social": ROOT / "pipelines" / "h3data_social",
     "h3data_pipelines": ROOT / "pipelines" / "h3data_pipelines",
     "h3data_kernels": ROOT / "pipelines" / "h3data_kernels",
@@ -59,6 +60,7 @@ LAYERS = (
     "h3data_remote",
     "h3data_crowds",
     "h3data_language",
+    "h3data_llm",
     "h3data_pipelines",
 )
 """Packages from the lowest to the highest."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sim_kinematic.agents.driven.commands import PersonCommand, Pick, Place
-from sim_kinematic.agents.skills import Action
+from sim_kinematic.agents.skills import LONGEST_MESSAGE, Action, Message
 from sim_kinematic.policies.assignment import AssignedPolicy, PolicyChoice, PolicyMaker, policy_names, resolve_policy
 from sim_kinematic.policies.learned import navigation_input
 from sim_kinematic.policies.network import from_torch, save_network
@@ -11,11 +11,13 @@ from sim_kinematic.policies.policy import External, FunctionPolicy, Policy, Stil
 from sim_kinematic.policies.views import AgentView, RearrangeView, SocialNavView
 
 __all__ = [
+    "LONGEST_MESSAGE",
     "Action",
     "AgentView",
     "AssignedPolicy",
     "External",
     "FunctionPolicy",
+    "Message",
     "PersonCommand",
     "Pick",
     "Place",

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from h3data.recording.records import Recording
+from h3data.recording.records import Event, Recording
+
+SAY = "say"
+"""Kind of the event of a message: its agent is the sender, its target the receiver (empty: all), its detail the text."""
 
 
 @dataclass(frozen=True)
@@ -18,6 +22,12 @@ class LogLine:
     warning: bool = False
 
 
+def speech(event: Event, names: Sequence[str]) -> str:
+    """The line about a message between agents of these names; its text is as somebody has written it."""
+    who = names[event.agent] if 0 <= event.agent < len(names) else "somebody"
+    return f'{who} says{f" to {event.target}" if event.target else ""}: "{event.detail}"'
+
+
 def log_lines(recording: Recording) -> list[LogLine]:
     """A line for each event, for the start of each skill, and for the end of each failed one; sorted by step."""
     names = [agent.name for agent in recording.agents]
@@ -25,6 +35,7 @@ def log_lines(recording: Recording) -> list[LogLine]:
     for e in recording.events:
         agent = names[e.agent] if 0 <= e.agent < len(names) else ""
         text = " ".join(part for part in (agent, e.kind, e.target, f"({e.detail})" if e.detail else "") if part)
+        text = speech(e, names) if e.kind == SAY else text
         lines.append(LogLine("events", e.step, text, "collision" in e.kind or "fail" in e.kind))
     for s in recording.skills:
         agent = names[s.agent] if 0 <= s.agent < len(names) else "?"

@@ -1,7 +1,8 @@
 """Experts for tasks in words, which know the errands of a task and share them out, or each take the nearest.
 
 ``language_expert`` is one plan for all agents who follow it: alone, or in a pair. ``language_greedy`` decides for itself,
-and leaves to others what they hold or head for. With the rule ``observe=seen`` both search for things that they have not seen.
+and leaves to others what they hold or head for. ``language_talk`` plans for itself, and says so. With the rule
+``observe=seen`` all of them search for things that they have not seen.
 """
 
 from __future__ import annotations
@@ -14,16 +15,18 @@ from weakref import WeakKeyDictionary
 import msgspec
 import numpy as np
 
-from h3data.policies import Action, RearrangeView
+from h3data.policies import Action, Message, RearrangeView
 from h3data_language.episode import DETOUR, Errand
 from h3data_language.evaluation.records import STATES, Evaluation
+from h3data_language.talk import Intent, say
 from sim_kinematic.agents.skills import INSIDE, SEARCH, Destination
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.policies.rearrange import errand as next_action
 from sim_kinematic.policies.rearrange import persons_object
 from sim_kinematic.policies.searching import Search, is_search
+from sim_kinematic.sensing.sight import surface_names
 
-EXPERTS = ("language_expert", "language_greedy", "language_still")
+EXPERTS = ("language_expert", "language_greedy", "language_talk", "language_still")
 HANDLING_M = 1.4
 """Distance from which a person handles a thing [m]; somewhat less than the task allows."""
 HANDLING_WAIT = 15
@@ -291,6 +294,77 @@ class Expert:
         return min(free, key=lambda n: self.plan.length(view, view.xz, n)[0], default=-1)
 
 
+class Talker(Expert):
+    """Agent with a plan of its own, which says what it takes, leaves, has handled and sees, and hears the same of others."""
+
+    def __init__(self, episode: Any, number: int, kinds: Sequence[str]) -> None:
+        super().__init__(episode, number, kinds, greedy=False)
+        self.begun = True  # the plan is not shared
+        self._names = [target.name for target in episode.targets]
+        self._surfaces = surface_names(episode.scene)
+        self._heard, self._taken, self._handled = 0, -1, set[int]()
+        self._known: set[int] | None = None
+        self._say: list[Message] = []
+        self._next: Action | None = None
+        """Choice that follows the messages."""
+
+    def act(self, view: RearrangeView) -> Action:
+        """The next message, or the next skill as of the other experts."""
+        if not self._say and self._next is None:
+            # a search that has ended was not at the place of which somebody has told
+            hinted = self._listen(view) and self.number not in self.plan.doing
+            self._next = super().act(view._replace(last=None) if hinted else view)
+            self._tell(view)
+        if self._say:
+            return self._say.pop(0).action
+        action, self._next = self._next, None
+        assert action is not None
+        return action
+
+    def _tell(self, view: RearrangeView) -> None:
+        """Makes the messages about everything that has changed since the last ones."""
+        now, before, plan = self.plan.doing.get(self.number, -1), self._taken, self.plan
+        if now != before and now >= 0:
+            self._say.append(say("i_take", self._names[plan.errands[now].thing]))
+        elif now != before:
+            self._say.append(say("i_leave", self._names[plan.errands[before].thing]))
+        self._taken = now
+        for n in sorted(plan.handled - self._handled):
+            self._say.append(say("handled", self._names[plan.errands[n].thing]))
+        self._handled = set(plan.handled)
+        if view.places is not None:
+            known = {k for k in range(len(self._names)) if view.is_known(k) and view.held_by[k] == NOBODY}
+            for k in sorted(known - (self._known or set())):
+                nearest = int(np.argmin(np.linalg.norm(view.places.points - view.objects[k], axis=1)))
+                self._say.append(say("is_in", self._names[k], self._surfaces[nearest]))
+            self._known = known
+
+    def _listen(self, view: RearrangeView) -> bool:
+        """Take in messages of others since the last time; return whether one says where something is that is not known."""
+        plan, hinted = self.plan, False
+        for event in view.messages[self._heard :]:
+            intent = Intent.of(event.detail)
+            if event.agent == self.number or intent is None or (intent.names and intent.names[0] not in self._names):
+                continue
+            plan.asked_at[event.agent] = event.step
+            thing = self._names.index(intent.names[0]) if intent.names else -1
+            done = plan.done(view)
+            errands = [n for n, errand in enumerate(plan.errands) if errand.thing == thing and n not in done]
+            if intent.kind in ("i_take", "i_leave"):
+                plan.doing.pop(event.agent, None)
+            if intent.kind == "i_take" and errands:
+                plan.doing[event.agent], plan.begun[event.agent] = errands[0], view.step
+            elif intent.kind == "handled":
+                found = {n for n in errands if plan.errands[n].handle}
+                plan.handled |= found
+                self._handled |= found
+            elif intent.kind == "is_in" and intent.names[1] in self._surfaces and not view.is_known(thing):
+                self.search = Search(self._surfaces.index(intent.names[1]))  # which looks there first
+                hinted = True
+        self._heard = len(view.messages)
+        return hinted
+
+
 class Idle:
     """Agent that stands still."""
 
@@ -304,4 +378,6 @@ def expert(name: str, episode: Any, number: int, kinds: Sequence[str]) -> Any:
     """A fresh expert for one agent of an episode; those of ``language_expert`` share a plan."""
     if name == "language_still":
         return Idle()
+    if name == "language_talk":
+        return Talker(episode, number, kinds)
     return Expert(episode, number, kinds, greedy=name == "language_greedy")

@@ -182,7 +182,8 @@ class LanguageHousehold(Household):
 
     def aim(self, number: int, action: Action) -> str:
         """Give a thing a free spot at a destination as its goal, and tell it as an event."""
-        assert isinstance(action.command, Destination)
+        if not isinstance(action.command, Destination):
+            return super().aim(number, action)
         name, found = self.objects.names[action.target], self.spot_for(action.target, action.command)
         event = Event(step=self.play.step, agent=number, kind="aim", target=name, detail=str(action.command))
         self.play.events.append(event)

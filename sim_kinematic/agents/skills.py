@@ -6,7 +6,7 @@ pre-conditions are checked; an infeasible one is a no-op that is reported.
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import InputError
+from h3data.errors import InputError, suggest
 from h3data.moved import refuse_renamed
 from h3data.scene import Scene
 from sim_kinematic.motion.state import NOBODY, WorldState
@@ -132,6 +132,39 @@ class Destination(NamedTuple):
         """The destination that ``str`` wrote."""
         place, _, next_to = text.partition(" next to ")
         return cls(place, next_to)
+
+
+LONGEST_MESSAGE = 500
+"""Number of characters of a message, at most."""
+
+
+class Message(NamedTuple):
+    """`Action.command` of a ``wait`` of no steps that tells other agents something."""
+
+    text: str
+    to: str = ""
+    """Name of the agent who hears it; empty: all do."""
+
+    @property
+    def action(self) -> Action:
+        """The choice by which an agent says this; it takes no time."""
+        return Action("wait", -1, 0, self)
+
+    def check(self, names: Sequence[str]) -> None:
+        """Check that a message can be said in a home with agents of these names.
+
+        Raises:
+            InputError: it is empty, too long or no text, or there is no such agent.
+        """
+        if not isinstance(self.text, str) or not 0 < len(self.text) <= LONGEST_MESSAGE:
+            raise InputError(
+                f"Expected a message of 1 to {LONGEST_MESSAGE} characters, got {len(str(self.text)):,}.",
+                code="H3-SIM-067",
+            )
+        if self.to not in ("", *names):
+            raise InputError(
+                f"Nobody is called {str(self.to)[:50]!r} here.{suggest(str(self.to)[:50], names)}", code="H3-SIM-068"
+            )
 
 
 class SkillResult(NamedTuple):

@@ -18,6 +18,7 @@ from sim_kinematic.agents.skills import (
     SEARCH,
     Action,
     Destination,
+    Message,
     Skill,
     SkillResult,
 )
@@ -94,7 +95,7 @@ class SkillController:
             self._end_drive(self._step - 1)
         self.action, self.begun = chosen, self._step
         why = self.actor.infeasible(chosen)
-        if not why and self.aim is not None and isinstance(chosen.command, Destination):
+        if not why and self.aim is not None and isinstance(chosen.command, Destination | Message):
             why = self.aim(self.number, chosen)
         if why:
             self._end(self._step, SkillResult("failed", why))

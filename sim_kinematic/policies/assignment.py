@@ -89,7 +89,7 @@ class AssignedPolicy(NamedTuple):
 
 def is_address(name: str) -> bool:
     """Return whether the name of a policy is the address of a policy server."""
-    return re.fullmatch(r"[a-z][a-z0-9+.-]*://.*", name, re.DOTALL) is not None
+    return re.fullmatch(r"[a-z][a-z0-9+.-]*:(https?:)?//.*", name, re.DOTALL) is not None
 
 
 PolicyChoice = str | Policy | External | AssignedPolicy | Callable[..., Any]

@@ -13,7 +13,17 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.geometry import heading_from_quat
 from h3data.recording import Recording, SkillSpan
-from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, SEARCH, SKILLS, Action, Destination
+from h3data.recording.log_lines import SAY
+from sim_kinematic.agents.skills import (
+    ALL_SKILLS,
+    CONTROL,
+    OPENING_SKILLS,
+    SEARCH,
+    SKILLS,
+    Action,
+    Destination,
+    Message,
+)
 from sim_kinematic.policies.policy import RecordedPose, Velocity
 from sim_kinematic.policies.rearrange import HighLevelPolicy
 from sim_kinematic.policies.views import RearrangeView
@@ -235,8 +245,8 @@ class RecordedPolicy:
     """Names of the doors and drawers of the home."""
     surfaces: tuple[str, ...] = ()
     """Names of the surfaces at which agents look for things."""
-    destinations: Mapping[tuple[int, int], Destination] = field(default_factory=dict)
-    """Other goals that the agent gave to objects, by the step and the index of the object."""
+    commands: Mapping[tuple[int, int], list[Any]] = field(default_factory=dict)
+    """Commands of ``wait`` that took no time (`told_in`); each is taken out when it is repeated."""
     _next: int = 0
     _running: Action = field(default_factory=lambda: Action("wait"))
 
@@ -281,12 +291,23 @@ class RecordedPolicy:
             names = targets_of(span.name, self.objects, self.joints, self.surfaces)
             target = names.index(span.target) if span.target else -1
             action = Action(span.name, target, steps)
-            if span.name == "wait" and (step, target) in self.destinations:
-                return Action("wait", target, 0, self.destinations[step, target])
+            if span.name == "wait" and self.commands.get((step, target)):
+                return Action("wait", target, 0, self.commands[step, target].pop(0))
         else:
             skill, target = self.now[min(step, len(self.now) - 1)].tolist()
             action = Action(ALL_SKILLS[skill], target, len(self.now) + 1)
         return choice if choice is not None and choice[:2] == action[:2] else action
+
+
+def told_in(recording: Recording, number: int, objects: tuple[str, ...]) -> dict[tuple[int, int], list[Any]]:
+    """Other goals that an agent gave to objects, and its messages, by the step and the index of the object or -1."""
+    told: dict[tuple[int, int], list[Any]] = {}
+    for event in recording.events:
+        if event.agent == number and event.kind == "aim" and event.target in objects:
+            told.setdefault((event.step, objects.index(event.target)), []).append(Destination.of(event.detail))
+        elif event.agent == number and event.kind == SAY:
+            told.setdefault((event.step, -1), []).append(Message(event.detail, event.target))
+    return told
 
 
 def targets_of(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.geometry import Array
+from h3data.recording import Event
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.skills import Action, SkillResult
 from sim_kinematic.motion.spec import BaseSpec, WalkerSpec
@@ -140,6 +141,8 @@ class RearrangeView(NamedTuple):
     places: Places | None = None
     """Surfaces on which things may lie, if the agent knows only what it has seen: then the positions of unknown things are
     NaN, and they count as not at their goals and in nobody's hand. None: it knows everything."""
+    messages: Sequence[Event] = ()
+    """Messages so far that the agent has said or heard (`h3data.recording.log_lines.SAY`)."""
 
     def is_known(self, k: int) -> bool:
         """Return whether the agent knows where an object is."""

@@ -16,7 +16,7 @@ import msgspec
 from h3data.errors import InputError, suggest
 from h3data.moved import refuse_renamed
 from h3data.recording import STEP_NS, Event, InputEvent, Recording, RecordingHeader, SkillSpan
-from sim_kinematic.agents.skills import Action, sentence
+from sim_kinematic.agents.skills import CONTROL, Action, sentence
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, assign
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.policy import External
@@ -195,8 +195,8 @@ def simulate(
 
 
 def _needs_note(policy: Any, choice: Any) -> bool:
-    """Return whether a choice is recorded as raw input: commands of a server to an arm are in no column."""
-    return isinstance(choice, Action) and is_remote(policy)
+    """Returns whether a choice is recorded as raw input: commands of a server to an arm are in no column."""
+    return isinstance(choice, Action) and choice.skill == CONTROL and is_remote(policy)
 
 
 def _record(task: Task, recorder: Recorder, number: int, choice: Any, reason: str = "") -> None:

@@ -314,6 +314,7 @@ def test_sources_name_pages_as_the_command_shows_them() -> None:
         "pipelines/h3data_remote",
         "pipelines/h3data_crowds",
         "pipelines/h3data_language",
+        "pipelines/h3data_llm",
         "pipelines/h3data_ros",
         "pipelines/h3data_social",
         "viewers/h3data_viewers",

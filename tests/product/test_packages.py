@@ -38,6 +38,7 @@ PLACES = {
     "h3data_remote": "pipelines",
     "h3data_crowds": "pipelines",
     "h3data_language": "pipelines",
+    "h3data_llm": "pipelines",
     "h3data_ros": "pipelines",
     "h3data_social": "pipelines",
     "h3data_play": "viewers",
@@ -98,6 +99,7 @@ def run_without(package: str, tree: Path, commands: list[list[str]]) -> dict[str
         pytest.param("h3data_motion", {"motion"}, marks=pytest.mark.slow),
         pytest.param("h3data_remote", {"serve"}, marks=pytest.mark.slow),
         pytest.param("h3data_language", {"language"}, marks=pytest.mark.slow),
+        pytest.param("h3data_llm", {"llm"}, marks=pytest.mark.slow),
     ],
 )
 def test_a_package_that_is_not_there_costs_only_its_commands(package: str, lost: set[str], tmp_path: Path) -> None:
@@ -106,7 +108,7 @@ def test_a_package_that_is_not_there_costs_only_its_commands(package: str, lost:
     said = run_without(package, tmp_path, asked)
     assert all(said[f"{word} --help"][0] == 0 for word in others)
     listed = said["--help"][1]
-    for word in ("view", "report", "play", "study", "train", "motion", "serve", "language"):
+    for word in ("view", "report", "play", "study", "train", "motion", "serve", "language", "llm"):
         assert (f"\n  {word} " in listed) is (word not in lost)
     for word in lost:
         assert said[word][0] == 2
@@ -125,6 +127,14 @@ CALLS = [
     ("h3data_training", "from h3data.envs import DatasetEnv"),
     ("h3data_homes", "from h3data.scenes import HomeSpec"),
     ("h3data_homes", "from h3data import HomeSpec"),
+    (
+        "h3data_llm",
+        "import h3data; h3data.session('rearrange', 'small:1', agents={'robot': 'llm:http://127.0.0.1:1/v1?model=m'})",
+    ),
+    (
+        "h3data_language",
+        "import h3data; h3data.session('rearrange', 'small:1', agents={'robot': 'llm:http://127.0.0.1:1/v1?model=m'})",
+    ),
     ("h3data_viewers", "import h3data; h3data.report"),
 ]
 """Packages, and what is refused in Python without them."""

@@ -68,6 +68,7 @@ def test_the_wheel_works_outside_the_repository(script: str, says: str, tmp_path
         "h3data_remote",
         "h3data_crowds",
         "h3data_language",
+        "h3data_llm",
         "h3data_ros",
         "h3data_social",
         "h3data_viewers",

@@ -195,6 +195,9 @@ def compute_partnr(recording: Recording, notes: Notes, *, metrics: tuple[Metric,
         MissingColumnsError: there are neither propositions nor stored results.
         UnmeasurableError: they are malformed, or name what does not exist.
     """
+    if not len(recording):  # the place of an episode that failed
+        notes.add((m.name for m in metrics), "the recording has no rows")
+        return Computed(values={})
     note_missing(metrics, recording, notes)
     try:
         found = progress_of(recording, bugs=bugs)

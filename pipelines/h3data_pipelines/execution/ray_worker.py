@@ -32,6 +32,7 @@ PACKAGES = (
     "h3data_crowds",
     "h3data_language",
     "h3data_light",
+    "h3data_llm",
     "h3data_social",
     "h3data_rays",
     "h3data_remote",

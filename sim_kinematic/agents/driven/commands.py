@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from h3data.errors import InputError
-from sim_kinematic.agents.skills import CONTROL, SIT, Action, Destination, Objects
+from sim_kinematic.agents.skills import CONTROL, SIT, Action, Destination, Message, Objects
 
 HEAD_YAW_RAD, HEAD_PITCH_RAD = float(np.radians(75.0)), float(np.radians(50.0))
 """The head turns this far from the direction of the chest at most."""
@@ -157,7 +157,9 @@ def action_of(command: Any, objects: Objects, agent: int) -> Action:
 def command_to_json(action: Action) -> dict[str, Any]:
     """An action as JSON types, for the recorded raw input."""
     command = str(action.command) if isinstance(action.command, Destination) else msgspec.to_builtins(action.command)
-    if isinstance(command, dict):
+    if isinstance(action.command, Message):
+        command = action.command._asdict()
+    elif isinstance(command, dict):
         del command["do"]  # an action is one or the other
     return {"skill": action.skill, "target": action.target, "steps": action.steps, "command": command}
 
@@ -167,6 +169,8 @@ def command_from_json(data: Any) -> Action:
     given = data["command"]
     if isinstance(given, str):
         command: Any = Destination.of(given)
+    elif isinstance(given, dict) and "text" in given:
+        command = Message(given["text"], given["to"])
     elif isinstance(given, dict):
         left, right = (msgspec.convert(given[side], HandTarget | None) for side in ("left", "right"))
         head = msgspec.convert(given["head"], tuple[float, float] | None)

@@ -16,7 +16,7 @@ from sim_kinematic.agents.driven.commands import STAND, action_of, command_from_
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.robots.skills import checked_command
 from sim_kinematic.agents.roster import AgentSpec
-from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, SKILLS, Action, Destination, sentence
+from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, SKILLS, Action, Message, sentence
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.rearrange import (
     planner,
@@ -28,6 +28,7 @@ from sim_kinematic.policies.recorded import (
     is_remote,
     recorded_choices,
     recorded_commands,
+    told_in,
 )
 from sim_kinematic.sensing.sight import surface_names
 from sim_kinematic.sensing.table import STATE_SENSES
@@ -82,6 +83,8 @@ class SkillControl(Control):
             )
         elif choice.skill in (*SKILLS, *OPENING_SKILLS) or isinstance(body, Robot):
             play.team.objects.why_not(number, choice)
+        if isinstance(choice.command, Message):
+            choice.command.check([member.name for member in play.episode.roster])
         if choice.skill == CONTROL and isinstance(body, Robot):
             checked_command(choice.command, body)  # type: ignore[arg-type]
         return choice
@@ -176,11 +179,7 @@ class SkillControl(Control):
                     since=since,
                     joints=joints,
                     surfaces=surfaces,
-                    destinations={
-                        (event.step, objects.index(event.target)): Destination.of(event.detail)
-                        for event in recording.events
-                        if event.kind == "aim" and event.agent == k and event.target in objects
-                    },
+                    commands=told_in(recording, k, objects),
                 )
                 if assigned.policy is not None:
                     begins = until if (changed and changed[k]) or is_remote(assigned.policy) else min(since, until)

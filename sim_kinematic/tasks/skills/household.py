@@ -18,6 +18,7 @@ from h3data.errors import InputError
 from h3data.geometry import Array, transform_points
 from h3data.kernels import kernel
 from h3data.recording import Event
+from h3data.recording.log_lines import SAY
 from h3data.recording.records import JOINTS
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.articulation import AJAR, joint_names, joints_of
@@ -38,6 +39,7 @@ from sim_kinematic.agents.skills import (
     CONTROL,
     PRIMITIVES,
     Action,
+    Message,
     Objects,
 )
 from sim_kinematic.agents.stands import nearest_stand
@@ -115,6 +117,8 @@ class Household(Team):
         self.controllers = [
             SkillController(actor.number, actor, play.spans, names, joints, aim=self.aim) for actor in self.actors
         ]
+        self.messages: list[Event] = []
+        """Everything that has been said so far."""
         self.company = self._introduced()
         self.objects.openables = self._openables()
         # a drawer in which a goal lies takes it along; -1: the goal lies in none
@@ -268,9 +272,17 @@ class Household(Team):
         self._carry_goals()
 
     def aim(self, number: int, action: Action) -> str:
-        """Give an object the goal of a `Destination`, and return the reason if this is impossible, as it is in most tasks."""
-        del number, action
-        return "no_space"
+        """Carry out a command that takes no time: say a `Message`, or give an object the goal of a `Destination`.
+
+        Returns:
+            The reason if this is impossible, which another goal is in most tasks; empty if it is done.
+        """
+        if not isinstance(action.command, Message):
+            return "no_space"
+        text, to = action.command
+        self.messages.append(Event(step=self.play.step, agent=number, kind=SAY, target=to, detail=text))
+        self.play.events.append(self.messages[-1])
+        return ""
 
     def _carry_goals(self) -> None:
         """Move goals that are in drawers together with the drawers."""
@@ -404,6 +416,9 @@ class Household(Team):
             barrier=partial(self.barrier, me),
             observe=partial(self.play.observe, runner.number, 0),
             places=known[3],
+            messages=[
+                e for e in self.messages if agent == e.agent or e.target in ("", self.episode.roster[agent].name)
+            ],
         )
 
     def _known(self, agent: int) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_], Places | None]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.recording import Recording
+from h3data.recording.log_lines import SAY, speech
 from h3data.recording.scans import HEIGHT_M, scans_of
 from h3data_viewers.html_replay.packing import Payload
 from h3data_viewers.rerun.floor_marks import object_goals, walking_goals
@@ -131,6 +132,7 @@ def _events(recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, A
         # details of Habitat's events are JSON with numbers of users and objects
         detail = f"({event.detail.strip('()')})" if event.detail and not event.detail.startswith("{") else ""
         text = " ".join(part for part in (who, VERBS.get(event.kind, _words(event.kind)), event.target, detail) if part)
+        text = speech(event, names) if event.kind == SAY else text
         kind = (
             "bad"
             if "collision" in event.kind or "fail" in event.kind

@@ -19,6 +19,7 @@ from h3data.errors import H3DataError
 from h3data.metrics import Profile
 from h3data.metrics.report_layout import Milestone
 from h3data.recording import Recording
+from h3data.recording.log_lines import SAY, speech
 from h3data.render.image_files import jpeg_data_uri
 from h3data.render.light.sources import LightMode
 from h3data_viewers.html_report.charts import series_class
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 Posing = Callable[..., "Replay"]
 """Makes the `Replay` of a recording, with further arguments by name."""
 _PLAN_WIDTH, _PLAN_HEIGHT = 360.0, 400.0
+MOST_MESSAGES = 12
+"""Number of messages that a card of an episode shows."""
 _TRACKS = 40
 """At most so many trajectories per run are drawn over a plan."""
 _QUALITY = 78
@@ -269,6 +272,8 @@ class HighlightCard:
     fault: str
     """Reason why there are no key frames; empty if there are."""
     instruction: str
+    messages: list[str]
+    """The first messages between agents, each with its time."""
     replay: str
     """Address of the HTML replay; empty if there is none."""
     path: str
@@ -291,9 +296,11 @@ def highlight_card(
     episode, colour, address = highlight.episode, series_class(highlight.place), ""
     rows = key_rows(episode, highlight.run.profile.report.milestones)
     scene, frames, fault, instruction = None, [], "", ""
+    messages: list[str] = []
     try:
         recording = read_whole(episode)
         instruction = str(recording.episode.info.get("instruction") or "")
+        messages = _messages(recording)
         replay = posed(recording, light=light)
         scene = replay.scene
         if replays is not None:
@@ -314,6 +321,7 @@ def highlight_card(
         frames=frames,
         fault=fault,
         instruction=instruction,
+        messages=messages,
         replay=address,
         path=shlex.quote(name),
     )
@@ -341,6 +349,14 @@ def _paths(episode: ReportEpisode, plan: Plan, colour: str) -> Svg:
         svg.circle(bx, by, 4, "start person-way", title=f"nearest person: {gap:.2f} m")
     _scale_bar(svg, plan)
     return svg
+
+
+def _messages(recording: Recording) -> list[str]:
+    """The first messages of an episode, each with its time."""
+    names, said = [agent.name for agent in recording.agents], [e for e in recording.events if e.kind == SAY]
+    seconds = recording.episode.dt_ns * 1e-9
+    lines = [f"{e.step * seconds:.1f} s: {speech(e, names)}" for e in said[:MOST_MESSAGES]]
+    return [*lines, f"and {len(said) - len(lines)} more"] if len(said) > len(lines) else lines
 
 
 def key_rows(episode: ReportEpisode, milestones: Sequence[Milestone] = ()) -> list[tuple[int, str]]:

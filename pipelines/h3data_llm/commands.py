@@ -1,0 +1,88 @@
+"""``h3data llm show`` and ``h3data llm again``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from h3data.commands import Group, JsonFlag, Outcome
+from h3data.terminal import aligned
+
+
+@dataclass(frozen=True)
+class LlmShow:
+    """Show every answer of the language models in recordings: step, call or text, and the reason if it meant nothing.
+
+    Examples:
+        h3data llm show ds#0
+    """
+
+    paths: tyro.conf.Positional[tuple[Path, ...]]
+    """.mcap files, datasets, single episodes (ds#3)."""
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        """A line per answer."""
+        from h3data.recording.finding import find_episodes
+        from h3data_llm.replies import models_in
+
+        lines, data = [], []
+        for recording in (stored.read() for stored in find_episodes(self.paths)):
+            for model in models_in(recording):
+                rows = [["step", "answer", "seconds", "tokens", ""]]
+                for d in model.decisions:
+                    calls = d.reply.get("tool_calls")
+                    said = f"{calls[0]['function']['name']} {calls[0]['function']['arguments']}" if calls else ""
+                    text = " ".join((said or str(d.reply.get("content", ""))).split())[:100]
+                    rows.append([str(d.step), text, f"{d.ms / 1e3:.1f}", str(sum(d.tokens)), d.result[:60]])
+                name = f"episode {recording.episode.episode_id}, {recording.agents[model.agent].name}, {model.policy}"
+                lines += [name, aligned(rows)]
+                data.append({"episode": recording.episode.episode_id, **model._asdict()})
+        return Outcome(text="\n".join(lines), data={"models": data})
+
+
+@dataclass(frozen=True)
+class LlmAgain:
+    """Carry out the recorded answers of language models once more, by today's prompts and parser and without an endpoint.
+
+    Says whether the requests would be the same today, whether the answers mean the same, and from which step on the
+    episode differs. The exit code is 1 if anything does.
+
+    Examples:
+        h3data llm again ds#0
+    """
+
+    paths: tyro.conf.Positional[tuple[Path, ...]]
+    """.mcap files, datasets, single episodes (ds#3)."""
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        """A line per language model."""
+        from h3data.recording.finding import find_episodes
+        from h3data_llm.replies import played_again
+
+        rows, differs = [["episode", "agent", "answers", "requests", "meaning", "steps"]], False
+        for recording in (stored.read() for stored in find_episodes(self.paths)):
+            for found in played_again(recording):
+                differs = differs or bool(found.fault) or max(found.request, found.meaning, found.step) >= 0
+                rows.append(
+                    [
+                        recording.episode.episode_id,
+                        recording.agents[found.model.agent].name,
+                        str(len(found.model.decisions)),
+                        "the same" if found.request < 0 else f"another from {found.request} on",
+                        "the same" if found.meaning < 0 else f"another from {found.meaning} on",
+                        found.fault or ("the same" if found.step < 0 else f"differ from {found.step} on"),
+                    ]
+                )
+        columns = rows[0]
+        data = {"models": [dict(zip(columns, row, strict=True)) for row in rows[1:]]}
+        return Outcome(text=aligned(rows), data=data, exit_code=int(differs))
+
+
+LLM = Group(
+    "Recorded answers of language models: shown, and carried out again without an endpoint.",
+    {"show": LlmShow, "again": LlmAgain},
+)

@@ -1,0 +1,277 @@
+"""Tools by which a language model says what its agent does next: their schemas, and calls in answers of the model."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import msgspec
+
+from h3data.errors import suggest
+from h3data.policies import LONGEST_MESSAGE
+from h3data_language.templates import HANDLING
+from h3data_llm.endpoint import LanguageModelError
+
+LONGEST_WAIT_S = 60
+MOST_CONTENT = 4000
+"""Number of characters of an answer's text, at most; the rest is cut off."""
+_ACTION = re.compile(r"^[ \t]*Action:[ \t]*(\w+)[ \t]*\[(.*)\][ \t.]*$", re.MULTILINE)
+
+
+class Parameter(NamedTuple):
+    """Parameter of a tool."""
+
+    name: str
+    kind: str
+    """``thing``, ``place``, ``room``, ``opening``, ``agent``, ``handling``, ``text``, ``seconds`` or ``inside``."""
+    about: str
+    optional: bool = False
+
+
+class Tool(NamedTuple):
+    """Something that a language model can have its agent do."""
+
+    name: str
+    about: str
+    parameters: tuple[Parameter, ...] = ()
+
+
+class Call(NamedTuple):
+    """A tool with its arguments, which have been checked."""
+
+    tool: str
+    arguments: Mapping[str, Any]
+
+    def __str__(self) -> str:
+        return f"{self.tool}[{', '.join(str(value) for value in self.arguments.values())}]"
+
+
+class Names(NamedTuple):
+    """Names that arguments may have."""
+
+    things: tuple[str, ...]
+    places: tuple[str, ...] = ()
+    """Furniture, and rooms in which things can be put."""
+    rooms: tuple[str, ...] = ()
+    openings: tuple[str, ...] = ()
+    """Doors and drawers."""
+    agents: tuple[str, ...] = ()
+    """The other agents."""
+
+    def of(self, kind: str) -> tuple[str, ...]:
+        """Names of a kind of parameter; none for kinds that are no names."""
+        known = {
+            "thing": self.things,
+            "place": self.places,
+            "room": self.rooms,
+            "opening": self.openings,
+            "agent": self.agents,
+            "handling": (*HANDLING,),
+            "inside": ("on", "inside"),
+        }
+        return known.get(kind, ())
+
+
+_THING = Parameter("thing", "thing", "name of the thing")
+_WHERE = (
+    Parameter("place", "place", "name of the furniture or room"),
+    Parameter("how", "inside", "on (default), or inside: in a drawer or behind a door", optional=True),
+    Parameter("next_to", "thing", "name of another thing, to put it next to that", optional=True),
+)
+
+
+def tools_for(names: Names, *, places: bool, handles: bool, searches: bool) -> tuple[Tool, ...]:
+    """The tools of an agent.
+
+    Args:
+        names: Names of what is there.
+        places: True if the agent chooses where things go; otherwise each thing has one goal.
+        handles: True if the agent can clean, fill, pour out and switch on things.
+        searches: True if the agent knows only what it has seen.
+    """
+    where, there = (_WHERE, "to a place") if places else ((), "to its goal")
+    tools = [
+        Tool(
+            "bring",
+            f"Go to a thing, take it, bring it {there} and put it down. Opens what is in the way.",
+            (_THING, *where),
+        ),
+        Tool("pick", "Go to a thing and take it. You can hold one thing.", (_THING,)),
+        Tool("place", f"Bring the thing in your hand {there} and put it down.", where),
+    ]
+    if handles:
+        do = Parameter("do", "handling", "clean; fill; pour (pour out what is in it); power (switch on)")
+        tools.append(Tool("handle", "Go to a thing and do something to it.", (_THING, do)))
+    if names.openings:
+        opening = Parameter("name", "opening", "name of the door or drawer")
+        tools += [
+            Tool("open", "Go to a door or drawer and open it, with an empty hand.", (opening,)),
+            Tool("close", "Go to a door or drawer and close it, with an empty hand.", (opening,)),
+        ]
+    if searches:
+        room = Parameter("room", "room", "name of the room; leave out to search everywhere", optional=True)
+        tools.append(Tool("explore", "Look for things that nobody has seen yet, until you see a new one.", (room,)))
+    if names.agents:
+        text = Parameter("text", "text", f"up to {LONGEST_MESSAGE} characters")
+        tools.append(Tool("say", "Tell the others something. Takes no time.", (text,)))
+    seconds = Parameter("seconds", "seconds", f"1 to {LONGEST_WAIT_S}")
+    tools += [
+        Tool("wait", "Wait, or until somebody says something to you.", (seconds,)),
+        Tool("done", "Your part of the work is done. You are asked again only if somebody says something to you."),
+    ]
+    return tuple(tools)
+
+
+def schemas_of(tools: Sequence[Tool], names: Names) -> list[dict[str, Any]]:
+    """Tools in the form in which chats take them; names of furniture are left to the text about the home."""
+    return [
+        {
+            "type": "function",
+            "function": {
+                "name": tool.name,
+                "description": tool.about,
+                "parameters": {
+                    "type": "object",
+                    "properties": {p.name: _schema(p, names) for p in tool.parameters},
+                    "required": [p.name for p in tool.parameters if not p.optional],
+                },
+            },
+        }
+        for tool in tools
+    ]
+
+
+def _schema(parameter: Parameter, names: Names) -> dict[str, Any]:
+    known = names.of(parameter.kind)
+    listed = {"enum": list(known)} if known and parameter.kind not in ("place", "opening") else {}
+    kind = "integer" if parameter.kind == "seconds" else "string"
+    return {"type": kind, "description": parameter.about, **listed}
+
+
+def lines_of(tools: Sequence[Tool]) -> str:
+    """Tools as text, for models without tool calls."""
+    lines = []
+    for tool in tools:
+        shown = ", ".join(f"{p.name}{'?' if p.optional else ''}" for p in tool.parameters)
+        about = "; ".join(f"{p.name}: {p.about}" for p in tool.parameters)
+        lines.append(f"{tool.name}[{shown}] {tool.about}{f' ({about})' if about else ''}")
+    return "\n".join(lines)
+
+
+# --- answers ----------------------------------------------------------------------------------------------------------
+def called(message: Mapping[str, Any], tools: Sequence[Tool], names: Names, mode: str) -> Call:
+    """The first call in an answer.
+
+    Args:
+        message: Message of the model, cut to size (`kept`).
+        tools: The agent's tools.
+        names: Names that arguments may have.
+        mode: ``tools`` or ``text``.
+
+    Raises:
+        LanguageModelError: there is none, or its tool or an argument is wrong; the sentence is for the model too.
+    """
+    content, calls = message.get("content"), message.get("tool_calls")
+    if mode == "text":
+        found = list(_ACTION.finditer(content)) if content else []
+        if not found:
+            raise LanguageModelError(
+                "Expected an answer that ends with one line such as: Action: wait[5]", code="H3-LLM-014"
+            )
+        tool = _tool(found[-1][1], tools)
+        given = _split(found[-1][2], tool)
+    elif not calls:
+        raise LanguageModelError("Expected a call of one tool, got none.", code="H3-LLM-015")
+    else:
+        function = calls[0]["function"]
+        tool = _tool(function["name"], tools)
+        try:
+            given = msgspec.json.decode(function["arguments"] or "{}", type=dict[str, Any])
+        except msgspec.MsgspecError:
+            raise LanguageModelError(
+                f"Expected the arguments of {tool.name} as a JSON object.", code="H3-LLM-016"
+            ) from None
+    return Call(tool.name, _checked(tool, given, names))
+
+
+def kept(message: Mapping[str, Any]) -> dict[str, Any]:
+    """The parts of a message that are used and recorded: its text, cut to `MOST_CONTENT`, and its first tool call."""
+    content = message.get("content")
+    found: dict[str, Any] = {"content": _clean(content)[:MOST_CONTENT] if isinstance(content, str) else ""}
+    calls = message.get("tool_calls")
+    first = calls[0] if isinstance(calls, list) and calls and isinstance(calls[0], dict) else {}
+    function = first.get("function")
+    if isinstance(function, dict) and isinstance(function.get("name"), str):
+        arguments = function.get("arguments")
+        if isinstance(arguments, dict):  # some endpoints do not write them as a text
+            arguments = msgspec.json.encode(arguments).decode()
+        text = _clean(arguments)[:MOST_CONTENT] if isinstance(arguments, str) else ""
+        name = _clean(function["name"])[:64]
+        found["tool_calls"] = [{"function": {"name": name, "arguments": text}}]
+    return found
+
+
+def _clean(text: str) -> str:
+    """A text without halves of characters, which cannot be written."""
+    return text.encode("utf-8", "replace").decode()
+
+
+def _tool(name: str, tools: Sequence[Tool]) -> Tool:
+    found = next((tool for tool in tools if tool.name == name), None)
+    if found is None:
+        raise LanguageModelError(
+            f"There is no tool {name[:40]!r}.{suggest(name[:40], [tool.name for tool in tools])}", code="H3-LLM-017"
+        )
+    return found
+
+
+def _split(text: str, tool: Tool) -> dict[str, Any]:
+    """Arguments between brackets, in the order of the parameters; the last one may contain commas."""
+    values = [value.strip() for value in text.split(",", max(len(tool.parameters) - 1, 0))] if text.strip() else []
+    if len(values) > len(tool.parameters):
+        raise LanguageModelError(f"{tool.name} takes no arguments, got {text[:60]!r}.", code="H3-LLM-018")
+    return {p.name: value for p, value in zip(tool.parameters, values, strict=False) if value}
+
+
+def _checked(tool: Tool, given: Mapping[str, Any], names: Names) -> dict[str, Any]:
+    known = [p.name for p in tool.parameters]
+    strange = [name for name in given if name not in known]
+    missing = [p.name for p in tool.parameters if not p.optional and given.get(p.name) in (None, "")]
+    if strange or missing:
+        raise LanguageModelError(
+            f"Expected {', '.join(known) or 'no arguments'} for {tool.name}; "
+            + (f"{missing[0]} is missing." if missing else f"there is no {strange[0][:40]!r}."),
+            code="H3-LLM-019",
+        )
+    return {
+        p.name: _value(tool, p, given[p.name], names) for p in tool.parameters if given.get(p.name) not in (None, "")
+    }
+
+
+def _value(tool: Tool, parameter: Parameter, value: Any, names: Names) -> Any:
+    known = names.of(parameter.kind)
+    if parameter.kind == "seconds":
+        text = str(value)
+        if (
+            isinstance(value, bool)
+            or not re.fullmatch(r"\d{1,4}(\.\d*)?", text)
+            or not 1 <= float(text) <= LONGEST_WAIT_S
+        ):
+            raise LanguageModelError(
+                f"Expected {parameter.name} of {tool.name} from 1 to {LONGEST_WAIT_S}, got {text[:40]!r}.",
+                code="H3-LLM-020",
+            )
+        return float(text)
+    if not isinstance(value, str) or (parameter.kind == "text" and len(value) > LONGEST_MESSAGE):
+        what = f"{len(value):,} characters" if isinstance(value, str) else type(value).__name__
+        raise LanguageModelError(
+            f"Expected {parameter.name} of {tool.name} as a text of up to {LONGEST_MESSAGE} characters, got {what}.",
+            code="H3-LLM-021",
+        )
+    if parameter.kind != "text" and value not in known:
+        raise LanguageModelError(
+            f"There is no {value[:40]!r} for {parameter.name} of {tool.name}.{suggest(value[:40], known)}",
+            code="H3-LLM-022",
+        )
+    return value
