@@ -232,7 +232,7 @@ def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
                 "A file names the address of a policy server; only the user may. Hint: name it as the policy (ws://host:port).",
                 code="H3-POLICY-065",
             )
-        return policy_servers().get(name.partition("://")[0])(name, task, kind, spec)
+        return policy_servers().get(name.partition(":")[0])(name, task, kind, spec)
     # recordings name a policy server by its own name and a digest of its description
     found = re.fullmatch(r"(?P<scheme>[a-z]+):(?P<name>[^:,]+)@(?P<digest>[0-9a-f]{12})", name)
     if found and found["scheme"] in policy_servers().names():
