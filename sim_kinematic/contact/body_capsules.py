@@ -29,6 +29,7 @@ class RobotCapsules:
 
     def __init__(self, robot: Robot) -> None:
         links, ends, self.radii = _robot_capsules(robot)
+        # frames and ends are filled in place, so that posing allocates nothing
         self._args = (links, ends, np.ascontiguousarray(robot.to_base, np.float64), *robot.joint_tree)
         self._frames = np.empty((1, len(robot.links), 4, 4))
         self.ends = np.empty_like(ends)

@@ -97,6 +97,7 @@ class RobotHumanContact:
         The people are posed together.
         """
         gap = robot_base[:, [0, 2]] - human_base[:, [0, 2]]
+        # the gate holds for every posture, so people farther away need not be posed
         near = np.flatnonzero(np.hypot(gap[:, 0], gap[:, 1]) <= self.gate_m)
         result = np.zeros(len(gap), np.bool_)
         if not len(near):
@@ -157,6 +158,7 @@ def robot_span(robot: Robot) -> float:
 
     It is the sum of the lengths of all links up to the shape, as if stretched out.
     """
+    # joints may turn in any direction, so lengths of links add up whatever their directions
     stretched, span = np.zeros(len(robot.links)), 0.0
     for k, link in enumerate(robot.links):
         if link.parent >= 0:

@@ -83,6 +83,7 @@ class FclScene(_Objects):
 
         It is a first test, 50 times as fast as FCL's exact answer.
         """
+        # one more axis, as the kernel compares capsules in several poses
         start, end = (np.asarray(ends, np.float64)[None] for ends in (start, end))
         return len(_near_pairs(start, end, np.full(start.shape[1], radius_m), self.bounds)) > 0
 
@@ -133,6 +134,7 @@ class MovingShapes(_Objects):
         frames = np.asarray(transforms, np.float64)[::-1]
         pairs = _near_moved(np.ascontiguousarray(frames), *self._capsules, scene.bounds)
         request = fcl.CollisionRequest(num_max_contacts=CONTACTS_MAX, enable_contact=True)
+        # without exceptions the first contact of a pair decides, and FCL may stop there
         if not except_for:
             request = fcl.CollisionRequest()
         # pairs come sorted by pose and shape, so each shape is moved once per pose

@@ -104,6 +104,7 @@ def _convex(points: NDArray[np.float64]) -> tuple[fcl.CollisionGeometry, NDArray
         raise SceneError(
             f"A hull needs at least four points that are not in one plane, got {len(points)}.", code="H3-SIM-031"
         ) from fault
+    # points inside the hull are no corners of it
     used = np.unique(hull.simplices)
     vertices = np.ascontiguousarray(points[used])
     faces = np.searchsorted(used, hull.simplices)

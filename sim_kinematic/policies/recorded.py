@@ -40,7 +40,7 @@ def is_remote(policy: Any) -> bool:
 
 
 class NotRecorded(InputError):
-    """Error of an episode that takes another course than its recording: it needs a command where none was recorded."""
+    """The episode takes another course than the recording: it needs a command where none was recorded."""
 
 
 class RecordedCommand(NamedTuple):

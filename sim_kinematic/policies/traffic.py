@@ -30,8 +30,6 @@ from sim_kinematic.world import World
 
 ARRIVED_M = 0.3
 """A robot that wanders has reached its goal within this distance."""
-ARM_RAD_S = 8.0
-"""Speed at which arms fold [rad/s]. Robots that wander keep them folded."""
 
 
 class RobotTrafficAgent(RobotActor):
@@ -171,7 +169,8 @@ class Traffic:
     def _actor(self, number: int, floor: FreeSpace) -> RobotTrafficAgent | WalkingAgent:
         world, body = self._world, self._world.roster[number].body
         if isinstance(body, Robot):
-            return RobotTrafficAgent(body, floor, world.bases[number], self._objects, 0.0, ARM_RAD_S, number)
+            # arms stay folded: the hand reaches nothing, and whatever has unfolded them, they fold at 8 rad/s
+            return RobotTrafficAgent(body, floor, world.bases[number], self._objects, 0.0, 8.0, number)
         figure = ClipBody(body, world.clips[number], floor, world.walker.arms)
         return WalkingAgent(cast(Person, figure), floor, world.walker, self._objects, number)
 

@@ -59,6 +59,7 @@ def see(
     # without colours all lights look alike: they share the renderer of flat light, and nothing is baked
     seen_in, like = (light, lit_as) if any(in_colour(name, bodies[agent]) for name in names) else ("flat", None)
     rendered = shared_renderer(scene, tuple(bodies), tuple(objects), speed_mps, seen_in, like, threading.get_ident())
+    # shared with other policies of this thread, so it is posed anew each time
     rendered.pose(state, floor=floor, frames=frames)
     by_name = size if isinstance(size, Mapping) else dict.fromkeys(names, size) if size is not None else {}
     sizes = tuple((name, tuple(each)) for name, each in by_name.items())

@@ -59,6 +59,7 @@ class Pose(NamedTuple):
     """Heading [...] [rad]."""
 
 
+# every field is Any: the same rows read arrays and tensors, and a context has only the fields of its own sensors
 class Context(Protocol):
     """Input of sensors: the state of one agent in each of some worlds [...]. Fields that no sensor reads may be missing.
 

@@ -39,6 +39,7 @@ class DebugRenderer:
         # small pictures are enough to tell from which side the agent is seen best
         trials = [_camera(target, side, (64, 48)) for side in range(SIDES)]
         pictures = drawn.picture(trials, ("instance", "depth"))
+        # all trials in one batch: they share what is posed
         seen, depth = (pictures[output].reshape(SIDES, -1) for output in ("instance", "depth"))
         pixels = [np.isin(seen, drawn.instances(k)).sum(1) for k in range(len(drawn.bodies))]
         most = max(int(pixels[agent].max()), 1)

@@ -20,8 +20,6 @@ from h3data.plugins import own_version
 from h3data.recording import SCHEMA_VERSION, Recording, RecordingHeader, state_hash
 from h3data.scene import FreeSpace, Scene, load_scene
 
-MAX_STEPS = 1_000_000
-"""Largest number of steps of an episode that is simulated again, nine hours."""
 _OF_THE_RUN = ("job", "recovered", "resumed_from", "counterfactual", "human_reactive", "deciding_since")
 """Entries of ``info`` on the origin of a recording, which do not hold for one made from it."""
 ADDED = ("metrics.collision_people", "metrics.collision_robots")

@@ -27,14 +27,9 @@ from sim_kinematic.policies.visual_policy import (
     picture_of,
 )
 
-KIND = "resnet18_lstm"
 GROUPS = 16
 """Number of groups of a normalisation layer; planes come in multiples of it."""
 LAYERS = 2
-SQUEEZED = 2048
-"""Approximate number of values that represent a picture before the last layer."""
-LEAST_SIDE = 8
-"""Least side of a picture [pixels]."""
 
 
 class _Norm(nn.GroupNorm):
@@ -86,7 +81,8 @@ class ResNet18(nn.Module):
             for half in range(2)
         )
         places = _places(size)
-        squeezed = max(round(SQUEEZED / places), GROUPS)
+        # planes of which a picture has about 2,048 values before the last layer, whatever its size
+        squeezed = max(round(2048 / places), GROUPS)
         self.squeeze = nn.Conv2d(widths[-1], squeezed, 3, 1, 1, bias=False)
         self.squeeze_norm = _Norm(1, squeezed)
         self.out = nn.Linear(squeezed * places, features)
@@ -163,7 +159,7 @@ def pixels_of(picture: Tensor) -> Tensor:
 class ResNetPolicy(VisualPolicy):
     """The policy in a file whose card names this network, evaluated by PyTorch in one thread."""
 
-    kind = KIND
+    kind = "resnet18_lstm"
 
     def start(self) -> Floats:
         """Return the recurrent state at the start of an episode [H]."""
@@ -198,7 +194,7 @@ class ResNetPolicy(VisualPolicy):
     @classmethod
     def size_fault(cls, size: tuple[int, int]) -> str:
         """Return the sizes of pictures that the network supports, if this is none of them; otherwise empty."""
-        return "" if all(LEAST_SIDE <= side <= 1024 for side in size) else f"sides of {LEAST_SIDE} to 1024"
+        return "" if all(8 <= side <= 1024 for side in size) else "sides of 8 to 1024"
 
 
 def _net(card: PolicyCard, arrays: Mapping[str, Floats]) -> ResNetLSTM:
