@@ -37,6 +37,6 @@ def say(kind: str, *names: str, to: str = "") -> Message:
         raise InputError(
             f"Expected an intent and its names without spaces, got {kind!r} and {len(names)} names."
             f"{suggest(kind, [f'{k} with {n} names' for k, n in INTENTS.items()])}",
-            code="H3-LANGUAGE-020",
+            code="H3-LANGUAGE-021",
         )
     return Message(" ".join((kind, *names)), to)
