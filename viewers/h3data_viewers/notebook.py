@@ -101,6 +101,7 @@ def _rerun(recording: Recording, *, width: int | None, assets: Sequence[str | Pa
     from h3data_viewers.rerun.rrd_file import ViewedRecording, recorded_stream
 
     shown = ViewedRecording(recording=recording, replay=Replay(recording, assets=assets, detail=False))
+    # from memory: the notebook holds the recording, no file
     return RerunViewer(width=width or "auto", recording=recorded_stream([shown]))
 
 
@@ -110,6 +111,7 @@ def _video(recording: Recording, camera: str, *, width: int, assets: Sequence[st
     replay = Replay(recording, assets=assets)
     track = camera_track(replay, camera)
     small = replace(track, camera=scaled(track.camera, width / track.camera.width))
+    # a damaged file may have steps of no length
     rate = 1e9 / max(recording.episode.dt_ns, 1)
     # FFmpeg writes the index of an MP4 last and in front, which needs a file
     with tempfile.TemporaryDirectory() as folder:

@@ -133,6 +133,7 @@ class ReportCommand:
         if self.pictures < 0:
             raise InputError(f"--pictures must not be negative, got {self.pictures}.", code="H3-RENDER-080")
         targets = [path for path in (self.out, self.markdown, self.latex) if path is not None]
+        # one would overwrite the other
         if len({path.resolve() for path in targets}) < len(targets):
             raise InputError("-o, --markdown and --latex must be different files.", code="H3-RENDER-081")
         for path in targets:
@@ -167,6 +168,7 @@ class ReportCommand:
             write_text(self.markdown, report.to_markdown())
         if self.latex is not None:
             write_text(self.latex, report.to_latex())
+        # the report is written, but a script should know that episodes are missing
         exit_code = int(bool(report.data.unmeasured))
         return Outcome(
             text=_text(report, [*targets, *report.replays]), data=self._data(report), result=report, exit_code=exit_code

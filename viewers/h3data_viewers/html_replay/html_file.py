@@ -71,6 +71,7 @@ def write_html(
             code="H3-VIEW-002",
         )
     replay = replay or Replay(recording, detail=False)
+    # the first and the last state are always among them
     rows = np.unique(np.linspace(0, len(recording) - 1, min(len(recording), MOST_STATES)).round().astype(np.int64))
     task, episode_id = (
         recording.episode.task.replace("_", " ").capitalize() or "Recording",
@@ -90,6 +91,7 @@ def _block(recording: Recording, replay: Replay, rows: np.ndarray) -> bytes:
     add_home(payload, recording, parts)
     times = recording.columns["time_ns"].astype(np.float64) * 1e-9
     payload.add_array("time", times[rows] - times[0], TIME_S)
+    # the page names steps of the recording, whichever of them it holds
     payload.add_array("step", rows, 1)
     scene = replay.scene
     if scene is not None and scene.rooms:

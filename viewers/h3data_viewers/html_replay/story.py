@@ -116,7 +116,9 @@ def _lanes(recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, An
             lanes[name] = ["contact" if value else "-" for value in values.tolist()]
     out = []
     for name, states in lanes.items():
+        # runs are found among the kept states: a state between two of them cannot be shown
         kept = [states[row] for row in rows]
+        # each state once, and numbers of them in the runs: lanes repeat a few words thousands of times
         values = list(dict.fromkeys(kept))
         runs = [[k, values.index(s)] for k, s in enumerate(kept) if k == 0 or s != kept[k - 1]]
         out.append({"name": _words(name), "states": [_words(v) if v != "-" else "" for v in values], "runs": runs})

@@ -132,6 +132,7 @@ def make_report(
     for task in data.tasks:
         runs, tail = data.of_task(task), f" in {task_name(task)}" if len(data.tasks) > 1 else ""
         partners = partner_tables(runs, runs[0].profile.report.by_partner or ranked_by(runs[0].profile))
+        # heat maps are for the page alone: Markdown and LaTeX have no colours
         heat += partners
         sections += _task_sections(task, runs, tables, partners, studies.get(task), plans, missing, tail)
         if chosen := highlights(runs, pictures):
@@ -249,6 +250,7 @@ class ReportSection:
 
 def _paper_tables(data: ReportData, missing: list[str], studies: Mapping[str, StudyTables]) -> list[Table]:
     """Tables of all tasks, with those of ``studies`` by task; what is ``missing`` is added to."""
+    # tables of the paper's tasks come first, in its order, and say so if there are no episodes of them
     others = [task_table(task_name(t), data.of_task(t)) for t in data.tasks if t not in TASKS]
     of_studies = [table for study in studies.values() for table in study.tables]
     if len(others) == len(data.tasks):
@@ -275,6 +277,7 @@ def _studies(data: ReportData, missing: list[str], model: StepsModel, failed: Fa
             try:
                 studies[task] = SECTIONS.get("study")(data.of_task(task), steps=model, failed=failed)
                 why = studies[task].missing
+            # a report without statistics is better than none
             except InputError as fault:  # the package of studies is not there
                 why = str(fault).partition(" Hint:")[0].rstrip(".")
             if why:
@@ -308,6 +311,7 @@ def _task_sections(
         title = "Policies and partners" + tail
         sections.append(ReportSection(f"{task}-partners", title, "heat_maps", {"tables": partners}))
     else:
+        # what a reader may look for in vain is listed at the end, with the reason
         missing.append(f"Policies by partner in {task_name(task)}: all episodes have the same partner.")
     plotted, which = trajectory_charts(runs, plans)
     paths = (
