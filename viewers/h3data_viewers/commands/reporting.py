@@ -125,7 +125,7 @@ class ReportCommand:
     def run(self) -> Outcome:
         """Writes the report, and its tables as Markdown and LaTeX if asked to."""
         from h3data_viewers.html_report.reading import lost_part
-        from h3data_viewers.html_report.report import replay_folder, write_report
+        from h3data_viewers.html_report.report import make_report, replay_folder
 
         check_workers(self.executor, self.workers)
         if not self.datasets:
@@ -147,9 +147,8 @@ class ReportCommand:
                 code="H3-RENDER-083",
             )
         with opened(self.executor, self.workers) as executor:
-            report = write_report(
+            report = make_report(
                 self.datasets,
-                self.out,
                 title=self.title,
                 pictures=self.pictures,
                 assets=self.assets,
@@ -160,10 +159,11 @@ class ReportCommand:
                 failed=self.failed,
                 unseen_partners=self.unseen_partners,
                 seeds=self.seeds,
-                replays=self.replays,
+                replays=folder if self.replays else None,
                 spread=partial(executor.run, lost=lost_part),
                 command=f"{command_line('report', self)} -o {shlex.quote(self.out.name)}",
             )
+        report.write(self.out)
         if self.markdown is not None:
             write_text(self.markdown, report.to_markdown())
         if self.latex is not None:
