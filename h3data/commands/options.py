@@ -158,6 +158,7 @@ def command_of(function: Callable[..., Any]) -> Callable[[type[T]], type[T]]:
                 nothing = () if option.count is None else None
                 given = parameter.default
                 setattr(cls, name, nothing if given is None else python_value(option, given))
+        # after the defaults are set: a dataclass reads them when it is made
         return dataclass(frozen=True, kw_only=True)(cls)
 
     return decorate
@@ -265,6 +266,7 @@ def _name_of(thing: Any) -> Any:
         module = thing.__module__
         if module == "__main__" and (script := getattr(sys.modules["__main__"], "__file__", None)):
             module = Path(script).stem  # recordings name it, and other processes import it
+            # a script's class is called __main__:Name, which another process would look up in its own script
             sys.modules.setdefault(module, sys.modules["__main__"])  # which must not run again in this one
         return f"{module}:{thing.__qualname__}"
     from h3data.bodies import Robot, robot_name
@@ -326,6 +328,7 @@ def command_line(name: str, command: Command) -> str:
         # joined by commas where that is read back as the same values
         if option.is_list and split_list(joined := ",".join(texts)) == texts:
             texts = [joined]
+        # a single value is written with the flag in the singular
         flag = (
             option.flags[-2:-1] if len(values) == 1 and len(option.flags) > 1 and option.is_list else option.flags[-1:]
         )

@@ -35,11 +35,13 @@ def _is_replay(members: Mapping[str, Any], name: str) -> bool:
     if not isinstance(keyframes, list):
         return False
     objects = [keyframe for keyframe in keyframes if isinstance(keyframe, dict)]
+    # empty keyframes alone are a replay in which nothing was drawn yet
     return not any(objects) or any(not REPLAY_MEMBERS.isdisjoint(keyframe) for keyframe in objects)
 
 
 def _is_scene_dataset(members: Mapping[str, Any], name: str) -> bool:
     sections = members.keys() & {"stages", "objects", "articulated_objects", "light_setups", "scene_instances"}
+    # other files have members of these names, but lists or numbers in them
     return bool(sections) and all(isinstance(members[section], dict) for section in sections)
 
 
@@ -143,6 +145,7 @@ BUILT_IN = (
     Format(
         name="pickle",
         title="a pickle",
+        # protocols 3 to 5, those of Python 3
         begins=re.compile(b"\x80[\x03-\x05]"),
     ),
     Format(

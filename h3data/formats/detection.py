@@ -72,6 +72,7 @@ def detect(path: str | os.PathLike[str]) -> Format:
     """
     file = SourceFile.of(path)
     try:
+        # most files are told by their first bytes, without being read
         built_in = _by_beginning(file.head)
         if built_in is JSON:
             members = _members(file)
@@ -107,6 +108,7 @@ def _by_beginning(head: bytes) -> Format:
     for one in (*BUILT_IN, *TABLES):
         if one.begins is not None and one.begins.match(text):
             return one
+    # what begins like JSON is decoded later, as its members decide which kind it is
     if text.lstrip()[:1] in (b"{", b"["):
         return JSON
     if not head:
@@ -151,6 +153,7 @@ def _third_party_formats(file: SourceFile) -> Iterator[Format]:
                 fits = bool(one.begins is not None and one.begins.match(head))
                 fits |= one.members is not None and isinstance(members, dict) and one.members(members, file.path.name)
             else:
+                # a format without a check is taken at the word of the file's name; no name ends in \0
                 fits = file.path.name.endswith(one.suffixes or ("\0",))
         except Exception as fault:  # a plug-in can raise anything
             text = f"the field 'members' fails with {type(fault).__name__}: {fault}."

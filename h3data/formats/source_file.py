@@ -76,6 +76,7 @@ def byte_chunks(path: Path, size: int = CHUNK_BYTES) -> Iterator[bytes]:
     """
     try:
         with path.open("rb") as raw:
+            # by content, not by suffix: downloads often lose it
             packed = raw.read(2) == b"\x1f\x8b"
             raw.seek(0)
             if packed:

@@ -142,6 +142,7 @@ class Profile:
             uid=episode.uid,
             profile=self.name,
             metrics=self.metrics,
+            # every metric has a value, so that rows of a table fit each other
             values={name: float(computed.values.get(name, NAN)) for name in names},
             notes=notes.joined(names),
             robot=computed.robot,

@@ -120,6 +120,7 @@ def stored_columns(metrics: Iterable[Metric], agents: int) -> list[str]:
 
 
 def _has(recording: Recording, name: str) -> bool:
+    # info:KEY, events:KIND, agent_<robot>.COLUMN or the name of a column
     kind, colon, key = name.partition(":")
     if colon and kind == "info":
         return recording.episode.info.get(key) is not None

@@ -176,6 +176,7 @@ def summarize_all(
         [defined[name] for name in means], confidence=confidence, resamples=resamples, seed=seed
     )
     intervals = dict(zip(means, sampled, strict=True)) | {
+        # of shares near 0 or 1 a bootstrap has an interval without width
         m.name: wilson_interval(int(defined[m.name].sum()), len(defined[m.name]), confidence=confidence)
         for m in metrics
         if m.binary

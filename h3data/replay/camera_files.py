@@ -218,6 +218,7 @@ def smooth_path(key_times: Array, points: Array, times: Array) -> NDArray[np.flo
         return np.stack([np.interp(times, key_times, points[:, k]) for k in range(3)], axis=1)
     from scipy.interpolate import PchipInterpolator  # passes through the keys without overshooting
 
+    # outside of the keys a cubic would run off
     path = PchipInterpolator(key_times, points, axis=0)
     return np.asarray(path(np.clip(times, key_times[0], key_times[-1])), np.float64)
 

@@ -131,6 +131,7 @@ def camera_tracks(replay: Replay, cameras: Sequence[str]) -> list[CameraTrack]:
                     code="H3-EXPORT-002",
                 ) from None
             raise
+        # a policy that learns from padded pictures must not be shown others later
         if size is not None and any(side % 2 for side in size):
             raise InputError(
                 f"Videos have even sides, and a policy must be shown what they hold: expected an even width and height, "
@@ -148,6 +149,7 @@ def _moments(histogram: NDArray[np.int64]) -> Moments:
     # 256 counts for each channel instead of the pixels of a whole video
     values, counts = np.arange(256) / 255.0, histogram.astype(np.float64)
     total = counts.sum(1)
+    # exact for 8-bit pixels: the histogram holds all that the pixels do, except their places
     mean = counts @ values / total
     m2 = (counts * (values - mean[:, None]) ** 2).sum(1)
     present = histogram > 0

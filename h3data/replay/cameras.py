@@ -57,6 +57,7 @@ def camera_names(replay: Replay) -> list[str]:
     for index, agent in enumerate(replay.recording.agents):
         model = replay.model(index) if agent.model else None
         mounted = [c.name for c in model.cameras] if isinstance(model, Robot) else [HUMAN_HEAD] if model else []
+        # the first agent with such a camera has its plain name, the others have theirs before it
         names += [name if name not in names else f"{agent.name}/{name}" for name in mounted]
         if index != default_leader(replay):
             names.append(f"{agent.name}/{THIRD_PERSON}")
@@ -176,6 +177,7 @@ def top_down(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
     height = int(width * shape) // 2 * 2
     hfov_deg = 16.0  # narrow: nearly orthographic, so that walls do not hide the floor
     tan = np.tan(np.radians(hfov_deg) / 2)
+    # far enough for both sides of the home
     distance = max(span_x / 2 / tan, span_z / 2 / (tan * height / width))
     middle = (lo + hi) / 2
     eye = np.array([middle[0], hi[1] + distance, middle[2]])
@@ -231,6 +233,7 @@ def orbit(replay: Replay) -> CameraTrack:
     lo, hi = _extent(replay)
     middle, reach = (lo + hi) / 2, float(np.hypot(hi[0] - lo[0], hi[2] - lo[2])) / 2
     times = replay.recording.columns["time_ns"].astype(np.float64) * 1e-9
+    # at least 12 s for a round: a short recording would make the viewer dizzy
     around = Orbit(radius_m=2.3 * reach, height_m=2.0 * reach, period_s=max(replay.recording.duration_s, 12.0))
     target = (float(middle[0]), float(lo[1]) + 0.5, float(middle[2]))
     poses = orbit_poses(times, target, around) if len(times) else np.eye(4)[None]

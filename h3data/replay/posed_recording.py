@@ -97,6 +97,7 @@ class PosedRecording:
         self.scene: Scene | None = None
         if "scene.glb" in recording.attachments:
             self.scene = self._read_scene(bytes(recording.attachments["scene.glb"]))
+            # our own recordings carry their meshes in the scene, and need no asset library
             self.library = self.library.with_scene(self.scene)
         self.stand_ins = stand_ins
         recording, missing = (
@@ -116,6 +117,7 @@ class PosedRecording:
             # a body with bones but without a skin in its file is shown as it is, rigid
             if body.name not in rigs or not self._add_rigged(body, refs[body.asset], rigs[body.name]):
                 self._add_body(body, refs[body.asset])
+        # before any pose: a robot whose model has changed would be shown with wrong joints
         check_recorded_robots(recording)
         for index, agent in enumerate(recording.agents):
             if agent.model:

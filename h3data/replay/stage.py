@@ -395,6 +395,7 @@ def _show(
     present = bool(np.isfinite(joints).all())
     light = person.full is None
     if person.full and person.light and present:
+        # to the nearest joint: a hand close to the lens shows its facets
         distance = np.linalg.norm(joints[0, :, :3, 3] - camera.pose[:3, 3], axis=1).min()
         # without perspective, size does not depend on the distance, with which `light_enough` compares
         focal = camera.fx * (distance if camera.projection == "orthographic" else 1.0)

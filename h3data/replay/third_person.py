@@ -89,6 +89,7 @@ def third_person_at(
     scene = _scene(replay, leader)
     run = next(run for run in scene.runs if run[-1] >= step)
     row, reach = step - run[0], round(around_s / scene.dt)
+    # a step between two keys has the same neighbours as in the whole recording
     first = max(row - reach, 0) // scene.stride * scene.stride  # same keys as for the whole recording
     poses, nears = _follow(scene, run[first : row + reach + 1], np.array([row - first]))
     return CameraTrack(camera=_lens(width, height), poses=poses, nears=nears if nears.any() else None).at(0)

@@ -83,7 +83,7 @@ def test_the_place_of_the_output_is_tried_first(
         raise AssertionError("it worked before it tried")
 
     monkeypatch.setattr(command_parts, "NamedTemporaryFile", read_only)
-    monkeypatch.setattr("h3data_viewers.html_report.report.write_report", worked)
+    monkeypatch.setattr("h3data_viewers.html_report.report.make_report", worked)
     monkeypatch.setattr("h3data_viewers.write_rrd", worked, raising=False)
     with DatasetWriter(tmp_path / "ds") as writer:
         writer.add(simple_recording())

@@ -28,15 +28,8 @@ if TYPE_CHECKING:
 Viewer = Literal["rerun", "video"]
 STRIP = 5
 """Pictures in the strip of a recording."""
-STRIP_WIDTH = 200
-"""Width of one picture of the strip [px]."""
-VIDEO_WIDTH = 480
 LISTED = 10
 """Episodes listed of a dataset."""
-_Table = tuple[Sequence[str], Sequence[Sequence[object]]]
-"""Head, which may be empty, and rows."""
-_Picture = tuple[str, int, str, float]
-"""JPEG as a data URI, width [px], camera, and time [s]."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +85,7 @@ def show(
         )
     if viewer == "rerun" or (viewer is None and installed):
         return _rerun(recording, width=width, assets=assets)
-    return _video(recording, camera, width=width or VIDEO_WIDTH, assets=assets)
+    return _video(recording, camera, width=width or 480, assets=assets)
 
 
 def _rerun(recording: Recording, *, width: int | None, assets: Sequence[str | Path]) -> Any:
@@ -101,6 +94,7 @@ def _rerun(recording: Recording, *, width: int | None, assets: Sequence[str | Pa
     from h3data_viewers.rerun.rrd_file import ViewedRecording, recorded_stream
 
     shown = ViewedRecording(recording=recording, replay=Replay(recording, assets=assets, detail=False))
+    # from memory: the notebook holds the recording, no file
     return RerunViewer(width=width or "auto", recording=recorded_stream([shown]))
 
 
@@ -110,6 +104,7 @@ def _video(recording: Recording, camera: str, *, width: int, assets: Sequence[st
     replay = Replay(recording, assets=assets)
     track = camera_track(replay, camera)
     small = replace(track, camera=scaled(track.camera, width / track.camera.width))
+    # a damaged file may have steps of no length
     rate = 1e9 / max(recording.episode.dt_ns, 1)
     # FFmpeg writes the index of an MP4 last and in front, which needs a file
     with tempfile.TemporaryDirectory() as folder:
@@ -135,7 +130,7 @@ def recording_html(recording: Recording) -> str:
         "length": f"{len(recording):,} steps, {recording.duration_s:.1f} s",
     }
     facts |= {name: episode.info[name] for name in ("policy", "partner", "ended") if episode.info.get(name)}
-    tables: list[_Table] = [((), list(facts.items()))]
+    tables: list[tuple[Sequence[str], Sequence[Sequence[object]]]] = [((), list(facts.items()))]
     pictures, fault = _strip(recording)
     notes = [f"No pictures: {fault}"] if fault else []
     try:
@@ -175,7 +170,8 @@ def metrics_html(measured: EpisodeMetrics) -> str:
     return _html(tables=[_metrics(measured)])
 
 
-def _metrics(measured: EpisodeMetrics) -> _Table:
+def _metrics(measured: EpisodeMetrics) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of the table of metrics."""
     head, *rows = measured.to_rows()
     if not measured.notes:
         return head, rows
@@ -188,10 +184,11 @@ def _html(**content: Any) -> str:
     return render("notebook.html", **nothing | content)
 
 
-def _strip(recording: Recording) -> tuple[list[_Picture], str]:
+def _strip(recording: Recording) -> tuple[list[tuple[str, int, str, float]], str]:
     """Pictures evenly spread over a recording, from behind the robot or, without agents, from above.
 
-    The text that is returned says why there are none; it is empty if there are.
+    Returns:
+        JPEG as a data URI, width [px], camera and time [s] of each picture; and the reason why there are none, else empty.
     """
     if not len(recording):
         return [], "the recording has no steps."
@@ -207,7 +204,7 @@ def _strip(recording: Recording) -> tuple[list[_Picture], str]:
             # the search for a smooth path, as of a video, would take 95% of the time
             alone = bool(recording.agents)
             camera = third_person_at(replay, row, around_s=0.0) if alone else camera_at(replay, name, row)
-            small = scaled(camera, STRIP_WIDTH / camera.width)
+            small = scaled(camera, 200 / camera.width)  # five of them fit into a cell
             track = CameraTrack(camera=small, poses=small.pose[None])
             picture = next(iter(replay.frames([track], [row])))[1][0]["rgb"]
             pictures.append((jpeg_data_uri(picture), picture.shape[1], name, float(time_s)))

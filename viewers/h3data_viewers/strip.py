@@ -129,6 +129,7 @@ def _plan(replay: Replay) -> tuple[NDArray[np.uint8], Camera]:
         span = rectangles[:, 2:].max(0) - rectangles[:, :2].min(0)
     else:
         span = (high - low)[[0, 2]]
+    # a scene of a single point still has a plan
     across, deep = np.maximum(span, 1.0) + 1.1  # the plan has a margin
     image, camera = plan_picture(scene, pixels_per_m=float(min(WIDTH_PX / across, PLAN_PX / deep)), floor_y=floor_y)
     grey = image.mean(-1, keepdims=True)
@@ -188,6 +189,7 @@ def _positions(recording: Recording, agent: int) -> Array:
 
 def _moves(xz: Array, dt: float) -> NDArray[np.bool_]:
     """Returns whether an agent moves, [T], by its displacement [T, 2] around each step; ``dt`` [s] is the time of a step."""
+    # over a second, so that an agent who sways on the spot does not count as moving
     steps, reach = np.arange(len(xz)), max(round(OVER_S / dt), 1)
     before, after = np.maximum(steps - reach, 0), np.minimum(steps + reach, len(xz) - 1)
     moved = np.linalg.norm(xz[after] - xz[before], axis=1)

@@ -84,6 +84,7 @@ def encounter_series(
     """
     global _measured_rows
     _measured_rows += len(robot_pose)
+    # other types would compile another version of the kernel
     if ("numba" in sys.modules or _measured_rows > MANY_ROWS) and robot_pose.dtype == human_pose.dtype == np.float32:
         return _compiled_series(robot_pose, human_pose, reach_m, time_ns, starts, thresholds)
     robot = _components(robot_pose)
@@ -149,6 +150,7 @@ def _found(
     length[length == 0] = np.inf
     forward_x, forward_z = x / length, z / length
     along = forward_x * dx + forward_z * dz
+    # a stored geodesic distance of a person who has left counts for nothing
     reach = np.where(np.isnan(dist), np.nan, reach_m)
     in_reach = (reach >= limits.near_m) & (reach <= limits.far_m)
     # as a product, so that nothing is divided by a distance of 0

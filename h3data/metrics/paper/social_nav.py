@@ -31,6 +31,7 @@ def compute_social_nav(recordings: Sequence[Recording], notes: Sequence[Notes]) 
     touched = series.get("collision", np.zeros(offsets[-1], np.bool_))
     found, contacts = _occurrences(series["found"], offsets), _occurrences(touched, offsets)
     unseen = _occurrences(np.isnan(series["dist_m"]), offsets)
+    # BYR counts both: backing up and standing still near a person
     making_room = _occurrences(series["backs_up"] | series["yields"], offsets)
     computed = []
     for k, (recording, note, (robot, human)) in enumerate(zip(recordings, notes, agents, strict=True)):
@@ -143,11 +144,13 @@ def _values(recording: Recording, episode: _Counted, notes: Notes) -> dict[str, 
     values |= _distances(episode, notes)
     if "S" in values:
         found = episode.found
+        # never found: SPS and F are 0 by their definition, whatever the oracle needs
         values |= (
             {"SPS": 0.0, "F": 0.0}
             if not found.total
             else _against_oracle(recording, found.first + 1, found.total, notes)
         )
+        # its times are counted frames
         if recording.episode.task == GFX_REPLAY:
             notes.add(("BYR",), "a gfx-replay has no time stamps: speeds assume its nominal frame rate")
     return values

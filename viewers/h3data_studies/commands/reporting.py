@@ -77,7 +77,7 @@ class StudyReport:
         from h3data_studies.answers import answer_rows, check_rows, form_means
         from h3data_studies.exclusions import exclusions, focus_rows
         from h3data_studies.files import open_store, open_study
-        from h3data_viewers.html_report.report import write_report
+        from h3data_viewers.html_report.report import make_report
 
         folder, design = open_study(self.study)
         everyone = sorted(open_store(folder, design).participants.values(), key=lambda p: p.number)
@@ -113,9 +113,8 @@ class StudyReport:
                 notes.append(f"No comparison of conditions: {str(fault).partition(' Hint:')[0]}")
             more = [t for t in (_forms_table(design, used), _rules_table(design, rules)) if t is not None]
             title = f"{design.name}, version {design.version}" + (" (scripted participants)" if _bots(people) else "")
-            write_report(
+            report = make_report(
                 files,
-                page,
                 title=title,
                 pictures=self.pictures,
                 study_model=self.model,
@@ -124,6 +123,7 @@ class StudyReport:
                 folder=folder,
                 command=command_line("study report", self),
             )
+            report.write(page)
         else:
             page.unlink(missing_ok=True)  # of an earlier report
             notes.append("No report.html: it needs an episode that can be used.")

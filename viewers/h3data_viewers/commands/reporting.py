@@ -125,7 +125,7 @@ class ReportCommand:
     def run(self) -> Outcome:
         """Writes the report, and its tables as Markdown and LaTeX if asked to."""
         from h3data_viewers.html_report.reading import lost_part
-        from h3data_viewers.html_report.report import replay_folder, write_report
+        from h3data_viewers.html_report.report import make_report, replay_folder
 
         check_workers(self.executor, self.workers)
         if not self.datasets:
@@ -133,6 +133,7 @@ class ReportCommand:
         if self.pictures < 0:
             raise InputError(f"--pictures must not be negative, got {self.pictures}.", code="H3-RENDER-080")
         targets = [path for path in (self.out, self.markdown, self.latex) if path is not None]
+        # one would overwrite the other
         if len({path.resolve() for path in targets}) < len(targets):
             raise InputError("-o, --markdown and --latex must be different files.", code="H3-RENDER-081")
         for path in targets:
@@ -146,9 +147,8 @@ class ReportCommand:
                 code="H3-RENDER-083",
             )
         with opened(self.executor, self.workers) as executor:
-            report = write_report(
+            report = make_report(
                 self.datasets,
-                self.out,
                 title=self.title,
                 pictures=self.pictures,
                 assets=self.assets,
@@ -159,14 +159,16 @@ class ReportCommand:
                 failed=self.failed,
                 unseen_partners=self.unseen_partners,
                 seeds=self.seeds,
-                replays=self.replays,
+                replays=folder if self.replays else None,
                 spread=partial(executor.run, lost=lost_part),
                 command=f"{command_line('report', self)} -o {shlex.quote(self.out.name)}",
             )
+        report.write(self.out)
         if self.markdown is not None:
             write_text(self.markdown, report.to_markdown())
         if self.latex is not None:
             write_text(self.latex, report.to_latex())
+        # the report is written, but a script should know that episodes are missing
         exit_code = int(bool(report.data.unmeasured))
         return Outcome(
             text=_text(report, [*targets, *report.replays]), data=self._data(report), result=report, exit_code=exit_code

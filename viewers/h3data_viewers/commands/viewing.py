@@ -162,7 +162,10 @@ class View:
         from h3data_viewers import write_comparison_rrd, write_rrd
 
         paths = [self.recording] if self.compare is None else [self.recording, self.compare]
-        if len(paths) == 2 and _same(*paths):
+        places = [place(path) for path in paths]
+        # paths of object stores have no links that `resolve` could follow
+        named = {each if isinstance(each, RemotePath) else each.resolve() for each in places}
+        if len(named) < len(paths):
             raise InputError(
                 f"--compare expects a second recording, got the first one again: {self.compare}", code="H3-RENDER-097"
             )
@@ -221,10 +224,3 @@ def _open(path: Path) -> str:
     # in a session of its own, so that the viewer stays when the terminal is closed
     subprocess.Popen([viewer, str(path)], stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True)
     return ""
-
-
-def _same(first: Path, second: Path) -> bool:
-    a, b = place(first), place(second)
-    if isinstance(a, RemotePath) or isinstance(b, RemotePath):
-        return a == b
-    return a.resolve() == b.resolve()

@@ -111,6 +111,7 @@ def _thinned(mesh: Mesh, share: float) -> Mesh:
         return mesh
     # 32 levels of a colour: more colours would be more triangles with corners of their own
     colors = baked_colors(mesh)[thin.keep] // 8 * 8 + 4
+    # without normals, a mesh stays faceted
     normals = None if mesh.normals is None else mesh.normals[thin.keep]
     return Mesh(vertices=mesh.vertices[thin.keep], faces=thin.faces, colors=colors.astype(np.uint8), normals=normals)
 
@@ -150,5 +151,6 @@ def _picture(png: bytes, name: str) -> tuple[bytes, str]:
         opaque = picture.mode in ("RGB", "L") or picture.convert("RGBA").getchannel("A").getextrema() == (255, 255)
         out = io.BytesIO()
         picture.convert("RGB").save(out, "JPEG", quality=80, optimize=True)
+    # JPEG would mix the colours of neighbouring cells of the palette
     small = name != "palette" and opaque and out.tell() < len(png)
     return (out.getvalue(), "image/jpeg") if small else (png, "image/png")

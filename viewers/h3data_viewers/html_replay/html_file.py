@@ -29,8 +29,6 @@ from h3data_viewers.templates import render
 
 MOST_STATES = 6000
 """States in a file (200 s at 30 Hz): of longer recordings every second, third, ... is kept, and the page goes between them."""
-TIME_S = 1e-4
-"""Step of times."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +69,7 @@ def write_html(
             code="H3-VIEW-002",
         )
     replay = replay or Replay(recording, detail=False)
+    # the first and the last state are always among them
     rows = np.unique(np.linspace(0, len(recording) - 1, min(len(recording), MOST_STATES)).round().astype(np.int64))
     task, episode_id = (
         recording.episode.task.replace("_", " ").capitalize() or "Recording",
@@ -89,7 +88,8 @@ def _block(recording: Recording, replay: Replay, rows: np.ndarray) -> bytes:
     parts = posed_parts(replay, rows)
     add_home(payload, recording, parts)
     times = recording.columns["time_ns"].astype(np.float64) * 1e-9
-    payload.add_array("time", times[rows] - times[0], TIME_S)
+    payload.add_array("time", times[rows] - times[0], 1e-4)  # a tenth of a millisecond
+    # the page names steps of the recording, whichever of them it holds
     payload.add_array("step", rows, 1)
     scene = replay.scene
     if scene is not None and scene.rooms:

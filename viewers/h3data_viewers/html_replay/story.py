@@ -26,9 +26,6 @@ VERBS |= {
     "activity": "begins to",
 }
 """Kinds of events as parts of a sentence; others are shown as they are."""
-LEVELS = 4000
-"""Number of levels of a curve, from its least to its greatest value."""
-MOST_EVENTS = 4000
 SCAN_M = 0.01
 """Step of the distances of scans."""
 _TITLES = {
@@ -86,9 +83,9 @@ def _charts(payload: Payload, recording: Recording, rows: NDArray[np.integer]) -
 def _curve(payload: Payload, name: str, values: NDArray[Any]) -> dict[str, str]:
     values = np.asarray(values, np.float64)
     finite = values[np.isfinite(values)]
-    # a chart is at most some hundred pixels tall, so finer levels would not show
-    span = float(np.ptp(finite)) if len(finite) else 0.0
-    return {"name": name, "array": payload.add_array(f"curve_{len(payload.entries)}", values, max(span / LEVELS, 1e-9))}
+    # 4,000 levels: a chart is at most some hundred pixels tall, so finer ones would not show
+    step = max((float(np.ptp(finite)) if len(finite) else 0.0) / 4000, 1e-9)
+    return {"name": name, "array": payload.add_array(f"curve_{len(payload.entries)}", values, step)}
 
 
 def _title(name: str) -> str:
@@ -117,7 +114,9 @@ def _lanes(recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, An
             lanes[name] = ["contact" if value else "-" for value in values.tolist()]
     out = []
     for name, states in lanes.items():
+        # runs are found among the kept states: a state between two of them cannot be shown
         kept = [states[row] for row in rows]
+        # each state once, and numbers of them in the runs: lanes repeat a few words thousands of times
         values = list(dict.fromkeys(kept))
         runs = [[k, values.index(s)] for k, s in enumerate(kept) if k == 0 or s != kept[k - 1]]
         out.append({"name": _words(name), "states": [_words(v) if v != "-" else "" for v in values], "runs": runs})
@@ -156,7 +155,7 @@ def _events(recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, A
     events.sort(key=lambda event: event[0])
     return [
         {"step": int(np.clip(np.searchsorted(rows, step), 0, max(len(rows) - 1, 0))), "kind": kind, "text": text}
-        for step, kind, text in events[:MOST_EVENTS]
+        for step, kind, text in events[:4000]  # more would make the page's list slow
     ]
 
 

@@ -58,6 +58,7 @@ def _add_interval(svg: Svg, x: Scale, y: float, name: str, interval: Interval, c
 
 def _highest(metric: Metric, values: Sequence[float]) -> float:
     """Right end of an axis with these values."""
+    # shares all have the axis 0 to 1, so that panels compare; others have 8% of room on the right
     return 1.0 if metric.range == (0.0, 1.0) else max((v for v in values if np.isfinite(v)), default=1.0) * 1.08 or 1.0
 
 
@@ -140,6 +141,7 @@ def _distribution(metric: Metric, runs: Sequence[Run], columns: Sequence[NDArray
     means = "; ".join(f"{r.name} {c.mean():.2f}" for r, c in zip(runs, columns, strict=True) if len(c))
     alt = f"Distribution of {metric.title} over episodes; means: {means}"
     svg, x = _rows_chart(metric, 6 + lane * len(runs), low, high, alt=alt, caption="")
+    # the same bins for all runs, so that their bars stand above each other
     edges = np.linspace(low, high, 25)
     for k, (run, column) in enumerate(zip(runs, columns, strict=True)):
         base = 6 + lane * (k + 1)
@@ -159,6 +161,7 @@ def _distribution(metric: Metric, runs: Sequence[Run], columns: Sequence[NDArray
 # --- over time --------------------------------------------------------------------------------------------------------
 def time_charts(runs: Sequence[Run]) -> list[Svg]:
     """Distance over time with quartiles, and the shares of episodes that have reached each milestone of their profile."""
+    # with their numbers, so that each keeps its colour where others are left out
     kept = [(k, run) for k, run in enumerate(runs) if any(len(e.distance_m) for e in run.episodes)]
     if not kept:
         return []
@@ -182,6 +185,7 @@ def time_charts(runs: Sequence[Run]) -> list[Svg]:
 
 def _distance(kept: Sequence[tuple[int, Run]], longest: float, *, zone: tuple[float, float] | None) -> Svg:
     quartiles = [(k, run, _quartiles([e.distance_m for e in run.episodes])) for k, run in kept]
+    # at least 2.5 m, so that the zone of following is in view
     high = max([2.5, *(float(np.nanmax(q)) for _, _, q in quartiles if q.size and not np.isnan(q).all())])
     several = any(e.people > 1 for _, run in kept for e in run.episodes)
     who = "nearest person" if several else "person"
@@ -271,6 +275,7 @@ def _learning(name: str, curves: Mapping[str, Mapping[str, NDArray[np.float64]]]
     if not sum(map(len, finite)):
         return None
     low, high = (f(float(f(v)) for v in finite if len(v)) for f in (min, max))
+    # the lines share one axis of steps: a shorter training ends earlier
     last = max(float(np.nanmax(s)) for _, s, _ in lines)
     svg, x, y = _time_chart(
         last,

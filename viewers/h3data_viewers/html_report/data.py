@@ -196,6 +196,7 @@ class _Gathered:
         places: list[int] = []
         parts: list[Part] = []
         for place, root in enumerate(roots):
+            # an evaluation that kept no recordings has a row of metrics for each episode
             if holds_results(root):
                 for episode, profile in result_episodes(root):
                     self.count += 1
@@ -207,6 +208,7 @@ class _Gathered:
             of_root = parts_of(list(find_sources([root])))
             parts += of_root
             places += [place] * len(of_root)
+        # the bar counts episodes: parts hold one or two thousand
         episodes = sum(1 if part.episodes is None else len(part.episodes) for part in parts)
         bar = progress(total=episodes, desc="read and measure", unit="episode", delay=1.0, leave=False)
         for place, found in zip(places, spread(read_part, parts), strict=True):
@@ -259,7 +261,9 @@ class _Gathered:
             ]
 
     def _group(self, place: int, root: Path, episode: ReportEpisode, profile: Profile) -> None:
+        # in a study the condition is compared, whoever played it
         policy = episode.condition if episode.studied else episode.policy or episode.condition or root.stem or "unnamed"
+        # by the place of the path too: two datasets of one policy may be two versions of it
         key = (place, episode.metrics.task, policy)
         if self.profiles.setdefault(key, profile) is not profile:
             raise InputError(
@@ -291,6 +295,7 @@ def same_episodes(first: Run, second: Run) -> bool:
         {e.metrics.episode_id: (e.metrics.scene, e.seed, e.participant) for e in run.episodes}
         for run in (first, second)
     )
+    # equal dictionaries are not enough: an id that comes twice would be lost in both
     return first.task == second.task and a == b and len(a) == len(first.episodes) == len(second.episodes)
 
 
@@ -419,6 +424,7 @@ def _pooled(runs: Sequence[Run], roots: Sequence[Path], patterns: Sequence[str])
 
 def _one_row(parts: Sequence[Sequence[ReportEpisode]]) -> bool:
     """Returns whether datasets of a policy have the same rules, and no episode twice with one partner or participant."""
+    # the same episode with another partner or participant is another sample
     keys = [{(e.metrics.episode_id, e.metrics.scene, e.seed, e.partner, e.participant) for e in part} for part in parts]
     rules = {frozenset(e.metrics.protocol_deviations for e in part) for part in parts}
     return sum(map(len, keys)) == len(set().union(*keys)) and len(rules) == 1

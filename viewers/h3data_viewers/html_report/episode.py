@@ -70,6 +70,7 @@ class ReportEpisode:
         if min(measured) < 0 or max(measured) >= len(self.tracks):
             return np.zeros((0, 2), np.float32)
         robot, human = (self.tracks[number].xz for number in measured)
+        # tracks have the same times, so that their points belong together
         gaps = np.linalg.norm(robot - human, axis=1)
         return np.zeros((0, 2), np.float32) if np.isnan(gaps).all() else np.stack([robot, human])[:, np.nanargmin(gaps)]
 

@@ -95,6 +95,7 @@ def result_episodes(root: Path) -> Iterator[tuple[ReportEpisode, Profile]]:
 def _episode(file: Path, row: Mapping[str, Any], asked: Mapping[str, Any], task: str) -> tuple[ReportEpisode, Profile]:
     profile = profile_for(task, {})
     partner = str(row.get("partner", ""))
+    # the partner too: each plays the same episodes
     name = f"{row['index']:06d}" + (f" with {partner}" if partner else "")
     metrics = EpisodeMetrics(
         episode_id=name,

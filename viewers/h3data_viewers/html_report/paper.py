@@ -19,6 +19,7 @@ from h3data.metrics import (
     metrics_of,
 )
 from h3data.metrics.paper.published import published_results
+from h3data.metrics.report_layout import PublishedTable
 from h3data_viewers.html_report.data import Mean, ReportData, Run, same_episodes
 from h3data_viewers.html_report.tables import (
     NAN,
@@ -44,24 +45,14 @@ def social_nav_table(runs: Sequence[Run]) -> Table:
     """Means with intervals of each run, the paper's rows below."""
     paper = published_results().social_nav
     metrics = metrics_of("paper", "social_nav")
-    summaries = [run.means() for run in runs]
-    best = _best([{name: s.mean for name, s in summary.items()} for summary in summaries], metrics)
-    ours = []
-    for k, (run, summary) in enumerate(zip(runs, summaries, strict=True)):
-        published = paper.row_of(run.policy)
-        cells = []
-        for metric in metrics:
-            s = summary[metric.name]
-            beside = spread_cell(published.values.get(metric.name, ())).text if published else ""
-            cell = _measured(s, small=f"paper {beside}" if beside else "")
-            cells.append(_strong(cell, k in best[metric.name]))
-        ours.append(Row(name=run.name, cells=tuple(cells), small=run.size))
     published = [
         Row(name=row.name, cells=tuple(spread_cell(row.values.get(m.name, ())) for m in metrics)) for row in paper.rows
     ]
+    # FD is defined only where the person was found: its mean is over other episodes than those of its neighbours
     fewer = [
         f"{run.name}: {m.name} is over the {s[m.name].count} of {len(run.episodes)} episodes that define it."
-        for run, s in zip(runs, summaries, strict=True)
+        for run in runs
+        for s in (run.means(),)
         for m in metrics
         if s[m.name].count < len(run.episodes)
     ]
@@ -73,11 +64,31 @@ def social_nav_table(runs: Sequence[Run]) -> Table:
         name_head="Policy",
         columns=tuple(metric_column(m) for m in metrics),
         sections=(
-            Section(title="These recordings", rows=tuple(ours)),
+            Section(title="These recordings", rows=_rows(runs, metrics, paper=paper)),
             Section(title="Habitat 3.0, as published", rows=tuple(published), published=True),
         ),
         notes=(f"Published numbers: {paper.source}.", *_deviations(runs), *fewer),
     )
+
+
+def _rows(runs: Sequence[Run], metrics: Sequence[Metric], *, paper: PublishedTable | None = None) -> tuple[Row, ...]:
+    """A row of means with intervals for each run, below them those that ``paper`` has of the same policy."""
+    summaries, percent = [run.means() for run in runs], runs[0].profile.report.percent
+    # the best mean of a column is bold, whatever its interval
+    best = _best([{name: s.mean for name, s in summary.items()} for summary in summaries], metrics)
+    rows = []
+    for k, (run, summary) in enumerate(zip(runs, summaries, strict=True)):
+        published = paper.row_of(run.policy) if paper is not None else None
+        cells = []
+        for metric in metrics:
+            factor = 100.0 if metric.name in percent else 1.0
+            beside = spread_cell(published.values.get(metric.name, ())).text if published else ""
+            small = f"paper {beside}" if beside else ""
+            cell = _measured(summary[metric.name], factor=factor, digits=_digits(metric), small=small)
+            cells.append(replace(cell, strong=k in best[metric.name]))
+        # the number of episodes stands beside each mean, since an interval alone does not tell it
+        rows.append(Row(name=run.name, cells=tuple(cells), small=run.size))
+    return tuple(rows)
 
 
 def _deviations(runs: Sequence[Run]) -> list[str]:
@@ -152,16 +163,6 @@ def task_table(name: str, runs: Sequence[Run]) -> Table:
     profile = runs[0].profile
     shown = profile.report.columns or tuple(m.name for m in profile.metrics)
     metrics = [m for m in profile.metrics if m.name in shown]
-    summaries = [run.means() for run in runs]
-    best = _best([{m: s.mean for m, s in summary.items()} for summary in summaries], metrics)
-    rows = []
-    for k, (run, summary) in enumerate(zip(runs, summaries, strict=True)):
-        cells = []
-        for metric in metrics:
-            s, factor = summary[metric.name], 100.0 if metric.name in profile.report.percent else 1.0
-            cell = _measured(s, factor=factor, digits=_digits(metric))
-            cells.append(_strong(cell, k in best[metric.name]))
-        rows.append(Row(name=run.name, cells=tuple(cells), small=run.size))
     title = profile.report.title or name.capitalize()
     return Table(
         key=runs[0].task,
@@ -170,7 +171,7 @@ def task_table(name: str, runs: Sequence[Run]) -> Table:
         + _of_seeds(runs),
         name_head="Policy",
         columns=tuple(metric_column(m) for m in metrics),
-        sections=(Section(title="", rows=tuple(rows)),),
+        sections=(Section(title="", rows=_rows(runs, metrics)),),
     )
 
 
@@ -193,6 +194,7 @@ def _paired_table(place: int, first: Run, second: Run) -> Table:
         effect = (
             Cell(text=number(test.effect), value=test.effect, small=test.effect_name) if test.pairs else Cell(text="–")
         )
+        difference = mean_cell(test.difference, test.low, test.high, digits=digits)
         rows.append(
             Row(
                 name=metric.name,
@@ -200,7 +202,7 @@ def _paired_table(place: int, first: Run, second: Run) -> Table:
                 cells=(
                     mean_cell(test.first_mean, digits=digits),
                     mean_cell(test.second_mean, digits=digits),
-                    _strong(mean_cell(test.difference, test.low, test.high, digits=digits), test.p_adjusted < 0.05),
+                    replace(difference, strong=bool(test.p_adjusted < 0.05)),
                     Cell(text=p_text(test.p_adjusted), value=test.p_adjusted, small=test.method),
                     effect,
                     Cell(text=f"{len(found.changed(metric.name))} of {len(found.episode_ids)}"),
@@ -252,8 +254,10 @@ def partner_tables(runs: Sequence[Run], names: Sequence[str]) -> list[Table]:
         if not means:
             continue
         metric = metrics[name]
+        # shares have a common scale, so that tables of two runs can be compared; other units span what there is
         low, high = (0.0, max(1.0, *means)) if metric.unit == "1" else (min(means), max(means))
         in_percent = metric.unit == "%" or name == "SR" or name in runs[0].profile.report.percent
+        # the paper prints SR in percent
         factor = 100.0 if in_percent and metric.unit != "%" else 1.0
         shade = _Shade(low=low, high=high, factor=factor, digits=1 if in_percent else _digits(metric))
         rows = [
@@ -285,6 +289,7 @@ def _partner_group(kinds: Mapping[str, str], partner: str) -> str:
     """Returns the heading above partners of one population; with one population, all are partners."""
     if len(set(kinds.values())) == 1 and not kinds[partner]:
         return "Partner"
+    # populations are those of the paper's appendix: trained with, and unseen
     return {"train": "Training partners", "zsc": "Zero-shot partners", "": "Other partners"}[kinds[partner]]
 
 
@@ -340,10 +345,6 @@ def _best(means: Sequence[Mapping[str, float]], metrics: Sequence[Metric]) -> di
         several = len(values) > 1 and not np.isnan(ranked).all()
         best[metric.name] = set(np.flatnonzero(ranked == np.nanmax(ranked)).tolist()) if several else set()
     return best
-
-
-def _strong(cell: Cell, strong: bool) -> Cell:
-    return Cell(text=cell.text, value=cell.value, small=cell.small, strong=bool(strong))
 
 
 def _measured(found: Mean, *, factor: float = 1.0, digits: int = 2, small: str = "") -> Cell:

@@ -213,6 +213,7 @@ def highlights(runs: Sequence[Run], most: int) -> list[Highlight]:
     ranked = [
         sorted(episodes, key=lambda e: _score(e, run.profile)) for run, episodes in zip(runs, recorded, strict=True)
     ]
+    # in turns, so that few pictures show something of every run
     chosen: list[Highlight] = []
     for depth in range(max(map(len, ranked), default=0)):
         for kind in ("worst", "best"):
@@ -379,6 +380,7 @@ def key_rows(episode: ReportEpisode, milestones: Sequence[Milestone] = ()) -> li
         row = metrics.moments.get(milestone.flag)
         if row is not None and row not in (found, contact):
             rows[row] = milestone.label
+    # five key frames fill a card
     return sorted(rows.items())[:5]
 
 

@@ -13,6 +13,7 @@ from h3data.errors import FormatError, InputError
 from h3data.metrics import Profile
 from h3data.metrics.batch import Part, part_recordings, sendable
 from h3data.metrics.registry import profile_for
+from h3data.metrics.requirements import UnmeasurableError
 from h3data.recording import Recording
 from h3data.recording.storage import AnyPath
 from h3data_viewers.html_report.episode import GRID_S, TRACK_S, ReportEpisode, Track
@@ -51,7 +52,9 @@ def read_part(part: Part) -> Found:
             profile = profile_for(recording.episode.task, info)
             episode = _episode(part.source, index, recording, profile)
         except InputError as fault:
-            found.append(Unread(_name(part, index), _reason(fault)))
+            # the message names the episode: hundreds of them would be as many reasons
+            reason = fault.reason if isinstance(fault, UnmeasurableError) else str(fault)
+            found.append(Unread(_name(part, index), reason))
         else:
             # not all of info, which may hold a large instruction or plan: workers send what they found
             some = {key: info[key] for key in ("profile", "partners") if key in info}
@@ -113,13 +116,3 @@ def _distances(recording: Recording) -> NDArray[np.float32]:
     gaps = [np.linalg.norm(robot - at, axis=1) for at, kind in zip(places, kinds, strict=True) if kind == "human"]
     # fmin: a person who is not there (NaN) does not hide the others
     return np.fmin.reduce(gaps, axis=0).astype(np.float32)
-
-
-def _reason(fault: InputError) -> str:
-    """The fault without the name of the episode, so that equal ones can be counted."""
-    # the message names the episode and what each metric lacks: hundreds of them would be as many reasons
-    needs = getattr(fault, "needs", None)
-    if needs:
-        missing = sorted({column for columns in needs.values() for column in columns})
-        return f"nothing to measure: lacks {', '.join(missing)}"
-    return "needs a robot and a human" if "need a robot and a human" in str(fault) else str(fault)

@@ -71,6 +71,11 @@ class Report:
     replays: tuple[Path, ...] = ()
     """HTML replays that the page links."""
 
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Writes the page, which appears under its name when it is complete."""
+        with part_file(path) as part:
+            part.write_text(self.html, encoding="utf-8")
+
     def to_markdown(self) -> str:
         """All tables as GitHub Markdown."""
         return "\n\n".join(map(to_markdown, self.tables)) + "\n"
@@ -95,7 +100,7 @@ def make_report(
     seeds: Sequence[str] = (),
     more: Sequence[Table] = (),
     folder: Path | None = None,
-    replays: ReplayFiles | None = None,
+    replays: Path | None = None,
     spread: Spread[Found] = map,
     command: str = "",
 ) -> Report:
@@ -106,7 +111,8 @@ def make_report(
     participants did under conditions, as the options of ``h3data report`` do; ``unseen_partners`` names the partners of the
     zero-shot population, ``seeds`` has patterns of policies that differ by their training seed alone and are one row
     (`gather`); ``more`` are tables of what is not in recordings, each in a section of its own; ``folder`` is that of all
-    paths, from which the page names them; ``replays`` takes HTML replays of the episodes with key frames, which link them;
+    paths, from which the page names them; ``replays`` is the folder, such as `replay_folder`, for HTML replays of the
+    episodes with key frames, which link them;
     ``spread`` may have other processes or machines read and measure the recordings; ``command`` is the command that makes
     the report, for its last line.
 
@@ -128,15 +134,17 @@ def make_report(
         several = ", and runs of several training seeds are not paired" if any(run.seeds for run in data.runs) else ""
         missing.append(f"Paired differences: no two runs hold the same episodes (ids, scenes and seeds){several}.")
     sections, plans, heat = [], Plans(), []
+    files = None if replays is None else ReplayFiles(replays)
     posed: Posing = partial(Replay, assets=[Path(each) for each in assets], people=people, stand_ins=stand_ins)
     for task in data.tasks:
         runs, tail = data.of_task(task), f" in {task_name(task)}" if len(data.tasks) > 1 else ""
         partners = partner_tables(runs, runs[0].profile.report.by_partner or ranked_by(runs[0].profile))
+        # heat maps are for the page alone: Markdown and LaTeX have no colours
         heat += partners
         sections += _task_sections(task, runs, tables, partners, studies.get(task), plans, missing, tail)
         if chosen := highlights(runs, pictures):
             shown = progress(chosen, desc=f"picture episodes{tail}", unit="episode", leave=False)
-            cards = [highlight_card(highlight, plans, posed, light, replays, folder) for highlight in shown]
+            cards = [highlight_card(highlight, plans, posed, light, files, folder) for highlight in shown]
             content = {"cards": cards, "ranking": ranked_by(runs[0].profile)}
             sections.append(ReportSection(f"{task}-episodes", "Worst and best episodes" + tail, "cards", content))
     if any(not e.recorded for e in data.episodes):
@@ -179,57 +187,12 @@ def make_report(
             command=command,
             version=own_version(),
         ),
-        replays=tuple(replays.written) if replays is not None else (),
+        replays=tuple(files.written) if files is not None else (),
     )
-
-
-def write_report(
-    paths: Iterable[str | os.PathLike[str]],
-    out: str | os.PathLike[str],
-    *,
-    title: str = "",
-    pictures: int = 6,
-    assets: Sequence[str | os.PathLike[str]] = (),
-    people: PeopleStyle = "skin",
-    light: LightMode = "flat",
-    stand_ins: bool = False,
-    study_model: StepsModel = "auto",
-    failed: FailedEpisodes = "leave-out",
-    unseen_partners: Sequence[str] = (),
-    seeds: Sequence[str] = (),
-    more: Sequence[Table] = (),
-    folder: Path | None = None,
-    replays: bool = False,
-    spread: Spread[Found] = map,
-    command: str = "",
-) -> Report:
-    """`make_report`, written to ``out``; with ``replays``, HTML replays lie in the folder `replay_folder` beside it."""
-    files = ReplayFiles(replay_folder(out)) if replays else None
-    report = make_report(
-        paths,
-        title=title,
-        pictures=pictures,
-        assets=assets,
-        people=people,
-        light=light,
-        stand_ins=stand_ins,
-        study_model=study_model,
-        failed=failed,
-        unseen_partners=unseen_partners,
-        seeds=seeds,
-        more=more,
-        folder=folder,
-        replays=files,
-        spread=spread,
-        command=command,
-    )
-    with part_file(out) as part:
-        part.write_text(report.html, encoding="utf-8")
-    return report
 
 
 def replay_folder(out: str | os.PathLike[str]) -> Path:
-    """The folder of the replays of a report."""
+    """The folder of the replays of a report that is written to ``out``: beside it, where its links look for them."""
     return Path(out).with_name(f"{Path(out).stem}_replays")
 
 
@@ -249,6 +212,7 @@ class ReportSection:
 
 def _paper_tables(data: ReportData, missing: list[str], studies: Mapping[str, StudyTables]) -> list[Table]:
     """Tables of all tasks, with those of ``studies`` by task; what is ``missing`` is added to."""
+    # tables of the paper's tasks come first, in its order, and say so if there are no episodes of them
     others = [task_table(task_name(t), data.of_task(t)) for t in data.tasks if t not in TASKS]
     of_studies = [table for study in studies.values() for table in study.tables]
     if len(others) == len(data.tasks):
@@ -275,6 +239,7 @@ def _studies(data: ReportData, missing: list[str], model: StepsModel, failed: Fa
             try:
                 studies[task] = SECTIONS.get("study")(data.of_task(task), steps=model, failed=failed)
                 why = studies[task].missing
+            # a report without statistics is better than none
             except InputError as fault:  # the package of studies is not there
                 why = str(fault).partition(" Hint:")[0].rstrip(".")
             if why:
@@ -308,6 +273,7 @@ def _task_sections(
         title = "Policies and partners" + tail
         sections.append(ReportSection(f"{task}-partners", title, "heat_maps", {"tables": partners}))
     else:
+        # what a reader may look for in vain is listed at the end, with the reason
         missing.append(f"Policies by partner in {task_name(task)}: all episodes have the same partner.")
     plotted, which = trajectory_charts(runs, plans)
     paths = (

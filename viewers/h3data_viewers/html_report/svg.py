@@ -53,6 +53,7 @@ class Svg:
 
     def path(self, points: Iterable[tuple[float, float]], css: str, *, closed: bool = False) -> None:
         """Add a line through points, shape [K, 2]; it is broken where a point is NaN."""
+        # M moves the pen without drawing: it begins each stretch between gaps
         words, pen = [], "M"
         for x, y in points:
             if math.isnan(x) or math.isnan(y):
@@ -85,7 +86,9 @@ def ticks(low: float, high: float, count: int = 5) -> list[float]:
         return [low] if math.isfinite(low) else []
     raw = (high - low) / max(count, 1)
     power = 10.0 ** math.floor(math.log10(raw))
+    # the smallest round step of which no more than `count` fit
     step = next(power * m for m in (1, 2, 2.5, 5, 10) if power * m >= raw * 0.999)
+    # a border that is a multiple of the step belongs to the axis, also where the quotient is rounded
     first = math.ceil(low / step - 1e-9)
     return [k * step for k in range(first, math.floor(high / step + 1e-9) + 1)]
 

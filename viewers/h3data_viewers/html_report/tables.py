@@ -112,6 +112,7 @@ def number(value: float, digits: int = 2) -> str:
     if not math.isfinite(value):
         return "–"
     text = f"{value:.{digits}f}"
+    # a minus sign, which is as wide as a digit; and 0.00, never -0.00
     return text.replace("-", "−" if float(text) else "")
 
 
@@ -171,6 +172,7 @@ def to_markdown(table: Table) -> str:
 
 def _md(text: str) -> str:
     """Letters only: nothing in ``text`` is markup."""
+    # a line break would end the row of the table
     flat = re.sub(r"\s+", " ", text)
     return re.sub(r"([\\`*_|\[\]#~])", r"\\\1", flat).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
 

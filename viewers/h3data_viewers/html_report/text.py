@@ -36,6 +36,7 @@ def findings(data: ReportData) -> list[str]:
     for run in data.runs:
         summary, metrics = run.means(), {m.name: m for m in run.table.metrics}
         layout = run.profile.report
+        # the paper's number only where its policy is the same
         row = layout.published().row_of(run.policy) if layout.published else None
         published = row.values if row else {}
         said = []
@@ -74,6 +75,7 @@ def episode_tables(data: ReportData) -> list[tuple[str, Table]]:
                     Cell(text=e.partner),
                     Cell(text=e.metrics.scene),
                     Cell(text=str(e.metrics.rows), value=e.metrics.rows),
+                    # the value beside the text: a column is sorted by numbers, not by rounded words
                     *(Cell(text=number(v), value=v) for v in e.metrics.values.values()),
                 ),
             )
@@ -82,6 +84,7 @@ def episode_tables(data: ReportData) -> list[tuple[str, Table]]:
         ]
         if not rows:
             continue
+        # a browser takes seconds for a table of more rows
         first = f" The first {_LISTED} of {len(rows)}." if len(rows) > _LISTED else ""
         table = Table(
             key=f"episodes_{task}",

@@ -192,6 +192,7 @@ def log_rigid(sink: Sink, recording: Recording, replay: PosedScene, *, share: fl
             _log_mesh(sink, entity, appearance, drawable.matrix)
             continue
         agent = drawable.agent if _has_root(recording, drawable.agent) else -1
+        # a link below its agent's frame moves only where its joint does
         parent, name = "world/objects", drawable.name
         if agent >= 0:
             owner = recording.agents[agent].name
@@ -218,6 +219,7 @@ def _has_root(recording: Recording, agent: int) -> bool:
 
 
 def _unique(entity: str, taken: set[str]) -> str:
+    # Rerun would merge two drawables of one name into one entity
     name, number = entity, 1
     while name in taken:
         number += 1
@@ -240,6 +242,7 @@ def _appearances(meshes: list[Mesh], share: float) -> list[_Appearance]:
             # small things, which cost little, keep their shape
             ready[key] = view_mesh(mesh, max_vertices=max(300, int(kept * len(mesh.vertices))))
     textures = [part.texture for m in meshes for part in ready[id(m)] if part.texture is not None]
+    # all textures shrink alike, so that none is sharp beside a blurred one
     side = TEXTURE_SIDE_PX
     while side > 1 and sum(texture_bytes(t, side) for t in textures) > share * TEXTURE_BYTES:
         side //= 2

@@ -63,6 +63,7 @@ def layout(recordings: Sequence[LoggedRecording], *, timeline: str) -> rrb.Bluep
     large = [picture for picture in pictures if camera_name(picture[1]) == THIRD_PERSON]
     small = [picture for picture in pictures if picture not in large]
     homes = [_home_view(recording, wide=not large or len(recordings) > 1) for recording in recordings]
+    # more than three pictures take two rows
     for group, share in ((large, LARGE_SHARE), (small, 1.3 if len(small) <= 3 else 2.0)):
         views = [
             rrb.Spatial2DView(origin=entity, name=f"{recording.label} {camera_name(entity)}".lstrip())
@@ -85,6 +86,7 @@ def layout(recordings: Sequence[LoggedRecording], *, timeline: str) -> rrb.Bluep
     lanes = [entity for recording in recordings for entity in recording.lanes]
     if lanes:
         rows.append(rrb.StateTimelineView(origin="/", contents=lanes, name="Actions"))
+        # the head of the view, and a row for each lane
         shares.append(0.35 + LANE_SHARE * len(lanes))
     latency = [entity for recording in recordings for entity in recording.latency]
     if latency:

@@ -280,6 +280,7 @@ def _named_cameras(shown: ViewedRecording) -> list[CameraFeed]:
             "Videos by camera name need an h3data.replay.Replay. Hint: pass cameras=[CameraFeed(...)].",
             code="H3-VIEW-020",
         )
+    # the video has no pose: it is that of the camera with its name
     tracks = {name: camera_track(shown.replay, name) for name in shown.videos}
     return [CameraFeed(camera=t.camera, poses=t.poses, video=Path(shown.videos[name])) for name, t in tracks.items()]
 
@@ -320,5 +321,6 @@ def _focus(recording: Recording, drawables: Sequence[Drawable]) -> NDArray[np.fl
     points = np.concatenate([t[np.isfinite(t).all(1)] for t in tracks]) if tracks else np.zeros((0, 3))
     if not len(points):
         return np.array([[-3.0, 0, -3], [3, 2, 3]]) if home is None else home
+    # in a large building, the part where nobody goes would make the agents specks
     near = np.stack([points.min(0) - np.array([5, 0.5, 5]), points.max(0) + np.array([5, 2.5, 5])]).astype(np.float64)
     return near if home is None else np.stack([np.maximum(home[0], near[0]), np.minimum(home[1], near[1])])

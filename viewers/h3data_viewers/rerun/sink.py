@@ -58,6 +58,7 @@ class Sink:
 
     def static(self, entity: str, *parts: Any) -> None:
         """Logs components that never change."""
+        # strict: a wrong component raises, where Rerun would only log a warning
         self.stream.log(self.path(entity), *parts, static=True, strict=True)
 
     def columns(self, entity: str, rows: Rows | None, columns: Iterable[rr.ComponentColumn]) -> None:

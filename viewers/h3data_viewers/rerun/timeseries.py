@@ -94,6 +94,7 @@ def log_scalars(sink: Sink, recording: Recording, *, shade: int | None = None, b
             sink.static(f"metrics/{name}", rr.SeriesLines(names=[title], colors=color, widths=[2.0]))
         sink.columns(f"metrics/{name}", None, rr.Scalars.columns(scalars=values))
     if bounds and len(recording) and is_following(recording) and agent_pair(recording) is not None:
+        # two points make a line
         ends = np.unique([0, len(recording) - 1])
         for name, bound, color in (("follow_from_1m", 1.0, 0xC0A000FF), ("follow_to_2m", 2.0, 0x2E7D32FF)):
             style = rr.SeriesLines(names=[name], colors=np.array([color], np.uint32), widths=[1.0])
@@ -141,6 +142,7 @@ def log_lanes(sink: Sink, recording: Recording, *, ends: bool = False) -> tuple[
         sink.static(f"actions/{name}", config)
         rows = [0, *(k for k in range(1, len(states)) if states[k] != states[k - 1])]
         columns = rr.StateChange.columns(state=[states[k] for k in rows])
+        # only changes: a state lasts until the next one
         sink.columns(f"actions/{name}", rows, columns)
     return tuple(sink.path(f"actions/{name}") for name in lanes)
 
@@ -154,6 +156,7 @@ def _skill_states(recording: Recording, agent: int) -> list[str] | None:
         return None
     states = [NOTHING] * len(recording)
     for span in spans:
+        # spans of foreign files may reach beyond the recording
         for k in range(max(span.start_step, 0), min(span.end_step + 1, len(states))):
             states[k] = span.name
     return states
