@@ -50,6 +50,7 @@ def cache_folder(kind: str) -> Path | None:
     setting = os.environ.get("H3DATA_CACHE")
     if setting is not None:
         return None if setting.lower() in ("", "0", "off", "no") else Path(setting) / kind
+    # XDG Base Directory Specification; an empty variable counts as none
     home = os.environ.get("XDG_CACHE_HOME")
     try:
         return (Path(home) if home else Path.home() / ".cache") / "h3data" / kind
@@ -68,18 +69,16 @@ def evict(folder: Path, room: float, *, keep: Path) -> None:
         with suppress(FileNotFoundError):  # others evict too
             status = path.stat()
             if path.suffix == ".part":
-                if time.time() - status.st_mtime > _UNFINISHED_S:
+                if time.time() - status.st_mtime > 86400.0:  # nobody writes one file for a day
                     path.unlink(missing_ok=True)
             elif path != keep:
                 files.append((status.st_mtime_ns, status.st_size, path))
     room -= keep.stat().st_size
+    # the newest first, as long as there is room
     for _, size, path in sorted(files, reverse=True):
         room -= size
         if room < 0:
             path.unlink(missing_ok=True)
-
-
-_UNFINISHED_S = 86400.0
 
 
 @contextmanager
@@ -110,6 +109,7 @@ def part_file(
         part = beside.with_name(f"{final.name}.{os.getpid()}-{secrets.token_hex(4)}.part")
     try:
         yield part
+        # within one folder, where a rename is atomic
         os.replace(part, final)
     except BaseException as error:
         if not isinstance(error, kept_after):

@@ -19,8 +19,6 @@ QUIET = "H3DATA_QUIET"
 """Environment variable that silences progress and notices, set by ``h3data ... --quiet``. Worker processes inherit it."""
 _LINE = "{desc}: {n_fmt} of {total_fmt} {unit}s, {elapsed} so far, about {remaining} left{postfix}"
 _EARLY_LINE = "{desc}: {n_fmt} of {total_fmt} {unit}s, {elapsed} so far{postfix}"
-_EARLY = 0.03
-"""Share of the units below which nothing is foretold: the first one waits for kernels that are compiled once."""
 _shown = False
 _LINE_WITHOUT_TOTAL = "{desc}: {n_fmt} {unit}s, {elapsed} so far{postfix}"
 
@@ -105,7 +103,8 @@ def _lines_bar() -> type[tqdm[Any]]:
         @property
         def format_dict(self) -> dict[str, Any]:
             shown = dict(super().format_dict)
-            if self.total and self.n - self.initial <= max(1, _EARLY * self.total):
+            # nothing is foretold from the first units, which wait for kernels that are compiled once
+            if self.total and self.n - self.initial <= max(1, 0.03 * self.total):
                 shown["bar_format"] = _EARLY_LINE
             return shown
 
