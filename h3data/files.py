@@ -20,17 +20,16 @@ def size_text(count: int) -> str:
     return f"{count / 1e6:.1f} MB" if count >= 1e5 else f"{count / 1e3:.1f} kB"
 
 
-_FORMULA = re.compile(r"\s*[=+\-@\uff1d\uff0b\uff0d\uff20]|[\t\r\n]")
-_NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|[+-]?(inf|nan)")
-
-
 def spreadsheet_cell(value: Any) -> Any:
     """A cell of a CSV file that no spreadsheet runs as a formula.
 
     Text that begins with ``=``, ``+``, ``-``, ``@`` (full-width ones too), blanks before them included, with a tab or a line
     break gets an apostrophe before it; numbers, as text or not, and all other text stay as they are (OWASP, "CSV Injection").
     """
-    if not isinstance(value, str) or not _FORMULA.match(value) or _NUMBER.fullmatch(value):
+    if not isinstance(value, str) or not re.match(r"\s*[=+\-@\uff1d\uff0b\uff0d\uff20]|[\t\r\n]", value):
+        return value
+    # a number may begin with a sign and is no formula
+    if re.fullmatch(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|[+-]?(inf|nan)", value):
         return value
     return f"'{value}"
 
@@ -115,10 +114,7 @@ def part_file(
         if not isinstance(error, kept_after):
             part.unlink(missing_ok=True)
         if isinstance(error, OSError) and (error.filename is None or Path(os.fsdecode(error.filename)) == part):
-            raise _of_file(error, final) from None
+            # as one of the file that was asked for: of the temporary one the user knows nothing
+            named = OSError(error.errno, error.strerror or str(error), str(final)) if error.errno else error
+            raise named from None
         raise
-
-
-def _of_file(error: OSError, path: Path) -> OSError:
-    """The error as one of the file that was asked for, not of the temporary one, of which the user knows nothing."""
-    return OSError(error.errno, error.strerror or str(error), str(path)) if error.errno else error

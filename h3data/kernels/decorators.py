@@ -90,7 +90,8 @@ def kernel_part(*, borrows: bool = False, **options: Any) -> Callable[[Callable[
     compiler, kind = (BorrowingCompiler, borrowing_type) if borrows else (PartCompiler, part_type)
 
     def compiled(function: Callable[..., Any]) -> Any:
-        part: Any = njit(**_COMMON, no_cpython_wrapper=True, pipeline_class=compiler, **options)(function)
+        own: dict[str, Any] = {"no_cpython_wrapper": True, "pipeline_class": compiler}
+        part: Any = njit(**_COMMON, **own, **options)(function)
         if isinstance(part, Dispatcher):
             part.__class__ = kind(type(part))
         return part

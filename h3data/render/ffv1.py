@@ -27,8 +27,6 @@ _CONTEXTS = 64
 _EXPONENT, _SIGN, _MANTISSA, _KINDS = 1, 11, 22, 32
 """The adaptive probabilities of a context: 0 or not, ten for exponents, eleven for signs, ten for mantissas."""
 _MARGIN_BYTES = 256
-_PIXELS = 1280
-"""Pixels of a column that are prepared before they are coded, if it has not more in a row."""
 _AT_ONCE = 32
 """Pixels that are predicted at once."""
 _NONE, _ONE, _TWO, _THREE, _FOUR, _BYTE, _FIFTEEN, _HALF, _LOW, _LOW_HALF, _ROW, _STATES = (
@@ -141,7 +139,8 @@ class Ffv1Encoder:
         for k, head in enumerate(heads):
             self._heads[: len(head), k] = head
         widest = -(-width // slices)
-        rows = max(_PIXELS // widest, 1)
+        # about 1,280 pixels of a column are prepared before they are coded
+        rows = max(1280 // widest, 1)
         pixels = rows * widest + _AT_ONCE
         # 33 decisions for the largest difference: 0 or not, 16 for the exponent, 15 for the mantissa, the sign
         most = max(33 * pixels, len(self._heads))
