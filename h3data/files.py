@@ -36,6 +36,7 @@ def spreadsheet_cell(value: Any) -> Any:
 
 def path_inside(name: str) -> str | None:
     """A relative path that a file names, normalised with forward slashes; None if it leads out of the file's folder."""
+    # programs on Windows write backslashes, also into files that have to be read everywhere
     clean = posixpath.normpath(name.replace("\\", "/"))
     outside = clean.startswith(("/", "../")) or clean == ".." or ":" in clean.split("/")[0]  # C:/
     return None if outside else clean
