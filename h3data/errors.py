@@ -89,6 +89,7 @@ def suggest_keywords(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def checked(*args: P.args, **kwargs: P.kwargs) -> R:
+        # before the call, whose own TypeError would not say what there is
         for name in kwargs:
             if name not in keywords:
                 raise TypeError(f"{function.__name__}() has no argument {name!r}.{suggest(name, keywords)}")

@@ -20,23 +20,23 @@ def size_text(count: int) -> str:
     return f"{count / 1e6:.1f} MB" if count >= 1e5 else f"{count / 1e3:.1f} kB"
 
 
-_FORMULA = re.compile(r"\s*[=+\-@\uff1d\uff0b\uff0d\uff20]|[\t\r\n]")
-_NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|[+-]?(inf|nan)")
-
-
 def spreadsheet_cell(value: Any) -> Any:
     """A cell of a CSV file that no spreadsheet runs as a formula.
 
     Text that begins with ``=``, ``+``, ``-``, ``@`` (full-width ones too), blanks before them included, with a tab or a line
     break gets an apostrophe before it; numbers, as text or not, and all other text stay as they are (OWASP, "CSV Injection").
     """
-    if not isinstance(value, str) or not _FORMULA.match(value) or _NUMBER.fullmatch(value):
+    if not isinstance(value, str) or not re.match(r"\s*[=+\-@\uff1d\uff0b\uff0d\uff20]|[\t\r\n]", value):
+        return value
+    # a number may begin with a sign and is no formula
+    if re.fullmatch(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|[+-]?(inf|nan)", value):
         return value
     return f"'{value}"
 
 
 def path_inside(name: str) -> str | None:
     """A relative path that a file names, normalised with forward slashes; None if it leads out of the file's folder."""
+    # programs on Windows write backslashes, also into files that have to be read everywhere
     clean = posixpath.normpath(name.replace("\\", "/"))
     outside = clean.startswith(("/", "../")) or clean == ".." or ":" in clean.split("/")[0]  # C:/
     return None if outside else clean
@@ -50,6 +50,7 @@ def cache_folder(kind: str) -> Path | None:
     setting = os.environ.get("H3DATA_CACHE")
     if setting is not None:
         return None if setting.lower() in ("", "0", "off", "no") else Path(setting) / kind
+    # XDG Base Directory Specification; an empty variable counts as none
     home = os.environ.get("XDG_CACHE_HOME")
     try:
         return (Path(home) if home else Path.home() / ".cache") / "h3data" / kind
@@ -68,18 +69,16 @@ def evict(folder: Path, room: float, *, keep: Path) -> None:
         with suppress(FileNotFoundError):  # others evict too
             status = path.stat()
             if path.suffix == ".part":
-                if time.time() - status.st_mtime > _UNFINISHED_S:
+                if time.time() - status.st_mtime > 86400.0:  # nobody writes one file for a day
                     path.unlink(missing_ok=True)
             elif path != keep:
                 files.append((status.st_mtime_ns, status.st_size, path))
     room -= keep.stat().st_size
+    # the newest first, as long as there is room
     for _, size, path in sorted(files, reverse=True):
         room -= size
         if room < 0:
             path.unlink(missing_ok=True)
-
-
-_UNFINISHED_S = 86400.0
 
 
 @contextmanager
@@ -110,15 +109,13 @@ def part_file(
         part = beside.with_name(f"{final.name}.{os.getpid()}-{secrets.token_hex(4)}.part")
     try:
         yield part
+        # within one folder, where a rename is atomic
         os.replace(part, final)
     except BaseException as error:
         if not isinstance(error, kept_after):
             part.unlink(missing_ok=True)
         if isinstance(error, OSError) and (error.filename is None or Path(os.fsdecode(error.filename)) == part):
-            raise _of_file(error, final) from None
+            # as one of the file that was asked for: of the temporary one the user knows nothing
+            named = OSError(error.errno, error.strerror or str(error), str(final)) if error.errno else error
+            raise named from None
         raise
-
-
-def _of_file(error: OSError, path: Path) -> OSError:
-    """The error as one of the file that was asked for, not of the temporary one, of which the user knows nothing."""
-    return OSError(error.errno, error.strerror or str(error), str(path)) if error.errno else error

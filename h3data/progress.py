@@ -17,12 +17,7 @@ LINE_EVERY_S = 30.0
 """Seconds between two lines off a terminal; shorter work prints none."""
 QUIET = "H3DATA_QUIET"
 """Environment variable that silences progress and notices, set by ``h3data ... --quiet``. Worker processes inherit it."""
-_LINE = "{desc}: {n_fmt} of {total_fmt} {unit}s, {elapsed} so far, about {remaining} left{postfix}"
-_EARLY_LINE = "{desc}: {n_fmt} of {total_fmt} {unit}s, {elapsed} so far{postfix}"
-_EARLY = 0.03
-"""Share of the units below which nothing is foretold: the first one waits for kernels that are compiled once."""
 _shown = False
-_LINE_WITHOUT_TOTAL = "{desc}: {n_fmt} {unit}s, {elapsed} so far{postfix}"
 
 
 def is_quiet() -> bool:
@@ -88,7 +83,9 @@ def progress(
         _has_begun()
     if silent or terminal:
         return tqdm(items, delay=delay, leave=leave, **shared)
-    form = _LINE_WITHOUT_TOTAL if total is None else _LINE
+    form = "{desc}: {n_fmt} {unit}s, {elapsed} so far{postfix}"
+    if total is not None:
+        form = "{desc}: {n_fmt} of {total_fmt} {unit}s, {elapsed} so far, about {remaining} left{postfix}"
     # miniters: else tqdm guesses how many units make a line, and a line comes late where they become slower
     every = {"mininterval": LINE_EVERY_S, "miniters": 1, "delay": LINE_EVERY_S}
     return _lines_bar()(items, **every, leave=False, bar_format=form, **shared)
@@ -105,8 +102,9 @@ def _lines_bar() -> type[tqdm[Any]]:
         @property
         def format_dict(self) -> dict[str, Any]:
             shown = dict(super().format_dict)
-            if self.total and self.n - self.initial <= max(1, _EARLY * self.total):
-                shown["bar_format"] = _EARLY_LINE
+            # nothing is foretold from the first units, which wait for kernels that are compiled once
+            if self.total and self.n - self.initial <= max(1, 0.03 * self.total):
+                shown["bar_format"] = "{desc}: {n_fmt} of {total_fmt} {unit}s, {elapsed} so far{postfix}"
             return shown
 
         def display(self, msg: str | None = None, pos: int | None = None) -> None:

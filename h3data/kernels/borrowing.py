@@ -14,9 +14,6 @@ from numba.core.errors import TypingError
 
 from h3data.kernels.parts import PartCompiler, _PartLowering, part_type
 
-_VIEWS = ("getitem", "static_getitem", "getattr", "getiter", "iternext", "pair_first", "exhaust_iter")
-"""Operations whose results are part of what they are applied to."""
-
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _BorrowingLowering(_PartLowering):
@@ -47,9 +44,12 @@ def _check(state: Any) -> None:
         if not hasattr(signature, "return_type") or not holds_arrays(signature.return_type):
             continue
         operation = getattr(expression, "op", "")
-        if operation in _VIEWS:
+        # the result of one of these is part of what it is applied to
+        if operation in ("getitem", "static_getitem", "getattr", "getiter", "iternext", "pair_first", "exhaust_iter"):
+            # an array as an index makes a copy of what it picks
             is_view = not any(isinstance(kind, types.Array) for kind in signature.args[1:])
         else:
+            # of all calls only ``reshape`` gives a view
             called = state.typemap[expression.func.name] if operation == "call" else None
             is_view = isinstance(called, types.BoundFunction) and called.typing_key == "array.reshape"
         if not is_view:
@@ -66,6 +66,7 @@ class BorrowingCompiler(PartCompiler):
             pipeline.passes[:] = [
                 (_BorrowingLowering if step is _PartLowering else step, text) for step, text in pipeline.passes
             ]
+            # numba has finalized it with its own step already
             pipeline._finalized = False
             pipeline.finalize()
         return pipelines

@@ -42,11 +42,11 @@ except ImportError:  # not POSIX: every process compiles for itself
     fcntl = None
 
 _log = logging.getLogger("h3data.kernels")
+# at WARNING, the default of the root logger, nobody would see the announcement; a level that the user has set stays
 if _log.level == logging.NOTSET:
     _log.setLevel(logging.INFO)
 _kernels: list[Any] = []
 _COMMON: dict[str, Any] = {"nogil": True, "no_cfunc_wrapper": True}  # nobody takes the address of a kernel
-_PART: dict[str, Any] = {**_COMMON, "no_cpython_wrapper": True}
 
 ANNOUNCEMENT = "Compiling kernels, once per machine: up to a minute in all; `h3data warmup` does it ahead."
 
@@ -90,7 +90,8 @@ def kernel_part(*, borrows: bool = False, **options: Any) -> Callable[[Callable[
     compiler, kind = (BorrowingCompiler, borrowing_type) if borrows else (PartCompiler, part_type)
 
     def compiled(function: Callable[..., Any]) -> Any:
-        part: Any = njit(**_PART, pipeline_class=compiler, **options)(function)
+        own: dict[str, Any] = {"no_cpython_wrapper": True, "pipeline_class": compiler}
+        part: Any = njit(**_COMMON, **own, **options)(function)
         if isinstance(part, Dispatcher):
             part.__class__ = kind(type(part))
         return part
@@ -130,6 +131,7 @@ def _compile_here(dispatcher: Any, signature: Any) -> None:
         with _garbage_kept():
             compile_here()
         return
+    # what is cached is only loaded: neither announced nor locked
     key = dispatcher._cache._index_key(signature, dispatcher.targetctx.codegen())
     if key in _index_of(file):
         compile_here()
@@ -147,6 +149,7 @@ def _index_of(file: Any) -> dict[Any, str]:
     try:
         return file._load_index()
     except (ImportError, AttributeError):
+        # all of this kernel is compiled again, as after a change of its source
         Path(file._index_path).unlink(missing_ok=True)
         return {}
 

@@ -32,8 +32,6 @@ OURS = (
     "sim_kinematic",
 )
 """Packages whose sources are part of the digests."""
-_IMPORT = re.compile(r"^(?:from|import)\s+([\w.]+)", re.MULTILINE)
-"""Top-level imports; indented ones are for type checkers or run too late to reach a kernel."""
 
 
 # --- files --------------------------------------------------------------------------------------------------------------
@@ -44,7 +42,9 @@ def _source(module: str) -> tuple[str, tuple[str, ...]]:
     if path is None:
         return "", ()
     text = Path(path).read_text(encoding="utf-8")
-    imports = {name for name in _IMPORT.findall(text) if name.split(".")[0] in OURS}
+    # at the left margin only: indented imports are for type checkers or run too late to reach a kernel
+    found = re.findall(r"^(?:from|import)\s+([\w.]+)", text, re.MULTILINE)
+    imports = {name for name in found if name.split(".")[0] in OURS}
     return hashlib.sha256(text.encode()).hexdigest(), tuple(sorted(imports))
 
 
@@ -81,6 +81,7 @@ def code_digest(kernel: Any) -> str:
         if id(each) not in texts:
             texts[id(each)], called = _function(each)
             waiting += called
+    # the kernel first, then all in one order: how calls were found must not matter
     return _digest([texts[id(kernel)], *sorted(texts.values())])
 
 
@@ -119,6 +120,7 @@ def _names(code: CodeType) -> Iterator[str]:
 
 
 def _code(code: CodeType, doc: str | None = None) -> str:
+    # the docstring is among the constants of a function and is taken out
     constants = [
         _code(constant) if isinstance(constant, CodeType) else _constant(None if constant == doc else constant)
         for constant in code.co_consts
@@ -136,13 +138,11 @@ def _value(value: Any) -> str:
         return f"{value.__module__}.{value.__name__} {source_digest(value.__module__)}"
     if isinstance(value, ModuleType | BuiltinFunctionType | FunctionType | type):
         name = value.__name__ if isinstance(value, ModuleType) else f"{value.__module__}.{value.__qualname__}"
-        if name.split(".")[0] in _FOREIGN:
+        # what numba compiles by itself; its version is part of the name of a folder of kernels
+        foreign = ("builtins", "numpy", "numba", "math", "cmath", "heapq", "_heapq", "operator", "_operator")
+        if name.split(".")[0] in foreign:
             return name
     return _constant(value)
-
-
-_FOREIGN = ("builtins", "numpy", "numba", "math", "cmath", "heapq", "_heapq", "operator", "_operator")
-"""Packages that numba compiles by itself; its version is part of the name of a folder of kernels."""
 
 
 def _constant(value: Any) -> str:
@@ -160,6 +160,7 @@ def _constant(value: Any) -> str:
 def _type(kind: types.Type) -> str:
     whole: Any = kind  # numba's stubs lack these attributes
     if isinstance(kind, types.BaseNamedTuple):
+        # kernels read fields by name, so a field that is renamed or moved is another kernel
         made = whole.instance_class
         return f"{made.__module__}.{made.__qualname__}{made._fields}({', '.join(map(_type, whole.types))})"
     if isinstance(kind, types.BaseTuple):

@@ -58,12 +58,6 @@ LEVEL_FEATURES = (
 NOT_INSTALLED = "h3data-kernels is not installed"
 RECORD = "H3DATA_KERNELS_RECORD"
 PACKAGE = "h3data_kernels"
-_HARMLESS = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_THREADING_LAYER", "NUMBA_DISABLE_PERFORMANCE_WARNINGS")
-"""Settings of numba that do not change what it compiles."""
-_ANNOTATION = 6
-"""Place of the annotated source in what `CompileResult._reduce` returns."""
-_FORMAT = 1
-"""Part of the digests: raise it when machine code changes for a reason that they do not see."""
 
 _loaded: dict[str, int] = {}
 
@@ -94,7 +88,10 @@ def missing() -> str:
 @functools.cache
 def _found() -> Path | str:
     """The folder, or why there is none."""
-    settings = {name for name in os.environ if name.startswith("NUMBA_")} - set(_HARMLESS)
+    # these do not change what is compiled
+    harmless = {"NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_THREADING_LAYER", "NUMBA_DISABLE_PERFORMANCE_WARNINGS"}
+    settings = {name for name in os.environ if name.startswith("NUMBA_")} - harmless
+    # the very settings with which ``make kernels`` compiles
     if os.environ.get("NUMBA_CPU_NAME") == LEVEL and os.environ.get("NUMBA_CPU_FEATURES") == "":
         settings -= {"NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES"}
     if settings or sys.flags.optimize:
@@ -122,6 +119,7 @@ def load(dispatcher: Any, kinds: Sequence[types.Type]) -> bool:
     try:
         with lzma.open(path) as file:
             payload = pickle.load(file)
+        # registers what numba has imported since, or the code would refer to functions that its context does not know
         dispatcher.targetctx.refresh()
         result = CompileResult._rebuild(dispatcher.targetctx, *payload)
     except FileNotFoundError:
@@ -148,6 +146,7 @@ def record(dispatcher: Any, kinds: Sequence[types.Type]) -> None:
     elif not (path := _recorded(name)).exists():
         cache = dispatcher._cache
         payload = cache._cache_file.load(cache._index_key(tuple(kinds), dispatcher.targetctx.codegen()))
+        # several processes may record the same kernel at once
         part = path.with_suffix(f".{os.getpid()}.part")
         part.write_bytes(lzma.compress(_without_paths(payload), preset=9 | lzma.PRESET_EXTREME))
         part.replace(path)
@@ -158,11 +157,13 @@ def _without_paths(payload: Sequence[Any]) -> bytes:
 
     Files are named for tracebacks of exceptions; their folders become ``h3data///`` and ``numba///`` of the same lengths.
     """
+    # the seventh of what `CompileResult._reduce` returns is the annotated source
     fields = list(payload)
-    fields[_ANNOTATION] = ""
+    fields[6] = ""
     text = dumps(tuple(fields))
     for name, folder in (("h3data", Path(__file__).parents[2]), ("numba", Path(numba.__file__).parents[1])):
         place = str(folder).encode()
+        # of the same length, as pickles say before each text how long it is
         text = text.replace(place, name.encode().ljust(len(place), b"/")[: len(place)])
     return text
 
@@ -182,7 +183,8 @@ def file_name(dispatcher: Any, kinds: Sequence[types.Type]) -> str | None:
 
 def code_stamp(dispatcher: Any) -> str:
     """The part of a file's name that changes when the code of a kernel does: its name and a digest."""
-    digest = hashlib.sha256(f"{_FORMAT} {_compiler_digest()} {code_digest(dispatcher)}".encode()).hexdigest()
+    # raise the 1 when machine code changes for a reason that the digests do not see
+    digest = hashlib.sha256(f"1 {_compiler_digest()} {code_digest(dispatcher)}".encode()).hexdigest()
     return f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__qualname__}-{digest[:16]}"
 
 

@@ -43,8 +43,6 @@ _KNOWN_EXTENSIONS = {
     "KHR_texture_transform",
 }
 """Extensions that are read or do not change the picture. Quantised vertices are plain accessors of integers."""
-_ONLY_PAINT = re.compile(r"^[A-Z]+_(materials|texture|lights|image|xmp|animation)(_|$)")
-"""Extensions that change no triangle, by their names: files that require them are read without them."""
 
 
 class GltfFile:
@@ -306,8 +304,10 @@ def _check_extensions(required: Any, path: Path) -> None:
             f"its triangles are compressed ({packed[0]}), which is not read. Hint: gltfpack -noq -i IN -o OUT.glb",
             code="H3-MESH-009",
         )
-    # Habitat's batch files cut one mesh into several by MAGNUMX_mesh_views: it is shown whole, with a warning
-    shapes = [name for name in unknown if name != "MAGNUMX_mesh_views" and not _ONLY_PAINT.match(name)]
+    # By their names these change no triangle, so files that require them are read without them. Habitat's batch files cut
+    # one mesh into several by MAGNUMX_mesh_views: it is shown whole, with a warning.
+    harmless = re.compile(r"^[A-Z]+_(materials|texture|lights|image|xmp|animation)(_|$)|^MAGNUMX_mesh_views\Z")
+    shapes = [name for name in unknown if not harmless.match(name)]
     if shapes:
         raise SceneError(
             f"it requires the glTF extension {', '.join(shapes)}, which is not read. Hint: export it without this extension",

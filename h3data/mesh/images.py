@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import io
 import struct
-from functools import lru_cache
 from typing import Any, Literal
 from weakref import WeakValueDictionary
 
@@ -110,22 +109,18 @@ def reduced(pixels: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
     divisor = 1
     while -(-height // divisor) != rows or -(-width // divisor) != columns:
         divisor *= 2
+    linear_of_byte = bytes_to_linear(np.arange(256)).astype(np.float32)
     out = np.empty((rows, columns, 4), np.uint8)
     # in bands of about a million texels: in float32 the whole image would take four times its memory
     band = max((1 << 20) // (width * divisor), 1)
     for start in range(0, rows, band):
         part = pixels[start * divisor : (start + band) * divisor]
         opacity = part[..., 3:].astype(np.float32) / 255
-        seen = np.concatenate([_linear_table()[part[..., :3]] * opacity, opacity], -1)
+        seen = np.concatenate([linear_of_byte[part[..., :3]] * opacity, opacity], -1)
         small = cv2.resize(seen, (columns, -(-len(part) // divisor)), interpolation=cv2.INTER_AREA)
         out[start : start + band, :, :3] = linear_to_bytes(small[..., :3] / np.maximum(small[..., 3:], 1e-6))
         out[start : start + band, :, 3] = np.rint(small[..., 3] * 255)
     return out
-
-
-@lru_cache(maxsize=1)
-def _linear_table() -> NDArray[np.float32]:
-    return bytes_to_linear(np.arange(256)).astype(np.float32)
 
 
 def _acceptable(width: int, height: int) -> tuple[int, int]:

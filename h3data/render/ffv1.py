@@ -26,13 +26,7 @@ _CONTEXTS = 64
 """Places for contexts, of which there are (5**3 + 1) / 2."""
 _EXPONENT, _SIGN, _MANTISSA, _KINDS = 1, 11, 22, 32
 """The adaptive probabilities of a context: 0 or not, ten for exponents, eleven for signs, ten for mantissas."""
-_MOST_DECISIONS = 33
-"""Decisions of the largest difference: 0 or not, 16 for the exponent, 15 for the mantissa, the sign."""
-_MOST_BYTES = 21
-"""Bytes of a pixel, at most: a decision takes 5 bits at the least probability, 8/256."""
 _MARGIN_BYTES = 256
-_PIXELS = 1280
-"""Pixels of a column that are prepared before they are coded, if it has not more in a row."""
 _AT_ONCE = 32
 """Pixels that are predicted at once."""
 _NONE, _ONE, _TWO, _THREE, _FOUR, _BYTE, _FIFTEEN, _HALF, _LOW, _LOW_HALF, _ROW, _STATES = (
@@ -112,6 +106,7 @@ def _record(slices: int) -> bytes:
     head.bit(0)  # all probabilities are even at first
     head.numbers(1, 1)  # slices have checksums, and images do not depend on each other
     decisions = np.zeros((len(head.decisions), LANES), np.uint16)
+    # the other seven lanes code nothing: decisions of 0 leave a coder as it is
     decisions[:, 0] = head.decisions
     out = np.empty(_MARGIN_BYTES + len(head.decisions), np.uint16)
     return _with_checksum(bytes(out[: _code_header(decisions, out)].astype(np.uint8)))
@@ -119,6 +114,7 @@ def _record(slices: int) -> bytes:
 
 def _with_checksum(data: bytes) -> bytes:
     """``data`` with a CRC of 32 bits after it, highest bit first and from 0, in which zlib's is the mirror image."""
+    # zlib starts from all ones and inverts the result, which is undone
     mirrored = (zlib.crc32(data.translate(_REVERSED), 0xFFFFFFFF) ^ 0xFFFFFFFF).to_bytes(4, "little")
     return data + mirrored.translate(_REVERSED)
 
@@ -143,9 +139,11 @@ class Ffv1Encoder:
         for k, head in enumerate(heads):
             self._heads[: len(head), k] = head
         widest = -(-width // slices)
-        rows = max(_PIXELS // widest, 1)
+        # about 1,280 pixels of a column are prepared before they are coded
+        rows = max(1280 // widest, 1)
         pixels = rows * widest + _AT_ONCE
-        most = max(_MOST_DECISIONS * pixels, len(self._heads))
+        # 33 decisions for the largest difference: 0 or not, 16 for the exponent, 15 for the mantissa, the sign
+        most = max(33 * pixels, len(self._heads))
         self._buffers = (
             np.empty((LANES, rows + 1, widest + 2 * _AT_ONCE), np.int16),
             *(np.empty((LANES, pixels), kind) for kind in (np.int16, np.uint16, np.uint32)),
@@ -154,7 +152,8 @@ class Ffv1Encoder:
             (np.empty((most + LANES, LANES), np.uint32), np.empty(most + LANES, np.uint8)),
         )
         self._rows = rows
-        self._out = np.empty((LANES, _MOST_BYTES * widest * height + _MARGIN_BYTES), np.uint16)
+        # 21 bytes of a pixel at most: a decision takes 5 bits at the least probability, 8/256
+        self._out = np.empty((LANES, 21 * widest * height + _MARGIN_BYTES), np.uint16)
         self._sizes = np.empty(LANES, np.int64)
 
     def encoded(self, image: NDArray[np.uint16]) -> bytes:
@@ -194,6 +193,7 @@ def _encode(image, rows, starts, heads, following, buffers, out, sizes):
     sizes[:] = 0
     lines[:, 0] = 0
     line = np.uintp(2 * lines.shape[2])
+    # images do not depend on each other, so each begins with even chances
     probabilities[:] = 128
     _code(heads, len(heads), coders, traces, out, sizes)
     for first in range(0, len(image), rows):
@@ -349,6 +349,7 @@ def _listed(j, lists_at, classes_at, differences_at, probabilities_at, decisions
 def _coders():
     """The lower ends and the lengths of the ranges of eight coders, shape [2, 8]."""
     coders = np.zeros((2, LANES), np.uint32)
+    # the range at the start (RFC 9043, 3.8.1.1)
     coders[1] = 0xFF00
     return coders
 
@@ -385,6 +386,7 @@ def _finish(coders, lane, out, size):
         low = (low & np.uint32(0xFF)) << np.uint32(8)
         size += 1
     out[size] = (low + np.uint32(0xFF)) >> np.uint32(8)
+    # carries run backwards through bytes that are already written, which is why they are kept in 16 bits
     carry = np.uint16(0)
     for k in range(size, -1, -1):
         out[k] += carry

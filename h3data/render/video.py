@@ -42,8 +42,6 @@ _SETTINGS = {
     "ffv1": _Settings("ffv1", "gray16le", "matroska", {}),  # opens the file; the frames are those of `Ffv1Encoder`
 }
 _CRF = {"h264": 23, "av1": 32}
-_BT601, _LIMITED_RANGE = 6, 1
-"""FFmpeg's constants for the colour space of `_to_yuv`."""
 _LUMA, _U, _V = (66, 129, 25, 4224), (-38, -74, 112, 131584), (112, -94, -18, 131584)
 """Weights of red, green and blue, and a constant, in 1/256 for one pixel and in 1/1024 for the sum of four."""
 _AT_ONCE = 16
@@ -109,9 +107,11 @@ class VideoWriter:
     def __enter__(self) -> Self:
         av = _import_av()
         settings = _SETTINGS[self.codec]
+        # chroma has half the size, so this format knows no odd sizes
         even = settings.pixels == "yuv420p"
         with ExitStack() as stack:
             part = stack.enter_context(part_file(self.path, kept_after=OSError))
+            # the index before the frames, so that a browser shows the first ones before it has the rest
             options = {"movflags": "+faststart"} if settings.container == "mp4" else {"fflags": "+bitexact"}
             self._container = stack.enter_context(av.open(str(part), "w", format=settings.container, options=options))
             self._stream = self._container.add_stream(settings.encoder, rate=self._rate, options=self._options)
@@ -122,13 +122,15 @@ class VideoWriter:
                 self._stream.codec_context.open()
                 self._stream.codec_context.extradata = Ffv1Encoder(self.width, self.height).record
             if even:
-                self._stream.codec_context.colorspace = _BT601
-                self._stream.codec_context.color_range = _LIMITED_RANGE
+                # FFmpeg's constants for what `_to_yuv` makes: BT.601, limited range
+                self._stream.codec_context.colorspace = 6
+                self._stream.codec_context.color_range = 1
             self._stack = stack.pop_all()
         return self
 
     @property
     def _rate(self) -> Fraction:
+        # such as 30000 / 1001, the frame rate of television
         return Fraction(self.fps).limit_denominator(1001)
 
     def write(self, image: NDArray[Any]) -> None:
@@ -170,6 +172,7 @@ class VideoWriter:
             )
         if self.codec == "ffv1":
             packet = _import_av().Packet(planes)
+            # not through FFmpeg's encoder, which would encode the frame again
             packet.stream, packet.time_base, packet.is_keyframe = self._stream, 1 / self._rate, True
             packet.pts = packet.dts = self.frame_count
             self._container.mux(packet)
@@ -202,6 +205,7 @@ def _to_yuv(rgb, y, u, v):
     In fixed point, of which 16 bits suffice for luma.
     """
     height, width = y.shape
+    # the last columns, fewer than a block, are converted one by one below, to the same numbers
     whole = width // _AT_ONCE * _AT_ONCE
     rgb_at, y_at, u_at, v_at = np.uintp(rgb.ctypes.data), y.ctypes.data, u.ctypes.data, v.ctypes.data
     for row in range(u.shape[0]):

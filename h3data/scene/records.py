@@ -211,6 +211,7 @@ class Joint:
     @property
     def opened(self) -> float:
         """The limit farther from `closed` [rad or m]."""
+        # a door that opens both ways is open on the side on which it opens farther
         return self.upper if self.upper - self.closed >= self.closed - self.lower else self.lower
 
 

@@ -155,6 +155,7 @@ def _read_ramp(record: dict[str, Any]) -> Ramp:
     if ramp.axis not in (0, 1) or not np.isfinite([ramp.start, ramp.end, ramp.top_y]).all():
         raise ValueError("a ramp needs an axis, 0 or 1, and finite ends")
     if ramp.start == ramp.end or ramp.steps < 1:
+        # the ramp's length and its steps are divisors wherever the height of a floor is asked for
         raise ValueError("a ramp needs two different ends and at least 1 step")
     return ramp
 

@@ -15,8 +15,6 @@ MOST_STILL = 8
 """Cameras that stand still for which a thread keeps buffers."""
 _REMEMBERED = 32
 """Views that are remembered, to see that a camera stands still; after so many images without it, it loses its buffers."""
-_SIZES = 4
-"""Image sizes for which a thread keeps buffers for all cameras that move."""
 
 
 class Shown(NamedTuple):
@@ -92,7 +90,8 @@ class Drawings:
         # other cameras of this size have drawn into it
         drawing.shown = None
         self.moving[size] = drawing  # most recently used last
-        while len(self.moving) > _SIZES:
+        # of four sizes at most
+        while len(self.moving) > 4:
             del self.moving[next(iter(self.moving))]
         return drawing
 

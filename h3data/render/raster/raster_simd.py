@@ -32,6 +32,7 @@ def count_trailing_zeros(typing_context, bits):
     """Index of the lowest set bit of a non-zero int32."""
 
     def codegen(context, builder, signature, arguments):
+        # 1: undefined for zero, for which some processors would need a second instruction
         return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
 
     return types.int32(types.int32), codegen
@@ -47,6 +48,7 @@ def tile_minimum(typing_context, address, row_bytes):
         for _ in range(7):
             address = builder.add(address, row_bytes)
             smallest = smallest.minimum(Vec(builder, load(builder, address)))
+        # halves, quarters and eighths folded onto each other, after which each lane holds the minimum of all
         for shift in (4, 2, 1):
             order = ir.Constant(INT8, [(i + shift) % LANES for i in range(LANES)])
             turned = builder.shuffle_vector(smallest.value, smallest.value, order)

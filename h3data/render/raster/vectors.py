@@ -131,6 +131,7 @@ def load(builder: Any, address: Any, offset: int = 0, kind: Any = FLOAT8) -> Any
     """The value at ``address + offset`` bytes."""
     pointer = builder.inttoptr(builder.add(address, ir.Constant(INT64, offset)), kind.as_pointer())
     value = builder.load(pointer)
+    # rows of 8 begin at any float, not only at multiples of 32 bytes, which LLVM would otherwise take for granted
     value.align = 1 if kind == ir.IntType(8) else 4
     return value
 

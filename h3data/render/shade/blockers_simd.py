@@ -39,10 +39,6 @@ FADE_M, KEPT_M = 0.25, 0.1
 """A shadow is whole up to this far beyond its reach, and gone so much later: walls stop it (`h3data_light.field`)."""
 DARKEST = 0.22
 """Share of its light that a surface keeps when all of it is blocked; see `h3data_light.bake`."""
-_THINNEST_M = 0.01
-"""Smallest radius of the light's disc at a capsule."""
-_ROUNDED_UP = 1.0001
-"""Two discs whose squared distance is larger than that at which they touch by this factor do not, however it is rounded."""
 
 # Float32 words of the rays of a block: origin and direction, each the value at its first pixel and the increment per pixel.
 ORIGIN, DIRECTION = 0, 6
@@ -129,6 +125,7 @@ def _from_start(b: Any, blocker_at: Any, scratch_at: Any) -> Triple:
 def _take(b: Any, taken: Vec, blocker_at: Any, owners_at: Any, scratch_at: Any, row: int) -> None:
     """Multiplies a row of the scratch space by what is left, except for pixels of the capsule's own group."""
     own = Vec(b, load(b, owners_at)).compare("==", _word(b, blocker_at, GROUP))
+    # 1 - taken: vectors have no number on the left of an operator
     left = _select(b, own, _constant(b, 1.0), -(taken - 1.0))
     _keep(b, _row(b, scratch_at, row) * left, scratch_at, row)
 
@@ -146,6 +143,7 @@ def block_all_light(typing_context, blocker_at, strip_at, row_bytes, owners_at, 
         radius2, from_start = _word(b, blocker_at, RADIUS2), _from_start(b, blocker_at, scratch_at)
         s = (_dot(from_start, along) * _word(b, blocker_at, PER_LENGTH2)).maximum(0.0).minimum(1.0)
         x, y, z = (along[a] * s - from_start[a] for a in range(3))
+        # inside of a capsule, as where a foot sinks into a carpet, its surface is the nearest that it gets
         distance2 = _dot((x, y, z), (x, y, z)).maximum(radius2)
         window = (-(distance2 * distance2 * _word(b, blocker_at, PER_RANGE4) - 1.0)).maximum(0.0)
         towards = _dot(normal, (x, y, z)).maximum(0.0)
@@ -176,12 +174,15 @@ def block_one_direction(typing_context, blocker_at, owners_at, scratch_at):
         x, y, z = (along[a] * s - from_start[a] for a in range(3))
         away = s * to_light - ahead
         off2 = (_dot((x, y, z), (x, y, z)) - away * away).maximum(0.0)
-        disc = (away * SPREAD).maximum(_THINNEST_M)
+        # at least 1 cm, because it is a divisor below
+        disc = (away * SPREAD).maximum(0.01)
         touching, left = disc + radius, _word(b, blocker_at, REACH) + (KEPT_M + FADE_M) - away
-        close = touching * touching * _ROUNDED_UP - off2
+        # a little more than where the discs touch, so that rounding never leaves a pixel out
+        close = touching * touching * 1.0001 - off2
         with b.if_then(_any_positive(b, away, left, close)):
             off, per_radius, per_disc = off2.unary("sqrt"), _word(b, blocker_at, PER_RADIUS), disc.reciprocal()
             step = ((touching - off) * (per_disc.maximum(per_radius) * 0.5)).maximum(0.0).minimum(1.0)
+            # the smooth step 3 s^2 - 2 s^3
             overlap = step * step * (-(step * 2.0 - 3.0))
             wide = (_word(b, blocker_at, WIDTH) * per_disc).minimum(1.0)
             most = (radius * per_disc * wide).minimum(1.0)

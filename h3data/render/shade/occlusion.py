@@ -42,12 +42,8 @@ SPREAD = 0.18
 """Upper bound of the disc's radius as a share of the pixel's distance, which keeps the disc small in the image."""
 CONTRAST = 11.0
 """Factor on the mean m over the taps; the amount is m / (1 + m), about one half in a right-angled corner."""
-BIAS_PER_M = 0.001
-"""A point occludes only if it rises above the surface by more than `BIAS_M` plus this share of its distance."""
 RECEDED_M = 100.0
 """Distance behind an orthographic camera of the eye from which its image counts as seen [m]."""
-DENSITY = 1.5
-"""Exponent of the taps' distances from the centre; 0.5 would spread them evenly over the disc."""
 EDGE, EDGE_ROWS = 8, 2
 """Padding columns and rows around the coarse image, so that blocks may overrun."""
 
@@ -61,7 +57,8 @@ def _offsets() -> NDArray[np.float64]:
     order = np.tile([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]], 2)[:, None, :]
     tap = np.arange(TAPS)[None, :, None]
     angle = tap * np.pi * (3 - np.sqrt(5)) + order * (2 * np.pi / 16)
-    length = ((tap + ((order * 7 + 3) % 16 + 0.5) / 16) / TAPS) ** DENSITY
+    # an exponent of 0.5 would spread the taps evenly over the disc
+    length = ((tap + ((order * 7 + 3) % 16 + 0.5) / 16) / TAPS) ** 1.5
     return np.stack([length * np.cos(angle), length * np.sin(angle)], axis=2)
 
 
@@ -87,7 +84,8 @@ def _table(view: View, factor: int, last_x: int, last_y: int) -> NDArray[np.floa
     afar = RECEDED_M if view.parallel else 1.0
     table = np.zeros(TABLE_WORDS, np.float32)
     table[FOCAL_X], table[FOCAL_Y] = fx * afar / factor, fy * afar / factor
-    table[BIAS_PER_Z] = BIAS_PER_M / afar
+    # a point occludes only if it rises above the surface by more than `BIAS_M` plus a thousandth of its distance
+    table[BIAS_PER_Z] = 0.001 / afar
     # coarse pixel k is seen through the centre of the target's pixel, which lies half a pixel beyond its number
     table[CENTER_X], table[CENTER_Y] = (cx - 0.5) / factor, (cy - 0.5) / factor
     table[LAST_X], table[LAST_Y] = last_x, last_y

@@ -36,8 +36,6 @@ BIAS_M = 0.004
 """A point occludes only if it rises above the surface by more than this plus a share of its distance from the eye."""
 SAME_SURFACE_M = 0.05
 """Amounts are blurred and interpolated between pixels this close to one another's planes."""
-BLUR = {-2: 0.5, -1: 1.0, 0: 1.0, 1: 1.0, 2: 0.5}
-"""Weights of the blur; each of the four rotations in a row gets the same total weight."""
 NOWHERE = 1e-3
 """Weight of "not occluded", which decides where none of the neighbouring coarse pixels lies on the pixel's surface."""
 
@@ -98,15 +96,18 @@ def _emit_occlusion(
     total = Vec(b, ir.Constant(FLOAT8, [0.0] * LANES))
     for k in range(TAPS):
         to_x, to_y = (Vec(b, load(b, offsets_at, 4 * (OFFSETS + LANES * (2 * k + axis)))) for axis in (0, 1))
+        # clamped: a tap outside of the image looks at its edge
         sx = (fma(to_x, reach_x, px) + 0.5).maximum(0.0).minimum(last_x).unary("floor")
         sy = (fma(to_y, reach_y, py) + 0.5).maximum(0.0).minimum(last_y).unary("floor")
         index = b.add(b.mul(b.fptosi(sy.value, INT8), row_words), b.fptosi(sx.value, INT8))
         sz = Vec(b, gather(b, z_at, index))
         dx, dy = sx - px, sy - py
         expected = fma(slope_x, dx, fma(slope_y, dy, near))
+        # the plane's 1/z times the tap's z is 1 on the plane and less in front of it; times the distance it is a height
         rise = distance * (Vec(b, ir.Constant(FLOAT8, [1.0] * LANES)) - expected * sz)
         ex, ey, ez = fma(u + dx * per_fx, sz, -eye_x), fma(v + dy * per_fy, sz, -eye_y), sz - z
         apart2 = fma(ex, ex, fma(ey, ey, ez * ez))
+        # falls to 0 at the radius, so that a surface does not begin to occlude with a step
         within = (-(apart2 * per_radius2 - 1.0)).maximum(0.0)
         total = fma((rise - bias).maximum(0.0) * within, (apart2 + 1e-6).unary("sqrt").reciprocal(), total)
     amount = (total * _word(b, table_at, GAIN)).maximum(0.0)
@@ -153,7 +154,8 @@ def blur_block(typing_context, inv_z_at, slope_at, sharpness_at, source_at, targ
         inv_z_at, slope_at, sharpness_at, source_at, target_at, step_bytes = arguments
         near, slope, sharpness = (Vec(b, load(b, at)) for at in (inv_z_at, slope_at, sharpness_at))
         amounts, weights = None, None
-        for step, base in BLUR.items():
+        # each of the four rotations of taps in a row gets the same total weight
+        for step, base in ((-2, 0.5), (-1, 1.0), (0, 1.0), (1, 1.0), (2, 0.5)):
             offset = b.mul(step_bytes, ir.Constant(step_bytes.type, step))
             amount = Vec(b, load(b, b.add(source_at, offset)))
             other = Vec(b, load(b, b.add(inv_z_at, offset)))
@@ -189,6 +191,7 @@ def _emit_dimming(
     raw = [load(b, b.add(amount_at, row)) for row in rows]
     largest = Vec(b, raw[0]).maximum(Vec(b, raw[1]))
     some = b.icmp_unsigned("!=", largest.compare(">", 0.0).bits(0), ir.Constant(INT, 0))
+    # most blocks of a picture lie on open walls and floors, where all amounts are 0
     with b.if_then(some):
         near = Vec(b, load(b, near_at))
         half_x = Vec(b, ir.Constant(FLOAT8, [0.0, 0.5] * 4))

@@ -113,6 +113,7 @@ def _emit_light(
     if coordinates is not None:
         _store_coordinates(b, attributes_at, z, second, third, *coordinates)
     normal = mix(NORMAL)
+    # normals of opposite directions may cancel out in the middle of a triangle
     squared = _dot(normal, normal).maximum(1e-20)
     scale = squared.unary("sqrt").reciprocal()
     normal = [n * scale for n in normal]
@@ -215,6 +216,7 @@ def gloss_block(typing_context, block_at, attributes_at, strip_at, row_bytes):
         scale = _dot(ray, ray).unary("sqrt").reciprocal()
         ray = [r * scale for r in ray]
         facing = (-_dot(normal, ray)).maximum(0.0).minimum(1.0)
+        # the ray mirrored at the surface: r - 2 (r . n) n
         x, y, side = (fma(facing * 2.0, n, r) for n, r in zip(normal, ray, strict=True))
         zero = x * 0.0
         sideways = Vec(b, b.select(x.compare(">", 0.0).value, from_east.value, from_west.value))
@@ -223,6 +225,7 @@ def gloss_block(typing_context, block_at, attributes_at, strip_at, row_bytes):
         mirrored = fma(x * x, sideways, fma(y * y, upward, side * side * forward)).maximum(0.0)
         rest = -(facing - 1.0)
         fourth = rest * rest * rest * rest
+        # Schlick: the fifth power of 1 - cosine
         share = fourth * rest * (GRAZING_SHARE - FACING_SHARE) + FACING_SHARE
         added, kept = mirrored * share * (TONE_SIZE / TONE_LIMIT), -(share - 1.0)
         for _ in range(3):
@@ -243,10 +246,12 @@ def sky_block(typing_context, block_at, light_at, strip_at, row_bytes):
     def codegen(context, b, signature, arguments):
         block_at, light_at, strip_at, row_bytes = arguments
         ray = [_linear(b, block_at, RAY + 2 * a) for a in range(3)]
+        # the sine of the elevation; below the horizon all is as at the horizon
         height = ray[1].divided_by(_dot(ray, ray).unary("sqrt")).maximum(0.0).minimum(1.0)
         for horizon, zenith in zip(_words(b, light_at, HORIZON), _words(b, light_at, ZENITH), strict=True):
             _store_level(b, fma(zenith - horizon, height, horizon), strip_at)
             strip_at = b.add(strip_at, row_bytes)
+        # no normal where nothing is seen
         for _ in range(3):
             store(b, (height * 0.0).value, strip_at)
             strip_at = b.add(strip_at, row_bytes)
@@ -264,6 +269,7 @@ def equal_words(typing_context, address, word):
         address, word = arguments
         differ = b.icmp_signed("!=", load(b, address, 0, INT8), splat(b, word, INT8))
         bits = b.zext(b.bitcast(differ, ir.IntType(LANES)), INT)
+        # a ninth bit, at which the count ends where all eight are equal
         return b.cttz(b.or_(bits, ir.Constant(INT, 1 << LANES)), ir.Constant(ir.IntType(1), 1))
 
     return types.int32(types.uintp, types.int32), codegen

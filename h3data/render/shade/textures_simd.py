@@ -14,14 +14,13 @@ LEVEL_WORDS = 4
 ONE_LEVEL = 0.25
 """Within this distance of an integer level of detail, one level is used; in between, two are blended."""
 
-_INT64_4 = ir.VectorType(INT64, 4)
-
 
 def level_of_detail(b: Any, squared: Vec, last: Vec) -> Vec:
     """Level at which a texel is as large as a pixel, 0 to ``last``, from the squared number of texels per pixel.
 
     The logarithm is approximated linearly between powers of two, which is at most 0.05 levels too small.
     """
+    # the bits of a float, read as an integer, are about 2^23 (127 + log2); half of the logarithm is that of the root
     bits = Vec(b, b.sitofp(b.bitcast(squared.value, INT8), FLOAT8))
     return fma(bits, 0.5 / 2**23, -63.5).maximum(0.0).minimum(last)
 
@@ -65,6 +64,7 @@ def _bilinear(b: Any, s: Vec, t: Vec, level_at: Any, words_at: Any) -> list[Vec]
     upper_pairs = _pairs(b, addresses)
     lower_pairs = _pairs(b, [b.add(address, row_bytes) for address in addresses])
     both = right * lower
+    # (1 - r)(1 - l), r (1 - l), (1 - r) l and r l, which share one product
     weights = (fma(right, -1.0, both - lower + 1.0), right - both, lower - both, both)
     colors: list[Vec] = []
     for words, weight in zip((*upper_pairs, *lower_pairs), weights, strict=True):
@@ -79,6 +79,7 @@ def _bilinear(b: Any, s: Vec, t: Vec, level_at: Any, words_at: Any) -> list[Vec]
 def _place(b: Any, coordinate: Vec, size: Any) -> tuple[Any, Vec]:
     """The texel whose centre lies just before a coordinate [repeats], 0 to size - 1 (int32), and the fraction beyond it."""
     count = Vec(b, splat(b, b.sitofp(size, FLOAT)))
+    # texels have their centres at halves
     place = fma(coordinate - coordinate.unary("floor"), count, -0.5)
     before = place.compare("<", 0.0)
     place = Vec(b, b.select(before.value, (place + count).value, place.value))
@@ -90,7 +91,7 @@ def _pairs(b: Any, addresses: list[Any]) -> tuple[Any, Any]:
     """The words at eight addresses and the words after them, by one 64-bit load per pair."""
     halves = []
     for order in ((0, 1, 4, 5), (2, 3, 6, 7)):  # in this order, one shuffle within 128 bits sorts the lanes
-        half = ir.Constant(_INT64_4, ir.Undefined)
+        half = ir.Constant(ir.VectorType(INT64, 4), ir.Undefined)
         for k, lane in enumerate(order):
             half = b.insert_element(half, load(b, addresses[lane], 0, INT64), ir.Constant(INT, k))
         halves.append(b.bitcast(half, INT8))

@@ -31,6 +31,7 @@ def each_point(kernel: Callable[[NDArray], NDArray], points: ArrayLike) -> NDArr
     """Applies a kernel on [N, 2] to points of any leading shape."""
     p = floor_points(points)
     out = kernel(np.ascontiguousarray(p.reshape(-1, 2)))
+    # a kernel may give a number or a vector for each point
     return out.reshape(p.shape[:-1] + out.shape[1:])
 
 
