@@ -27,6 +27,7 @@ _READERS: Registry[Any] = Registry("h3data.walks", {}, what="reader of motion fi
 _files: dict[str, bytes] = {}
 
 
+# The name may be a key: stored motions are named by their contents, so what a name means never changes.
 @lru_cache(maxsize=64)
 def load_humanoid(name: str | Path) -> Humanoid:
     """Loads a person by name, once; later calls return the same object.
@@ -50,6 +51,7 @@ def load_humanoid(name: str | Path) -> Humanoid:
 
 def split_walk(model: str) -> tuple[str, str]:
     """The body and the motion of a name; the motion is empty where none is named. An existing file is a body."""
+    # the name of a file may hold a plus itself
     if JOIN not in model or Path(model).exists():
         return model, ""
     body, _, motion = model.partition(JOIN)
@@ -69,6 +71,7 @@ def stored_name(model: str) -> str:
 def keep_walk(data: bytes) -> str:
     """Makes a walk known to this process, from the contents of its file; returns its name."""
     name = STORED + hashlib.sha256(data).hexdigest()[:DIGITS]
+    # one copy, whichever of several recordings with this walk came first
     _files.setdefault(name, data)
     return name
 

@@ -32,8 +32,6 @@ FILES = (
 """Names of the files that `write_csv_tables` writes."""
 
 _POSE7 = ("x", "y", "z", "qx", "qy", "qz", "qw")
-_WIDEST = 64
-"""Columns of the recording with more numbers in a row are only in columns.npz."""
 
 
 def write_csv_tables(recording: Recording, folder: str | Path) -> list[Path]:
@@ -90,6 +88,7 @@ def _npz(stream: IO[bytes], recording: Recording) -> None:
     """Writes arrays as `numpy.savez_compressed`, which does not accept every name."""
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, values in recording.columns.items():
+            # the size of a member is not known before it is written, and may be above 4 GiB
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array(member, np.ascontiguousarray(values), allow_pickle=False)
 
@@ -98,7 +97,8 @@ def _steps(recording: Recording, time_s: np.ndarray) -> tuple[list[str], Iterabl
     head, columns = ["step", "time_s"], [[str(k) for k in range(len(recording))], _texts(time_s)]
     for name, values in recording.columns.items():
         flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
-        if name == "object_pose" or flat.shape[1] > _WIDEST:
+        # wider ones, such as rotations of all joints, are in columns.npz only: spreadsheets end at 16,384 columns
+        if name == "object_pose" or flat.shape[1] > 64:
             continue
         labels = _labels(name, flat.shape[1], values.ndim == 1, recording.agents)
         if name == JOINTS and "scene.glb" in recording.attachments:
@@ -119,6 +119,7 @@ def _labels(name: str, width: int, scalar: bool, agents: Sequence[Agent]) -> lis
     if owner.startswith("agent_") and number.isdecimal() and int(number) < len(agents):
         agent = agents[int(number)]
         names = {"joint_pos": agent.joint_names, "action": agent.action_names}.get(kind, ())
+    # an arm of seven joints has names of its own, and so have the joints of a home
     if width == 7 and len(names) != 7 and name != JOINTS:
         names = _POSE7
     if len(names) != width:
@@ -131,6 +132,7 @@ def _poses(recording: Recording, time_s: np.ndarray) -> Iterable[list[str]]:
         return
     poses, names = recording.columns["object_pose"], [b.name for b in recording.moving_bodies]
     times = _texts(time_s)
+    # a body that is away has no row, rather than one of empty fields
     there = np.asarray(np.isfinite(poses).all(-1))
     for step in range(len(poses)):
         for body in np.flatnonzero(there[step]).tolist():
@@ -139,10 +141,12 @@ def _poses(recording: Recording, time_s: np.ndarray) -> Iterable[list[str]]:
 
 def _texts(values: np.ndarray) -> list[str]:
     """The shortest text of each number that gives it back; truth as 0 and 1; nothing for NaN."""
+    # spreadsheets compute with 0 and 1
     if values.dtype.kind == "b":
         return ["1" if v else "0" for v in values]
     if values.dtype.kind != "f":
         return [str(v) for v in values.tolist()]
+    # NumPy writes the shortest text that gives the same number in the dtype of the array
     texts = values.astype(str).tolist()
     return ["" if text == "nan" else text for text in texts]
 

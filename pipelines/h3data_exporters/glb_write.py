@@ -85,6 +85,7 @@ def glb_bytes(meshes: Sequence[Mesh], nodes: Sequence[GlbNode] | None = None) ->
         if len(parts) == 1:
             record["mesh"] = parts[0]
         else:
+            # children come after all nodes of the caller, whose numbers are those of the scene
             record["children"] = [len(records) + k for k in range(len(parts))]
             records += [{"name": f"{n.name}.{k}", "mesh": part} for k, part in enumerate(parts)]
     document = gltf_document({"nodes": list(range(len(nodes)))}, nodes=records, **lists, **chunk.lists())
@@ -116,8 +117,10 @@ def mesh_lists(
         meshes: at least one.
         influences: those of the meshes that follow a skin, by index.
     """
-    split = [_one_color_per_triangle(_checked(mesh)) for mesh in meshes]
-    materials = _Materials(chunk, _plain_colors([mesh for mesh, _ in split]))
+    split = [_one_color_per_triangle(mesh) for mesh in meshes]
+    plain = [m.colors[m.faces[face_texture_indices(m) < 0].ravel()] for m, _ in split]
+    # one palette for all meshes, so that the file has one image and one material for them
+    materials = _Materials(chunk, np.unique(np.concatenate(plain), axis=0))
     records = []
     for k, (mesh, source) in enumerate(split):
         moved = (influences or {}).get(k)
@@ -145,7 +148,10 @@ class _Materials:
         self.textures: list[dict[str, Any]] = []
         self.images: list[dict[str, Any]] = []
         if len(palette):
-            image = self._image("palette", _palette_pixels(palette, self._side), sampler=0)
+            texels = np.full((self._side**2, 4), (0, 0, 0, 255), np.uint8)
+            texels[: len(palette), :3] = palette
+            pixels = texels.reshape(self._side, self._side, 4).repeat(_BLOCK_PX, 0).repeat(_BLOCK_PX, 1)
+            image = self._image("palette", pixels, sampler=0)
             self.materials.append({"name": "palette", "pbrMetallicRoughness": matte(image)})
 
     def palette_uv(self, colors: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -155,10 +161,12 @@ class _Materials:
 
     def pair(self, texture: Texture, color: NDArray[np.uint8]) -> int:
         """Index of the material that shows a texture in an sRGB colour [3]."""
+        # by identity: meshes of a home share their textures, and comparing pixels is slow
         key = (id(texture), int(_codes(color)))
         if key not in self._pairs:
             if id(texture) not in self._images:
                 self._images[id(texture)] = self._image(texture.name, texture.pixels, sampler=1)
+            # glTF has factors in linear light, textures in sRGB
             factor = [*bytes_to_linear(color).tolist(), 1.0]
             look = matte(self._images[id(texture)], baseColorFactor=factor)
             name = f"{texture.name or 'texture'} #{bytes(color.tolist()).hex()}"
@@ -184,12 +192,17 @@ def _primitives(
         else:
             assert mesh.uv is not None
             material, uv = materials.pair(mesh.textures[kind], color), mesh.uv[used]
-        primitive = _primitive(chunk, mesh, used, corners, uv, material)
+        attributes = {"POSITION": chunk.vectors(mesh.vertices[used], limits=True)}
+        if mesh.normals is not None:
+            attributes["NORMAL"] = chunk.vectors(mesh.normals[used])
+        attributes["TEXCOORD_0"] = chunk.vectors(uv)
+        triangles = chunk.triangles(corners)
         if influences is not None:
+            # glTF's validator warns of a joint that has no weight unless it is 0
             joints = np.where(influences.weights[used] > 0, influences.joints[used], 0).astype(np.uint8)
-            primitive["attributes"]["JOINTS_0"] = chunk.array(joints, "VEC4", UINT8, VERTICES)
-            primitive["attributes"]["WEIGHTS_0"] = chunk.vectors(influences.weights[used])
-        primitives.append(primitive)
+            attributes["JOINTS_0"] = chunk.array(joints, "VEC4", UINT8, VERTICES)
+            attributes["WEIGHTS_0"] = chunk.vectors(influences.weights[used])
+        primitives.append({"attributes": attributes, "indices": triangles, "material": material, "mode": 4})
     return primitives
 
 
@@ -197,43 +210,18 @@ def _looks(mesh: Mesh) -> Iterator[tuple[int, NDArray[np.uint8], NDArray[np.int3
     """Texture (-1: none), sRGB colour and triangles of each look of a mesh; at most `MAX_LOOKS` looks have a texture."""
     kinds = face_texture_indices(mesh).astype(np.int64)
     colors = np.where(kinds[:, None] < 0, 0, mesh.colors[mesh.faces[:, 0]])
+    # colours are made coarser by powers of two until there are few enough
     step = 1
     while True:
         keys, look = np.unique(np.column_stack([kinds, colors // step]), axis=0, return_inverse=True)
         if np.count_nonzero(keys[:, 0] >= 0) <= max(MAX_LOOKS, len(mesh.textures)) or step == 256:
             break
         step *= 2
+    # stable, so that equal meshes give equal bytes
     order, counts = np.argsort(look.ravel(), kind="stable"), np.bincount(look.ravel())
     ends = np.cumsum(counts)[:-1]
     for key, faces, members in zip(keys, np.split(mesh.faces[order], ends), np.split(colors[order], ends), strict=True):
         yield int(key[0]), np.rint(members.mean(0)).astype(np.uint8), faces
-
-
-def _primitive(
-    chunk: GlbChunk,
-    mesh: Mesh,
-    used: NDArray[Any],
-    corners: NDArray[Any],
-    uv: NDArray[np.float32],
-    material: int,
-) -> dict[str, Any]:
-    attributes = {"POSITION": chunk.vectors(mesh.vertices[used], limits=True)}
-    if mesh.normals is not None:
-        attributes["NORMAL"] = chunk.vectors(mesh.normals[used])
-    attributes["TEXCOORD_0"] = chunk.vectors(uv)
-    return {"attributes": attributes, "indices": chunk.triangles(corners), "material": material, "mode": 4}
-
-
-def _plain_colors(meshes: Sequence[Mesh]) -> NDArray[np.uint8]:
-    """Distinct colours of all triangles without a texture, shape [K, 3]."""
-    colors = [m.colors[m.faces[face_texture_indices(m) < 0].ravel()] for m in meshes]
-    return np.unique(np.concatenate(colors), axis=0)
-
-
-def _palette_pixels(palette: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
-    texels = np.full((side * side, 4), (0, 0, 0, 255), np.uint8)
-    texels[: len(palette), :3] = palette
-    return texels.reshape(side, side, 4).repeat(_BLOCK_PX, 0).repeat(_BLOCK_PX, 1)
 
 
 def _codes(colors: NDArray[np.uint8]) -> NDArray[np.int64]:
@@ -244,7 +232,19 @@ def _one_color_per_triangle(mesh: Mesh) -> tuple[Mesh, NDArray[np.integer]]:
     """The mesh with a single colour, the mean, for each triangle whose corners differ, and the source of each vertex.
 
     Such triangles get corners of their own; the second value is the index into the vertices of ``mesh``.
+
+    Raises:
+        SceneError: the mesh has no triangles, or numbers that are not finite.
     """
+    faults = [
+        what
+        for what, values in (("vertices", mesh.vertices), ("normals", mesh.normals), ("uv", mesh.uv))
+        if values is not None and not np.isfinite(values).all()
+    ]
+    if faults or not len(mesh.faces):
+        what = f"{' and '.join(faults)} that are not finite" if faults else "no triangles"
+        raise SceneError(f"A mesh with {what} cannot be written as GLB.", code="H3-MESH-008")
+    # a palette has no gradients, so a triangle can have one colour only
     corners = mesh.colors[mesh.faces]
     mixed = (corners != corners[:, :1]).any((1, 2))
     source = np.arange(len(mesh.vertices))
@@ -264,15 +264,3 @@ def _one_color_per_triangle(mesh: Mesh) -> tuple[Mesh, NDArray[np.integer]]:
         uv=None if mesh.uv is None else mesh.uv[source],
     )
     return split, source
-
-
-def _checked(mesh: Mesh) -> Mesh:
-    faults = [
-        what
-        for what, values in (("vertices", mesh.vertices), ("normals", mesh.normals), ("uv", mesh.uv))
-        if values is not None and not np.isfinite(values).all()
-    ]
-    if faults or not len(mesh.faces):
-        what = f"{' and '.join(faults)} that are not finite" if faults else "no triangles"
-        raise SceneError(f"A mesh with {what} cannot be written as GLB.", code="H3-MESH-008")
-    return mesh

@@ -23,11 +23,6 @@ from h3data_exporters.gltf_skin import Node, add_joints, local_poses, skin_recor
 from h3data_exporters.posed_parts import PosedCamera, PosedPart
 from h3data_exporters.posing import drawn_note, posed_cameras, posed_parts
 
-_STILL = 1e-7
-"""A track that changes by less [m, or quaternion component] is written as the pose of its node."""
-_NEAREST_M = 0.01
-"""glTF asks for a near plane."""
-
 
 @dataclass(frozen=True)
 class GltfAnimationFile:
@@ -63,6 +58,7 @@ def write_gltf_animation(
     if not len(recording):
         raise InputError("A recording without steps has nothing to animate.", code="H3-EXPORT-013")
     times = recording.columns["time_ns"]
+    # differences of whole nanoseconds first: float32 is too coarse for times since 1970
     writer = _Writer(((times - times[0]) * 1e-9).astype("<f4"))
     groups = {index: writer.group(agent.name) for index, agent in enumerate(recording.agents)}
     for part in parts:
@@ -143,6 +139,7 @@ class _Writer:
             self.nodes[group].setdefault("children", []).append(node)
 
     def _mesh(self, part: PosedPart) -> int:
+        # bodies that share a mesh share it in the file; one that is skinned has joints besides
         key = (id(part.mesh), part.skeleton is not None)
         if key not in self._slots:
             self._slots[key] = len(self.meshes)
@@ -172,6 +169,7 @@ class _Writer:
         assert skeleton is not None
         poses, there = _held(skeleton.poses)
         local = local_poses(poses, skeleton.parents)
+        # viewers interpolate between keys, and q and -q are far apart
         local[..., 3:] = quat_sign_continuous(local[..., 3:])
         self.nodes.append(
             {"name": part.name, "mesh": self._mesh(part), "skin": len(self.skins), "extras": _extras(part)}
@@ -190,7 +188,8 @@ class _Writer:
 
     def add_camera(self, camera: PosedCamera) -> None:
         """A camera and the node that carries it."""
-        lens = {"yfov": camera.vfov_rad, "aspectRatio": camera.aspect, "znear": max(camera.near_m, _NEAREST_M)}
+        # glTF asks for a near plane, which cameras of recordings may have at 0
+        lens = {"yfov": camera.vfov_rad, "aspectRatio": camera.aspect, "znear": max(camera.near_m, 0.01)}
         self.cameras.append({"name": camera.name, "type": "perspective", "perspective": lens})
         poses, _ = _held(camera.poses)
         self.nodes.append({"name": camera.name, "camera": len(self.cameras) - 1, **trs(poses[0])})
@@ -200,16 +199,19 @@ class _Writer:
     # --- animation ----------------------------------------------------------------------------------------------------
     def _animate(self, node: int, poses: Array) -> None:
         for target, values, kind in (("translation", poses[:, :3], "VEC3"), ("rotation", poses[:, 3:], "VEC4")):
-            if len(values) > 1 and float(np.ptp(values, axis=0).max()) > _STILL:
+            # what changes by less [m, or quaternion component] keeps the pose of its node
+            if len(values) > 1 and float(np.ptp(values, axis=0).max()) > 1e-7:
                 self._channel(node, target, values, kind, "LINEAR")
 
     def _hide(self, node: int, there: NDArray[np.bool_], scale: Array) -> None:
         if len(there) == len(self.times) and not there.all():
+            # in steps: between two keys a scale would grow
             self._channel(node, "scale", there[:, None] * scale, "VEC3", "STEP")
         elif not there.all():
             self.nodes[node]["scale"] = [0.0, 0.0, 0.0]
 
     def _channel(self, node: int, target: str, values: NDArray[Any], kind: str, interpolation: str) -> None:
+        # all channels share one array of times
         if self._time < 0:
             limits: dict[str, Any] = {"min": [float(self.times[0])], "max": [float(self.times[-1])]}
             self._time = self.chunk.array(self.times, "SCALAR", FLOAT32, **limits)
@@ -230,6 +232,7 @@ class _Writer:
             **meshes,
             **(self.chunk.lists() if self.chunk.size else {}),
         }
+        # glTF does not allow empty lists
         members = {name: value for name, value in members.items() if value != []}
         shown = {"nodes": self.roots} if self.roots else {}
         return pack_glb(gltf_document(shown, about=extras, **members), self.chunk)

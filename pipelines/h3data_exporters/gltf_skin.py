@@ -20,6 +20,7 @@ def skinned_glb_bytes(mesh: Mesh, skeleton: Skeleton) -> bytes:
     """A GLB of one mesh in its rest pose, with its skin and joints: a rig for others to pose."""
     chunk = GlbChunk()
     rest = np.linalg.inv(skeleton.inverse_bind)
+    # nodes are posed by quaternions, which have no scale
     rest[:, :3, :3] /= np.linalg.norm(rest[:, :3, :3], axis=1, keepdims=True)
     nodes: list[Node] = [{"name": "body", "mesh": 0, "skin": 0}]
     roots = add_joints(nodes, skeleton, local_poses(pose_from_matrix(rest)[None], skeleton.parents)[0])
@@ -44,7 +45,9 @@ def add_joints(nodes: list[Node], skeleton: Skeleton, local: Array) -> list[int]
 
 def skin_record(chunk: GlbChunk, skeleton: Skeleton, *, first: int) -> dict[str, Any]:
     """A skin whose joints are the nodes from ``first`` on."""
+    # glTF has matrices column by column
     columns = skeleton.inverse_bind.swapaxes(1, 2).reshape(-1, 16).astype("<f4")
+    # exactly, as validators ask for: inverting leaves rounding there
     columns[:, 3::4] = [0, 0, 0, 1]
     binds = chunk.array(columns, "MAT4", FLOAT32)
     return {"joints": list(range(first, first + len(skeleton.names))), "inverseBindMatrices": binds}
@@ -64,6 +67,7 @@ def local_poses(world: Array, parents: Sequence[int]) -> Array:
 def trs(pose: Array, scale: Array | None = None) -> Node:
     """Translation and rotation of a node, and its scale if it is not 1."""
     node = placement(pose, np.ones(3) if scale is None else scale)
+    # a scale of 1 is the default, which files leave out
     if scale is None or (scale == 1).all():
         del node["scale"]
     return node

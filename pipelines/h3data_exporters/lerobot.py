@@ -58,6 +58,7 @@ def write_lerobot(
     if first is None:
         raise InputError("There is no recording to write.", code="H3-EXPORT-027")
     fps = round(1e9 / _with_transitions(first, agent).episode.dt_ns)  # refused before a folder is made
+    # a generator: one recording in memory at a time
     widest = (_with_transitions(recording, agent) for recording in recordings)
     summary: _Summary | None = None
     with DatasetWriter(root, fps=fps, overwrite=overwrite, like=widest) as out:
@@ -77,6 +78,8 @@ def export_lerobot(recordings: Iterable[Recording], request: ExportRequest) -> E
     """Exports recordings for ``h3data export --to lerobot``."""
     cameras = tuple(dict.fromkeys(request.cameras or request.stored_cameras))
     counts = {"copied": 0, "rendered": 0}
+    # where recordings do not name it: videos of older datasets are flat, and what is added to them has to match
+    light: LightMode = "flat" if request.stored_cameras else "baked"
 
     @contextmanager
     def videos_of(number: int, recording: Recording) -> Iterator[Sequence[EpisodeVideo]]:
@@ -85,43 +88,37 @@ def export_lerobot(recordings: Iterable[Recording], request: ExportRequest) -> E
         stored = {video.feature.camera: replace(video, length=frames) for video in request.stored_videos(number)}
         wanted = [camera for camera in cameras if camera not in stored]
         with TemporaryDirectory(prefix="h3data-") as folder:
-            rendered = iter(_rendered(recording, wanted, Path(folder), frames, request) if wanted else ())
+            rendered: Iterator[EpisodeVideo] = iter(())
+            if wanted:
+                # at first use: videos that are only copied need no renderer
+                from h3data.replay.camera_videos import render_videos
+
+                rendered = iter(
+                    render_videos(
+                        recording,
+                        wanted,
+                        Path(folder),
+                        steps=frames,
+                        threads=request.threads,
+                        assets=request.assets,
+                        stand_ins=request.stand_ins,
+                        light=recording.episode.info.get("light", light),
+                        backend=request.backend,
+                        progress=lambda items, total: request.progress(items, total, "frame"),
+                    )
+                )
             yield [stored[camera] if camera in stored else next(rendered) for camera in cameras]
         counts["rendered"] += len(wanted)
         counts["copied"] += len(cameras) - len(wanted)
 
     with _appearing_whole(place(request.out)) as root:
         count = write_lerobot(
-            recordings, root, agent=request.agent, videos_of=videos_of if cameras else None, light=_light(request)
+            recordings, root, agent=request.agent, videos_of=videos_of if cameras else None, light=light
         )
     text = f"{request.out}: {counted(count, 'episode')} as a LeRobot v3.0 dataset"
     if cameras:
         text += f", with videos of {', '.join(cameras)} ({counts['rendered']} rendered, {counts['copied']} copied)"
     return Exported(text=text, data={"episodes": count, "cameras": list(cameras), "videos": counts})
-
-
-def _light(request: ExportRequest) -> LightMode:
-    """Light of videos whose recordings do not name it: those of older datasets are flat, and what is added to them too."""
-    return "flat" if request.stored_cameras else "baked"
-
-
-def _rendered(
-    recording: Recording, cameras: Sequence[str], folder: Path, frames: int, request: ExportRequest
-) -> list[EpisodeVideo]:
-    from h3data.replay.camera_videos import render_videos
-
-    return render_videos(
-        recording,
-        cameras,
-        folder,
-        steps=frames,
-        threads=request.threads,
-        assets=request.assets,
-        stand_ins=request.stand_ins,
-        light=recording.episode.info.get("light", _light(request)),
-        backend=request.backend,
-        progress=lambda items, total: request.progress(items, total, "frame"),
-    )
 
 
 @contextmanager
@@ -138,6 +135,7 @@ def _appearing_whole(root: AnyPath) -> Iterator[AnyPath]:
             f"The output folder exists and is not empty. Use force=True to overwrite it, or another name: {root}",
             code="H3-EXPORT-028",
         )
+    # beside it, so that the rename stays within one disk
     part = root.with_name(f"{root.name}.part")
     shutil.rmtree(part, ignore_errors=True)  # of a run that was killed
     try:
@@ -175,6 +173,7 @@ class _Summary:
             episode=len(self._seeds),
             source=source if isinstance(source, dict) else {},
         )
+        # recordings of others have no digest of their home
         key = digest or episode.scene
         self._scenes.setdefault(key, scene)
         self._places.append(list(self._scenes).index(key))
@@ -189,6 +188,7 @@ class _Summary:
         agents = []
         for who in recording.agents:
             named, number = policies.get(who.kind, []), sum(other.kind == who.kind for other in agents)
+            # one name for several agents of a kind means all of them
             policy = named[min(number, len(named) - 1)] if named else ""
             agents.append(DemonstratedAgent(name=who.name, kind=who.kind, model=who.model, policy=policy))
         return Demonstrations(
@@ -222,9 +222,13 @@ def _cameras_of(recording: Recording, features: Sequence[VideoFeature]) -> tuple
     known = camera_names(replay)
     cameras = []
     for feature in features:
-        names = (
-            name for name in (*known, *_owned(recording, feature.camera)) if name.replace("/", ".") == feature.camera
+        # the feature ``agent.camera`` may be of a camera ``agent/camera`` that no replay lists
+        owned = (
+            f"{agent.name}/{feature.camera.removeprefix(f'{agent.name}.')}"
+            for agent in recording.agents
+            if feature.camera.startswith(f"{agent.name}.")
         )
+        names = (name for name in (*known, *owned) if name.replace("/", ".") == feature.camera)
         name = next(names, "")
         carrier = carrier_of(replay, name) if name else None
         size, hfov_deg = (feature.width, feature.height), 0.0
@@ -249,17 +253,11 @@ def _cameras_of(recording: Recording, features: Sequence[VideoFeature]) -> tuple
     return tuple(cameras)
 
 
-def _owned(recording: Recording, camera: str) -> Iterator[str]:
-    """The names ``agent/camera`` that a feature ``agent.camera`` may come from."""
-    for agent in recording.agents:
-        if camera.startswith(f"{agent.name}."):
-            yield f"{agent.name}/{camera.removeprefix(f'{agent.name}.')}"
-
-
 def _with_transitions(recording: Recording, agent: str | None) -> Recording:
     found = transitions_of(recording, agent=agent)
     steps = len(found)
     done = np.zeros(steps, np.bool_)
+    # the last frame is the end, whatever ended the episode
     done[-1] = True
     extra = {
         "observation.state": found.flat_state[:-1],
@@ -271,6 +269,7 @@ def _with_transitions(recording: Recording, agent: str | None) -> Recording:
     names = {"observation.state": list(found.state_names), "action": list(found.action_names)}
     columns = {
         name: values[:-1]
+        # LeRobot's loader fails on unsigned 64-bit numbers
         for name, values in recording.columns.items()
         if values.dtype != np.uint64 and not name.startswith("sim.")
     }

@@ -19,7 +19,6 @@ from h3data_exporters.transitions import check_alike, observations_of, transitio
 
 RULED_ENDS = ("success", "collision", "terminated")
 """Words of ``info["ended"]`` for an episode that its rules ended: Minari's terminations. Any other end is a truncation."""
-_NAME = re.compile(r"[-\w]+-v\d+")
 
 
 def write_minari(recordings: Iterable[Recording], folder: str | Path, *, agent: str | None = None) -> int:
@@ -33,14 +32,22 @@ def write_minari(recordings: Iterable[Recording], folder: str | Path, *, agent: 
         MissingExtraError: Minari is not installed.
         InputError: the name is no id, there is no recording, one has no actions, or they differ in their keys.
     """
-    minari, spaces = _import_minari()
+    try:
+        import minari  # pyright: ignore[reportMissingImports]
+        import minari.dataset.minari_storage  # pyright: ignore[reportMissingImports]
+        from gymnasium import spaces
+    except ImportError:
+        raise MissingExtraError(
+            'Minari datasets need minari. Hint: pip install "h3data[minari]"', code="H3-EXPORT-040"
+        ) from None
     folder = Path(folder)
-    if not _NAME.fullmatch(folder.name):
+    if not re.fullmatch(r"[-\w]+-v\d+", folder.name):
         raise InputError(
             "Expected a folder whose name Minari takes as an id: letters, digits, - and _, then -v and a version, such as "
             f"walks-v0. Got: {folder}",
             code="H3-EXPORT-039",
         )
+    # recordings may be a generator: the first one is looked at and put back before the others
     rest = iter(recordings)
     if (first := next(rest, None)) is None:
         raise InputError("There is no recording to write.", code="H3-EXPORT-027")
@@ -74,6 +81,7 @@ def write_minari(recordings: Iterable[Recording], folder: str | Path, *, agent: 
                 "control_hz": round(1e9 / first.episode.dt_ns, 6),
             }
         )
+        # only now the old one goes, so that a failed export leaves it
         shutil.rmtree(whole, ignore_errors=True)
         part.replace(whole)
     except BaseException:
@@ -100,6 +108,7 @@ def _buffers(
         found = transitions_of(recording, agent=agent)
         observed = observations_of(recording, found)
         check_alike(shapes, {"actions": found.action, **observed}, recording)
+        # only the last step ends the episode
         episode, last = recording.episode, np.arange(len(found)) == len(found) - 1
         ruled = episode.info.get("ended") in RULED_ENDS
         about.append(
@@ -119,15 +128,3 @@ def _buffers(
             terminations=last & ruled,
             truncations=last & (not ruled),
         )
-
-
-def _import_minari() -> tuple[Any, Any]:
-    try:
-        import gymnasium.spaces
-        import minari  # pyright: ignore[reportMissingImports]
-        import minari.dataset.minari_storage  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        raise MissingExtraError(
-            'Minari datasets need minari. Hint: pip install "h3data[minari]"', code="H3-EXPORT-040"
-        ) from None
-    return minari, gymnasium.spaces

@@ -19,7 +19,6 @@ from h3data.geometry import (
     quat_from_heading,
     quat_sign_continuous,
 )
-from h3data.recording import Body
 from h3data.recording.assets.skinned_meshes import SkinnedMesh
 from h3data.render import OPENGL_TO_OPENCV
 from h3data.replay.cameras import THIRD_PERSON, camera_names, camera_track
@@ -30,8 +29,6 @@ from h3data_exporters.posed_parts import PosedCamera, PosedPart, Skeleton
 
 _ROOT_OF_PERSON = np.array([0, HUMAN_ROOT_HEIGHT_M, 0, *quat_from_heading(np.pi / 2)])
 """habitat-lab's humanoid root in the agent's root frame: at that height, z forward."""
-
-_GENERIC_CAMERAS = ("top_down", "top_down_orthographic", "orbit", THIRD_PERSON)
 
 
 def posed_parts(replay: Replay, steps: NDArray[np.integer] | None = None) -> list[PosedPart]:
@@ -49,7 +46,9 @@ def posed_parts(replay: Replay, steps: NDArray[np.integer] | None = None) -> lis
             poses, skeleton = pose_multiply(base, _ROOT_OF_PERSON), _skeleton_of_person(replay, track.agent, steps)
         else:
             assert body is not None
-            poses, scale = _poses_of_body(replay, body, steps), body.scale.astype(np.float64)
+            poses, scale = body.pose.astype(np.float64)[None], body.scale.astype(np.float64)
+            if body.moving >= 0:
+                poses = replay.recording.columns["object_pose"][steps, body.moving].astype(np.float64)
             if isinstance(track, JointTrack):
                 motions = replay.joint_motions(steps)[:, track.joint]
                 poses = _poses(motions @ pose_to_matrix(body.pose.astype(np.float64)))
@@ -75,13 +74,15 @@ def posed_cameras(replay: Replay) -> list[PosedCamera]:
     """The cameras of robots and people, and those that the recording carries."""
     cameras = []
     for name in camera_names(replay):
-        if name.rpartition("/")[2] in _GENERIC_CAMERAS:
+        # views that every replay has, which nobody carries
+        if name.rpartition("/")[2] in ("top_down", "top_down_orthographic", "orbit", THIRD_PERSON):
             continue
         track = camera_track(replay, name)
         camera = track.camera
         if name.startswith("user."):
             poses = replay.recording.columns[name].astype(np.float64)
         else:
+            # ours look along +z with y down, those of glTF along -z with y up
             poses = _poses(np.asarray(track.poses, np.float64) @ OPENGL_TO_OPENCV)
         cameras.append(
             PosedCamera(
@@ -106,12 +107,6 @@ def drawn_note(missing: Sequence[str], *, stand_ins: bool) -> str:
 def missing_note(missing: Sequence[str], consequence: str) -> str:
     """A line for people about asset files that were not found; empty if all were."""
     return f"\n{len(missing)} asset files were not found and {consequence}. Hint: --assets DIR" if missing else ""
-
-
-def _poses_of_body(replay: Replay, body: Body, steps: NDArray[np.integer]) -> Array:
-    if body.moving < 0:
-        return body.pose.astype(np.float64)[None]
-    return replay.recording.columns["object_pose"][steps, body.moving].astype(np.float64)
 
 
 def _poses(matrices: Array) -> Array:
@@ -149,10 +144,12 @@ def _skeleton_of_rig(
             f"A skinned body with a scale that is not uniform cannot be exported: {track.body.name!r}.",
             code="H3-EXPORT-030",
         )
+    # F without its scale, which is in `size` and becomes that of the joints
     frame = skin.to_metres.copy()
     frame[:3, :3] /= size / float(scale[0])
     rigid = np.broadcast_to(pose_to_matrix(roots), (len(steps), 4, 4))
     bones = pose_to_matrix(replay.recording.columns[track.column][steps].astype(np.float64))
+    # NaN has no inverse: an absent body gets any frame here, and NaN again below
     local = np.linalg.inv(np.nan_to_num(rigid) + np.where(np.isnan(rigid), np.eye(4), 0))[:, None] @ bones
     local[:, :, :3, 3] *= size
     of_bone = {name: number for number, name in enumerate(track.bones)}
@@ -160,6 +157,7 @@ def _skeleton_of_rig(
     still = np.broadcast_to(np.eye(4), (len(steps), 4, 4))
     joints = np.stack([local[:, of_bone[n]] if n in of_bone else still for n in skin.joint_names] + [still], 1)
     unbound = np.array([n not in of_bone for n in names])
+    # without a bone the body itself moves the vertex, from where it is at rest
     binds = np.concatenate([np.where(unbound[:-1, None, None], np.eye(4), skin.inverse_bind), np.eye(4)[None]])
     return Skeleton(
         names=names,
@@ -174,6 +172,7 @@ def _skeleton_of_rig(
 def _influences_of_operator(skin: SkinnedMesh) -> Influences:
     """Joints and weights [V, 4] out of the skinning operator: its every fourth column holds the bare weights."""
     weights = skin.points.toarray()[:, 3::4]
+    # glTF has four joints for each vertex; the rest of the weight is spread over them
     joints = np.argsort(-weights, axis=1, kind="stable")[:, :4]
     if joints.shape[1] < 4:
         joints = np.pad(joints, ((0, 0), (0, 4 - joints.shape[1])))

@@ -29,12 +29,18 @@ def write_robomimic(recordings: Iterable[Recording], path: str | Path, *, agent:
         MissingExtraError: h5py is not installed.
         InputError: there is no recording, one has no actions, or they differ in their keys.
     """
-    h5py = _import_h5py()
+    try:
+        import h5py
+    except ImportError:
+        raise MissingExtraError(
+            'Robomimic files need h5py. Hint: pip install "h3data[robomimic]"', code="H3-EXPORT-033"
+        ) from None
     path = Path(path)
     if path.suffix not in (".hdf5", ".h5"):
         raise InputError(f"Expected a file that ends in .hdf5, got: {path}", code="H3-EXPORT-031")
     count = total = 0
     shapes: dict[str, Any] = {}
+    # appears whole: a reader must not meet half of the demonstrations
     with part_file(path) as part, h5py.File(part, "w") as file:
         data = file.create_group("data")
         for recording in recordings:
@@ -49,6 +55,7 @@ def write_robomimic(recordings: Iterable[Recording], path: str | Path, *, agent:
             raise InputError("There is no recording to write.", code="H3-EXPORT-027")
         data.attrs["total"] = total
         names = np.array([f"demo_{k}" for k in range(count)], dtype="S")
+        # robomimic takes the demonstrations of a run from such a list
         file.create_group("mask").create_dataset("train", data=names)
     return count
 
@@ -68,11 +75,13 @@ def _add_demo(group: Any, recording: Recording, found: Transitions, observed: di
     group.attrs["num_samples"] = steps
     group.attrs["uid"] = recording.episode.uid
     group.attrs["episode_id"] = recording.episode.episode_id
+    # gzip, which every build of HDF5 reads; shuffled, as bytes of similar floats are alike
     options = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
     group.create_dataset("actions", data=found.action, **options)
     group.create_dataset("rewards", data=found.reward)
     group.create_dataset("dones", data=done)
     group.create_dataset("states", data=found.flat_state[:-1], **options)
+    # row t and the one after it: an episode of T rows has T - 1 transitions
     for name, rows in (("obs", slice(None, -1)), ("next_obs", slice(1, None))):
         inner = group.create_group(name)
         for key, values in observed.items():
@@ -94,13 +103,3 @@ def _env_args(recording: Recording, found: Transitions) -> dict[str, Any]:
             "agents": [a.name for a in recording.agents],
         },
     }
-
-
-def _import_h5py() -> Any:
-    try:
-        import h5py
-    except ImportError:
-        raise MissingExtraError(
-            'Robomimic files need h5py. Hint: pip install "h3data[robomimic]"', code="H3-EXPORT-033"
-        ) from None
-    return h5py

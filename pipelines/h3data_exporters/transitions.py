@@ -19,9 +19,6 @@ SUCCESS_EVENTS = ("success", "found")
 """Kinds of event that mean success: of rearrangement, and of finding the person in social navigation. An episode without
 one that is marked ``success`` in its info succeeds with its last action."""
 
-_STATE = ("base_pose", "joint_pos", "root_pose", "joint_quat")
-_POSE7 = ("x", "y", "z", "qx", "qy", "qz", "qw")
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Transitions:
@@ -67,9 +64,10 @@ def transitions_of(recording: Recording, *, agent: str | None = None) -> Transit
     who, columns = recording.agents[index], recording.columns
     state = {
         name: columns[f"agent_{index}.{name}"].reshape(len(recording), -1).astype(np.float32)
-        for name in _STATE
+        for name in ("base_pose", "joint_pos", "root_pose", "joint_quat")
         if f"agent_{index}.{name}" in columns
     }
+    # the action of row t + 1 is the one that was taken in the state of row t
     action = columns[f"agent_{index}.action"][1:].astype(np.float32)
     return Transitions(
         agent=index,
@@ -94,6 +92,7 @@ def observations_of(recording: Recording, found: Transitions) -> dict[str, NDArr
     if "object_pose" in recording.columns:
         poses = recording.columns["object_pose"]
         observed["object_pose"] = poses.reshape(len(poses), -1)
+    # absent bodies have NaN, with which nothing can be learned
     return {name: np.nan_to_num(values).astype(np.float32) for name, values in observed.items()}
 
 
@@ -106,6 +105,7 @@ def check_alike(
         InputError: names or widths of the arrays differ from those of the first one.
     """
     own = {name: values.shape[1:] for name, values in arrays.items()}
+    # the first episode fills them in, for all others this changes nothing
     shapes.update(shapes or own)
     different = sorted(name for name in shapes.keys() | own.keys() if shapes.get(name) != own.get(name))
     if different:
@@ -120,6 +120,7 @@ def _reward(recording: Recording) -> NDArray[np.float32]:
     reward = np.zeros(len(recording) - 1, np.float32)
     steps = [event.step for event in recording.events if event.kind in SUCCESS_EVENTS]
     if steps:
+        # the event is at the row after its action; one at row 0 counts for the first action
         reward[np.clip(min(steps) - 1, 0, len(reward) - 1)] = 1
     elif recording.episode.info.get("success"):
         reward[-1] = 1
@@ -142,12 +143,13 @@ def _acting(recording: Recording, name: str | None) -> int:
             "from visual logs, as gfx-replay, have none.",
             code="H3-EXPORT-037",
         )
+    # robots first: in most tasks people act too, and a policy of the robot is what is wanted
     return next((i for i in acting if recording.agents[i].kind == "robot"), acting[0])
 
 
 def _names(name: str, width: int, agent: Agent) -> Sequence[str]:
     if name in ("base_pose", "root_pose"):
-        return [f"{name}.{part}" for part in _POSE7]
+        return [f"{name}.{part}" for part in ("x", "y", "z", "qx", "qy", "qz", "qw")]
     if name == "joint_pos" and len(agent.joint_names) == width:
         return agent.joint_names
     return [f"{name}.{k}" for k in range(width)]

@@ -32,6 +32,7 @@ def not_json(path: Path, data: bytes, fault: Exception, *, start: int = 0) -> Fo
     text = str(fault)
     if not data.strip():
         return FormatError(f"Expected JSON, the file is empty: {path}", code="H3-FORMAT-010")
+    # msgspec has no class of its own for it
     if "truncated" in text:
         return truncated(path, start + len(data))
     actual = format_by_beginning(data)
@@ -60,6 +61,7 @@ def _not_finite(data: bytes, fault: str, start: int) -> str | None:
     number = re.compile(rb"-?(?:NaN|Infinity)").match(data, int(at[1])) if at else None
     if number is None:
         return None
+    # the last key before the number is the one that it stands under
     keys = re.findall(rb'"((?:[^"\\]|\\.)*)"\s*:', data[: number.start()])
     under = f"under {keys[-1].decode(errors='replace')!r} " if keys else ""
     return f"{number[0].decode()} {under}(byte {start + number.start()})"

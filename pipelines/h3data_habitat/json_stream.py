@@ -64,6 +64,7 @@ class ArrayElements:
                 return
             if done < len(chunk):
                 self._open.append(chunk[done:])
+            # only the element that is open is held, which is what limits the memory
             if sum(map(len, self._open)) > self.longest:
                 raise ArrayFault(f"an element is longer than {self.longest >> 20} MiB", at)
         raise ArrayFault("truncated", at + sum(map(len, self._open)))
@@ -85,6 +86,7 @@ class ArrayElements:
 
     def _ends(self, chunk: bytes) -> tuple[NDArray[np.intp], int | None]:
         """Ends (exclusive) of the elements that end in the chunk, and the place of the array's closing bracket if there."""
+        # the character after a backslash at the end of the last chunk is escaped
         text = b" " + chunk[1:] if self._escaped else chunk
         if (
             b"\\" in text
@@ -95,12 +97,14 @@ class ArrayElements:
         marks = np.flatnonzero(kind)
         kind = kind[marks]
         quotes = np.cumsum(kind == _QUOTE) + self._in_string
+        # an even number of quotes before: brackets there are structure and not text
         outside = quotes % 2 == 0
         change = ((kind == _OPEN) & outside).astype(np.int64) - ((kind == _CLOSE) & outside)
         depth = np.cumsum(change) + self._depth
         if len(marks):
             self._in_string, self._depth = bool(quotes[-1] % 2), int(depth[-1])
         closing = change < 0
+        # a bracket that closes more than was opened is that of the array itself
         stops = marks[closing & (depth < 0)]
         ends = marks[closing & (depth == 0)] + 1
         return (ends[ends <= stops[0]], int(stops[0])) if len(stops) else (ends, None)

@@ -111,6 +111,7 @@ def _models(root: Path, assets: Sequence[str | Path]) -> Iterator[ObjectModel]:
     if root.is_file():
         yield _of_config(root, assets)
         return
+    # configs first: beside them lie meshes that they name
     configs = sorted(root.rglob(f"*{CONFIG_ENDING}"))
     if configs:
         yield from (_of_config(config, assets) for config in configs)
@@ -158,6 +159,7 @@ def _of_config(config: Path, assets: Sequence[str | Path]) -> ObjectModel:
 
 def _model(name: str, asset: Asset, scale: NDArray[np.float64], semantic_id: int, mass_kg: float | None) -> ObjectModel:
     words = asset.category.split("_")
+    # the whole name first, then its last word: a coffee_mug is a mug
     kind = next((KINDS[word] for word in (asset.category, *reversed(words)) if word in KINDS), None)
     if kind is not None and kind.role != "thing":
         kind = None
@@ -200,6 +202,7 @@ def _volume_m3(asset: Asset, scale: NDArray[np.float64]) -> float:
 def _mass_of_kinbody(file: Path, volume_m3: float) -> float | None:
     """Mass [kg] that OpenRAVE's ``<Mass>`` gives, in total or by density [kg/m3]; None if it gives none."""
     data = file.read_bytes()
+    # nested entities grow to gigabytes while they are read
     if len(data) > _MOST_XML or re.search(rb"<!(DOCTYPE|ENTITY)", data, re.IGNORECASE):
         raise SceneError(
             f"A kinbody with a DOCTYPE, entities or more than 1 MB is refused: {file}", code="H3-HABITAT-102"
@@ -239,6 +242,7 @@ def with_object_models(scene: Scene, models: Mapping[str, ObjectModel], *, seed:
         if instance.motion != "kinematic" or not len(scene.assets[instance.asset].mesh.faces):
             instances.append(instance)
             continue
+        # in random order, so that the same model does not stand everywhere
         for name in (names[k] for k in rng.permutation(len(names))):
             model = models[name]
             own = replace(model.asset, name=f"object_{name}")
@@ -260,6 +264,7 @@ def with_object_models(scene: Scene, models: Mapping[str, ObjectModel], *, seed:
 
 def _in_place_of(thing: Instance, box: NDArray[np.float64], model: ObjectModel, asset: Asset) -> Instance:
     """The model upright on the spot where the thing stands, with its heading."""
+    # upright: a thing that lay on its side would put its model there too
     turn = quat_from_heading(heading_from_quat(thing.pose[3:]))
     pose = np.concatenate([np.zeros(3), turn]).astype(np.float64)
     placed = Instance(

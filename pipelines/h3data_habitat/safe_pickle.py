@@ -43,6 +43,7 @@ def load_pickle(data: bytes, path: Path | io.BytesIO, *, records: Mapping[tuple[
         FormatError: the pickle names anything else, is damaged, or unfolds to far more than the file holds.
     """
     try:
+        # before unpickling, which allocates at once
         _check_memo(data)
         content = _Unpickler(data, records or {}).load()
         if _unfolded_size(content, {}, 0) > MAX_UNFOLDED * len(data):
@@ -122,6 +123,7 @@ def _unfolded_size(value: Any, sizes: dict[int, int], depth: int) -> int:
         return 1
     else:
         raise pickle.UnpicklingError(f"a {type(value).__name__} is not a plain value")
+    # remembered by identity, so that shared branches are counted without being walked again
     sizes[id(value)] = size = 1 + sum(_unfolded_size(child, sizes, depth + 1) for child in children)
     return size
 
@@ -162,6 +164,7 @@ def _checked(data: Any, dtype: Any, shape: Any) -> np.dtype[Any]:
     objects = dtype.dtype.hasobject
     if not isinstance(data, list if objects else (bytes, bytearray)):
         raise pickle.UnpicklingError("an array does not hold plain values")
+    # exactly: NumPy would read beyond a buffer that is too short
     if len(data) != math.prod(shape) * (1 if objects else dtype.dtype.itemsize):
         raise pickle.UnpicklingError(f"an array of shape {shape} has {len(data)} bytes or objects of {dtype.dtype}")
     return dtype.dtype
@@ -169,6 +172,7 @@ def _checked(data: Any, dtype: Any, shape: Any) -> np.dtype[Any]:
 
 def _reconstruct(*_: Any) -> _Array:
     """The empty array whose state follows."""
+    # only the state, which is checked, gives it shape and contents
     return np.ndarray.__new__(_Array, (0,), "b")
 
 

@@ -39,6 +39,7 @@ def find_scene_file(path: str, folders: Folders | None) -> Path | None:
     if tail is not None:
         return tail
     named = {file for root in folders.roots for file in _files_named(root, parts[-1])}
+    # several files of the name may be several scenes
     return named.pop() if len(named) == 1 else None
 
 

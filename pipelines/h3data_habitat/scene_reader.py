@@ -45,6 +45,7 @@ def template_mesh(name: str, file: Path, roots: Sequence[Path]) -> Mesh:
             code="H3-HABITAT-115",
         )
     mesh = reader.assets[rigid.asset].mesh
+    # logs have poses of the centre of mass
     placed = mesh.vertices * rigid.scale - rigid.origin(rigid.scale)
     return replace(mesh, vertices=placed.astype(np.float32))
 

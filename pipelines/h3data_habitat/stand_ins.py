@@ -86,6 +86,7 @@ def with_stand_ins(recording: Recording, library: AssetLibrary) -> tuple[Recordi
         if agent.model or not bodies or f"agent_{index}.base_pose" not in columns:
             continue
         uris = [refs[body.asset].uri for body in bodies]
+        # the recorded meshes of an agent are better than any built-in body
         if any(library.resolve(uri) is not None for uri in uris):
             continue
         found = str(_recognised(recording, index).get("found_as", ""))
@@ -103,6 +104,7 @@ def with_stand_ins(recording: Recording, library: AssetLibrary) -> tuple[Recordi
     if not replaced:
         return recording, {}
     kept = [body for body in recording.bodies if body.agent not in replaced]
+    # bodies that are replaced leave gaps in the tracks, which have to be consecutive
     tracks = [body.moving for body in kept if body.moving >= 0]
     if "object_pose" in columns:
         columns["object_pose"] = columns["object_pose"][:, tracks]
@@ -165,12 +167,14 @@ def joints_of_links(robot: Robot, links: Mapping[int, Array], steps: int) -> Arr
         turn = quat_conjugate(quat_from_matrix(origin[:3, :3]))
         if robot.kinds[link] == 1:
             turned = quat_multiply(turn, child[:, 3:])
+            # twice the angle whose tangent is the quaternion's part along the axis over w
             value = 2 * np.arctan2(turned[:, :3] @ robot.axes[link], turned[:, 3])
             value = (value + np.pi) % (2 * np.pi) - np.pi
         else:
             value = quat_rotate(turn, child[:, :3] - origin[:3, 3]) @ robot.axes[link]
         column, gain = robot.columns[link], robot.gains[link]
         value = (value - robot.offsets[link]) / (gain or 1.0)
+        # angles are known up to whole turns: the one nearest to the limits is meant
         if robot.kinds[link] == 1 and np.nanmedian(value) < robot.lower[column] - np.pi / 2:
             value = value + 2 * np.pi
         elif robot.kinds[link] == 1 and np.nanmedian(value) > robot.upper[column] + np.pi / 2:
@@ -215,6 +219,7 @@ def posture_of_bones(names: Sequence[str], bones: NDArray[np.float64]) -> tuple[
     turns = np.zeros((len(bones), len(JOINT_NAMES), 4))
     local = np.zeros_like(turns)
     for joint, (name, parent) in enumerate(zip(JOINT_NAMES, PARENTS, strict=True)):
+        # a joint without a bone keeps straight: it turns as its parent does
         above = turns[:, parent] if joint else np.tile([0.0, 0.0, 0.0, 1.0], (len(bones), 1))
         turns[:, joint] = bones[:, at[name], 3:] if name in at else above
         local[:, joint] = quat_multiply(quat_conjugate(above), turns[:, joint])
@@ -255,6 +260,7 @@ def readable_name(uri: str) -> str:
     it is the object's kind.
     """
     path = PurePosixPath(uri.removeprefix("handle:"))
+    # from the file outwards: many objects are called textured.obj, and their folder has the name
     for part in (path.name.split(".")[0], *reversed(path.parent.parts)):
         name = re.sub(r"_?:\d+$", "", part)
         if not _GENERIC.fullmatch(name):

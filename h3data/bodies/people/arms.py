@@ -46,10 +46,10 @@ _COLLARS, _SHOULDERS, _ELBOWS, _WRISTS = (
     np.array([JOINT_INDEX[f"{side}_{joint}"] for side, _, _ in SIDES])
     for joint in ("collar", "shoulder", "elbow", "wrist")
 )
+# Made once: arms are drawn in for each person in each step.
 _IN = _shoulders(FORWARD_DEG, HANG_DEG, TWIST_DEG)
 _CLOSE = _shoulders(FORWARD_DEG, CLOSE_HANG_DEG, TWIST_DEG)
 _COLLARS_IN = _about_y(COLLAR_DEG)
-_STRAIGHT = np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))
 CARRY_JOINTS = np.stack([_COLLARS, _SHOULDERS, _ELBOWS, _WRISTS], axis=1)
 """Joints of an arm, left and right, [2, 4]."""
 CARRY_CLOSE = np.stack(
@@ -57,7 +57,7 @@ CARRY_CLOSE = np.stack(
         _about_y(CARRY_COLLAR_DEG),
         _shoulders(CARRY_FORWARD_DEG, CLOSE_HANG_DEG, CARRY_TWIST_DEG),
         _about_y(CARRY_ELBOW_DEG),
-        _STRAIGHT,
+        np.tile([0.0, 0.0, 0.0, 1.0], (2, 1)),  # the wrist keeps to the forearm
     ],
     axis=1,
 )
@@ -86,6 +86,7 @@ def draw_in(quats: Array, arms: ArrayLike, *, shoulders_forward: bool = False) -
             f"Expected how far two arms are drawn in, [{len(quats)}, 2] finite numbers, got shape {list(shares.shape)}.",
             code="H3-BODY-067",
         )
+    # collars last, and only here: poses by clips, on which contact is based, keep their shoulders back
     if shoulders_forward:
         tuck_all(quats, every, _COLLARS, _COLLARS_IN)
 
@@ -120,6 +121,7 @@ def bend_arms(
         ahead = normalized(way)
         out = np.array(pole) * (1.0, 1.0, -sign)
         out = normalized(out - (ahead @ out)[:, None] * ahead)
+        # the law of cosines at the shoulder
         cosine = np.clip((a * a + reach * reach - b * b) / (2 * a * reach), -1, 1)
         bone = cosine * ahead + np.sqrt(1 - cosine * cosine) * out
         forearm = normalized(reach * ahead - a * bone)

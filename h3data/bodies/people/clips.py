@@ -99,6 +99,7 @@ class Gaits:
 
     def posture(self, speed_mps: Array, phase: Array) -> Posture:
         """Postures of moving at speeds [T] [m/s]: fitted values between the fitted speeds are interpolated."""
+        # callers ask for walking and jogging apart, since each has fitted values of its own
         if np.all(speed_mps > JOG_ABOVE_MPS):
             return gait_posture(JOG, self.legs, self.stride_m(speed_mps), self.jog, phase)
         return gait_posture(WALK, self.legs, self.stride_m(speed_mps), self.walk_values(speed_mps), phase)
@@ -115,11 +116,13 @@ class Gaits:
 
     def start_phase(self, speed_mps: float) -> float:
         """Phase at which the left foot stands exactly where it stands in the standing pose: where a walk begins."""
+        # a planted foot is stride * (strike - phase) ahead of the pelvis; solved for the ankle of a standing person
         return self.strike(speed_mps) - STAND_ANKLE_Z_M / float(self.stride_m(speed_mps))
 
     def walk_values(self, speed_mps: ArrayLike) -> Array:
         """Values [..., P] of walking at speeds [...] [m/s], between those fitted."""
         speed = np.asarray(speed_mps, np.float64)
+        # beyond the fitted speeds `interp` keeps the values of the nearest one
         return np.stack([np.interp(speed, WALK_SPEEDS_MPS, column) for column in self.walk.T], axis=-1)
 
 
@@ -161,7 +164,8 @@ def _clip(
     turn_rad: float = 0.0,
 ) -> Clip:
     posture = within_reach(legs, posture)
-    quats, pelvis = _posed(legs, posture)
+    quats = solve_legs(legs, posture).quats
+    quats[:, 0] = quat_multiply(TO_ROOT, quats[:, 0])
     return Clip(
         name=name,
         speed_mps=speed_mps,
@@ -170,18 +174,12 @@ def _clip(
         stance=stance,
         start_phase=start_phase,
         turn_rad=turn_rad,
+        # so that neighbouring frames can be mixed linearly, the last one with the first one too
         quats=sign_continuous(quats),
-        pelvis=pelvis,
+        pelvis=quat_rotate(TO_ROOT, posture.pelvis),
         ankle=posture.ankle,
         foot=posture.foot,
     )
-
-
-def _posed(legs: Legs, posture: Posture) -> tuple[Array, Array]:
-    """Local rotations [T, 55, 4] and pelvis places [T, 3] of a posture in the agent root frame."""
-    quats = solve_legs(legs, posture).quats
-    quats[:, 0] = quat_multiply(TO_ROOT, quats[:, 0])
-    return quats, quat_rotate(TO_ROOT, posture.pelvis)
 
 
 def pose_at_speed(
@@ -191,6 +189,8 @@ def pose_at_speed(
 
     ``phase`` [T], ``blend`` [T] and ``ground`` as in `sample_clips`.
     """
+    from h3data.bodies.people.kernels.legs import settle_all
+
     speed, phase, blend = (
         np.array(a, np.float64)
         for a in np.broadcast_arrays(np.atleast_1d(speed_mps), np.atleast_1d(phase), np.atleast_1d(blend))
@@ -203,10 +203,16 @@ def pose_at_speed(
         if len(rows):
             moving = gaits.posture(speed[rows], phase[rows])
             floor = _FLAT if ground is None else _floor_heights(ground, len(speed))[rows]
-            quats[rows], pelvis[rows] = _blended(gaits.legs, moving, phase[rows], blend[rows], floor)
+            # copies, because the kernel works in place and postures may share arrays
+            own, place, ankle, foot = (a.copy() for a in (moving.quats, moving.pelvis, moving.ankle, moving.foot))
+            still = _standing_arrays(gaits.legs)
+            settle_all(gaits.legs.measures, still, own, place, ankle, foot, phase[rows], blend[rows], floor)
+            own[:, 0] = quat_multiply(TO_ROOT, own[:, 0])
+            quats[rows], pelvis[rows] = own, quat_rotate(TO_ROOT, place)
     return quats, pelvis
 
 
+# Legs are compared by identity, and each body has its own.
 @lru_cache(maxsize=64)
 def _standing_arrays(legs: Legs) -> tuple[Array, Array, Array, Array]:
     """The frame of standing that all frames are blended with: quats [55, 4], pelvis [3], ankle and foot [2, 3]."""
@@ -217,15 +223,6 @@ def _standing_arrays(legs: Legs) -> tuple[Array, Array, Array, Array]:
 def _floor_heights(ground: ArrayLike, frames: int) -> Array:
     """Heights [T, 2] [m] of the floor under both feet."""
     return np.ascontiguousarray(np.broadcast_to(np.asarray(ground, np.float64), (frames, 2)))
-
-
-def _blended(legs: Legs, moving: Posture, phase: Array, blend: Array, ground: Array) -> tuple[Array, Array]:
-    from h3data.bodies.people.kernels.legs import settle_all
-
-    quats, pelvis, ankle, foot = (a.copy() for a in (moving.quats, moving.pelvis, moving.ankle, moving.foot))
-    settle_all(legs.measures, _standing_arrays(legs), quats, pelvis, ankle, foot, phase, blend, ground)
-    quats[:, 0] = quat_multiply(TO_ROOT, quats[:, 0])
-    return quats, quat_rotate(TO_ROOT, pelvis)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -292,6 +289,7 @@ def sample_clips(
 
     motion = np.array(motion_id, np.int64, ndmin=1)
     phase, blend = np.array(phase, np.float64, ndmin=1), np.array(blend, np.float64, ndmin=1)
+    # mostly they are equal, and `broadcast_arrays` costs more than posing one person
     if not len(motion) == len(phase) == len(blend):
         motion, phase, blend = (np.ascontiguousarray(a) for a in np.broadcast_arrays(motion, phase, blend))
     low, high = (motion[0], motion[0]) if len(motion) == 1 else (motion.min(initial=0), motion.max(initial=0))
@@ -314,5 +312,6 @@ def _nearest_speed(clip_speeds: tuple[float, ...], speed: float) -> int:
     speeds = np.array(clip_speeds)
     if speed < STAND_BELOW_MPS or not np.any(speeds > 0):
         return int(np.argmin(speeds))
+    # a standing clip, at speed 0, is very far away in ratio
     ratio = np.abs(np.log(np.where(speeds > 0, speeds, 1e-9) / speed))
     return int(np.argmin(ratio))

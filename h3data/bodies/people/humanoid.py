@@ -143,6 +143,7 @@ class Humanoid:
 
     @cached_property
     def _capsule_arrays(self) -> tuple[NDArray[np.intp], Array, Array, Array]:
+        # as arrays, since contact needs all of them in every step
         joints = np.array([c.joint for c in self.capsules])
         start, end = np.array([c.start for c in self.capsules]), np.array([c.end for c in self.capsules])
         return joints, start, end, np.array([c.radius for c in self.capsules])
@@ -214,6 +215,7 @@ class Humanoid:
         Leading axes are frames, worlds, or both. The computation is one sparse matrix product.
         """
         skin, matrices = (self.lod if lod else self.full).skin, joint_matrices @ self.inverse_bind
+        # few frames, as while an episode runs, have a faster product with the same bits
         if matrices.ndim == 4 and len(matrices) <= FEW_FRAMES:
             return apply_skin_frames(skin.frame, matrices)
         return apply_skin(skin.points, matrices)
@@ -226,6 +228,7 @@ class Humanoid:
     def skin_normals(self, joint_matrices: Array, *, lod: bool = True) -> NDArray[np.float32]:
         """World shading normals, float32 [T, V, 3], unit length, for the vertices of `skin`."""
         part = self.lod if lod else self.full
+        # blended normals are shorter than 1 where joints bend
         return normalized(apply_skin(part.skin.normals, joint_matrices @ self.inverse_bind)).astype(np.float32)
 
     def capsules_world(self, joint_matrices: Array) -> tuple[Array, Array, Array]:
@@ -246,6 +249,7 @@ class Humanoid:
         start, end = self._bones
         frame, b = joint_matrices[:, start], joint_matrices[:, end][..., :3, 3]
         a = frame[..., :3, 3]
+        # of the skeleton, which no pose changes
         length = np.linalg.norm(self.joint_offsets[end], axis=1)
         y = (b - a) / length[:, None]
         z = np.cross(frame[..., :3, 0], y)
@@ -276,6 +280,7 @@ class Humanoid:
 
     def light_enough(self, focal_px: float, distance_m: float) -> bool:
         """Returns whether the light mesh will do for a camera of this focal length [pixels] at this distance [m]."""
+        # the height in the picture, focal * height / distance, without dividing by a distance of 0
         return focal_px * self.height_m < LOD_BELOW_PX * max(distance_m, 1e-6)
 
     def __repr__(self) -> str:

@@ -63,6 +63,7 @@ def load_humanoid(name: str | Path) -> Humanoid:
     """
     body, outfit = split_outfit(str(name))
     if is_random(body):
+        # handed over, because this module imports that one
         planes = to_planes, from_planes
         return _humanoid(random_arrays(body, _builtin_arrays, planes), outfit)
     if body.endswith(".npz"):
@@ -77,6 +78,7 @@ def load_humanoid(name: str | Path) -> Humanoid:
         raise InputError(f"No built-in humanoid {body!r}.{near}", code="H3-BODY-072")
     data = read_arrays(path, FILE_FORMAT)
     try:
+        # differences from the mean fit one base only: on another one they would tear the skin apart
         if "full_faces" not in data and str(data["common"]) != builtin_common().name:
             raise FormatError(
                 f"The humanoid was baked on another topology ({data['common']}) than the built-in one "
@@ -105,6 +107,7 @@ def read_arrays(path: Path, expected: str) -> dict[str, NDArray[Any]]:
         raise FormatError(
             f"Expected a humanoid file ({expected}), this is none ({error}): {path}", code="H3-BODY-077"
         ) from error
+    # files of other programs may have arrays of the same names
     found = str(data.get("format", "another npz file"))
     if found != expected:
         raise FormatError(
@@ -156,6 +159,7 @@ def to_planes(vertices: NDArray[np.int16]) -> NDArray[np.uint8]:
 def from_planes(planes: NDArray[np.uint8]) -> NDArray[np.int16]:
     """The reverse of `to_planes`."""
     low, high = planes.astype(np.uint16)
+    # the cast to int16 gives back the negative ones, which are stored in two's complement
     return np.ascontiguousarray((low | high << 8).astype(np.int16).T)
 
 
@@ -229,11 +233,13 @@ def _own_mesh(data: Arrays, prefix: str) -> SkinnedMesh:
     faces, regions = data[f"{prefix}_faces"].astype(np.int32), data[f"{prefix}_regions"]
     colors = data["region_colors"].astype(np.uint8)
     _, shade = np.unique(colors, axis=0, return_inverse=True)
+    # vertices at one place are shaded as one, unless their colours differ: hems keep their edge
     surface = data[f"{prefix}_weld"].astype(np.int64) * len(colors) + shade.ravel()[regions]
     normals = vertex_normals(vertices, faces, surface)
     return SkinnedMesh(
         mesh=Mesh(vertices=vertices, faces=faces, colors=colors[regions], normals=normals),
         joints=data[f"{prefix}_joints"],
+        # whole 255ths do not sum to 1 exactly
         weights=weights / weights.sum(axis=1, keepdims=True),
         regions=regions,
     )

@@ -43,8 +43,10 @@ class Legs:
     @cached_property
     def measures(self) -> LegMeasures:
         """Measures that `h3data.bodies.people.kernels.legs` takes."""
+        # at first use, so that bodies can be read without compiling anything
         from h3data.bodies.people.kernels.legs import LegMeasures
 
+        # contiguous float64: the kernels are compiled for exactly that
         return LegMeasures(
             np.ascontiguousarray(self.hips, np.float64),
             float(self.thigh),

@@ -90,6 +90,7 @@ def gait_tables(gaits: Gaits) -> GaitTables:
 
 def on_floor(tables: GaitTables, free: FreeSpace) -> GaitTables:
     """The gaits of a body whose feet keep out of the walls and furniture of a home, and stand on the treads of its stairs."""
+    # contiguous float64, for which the kernels are compiled
     return tables._replace(
         sdf=np.ascontiguousarray(free.sdf, np.float64),
         origin=np.ascontiguousarray(free.origin, np.float64),

@@ -93,12 +93,14 @@ def random_arrays(name: str, read: Callable[[str], Arrays], planes: Any) -> dict
         read: Returns the arrays of the body with a name; called for all built-in ones.
         planes: The functions that store vertices as planes of bytes and read them: ``(to_planes, from_planes)``.
     """
+    # named, because NumPy may change its default generator, and seeds have to keep their meaning
     rng = np.random.Generator(np.random.Philox(int(name.removeprefix(PREFIX))))
     bodies = [read(body) for body in _shape_space().bodies]
     phenotypes = [json.loads(str(body["phenotype"])) for body in bodies]
     weights = _weights(rng, [p["age"] for p in phenotypes], [float(body["height_m"]) for body in bodies])
     to_planes, from_planes = planes
     nearest = int(np.argmax(weights))
+    # what cannot be combined, such as names of joints, is that of the nearest body
     mixed: dict[str, Any] = dict(bodies[nearest])
     for key in COMBINED:
         mixed[key] = _combined(weights, [body[key] for body in bodies])
@@ -106,7 +108,11 @@ def random_arrays(name: str, read: Callable[[str], Arrays], planes: Any) -> dict
     mixed["bind_rotation"] = u @ v  # the rotations next to the combined matrices
     shape = _combined(weights, [from_planes(body["base_delta"]) for body in bodies])
     mixed["base_delta"] = to_planes(np.rint(shape).astype(np.int16))
-    traits = {key: _trait(weights, [p[key] for p in phenotypes]) for key in phenotypes[0]}
+    # weights may be negative, so that a sum of shares may lie outside 0..1
+    traits = {
+        key: min(max(sum(w * p[key] for w, p in zip(weights, phenotypes, strict=True)), 0.0), 1.0)
+        for key in phenotypes[0]
+    }
     mixed["phenotype"] = np.array(json.dumps(traits))
     skins = [read_look(str(body["look"])).complexion.skin for body in bodies]
     skin = np.clip(_combined(weights, [np.array(skin) for skin in skins]), 40, 245)
@@ -139,12 +145,9 @@ def _combined(weights: Sequence[float], arrays: Sequence[NDArray[Any]]) -> NDArr
     return total
 
 
-def _trait(weights: Sequence[float], values: Sequence[float]) -> float:
-    return min(max(sum(w * v for w, v in zip(weights, values, strict=True)), 0.0), 1.0)
-
-
 def _look(rng: np.random.Generator, like: Look, skin: NDArray[np.float64], *, gender: float, age: float) -> Look:
     """About this skin; hair, face and clothes by chance, as they go with gender and age, 0..1."""
+    # the order of the random numbers is part of what a seed means: new ones go last
     skin = np.clip(skin + rng.normal(0, 5, 3), 40, 245)
     dark = skin.mean() < 135  # fair hair is rare above dark skin
     hair = np.array(HAIR[rng.integers(2 if dark else len(HAIR))], np.float64)

@@ -138,6 +138,7 @@ def reach(body: Humanoid, target: ArrayLike, hand: Hand = "right") -> ReachResul
             base_motion=BaseMotion(0.0, 0.0, 0.0),
         )
     nearest = solver.nearest_valid(point)
+    # a pose in any case, which shows how far the person gets
     instead = solver.poses(nearest[None])
     return ReachResult(
         status=STATUSES[poses.status[0]],
@@ -200,6 +201,7 @@ def reach_table() -> Table:
     """The table that ships, read once."""
     path = builtin_path(TABLE_FILE)
     data = read_arrays(path, TABLE_FORMAT)
+    # whole numbers in the file, each parameter with a unit of its own
     values = (data["values"] * data["unit"]).astype(np.float32)
     if values.ndim != 4 or values.shape[3] != kernel.PARAMETER_COUNT:
         raise FormatError(
@@ -228,6 +230,7 @@ class ReachSolver:
         quats, pelvis = np.empty((count, 55, 4)), np.empty((count, 3))
         measures, status = np.empty((count, kernel.MEASURE_COUNT)), np.empty(count, np.int8)
         points = np.empty((count, 3))
+        # from the agent root frame (x forward, z right) to that of the kernel (x left, z forward)
         points[:, 0], points[:, 1], points[:, 2] = -targets[:, 2], targets[:, 1], targets[:, 0]
         reach_many(
             self.body,
@@ -254,6 +257,7 @@ class ReachSolver:
         """The table's points that this body reaches, shape [N, 3] [m]."""
         if self._valid is None:
             points = self.table.points * self._mirror * self.body.scale
+            # back to the agent root frame
             points = np.stack([points[:, 2], points[:, 1], -points[:, 0]], axis=1)
             self._valid = points[self.reachable(points)]
             if not len(self._valid):
@@ -266,6 +270,7 @@ class ReachSolver:
     def nearest_valid(self, target: Array) -> Array:
         """A valid point [3] near ``target``: from the nearest valid table points towards it, as far as all stays valid."""
         gap = np.linalg.norm(self.valid_points - target, axis=1)
+        # several, because the straight line from the nearest one may leave the valid volume at once
         starts = self.valid_points[np.argsort(gap)[:_TRIED]]
         found = self._towards(starts, np.broadcast_to(target, starts.shape))
         return found[int(np.argmin(np.linalg.norm(found - target, axis=1)))]
@@ -281,6 +286,7 @@ class ReachSolver:
         seen = np.array([forward * c - right * s, height, right * c + forward * s])  # axes turned, origin kept
         starts = self.valid_points.copy()
         starts = starts[np.abs(starts[:, 1] - height) < 1.01 * self.table.step[1] * self.body.scale]
+        # the base moves along the floor, so the hand has to be at this height already
         starts[:, 1] = height
         starts = starts[self.reachable(starts)] if len(starts) else starts
         if not len(starts):
@@ -293,11 +299,13 @@ class ReachSolver:
     def _towards(self, starts: Array, ends: Array) -> Array:
         """Returns how far a posture gets from valid ``starts`` [N, 3] on straight lines to ``ends`` [N, 3], by bisection."""
         low, high = np.zeros((len(starts), 1)), np.ones((len(starts), 1))
+        # ten halvings leave a thousandth of the line
         for _ in range(10):
             middle = (low + high) / 2
             good = self.reachable(starts + middle * (ends - starts))[:, None]
             low, high = np.where(good, middle, low), np.where(good, high, middle)
         inner = np.maximum(low - INSET, 0) * (ends - starts) + starts
+        # valid points need not be convex: one a little further inside may be invalid again
         fine = self.reachable(inner)[:, None]
         return np.where(fine, inner, starts)
 
@@ -327,6 +335,7 @@ def reach_body(body: Humanoid, hand: Hand) -> ReachBody:
     """Measures of one body and hand, body frame."""
     sign, other = (1.0, "right") if hand == "left" else (-1.0, "left")
     stand, frames = _standing(body)
+    # the order is that of `ReachBody.joints`
     names = [f"{hand}_{part}" for part in ("collar", "shoulder", "elbow", "wrist")] + [f"{other}_shoulder"]
     names += [f"{side}_{part}" for part in ("hip", "knee", "ankle") for side in ("left", "right")]
     obstacles = [c for c in body.capsules if c.name in _OBSTACLES]

@@ -12,7 +12,7 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from h3data.bodies.people.arms import ARM_JOINTS, bend_arms
 from h3data.bodies.people.clips import TO_ROOT
@@ -58,7 +58,6 @@ TABLE = 61
 EARLY = 0.05
 """Share of the path over which a standing person's own pose goes over into it."""
 _ARMS = [JOINT_INDEX[f"{side}_{name}"] for side, _, _ in SIDES for name in ARM_JOINTS]
-_HIPS = [JOINT_INDEX[name] for name in ("pelvis", "left_hip", "right_hip")]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,6 +90,7 @@ class Sitting:
         for name, part in LEAN_SHARES:
             own = quat_from_matrix(rotation(X, part * lean))
             mixed[:, JOINT_INDEX[name]] = quat_multiply(own, mixed[:, JOINT_INDEX[name]])
+        # back before down: the weight stays over the feet
         back, down = 1 - (1 - share) ** BACK_FIRST, share**DOWN_LATE
         path = stand.pelvis + np.stack([back * 0, down, back], axis=1) * (pelvis - stand.pelvis)
         mixed, path = _in_root(self.body, Posture(quats=mixed, pelvis=path, ankle=stand.ankle, foot=stand.foot))
@@ -131,6 +131,7 @@ def take_seats(body: Humanoid, quats: Array, pelvis: Array, seats: ArrayLike) ->
             code="H3-BODY-179",
         )
     rows = np.flatnonzero(seats[:, 1] > 0)
+    # by millimetres, because each height has a table of its own, which is cached
     for height in np.unique(seats[rows, 0].round(3)).tolist():
         own = rows[seats[rows, 0].round(3) == height]
         turns, places = sitting_on(body, height).table
@@ -160,8 +161,9 @@ def sitting_on(body: Humanoid, seat_m: float) -> Sitting:
     ankle = stand.ankle[0, 0]
     knee_y = ankle[1] + np.sqrt(legs.shank**2 - KNEE_AHEAD_M**2)
     pelvis = np.array([0.0, seat_m + 0.1, 0.0])
-    seat_skin = np.isin(body.lod.joints[np.arange(len(body.lod.joints)), body.lod.weights.argmax(1)], _HIPS)
-    vertices = np.zeros((1, 3))
+    of_hips = [JOINT_INDEX[name] for name in ("pelvis", "left_hip", "right_hip")]
+    seat_skin = np.isin(body.lod.joints[np.arange(len(body.lod.joints)), body.lod.weights.argmax(1)], of_hips)
+    # contact sets the height of the hips, the legs then their place, which moves the skin: five rounds settle it
     for _ in range(5):
         drop = pelvis[1] + hips[1] - knee_y
         # the hip joints are further apart than the feet, so the thighs go a little inwards
@@ -174,13 +176,16 @@ def sitting_on(body: Humanoid, seat_m: float) -> Sitting:
                 code="H3-BODY-178",
             )
         pelvis[2] = ankle[2] + KNEE_AHEAD_M - np.sqrt(flat) - hips[2]
-        vertices = _skin(body, quats, pelvis)
+        posed = _in_root(body, Posture(quats=quats[None], pelvis=pelvis[None], ankle=stand.ankle, foot=stand.foot))
+        # from the agent root's axes, forward, up and right, to right, up and forward
+        vertices = body.skin(body.joint_matrices(IDENTITY_POSE, *posed))[0][:, ::-1]
         under = seat_skin & (vertices[:, 2] < pelvis[2] + BUTTOCKS_M)
         pelvis[1] += seat_m - SINK_M - vertices[under, 1].min()
     draft = Sitting(body=body, seat_m=seat_m, edge_m=0.0, back_m=0.0, seated=(quats, pelvis))
     roots = np.tile(IDENTITY_POSE, (len(PATH_SHARES), 1))
     skin = body.skin(body.joint_matrices(roots, *draft.pose(PATH_SHARES)))
     ahead = skin[..., 0] + np.where(PATH_SHARES < 1, PATH_SINK_M, SINK_M)[:, None]
+    # skin below the height of the seat would be in it if the edge were further forward
     edge = float(ahead[skin[..., 1] < seat_m - PATH_SINK_M].min())
     return replace(draft, edge_m=edge, back_m=float(skin[-1, :, 0].min()))
 
@@ -189,13 +194,6 @@ def _in_root(body: Humanoid, posture: Posture) -> tuple[Array, Array]:
     quats = solve_legs(body.gaits.legs, posture).quats
     quats[:, 0] = quat_multiply(TO_ROOT, quats[:, 0])
     return quats, quat_rotate(TO_ROOT, posture.pelvis)
-
-
-def _skin(body: Humanoid, quats: Array, pelvis: Array) -> NDArray[np.floating]:
-    """Vertices [V, 3] of a seated pose: x to the right, y up, z forward."""
-    stand = stand_posture(body.gaits.legs)
-    posed = _in_root(body, Posture(quats=quats[None], pelvis=pelvis[None], ankle=stand.ankle, foot=stand.foot))
-    return body.skin(body.joint_matrices(IDENTITY_POSE, *posed))[0][:, ::-1]
 
 
 def _hands_on_thighs(body: Humanoid, frames: Array) -> Array:

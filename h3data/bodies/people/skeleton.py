@@ -7,7 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
-_BODY = (
+FINGERS = ("index", "middle", "pinky", "ring", "thumb")
+HUMAN_ROOT_HEIGHT_M = 0.9
+"""Height of a standing humanoid's root over the floor [m], habitat-lab's ``base_offset`` (spec/habitat.md 0)."""
+
+# SMPL-X numbers joints so: the body by depth, then jaw and eyes, then both hands finger by finger.
+_ROWS = (
     ("pelvis", ""),
     ("left_hip", "pelvis"),
     ("right_hip", "pelvis"),
@@ -33,22 +38,13 @@ _BODY = (
     ("jaw", "head"),
     ("left_eye_smplhf", "head"),
     ("right_eye_smplhf", "head"),
+    *(
+        (f"{side}_{finger}{k}", f"{side}_wrist" if k == 1 else f"{side}_{finger}{k - 1}")
+        for side in ("left", "right")
+        for finger in FINGERS
+        for k in (1, 2, 3)
+    ),
 )
-FINGERS = ("index", "middle", "pinky", "ring", "thumb")
-HUMAN_ROOT_HEIGHT_M = 0.9
-"""Height of a standing humanoid's root over the floor [m], habitat-lab's ``base_offset`` (spec/habitat.md 0)."""
-
-
-def _with_fingers() -> tuple[tuple[str, str], ...]:
-    rows = list(_BODY)
-    for side in ("left", "right"):
-        for finger in FINGERS:
-            rows.append((f"{side}_{finger}1", f"{side}_wrist"))
-            rows += [(f"{side}_{finger}{k}", f"{side}_{finger}{k - 1}") for k in (2, 3)]
-    return tuple(rows)
-
-
-_ROWS = _with_fingers()
 JOINT_NAMES: tuple[str, ...] = tuple(name for name, _ in _ROWS)
 """SMPL-X names, parents before children."""
 JOINT_INDEX: dict[str, int] = {name: i for i, name in enumerate(JOINT_NAMES)}

@@ -26,6 +26,7 @@ def resting_hull(robot: Robot) -> Array:
     """Returns places along x of discs of the base's radius that cover the whole resting robot and its base discs [H] [m]."""
     bounds, radius = resting_bounds(robot), robot.base_radius_m
     back, front = float(robot.base_discs.min()), float(robot.base_discs.max())
+    # discs cover a radius beyond their places
     if len(bounds):
         back, front = min(back, bounds[:, 0, 0].min() + radius), max(front, bounds[:, 1, 0].max() - radius)
     return row_of_discs(back, front, radius)
@@ -33,6 +34,7 @@ def resting_hull(robot: Robot) -> Array:
 
 def row_of_discs(back: float, front: float, radius: float) -> Array:
     """Returns places [D] [m] from ``back`` to ``front``, no farther apart than `SPACING` radii."""
+    # less a little, so that rounding does not add a disc
     gaps = math.ceil((front - back) / (SPACING * radius) - 1e-9)
     return np.linspace(back, front, gaps + 1) if gaps > 0 else np.array([(back + front) / 2])
 

@@ -93,8 +93,13 @@ def solve_ik(
         raise InputError(
             "Expected tolerances above 0, at least one iteration, and no fewer restarts than 0.", code="H3-BODY-086"
         )
-    chain = _chain(robot, robot.link_index(link))
+    # links from the base to this one, in which order the kernel multiplies their frames
+    links = [robot.link_index(link)]
+    while robot.links[links[-1]].parent >= 0:
+        links.append(robot.links[links[-1]].parent)
+    chain = np.array(links[::-1], np.int64)
     free = _free(robot, chain, joints)
+    # the kernel improves postures in place
     out = start.copy()
     errors = np.empty((len(start), 2))
     solve_targets(
@@ -146,6 +151,7 @@ def _targets(robot: Robot, target: ArrayLike, base_pose: ArrayLike | None) -> tu
     length = np.linalg.norm(poses[..., 3:], axis=-1, keepdims=True)
     if (length < 1e-9).any():
         raise InputError("Expected target poses with quaternions, got one of length 0.", code="H3-BODY-088")
+    # only the direction of a quaternion means something
     poses = np.concatenate([poses[..., :3], poses[..., 3:] / length], -1)
     if base_pose is not None:
         base = np.asarray(base_pose, np.float64)
@@ -159,16 +165,9 @@ def _targets(robot: Robot, target: ArrayLike, base_pose: ArrayLike | None) -> tu
             raise InputError(
                 f"Expected base poses for targets {list(wanted.shape)}, got {list(base.shape)}.", code="H3-BODY-092"
             ) from None
+    # the frames of the chain begin at the URDF base
     matrices = np.linalg.inv(robot.to_base) @ pose_to_matrix(poses)
     return np.ascontiguousarray(matrices.reshape(-1, 4, 4)), oriented, wanted.shape[:-1]
-
-
-def _chain(robot: Robot, link: int) -> NDArray[np.int64]:
-    """The links from the base to ``link``."""
-    chain = [link]
-    while robot.links[chain[-1]].parent >= 0:
-        chain.append(robot.links[chain[-1]].parent)
-    return np.array(chain[::-1], np.int64)
 
 
 def _free(robot: Robot, chain: NDArray[np.int64], joints: Sequence[str] | None) -> NDArray[np.int64]:
@@ -176,6 +175,7 @@ def _free(robot: Robot, chain: NDArray[np.int64], joints: Sequence[str] | None) 
     from h3data.bodies.robots.kinematics import BALL, FIXED
 
     moving = chain[robot.kinds[chain] != FIXED]
+    # a link that follows by mimic has the column of its leader, which counts once
     columns = dict.fromkeys(robot.columns[moving].tolist())
     names = {robot.joint_names[c]: c for c in columns}
     strangers = [] if joints is None else sorted(set(joints) - set(names))

@@ -46,6 +46,7 @@ def _walk(target, oriented, weight, point, origins, kinds, axes, columns, gains,
         elif kinds[k] == TURNS:
             s, c = math.sin(way), math.cos(way)
             d = 1 - c
+            # Rodrigues' formula from the right, on each row of the frame
             for i in range(3):
                 a, b, e = frame[i, 0], frame[i, 1], frame[i, 2]
                 along = d * (a * x + b * y + e * z)
@@ -58,6 +59,7 @@ def _walk(target, oriented, weight, point, origins, kinds, axes, columns, gains,
         hand[i] = frame[i, 0] * point[0] + frame[i, 1] * point[1] + frame[i, 2] * point[2] + frame[i, 3]
         error[i] = target[i, 3] - hand[i]
         for j in range(3):
+            # the turn that is left, in the axes of the base: target times the transposed frame
             left[i, j] = target[i, 0] * frame[j, 0] + target[i, 1] * frame[j, 1] + target[i, 2] * frame[j, 2]
     ends[0] = math.sqrt(error[0] ** 2 + error[1] ** 2 + error[2] ** 2)
     ends[1] = 0.0
@@ -68,6 +70,7 @@ def _walk(target, oriented, weight, point, origins, kinds, axes, columns, gains,
             error[3 + i] = weight * turn[i]
     jacobian[:] = 0
     for k in range(links):
+        # added up, because links that follow by mimic share the column of their leader
         column, gain = columns[k], gains[k]
         if kinds[k] == SLIDES:
             for i in range(3):
@@ -110,6 +113,7 @@ def _solve(a, b, size):
             total = a[i, j]
             for k in range(j):
                 total -= a[i, k] * a[j, k]
+            # Cholesky; rounding may leave a pivot below 0, whose root would be NaN
             a[i, j] = math.sqrt(max(total, 1e-300)) if i == j else total / a[j, j]
     for i in range(size):
         for k in range(i):
@@ -128,6 +132,7 @@ def _step(jacobian, error, size, damping, q, free, lower, upper, move):
     still = np.zeros(len(q), np.bool_)
     a, b = np.empty((6, 6)), np.empty(6)
     for _ in range(len(free)):
+        # (J J^T + damping) b = e in the space of errors: at most 6 x 6, however many joints there are
         for i in range(size):
             b[i] = error[i]
             for j in range(i + 1):
@@ -151,6 +156,7 @@ def _step(jacobian, error, size, damping, q, free, lower, upper, move):
     longest = 0.0
     for c in free:
         longest = max(longest, abs(move[c]))
+    # all joints by one factor, which keeps the direction of the step
     if longest > MAX_STEP:
         move *= MAX_STEP / longest
 
@@ -202,6 +208,7 @@ def solve_targets(
         best_cost = np.inf
         for attempt in range(restarts + 1):
             here[:] = q[n]
+            # the first attempt begins where the caller is; later ones begin anywhere within the limits
             if attempt:
                 for c in free:
                     low, high = max(lower[c], -FREE_RANGE), min(upper[c], FREE_RANGE)
@@ -218,6 +225,7 @@ def solve_targets(
                     there[c] = min(max(here[c] + move[c], lower[c]), upper[c])
                 _walk(targets[n], oriented, weight, point, *args, there, next_ends, next_jacobian, next_error)
                 next_cost = next_error @ next_error
+                # Levenberg and Marquardt: a step that helps is taken and damps less, any other is taken back
                 if next_cost < cost:
                     slow = slow + 1 if next_cost > (1 - GIVE_UP) * cost else 0
                     cost, damping = next_cost, max(damping * 0.2, LEAST_DAMPING)

@@ -74,6 +74,7 @@ def link_frames(
                 turn[2, 0], turn[2, 1], turn[2, 2] = z * x * d - y * s, z * y * d + x * s, c + z * z * d
             elif kind == BALL:
                 x, y, z, w = positions[t, column : column + 4]
+                # divided by the square of its length, so the quaternion need not be of unit length
                 d = 2 / (x * x + y * y + z * z + w * w)
                 turn[0, 0], turn[0, 1], turn[0, 2] = 1 - d * (y * y + z * z), d * (x * y - z * w), d * (x * z + y * w)
                 turn[1, 0], turn[1, 1], turn[1, 2] = d * (x * y + z * w), 1 - d * (x * x + z * z), d * (y * z - x * w)
@@ -114,6 +115,7 @@ def link_frames_torch(tree: JointTree, root: Tensor, positions: Tensor) -> Tenso
 
     origins, axes, identity = constant(tree.origins), constant(tree.axes), constant(np.eye(3))
     start = root.to(positions)
+    # a list, because autograd does not allow one tensor to be written piece by piece
     frames: list[Tensor] = []
     for link, kind in enumerate(tree.kinds.tolist()):
         parent = int(tree.parents[link])
@@ -122,6 +124,7 @@ def link_frames_torch(tree: JointTree, root: Tensor, positions: Tensor) -> Tenso
         if kind == BALL:
             quat = torch.nn.functional.normalize(positions[..., column : column + 4], dim=-1)
             cross = _cross_matrix(quat[..., :3])
+            # R = 1 + 2 w C + 2 C C, with the cross product matrix C of the vector part
             turn = identity + 2 * quat[..., 3, None, None] * cross + 2 * cross @ cross
         elif kind != FIXED:
             way = positions[..., column] * float(tree.gains[link]) + float(tree.offsets[link])
@@ -137,6 +140,7 @@ def link_frames_torch(tree: JointTree, root: Tensor, positions: Tensor) -> Tenso
         if turn is not None:
             frame = torch.cat([frame[..., :3] @ turn, frame[..., 3:]], -1)
         frames.append(frame)
+    # links above all joints have the batch of the root alone
     return torch.stack(torch.broadcast_tensors(*frames), dim=-3)
 
 

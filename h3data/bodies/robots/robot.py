@@ -224,6 +224,7 @@ class Robot:
             InputError: not [..., J] numbers, or some are NaN or infinite.
         """
         wanted = self._joints(joint_pos)
+        # `clip` lets NaN pass, and no limit would be named
         if not np.isfinite(wanted).all():
             bad = sorted({self.joint_names[j] for j in np.argwhere(~np.isfinite(wanted))[:, -1]})
             raise InputError(
@@ -263,6 +264,7 @@ class Robot:
                 f"{list(base.shape)} and {list(joint_pos.shape)}.",
                 code="H3-BODY-099",
             )
+        # the joints decide on device and precision
         to_base = joint_pos.new_tensor(self.to_base)
         return link_frames_torch(self.joint_tree, base.to(joint_pos) @ to_base, joint_pos)
 

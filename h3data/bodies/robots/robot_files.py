@@ -79,6 +79,7 @@ def is_built_in(name: str | Path) -> bool:
 def is_robot(name_or_path: str | Path) -> bool:
     """Returns whether `find_robot` may know a robot by this: a name, ``module:name``, or the path of its files."""
     text = str(name_or_path)
+    # built-in names first: all others make every installed package look for its own
     return text in _built_in() or (
         bool(text) and (is_robot_file(text) or bool(REFERENCE.fullmatch(text)) or text in robot_names())
     )
@@ -124,6 +125,7 @@ def _in_folder(folder: Path) -> RobotFiles:
     if settings is not None and (named := decode_settings(settings).urdf):
         return RobotFiles(folder / named, settings)
     urdfs = sorted(folder.glob("*.urdf"))
+    # variants of one robot often lie beside each other
     if len(urdfs) > 1 and folder / "robot.urdf" in urdfs:
         urdfs = [folder / "robot.urdf"]
     if len(urdfs) != 1:

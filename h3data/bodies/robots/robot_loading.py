@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from h3data.bodies.robots.extents import resting_hull
 from h3data.bodies.robots.robot import Robot, RobotCamera, RobotLeg, RobotLink
@@ -152,6 +151,7 @@ def _loaded(files: RobotFiles, up: Literal["z", "y"], fill_in: bool, *versions: 
 
 def _version(path: Path | None) -> tuple[int, int]:
     """Returns time stamp [ns] and size of a file; zeros if there is none."""
+    # not a digest of the contents: robots are asked for at every reset
     if path is None or not path.is_file():
         return 0, 0
     status = path.stat()
@@ -184,9 +184,12 @@ def _robot(urdf: Urdf, settings: RobotSettings, up: Literal["z", "y"]) -> Robot:
         names += [f"{joint.name}.{part}" for part in "xyzw"] if ball else [joint.name]
         lower += [-1.0] * 4 if ball else [joint.lower]
         upper += [1.0] * 4 if ball else [joint.upper]
+        # zero may be outside the limits, as of knees that never get straight
         rest += [0.0, 0.0, 0.0, 1.0] if ball else [min(max(urdf.rest.get(joint.name, 0.0), joint.lower), joint.upper)]
         moves += [index[joint.child]] * joint.width
+    # a follower reads the column of its leader
     leaders = [None if j is None else j.mimic for j in joints]
+    # numbers of `kinematics`, which would import numba: robots can be read without it
     kinds = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 2, "spherical": 3}
     to_base = Z_UP_TO_ROOT.copy() if up == "z" else np.eye(4)
     to_base[1, 3] = settings.base_height_m
@@ -239,6 +242,7 @@ def _parents_first(urdf: Urdf) -> list[UrdfLink]:
     below: dict[str, list[str]] = {}
     for joint in urdf.joints:
         below.setdefault(joint.parent, []).append(joint.child)
+    # depth first in the order of the file; parents first, because kinematics goes through them once
     order, waiting = [], [urdf.root]
     while waiting:
         name = waiting.pop()
@@ -288,20 +292,16 @@ def _shape(part: UrdfPart) -> Shape:
                 pose=pose_from_matrix(origin @ y_to_z).astype(np.float64), radius=g.radius, half_height=g.length / 2
             )
         case "mesh":
-            return Hull(points=_hull_points(moved(_mesh_of(part), origin, g.scale)))
+            from scipy.spatial import ConvexHull, QhullError
+
+            points = moved(_mesh_of(part), origin, g.scale).vertices.astype(np.float64)
+            try:
+                return Hull(points=points[ConvexHull(points).vertices])
+            except QhullError:  # flat: all its points are as good
+                return Hull(points=np.unique(points, axis=0))
         case _:
             along = origin[:3, 2] * g.length / 2
             return Capsule(start=origin[:3, 3] - along, end=origin[:3, 3] + along, radius=g.radius)
-
-
-def _hull_points(mesh: Mesh) -> NDArray[np.float64]:
-    from scipy.spatial import ConvexHull, QhullError
-
-    points = mesh.vertices.astype(np.float64)
-    try:
-        return points[ConvexHull(points).vertices]
-    except QhullError:  # flat: all its points are as good
-        return np.unique(points, axis=0)
 
 
 def _hand_axes(settings: RobotSettings) -> Array:
@@ -314,6 +314,7 @@ def _camera(settings: CameraSettings, link: int) -> RobotCamera:
     forward = normalized(np.array(settings.forward))
     right = normalized(np.cross(forward, np.array(settings.up)))
     pose = np.eye(4)
+    # axes of OpenCV: right, down, forward
     pose[:3, 0], pose[:3, 1], pose[:3, 2] = right, np.cross(forward, right), forward
     pose[:3, 3] = settings.position
     return RobotCamera(

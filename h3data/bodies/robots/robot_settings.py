@@ -93,6 +93,7 @@ def _decoded(path: Path, *version: int) -> RobotSettings:
         settings = msgspec.toml.decode(path.read_bytes(), type=RobotSettings)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise FormatError(f"Not a robot description: {error}. File: {path}", code="H3-BODY-111") from error
+    # TOML has nan and inf, which msgspec accepts
     broken = [name for name, value in msgspec.to_builtins(settings).items() if not _finite(value)]
     if broken:
         raise FormatError(
@@ -108,6 +109,7 @@ def read_settings(path: Path | None, urdf: Urdf) -> RobotSettings:
         return RobotSettings()
     settings = decode_settings(path)
     movable, links = {j.name: j for j in urdf.movable}, {link.name for link in urdf.links}
+    # a spherical joint has four numbers
     width = sum(j.width for j in urdf.movable)
     faults = []
     if settings.rest and len(settings.rest) != width:
@@ -118,6 +120,7 @@ def read_settings(path: Path | None, urdf: Urdf) -> RobotSettings:
     names = [c.name for c in settings.cameras]
     faults += [f"camera {n} is there twice" for n in sorted({n for n in names if names.count(n) > 1})]
     for camera in settings.cameras:
+        # 0 for parallel directions and for zeros
         sight = np.cross(camera.forward, camera.up)
         if not (np.linalg.norm(sight) > 1e-6 and 0 < camera.hfov_deg < 180 and min(camera.width, camera.height) > 0):
             faults.append(f"camera {camera.name} has no picture: look at its forward, up, hfov_deg, width and height")

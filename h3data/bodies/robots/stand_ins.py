@@ -34,11 +34,16 @@ def with_stand_ins(urdf: Urdf) -> tuple[Urdf, frozenset[str]]:
             "%s: boxes stand in for %d missing mesh file(s) (%s). Hint: keep the folder of the URDF whole. File: %s",
             *(urdf.name, len(missing), named, urdf.path),
         )
-    there = [_without(link, set(missing)) for link in urdf.links]
+    there = [
+        tuple(tuple(p for p in parts if p.geometry.file not in missing) for parts in (link.visuals, link.collisions))
+        for link in urdf.links
+    ]
+    # where no link has any, what is seen is also what touches
     has_collisions = any(link.collisions for link in urdf.links)
     links = []
     for link, (visuals, collisions) in zip(urdf.links, there, strict=True):
         box = (_box(urdf, link),) if link.visuals or link.collisions else ()
+        # a link whose files are all there stays as it is, also without any: frames have no shape
         shown = visuals if len(visuals) == len(link.visuals) else visuals or collisions or box
         solid = collisions if len(collisions) == len(link.collisions) else collisions or visuals or box
         links.append(replace(link, visuals=shown, collisions=solid if has_collisions else shown))
@@ -46,17 +51,10 @@ def with_stand_ins(urdf: Urdf) -> tuple[Urdf, frozenset[str]]:
     return replace(urdf, links=tuple(links)), sure
 
 
-def _without(link: UrdfLink, missing: set) -> tuple[tuple[UrdfPart, ...], tuple[UrdfPart, ...]]:
-    """Visuals and collisions of a link that do not need missing files."""
-    visuals, collisions = (
-        tuple(part for part in parts if part.geometry.file not in missing) for parts in (link.visuals, link.collisions)
-    )
-    return visuals, collisions
-
-
 def _box(urdf: Urdf, link: UrdfLink) -> UrdfPart:
     ends = [joint.origin[:3, 3] for joint in urdf.joints if joint.parent == link.name]
     points = [np.zeros(3), *(end for end in ends if np.linalg.norm(end) <= REACH_M)]
+    # limited, since moments that somebody made up may mean a box of many metres
     if link.inertia_box is not None:
         corners = np.array(np.meshgrid(*[(-half, half) for half in np.minimum(link.inertia_box, REACH_M)])).reshape(
             3, -1
@@ -68,8 +66,6 @@ def _box(urdf: Urdf, link: UrdfLink) -> UrdfPart:
     origin = np.eye(4)
     origin[:3, 3] = (low + high) / 2
     x, y, z = (high - low).tolist()
-    return UrdfPart(geometry=UrdfGeometry(kind="box", size=(x, y, z)), origin=origin, color=_color(link))
-
-
-def _color(link: UrdfLink) -> tuple[int, int, int] | None:
-    return next((part.color for part in link.visuals if part.color is not None), None)
+    # the first colour of the visuals that are missing, so that the robot keeps its look
+    color = next((part.color for part in link.visuals if part.color is not None), None)
+    return UrdfPart(geometry=UrdfGeometry(kind="box", size=(x, y, z)), origin=origin, color=color)

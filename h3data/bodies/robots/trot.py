@@ -106,6 +106,7 @@ def _headings_and_way(bases: Array, feet: Array) -> tuple[Array, Array]:
     """Heading, without jumps, and distance that the feet have covered along a base track [T, 7]; both [T]."""
     heading = np.unwrap(heading_from_quat(bases[:, 3:]))
     covered = np.hypot(*np.diff(bases[:, [0, 2]], axis=0).T)
+    # a turn on the spot covers what feet at their mean distance from the root do
     covered = covered + np.abs(np.diff(heading)) * np.hypot(feet[:, 0], feet[:, 2]).mean()
     return heading, np.concatenate([[0.0], np.cumsum(covered)])
 
@@ -126,6 +127,7 @@ def _cycles(way: Array) -> Array:
     if not len(covered):
         return np.zeros(len(way))
     weight = np.ones(min(SMOOTH_STEPS, len(covered)))
+    # at both ends over the fewer steps that there are
     smooth = np.convolve(covered, weight, "same") / np.convolve(np.ones(len(covered)), weight, "same")
     stride = np.clip(STRIDE_OFFSET_M + STRIDE_STEPS * smooth, LEAST_STRIDE_M, STRIDE_M)
     return np.concatenate([[0.0], np.cumsum(covered / stride)])
@@ -148,6 +150,7 @@ def _feet(
     edges = np.clip(rows[:, None] + [-SETTLE_STEPS, SETTLE_STEPS], 0, len(way) - 1)
     lift = LIFT_M * np.clip(np.diff(way[edges], axis=1)[:, 0] / SETTLE_M, 0, 1)
     out = np.empty((len(rows), len(feet), 3))
+    # upright: feet at rest do not pitch with the base
     roots = pose_to_matrix(ground_pose(bases[rows][:, [0, 2]], heading[rows], bases[rows, 1]))
     for k, foot in enumerate(feet):
         begin = DUTY / 2 + (0.0 if foot[0] * foot[2] > 0 else 0.5)  # one diagonal stands, the other swings
@@ -165,6 +168,7 @@ def _feet(
                 at[:, 1] = foot[1] + floor_heights(heights, 0.0, at[:, ::2], treads=True)
             return at
 
+        # the first swing begins where the feet stood
         lifts_off = np.maximum(cycle + DUTY, begin)
         swing = np.clip((place - lifts_off) / (cycle + 1 - lifts_off), 0, 1)
         weight = (swing * swing * (3 - 2 * swing))[:, None]
@@ -190,11 +194,13 @@ def leg_angles(robot: Robot, leg: RobotLeg, foot: ArrayLike) -> NDArray[np.float
     hip, pitch, knee = (robot.origins[robot.joint_links[c], :3, 3] for c in leg.columns)
     x, y, z = np.moveaxis(np.asarray(foot, np.float64) - hip, -1, 0)
     side = pitch[1] + knee[1] + leg.foot[1]
+    # in the plane of the leg: the roll has turned the point under the axis of the hip
     x, down = x - pitch[0], np.sqrt(np.maximum(y * y + z * z - side * side, 1e-12))
     roll = np.arctan2(z, y) - np.arctan2(-down, side)
     thigh, shank = np.hypot(knee[0], knee[2]), np.hypot(leg.foot[0], leg.foot[2])
     thigh_lean, shank_lean = np.arctan2(-knee[0], -knee[2]), np.arctan2(-leg.foot[0], -leg.foot[2])
     away = np.clip(np.hypot(x, down), 1e-6, MAX_STRETCH * (thigh + shank))
+    # the knee keeps the side that it has at rest
     side_of_knee = np.sign(robot.rest[leg.columns[2]] + shank_lean - thigh_lean) or -1.0
     cosine = np.clip((away**2 - thigh**2 - shank**2) / (2 * thigh * shank), -1, 1)
     bend = side_of_knee * np.arccos(cosine)

@@ -40,7 +40,6 @@ __all__ = ["Urdf", "UrdfGeometry", "UrdfJoint", "UrdfLink", "UrdfMimic", "UrdfPa
 _log = logging.getLogger(__name__)
 
 JointKind = Literal["revolute", "continuous", "prismatic", "fixed", "spherical"]
-_XACRO = {"arg", "attribute", "call", "element", "if", "include", "insert_block", "macro", "property", "unless"}
 MAX_BYTES = 16 << 20
 """Size above which a file is refused, as no robot description is larger [bytes]."""
 MAX_LINKS = 10_000
@@ -128,6 +127,7 @@ def read_urdf(path: str | Path, *, allow_missing: bool = False, warn: bool = Tru
     issues = UrdfIssues()
     materials = _materials(robot, issues)
     _warn_of_skipped(robot, issues)
+    # before the links are read, of which each may look for files
     count = len(robot.findall("link"))
     if count > MAX_LINKS:
         raise FormatError(
@@ -187,6 +187,7 @@ def _parse(path: Path) -> ElementTree.Element:
     # As tinyxml does: comments may stand before the declaration and hold two dashes. No "<!--" of the head is left open.
     head, close, tail = text.removeprefix(b"\xef\xbb\xbf").rpartition(b"-->")
     text = (re.sub(rb"<!--.*?-->", b" ", head + close, flags=re.DOTALL) + tail).strip()
+    # nested entities grow to gigabytes while they are read, and no robot needs any
     if re.search(rb"<!(DOCTYPE|ENTITY)", text, re.IGNORECASE) or b"\0" in text:
         raise FormatError(
             f"A URDF with a DOCTYPE, entities or UTF-16 is refused. Hint: save it as plain UTF-8. File: {path}",
@@ -201,7 +202,9 @@ def _parse(path: Path) -> ElementTree.Element:
     bound = (item for e in robot.iter() for item in e.attrib.items())
     xacro = {"xacro", *(key.partition(":")[2] for key, value in bound if key.startswith("xmlns") and "xacro" in value)}
     names = [e.tag.rpartition(":") for e in robot.iter()]
-    if any(prefix in xacro and name in _XACRO for prefix, _, name in names):
+    # by its elements: expanded files often still declare the prefix
+    macros = {"arg", "attribute", "call", "element", "if", "include", "insert_block", "macro", "property", "unless"}
+    if any(prefix in xacro and name in macros for prefix, _, name in names):
         raise FormatError(
             f"This is xacro, not URDF. Hint: expand it first (xacro in.xacro > out.urdf). File: {path}",
             code="H3-BODY-119",
@@ -330,6 +333,7 @@ def _followers(joints: tuple[UrdfJoint, ...], issues: UrdfIssues) -> tuple[UrdfJ
             seen.add(leader.name)
             if leader.mimic is None:
                 break
+            # a follower of a follower, as one that follows the leader itself
             mimic = UrdfMimic(
                 joint=leader.mimic.joint,
                 multiplier=mimic.multiplier * leader.mimic.multiplier,
@@ -350,6 +354,7 @@ def _tree_root(links: tuple[UrdfLink, ...], joints: tuple[UrdfJoint, ...], issue
     ]
     issues.faults += [f"link {c} has two parents" for c, count in children.items() if count > 1]
     roots = [n for n in names if n not in children]
+    # what follows relies on unique names and known ends
     if issues.faults:
         return ""
     if len(roots) != 1:
@@ -364,6 +369,7 @@ def _tree_root(links: tuple[UrdfLink, ...], joints: tuple[UrdfJoint, ...], issue
         here = waiting.pop()
         reached.update(below[here])
         waiting += below[here]
+    # each link has one parent by now, so one that the root does not reach hangs in a cycle
     if len(reached) != len(names):
         issues.faults.append(f"links {', '.join(sorted(known - reached)[:4])} hang in a cycle, not on {roots[0]}")
     return roots[0]

@@ -208,6 +208,7 @@ def _plane_frame(element: ElementTree.Element, where: str, issues: UrdfIssues) -
         issues.faults.append(f"{where}, normal: expected a direction, got zeros")
         return np.eye(4)
     up = normal / np.linalg.norm(normal)
+    # the axis that is least along the normal, whose cross product is never short
     side = np.cross(np.eye(3)[np.argmin(np.abs(up))], up)
     frame = np.eye(4)
     frame[:3, :3] = np.stack([side / np.linalg.norm(side), np.cross(up, side / np.linalg.norm(side)), up], axis=1)
@@ -232,6 +233,7 @@ def _mesh_path(filename: str, folder: Path, where: str, issues: UrdfIssues) -> P
     scheme = scheme.lower()
     here = Path(os.path.abspath(folder))
     above = [p for p in (here, *here.parents) if p != p.parent][:MAX_LEVELS] or [here]  # never the root of the disk
+    # packages have their URDFs in a folder beside that of the meshes, so paths climb a little
     top = above[min(2, len(above) - 1)]
     fault = None
     if scheme not in ("", "file", "package", "model"):
@@ -245,7 +247,7 @@ def _mesh_path(filename: str, folder: Path, where: str, issues: UrdfIssues) -> P
         called = [] if found else _folders_called(unquote(name), above)
         bases = found or called or above[:3]
         if not all(
-            _inside(Path(os.path.abspath(b / t)), b if found or called else top)
+            Path(os.path.abspath(b / t)).is_relative_to(b if found or called else top)
             for b in bases
             for t in _spellings(inner)
         ):
@@ -261,10 +263,10 @@ def _mesh_path(filename: str, folder: Path, where: str, issues: UrdfIssues) -> P
                 issues.warnings.append(f"{where}: there is no package {name!r}, {file} is taken for {filename[:80]!r}")
     elif fault is None:
         drive = rest[1:3] == ":/"
-        if drive or (rest.startswith("/") and not _inside(Path(os.path.abspath(file)), top)):
+        if drive or (rest.startswith("/") and not Path(os.path.abspath(file)).is_relative_to(top)):
             file = _by_tail(rest, folder, above)
             issues.warnings.append(f"{where}: {filename[:80]!r} is a path of another machine, {file} is taken for it")
-        elif not all(_inside(Path(os.path.abspath(folder / t)), top) for t in _spellings(rest)):
+        elif not all(Path(os.path.abspath(folder / t)).is_relative_to(top) for t in _spellings(rest)):
             fault = CLIMBS
         else:
             file = _on_disk(folder, rest) or file
@@ -274,10 +276,6 @@ def _mesh_path(filename: str, folder: Path, where: str, issues: UrdfIssues) -> P
         return file
     issues.faults.append(f"{where}, filename: {fault}, got {filename[:80]!r}")
     return None
-
-
-def _inside(file: Path, folder: Path) -> bool:
-    return file.is_relative_to(folder)
 
 
 def _spellings(path: str) -> tuple[str, ...]:
@@ -291,6 +289,7 @@ def _on_disk(base: Path, path: str) -> Path | None:
     for text in _spellings(path):
         if (base / text).is_file():
             return base / text
+    # only then through the folders, which is slow and may be ambiguous
     for text in _spellings(path):
         at = base
         for part in Path(text).parts:
@@ -305,6 +304,7 @@ def _on_disk(base: Path, path: str) -> Path | None:
 
 
 def _folded(name: str) -> str:
+    # archives that were packed on macOS have accents in two characters
     return unicodedata.normalize("NFC", name).casefold()
 
 
@@ -312,6 +312,7 @@ def _by_tail(path: str, folder: Path, above: list[Path]) -> Path:
     """The file that ends as a foreign path does, in the folders above; by its name alone only beside the URDF."""
     parts = [p for p in path.split("/") if p]
     if ".." not in _spellings(path)[-1].split("/"):
+        # two names at least: many robots have a base_link.stl
         for start in range(len(parts) - 1):
             for base in above:
                 if (file := _on_disk(base, "/".join(parts[start:]))) is not None:
@@ -351,6 +352,7 @@ def _package_name(folder: Path) -> str:
     manifest = folder / "package.xml"
     if not manifest.is_file():
         return folder.name
+    # the beginning alone, which holds the name; the rest need not even be well-formed
     with manifest.open("rb") as file:
         match = re.search(rb"<name>\s*([^<\s]+)\s*</name>", file.read(1 << 16))
     return match[1].decode(errors="replace") if match else folder.name

@@ -52,7 +52,10 @@ def placeholder_kind(uri: str) -> PlaceholderKind:
         "small_object": r"(^|/)(ycb|objects_ovmm|google_object_dataset|amazon_berkeley|rearranged_objects)/|^handle:",
     }
     # the first that fits counts: people and robots also lie in folders that are named after scenes
-    return next((kind for kind, pattern in kinds.items() if re.search(pattern, uri)), "furniture")
+    for kind, pattern in kinds.items():
+        if re.search(pattern, uri):
+            return kind
+    return "furniture"
 
 
 @lru_cache(maxsize=512)

@@ -95,8 +95,14 @@ def write_foxglove(
         raise InputError(f"Each camera is shown once, got: {', '.join(names)}.", code="H3-EXPORT-004")
     if not len(recording):
         raise InputError("A recording without steps has nothing to show.", code="H3-EXPORT-005")
-    writer_class = _import_writer()
-    with part_file(path) as part, part.open("wb") as stream, writer_class(stream) as mcap:
+    try:
+        import foxglove_schemas_protobuf  # noqa: F401
+        from mcap_protobuf.writer import Writer
+    except ImportError:
+        raise MissingExtraError(
+            'Files for Foxglove need its schemas. Hint: pip install "h3data[foxglove]"', code="H3-EXPORT-007"
+        ) from None
+    with part_file(path) as part, part.open("wb") as stream, Writer(stream) as mcap:
         mcap.add_metadata("h3.episode", episode_metadata(recording.episode))
         return _Export(recording, posed, mcap, cameras).write(path, pictures)
 
@@ -163,6 +169,7 @@ class _Export:
             steps = np.arange(start, min(start + BLOCK_STEPS, len(self._times)))
             local = self._scene.frames.local(self._world_poses(steps))
             for step, poses in zip(steps.tolist(), local, strict=True):
+                # messages of a log come in the order of their times
                 self._tell_until(self._times[step])
                 self._write_step(step, poses)
                 if picture is not None and picture[0] == step:
@@ -211,6 +218,7 @@ class _Export:
         if self._metrics.names:
             self._put("/metrics", self._metrics.at(step), t)
         for view, frame in zip(self._cameras, self._camera_frames, strict=True):
+            # repeated with the full set of frames, for whoever jumps in time
             if whole and view.camera.projection == "perspective":
                 self._put(f"/cam/{view.camera.name}/calibration", make.calibration(t, frame, view.camera), t)
 
@@ -225,11 +233,13 @@ class _Export:
         """``(time, message)`` of all lines, the last one first."""
         found = []
         for line in log_lines(self._recording):
+            # files of others may have events at steps that are not there
             t = self._times[min(max(line.step, 0), len(self._times) - 1)]
             found.append((t, line.source, line.text, line.warning))
         for given in self._recording.inputs:
             text = f"{given.kind} {given.payload}".rstrip()
             found.append((self._log_time(given.time_ns), f"input/user_{given.user}", text, False))
+        # stable: events and inputs of one time keep their order
         found.sort(key=lambda line: line[0])
         return [(t, self._messages.log(t, source, text, warning=bad)) for t, source, text, bad in reversed(found)]
 
@@ -263,14 +273,3 @@ class _Metrics:
     def at(self, step: int) -> Any:
         values = zip(self.names, (a[step].item() for a in self._columns.values()), strict=True)
         return self._class(step=step, **dict(values))
-
-
-def _import_writer() -> type[Writer]:
-    try:
-        import foxglove_schemas_protobuf  # noqa: F401
-        from mcap_protobuf.writer import Writer
-    except ImportError:
-        raise MissingExtraError(
-            'Files for Foxglove need its schemas. Hint: pip install "h3data[foxglove]"', code="H3-EXPORT-007"
-        ) from None
-    return Writer

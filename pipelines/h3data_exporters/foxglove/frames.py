@@ -59,6 +59,7 @@ class FrameTree:
         if whole:
             self._whole_ns = time_ns
             self._told = np.full(local.shape, np.nan)
+        # written as not at most: a difference with NaN, of a frame that was not told of, counts as moved
         with np.errstate(invalid="ignore"):
             moved = there & ~(np.abs(local - self._told) <= _MOVED).all(1)
         self._told[moved] = local[moved]

@@ -68,6 +68,7 @@ def entity(
     time_ns: int, frame: str, name: str, *, models: Sequence[ModelPrimitive] = (), texts: Sequence[TextPrimitive] = ()
 ) -> SceneEntity:
     """A thing that moves with a frame."""
+    # locked, so that viewers move it with its frame after this message too
     return SceneEntity(timestamp=stamp(time_ns), frame_id=frame, id=name, frame_locked=True, models=models, texts=texts)
 
 
@@ -103,7 +104,9 @@ def laser_scan(time_ns: int, frame: str, height_m: float, ranges: Array) -> Lase
 
     The plane's own frame has x forward, y left and z up.
     """
+    # the last ray is one step before the first one again
     step = 2 * np.pi / max(len(ranges), 1)
+    # from our +Y up to the +Z up of the plane of the scan
     pose = np.array([0.0, height_m, 0.0, -np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
     return LaserScan(
         timestamp=stamp(time_ns),
@@ -144,6 +147,7 @@ def calibration(time_ns: int, frame: str, camera: Camera) -> CameraCalibration:
         height=camera.height,
         K=k.ravel(),
         R=np.eye(3).ravel(),
+        # no stereo: the projection is the intrinsics with a column of zeros
         P=np.hstack([k, np.zeros((3, 1))]).ravel(),
     )
 

@@ -22,9 +22,11 @@ def rigid_pieces(mesh: Mesh, skeleton: Skeleton) -> list[tuple[int, Mesh]]:
     """
     joints, weights = skeleton.influences.joints, skeleton.influences.weights
     share = np.zeros((len(mesh.vertices), len(skeleton.names)), np.float32)
+    # `share[...] += weights` would count a joint once that a vertex names twice
     np.add.at(share, (np.arange(len(share))[:, None], joints), weights)
     of_face = share[mesh.faces].mean(1)
     chosen = of_face >= SHARED
+    # each triangle belongs to some piece, also where no joint has enough of it
     chosen[np.arange(len(chosen)), of_face.argmax(1)] = True
     vertices, normals, to_joint = _in_posture(mesh, skeleton, share)
     return [

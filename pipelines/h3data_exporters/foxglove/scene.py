@@ -41,6 +41,7 @@ class Group:
     def update(self, step: int, time_ns: int) -> messages.SceneUpdate:
         """Message to publish at a step."""
         if self.there is None or self.there[step]:
+            # one message object for all steps: its models may be megabytes
             for entity in self.entities:
                 entity.timestamp.CopyFrom(messages.stamp(time_ns))
             return messages.scene_update(self.entities)
@@ -85,7 +86,8 @@ class FoxgloveScene:
             for joint, piece in rigid_pieces(part.mesh, part.skeleton):
                 self._show(part, self.frames.names[first + joint], glb_bytes([piece]), IDENTITY_POSE, np.ones(3))
             return len(part.skeleton.names)
-        if _is_still(part):
+        # without a frame of its own: most of a home stands still, and frames are told of again and again
+        if part.body is not None and part.body.moving < 0 and len(part.poses) == 1:
             self._show(part, WORLD, self._glb(part.mesh), part.poses[0], part.scale)
             return 0
         frame = self.frames.names[self.frames.add(part.name, parent)]
@@ -119,12 +121,9 @@ class FoxgloveScene:
         elif body is None and agent >= 0:
             track, name = recording.agent_column(agent, "base_pose"), self.agent_frame(agent)
         there = None if track is None else np.asarray(np.isfinite(track).all(-1))
+        # who is always there needs no topic of its own
         if there is not None and there.all():
             there = None
         layer = body.layer if body is not None and there is None else ""
         topic = f"{TOPIC}/{name}" if there is not None else f"{TOPIC}/{layer}" if layer else TOPIC
         return self.groups.setdefault(topic, Group(topic, there))
-
-
-def _is_still(part: PosedPart) -> bool:
-    return part.body is not None and part.body.moving < 0 and len(part.poses) == 1

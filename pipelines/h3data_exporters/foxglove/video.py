@@ -12,7 +12,6 @@ from h3data.errors import InputError
 
 KEY_FRAMES = 30
 """Pictures from one key frame to the next: whoever jumps in time waits for one."""
-_CRF = 23
 
 
 class PictureStream:
@@ -23,12 +22,14 @@ class PictureStream:
 
         self._size = (height, width)
         codec: Any = av.CodecContext.create("libx264", "w")
+        # half as many colour samples in each direction, so even sizes only
         codec.width, codec.height = width + width % 2, height + height % 2
         codec.pix_fmt, codec.time_base = "yuv420p", Fraction(1, 30)
+        # zero latency and one thread: a packet for each picture, the same bytes on every machine
         codec.options = {
             "preset": "ultrafast",
             "tune": "zerolatency",
-            "crf": str(_CRF),
+            "crf": "23",
             "x264-params": f"keyint={KEY_FRAMES}:scenecut=0:bframes=0:repeat-headers=1:annexb=1:mbtree=0:threads=1",
         }
         self._codec = codec

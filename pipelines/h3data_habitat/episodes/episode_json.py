@@ -101,6 +101,7 @@ def decode_episodes(raws: Sequence[msgspec.Raw], notes: Notes) -> list[Rearrange
         drafts = [_draft(raw, start + k, rows, notes.path) for k, raw in enumerate(raws[start : start + _BLOCK])]
         flat = chain.from_iterable(chain.from_iterable(rows))
         block = np.fromiter(flat, np.float64, count=16 * len(rows)).reshape(-1, 4, 4)
+        # matrices of many episodes are views of it
         block.flags.writeable = False
         rigid = is_rigid(block)
         at = 0
@@ -127,6 +128,7 @@ def _draft(raw: msgspec.Raw, index: int, rows: list[_Rows], path: Path) -> _Draf
     for key, text in found.items():
         decoder = _DECODERS.get(key)
         try:
+            # kept as it is, so that writing the episode again loses nothing
             if decoder is None or (key in _OLDER and bytes(text).startswith(_OLDER[key])):
                 extra[key] = msgspec.json.decode(text)
             else:
@@ -188,6 +190,7 @@ def _check(episode: RearrangeEpisode, draft: _Draft, rigid: NDArray[np.bool_], i
 def _no_twins(text: msgspec.Raw, targets: dict[str, Any], where: str, path: Path) -> None:
     """Refuse an object that has a key twice: JSON readers silently keep the last one."""
     raw = bytes(text)
+    # five brackets for each matrix: more of them mean that a key was there twice
     if raw.count(b"[") == 5 * len(targets) + sum(handle.count("[") for handle in targets):
         return
     pairs = json.loads(raw, object_pairs_hook=lambda pairs: pairs)
@@ -236,6 +239,7 @@ def _located(where: str, key: str, fault: Exception, text: msgspec.Raw | None = 
 
 def _culprit(key: str, text: msgspec.Raw) -> str:
     """Which entry of an object has the wrong type; msgspec does not say."""
+    # only after a fault, so that it may be slow
     decoder = msgspec.json.Decoder(get_args(KEYS[key])[1])
     for name, entry in _OBJECT.decode(text).items():
         try:
@@ -252,6 +256,7 @@ def _reworded(fault: object) -> str:
 def encode_episode(episode: RearrangeEpisode, *, where: str = "episode") -> bytes:
     """The JSON object of one episode, in Habitat's order of keys; ``where`` names it in errors."""
     names = [key for key in KEYS if key not in episode.absent]
+    # both would be written, and readers keep the last one
     clash = set(names) & set(episode.extra)
     if clash:
         raise InputError(

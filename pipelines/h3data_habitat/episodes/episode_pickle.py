@@ -57,6 +57,7 @@ def _resolved(
     where = f"all_eps[{index}]"
     try:
         content = msgspec.to_builtins(episode, str_keys=True, enc_hook=builtin)
+        # the pickle has each name and each matrix once, and episodes refer to them by number
         if "rigid_objs" in content:
             content["rigid_objs"] = [
                 [names[name], transforms[_inside(at, len(transforms))].tolist()] for name, at in content["rigid_objs"]
@@ -89,6 +90,7 @@ def _json(content: Any) -> bytes:
 
 
 def _inside(at: Any, size: int) -> int:
+    # a negative index would silently count from the end
     if type(at) is not int or not 0 <= at < size:
         raise IndexError(f"there is no transform {at}, all_transforms has {size}")
     return at

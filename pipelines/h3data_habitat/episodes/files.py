@@ -77,6 +77,7 @@ def _open(path: Path) -> tuple[Sequence[msgspec.Raw], dict[str, Any]]:
         return unpickle_episodes(data, path), {}
     try:
         top = _OBJECT.decode(data)
+        # logs of HITL sessions have a key of this name too
         if "episodes" not in top or {"session", "users"} <= set(top):
             raise _other_kind(path, data)
         raws = _LIST.decode(top.pop("episodes"))
@@ -143,6 +144,7 @@ def _not_json(path: Path, data: bytes, fault: Exception) -> FormatError:
 
 def _non_finite(content: Any) -> tuple[str, float] | None:
     """The first NaN or infinity, and where it is."""
+    # a stack, as the file may be nested deeper than Python recurses; reversed keeps the order of the file
     stack: list[tuple[str, Any]] = [("", content)]
     while stack:
         where, value = stack.pop()
@@ -173,6 +175,7 @@ def _content_files(path: Path, extra: Mapping[str, Any]) -> list[tuple[str, Path
             f"Expected content_scenes_path like {_CONTENT_PATH!r}, got {pattern!r}: {path}", code="H3-HABITAT-006"
         )
     before, after = pattern.removeprefix("{data_path}/").split("{scene}")
+    # the pattern comes from the file, and must not lead to other files
     if ".." in Path(before + after).parts or Path(before).is_absolute() or "/" in after:
         raise FormatError(
             f"content_scenes_path must stay in the folder of the dataset, is {pattern!r}: {path}", code="H3-HABITAT-007"
@@ -211,6 +214,7 @@ def write_episodes(episode_set: EpisodeSet, path: str | Path) -> None:
     at = 0
     for part in contents:
         file = path.parent / pattern.removeprefix("{data_path}/").replace("{scene}", part.name)
+        # names of parts may come from a file of somebody else
         if path.parent.resolve() not in file.resolve().parents:
             raise InputError(
                 f"The content file {part.name!r} would lie outside the folder of the dataset: {file}",
@@ -219,6 +223,7 @@ def write_episodes(episode_set: EpisodeSet, path: str | Path) -> None:
         file.parent.mkdir(parents=True, exist_ok=True)
         _write(file, episodes[at : at + part.episodes], at, part.extra)
         at += part.episodes
+    # last, because readers begin with it
     _write(path, (), 0, episode_set.extra)
 
 

@@ -88,6 +88,7 @@ def with_objects(
         if read.missing:
             missing[thing.config] = read.missing
         pose = np.array(thing.pose, np.float64)
+        # episodes give poses of the centre of mass, instances have those of the asset's origin
         pose[:3] -= quat_rotate(pose[3:], read.origin)
         instances.append(
             Instance(
@@ -144,6 +145,7 @@ def _find(config: str, search: ObjectSearch) -> Template | None:
     handle = template_name(config)
     if search.dataset:
         found, _ = dataset_at(search.dataset).find("objects", handle)
+        # the exact name only: a part of a name may find another object
         if found is not None and found.handle == handle:
             return found
     file = posixpath.basename(config) if config.endswith(".json") else f"{handle}.object_config.json"

@@ -42,6 +42,7 @@ def _result(file: Path, path: Path) -> dict[str, Any]:
     names = content.get("eid_to_filename") if isinstance(content, dict) else None
     if not isinstance(names, dict):
         return {}
+    # exactly one: of several collections each may have an episode of this name
     same = [eid for eid, name in names.items() if isinstance(name, str) and _ends_alike(name, path)]
     if len(same) != 1:
         return {}

@@ -98,6 +98,7 @@ def _goals(recording: Recording, human: int) -> tuple[Any, float]:
             )
         goals.append((float(point[1]), float(point[2])))
     column = recording.columns.get("sim.human_goal")
+    # the column numbers the goals, so a lost event shows
     count = int(np.max(column)) + 1 if column is not None and len(column) else len(goals)
     if count != len(goals):
         raise InputError(
@@ -120,6 +121,7 @@ def rearrangement_of(recording: Recording) -> StoredRearrangement:
         )
     if not len(recording) or not recording.agents:
         raise InputError(f"Expected a recording with agents and steps, {name!r} has none.", code="H3-HABITAT-050")
+    # reversed, so that the first agent of a kind is kept
     first = {agent.kind: k for k, agent in reversed(list(enumerate(recording.agents)))}
     starts = {kind: info.get(f"{kind}_start") for kind in ("robot", "human")}
     if "starts" in info:

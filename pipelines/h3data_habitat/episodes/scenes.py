@@ -40,6 +40,7 @@ def scene_of_episode(
     if stored is not None and home is not None and stored.scene_sha256 in ("", _digest(home)):
         return home
     found = _named_file(episode, folder, tuple(map(str, assets)))
+    # the path at the time of the recording, on this machine
     if found is None:
         config, scene = source.get("config"), source.get("scene")
         if isinstance(config, str) and Path(config).is_file():
@@ -66,6 +67,7 @@ def _named_file(episode: RearrangeEpisode, folder: Path, assets: tuple[str, ...]
     for root in (folder, folder.parent, Path()):
         for config, file in (
             (root / episode.scene_dataset_config, root / episode.scene_id),
+            # an exported folder that was moved: its own layout, without the recorded folders
             (root / Path(episode.scene_dataset_config).name, root / "scenes" / Path(episode.scene_id).name),
         ):
             if config.name.endswith(DATASET_ENDING) and config.is_file() and _has_scene(config, scene):

@@ -51,6 +51,7 @@ class ArticulatedExport:
             object.
         """
         joints = joints_of(scene)
+        # a URDF describes its links at joint positions of 0, a scene at rest
         closed = posed(scene, np.zeros(len(joints)))
         at_zero = next(other for other in closed.articulations if other.name == thing.name)
         by_name = {i.name: i for i in closed.instances}
@@ -81,6 +82,7 @@ class ArticulatedExport:
         limits = {part.name: (part.joint.lower, part.joint.upper) for part in thing.parts}
         text += [_joint(part, links, frames, limits[part.name]) for part in at_zero.parts]
         body = "\n".join(text)
+        # equal things share one template
         digest = hashlib.sha256(json.dumps([body, entries, semantic_id], sort_keys=True).encode()).hexdigest()[:16]
         handle = f"{kind}_{digest}"
         urdf = f'<?xml version="1.0"?>\n<robot name="{handle}">\n{body}\n</robot>\n'
@@ -99,6 +101,7 @@ class ArticulatedExport:
         return handle, names
 
     def _receptacle(self, receptacle: Receptacle, name: str, link: str, local: Array) -> dict[str, Any]:
+        # the scale of the instance, which links of a URDF have no place for
         size = np.linalg.norm(local[:3, :3], axis=0)
         entry = self._entry(receptacle, size, name)
         entry["position"] = (local[:3, :3] @ np.array(entry["position"]) + local[:3, 3]).tolist()
@@ -147,6 +150,7 @@ def _joint(part: Part, links: Mapping[str, str], frames: Mapping[str, Array], li
 def _geometry(files: dict[str, bytes], shape: Shape, local: Array) -> str:
     """Origin and geometry of a collision part that ``local`` [4, 4] brings into the frame of its link."""
     size = np.linalg.norm(local[:3, :3], axis=0)
+    # a box that is stretched and turned is none any more
     if isinstance(shape, Box) and (np.ptp(size) < 1e-9 or shape.pose[6] == 1):
         matrix = local @ pose_to_matrix(np.asarray(shape.pose, np.float64))
         full = 2 * np.asarray(shape.half_extents) * size
@@ -166,7 +170,9 @@ def _moved(mesh: Mesh, matrix: Array) -> Mesh:
     vertices = mesh.vertices.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
     normals = None
     if mesh.normals is not None:
+        # by the inverse transpose, which keeps them upright on stretched faces
         normals = normalized(mesh.normals.astype(np.float64) @ np.linalg.inv(matrix[:3, :3])).astype(np.float32)
+    # a mirror image is inside out
     faces = mesh.faces if np.linalg.det(matrix[:3, :3]) > 0 else np.ascontiguousarray(mesh.faces[:, ::-1])
     return replace(mesh, vertices=vertices.astype(np.float32), normals=normals, faces=faces)
 
@@ -186,4 +192,5 @@ def _rpy(turn: Array) -> NDArray[np.float64]:
 
 
 def _numbers(values: Sequence[float] | NDArray[np.float64]) -> str:
+    # -0.0 becomes 0.0, so that equal things have equal files
     return " ".join(repr(float(v)) for v in np.round(np.asarray(values, np.float64), 12) + 0.0)

@@ -27,6 +27,7 @@ def building_parts(scene: Scene, stage: Sequence[Instance]) -> tuple[list[Mesh],
         mesh = _without_roof(asset.mesh, instance_matrix(instance), ceilings)
         if not len(mesh.faces):
             continue
+        # only whole meshes are shared: what was cut from a roof depends on the place
         number = shared.get(instance.asset) if mesh is asset.mesh else None
         if number is None:
             number = len(meshes)
@@ -83,6 +84,7 @@ def _without_roof(mesh: Mesh, matrix: NDArray[np.float64], ceilings: Sequence[ND
     """
     corners = transform_points(matrix, mesh.vertices.astype(np.float64))[mesh.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    # within 60 degrees of straight up, as slanting roofs are
     upward = normal[:, 1] > 0.5 * np.linalg.norm(normal, axis=1)
     middle, roof = corners.mean(1), np.zeros(len(corners), bool)
     for low, high in ceilings:

@@ -92,6 +92,7 @@ def write_habitat_episodes(
                 code="H3-EXPORT-016",
             )
         scene = load_scene(recording.attachments["scene.glb"])
+        # episodes of one home share its scene, whatever lies about in it
         furniture = _furniture(scene)
         digest = scene_digest(furniture)
         if digest not in scenes:
@@ -121,6 +122,7 @@ def _entry(
     """One episode: everything that moves, where it begins and where the goals are."""
     starts = {goal.object: np.array(goal.start, np.float64) for goal in record.goals}
     movable = [(dataset.add_object(scene, thing), thing) for thing in _movable(scene)]
+    # by template: Habitat adds objects in this order and numbers them so
     movable.sort(key=lambda pair: pair[0])
     handles = dict(
         zip((thing.name for _, thing in movable), handles_of([config for config, _ in movable]), strict=True)
@@ -137,6 +139,7 @@ def _entry(
     )
     targets = {}
     for goal in record.goals:
+        # goals of ours are places only; the object keeps the rotation that it starts with
         at_goal = np.concatenate([goal.position, goal.start[3:]])
         targets[handles[goal.object]] = pose_to_matrix(at_goal).astype(np.float64)
     return rearrangement_entry(
@@ -163,6 +166,7 @@ def _furniture(scene: Scene) -> Scene:
 
 
 def _movable(scene: Scene) -> Sequence[Instance]:
+    # what cannot be seen has no mesh to write
     return [i for i in scene.instances if i.motion != "static" and len(scene.assets[i.asset].mesh.faces)]
 
 

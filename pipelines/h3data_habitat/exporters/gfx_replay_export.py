@@ -126,6 +126,7 @@ def write_gfx_replay(
                 part = replace(part, poses=_root_bone(part, rig))
         static = ref is not None and bool(recording.episode.scene) and Path(filepath).stem == recording.episode.scene
         key = _add_part(keyframes, part, filepath, key, rig=rig, static=static)
+    # after the parts, whose people have user transforms too
     for name, poses in _user_transforms(recording, cameras):
         _add_user_transform(keyframes, name, poses)
     for step, lights in _lights(recording):
@@ -176,8 +177,10 @@ def assets_folder(path: Path) -> Path:
 
 def _write(path: Path, keyframes: _Keyframes) -> None:
     with part_file(path) as part, part.open("wb") as raw:
+        # no name and no time of day inside: equal recordings have equal files
         stream = gzip.GzipFile("", "wb", 6, raw, mtime=0) if path.suffix == ".gz" else raw
         stream.write(b'{"keyframes":[')
+        # one by one: the text of a long recording may be larger than the memory
         for number, keyframe in enumerate(keyframes):
             stream.write((b",\n" if number else b"") + msgspec.json.encode(keyframe))
         stream.write(b"]}")
@@ -222,6 +225,7 @@ def _add_part(
 ) -> int:
     """Add the instances of a part, one for each time that it was there; returns the next free key."""
     poses = np.broadcast_to(part.poses, (keyframes.steps, 7)) if len(part.poses) == 1 else part.poses
+    # compared as they are written: noise below the last decimal makes no update
     rounded, changed = _rounded(poses)
     for start, end in spans(np.asarray(np.isfinite(poses).all(1))):
         creation = {
@@ -235,6 +239,7 @@ def _add_part(
             "rigId": -1 if rig is None else rig.number,
         }
         keyframes.add("creations", start, {"instanceKey": key, "creation": creation})
+        # parts of agents have no object id of their own
         metadata = {"objectId": -1 if part.body is None else key, "semanticId": int(part.semantic_id)}
         keyframes.add("metadata", start, {"instanceKey": key, "metadata": metadata})
         for step in (start, *(start + 1 + np.flatnonzero(changed[start + 1 : end])).tolist()):
@@ -248,6 +253,7 @@ def _add_part(
 
 
 def _add_rig(keyframes: _Keyframes, rig: _Rig) -> None:
+    # -0.0 becomes 0.0, which compares equal but is written differently
     poses = np.round(np.asarray(rig.poses, np.float64), DECIMALS) + 0.0
     changed = (poses[1:] != poses[:-1]).any((1, 2))
     there = np.isfinite(poses).all((1, 2))
@@ -313,12 +319,14 @@ class _Assets:
                 return _NO_FILE, None
             path = self._own(part, recording)
             return path, _load(path, AssetRef(name="", uri=path))
+        # an instance that shows nothing has no load entry either
         if ref.uri == EMPTY_URI:
             return _NO_FILE, None
         path = ref.uri.removeprefix("primitive:")
         path = "cubeSolid" if path == "box" else path
         if ref.uri.startswith("primitive:") and not is_primitive(path):
             return _NO_FILE, None
+        # the colour of one instance travels in its path, since the load entry is shared by all
         suffix = "" if ref.color is None else _phong(ref.color)
         return path + suffix, _load(path, ref)
 

@@ -30,6 +30,7 @@ def axis_lights() -> list[tuple[list[float], list[float]]]:
 def _colors() -> NDArray[np.float64]:
     """sRGB light [6, 3] of our renderer on surfaces that face along `_AXES`."""
     light, normals = Light(), np.array(_AXES, np.float64)
+    # light of sky and ground, mixed by how much the surface faces either
     up = (normals[:, 1:2] + 1) / 2
     linear = up * np.array(light.sky) + (1 - up) * np.array(light.ground)
     for color, direction in ((light.sun, light.sun_direction), (light.fill, light.fill_direction)):
@@ -50,4 +51,5 @@ def light_setup() -> dict[str, Any]:
 
 def replay_lights() -> list[dict[str, Any]]:
     """Return the lights of a scene as the ``lights`` of a gfx-replay keyframe."""
+    # a fourth number of 0 marks a direction
     return [{"vector": [*direction, 0.0], "color": color, "model": "global"} for direction, color in axis_lights()]

@@ -100,6 +100,7 @@ def export_habitat_dataset(
     """
     if not scenes:
         raise InputError("Expected at least one scene to export.", code="H3-EXPORT-017")
+    # as files: names that differ may become the same one
     handles = [_file_name(s.name) for s in scenes]
     if len(set(handles)) < len(handles):
         raise InputError(
@@ -198,6 +199,7 @@ def _dataset_config() -> dict[str, Any]:
 # --- one scene --------------------------------------------------------------------------------------------------------
 def _add_scene(files: _Files, handle: str, scene: Scene) -> Mapping[str, str]:
     """Adds the files of a scene; returns Habitat's names of its receptacles by ours."""
+    # before anything is added: a scene is written whole or not at all
     for instance in scene.instances:
         if not (np.isfinite(instance.pose).all() and np.isfinite(instance.scale).all() and np.all(instance.scale)):
             raise SceneError(
@@ -219,12 +221,14 @@ def _add_scene(files: _Files, handle: str, scene: Scene) -> Mapping[str, str]:
     articulated = ArticulatedExport(files.content, _receptacle, _receptacle_key)
     receptacles = {ours: f"stage|{e['name']}" for ours, _, e in _stage_receptacles(scene, stage)}
     counts: dict[str, int] = {}
+    # what is part of the stage or of a thing that opens is no object besides
     inside = {i.name for i in stage} | articulated.members(scene)
     for instance in scene.instances:
         asset = scene.assets[instance.asset]
         if instance.name in inside or not len(asset.mesh.faces):
             continue
         files.classes.setdefault(int(instance.semantic_id), asset.category)
+        # scale goes into the mesh: habitat-lab does not scale receptacles, nor Bullet mirrored parts
         template = files.template(scaled_asset(asset, instance.scale), int(instance.semantic_id))
         objects.append(_object_instance(instance, template, asset.category))
         number = counts[template] = counts.get(template, -1) + 1
@@ -284,6 +288,7 @@ def _object_instance(instance: Instance, template: str, category: str) -> dict[s
 
 
 def _instance_record(pose: NDArray[np.float64], template: str, motion: str, ours: Mapping[str, Any]) -> dict[str, Any]:
+    # Habitat writes w first
     x, y, z, w = normalized(pose[3:]).tolist()
     return {
         "template_name": template,
@@ -306,6 +311,7 @@ def _add_stage(
     files.content[f"stages/{handle}.glb"] = glb_bytes(meshes, nodes)
     render_asset = f"{handle}.glb"
     if split:
+        # the stage then only collides; drawn as well, the building would be there twice
         render_asset = f"{handle}.speck.glb"
         files.content[f"stages/{render_asset}"] = glb_bytes([speck(scene, stage)])
     config = {
@@ -392,6 +398,7 @@ def _add_object(files: _Files, asset: Asset, semantic_id: int) -> str:
     Collision parts go into a GLB of their own, one mesh each, and stay apart (``join_collision_meshes`` false).
     Habitat's ``use_bounding_box_for_collision`` is not used: it puts the box's middle at the centre of mass.
     """
+    # without its name: equal objects of several scenes are one template
     identity = json.dumps([asset_record(replace(asset, name=""), None), semantic_id], sort_keys=True).encode()
     file = files.glb("objects", asset.mesh)
     digest = hashlib.sha256(identity + file.encode()).hexdigest()[:16]
@@ -467,6 +474,7 @@ def _refuse(folder: Path, *, force: bool) -> None:
         raise InputError(
             f"Cannot look into the folder to export to ({error.strerror}): {folder}", code="H3-EXPORT-025"
         ) from None
+    # a wrong path with force=True must not delete somebody's dataset
     if not any(_MARK in text for text in configs):
         raise InputError(
             f"force would delete this, but h3data did not export it. Remove it yourself: {folder}", code="H3-EXPORT-020"
@@ -484,6 +492,7 @@ def _write(folder: Path, content: Mapping[str, bytes], *, force: bool) -> None:
             file = part / path
             file.parent.mkdir(exist_ok=True, parents=True)
             file.write_bytes(data)
+        # moved aside and deleted last, so that a failure leaves the old export
         if force and folder.exists():
             if old.exists():
                 shutil.rmtree(old)

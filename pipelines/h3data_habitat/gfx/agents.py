@@ -88,6 +88,7 @@ def add_agents(
         infos.append(AgentInfo({"name": name, "base_height_m": height, **info.record}, info.warnings))
         for b in group.bodies:
             bodies[b] = replace(bodies[b], agent=index)
+    # of one robot and one person the distance is what their metrics read
     if [g.kind for g in groups] == ["robot", "human"]:
         robot, human = (columns[f"agent_{i}.base_pose"][:, :3].astype(np.float64) for i in (0, 1))
         columns["metrics.dist_agents"] = np.linalg.norm(robot - human, axis=1).astype(np.float32)
@@ -109,6 +110,7 @@ def _groups(uris: Sequence[str]) -> list[_Group]:
     groups: list[_Group] = []
     running: _Group | None = None
     for index, uri in enumerate(uris):
+        # a person is one skinned body, and ends the run of a robot's links
         if is_humanoid(uri):
             groups.append(_Group("human", PurePosixPath(uri).stem, [index]))
             running = None
@@ -144,6 +146,7 @@ def _root(group: _Group, uris: Sequence[str], bodies: Sequence[Body]) -> tuple[i
     """Index of the body that carries the agent's frame."""
     record: dict[str, Any] = {"kind": group.kind, "found_as": group.model, "bodies": len(group.bodies)}
     warnings = []
+    # links come in any order; without a base link the first one is the best guess
     position = next((i for i, uri in enumerate(uris) if _is_base(uri)), 0)
     if group.kind == "robot":
         if not _is_base(uris[position]):
@@ -167,6 +170,7 @@ def _base_pose(track: NDArray[np.float64], *, forward: Literal[0, 2], height: fl
     direction = quat_rotate(track[:, 3:], np.eye(3)[forward])
     heading = np.arctan2(-direction[:, 2], direction[:, 0])
     pose = ground_pose(track[:, [0, 2]], heading, track[:, 1] - height)
+    # q and -q are one rotation, and viewers interpolate between rows
     pose[:, 3:] = quat_sign_continuous(pose[:, 3:])
     pose[np.isnan(track).any(1)] = np.nan
     return pose.astype(np.float32)

@@ -55,6 +55,7 @@ class Updates:
         """
         if not self.steps:
             return np.zeros((0, bones, 7), np.float32)
+        # no copy: the poses of a long replay take gigabytes
         poses = np.frombuffer(self._values, np.float32).reshape(-1, bones, 7)
         if not self._tidy:
             for start in range(0, len(poses), _BLOCK):
@@ -62,6 +63,7 @@ class Updates:
                 quats = part[..., [4, 5, 6, 3]].astype(np.float64)
                 with np.errstate(invalid="ignore", divide="ignore"):
                     quats /= np.linalg.norm(quats, axis=-1, keepdims=True)
+                # the last one of the block before decides on the sign
                 before = poses[max(start - 1, 0) : start, :, 3:]
                 part[..., 3:] = quat_sign_continuous(np.concatenate([before, quats]))[len(before) :]
             self._tidy = True
@@ -69,6 +71,7 @@ class Updates:
 
     def drop_after(self, step: int) -> None:
         """Drops the updates after the latest one at or before ``step``."""
+        # the latest one before a block is its first pose, and stays
         keep = bisect_right(self.steps, step)
         width = len(self._values) // max(len(self.steps), 1)
         del self.steps[keep:]
@@ -163,6 +166,7 @@ def fold_keyframes(keyframes: Iterable[Keyframe], path: Path) -> Fold:
                 live[item.instanceKey].semantic_id = item.metadata.semanticId
         for item in keyframe.stateUpdates:
             life = live.get(item.instanceKey)
+            # the player ignores them too
             if life is None:
                 fold.note("pose updates of instances that do not exist")
                 continue
@@ -176,6 +180,7 @@ def fold_keyframes(keyframes: Iterable[Keyframe], path: Path) -> Fold:
         lights = bytes(keyframe.lights)
         if keyframe.lightsChanged or lights:
             light_bytes += len(lights)
+            # a damaged or strange file may change its lights in every keyframe
             if light_bytes > LIGHT_BYTES:
                 fold.note("changes of lights are not kept: there are too many")
             else:
@@ -205,6 +210,7 @@ def _rows(life: Life, start: int, stop: int) -> NDArray[np.float32]:
     """pose7 [stop - start, 7] of an instance."""
     rows = filled(life.updates, start, stop, end=life.end)[:, 0]
     if not life.placed:
+        # created without a pose, it is at the origin until it gets one
         until = life.updates.steps[0] if life.updates.steps else stop
         until = min(until, stop if life.end < 0 else life.end)
         rows[max(life.start - start, 0) : max(until - start, 0)] = IDENTITY_POSE
@@ -219,6 +225,7 @@ def filled(updates: Updates, start: int, stop: int, *, bones: int = 1, end: int 
     at = np.arange(start, stop, dtype=np.int32)
     latest = np.searchsorted(np.array(updates.steps, np.int32), at, side="right") - 1
     rows = np.full((len(at), bones, 7), np.nan, np.float32)
+    # poses hold until the next update, or until the thing is deleted
     there = (latest >= 0) & ((end < 0) | (at < end))
     rows[there] = updates.poses(bones)[latest[there]]
     return rows

@@ -173,11 +173,13 @@ def read_keyframes(file: SourceFile, digest: Callable[[bytes], object]) -> Itera
     head = b""
     while len(head) < _OPENING_BYTES and (chunk := next(chunks, b"")):
         head += chunk
+    # habitat-sim writes the keyframes first, so that most files are read one keyframe at a time
     opening = _OPENING.match(head, len(BYTE_ORDER_MARK) if head.startswith(BYTE_ORDER_MARK) else 0)
     found = _streamed(path, head, opening.end(), chunks) if opening else _whole(path, head, chunks)
     number, known, strange = -1, False, list[str]()
     for number, (start, text) in enumerate(found):
         keyframe = _decoded(path, number, start, text, Keyframe)
+        # looked at until one member is known: later keyframes need not be decoded twice
         if not known:
             members = list(_decoded(path, number, start, text, dict[str, msgspec.Raw]))
             known = not REPLAY_MEMBERS.isdisjoint(members)
@@ -215,6 +217,7 @@ def _streamed(path: Path, head: bytes, start: int, chunks: Iterator[bytes]) -> I
         raise FormatError(
             f"Not a valid gfx-replay: {fault} in its list of keyframes (byte {fault.at}): {path}", code="H3-HABITAT-063"
         ) from None
+    # what follows is read as a document whose list is empty: a second list would replace that
     rest = _limited(path, elements.rest, chunks, KEYFRAME_BYTES, "the part after the keyframes")
     stand_in = b'{"keyframes":[]'
     try:
@@ -229,6 +232,7 @@ def _whole(path: Path, head: bytes, chunks: Iterator[bytes]) -> Iterator[tuple[i
     data = _limited(path, head, chunks, WHOLE_BYTES, "a gfx-replay that does not begin with its keyframes")
     try:
         file = decode_json(data, _File)
+    # sound JSON of another shape: it is named, unless it has keyframes
     except msgspec.ValidationError as fault:
         content = _content(path, data)
         if isinstance(content, dict) and not content.keys().isdisjoint(("keyframes", "keyframe")):

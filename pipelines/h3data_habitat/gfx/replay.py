@@ -85,10 +85,12 @@ def read_gfx_replay(path: str | os.PathLike[str], *, fps: float | None = None) -
         info["rigs"] = rigs
     name = path.name.removesuffix(".gz").removesuffix(".json").removesuffix(".gfx_replay")
     own = path.with_name(name + OWN_FOLDER_ENDING)
+    # only where the replay names files in it: any folder may have this name
     if own.is_dir() and any(ref.uri.startswith(f"{own.name}/") for ref in assets):
         info["source"]["assets"] = str(own.absolute())
     return Recording(
         episode=Episode(
+            # of the contents: importing a file again gives the same episode
             uid=str(uuid.uuid5(uuid.NAMESPACE_URL, "gfx_replay:" + info["source"]["sha256"])),
             episode_id=name or path.name,
             task="gfx_replay",
@@ -123,6 +125,7 @@ def _assets(fold: Fold, path: Path) -> tuple[list[AssetRef], list[str], list[str
             key: tuple[Any, ...] = (EMPTY_URI,)
             values: dict[str, Any] = {"uri": EMPTY_URI}
         else:
+            # by path without its suffix, which is of the instance
             loaded = fold.loads.get(plain)
             if loaded is None and not is_primitive(plain):
                 unloaded.add(plain)
@@ -192,6 +195,7 @@ def _short_name(uri: str) -> str:
 
 def _unique(name: str, used: dict[str, int]) -> str:
     """The name, with the first free number appended if it is taken; ``used`` has the last number of each name."""
+    # from the last number on: thousands of instances share a name, and counting from 1 takes their square
     candidate, number = name, used.get(name, 0)
     while candidate in used:
         number += 1
@@ -214,6 +218,7 @@ def _bodies(fold: Fold, refs: Sequence[str], path: Path) -> tuple[list[Body], ND
     for life, ref in zip(fold.lives, refs, strict=True):
         where = f"stateUpdates, instance {life.key}"
         _check_rotations(life.updates, 1, where, path)
+        # an instance that is there at times moves too: its absence is a pose of NaN
         moves = life.moves(fold.steps)
         if moves:
             movers.append(life)
@@ -232,6 +237,7 @@ def _bodies(fold: Fold, refs: Sequence[str], path: Path) -> tuple[list[Body], ND
 
 
 def _check_rotations(updates: Updates, bones: int, where: str, path: Path) -> None:
+    # a quaternion of length 0 became NaN when it was normalised
     bad = np.isnan(updates.poses(bones)).any((1, 2))
     if bad.any():
         step = updates.steps[int(np.argmax(bad))]
@@ -263,9 +269,11 @@ def _person_roots(
     for life, body in zip(fold.lives, bodies, strict=True):
         track = columns.get(f"user.{PERSON_ROOT_PREFIX}{life.creation.rigId}")
         if track is not None:
+            # rigs are numbered anew, so a number may belong to another person before and after
             there = np.arange(len(track)) >= life.start
             there &= (np.arange(len(track)) < life.end) | (life.end < 0)
             roots[body.name] = np.where(there[:, None], track, np.float32(np.nan))
+    # none is left over: such transforms are roots of people, and no cameras
     for name in [name for name in columns if name.startswith(f"user.{PERSON_ROOT_PREFIX}")]:
         del columns[name]
     return roots

@@ -67,6 +67,7 @@ def agent_kinds(tracks: Sequence[AgentTrack]) -> list[AgentKind]:
 def robot_named_in(*texts: str) -> str:
     """The first of Habitat's robots that a text names; Spot, the robot of Habitat 3.0, if it names none."""
     joined = " ".join(texts).lower()
+    # the first one named is that of the configuration; others stand in lists of options
     found = [(joined.find(name), name) for name in _ROBOTS if name in joined]
     return min(found)[1] if found else "spot"
 
@@ -94,6 +95,7 @@ def add_agents(
     notes: list[dict[str, Any]] = []
     floors = [t.roots[:, 1] - _ROBOTS[robot][1] for t, kind in zip(tracks, kinds, strict=True) if kind == "robot"]
     for index, (track, kind) in enumerate(zip(tracks, kinds, strict=True)):
+        # numbered only where there are several, as our own tasks name them
         name = kind if list(kinds).count(kind) == 1 else f"{kind}_{list(kinds[:index]).count(kind)}"
         if kind == "robot":
             agent, more, note = _robot(name, track, robot)
@@ -133,6 +135,7 @@ def infer_joint_order(joints: Array) -> JointOrder:
     The file does not say. All rotations are relative to the T-pose, so in the right order the shoulders are bent much
     (arms hang down) and jaw and eyes hardly.
     """
+    # of rotations in either sign, over time: single postures may bend anything
     angles = np.median(2 * np.arccos(np.clip(np.abs(joints[..., 3]), 0, 1)), axis=0) if len(joints) else np.zeros(54)
 
     def fit(names: Sequence[str]) -> float:
@@ -185,6 +188,7 @@ def _on_floor(roots: Array, *, forward: Literal[0, 2], floor: Array) -> NDArray[
 def _continuous(poses: Array) -> NDArray[np.float32]:
     out = poses.copy()
     known = np.isfinite(out).all(1)
+    # signs are followed over gaps, in which there is nothing to compare with
     out[known, 3:] = quat_sign_continuous(out[known, 3:])
     out[~known] = np.nan
     return out.astype(np.float32)

@@ -78,6 +78,7 @@ class PoseTracks:
         out = []
         for name in self.names:
             track = np.full((self.steps, 7), np.nan)
+            # of equal rows NumPy keeps the last, as `add` says
             track[self._rows[name]] = self._poses[name]
             out.append(unit_rotations(track, name, path))
         return out
@@ -99,6 +100,7 @@ def held(track: NDArray[Scalar], known: NDArray[np.bool_]) -> NDArray[Scalar]:
     """The track [T, ...] in which every step has the row of the latest ``known`` step [T]; before the first, of that one."""
     if not known.any():
         return track
+    # running maximum of the known steps: the latest one at or before each
     latest = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))
     return track[np.where(latest >= 0, latest, int(np.argmax(known)))]
 
@@ -118,6 +120,7 @@ def object_bodies(
         uri = f"{HANDLE}{stem}" if "_:" in name else f"rearranged_objects/{stem}.glb"
         assets.setdefault(stem, AssetRef(name=stem, uri=uri))
         known = np.isfinite(track).all(1)
+        # the first known pose, as bodies have one also before they appear
         first = track[int(np.argmax(known))] if known.any() else np.array([0, 0, 0, 0, 0, 0, 1.0])
         track[known, 3:] = quat_sign_continuous(track[known, 3:])
         bodies.append(Body(name=name, asset=stem, pose=first.astype(np.float32), moving=k, layer="object"))
@@ -134,6 +137,7 @@ def scalar_columns(rows: Sequence[Mapping[str, Any] | None], prefix: str) -> tup
     cut = False
     for step, row in enumerate(rows):
         for name, value in _leaves(row or {}, "", 0):
+            # the names come from the file: a log of random keys must not fill the memory
             if name in values or len(values) < MAX_METRICS:
                 values.setdefault(name, {})[step] = value
             else:
@@ -204,6 +208,7 @@ class HitlEpisode:
         for i, track in enumerate(self.tracks):
             columns[f"agent_{i}.grasp_body"] = self._grasped(track, index)
             columns[f"agent_{i}.grasp_id"] = track.grasp_id
+        # objects of the log keep their names, by which its events know them
         taken = {ref.name for ref in assets}
         renamed = {ref.name: f"scene/{ref.name}" if ref.name in taken else ref.name for ref in place.assets}
         digest = hashlib.sha256(self.data).hexdigest()

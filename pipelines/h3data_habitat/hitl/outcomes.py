@@ -37,6 +37,7 @@ def logged_outcomes(columns: Columns) -> dict[str, NDArray[np.bool_]]:
     if "metrics.did_collide" in columns:
         outcomes["metrics.collision"] = columns["metrics.did_collide"] > 0
     elif "metrics.num_agents_collide" in columns:
+        # a running count: steps without a log keep the last one, and an increase is a contact
         contacts = np.nan_to_num(columns["metrics.num_agents_collide"].astype(np.float64))
         outcomes["metrics.collision"] = np.diff(np.maximum.accumulate(contacts), prepend=0.0) > 0
     return outcomes
@@ -52,6 +53,7 @@ def at_goal(goals: Any, tracks: Sequence[NDArray[np.float64]]) -> tuple[NDArray[
     points = _points(goals)
     if points is None or len(points) != len(tracks) or not len(tracks):
         return None, [f"goal_positions are not a point for each of {len(tracks)} target objects: they are not used"]
+    # NaN, an object without a position, is not nearer than anything
     with np.errstate(invalid="ignore"):
         return np.stack(
             [np.linalg.norm(t[:, :3] - goal, axis=1) < AT_GOAL_M for t, goal in zip(tracks, points, strict=True)],

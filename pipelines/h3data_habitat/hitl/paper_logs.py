@@ -109,6 +109,7 @@ def read_hitl_log(
     ]
     objects = PoseTracks(len(steps))
     for k, step in enumerate(steps):
+        # not strict: a step may log fewer objects than the episode has
         for name, position in zip(names, step.target_object_positions or (), strict=False):
             objects.add(name, k, position, (0.0, 0.0, 0.0, 1.0))
     metrics, more = scalar_columns([s.metrics for s in steps], "metrics.")
@@ -166,6 +167,7 @@ def _tracks(steps: Sequence[Step], path: Path) -> tuple[list[AgentTrack], list[s
     roots = [unit_rotations(r, f"agent {i}", path) for i, r in enumerate(roots)]
     actions, warnings = _actions(steps, path)
     people = _people(actions, roots)
+    # what is no posture is the action of the robot, if there is one robot only
     rest = np.ones(actions.shape[1], bool)
     for start in people.values():
         rest[start : start + PERSON_VALUES] = False
@@ -186,6 +188,7 @@ def _actions(steps: Sequence[Step], path: Path) -> tuple[NDArray[np.float64], li
     """Action vectors [T, A], NaN where a step has none, and warnings; [T, 0] if no step has one."""
     vectors = [_vector(step.action) for step in steps]
     lengths = [len(v) for v in vectors if v is not None]
+    # the most frequent length: some steps log a shorter vector or none
     width = max(set(lengths), key=lengths.count, default=0) if lengths else 0
     out = np.full((len(steps), width), np.nan)
     if len(steps) * width > MAX_TRACK_VALUES:
@@ -222,6 +225,7 @@ def _people(actions: Array, roots: Sequence[Array]) -> dict[int, int]:
         overlaps = any(abs(start - other) < PERSON_VALUES for other in found.values())
         if count and start >= 0 and width >= PERSON_VALUES and agent not in found and not overlaps:
             part = actions[:, start : start + PERSON_VALUES]
+            # most rows, as single ones are missing in real logs
             if _is_posture(part).mean() > 0.5:
                 found[agent] = start
     if len(found) == 1 and count == 2 and width == PERSON_VALUES:  # no robot's part tells which agent it belongs to
@@ -245,6 +249,7 @@ def _posture(part: Array) -> tuple[Array, Array]:
     part = held(part, _is_posture(part))
     joints = part[:, :JOINT_VALUES].reshape(len(part), -1, 4)
     base = part[:, -16:].reshape(-1, 4, 4)
+    # matrices are logged column by column: the first is the x axis, the last the place
     forward, place = base[:, 0, :3], base[:, 3, :3]
     heading = np.arctan2(-forward[:, 2], forward[:, 0])
     return joints / np.linalg.norm(joints, axis=2, keepdims=True), ground_pose(
@@ -266,6 +271,7 @@ def _input_columns(steps: Sequence[Step]) -> dict[str, NDArray[Any]]:
             if name in _EVENTS or not _numbers(value):
                 continue
             key = f"input.user_0.{name}"
+            # limits, since the names come from the file
             if key not in vectors and key not in columns and len(vectors) < 32 and 0 < len(value) <= 16:
                 vectors[key] = np.full((len(steps), len(value)), np.nan, np.float32)
             if key in vectors and vectors[key].shape[1] == len(value):

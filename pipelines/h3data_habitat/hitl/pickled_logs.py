@@ -53,6 +53,7 @@ class _Datetime(Record):
     def __init__(self, packed: Any = b"", *zone: Any) -> None:
         if not isinstance(packed, bytes) or len(packed) != 10 or zone:
             raise TypeError("a date is not understood")
+        # the layout of `datetime.__reduce__`, big-endian
         year, micro = int.from_bytes(packed[:2], "big"), int.from_bytes(packed[7:], "big")
         month, day, hour, minute, second = packed[2:7]
         self._text = str(datetime(year, month, day, hour, minute, second, micro))
@@ -63,6 +64,7 @@ class _Datetime(Record):
 
 def _vector3(*values: Any) -> Any:
     """The three numbers of a magnum vector."""
+    # one version of the tool passes a list, another three numbers
     return values[0] if len(values) == 1 else list(values)
 
 

@@ -135,6 +135,7 @@ def read_hitl_episode(
         raise FormatError(f"An episode without frames: {path}", code="H3-HABITAT-074")
     frames, steps = file.frames, len(file.frames)
     check_size(steps, max(len(f.agent_states) for f in frames) + max(len(f.users) for f in frames), path)
+    # the tool writes `{}` for a frame in which nobody was active
     known = np.array([bool(f.agent_states or f.object_states or f.users or f.t is not None) for f in frames])
     roots, ids = _agents(frames, path)
     order = quaternion_order or upright_order(roots)
@@ -192,6 +193,7 @@ def upright_order(roots: Sequence[NDArray[np.float64]]) -> Order:
     if not len(quats):
         return "xyzw"
     up = np.array([0.0, 1.0, 0.0])
+    # the median, since people bend and lie now and then
     given, turned = (np.median(quat_rotate(q, up)[:, 1]) for q in (quats, quats[:, [1, 2, 3, 0]]))
     return "wxyz" if turned > given else "xyzw"
 
@@ -226,6 +228,7 @@ def _times(frames: Sequence[Frame]) -> tuple[NDArray[np.int64], float, list[str]
     """
     stamped = np.array([k for k, f in enumerate(frames) if f.t is not None])
     stamps = np.array([f.t for f in frames if f.t is not None], np.float64)
+    # per frame, as frames without a stamp lie in between
     gaps = np.diff(stamps) / np.diff(stamped) if len(stamped) > 1 else np.zeros(0)
     usual = float(np.median(gaps[gaps > 0])) if (gaps > 0).any() else STEP_NS * 1e-9
     steps = np.arange(len(frames))
@@ -237,6 +240,7 @@ def _times(frames: Sequence[Frame]) -> tuple[NDArray[np.int64], float, list[str]
         seconds += np.maximum(steps - stamped[-1], 0) * usual
         t0 = float(seconds[0])
     nanoseconds = np.round((seconds - t0) * 1e9).astype(np.int64)
+    # a recording needs times that increase strictly
     rising = np.maximum.accumulate(nanoseconds - steps) + steps  # at least 1 ns apart
     late = int((rising != nanoseconds).sum())
     warnings = [f"{late} time stamps do not increase; these steps are put 1 ns after the ones before"] if late else []
@@ -287,6 +291,7 @@ def _columns(
         for step, frame in enumerate(frames):
             for o in frame.object_states:
                 value = (o.states or {}).get(state)
+                # states of other types are no yes or no
                 if type(value) is bool:
                     values[step, index[o.object_handle]] = value
         columns[f"object_state.{state}"] = held(values, known).astype(np.int8)
@@ -301,6 +306,7 @@ def _cameras(users: Sequence[User | None]) -> NDArray[np.float32]:
         matrix = np.array([[c.right, c.up, c.backward, c.translation] for _, c in seen]).transpose(0, 2, 1)
         found = pose_from_matrix(matrix)
         found[:, 3:] = quat_sign_continuous(normalized(found[:, 3:]))
+        # a matrix of zeros is no view
         found[np.linalg.norm(found[:, 3:], axis=1) < 0.5] = np.nan
         poses[[k for k, _ in seen]] = found
     return poses.astype(np.float32)
@@ -312,6 +318,7 @@ def _events(frames: Sequence[Frame], episode: Mapping[str, Any]) -> list[Event]:
     events = []
     for step, frame in enumerate(frames):
         for u, user in enumerate(frame.users):
+            # JSON has texts as keys
             agent = owners.get(str(u), -1)
             for event in user.events:
                 rest = {k: v for k, v in event.items() if k not in ("type", "obj_handle")}

@@ -19,6 +19,7 @@ def without_user_ids(document: Any, *, key: bytes | None = None, depth: int = 0)
         key: Secret key (default: `participant_key`, made only if there is a user id).
         depth: Level of nesting, counted by the function itself.
     """
+    # deeper than any session, and far below what Python allows
     if depth > _DEPTH:
         return document
     if isinstance(document, list):
@@ -50,6 +51,7 @@ def participation(
     names: dict[str, str] = {}
     for index, record in enumerate(records):
         if isinstance(record.get(USER_ID), str) and record[USER_ID]:
+            # JSON has texts as keys; without a map user k drives agent k
             names[str(agents.get(str(index), index))] = record[USER_ID]
     drivers = [name for agent, name in names.items() if agent in set(map(str, people))] or list(names.values())
     facts: dict[str, Any] = {}
@@ -59,6 +61,7 @@ def participation(
         values = {
             str(record[key]) for record in records if isinstance(record.get(key), str | int) and record[key] != ""
         }
+        # participants of one session may not agree, and then none of them is right
         if len(values) == 1:
             facts[key] = values.pop()
     return facts

@@ -60,12 +60,14 @@ def steps_to_find(
         forward = math.cos(heading), -math.sin(heading)
         if length <= REACH_M and _cosine(forward, (human[0] - x, human[2] - z)) > FACING:
             return steps
+        # the first point of the path is where the robot stands
         target = path[1] if len(path) > 1 else human
         aim = target[0] - x, target[2] - z
         near = math.hypot(human[0] - x, human[2] - z) < TURN_ONLY_M
         if not near and math.acos(_cosine(forward, aim)) < AIM_RAD:
             x, z, path = x + forward[0] * stride, z + forward[1] * stride, None
         else:
+            # the shorter way round, by the sign of the cross product on the floor
             heading += -stride if forward[0] * aim[1] - forward[1] * aim[0] > 0 else stride
     return LONGEST
 

@@ -59,6 +59,7 @@ def habitat_series(recording: Recording, *, variant: str) -> Series:
     columns = recording.columns
     config = config_of(recording.episode.info)
     track = _track(recording, robot, human)
+    # our float32 poses are not Habitat's transforms, and for a standing robot rounding decides the sign
     dead_zone = 0.0 if TRANSFORM in columns else STILL_M
     backs_up, yields = backup_and_yield(track, config.stats, dead_zone_m=dead_zone)
     in_reach, faces = track.found(config.stats)
@@ -96,6 +97,7 @@ def _rewards(
     reward = social_nav_reward(track, task, config.reward, variant=variant)
     try:
         followed, success = seek_success(track, task, config.success, variant=variant)
+    # the settings ask for the goal of the task, which is not recorded
     except ValueError:
         return {"social_nav_reward": reward}
     total = total_reward(reward, success, config)

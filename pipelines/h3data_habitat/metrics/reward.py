@@ -74,9 +74,11 @@ def social_nav_reward(
     straight = track.distance()
     reachable = np.isfinite(track.geodesic)
     distance = np.where(reachable, track.geodesic, straight) if config.use_geo_distance else straight
+    # what Habitat starts with; the row is set to 0 below
     before = np.concatenate([[-1.0], distance[:-1]])
     with np.errstate(invalid="ignore"):
         kept = (distance >= config.safe_dis_min) & (distance < config.safe_dis_max)
+        # too near, more distance is a reward; else less
         closer = np.where(distance < config.safe_dis_min, distance - before, before - distance)
         seen = (distance < config.facing_human_dis) & (config.facing_human_reward != -1)
     reward = np.where(kept, config.safe_dis_reward, closer) * (config.toward_human_reward if main else 1.0)
@@ -100,6 +102,7 @@ def total_reward(reward: NDArray[np.float64], success: NDArray[np.bool_], config
 def _explores(robot_pos: NDArray[np.float32], has_found: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Rows in which the robot enters a cell of 0.5 m for the first time and had not found the human a step before."""
     looking = np.concatenate([[False], ~has_found[:-1]])  # at the reset the statistics have not been computed yet
+    # rounded as Habitat does it, so that cells lie around multiples of 0.5 m
     cells = np.round(np.nan_to_num(robot_pos[:, [0, 2]]) * 2).astype(np.int64)
     rows = np.flatnonzero(looking)
     new = np.zeros(len(cells), np.bool_)
@@ -109,6 +112,7 @@ def _explores(robot_pos: NDArray[np.float32], has_found: NDArray[np.bool_]) -> N
 
 def _counted_collisions(collisions: NDArray[np.integer], config: RewardConfig) -> NDArray[np.float64]:
     penalty = np.zeros(len(collisions))
+    # -1 switches a part of the reward off
     if config.count_coll_pen != -1:
         penalty -= config.count_coll_pen * (np.diff(collisions, prepend=0) > 0)
     if config.max_count_colls != -1:

@@ -44,4 +44,5 @@ def _read(kind: type, config: Mapping[str, Any], section: str) -> Any:
         raise InputError(
             f"Expected numbers in info habitat_config: {section}, got {', '.join(faults)}.", code="H3-METRIC-011"
         )
+    # flags come as numbers, and counts as floats
     return kind(**{n: type(defaults[n])(v) for n, v in values.items()})

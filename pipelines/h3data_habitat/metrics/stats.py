@@ -74,6 +74,7 @@ def social_nav_stats(
     times = np.cumsum(found)
     after = np.maximum(np.cumsum(has_found), 1)
     found_step = _found_step(has_found, steps)
+    # the oracle has found it from this step on, and before that it is infinite
     shortest = np.where(steps >= min_steps, min_steps, np.inf)
     with np.errstate(invalid="ignore", divide="ignore"):
         spl = has_found * shortest / np.maximum(shortest, found_step)
@@ -83,6 +84,7 @@ def social_nav_stats(
         "has_found_human": has_found,
         "found_human_rate_over_epi": times / steps,
         "found_human_rate_after_encounter_over_epi": times / after,
+        # sums in float32, as Habitat adds them up step by step
         "avg_robot_to_human_dis_over_epi": np.cumsum(distance) / steps.astype(np.float32),
         "avg_robot_to_human_after_encounter_dis_over_epi": np.cumsum(np.where(has_found, distance, np.float32(0)))
         / after.astype(np.float32),
@@ -117,10 +119,12 @@ def backup_and_yield(
     """
     backs_up, yields = (np.zeros(len(track.geodesic), np.bool_) for _ in range(2))
     near = np.flatnonzero(track.distance() <= config.dis_threshold_for_backup_yield)
+    # the first row is compared with itself, as after a reset
     moved = _transform_points(_inverse(track.robot_transform[np.maximum(near - 1, 0)]), track.robot_pos[near])[
         :, [0, 2]
     ]
     length = np.sqrt(np.sum(moved * moved, axis=1))
+    # by the rate of the physics, although a step of the task is 1/30 s: Habitat does
     velocity = length / np.float32(1 / _HZ) * np.sign(moved[:, 0])
     backs_up[near] = (velocity < 0) & (length > dead_zone_m)
     yields[near] = ~backs_up[near] & (np.abs(velocity) < config.min_abs_vel_for_yield)
@@ -133,6 +137,7 @@ _OTHERS = ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))
 
 def _inverse(matrices: NDArray[np.float32]) -> NDArray[np.float32]:
     """Inverses [T, 4, 4] by the adjugate, operation by operation in float32."""
+    # Magnum's matrices are column by column, and its order of operations decides the last bit
     m = np.ascontiguousarray(matrices.transpose(2, 1, 0))  # [column, row, T]
     signs = (1 - 2 * (np.indices((4, 4)).sum(0) % 2)).astype(np.float32)
     determinant = np.zeros(m.shape[2], np.float32)

@@ -149,6 +149,7 @@ class HabitatHumanoid:
                 f"Expected the 54 SMPL-X joints without the pelvis, in any order, got {len(joint_names)} names.",
                 code="H3-BODY-026",
             )
+        # columns of recordings are in SMPL-X order, without the pelvis
         self._order = [list(joint_names).index(name) for name in JOINT_NAMES[1:]]
         self.motion = motion
         self._displacement = np.asarray(walk.displacement, np.float64)
@@ -158,6 +159,7 @@ class HabitatHumanoid:
         if lin_speed is not None and ang_speed is not None:
             frames_per_second = walk.fps / (lin_speed / control_hz / self._way_per_frame)
             self._turn_step = float(np.degrees(ang_speed / control_hz))
+        # whole frames, cut off: the source of Habitat's uneven walk
         self._frames_per_step = int(walk.fps / frames_per_second)
         self.frame = 0
         self.reset(base_matrix((0, HUMAN_ROOT_HEIGHT_M, 0), (1, 0, 0)))
@@ -191,6 +193,7 @@ class HabitatHumanoid:
         turns = abs(change) > MIN_TURN_DEG
         if turns:
             angle = before + min(self._turn_step, abs(change)) * np.sign(change)
+            # whoever has to turn further than a step does not advance, whatever the distance
             left = 0.0 if abs(change) >= self._turn_step else 2 * self._way_per_frame
         heading = np.radians(angle)
         self._forward = np.array([np.sin(heading), 0.0, np.cos(heading)])
@@ -201,6 +204,7 @@ class HabitatHumanoid:
         step = 0 if distance_multiplier == 0 else max(1, min(frames, int(left / self._way_per_frame)))
         frame = (self.frame + step) % len(self.motion.walk.joints)
         way = self._displacement[frame] - self._displacement[self.frame]
+        # the clip began anew within this step
         if frame < self.frame:
             way += self._displacement[-1]
         self.frame = frame
@@ -330,6 +334,7 @@ def _corners(place: Array, grid: ReachGrid) -> tuple[NDArray[np.intp], Array]:
     at = (place - grid.low) / (grid.high - grid.low) * (counts - 1)
     lower, upper = np.floor(at).astype(int), np.ceil(at).astype(int)
     share = at - lower
+    # in front of the grid, towards the body: habitat-lab blends with the standing pose there
     if lower[2] < 0:
         nearest = int(-grid.low[2] * (counts[2] - 1) / (grid.high[2] - grid.low[2]))
         # habitat-lab rounds the first grid plane towards zero, and divides by zero if that gives 0 (NaN): there we blend
@@ -377,5 +382,6 @@ def sequence_pose(clip: HabitatClip, frame: int, start: ArrayLike) -> tuple[Arra
     frame = int(np.clip(frame, 0, len(clip.joints) - 1))
     root = np.array(clip.roots[frame], np.float64)
     place = np.asarray(start, np.float64)[:3, 3] - (0, HUMAN_ROOT_HEIGHT_M, 0)
+    # from the first frame on, whose place in the file means nothing
     root[:3, 3] += place - np.asarray(clip.roots[0], np.float64)[:3, 3]
     return np.asarray(clip.joints[frame], np.float64), root

@@ -58,6 +58,7 @@ def motion_parts(path: str | Path) -> tuple[str, ...]:
 # --- the file -----------------------------------------------------------------------------------------------------------
 def _content(path: Path) -> dict[str, Any]:
     try:
+        # before it is read
         size = path.stat().st_size
         if size > MAX_BYTES:
             raise FormatError(
@@ -105,6 +106,7 @@ def _clip(part: Mapping[str, Any], name: str, where: str) -> HabitatClip:
                 code="H3-BODY-037",
             )
     fps = part.get("fps")
+    # npz files hold numbers as arrays without axes
     fps = fps.item() if isinstance(fps, np.ndarray) and fps.size == 1 else fps
     if isinstance(fps, bool) or not isinstance(fps, (int, float)) or not 0 < fps < 1e6:
         raise FormatError(f"{name}.fps: Expected frames per second above 0, got {fps!r}: {where}", code="H3-BODY-031")
@@ -147,6 +149,7 @@ def _floats(part: Mapping[str, Any], key: str, name: str, where: str, shape: tup
             f"{name}.{key}: Expected finite numbers, got {'none' if not numbers.size else 'NaN'}: {where}",
             code="H3-BODY-033",
         )
+    # rotations of another kind, such as matrices or angles, would fit the shape by chance
     if key in ("joints_array", "joints") and not np.allclose(np.linalg.norm(numbers, axis=-1), 1, atol=1e-2):
         raise FormatError(
             f"{name}.{key}: Expected unit quaternions xyzw, some are not of length 1: {where}", code="H3-BODY-034"

@@ -51,6 +51,7 @@ class HabitatPick:
         target = np.asarray(position, np.float64)
         start = self.person.base[:3, :3] @ HAND_START_M + self.person.base[:3, 3]
         distance = float(np.linalg.norm(target - start))
+        # before the step is counted, as in habitat-lab: the hand is a step behind
         hand = start + self.steps * self.step_m * (target - start) / distance
         event: Literal["take", "put"] | None = None
         if self.retracting:

@@ -39,6 +39,7 @@ def habitat_clip_motion(clip: HabitatClip, *, name: str, source: str = "") -> Mo
         FormatError: a root is no rotation.
     """
     rotation = clip.roots[:, :3, :3]
+    # within a hundredth, as files hold float32; a determinant below 0 is a mirror image
     if np.abs(rotation @ np.swapaxes(rotation, 1, 2) - np.eye(3)).max() > 1e-2 or np.linalg.det(rotation).min() < 0:
         raise FormatError(
             f"transform_array: Expected rotations and places, one is sheared, scaled or mirrored: {name}",

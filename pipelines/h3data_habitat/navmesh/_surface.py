@@ -166,6 +166,7 @@ def nearest(surface: Surface, x: float, y: float, z: float, island: int) -> tupl
     rings of buckets around them, as far out as a nearer one may be.
     """
     best, found, fx, fy, fz = np.inf, -1, np.nan, np.nan, np.nan
+    # NaN would become any bucket: turning it into a whole number is undefined
     if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
         return found, fx, fy, fz
     rows, columns = surface.bucket_count.shape
@@ -177,17 +178,20 @@ def nearest(surface: Surface, x: float, y: float, z: float, island: int) -> tupl
             p = surface.bucket_polygon[k]
             if (island < 0 or surface.island[p] == island) and contains(surface, p, x, z):
                 h = height(surface, p, x, z)
+                # Detour: a polygon that the agent could climb to counts as touched
                 d = max(abs(h - y) - surface.climb[0], 0.0) ** 2
                 if d == 0.0:
                     return p, x, h, z
                 if d < best and _box_square(surface.box, p, x, y, z) < np.inf:
                     best, found, fx, fy, fz = d, p, x, h, z
     for ring in range(int(REACH_M[0] / size) + 3):
+        # all buckets of this ring are at least so far away
         if ring > 1 and ((ring - 1) * size) ** 2 > best + SQUARE_SLACK:
             break
         for r in range(max(i - ring, 0), min(i + ring + 1, rows)):
             gap = _outside(x, left + r * size, left + (r + 1) * size) ** 2
             for c in range(max(j - ring, 0), min(j + ring + 1, columns)):
+                # the border of the square alone: what is inside came with smaller rings
                 inner = max(abs(r - i), abs(c - j)) < ring
                 if inner or gap + _outside(z, low + c * size, low + (c + 1) * size) ** 2 > best + SQUARE_SLACK:
                     continue
@@ -201,6 +205,7 @@ def nearest(surface: Surface, x: float, y: float, z: float, island: int) -> tupl
                     if near <= best:
                         h = height(surface, p, qx, qz)
                         d = near + (h - y) ** 2
+                        # of equally near ones the first polygon, as Detour takes it, in whatever order they come
                         if d < best or (d == best and p < found):
                             best, found, fx, fy, fz = d, p, qx, h, qz
     return found, fx, fy, fz
@@ -222,6 +227,7 @@ def slide(
     visited[0] = polygon
     count = 1
     mx, mz = (x + tx) / 2, (z + tz) / 2
+    # in space, as Detour: a goal above the floor lets a step search further along walls
     radius = np.sqrt((tx - x) ** 2 + (tz - z) ** 2 + rise * rise) / 2 + SEARCH_SLACK_M
     best, found, fx, fz = np.inf, polygon, x, z
     head = 0
@@ -277,11 +283,13 @@ def straight(surface: Surface, polygon: int, x: float, z: float, tx: float, tz: 
                     return p, x, z
             if out <= 0.0:
                 continue
+            # share of the path at which it leaves through this edge
             t = side / out
             if t < leave:
                 leave, edge = t, s
         if edge < 0 or leave >= 1.0:
             return p, tx, tz
+        # never back: rounding may put the next edge a little before the last one
         reached = max(reached, leave)
         if surface.neighbour[edge] < 0:
             break
@@ -296,6 +304,7 @@ def try_step(
     """Returns where a step from (x, y, z) to (tx, ty, tz) ends: PathFinder::tryStep of habitat-sim (spec/habitat.md 1.3)."""
     p, nx, ny, nz = nearest(surface, x, y, z, -1)
     q = nearest(surface, tx, ty, tz, -1)[0]
+    # as in habitat-sim, also where the goal is off the navmesh: the step does not happen
     if p < 0 or q < 0 or surface.island[p] != surface.island[q]:
         return x, y, z
     if sliding:
@@ -344,6 +353,7 @@ def wall(surface: Surface, polygon: int, x: float, z: float, radius: float) -> t
                     seen[beyond] = True
                     stack[top] = beyond
                     top += 1
+            # a wall at exactly the search radius is found too
             elif d < best or np.isnan(hit[0]):
                 best = d
                 for k in range(3):

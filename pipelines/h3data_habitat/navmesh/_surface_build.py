@@ -23,6 +23,7 @@ def build_surface(navmesh: NavMesh) -> Surface:
     Polygon k of the surface is the k-th of `NavMesh.enabled`.
     """
     kept = np.flatnonzero(navmesh.enabled)
+    # one more, so that neighbour -1, a wall, stays -1
     new = np.full(len(navmesh.flags) + 1, -1, np.int32)
     new[kept] = np.arange(len(kept))
     count = np.diff(navmesh.polygon_start)[kept]
@@ -39,6 +40,7 @@ def build_surface(navmesh: NavMesh) -> Surface:
     triangle = navmesh.detail_triangles[np.repeat(navmesh.enabled, np.diff(navmesh.detail_start))].astype(np.float64)
     triangles = np.diff(navmesh.detail_start)[kept]
     triangle_start = np.concatenate([[0], np.cumsum(triangles)]).astype(np.int32)
+    # also of the detail triangles, whose heights may leave those of the corners
     low = np.minimum(np.minimum.reduceat(corner, start[:-1]), np.minimum.reduceat(triangle.min(1), triangle_start[:-1]))
     high = np.maximum(
         np.maximum.reduceat(corner, start[:-1]), np.maximum.reduceat(triangle.max(1), triangle_start[:-1])
@@ -79,6 +81,7 @@ def with_graph(surface: Surface) -> Surface:
         v, after = surface.corner[s, ::2], surface.corner[following[s], ::2]
         before = surface.corner[previous[fan[-1]], ::2]
         u, w = v - before, after - v
+        # a path only bends at corners of walls that point into the free floor
         if u[0] * w[1] - u[1] * w[0] > STRAIGHT_SINE * np.hypot(*u) * np.hypot(*w):
             continue
         node_of[fan] = len(nodes)
@@ -108,6 +111,7 @@ def _fan(surface: Surface, s: int, following: NDArray, previous: NDArray, polygo
         mine = polygon[before]
         inside = range(surface.start[beyond], surface.start[beyond + 1])
         point = surface.corner[s]
+        # by place and neighbour: polygons may share several vertices
         following_corner = [t for t in inside if surface.neighbour[t] == mine and (surface.corner[t] == point).all()]
         if not following_corner or following_corner[0] in fan:
             return fan
@@ -118,6 +122,7 @@ def _buckets(low: NDArray, high: NDArray) -> dict[str, NDArray]:
     """A grid of floor squares with the polygons whose boxes touch each."""
     origin = low[:, ::2].min(0)
     extent = high[:, ::2].max(0) - origin
+    # a mesh of many kilometres must not make a grid that fills the memory
     size = max(BUCKET_M, float(extent.max()) / BUCKETS_MAX)
     shape = np.floor(extent / size).astype(int) + 1
     lower = np.clip(np.floor((low[:, ::2] - origin) / size).astype(int), 0, shape - 1)
@@ -128,6 +133,7 @@ def _buckets(low: NDArray, high: NDArray) -> dict[str, NDArray]:
         flat = np.add.outer(np.arange(i0, i1 + 1) * shape[1], np.arange(j0, j1 + 1)).reshape(-1)
         pairs.append(np.stack([flat, np.full(len(flat), p)], axis=1))
     both = np.concatenate(pairs)
+    # stable, so that polygons stay in their order: of equally near ones the first is taken
     both = both[np.argsort(both[:, 0], kind="stable")]
     count = np.bincount(both[:, 0], minlength=int(shape[0] * shape[1]))
     return {

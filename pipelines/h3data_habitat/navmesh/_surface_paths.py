@@ -37,6 +37,7 @@ def _meeting(surface: Surface, polygon: int, x: float, z: float, found: NDArray)
                 continue
             r = s + 1 if s + 1 < last else first
             ax, az, bx, bz = surface.corner[s, 0], surface.corner[s, 2], surface.corner[r, 0], surface.corner[r, 2]
+            # a point on an edge or a corner is in all polygons there, and sees through all of them
             t = _on_segment(x, z, ax, az, bx, bz)
             if np.hypot(x - ax - t * (bx - ax), z - az - t * (bz - az)) > TOUCH_M:
                 continue
@@ -56,6 +57,7 @@ def view(surface: Surface, polygon: int, x: float, z: float, target: int, tx: fl
     Triangular expansion (Bungiu et al. 2014) on convex polygons: a cone of view is narrowed by every edge it goes through.
     """
     starts = np.empty(STARTS_MAX, np.int32)
+    # from every polygon that meets in the point: a view from one would end at the edge it lies on
     count = _meeting(surface, polygon, x, z, starts)
     depth = 6 * len(surface.island) + 6 * STARTS_MAX  # a straight ray meets no polygon twice, each adds at most five
     into, came, cone = np.empty(depth, np.int32), np.empty(depth, np.int32), np.empty((depth, 4))
@@ -74,6 +76,7 @@ def view(surface: Surface, polygon: int, x: float, z: float, target: int, tx: fl
             r = s + 1 if s + 1 < last else first
             ax, az = surface.corner[s, 0] - x, surface.corner[s, 2] - z
             bx, bz = surface.corner[r, 0] - x, surface.corner[r, 2] - z
+            # an edge that is seen from its back, or end on, lets nothing through
             if _cross(ax, az, bx, bz) > 0.0 and top < depth:
                 into[top], came[top] = beyond, p
                 cone[top, 0], cone[top, 1], cone[top, 2], cone[top, 3] = ax, az, bx, bz
@@ -96,6 +99,7 @@ def view(surface: Surface, polygon: int, x: float, z: float, target: int, tx: fl
             bx, bz = surface.corner[r, 0] - x, surface.corner[r, 2] - z
             if _cross(ax, az, bx, bz) <= 0.0:
                 continue
+            # the cone is narrowed from the side on which the edge ends inside of it
             nrx, nrz, nlx, nlz = rx, rz, lx, lz
             if _cross(rx, rz, ax, az) > 0.0:
                 nrx, nrz = ax, az
@@ -114,6 +118,7 @@ def _taut(surface: Surface, node: int, x: float, z: float) -> bool:
     vx, vz = surface.node[node, 0], surface.node[node, 2]
     side = surface.node_side[node]
     ux, uz = vx - x, vz - z
+    # the point may be off by as much, which moves the products by this
     slack = TOUCH_M * (abs(side[0] - vx) + abs(side[1] - vz) + abs(side[2] - vx) + abs(side[3] - vz))
     a = _cross(ux, uz, side[0] - vx, side[1] - vz)
     b = _cross(ux, uz, side[2] - vx, side[3] - vz)
@@ -136,6 +141,7 @@ def link_nodes(surface: Surface) -> tuple[NDArray, NDArray]:
         for j in range(n):
             if j == i or not seen[j] or not _taut(surface, j, x, z):
                 continue
+            # taut at both ends: a shortest path bends at each of its nodes
             if not _taut(surface, i, surface.node[j, 0], surface.node[j, 2]):
                 continue
             if count == len(links):
@@ -162,10 +168,12 @@ def shortest(surface: Surface, start: NDArray, first: int, end: NDArray, last: i
         return np.sqrt(((end - start) ** 2).sum()), points
     goal = np.zeros(n, np.bool_)
     view(surface, last, end[0], end[2], -1, 0.0, 0.0, goal)
+    # A* with the straight line as estimate, which never exceeds the path
     best = np.full(n + 1, np.inf)  # node n is the end
     rest = np.full(n, np.inf)
     parent = np.full(n + 1, -1, np.int32)
     closed = np.zeros(n + 1, np.bool_)
+    # one entry that is taken out again tells numba the type of the list
     heap = [(0.0, n)]
     heap.pop()
     for i in range(n):
@@ -177,6 +185,7 @@ def shortest(surface: Surface, start: NDArray, first: int, end: NDArray, last: i
         i = heappop(heap)[1]
         if i == n:
             break
+        # an older, longer entry of a node that was reached by a shorter path since
         if closed[i]:
             continue
         closed[i] = True

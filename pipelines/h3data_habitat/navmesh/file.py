@@ -57,6 +57,7 @@ class _Cursor:
 
     def array(self, dtype: np.dtype | str, count: int, what: str) -> NDArray:
         kind = np.dtype(dtype)
+        # compared by division: the product of a damaged count would be as large as it likes
         if count < 0 or count > (len(self.data) - self.offset) // kind.itemsize:
             raise self.error(
                 f"Expected {count} {what} of {kind.itemsize} bytes, but {len(self.data) - self.offset} bytes are left",
@@ -93,6 +94,7 @@ def read_navmesh(path: str | Path) -> NavMesh:
 def _read_set_header(cursor: _Cursor) -> NavMeshSettings | None:
     magic = int(cursor.array("<i4", 1, "magic numbers")[0])
     if magic != SET_MAGIC:
+        # the same number from a machine of the other byte order
         swapped = magic == int.from_bytes(SET_MAGIC.to_bytes(4, "little"), "big")
         hint = "written big-endian" if swapped else "is it a .navmesh of habitat-sim?"
         raise cursor.error(f"Expected the magic number 0x{SET_MAGIC:08X}, got 0x{magic & 0xFFFFFFFF:08X}: {hint}", 0)
@@ -101,10 +103,12 @@ def _read_set_header(cursor: _Cursor) -> NavMeshSettings | None:
         raise cursor.error(f"Expected navmesh version 1 or 2, got {version}", 4)
     if tiles != 1:
         raise cursor.error(f"Expected one tile, as habitat-sim writes, got {tiles}", 8)
+    # origin and size of the tile, which follow from its bounds
     cursor.array("<f4", 7, "tile parameters")
     if version == 1:
         return None
     at = cursor.offset
+    # in the order of the fields of `NavMeshSettings`: the floats first, then the switches of one byte each
     numbers = [float(v) for v in cursor.array("<f4", 13, "settings")]
     switches = [bool(v) for v in cursor.array("u1", 4, "settings")]
     if not (np.abs(numbers) <= COORDINATE_MAX).all() or numbers[3] < 0 or numbers[2] <= 0:
@@ -151,9 +155,11 @@ def _read_tile(cursor: _Cursor, header: np.void, settings: NavMeshSettings | Non
     cursor.array("V16", int(header["tree_nodes"]), "tree nodes")
     cursor.array("V36", int(header["off_mesh"]), "jump links")
 
+    # the upper two bits are the type of the polygon, the lower six its area
     ground = np.flatnonzero(polygons["kind"] >> 6 != OFF_MESH)
     if not len(ground):
         raise cursor.error("Expected at least one polygon, got none", polygons_at)
+    # polygons of the ground come first in a tile, so that detail mesh k is that of polygon k
     if len(ground) > len(details) or (ground != np.arange(len(ground))).any():
         raise cursor.error(f"Expected a detail mesh for each of {len(ground)} polygons, got {len(details)}", details_at)
     start, corner, neighbour = _read_polygons(cursor, polygons[: len(ground)], len(vertices), polygons_at)
@@ -185,6 +191,7 @@ def _finite(cursor: _Cursor, count: int, what: str) -> NDArray[np.float32]:
     if count > len(cursor.data):  # before the product below can grow
         raise cursor.error(f"Expected {count} {what}, but the file has {len(cursor.data)} bytes", at)
     points = cursor.array(_VERTEX, 3 * count, f"coordinates of {what}").reshape(-1, 3).astype(np.float32)
+    # not greater than: for NaN every comparison is false
     wrong = np.flatnonzero(~(np.abs(points) <= COORDINATE_MAX).all(1))
     if len(wrong):
         k = int(wrong[0])
@@ -212,10 +219,12 @@ def _read_polygons(
     outside = neighbours & EXTERNAL != 0  # Recast's border edges of a tile: with one tile, walls
     refuse(used & ~outside & (neighbours > len(polygons)), f"names a neighbour beyond the {len(polygons)} there are")
     start = np.concatenate([[0], np.cumsum(count)]).astype(np.int32)
+    # the file counts neighbours from 1, and 0 is a wall
     corner, neighbour = vertices[used], np.where(outside, 0, neighbours)[used] - 1
     owner = np.repeat(np.arange(len(polygons)), count)
     last = np.arange(len(corner)) == start[owner + 1] - 1
     following = corner[np.where(last, start[owner], np.arange(len(corner)) + 1)]
+    # every inner edge must be there from both sides: paths go through it either way
     known = set(zip(owner.tolist(), corner.tolist(), following.tolist(), strict=True))
     back = zip(neighbour.tolist(), following.tolist(), corner.tolist(), strict=True)
     lonely = np.array([n >= 0 and (n, a, b) not in known for n, a, b in back])
@@ -256,6 +265,7 @@ def _read_details(
         raise cursor.error(
             f"Detail triangle {row[k]} names a vertex beyond those of polygon {owner[k]}", at[1] + 4 * int(row[k])
         )
+    # corners of polygons first, then the additional vertices, so that both have one index
     pool = np.concatenate([vertices[corner], detail_vertices])
     own = start[:-1][owner][:, None] + index
     other = len(corner) + base[owner][:, None] + index - corners
@@ -288,6 +298,7 @@ def navmesh_bytes(navmesh: NavMesh) -> bytes:
     polygons["vertices"][used] = navmesh.polygon_vertices
     polygons["neighbours"][used] = navmesh.polygon_neighbours + 1
     polygons["flags"], polygons["count"], polygons["kind"] = navmesh.flags, count, navmesh.areas & 0x3F
+    # no link yet: Detour makes them when it adds the tile
     polygons["link"] = 0xFFFFFFFF
     details, detail_vertices, triangles = _detail_sections(navmesh)
     settings = navmesh.settings
@@ -302,6 +313,7 @@ def navmesh_bytes(navmesh: NavMesh) -> bytes:
         settings.agent_max_climb,
     )
     header["bounds"], header["quantum"] = navmesh.bounds, 1.0 / settings.cell_size
+    # in the order in which Detour reads them; the links are zeros, since it builds them itself
     parts = [header.tobytes(), navmesh.vertices.astype("<f4").tobytes(), polygons.tobytes(), bytes(12 * sizes[2])]
     parts += [details.tobytes(), detail_vertices.astype("<f4").tobytes(), triangles.tobytes()]
     tile = b"".join(parts)
@@ -323,6 +335,7 @@ def _detail_sections(navmesh: NavMesh) -> tuple[NDArray, NDArray[np.float32], ND
     extra: list[tuple[float, ...]] = []
     rows = []
     for p in range(len(details)):
+        # reversed, so that of equal corners the first one counts
         own = {tuple(c): k for k, c in reversed(list(enumerate(navmesh.corners(p).tolist())))}
         corners, base = len(navmesh.corners(p)), len(extra)
         mine = navmesh.detail_triangles[navmesh.detail_start[p] : navmesh.detail_start[p + 1]]
@@ -333,6 +346,7 @@ def _detail_sections(navmesh: NavMesh) -> tuple[NDArray, NDArray[np.float32], ND
                     own[point] = corners + len(extra) - base
                     extra.append(point)
             table.append([own[tuple(point)] for point in triangle])
+        # a side that one triangle alone has lies on the border of the polygon
         sides = [frozenset((t[i], t[(i + 1) % 3])) for t in table for i in range(3)]
         for t, triangle in enumerate(table):
             rows.append(

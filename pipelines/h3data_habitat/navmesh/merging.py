@@ -26,6 +26,7 @@ def plain_outline(area: MultiPolygon) -> MultiPolygon:
     parts = []
     for part in area.geoms:
         plain = part.simplify(OUTLINE_M, preserve_topology=True)
+        # a part that falls apart or vanishes keeps its outline
         parts.append(plain if isinstance(plain, Polygon) and plain.is_valid and plain.area > 0 else part)
     if shapely.union_all(parts).area < sum(part.area for part in parts) - 1e-6:
         return area  # parts that nearly touch have come to overlap
@@ -57,12 +58,14 @@ def merged_polygons(points: NDArray[np.float64], triangles: NDArray[np.int32]) -
         enter(key)
     while heap:
         _, a, b = heapq.heappop(heap)
+        # edges of the heap may be gone by now: their polygons were joined over another one
         one, other = sides.get((a, b), -1), sides.get((b, a), -1)
         if one < 0 or other < 0 or one == other:
             continue
         joined = _joined(polygons[one], polygons[other], a, b)
         if len(joined) > CORNERS_MAX or not _convex(points, joined, turn):
             continue
+        # the other directed edges keep their entries, which `enter` sets to the joined polygon
         del polygons[other], sides[a, b], sides[b, a]
         polygons[one] = joined
         enter(one)
@@ -76,6 +79,7 @@ def _joined(one: list[int], other: list[int], a: int, b: int) -> list[int]:
 
 
 def _convex(points: NDArray[np.float64], corners: list[int], turn: float) -> bool:
+    # two polygons that share more than one edge would touch themselves
     if len(set(corners)) < len(corners):
         return False
     following = corners[1:] + corners[:1]

@@ -94,6 +94,7 @@ class NavMesh:
         """Area of each polygon's detail triangles in space [P] [m2]."""
         t = self.detail_triangles.astype(np.float64)
         area = np.linalg.norm(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]), axis=1) / 2
+        # differences of running sums, because `reduceat` gives polygons without triangles the area of the next
         summed = np.concatenate([[0.0], np.cumsum(area)])
         return summed[self.detail_start[1:]] - summed[self.detail_start[:-1]]
 
@@ -118,6 +119,7 @@ class NavMesh:
         used = label[self.enabled]
         _, first = np.unique(used, return_index=True)
         rank = np.full(count + 1, -1, np.int32)
+        # numbered by the first polygon of each, as Habitat does; the labels of SciPy have any order
         rank[used[np.sort(first)]] = np.arange(len(first))
         return np.where(self.enabled, rank[label], -1).astype(np.int32)
 
@@ -169,6 +171,7 @@ def free_space_from_navmesh(navmesh: NavMesh, *, island: int | None = None, cell
     """
     try:
         return _one_floor(navmesh, island, cell_m)
+    # only now the polygons are checked: it takes long, and hardly any navmesh is damaged
     except shapely.errors.GEOSException as error:
         outlines = [Polygon(navmesh.corners(int(p))[:, [0, 2]]) for p in np.flatnonzero(navmesh.enabled)]
         crossed = sum(not outline.is_valid for outline in outlines)
@@ -192,10 +195,12 @@ def _one_floor(navmesh: NavMesh, island: int | None, cell_m: float) -> FreeSpace
             continue
         more = _island_outline(navmesh, int(other))
         if more.intersection(outline).area < ZERO_AREA_M2:
+            # apart by more than a slit: two islands that touch in a point would be one polygon without a path
             touching = shapely.union_all(parts).buffer(2 * SLIT_M)
             parts += [p for p in polygon_parts(more.difference(touching)) if p.area >= ZERO_AREA_M2]
     polygon = MultiPolygon(sorted(parts, key=lambda p: -p.area))
     radius = float(np.round(navmesh.settings.agent_radius, 6))  # stored as float32
+    # the border of the polygons is where centres end, a radius before the obstacles
     edges = area_edges(polygon)[0]
     border = radius + 2 * cell_m
     x0, z0, x1, z1 = polygon.bounds
@@ -278,6 +283,7 @@ def navmesh_from_free_space(
 
 def _slopes_apart(polygon: Polygon, heights: NDArray[np.float64]) -> list[Polygon]:
     """A polygon cut where level floor and stairs meet; they share the vertices there."""
+    # ramps between floors are planes of their own: a triangle across their foot would cut through the air
     flights = [shapely.box(*flight_rectangle(row)) for row in heights if row[STEPS]]
     if not flights:
         return [polygon]
@@ -290,6 +296,7 @@ def _neighbours(start: NDArray[np.int32], corner: NDArray[np.int32]) -> NDArray[
     owner = np.repeat(np.arange(len(start) - 1), np.diff(start))
     last = np.arange(len(corner)) == start[owner + 1] - 1
     following = corner[np.where(last, start[owner], np.arange(len(corner)) + 1)]
+    # sorted, because neighbours go along their common edge in opposite directions
     ends = np.sort(np.stack([corner, following], axis=1), axis=1)
     order = np.lexsort((ends[:, 1], ends[:, 0]))
     same = np.flatnonzero((ends[order][1:] == ends[order][:-1]).all(1))
@@ -322,6 +329,7 @@ def _island_outline(navmesh: NavMesh, island: int) -> BaseGeometry:
             "Hint: PathFinder(navmesh) works on all floors.",
             code="H3-HABITAT-085",
         )
+    # walls on the outline are there already; those inside of the area have no thickness
     inner = shapely.union_all(walls).difference(area.boundary.buffer(SLIT_M))
     return area.difference(inner.buffer(SLIT_M)) if inner.length > SLIT_M else area
 

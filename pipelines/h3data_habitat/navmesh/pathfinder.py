@@ -90,6 +90,7 @@ class PathFinder:
         several = isinstance(path, MultiGoalShortestPath)
         ends = _points(path.requested_ends) if several else _point(path.requested_end)[None]
         found = self._paths(path.requested_start, ends)
+        # `argmin` of infinities is the first, which is then not reached
         best = int(np.argmin([length for length, _ in found])) if found else -1
         reached = best >= 0 and bool(np.isfinite(found[best][0]))
         path.geodesic_distance, path.points = found[best] if reached else (np.inf, np.zeros((0, 3)))
@@ -104,6 +105,7 @@ class PathFinder:
     def geodesic_distance(self, start: ArrayLike, end: ArrayLike) -> float:
         """Length [m] of the shortest path from start [3] to end [3], or to the nearest of ends [k, 3]; inf: no path."""
         ends = np.asarray(end, np.float64)
+        # the usual question, one end on a level floor, needs no polygons
         if self.free_space is not None and ends.ndim == 1:
             length = self._over_free_floor(_point(start), _point(ends))
             if length is not None:
@@ -152,6 +154,7 @@ class PathFinder:
         """A random point [3], uniform by area, or n of them [n, 3]; always draws 3 numbers per point."""
         triangles, summed = self._sampling(self._island(island_index))
         u = rng.random((1 if n is None else n, 3))
+        # clipped, because rounding may put a number beyond the last sum
         chosen = triangles[np.searchsorted(summed, u[:, 0] * summed[-1], side="right").clip(0, len(triangles) - 1)]
         root = np.sqrt(u[:, 1])  # uniform on a triangle: Osada et al., Shape Distributions (2002), eq. 1
         weights = np.stack([1 - root, root * (1 - u[:, 2]), root * u[:, 2]], axis=-1)
@@ -170,6 +173,7 @@ class PathFinder:
         """A random point [3] on the floor within ``radius`` [m] of a point, uniform there; NaN if no try fell into it."""
         centre = _point(circle_center)
         points = self.get_random_navigable_point(rng, island_index=island_index, n=max_tries)
+        # all tries at once: as many random numbers whichever of them fits
         hit = np.flatnonzero(np.linalg.norm(points - centre, axis=1) <= radius)
         return points[hit[0]] if len(hit) else np.full(3, np.nan)
 
@@ -233,6 +237,7 @@ class PathFinder:
         index = (
             self._island(int(point)) if isinstance(point, int | np.integer) else self.get_island(cast(ArrayLike, point))
         )
+        # by corner of a polygon, so that a vertex of three polygons counts three times
         own = np.repeat(self._surface.island == index, np.diff(self._surface.start))
         if not own.any():
             return 0.0

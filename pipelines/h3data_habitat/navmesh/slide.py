@@ -39,8 +39,10 @@ def slide_as_habitat(surface, x, root_y, z, heading, goal, offsets, touch, rules
         short = math.hypot(reached_x - end_x, reached_z - end_z)
         if short > worst:
             worst, along_x, along_z = short, reached_x - start_x, reached_z - start_z
+    # the base gets there where none of its discs is held up
     if worst <= touch:
         return goal[0], goal[1], goal[2], False
+    # as Habitat: what touches while it turns stays where it was, if it may not slide then
     if not rules[0] or (goal[2] != heading and not rules[1]):
         return x, z, heading, True
     return x + along_x, z + along_z, goal[2], True
@@ -95,5 +97,6 @@ def slide_bases(
             "Bases slide as in Habitat on one level floor only. Hint: slide='strict' in homes with stairs.",
             code="H3-SIM-037",
         )
+    # a floor has one navmesh for all its steps, which takes longer to build than to use
     surface = (finder or _finder(free)).surface
     _slide_worlds(surface, free.floor_y + root_height_m, *moved, goals, drives, offsets, touch_m, rules)

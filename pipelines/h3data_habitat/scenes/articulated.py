@@ -75,6 +75,7 @@ def link_frames(robot: Robot, positions: NDArray[np.float64], *, scale: float = 
         scale: Factor on all lengths of the URDF.
     """
     slides = robot.kinds[robot.joint_links] == 2
+    # frames are scaled as a whole at the end, and positions in metres must not be
     given = np.where(slides, positions / scale, positions)
     here = np.array([[0, 0, 0, 0, 0, 0, 1.0]])
     frames = np.linalg.inv(robot.to_base) @ robot.link_matrices(here, given[None])[0]
@@ -117,6 +118,7 @@ def joint_order(robot: Robot, link_order: str) -> NDArray[np.int64]:
     while waiting:
         here = waiting.pop()
         order += np.flatnonzero(robot.joint_links == here).tolist()
+        # reversed, as the last one is taken first
         waiting += sorted(children.get(here, ()), key=lambda k: robot.links[k].name, reverse=True)
     return np.array(order, np.int64)
 
@@ -132,6 +134,7 @@ def initial_positions(
     positions, order = default_positions(robot), joint_order(robot, link_order)
     warnings: list[str] = []
     given = entry.get("initial_joint_pose")
+    # habitat-sim goes by the order of the values, even where they have names
     values = _values(given, where)
     if len(values) > len(order):
         warnings.append(
@@ -145,6 +148,7 @@ def initial_positions(
             warnings.append(f"initial joint positions of {robot.name!r} go by name; habitat-sim goes by their order")
         positions = named
     for column in robot.columns[robot.kinds == _BALL]:
+        # zeros, as exporters write them, mean unturned
         quat = positions[column : column + 4]
         if not np.any(quat):
             quat[3] = 1.0
@@ -178,6 +182,7 @@ def receptacles_by_link(user_defined: Mapping[str, Any], *, where: Path) -> dict
 # --- turning a link so that its +Y points up --------------------------------------------------------------------------
 def _upright(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     """The rotation by right angles after which +Y of a link frame is nearest to the +Y of ``rotation``'s target."""
+    # right angles only: boxes along the axes stay boxes along the axes
     up = _nearest(rotation.T @ [0, 1, 0], _AXES)
     if up[1] > 0:
         return np.eye(3)
@@ -213,6 +218,7 @@ def _moved(
     stretch = np.asarray(scale, np.float64)
     normals = None
     if mesh.normals is not None:
+        # normals stretch by the inverse
         normals = normalized((mesh.normals / stretch) @ rotation.T).astype(np.float32)
     vertices = (mesh.vertices * stretch) @ rotation.T + shift
     faces = mesh.faces if np.prod(stretch) > 0 else np.ascontiguousarray(mesh.faces[:, ::-1])
@@ -240,5 +246,6 @@ def _turned_shape(shape: Shape, turn: NDArray[np.float64]) -> Shape:
 def link_pose(matrix: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the pose (pose7) of a `Link` whose URDF frame is at ``matrix`` [4, 4]."""
     back = np.eye(4)
+    # the mesh was turned, so its frame is turned back
     back[:3, :3] = turn.T
     return pose_from_matrix(matrix @ back).astype(np.float64)

@@ -32,6 +32,7 @@ def part_mesh(shape: Shape) -> Mesh:
     used = np.unique(hull.simplices)
     vertices, faces = points[used], np.searchsorted(used, hull.simplices)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
+    # SciPy does not turn the triangles of a hull in one direction
     inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
     faces[inwards] = faces[inwards][:, ::-1]
     return Mesh(
@@ -52,6 +53,7 @@ def part_points(shape: Shape) -> NDArray[np.float64]:
         signs = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
         local = signs * np.asarray(shape.half_extents, np.float64)
     else:
+        # the sides of the prism touch the cylinder from outside
         ring = _ring(CYLINDER_SIDES) * (shape.radius / np.cos(np.pi / CYLINDER_SIDES))
         lift = np.array([0.0, shape.half_height, 0.0])
         local = np.concatenate([ring - lift, ring + lift])
@@ -67,7 +69,9 @@ def scaled_asset(asset: Asset, scale: NDArray[np.float64]) -> Asset:
     if np.all(s == 1):
         return asset
     mesh = asset.mesh
+    # normals scale by the inverse
     normals = None if mesh.normals is None else normalized(mesh.normals / s).astype(np.float32)
+    # a mirror image is inside out
     faces = mesh.faces if np.prod(s) > 0 else np.ascontiguousarray(mesh.faces[:, ::-1])
     return replace(
         asset,
@@ -78,6 +82,7 @@ def scaled_asset(asset: Asset, scale: NDArray[np.float64]) -> Asset:
 
 
 def _scaled_part(shape: Shape, s: NDArray[np.float64]) -> Shape:
+    # stretched boxes and cylinders that are turned are none any more
     even = bool(np.all(s == s[0]) and s[0] > 0)
     if even and isinstance(shape, Box | Cylinder):
         pose = np.concatenate([np.asarray(shape.pose, np.float64)[:3] * s, np.asarray(shape.pose, np.float64)[3:]])

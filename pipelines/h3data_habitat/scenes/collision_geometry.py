@@ -58,8 +58,10 @@ def _pieces(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> list[
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
+    # vertices are doubled along seams of texture, so pieces hang together by place, not by index
     _, place = np.unique(np.round(np.asarray(vertices, np.float64) / _WELD_M), axis=0, return_inverse=True)
     corners = place.reshape(-1)[faces]
+    # two sides of a triangle join its three corners
     ends = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]]])
     size = int(corners.max()) + 1
     _, label = connected_components(coo_matrix((np.ones(len(ends)), ends.T), shape=(size, size)), directed=False)

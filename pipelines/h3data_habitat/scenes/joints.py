@@ -46,10 +46,12 @@ def articulation_of(
     joints: dict[int, Joint] = {}
     warnings: list[str] = []
     for k, link in enumerate(robot.links):
+        # balls have no single position, and followers none of their own
         if robot.kinds[k] not in (_TURNS, _SLIDES) or k not in leads:
             continue
         column = int(robot.columns[k])
         position, lower, upper = float(positions[column]), float(robot.lower[column]), float(robot.upper[column])
+        # continuous joints have no limits: half a turn to either side is all that can be told apart
         if robot.kinds[k] == _TURNS:
             lower, upper = max(lower, -np.pi), min(upper, np.pi)
         if not np.isfinite((lower, upper)).all() or lower >= upper:
@@ -62,6 +64,7 @@ def articulation_of(
             kind="revolute" if robot.kinds[k] == _TURNS else "prismatic",
             axis=frame[:3, :3] @ robot.axes[k],
             origin=frame[:3, 3],
+            # the file may put a joint beyond its own limits, where it has to stay
             lower=min(lower, position),
             upper=max(upper, position),
             rest=position,
@@ -119,12 +122,14 @@ def _enclosed(
     if joint.rest != joint.closed or not own:  # an open door does not say what is behind it
         return ()
     names, low, high = {i.name for i in own}, *_box(own, assets, back)
+    # a door is thin along one axis, and what lies behind it is along that axis
     thin = int(np.argmin(high - low))
     low, high = low - _BESIDE_M, high + _BESIDE_M
     low[thin], high[thin] = body[0, thin], body[1, thin]
     found = []
     for instance in everything:
         for receptacle in assets[instance.asset].receptacles if instance.name not in names else ():
+            # a little above the surface, where things would lie
             over = receptacle.center + np.array([0.0, min(receptacle.clearance_m, _OVER_M) / 2, 0.0])
             place = transform_points(back @ instance_matrix(instance), over[None])[0]
             if (place >= low).all() and (place <= high).all():

@@ -44,6 +44,7 @@ def _light(name: str, entry: Mapping[str, Any], scales: list[float], keys: KeyNo
         kind=cast("LightKind", kind),
         vector=np.array(numbers(entry, key, default, where=where), np.float64),
         color=np.array(numbers(entry, "color", (1, 1, 1), where=where), np.float64),
+        # the second scale is that of negative lights, which darken
         intensity=intensity * scales[intensity < 0],
         frame=cast("LightFrame", frame),
         cone_rad=(

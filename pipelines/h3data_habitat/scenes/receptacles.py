@@ -56,6 +56,7 @@ def read_receptacles(
                 receptacle = _from_mesh(key, entry, find, np.eye(3) if stage else frame, where)
             else:
                 continue
+        # one bad receptacle leaves the object usable
         except H3DataError as fault:
             warnings.append(f"receptacle {key} is left out: {fault}")
             continue
@@ -73,10 +74,12 @@ def _from_box(
     position = np.array(numbers(entry, "position", (0, 0, 0), where=where))
     half = np.abs(numbers(entry, "scale", (1, 1, 1), where=where))
     axes = frame @ quat_to_matrix(normalized(np.array([x, y, z, w]))) if stage else frame  # columns: the box's axes
+    # the axis of the box that is nearest to the vertical
     up = int(np.argmax(np.abs(axes[1])))
     if abs(axes[1, up]) < 0.99:  # the surface is not level
         return None
     first, second = (i for i in range(3) if i != up)
+    # the first side is the one that runs along x
     if abs(axes[0, first]) < abs(axes[2, first]):
         first, second = second, first
     # the largest rectangle along x and z with the box's centre and proportions that lies inside the turned box
@@ -126,6 +129,7 @@ def largest_rectangle(
     """
     corners = vertices[mesh.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    # within 11 degrees of level
     level = np.abs(normal[:, 1]) > 0.98 * np.linalg.norm(normal, axis=1)
     corners = corners[level & (np.abs(normal[:, 1]) > 1e-12)]
     if not len(corners):
@@ -140,6 +144,7 @@ def largest_rectangle(
             (q - p)[0] * (points[..., 1] - p[1]) - (q - p)[1] * (points[..., 0] - p[0])
             for p, q in ((a, b), (b, c), (c, a))
         ]
+        # grid points on the common edge of two triangles must be in one of them
         slack = 1e-9 + 1e-6 * float(np.max(hi - lo))
         inside |= np.all(np.stack(signs) >= -slack, 0) | np.all(np.stack(signs) <= slack, 0)
     cells = inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:]
@@ -158,6 +163,7 @@ def _largest_block(cells: NDArray[np.bool_]) -> tuple[int, int, int, int] | None
         run = np.ones(cells.shape[1], bool)
         for i1 in range(i0, len(cells)):
             run &= cells[i1]
+            # no row further down can continue an empty one
             if not run.any():
                 break
             edges = np.flatnonzero(np.diff(np.concatenate([[0], run.view(np.int8), [0]])))

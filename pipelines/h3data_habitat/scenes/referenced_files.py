@@ -36,6 +36,7 @@ class ReferencedFiles:
         Raises:
             SceneError: it lies outside the folders that may be reached.
         """
+        # made absolute without following links: what is linked into a dataset belongs to it
         tried = tuple(Path(os.path.abspath(p)) for p in dict.fromkeys((Path(name), folder / name)))
         outside: Path | None = None
         for path in tried:
@@ -46,6 +47,7 @@ class ReferencedFiles:
         found = self._folders.resolve(name)
         if found is not None:
             return found
+        # only after the asset folders, which may hold the same file
         if outside is not None:
             raise SceneError(
                 f"{name!r} leads out of the dataset, so it is not opened. Hint: give the folder that holds it as an asset "

@@ -73,6 +73,7 @@ class SceneBuilder:
     def add_object(self, template: Template, entry: Mapping[str, Any], *, origin: Any, where: Path) -> None:
         """Adds a rigid object; ``origin`` is the scene's ``translation_origin``, which the entry may override."""
         self.templates.keys.note("object_instance", entry)
+        # counted before anything can fail: Habitat numbers instances that it cannot show too
         name = self._next_name(template)
         read = self.templates.rigid(template)
         if read is None:
@@ -84,6 +85,7 @@ class SceneBuilder:
             return
         position, rotation = self._pose(entry, name, where)
         given = str(text(entry, "translation_origin", where=where) or origin or "COM").lower()
+        # positions of Habitat are of the centre of mass by default, ours of the origin of the mesh
         if given != "asset_local":
             position = position - quat_rotate(rotation, read.origin(scale))
         motion: Motion = "static" if str(entry.get("motion_type", "")).upper() == "STATIC" else "kinematic"
@@ -142,6 +144,7 @@ class SceneBuilder:
         thing, warnings = articulation_of(name, read.robot, frames, positions, placed, self.templates.assets)
         for warning in warnings:
             self.warn(f"{warning}: {where}")
+        # a thing that has lost a link cannot be opened as a whole
         if thing is not None and len(placed) == len(instances):
             self.articulations.append(thing)
 
@@ -157,6 +160,7 @@ class SceneBuilder:
         """Keep only receptacles of these names in use: ``<object>|<receptacle>`` as habitat-lab writes them."""
         names = set(active)
         for index, instance in enumerate(self.instances):
+            # links are instances of their own, and the filter names the object
             owner = instance.name.split("/")[0]
             all_names = [r.name for r in self.templates.assets[instance.asset].receptacles]
             used = tuple(n for n in all_names if f"{owner}|{n}" in names)
@@ -218,6 +222,7 @@ class SceneBuilder:
         Next to such an instance nothing else in the scene would be larger than a point.
         """
         mesh = self.templates.assets[instance.asset].mesh
+        # sizes of damaged files may overflow, which the comparison below refuses
         with np.errstate(over="ignore", invalid="ignore"):
             size = np.abs(instance.scale).max() * np.abs(mesh.vertices).max(initial=0).astype(np.float64)
             reach = float(np.abs(instance.pose[:3]).max() + size)

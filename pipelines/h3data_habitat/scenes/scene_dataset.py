@@ -58,6 +58,7 @@ class Template:
             own = read_object(self.path)
         elif not self.inline:
             own = {"urdf_filepath" if self.path.suffix.lower() == ".urdf" else "render_asset": self.path.name}
+        # later ones win (spec/habitat.md 6.1)
         merged = {**self.defaults, **own, **self.overrides}
         stem = _short(self.path.name) if not self.inline else self.handle
         for key, value in merged.items():
@@ -107,6 +108,7 @@ class SceneDataset:
             full = _without_ending(template.path.as_posix()) if not template.inline else template.handle
             if wanted == full:
                 rank = 0
+            # an override with a handle of its own shares the file, whose name means the plain template
             elif full.endswith("/" + wanted) and not template.overrides:
                 rank = 1
             elif wanted in template.handle or wanted in full[len(self.path.parent.as_posix()) :]:
@@ -116,6 +118,7 @@ class SceneDataset:
             best.append((rank, len(template.handle), template.handle, template))
         if not best:
             return None, 0
+        # without the template itself, which has no order
         best.sort(key=lambda entry: entry[:3])
         return best[0][3], sum(entry[0] == best[0][0] for entry in best) - 1
 
@@ -172,6 +175,7 @@ def dataset_above(path: Path) -> SceneDataset:
             if any(t.path.resolve() == path.resolve() for t in dataset.sections["scene_instances"]):
                 return dataset
         tried += configs
+        # a home folder above may hold any number of datasets
         if len(tried) > 20:
             break
     found = f" These do not list it: {', '.join(str(t) for t in tried[:3])}." if tried else ""
@@ -194,6 +198,7 @@ def _templates(config: Path, entry: Mapping[str, Any], ending: str, empty: list[
             if not files:
                 empty.append(str(pattern))
             for file in files:
+                # several patterns may name one file
                 found.setdefault(file, Template(handle=_short(file.name), path=file, defaults=defaults))
     configured = {t.handle for t in found.values() if t.is_config}
     # a mesh that also has a config is offered once, as the config
@@ -206,6 +211,7 @@ def _templates(config: Path, entry: Mapping[str, Any], ending: str, empty: list[
                 result.append(Template(handle=handle, path=config, defaults=defaults, overrides=overrides, inline=True))
             continue
         file = root / original
+        # without a name of its own an override changes the template of its file
         if handle is None:
             result = [replace(t, overrides=overrides) if t.path == file else t for t in result]
         else:

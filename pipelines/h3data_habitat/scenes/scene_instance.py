@@ -62,6 +62,7 @@ def load_habitat_scene(
         MissingAssetError: files do not exist, unless ``allow_missing`` leaves out their instances with a warning.
         SceneError: there is no such scene, or its stage cannot be used; with ``strict`` also any warning.
     """
+    # a # may be part of the name of another file, so only behind the ending of a dataset
     path = Path(path)
     config, named = dataset_and_scene(path)
     if config is not None and scene is None:
@@ -145,6 +146,7 @@ def _from_instance(builder: SceneBuilder, dataset: SceneDataset, template: Templ
     builder.templates.keys.note("scene_instance", content)
     _add_semantics(builder, dataset, content, where)
     _add_stage(builder, dataset, content, where)
+    # all of them, before any error: the first missing template is rarely the only one
     absent: list[str] = []
     origin = text(content, "translation_origin", where=where)
     for entry in objects(content, "object_instances", where=where):

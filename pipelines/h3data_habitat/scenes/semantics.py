@@ -51,6 +51,7 @@ def read_rooms(content: Mapping[str, Any], keys: KeyNotes, *, where: Path) -> tu
         if not len(rectangles):
             warnings.append(f"region {name!r} is left out: it has no area")
             continue
+        # several regions may share a name, and rooms are found by theirs
         unique = name if name not in rooms else next(n for k in range(1, 10**6) if (n := f"{name}_{k}") not in rooms)
         floor = number(region, "floor_height", float(loop[:, 1].min()), where=where)
         rooms[unique] = Room(
@@ -82,6 +83,7 @@ def polygon_rectangles(loop: NDArray[np.float64] | Sequence[Sequence[float]]) ->
     if len(corners) < 3:
         return np.zeros((0, 4))
     ends = np.roll(corners, -1, axis=0)
+    # between two corners' heights no wall begins or ends, so each band is cut by whole walls
     levels = np.unique(corners[:, 1])
     step = max(STRIP_M, float(levels[-1] - levels[0]) / _MAX_STRIPS)
     found: list[list[float]] = []
@@ -93,6 +95,7 @@ def polygon_rectangles(loop: NDArray[np.float64] | Sequence[Sequence[float]]) ->
         strips = 1 if np.all(np.abs(slope) < 1e-9) else int(np.ceil((high - low) / step))
         edges = np.linspace(low, high, strips + 1)
         for z0, z1 in pairwise(edges):
+            # at the middle of a strip, where the area of a slanting wall is exact
             xs = np.sort(a[:, 0] + slope * ((z0 + z1) / 2 - a[:, 1]))
             found += [[x0, z0, x1, z1] for x0, x1 in zip(xs[::2], xs[1::2], strict=True) if x1 > x0]
     return np.array(found, np.float64).reshape(-1, 4)

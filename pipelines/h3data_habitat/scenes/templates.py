@@ -126,6 +126,7 @@ class TemplateReader:
         mesh = primitive_mesh(asset) if file is None else frame.load(file)
         semantic = int(number(attributes, "semantic_id", 0, where=where))
         scale = np.array(numbers(attributes, "scale", (1, 1, 1), where=where), np.float64)
+        # a stage has no convex parts: walls come from its mesh
         collides = flag(attributes, "is_collidable", True, where=where) and not stage
         name = self._add(
             template,
@@ -139,6 +140,7 @@ class TemplateReader:
                 stage=stage,
             ),
         )
+        # a COM in the file wins, unless it asks for the computed one
         given = attributes.get("COM") is not None and not attributes.get("compute_COM_from_shape")
         if given:
             middle = np.array(numbers(attributes, "COM", (0, 0, 0), where=where))
@@ -155,6 +157,7 @@ class TemplateReader:
         where = template.path
         asset = text(attributes, "collision_asset", where=where) or text(attributes, "render_asset", where=where) or ""
         if is_primitive(asset):
+            # primitives collide in the size of their own key, the scale of the template comes on top
             solid = primitive_mesh(asset)
             if attributes.get("collision_asset"):
                 size = np.array(numbers(attributes, "collision_asset_size", (1, 1, 1), where=where), np.float32)
@@ -253,6 +256,7 @@ class TemplateReader:
 def _frame(template: Template, attributes: Mapping[str, Any], *, stage: bool) -> _Frame:
     """Returns a mesh's frame: as in habitat-sim, a bare stage mesh is Z-up; else Y-up unless its config says more."""
     where = template.path
+    # habitat-sim takes scans as they are, and scans are Z-up
     bare = stage and not template.is_config and not template.inline and not template.defaults
     up, front = _Z_UP if bare else _Y_UP
     frame = _Frame(
@@ -264,6 +268,7 @@ def _frame(template: Template, attributes: Mapping[str, Any], *, stage: bool) ->
         raise FormatError(
             f"Expected a number above 0 under 'units_to_meters', got {frame.units_m:g}: {where}", code="H3-HABITAT-136"
         )
+    # before any mesh is loaded: up and front may be parallel, where one of them is the default
     try:
         frame_rotation(frame.up, frame.front)
     except SceneError as fault:

@@ -41,8 +41,12 @@ THUMB_SHARES = np.array([0.7, 0.5, 0.5])
 _SPINE = np.array([JOINT_INDEX["spine1"], JOINT_INDEX["spine2"], JOINT_INDEX["spine3"]])
 _NECK, _HEAD = JOINT_INDEX["neck"], JOINT_INDEX["head"]
 _EYES = np.array([JOINT_INDEX["left_eye_smplhf"], JOINT_INDEX["right_eye_smplhf"]])
-_BENT = [finger for finger in FINGERS if finger != "thumb"]
-_FINGERS = np.array([[[JOINT_INDEX[f"{side}_{f}{k}"] for k in (1, 2, 3)] for f in _BENT] for side in ("left", "right")])
+_FINGERS = np.array(
+    [
+        [[JOINT_INDEX[f"{side}_{f}{k}"] for k in (1, 2, 3)] for f in FINGERS if f != "thumb"]
+        for side in ("left", "right")
+    ]
+)
 _THUMBS = np.array([[JOINT_INDEX[f"{side}_thumb{k}"] for k in (1, 2, 3)] for side in ("left", "right")])
 
 
@@ -53,8 +57,10 @@ def curl_fingers(quats, curl):
     The thumb comes in from its side.
     """
     for side in range(2):
+        # an open hand keeps the pose, to the bit
         if curl[side] == 0.0:
             continue
+        # both hands close towards their palms: left fingers about -z, right ones about +z
         sign = -1.0 if side == 0 else 1.0
         for k in range(3):
             bend = from_vector(0.0, 0.0, sign * CURL_SHARES[k] * curl[side])
@@ -136,10 +142,12 @@ def turn_gaze(offsets, quats, pelvis, target, looks, turning, gaze):
             face = turned(multiply(row4(quats, _NECK), row4(quats, _HEAD)), (0.0, 0.0, 1.0))
             own_yaw, own_pitch = _between((0.0, 0.0, 1.0), face)
             yaw, pitch = _between(face, path)
+            # a head is limited against its chest, so the turn that the pose itself has counts too
             yaw = _within(yaw + own_yaw, YAW_MAX) - own_yaw
             pitch = _within(pitch + own_pitch, PITCH_MAX) - own_pitch
     missing = math.hypot(yaw - gaze[0], pitch - gaze[1])
     turn_yaw, turn_pitch = _shortened(HEAD_SHARE * (yaw - gaze[0]) + turning, HEAD_SHARE * (pitch - gaze[1]), HEAD_STEP)
+    # this much the pose turns by itself
     turn_yaw -= turning
     more_yaw, more_pitch = _shortened(turn_yaw - gaze[4], turn_pitch - gaze[5], HEAD_GAIN)
     gaze[4] += more_yaw
@@ -155,6 +163,7 @@ def turn_gaze(offsets, quats, pelvis, target, looks, turning, gaze):
     more_yaw, more_pitch = _shortened(eye_yaw - gaze[2], eye_pitch - gaze[3], EYE_STEP)
     gaze[2] += more_yaw
     gaze[3] += more_pitch
+    # shares of what is left have no end by themselves
     if not looks and np.abs(gaze).max() < 1e-3:
         gaze[:] = 0.0
     put(quats, _NECK, neck)

@@ -50,6 +50,7 @@ def sample_all(table, motion, phase, blend, ground, quats, pelvis):
         index = math.floor(place)
         share = place - index
         low = table.first[clip] + int(index) % count
+        # the last frame is followed by the first one of the same clip
         high = table.first[clip] + (int(index) % count + 1) % count
         # neighbouring frames share a hemisphere, so a plain mix and one normalisation are enough
         for j in range(quats.shape[1]):
@@ -58,12 +59,14 @@ def sample_all(table, motion, phase, blend, ground, quats, pelvis):
             put(quats[t], j, normalized(mixed))
         for i in range(3):
             pelvis[t, i] = _mix(table.pelvis[low, i], table.pelvis[high, i], share)
+        # the clip as it is: its legs were solved when it was made
         if blend[t] >= 1 and not len(ground):
             continue
         for k in range(2):
             for i in range(3):
                 ankle[k, i] = _mix(table.ankle[low, k, i], table.ankle[high, k, i], share)
                 foot[k, i] = _mix(table.foot[low, k, i], table.foot[high, k, i], share)
+        # legs are solved in the body frame, and poses are kept in that of the agent root
         put(quats[t], 0, multiply(inverse(to_root), row4(quats[t], 0)))
         pelvis[t, 0], pelvis[t, 1], pelvis[t, 2] = turned(inverse(to_root), row3(pelvis, t))
         settle(table.legs, table.stand, quats[t], pelvis[t], ankle, foot, phase[t], min(max(blend[t], 0.0), 1.0))
@@ -81,6 +84,7 @@ def tuck_all(quats, shares, joints, tucked):
     ``shares`` [T, 2] are the weights of the rotations, 0..1. Returns False, and changes nothing, if some are not
     finite.
     """
+    # all of them before the first change
     for t in range(len(quats)):
         if not (math.isfinite(shares[t, 0]) and math.isfinite(shares[t, 1])):
             return False
@@ -96,6 +100,7 @@ def tuck_all(quats, shares, joints, tucked):
 def write_frame(parent, q, x, y, z, frame):
     """The frame [4, 4] of a joint from its parent's, its local rotation and its place there."""
     i, j, k, w = q
+    # written out: products of small arrays would be allocated and called through BLAS
     a, b, c = 1 - 2 * (j * j + k * k), 2 * (i * j - k * w), 2 * (i * k + j * w)
     d, e, f = 2 * (i * j + k * w), 1 - 2 * (i * i + k * k), 2 * (j * k - i * w)
     g, h, m = 2 * (i * k - j * w), 2 * (j * k + i * w), 1 - 2 * (i * i + j * j)

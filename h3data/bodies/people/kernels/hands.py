@@ -75,11 +75,13 @@ def lead_arm(body, table, low, step, quats, pelvis, target, turn, has_turn, shar
     u = (mirror * -goal[2] / body.scale, goal[1] / body.scale, goal[0] / body.scale)
     look_up(table, low, step, u, x)
     pole = turned(chest, unit((mirror * x[POLE], x[POLE + 1], x[POLE + 2])))
+    # now, because `pose_arm` overwrites shoulder and elbow
     natural = (row4(quats, body.joints[1]), row4(quats, body.joints[2]), row4(quats, body.joints[3]))
     aim = (turn[0], turn[1], turn[2], turn[3])
     wrist, grasp = (0.0, 0.0, 0.0, 1.0), (body.palm[0], body.palm[1], body.palm[2])
     for k in range(TURN_PASSES if has_turn else 1):
         _, _, arm_turn, _ = pose_arm(body, turned(wrist, grasp), collar_turn, shoulder, goal, pole, quats)
+        # not in the last pass: a wrist that turned after the arm would move the palm off its place
         if has_turn and k + 1 < TURN_PASSES:
             forearm = multiply(arm_turn, row4(quats, body.joints[2]))
             wrist = _clipped_turn(multiply(inverse(forearm), aim), WRIST_MAX)

@@ -154,6 +154,7 @@ def pose_arm(body, palm, collar, shoulder, target, pole, quats):
     sideways = cross(pole, toward)
     spread = math.sqrt(dot(sideways, sideways))
     normal = unit((-body.sign * sideways[0], -body.sign * sideways[1], -body.sign * sideways[2]))
+    # one frame on the bent arm, one on the way to the target: the shoulder turns the first onto the second
     here, there = from_axes(along, axis, cross(along, axis)), from_axes(toward, normal, cross(toward, normal))
     turn = multiply(there, inverse(here))
     put(quats, body.joints[1], multiply(inverse(collar), turn))
@@ -185,6 +186,7 @@ def pose_for(body, x, target, trunk, arm, quats, pelvis, measures):
         hip = plus(place, turned(pelvis_turn, row3(body.offsets, body.joints[5 + k])), 1.0)
         x_gap, z_gap = hip[0] - body.ankles[k, 0], hip[2] - body.ankles[k, 2]
         highest = body.ankles[k, 1] + math.sqrt(max(longest * longest - x_gap * x_gap - z_gap * z_gap, 0.0))
+        # for both legs, so the pelvis sinks as far as the one that needs more
         stretch = max(stretch, hip[1] - highest)
     place = (place[0], place[1] - stretch, place[2])
     hips = (
@@ -221,6 +223,7 @@ def pose_for(body, x, target, trunk, arm, quats, pelvis, measures):
     palm = plus(wrist, turned(fore_turn, grasp), 1.0)
     # --- the head looks at the target, the other arm hangs
     head_at = plus(neck, turned(multiply(chest, row4(body.stand, _NECK)), row3(body.offsets, _HEAD)), 1.0)
+    # seen from the head before it turns: how far it turns depends on this
     look = turned(inverse(chest), unit(plus(target, head_at, -1.0)))
     for joint, share in ((_NECK, _NECK_SHARE), (_HEAD, 1 - _NECK_SHARE)):
         gaze = from_vector(-trunk * share * _GAZE_PITCH * look[1], trunk * share * _GAZE_YAW * look[0], 0.0)
@@ -233,6 +236,7 @@ def pose_for(body, x, target, trunk, arm, quats, pelvis, measures):
     upright = turned(inverse(chest), (0.0, 1.0, 0.0))
     tilt = cross((0.0, 1.0, 0.0), upright)
     lean = math.sqrt(dot(tilt, tilt))
+    # by most of the angle between the vertical and the chest, about the axis of that lean
     amount = trunk * _HANG * math.atan2(lean, upright[1]) / max(lean, 1e-9)
     other = body.joints[4]
     hang = from_vector(amount * tilt[0], amount * tilt[1], amount * tilt[2])
@@ -253,6 +257,7 @@ def pose_for(body, x, target, trunk, arm, quats, pelvis, measures):
     aside = max(weight[0] - body.ankles[0, 0], body.ankles[1, 0] - weight[0]) - _COM_ASIDE_M
     turns = (pelvis_turn, turn1, turn2, chest, head_turn, left_thigh, right_thigh)
     places = (place, at1, at2, at3, head_at, hips[0], hips[1])
+    # more than any clearance that matters, for bodies without obstacles
     gap = 1.0
     for k in range(len(body.obstacle_joints)):
         q, p, o = turns[body.obstacle_joints[k]], places[body.obstacle_joints[k]], body.obstacles[k]
@@ -278,8 +283,10 @@ def look_up(table, low, step, u, x):
     cell, share = np.empty(3, np.int64), np.empty(3)
     for k in range(3):
         place, last = (u[k] - low[k]) / step[k], table.shape[k] - 1
+        # a margin for rounding, as targets may lie on the border of the box
         inside = inside and -1e-9 <= place <= last + 1e-9
         place = min(max(place, 0.0), float(last))
+        # the last grid point belongs to the cell before it
         cell[k] = min(int(place), last - 1)
         share[k] = place - cell[k]
     x[:] = 0.0
@@ -317,9 +324,11 @@ def reach_many(body, table, low, step, targets, trunk, arm, root, quats, pelvis,
     x, turn = np.empty(PARAMETER_COUNT), (root[0], root[1], root[2], root[3])
     for t in range(len(targets)):
         target = row3(targets, t)
+        # the table is for the right hand: the left one looks its mirror image up
         u = (-body.sign * target[0] / body.scale, target[1] / body.scale, target[2] / body.scale)
         inside = look_up(table, low, step, u, x)
         pose_for(body, x, target, trunk[t], arm[t], quats[t], pelvis[t], measures[t])
+        # after `pose_for`, which judges balance in the body frame
         put(quats[t], 0, multiply(turn, row4(quats[t], 0)))
         pelvis[t, 0], pelvis[t, 1], pelvis[t, 2] = turned(turn, row3(pelvis, t))
         status[t] = fault(measures[t]) if inside else OUTSIDE_BOX

@@ -31,12 +31,14 @@ def frame_product(operator, palette, out):
         own_x, own_y, own_z, size = x[begin:end], y[begin:end], z[begin:end], end - begin
         for k in range(operator.column_starts[group], operator.column_starts[group + 1]):
             a, b, c = palette[operator.columns[k], 0], palette[operator.columns[k], 1], palette[operator.columns[k], 2]
+            # along vertices that take the same three numbers, which the compiler turns into vector instructions
             values = operator.values[at : at + size]
             for i in range(size):
                 own_x[i] += values[i] * a
                 own_y[i] += values[i] * b
                 own_z[i] += values[i] * c
             at += size
+    # groups are sorted by their columns; only here the vertices get back to their own order
     for i in range(count):
         row = operator.rows[i]
         out[row, 0], out[row, 1], out[row, 2] = x[i], y[i], z[i]

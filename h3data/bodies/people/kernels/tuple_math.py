@@ -54,6 +54,7 @@ def unit(a):
 @kernel_part()
 def turned(q, v):
     """Vector rotated by a unit quaternion."""
+    # with t = 2 a x v, where a is the vector part: v + w t + a x t
     axis = (q[0], q[1], q[2])
     t = cross(axis, v)
     t = (2 * t[0], 2 * t[1], 2 * t[2])
@@ -77,6 +78,7 @@ def normalized(q):
 def nlerp(a, b, weight):
     """Normalised linear blend along the shorter arc; weight 0 gives a, 1 gives b."""
     dot4 = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
+    # -q is the same rotation; without this the blend would go the long way round
     b = (-b[0], -b[1], -b[2], -b[3]) if dot4 < 0 else b
     rest = 1 - weight
     return normalized(
@@ -93,6 +95,7 @@ def nlerp(a, b, weight):
 def from_vector(x, y, z):
     """Quaternion of a rotation vector."""
     angle = math.sqrt(x * x + y * y + z * z)
+    # the limit of sin(angle / 2) / angle
     s = 0.5 if angle < 1e-9 else math.sin(angle / 2) / angle
     return (s * x, s * y, s * z, math.cos(angle / 2))
 
@@ -103,6 +106,7 @@ def to_vector(q):
     sine = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
     if sine < 1e-9:
         return (0.0, 0.0, 0.0)
+    # q and -q are one rotation: with w above 0 it is at most half a turn
     angle = 2 * math.atan2(sine, abs(q[3])) / sine
     if q[3] < 0:
         angle = -angle
@@ -112,6 +116,7 @@ def to_vector(q):
 @kernel_part()
 def from_axes(a, b, c):
     """Quaternion of the rotation whose columns are a, b, c (Shepperd's method)."""
+    # the case with the largest component, which the others are divided by
     trace = a[0] + b[1] + c[2]
     if trace > max(a[0], b[1], c[2]):
         q = (b[2] - c[1], c[0] - a[2], a[1] - b[0], 1 + trace)
@@ -150,8 +155,10 @@ def segments_apart(p, q, a, b):
     e1, e2, f = dot(d1, d1), dot(d2, d2), dot(d2, r)
     c, g = dot(d1, r), dot(d1, d2)
     room = e1 * e2 - g * g
+    # parallel segments: any point of the first one will do
     s = min(max((g * f - c * e2) / room, 0.0), 1.0) if room > 1e-12 else 0.0
     t = (g * s + f) / e2 if e2 > 1e-12 else 0.0
+    # the nearest point of the second line lies beyond its segment: clamp it, then find s again
     if t < 0.0 or t > 1.0:
         t = min(max(t, 0.0), 1.0)
         s = min(max((g * t - c) / e1, 0.0), 1.0) if e1 > 1e-12 else 0.0

@@ -63,6 +63,7 @@ def _triple(*values: float) -> Floats:
 def slot_colors(complexion: Complexion, cloth: Mapping[str, Color]) -> Floats:
     """Color of every slot, [`SLOTS`, 3]; of cloth that is not named, a middle grey."""
     skin, hair = np.array(complexion.skin, np.float32), np.array(complexion.hair, np.float32)
+    # brows of fair hair let more of the skin through
     fair = 0.58 if hair.mean() > 120 else 0.85
     own: dict[str, Any] = {
         "skin": skin,
@@ -91,6 +92,7 @@ def vertex_colors(
             "blush": (skin * _triple(1.0, 0.79, 0.75), complexion.blush),
             "lids": (skin * _triple(0.84, 0.74, 0.71), 0.7),
             "lines": (dark, complexion.lines),
+            # dark below fair hair too
             "stubble": (0.55 * skin + 0.45 * np.minimum(hair, 90), complexion.stubble),
             "scalp": (0.35 * skin + 0.65 * hair, scalp),
             "lashes": (_triple(34, 26, 24), complexion.lashes),
@@ -100,4 +102,5 @@ def vertex_colors(
             if strength:
                 share = patch.paint[:, PAINTS.index(name), None].astype(np.float32) * np.float32(strength / 255)
                 colors = colors + share * (np.asarray(color, np.float32) - colors)
+    # shaded last, so that paint on the skin lies in the same shadows
     return np.clip(np.rint(colors * patch.shade[:, None]), 0, 255).astype(np.uint8)

@@ -54,9 +54,11 @@ def dressed(
     scalp = SCALP.get(look.hair, SCALP_USUAL)
     pieces = ["skin", *clothes.pieces, look.hair, "brows", *(["beard"] if look.beard else [])]
     patches = [wardrobe.patch(piece, detail) for piece in pieces]
+    # skin that clothes cover would poke through them where joints bend
     patches[0] = without(patches[0], hidden)
     placed = [patch.placed(vertices, normals) for patch in patches]
     colors = [vertex_colors(p, slots, look.complexion, tights=clothes.tights, scalp=scalp) for p in patches]
+    # faces number the vertices of their own patch
     starts = np.cumsum([0, *(len(p.lift) for p in patches)])
     return SkinnedMesh(
         mesh=Mesh(

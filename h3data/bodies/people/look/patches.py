@@ -67,6 +67,7 @@ class Patch:
 def read_patch(data: Arrays, prefix: str) -> Patch:
     """The patch whose arrays in a file begin with ``prefix``."""
     shares = data[f"{prefix}/shares"].astype(np.float32)
+    # the third one is what is left of 255, so that files hold two
     shares = np.concatenate([shares, 255 - shares.sum(axis=1, keepdims=True)], axis=1) * np.float32(SHARE_UNIT)
     weights = data[f"{prefix}/weights"].astype(np.float32)
     offset = data.get(f"{prefix}/offset")
@@ -91,6 +92,7 @@ def read_patch(data: Arrays, prefix: str) -> Patch:
 def canonical(faces: NDArray[np.integer]) -> NDArray[np.int32]:
     """Return the same triangles in an order that packs well: each begins with its first vertex, and all are sorted."""
     first = faces.argmin(axis=1)
+    # turned and not sorted: the order of the corners tells which side is outside
     turned = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)
     return turned[np.lexsort(turned.T[::-1])].astype(np.int32)
 
@@ -108,6 +110,7 @@ def pack_faces(faces: NDArray[np.integer]) -> NDArray[np.uint8]:
 def unpack_faces(planes: NDArray[np.uint8]) -> NDArray[np.int32]:
     """The reverse of `pack_faces`."""
     steps = planes[:, 0].astype(np.uint16) | planes[:, 1].astype(np.uint16) << np.uint16(8)
+    # sums wrap at 16 bits, as the differences did
     first = np.cumsum(steps[0], dtype=np.uint16)
     return np.stack([first, first + steps[1], first + steps[2]], axis=1).astype(np.int32)
 

@@ -137,6 +137,7 @@ SCALP_USUAL = 0.6
 
 def split_outfit(name: str) -> tuple[str, str]:
     """The body and the outfit of a name such as ``female_0:dress``; the outfit is empty where none is named."""
+    # the last colon, as random:SEED has one of its own
     body, _, outfit = name.rpartition(SEPARATOR)
     return (body, outfit) if body and outfit in OUTFITS else (name, "")
 
@@ -154,6 +155,7 @@ class Wardrobe:
     def hidden(self, pieces: tuple[str, ...], detail: Detail) -> NDArray[np.bool_]:
         """Faces of the skin that are invisible below these pieces [F]."""
         count = self.data[f"skin/{detail}/faces"].shape[-1]
+        # a bit for each face, eight to the byte, as files hold them
         bits = np.zeros((count + 7) // 8, np.uint8)
         for piece in pieces:
             if f"{piece}/{detail}/hides" in self.data:
