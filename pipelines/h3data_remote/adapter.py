@@ -245,6 +245,7 @@ def _part(answer: Mapping[str, Any], key: str, server: str, *, batched: bool) ->
         values = np.asarray(answer[key], np.float64)
     except (TypeError, ValueError):
         values = np.zeros(())
+    # GR00T answers [B, H, D]; elsewhere a single action [D] is a chunk of one
     values = values[0] if batched and values.ndim == 3 and len(values) else values
     values = values[None] if values.ndim == 1 and not batched else values
     if values.ndim != 2:

@@ -85,6 +85,7 @@ class BackgroundPolicy:
                 self._last = np.zeros_like(self._last)
         if not self._rows and not self._is_asked and now >= self._retry_at:
             self._is_asked = True  # one step ahead, while the last action of the chunk is carried out
+            # made in this thread: observations read the simulator, which the other thread must not touch
             self._requests.put(self._policy.request(view))
         return self._policy.choice(self._last, view)
 

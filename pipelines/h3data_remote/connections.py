@@ -147,9 +147,11 @@ class WebSocketConnection:
         self._messages: list[tuple[Opcode, bytes]] = []
         self._parts: list[Frame] = []
         try:
+            # Nagle's algorithm would hold small requests back until the packet before is acknowledged
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             if address.scheme == "wss":
                 self._socket = ssl.create_default_context().wrap_socket(self._socket, server_hostname=address.host)
+            # the protocol without its client, which reads in a second thread and costs three times the CPU of a small request
             self._protocol = ClientProtocol(parse_uri(str(address)), max_size=MOST_BYTES)
             request = self._protocol.connect()
             if key:
@@ -207,6 +209,7 @@ class WebSocketConnection:
         while not self._messages:
             self._receive(deadline, timeout_s)
         opcode, data = self._messages.pop(0)
+        # openpi's servers answer a fault with its traceback as text, whose last line is the message
         if opcode is Opcode.TEXT:
             lines = data.decode("utf-8", "replace").strip().splitlines()
             said = lines[-1][:300] if lines else "nothing"
@@ -309,6 +312,7 @@ class ZmqConnection:
         self._address, self._key = address, key
         self._context = zmq.Context()
         self._socket: zmq.Socket[bytes] = self._context.socket(zmq.REQ)
+        # without LINGER 0, ending the context waits for ever for requests that a dead server never took
         for option, value in ((zmq.LINGER, 0), (zmq.MAXMSGSIZE, MOST_BYTES), (zmq.IPV6, int(":" in address.host))):
             self._socket.setsockopt(option, value)
         try:
@@ -351,6 +355,7 @@ class ZmqConnection:
             request["data"] = data
         if self._key:
             request["api_token"] = self._key
+        # 0 would mean "at once" and -1 "for ever"
         milliseconds = max(int(timeout_s * 1000), 1)
         try:
             self._socket.setsockopt(zmq.SNDTIMEO, milliseconds)

@@ -165,6 +165,7 @@ class RemotePolicy:
         Raises:
             PolicyServerError: the server is gone or late, or answers with something that is no chunk.
         """
+        # steps were repeated from a recording meanwhile, so that what is left of the chunk was meant for another moment
         if view.step != self._step + 1:
             self._rows.clear()
         self._step = view.step
@@ -199,11 +200,13 @@ class RemotePolicy:
             PolicyServerError: there are none in time, or of another kind.
         """
         server = str(self.where)
+        # a model is compiled at its first request, which takes minutes; that is per server and not per connection
         timeout_s = self.adapter.timeout_s if server in _ANSWERED else self.adapter.first_timeout_s
         begun = time.perf_counter()
         answer = self.connection.ask(request, timeout_s)
         self._waits.append((time.perf_counter() - begun) * 1e3)
         _ANSWERED.add(server)
+        # the text is recorded as the name of a skill, so none of a server's own invention is taken
         said = answer.get("h3data/skill")
         self._skill = said if said in self._skills else ""
         timing = answer.get("server_timing")
@@ -245,6 +248,7 @@ class RemotePolicy:
             requests = [policies[k].request(views[k]) for k in asking]
             for k, chunk in zip(asking, first._fetch_batch(requests), strict=True):
                 policies[k]._rows = deque(chunk)
+                # as if it had acted in the step before, so that `act` takes the first row of this chunk
                 policies[k]._step = views[k].step - 1
                 if policies[k] is not first:
                     policies[k]._waits.append(first._waits[-1])
@@ -325,6 +329,7 @@ def _usual_skill(view: Any) -> str:
 def _name(metadata: dict[str, Any], adapter: Adapter, where: Address) -> str:
     said = own_facts(metadata).get("name") if isinstance(metadata.get(OWN), dict) else metadata.get("name")
     name = re.sub(r"[^A-Za-z0-9_.-]+", "_", said)[:40].strip("_") if isinstance(said, str) else ""
+    # the address is left out: it means nothing to others, and the same server may move
     digest = _digest([metadata, msgspec.to_builtins(adapter)])
     return f"{'zmq' if where.scheme == 'zmq' else 'ws'}:{name or adapter.name}@{digest[:12]}"
 

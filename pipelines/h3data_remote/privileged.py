@@ -104,6 +104,7 @@ def view_from_wire(fields: Any, episode: Episode, number: int) -> Any:
         "bases": tuple(agent_base(episode, k) for k, member in enumerate(episode.roster) if member.kind == "robot"),
         "walker": episode.spec.human,
         "extra": episode.extra,
+        # these reach into the world of the caller, which this process does not have
         "traffic": _no_traffic,
         "crowds": _no_traffic,
     }

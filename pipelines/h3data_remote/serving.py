@@ -227,7 +227,9 @@ def policy_service(served: ServedPolicy, host: str = "127.0.0.1", port: int = 80
             compression=None,
             max_size=MOST_BYTES,
             process_request=_health,
+            # only browsers send an Origin
             origins=[None],
+            # clients like ours read only while they wait for an answer; between two they may simulate for longer than 20 s
             ping_timeout=None,
         )
     except OSError as fault:

@@ -93,6 +93,7 @@ def _array(data: bytes | memoryview, dtype: np.dtype[Any], shape: Any, *, fortra
         raise PolicyServerError(
             f"An array of shape {shape!r} and dtype {dtype} cannot have {len(data):,} bytes.", code="H3-REMOTE-054"
         )
+    # a copy, since arrays over the bytes of a message can neither be written to nor outlive it cheaply
     return np.frombuffer(data, dtype).reshape(shape, order="F" if fortran else "C").copy()
 
 
@@ -102,6 +103,7 @@ def _pack_openpi(value: Any) -> Any:
         _checked_dtype(value.dtype.str)
         data = value.data if value.ndim and value.size and value.flags.c_contiguous else value.tobytes()
         return {b"__ndarray__": True, b"data": data, b"dtype": value.dtype.str, b"shape": value.shape}
+    # float64 is a Python float, which msgpack writes before it asks this hook in openpi's codec too
     if isinstance(value, np.float64):
         return float(value)
     if isinstance(value, np.generic):

@@ -131,6 +131,7 @@ def write_rosbag2(
     if not 0 <= lidar_rays <= RAYS_MAX:
         raise InputError(f"A lidar has 0 to {RAYS_MAX} rays, got {lidar_rays}.", code="H3-ROS-008")
     path.mkdir(parents=True, exist_ok=True)
+    # rosbags refuses a folder that is there, and a bag of before must stay whole until the new one is
     work = path / ".part"
     shutil.rmtree(work, ignore_errors=True)
     try:
@@ -255,6 +256,7 @@ class _Export:
             self._write_people(step, t)
             dim = self._make(
                 "std_msgs/MultiArrayDimension",
+                # the first message names the columns for all
                 label=labels if step == 0 else "",
                 size=rows.shape[1],
                 stride=rows.shape[1],
@@ -411,6 +413,7 @@ class _Export:
 
     def _write_cloud(self, robot: _Mover, scan: Scan, step: int, t: int) -> None:
         """Write the points of a scan in the order of its lasers [L, R]; NaN where a ray met nothing."""
+        # to x forward, y left, z up, as `pose_to_ros`
         points = scan.around([step])[0][:, [0, 2, 1]] * (1, -1, 1)
         lasers, rays = scan.ranges.shape[1:]
         fields = [

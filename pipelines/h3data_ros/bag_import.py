@@ -62,6 +62,8 @@ def read_rosbag2(file: str | os.PathLike[str], *, tracks: ImportRequest) -> Reco
         MissingExtraError: the extra ``ros`` is not installed.
     """
     require_rosbags()
+    from rosbags.rosbag2 import Reader
+
     path = Path(os.fspath(file))
     folder = path.parent if path.name == METADATA else path
     refuse = [name for name in ("columns", "unit", "rate") if getattr(tracks, name)]
@@ -70,7 +72,7 @@ def read_rosbag2(file: str | os.PathLike[str], *, tracks: ImportRequest) -> Reco
             f"--{refuse[0]} is for files of tracks, not for bags. Leave it out: {folder}", code="H3-ROS-026"
         )
     try:
-        with _opened(folder) as reader:
+        with Reader(folder) as reader:
             return _read(_Bag(reader, folder), tracks)
     except (H3DataError, KeyboardInterrupt, MemoryError):
         raise
@@ -80,12 +82,6 @@ def read_rosbag2(file: str | os.PathLike[str], *, tracks: ImportRequest) -> Reco
             f"missing metadata.yaml, `mcap recover` saves what is sound: {folder}",
             code="H3-ROS-027",
         ) from fault
-
-
-def _opened(path: Path) -> Reader:
-    from rosbags.rosbag2 import Reader
-
-    return Reader(path)
 
 
 class _Bag:
@@ -157,6 +153,7 @@ def _read(bag: _Bag, tracks: ImportRequest) -> Recording:
     gap = int(GAP_S * 1e9)
     stamps = log.tree.times_of(frame, root)
     poses = pose_from_ros(log.tree.poses(frame, root, stamps, gap))
+    # base_link may be raised and tilted; base_footprint is the projection on the floor already (REP 120)
     if frame != "base_footprint":
         poses = on_floor(poses)
     robot = Track(name="robot", time_ns=stamps, poses=poses)
@@ -229,6 +226,7 @@ class _Log:
                 child = message.child_frame_id.lstrip("/") if kind == ODOMETRY else topic
                 log.odometry[topic] = (_frame(message.header), child)
                 odometry.append((_frame(message.header), child, message_time(message.header, t), _pose(pose)))
+        # most drivers publish odometry as a topic and as a transform; only where there is no transform the topic is one
         told = {child for _, child, _, _ in odometry if child in log.tree}
         for parent, child, t, pose in odometry:
             if child not in told:
@@ -240,6 +238,7 @@ class _Log:
             seen: set[str] = set()
             for marker in message.markers:
                 name = f"{marker.ns}_{marker.id}" if marker.ns else str(marker.id)
+                # texts and arrows often have the id of the person that they stand beside; action 0 adds or moves, others delete
                 if marker.action != 0 or marker.type not in _SOLID or name in seen:
                     continue
                 seen.add(name)
@@ -274,6 +273,7 @@ def _people_topic(bag: _Bag, asked: str) -> str:
             )
         return asked
     found = bag.topics(*OF_PEOPLE[:-1])
+    # hri_msgs lists faces, bodies and voices by the same type; a person is what all of these belong to (REP 155)
     found = [topic for topic in found if bag.kinds[topic] != IDS or "persons" in topic]
     if not found:
         raise FormatError(
@@ -388,6 +388,7 @@ def _scene(bag: _Bag, tracks: ImportRequest, told: Import) -> Scene | None:
     if own.is_file() and not own.is_symlink():
         return load_scene(own.read_bytes())
     for topic in bag.topics(GRID):
+        # costmaps of nav2 have the type of a map, but their walls are inflated
         if "costmap" in topic or (grid := bag.last(topic)) is None:
             continue
         info, data = grid.info, np.asarray(grid.data, np.int8)
@@ -397,6 +398,7 @@ def _scene(bag: _Bag, tracks: ImportRequest, told: Import) -> Scene | None:
             told.warnings.append(f"the map on {topic} is empty, damaged or turned, and is left out")
             continue
         shares = data.reshape(rows, columns)
+        # the default thresholds of nav2's map_server, for maps that hold probabilities
         cells = np.where(shares < 0, -1, np.where(shares >= 65, 100, np.where(shares <= 25, 0, -1))).astype(np.int8)
         origin = (float(info.origin.position.x), float(info.origin.position.y))
         resolution = round(float(info.resolution), 7)  # float32 in the message: 0.05 is meant, not 0.0500000007

@@ -137,6 +137,7 @@ def _points_of(message: Any) -> tuple[NDArray[np.float64], _Empty]:
         angles = message.angle_min + np.arange(len(ranges)) * message.angle_increment
         rays = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))], axis=-1)
         most = float(message.range_max) if 0 < message.range_max < RANGE_MAX_M else 0.0
+        # REP 117: +inf met nothing, anything below range_min is no measurement; older drivers send range_max or more for +inf
         met = np.isfinite(ranges) & (ranges >= max(float(message.range_min), 1e-6)) & (ranges < (most or RANGE_MAX_M))
         empty = np.isposinf(ranges) | (ranges >= most) if most else np.zeros(len(ranges), np.bool_)
         return rays[met] * ranges[met, None], _Empty(rays[empty], most)
@@ -166,6 +167,7 @@ def _around(
     if not np.isfinite(place).all():
         return None
     found = np.full(RAYS, np.nan, np.float32)
+    # first, so that points that another ray met in the same degree take their place
     found[_degrees(np.asarray(quat_rotate(place[3:], empty.rays), np.float64))] = empty.most
     points = points[np.isfinite(points).all(axis=1) & (np.abs(points) < RANGE_MAX_M).all(axis=1)]
     points = np.asarray(quat_rotate(place[3:], points) + place[:3], np.float64)

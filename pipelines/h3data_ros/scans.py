@@ -38,6 +38,7 @@ def cast_scans(
     angles = -np.pi + np.arange(rays) * (2 * np.pi / rays)
     ranges = np.full((len(at), rays), np.nan, np.float32)
     discs = np.concatenate([people, np.full((*people.shape[:2], 1), radius_m)], axis=-1)
+    # in blocks: rays times people of a whole episode would be hundreds of megabytes
     for start in range(0, len(at), _BLOCK):
         rows = slice(start, start + _BLOCK)
         heading = headings[rows, None] + angles

@@ -99,6 +99,7 @@ def clean_tracks(tracks: Sequence[Track], told: Import) -> list[Track]:
         if not len(times):
             continue
         distance = np.linalg.norm(np.diff(poses[:, [0, 2]], axis=0), axis=1)
+        # the constant part lets noise pass between observations that follow each other within milliseconds
         cuts = np.flatnonzero(distance > JUMP_M + JUMP_MPS * np.diff(times) * 1e-9) + 1
         if len(cuts):
             jumping.append(track.name)
@@ -164,11 +165,13 @@ def rows_at(people: Sequence[Track], robot: Track | None, hz: float | None, told
         outside = robot.time_ns[(robot.time_ns < rows[0] - gap) | (robot.time_ns > rows[-1] + gap)]
         more = np.unique(np.concatenate([lonely, outside]))
         if len(more):
+            # a robot tells its pose more often than people are observed: one row a period, as in the rest of the recording
             slot = (more - rows[0]) // period
             more = more[np.unique(slot, return_index=True)[1]]
             rows = np.unique(np.concatenate([rows, more]))
     wide = np.flatnonzero(np.diff(rows) > gap)
     told.facts |= {"rows": "times of observations", "rate_hz": round(1e9 / period, 3), "gaps": len(wide)}
+    # one row without poses within each gap, so that no speed is computed across it
     middles = rows[wide] + (rows[wide + 1] - rows[wide]) // 2
     return np.sort(np.concatenate([rows, middles]))
 
@@ -323,7 +326,9 @@ def headings_of_motion(time_ns: NDArray[np.int64], xz: Array) -> Array:
     if not moves.any():
         return np.zeros(len(xz))
     last = np.maximum.accumulate(np.where(moves, np.arange(len(xz)), -1))
+    # before the first motion, the heading is that of the first motion
     last[last < 0] = int(np.argmax(moves))
+    # headings turn left from +X, and left is -Z in a world whose +Y is up
     return np.arctan2(-step[last, 1], step[last, 0])
 
 

@@ -23,6 +23,7 @@ class _Edge:
     def sorted(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Times [N], all different, and poses [N, 7]."""
         if self.arrays is None:
+            # stamps may come twice and out of order, as several nodes may send one transform
             times, first = np.unique(np.array(self.times, np.int64), return_index=True)
             poses = np.array(self.poses, np.float64).reshape(-1, 7)[first]
             known = np.isfinite(poses).all(axis=1)
@@ -42,6 +43,7 @@ class TransformTree:
     def add(self, parent: str, child: str, time_ns: int, pose: tuple[float, ...], *, still: bool = False) -> None:
         """Add the pose [7] of a frame in its parent at a time; ``still`` ones hold for ever."""
         edge = self._edges.get(child)
+        # a frame has one parent for the whole bag, the last that it was told; poses in another one are forgotten
         if edge is None or edge.parent != parent:
             edge = self._edges[child] = _Edge(parent)
         edge.times.append(time_ns)
@@ -69,6 +71,7 @@ class TransformTree:
         hold before their first and after their last stamp.
         """
         ours, theirs = self._chain(frame), self._chain(root)
+        # what both have above them cancels out, and multiplying by it would cost digits
         while ours and theirs and ours[-1] == theirs[-1]:
             ours.pop()
             theirs.pop()
@@ -84,6 +87,7 @@ class TransformTree:
     def _chain(self, frame: str) -> list[str]:
         """The frame and those that it hangs in, the root last."""
         chain = [frame]
+        # a broken bag may have a circle of frames
         while chain[-1] in self._edges and self._edges[chain[-1]].parent not in chain:
             chain.append(self._edges[chain[-1]].parent)
         return chain

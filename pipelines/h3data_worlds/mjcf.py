@@ -313,6 +313,7 @@ class _Reader:
         own = [j for j in own if j not in free]
         place = _matrix(m.body_pos[b], m.body_quat[b])
         if b == root:
+            # where the file places its robot in the world means nothing here; its height over the floor does
             place[:2, 3] = 0.0
             if free or (not own and np.allclose(place[:3, :3], np.eye(3))):
                 return
@@ -364,6 +365,7 @@ class _Reader:
         for e in range(m.neq):
             couples = m.eq_type[e] == self.mj.mjtEq.mjEQ_JOINT and m.eq_obj2id[e] >= 0 and m.eq_active0[e]
             follower, leader = (self._joints.get(int(k), "") for k in (m.eq_obj1id[e], m.eq_obj2id[e]))
+            # a mimic of a URDF has one leader, which follows nobody
             led = {leader, *(one.joint for one in mimics.values())}
             if not couples or m.eq_data[e][2:5].any() or not {follower, leader} <= {*numbers} or follower in led:
                 kept += 1
@@ -418,12 +420,14 @@ class _Reader:
 
     def _rgba(self, g: int) -> NDArray[np.floating]:
         material = int(self.m.geom_matid[g])
+        # the default of MuJoCo, which a material overrides; another colour of the geom itself goes before its material
         plain = np.allclose(self.m.geom_rgba[g], (0.5, 0.5, 0.5, 1.0))
         return self.m.mat_rgba[material] if material >= 0 and plain else self.m.geom_rgba[g]
 
     def _link(self, b: int, drawn: bool) -> UrdfLink:
         m = self.m
         mass, (ix, iy, iz) = float(m.body_mass[b]), m.body_inertia[b].tolist()
+        # half extents of the box with this mass and these moments: I_x = m / 3 (b^2 + c^2), and so on
         squares = 1.5 / max(mass, 1e-12) * np.array([iy + iz - ix, iz + ix - iy, ix + iy - iz])
         visuals = [self._part(g) for g in (self._drawn(b) if drawn else self._geoms(b))]
         return UrdfLink(

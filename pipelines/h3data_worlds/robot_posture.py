@@ -39,7 +39,9 @@ def compact_posture(robot: Robot, hand: int, body: Sequence[int], joints: Array,
     if not len(columns):
         return joints
     cost = _Cost(robot, hand, body, joints, reach_m)
+    # continuous joints have no limits, and a turn more looks the same
     lower, upper = np.maximum(robot.lower[columns], -np.pi), np.minimum(robot.upper[columns], np.pi)
+    # the same robot must always rest alike: recordings depend on it
     rng = np.random.default_rng(0)
     postures = np.tile(np.asarray(joints, np.float64), (SAMPLES, 1))
     postures[1:, columns] = rng.uniform(lower, upper, (SAMPLES - 1, len(columns)))

@@ -54,7 +54,8 @@ def _draw(pen: ImageDraw.ImageDraw, board: Leaderboard, top: int) -> None:
             mean = cell.get("mean")
             if mean is None:
                 continue
-            at, low, high = (left + width * (cell.get(name) or mean) / most for name in ("mean", "low", "high"))
+            ends = (mean if cell.get(name) is None else cell[name] for name in ("mean", "low", "high"))
+            at, low, high = (left + width * end / most for end in ends)
             pen.line((low, y, high, y), COLOR, 3 * FINER)
             pen.ellipse((at - 5 * FINER, y - 5 * FINER, at + 5 * FINER, y + 5 * FINER), COLOR)
 

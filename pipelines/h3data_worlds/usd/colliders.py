@@ -75,6 +75,7 @@ def hulls_of(points: Array, faces: NDArray[np.int32]) -> list[Shape]:
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
+    # exporters write a vertex once for each face, for normals and UV: unwelded, every triangle would be a piece
     _, vertex = np.unique(np.round(points / _WELD_M).astype(np.int64), axis=0, return_inverse=True)
     vertex = vertex.ravel()
     edges = vertex[faces[:, [0, 1, 1, 2]]].reshape(-1, 2)
@@ -115,6 +116,7 @@ def _box(matrix: NDArray[np.float64], half: NDArray[np.float64]) -> Shape:
 
 def _swept(matrix: NDArray[np.float64], shape: Capsule) -> Shape:
     frame = _rigid(matrix)
+    # scaled unevenly, a sphere is an ellipsoid, for which there is no shape
     if frame is None or np.ptp(frame[1]) > _SQUARE * frame[1].max():
         return hull_around(transform_points(matrix, shape_points(shape)))
     start, end = transform_points(matrix, np.stack([shape.start, shape.end]))

@@ -57,6 +57,7 @@ class JointReader:
             names: Names of instances by the path of their prim.
         """
         links = [link for prim in prims if (link := self._link(prim, members)) is not None]
+        # a fixed joint makes two bodies one: what it holds moves with the body that it hangs on
         fixed = {link.child: link.parent for link in links if link.kind == "fixed"}
         jointed: dict[str, _Link] = {}
         for link in links:
@@ -110,6 +111,7 @@ class JointReader:
     ) -> list[Part]:
         """The parts of a thing, each after the one that it hangs on; without those that hold no instance."""
         back = np.linalg.inv(self._frame(root))
+        # a file lists joints in any order, while a part may only name one that comes before it
         waiting, made, parts = list(group), dict[str, str](), list[Part]()
         inside = {link.child for link in group}
         while waiting:
@@ -177,6 +179,7 @@ class JointReader:
         position = _position(kind, frames[0], frames[1], local)
         at, sign = (0, 1.0) if bodies[1] else (1, -1.0)  # the other body hangs on this one
         lower, upper = self._limits(prim, kind)
+        # UsdPhysics locks a joint by a lower limit that is not below the upper one
         if not kind or lower >= upper or upper - lower < _RANGE_MIN:
             kind, lower, upper, position = "fixed", -1.0, 1.0, 0.0
         if not lower - 1e-3 <= position <= upper + 1e-3:
@@ -231,6 +234,7 @@ def _position(kind: str, first: NDArray[np.float64], second: NDArray[np.float64]
         return float(axis @ between[:3, 3])
     turn = between[:3, :3]
     twist = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    # axis @ twist is 2 sin, and trace - 1 is 2 cos of the turn about the axis
     return float(np.arctan2(axis @ twist, np.trace(turn) - 1))
 
 
