@@ -92,7 +92,7 @@ class GivingWay:
         self._at: list[list[float]] = [actor.xz.tolist() for actor in actors]
         """Place of each agent; of the one whose turn it is, before that."""
         self._seen: dict[int, ObservedAgent] = {}
-        """What others see of the agents, as far as anybody has looked since they last acted."""
+        """Agents as others see them, for those whom somebody has looked at since they last acted."""
         self._settled: set[int] = set()
 
     @cached_property
