@@ -228,12 +228,13 @@ def run(emit: Emit, *, episodes: int = 2) -> None:
     floor = FreeSpace.from_scene(room)
     homes, large = [_home(name) for name in HOMES], _home("large:0")
     steps = MINUTES * 60 * RATE
-    for model in MODELS:
+    for model in (*MODELS, "wander"):
         walk(*large, 8, model, 0, 30)  # compiles
         for count in (8, 24):
             began = time.process_time()
             walk(*large, count, model, 1, 1800)
             emit(f"people.{model}.p{count}_steps_per_cpu_s", 1800 / (time.process_time() - began), "steps/s")
+    for model in MODELS:
         emit(f"people.{model}.w16_p4_env_steps_per_cpu_s", _env_speed(model), "steps/s")
         places = {
             "hall": [Walks.of(walk(room, floor, 24, model, 100 + k, steps), room, floor) for k in range(episodes)],

@@ -24,7 +24,7 @@ from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.yielding import ObservedAgent
 from sim_kinematic.contact import AgentContacts
 from sim_kinematic.contact.body_capsules import PersonCapsules, RobotCapsules, may_touch
-from sim_kinematic.contact.clearance import robot_span
+from sim_kinematic.contact.clearance import clip_reach, robot_span
 from sim_kinematic.contact.frames import body_shapes, shape_frames
 from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.motion.step import APART_TOLERANCE_M, discs_at
@@ -47,6 +47,7 @@ class GivingWay:
         people_see_robot: bool = False,
         person_radius_m: float = 0.0,
         solid: bool = False,
+        in_clips: bool = False,
     ) -> None:
         """Introduces actors to each other: from now on each of them has this as its ``company``.
 
@@ -58,6 +59,7 @@ class GivingWay:
             people_see_robot: whether a person with one robot avoids it.
             person_radius_m: radius of a person's disc.
             solid: whether people who are driven from outside slide along the discs of the others.
+            in_clips: whether people only move as in their motion clips, so that their hands stay near.
         """
         self.actors, self.right_of_way, self.agreed, self.solid = actors, right_of_way, agreed, solid
         self._people_see_robot, self._person_radius_m = people_see_robot, person_radius_m
@@ -78,6 +80,10 @@ class GivingWay:
         ]
         longer = [robot_span(body) - AVOIDANCE.contact_span_m if isinstance(body, Robot) else 0 for body in self.bodies]
         self._reach_m = [AVOIDANCE.contact_gate_m / 2 + max(extra, 0.0) for extra in longer]
+        """Distance from its place within which an agent may touch others [m]."""
+        if in_clips:
+            people = {k: clip_reach(body) for k, body in enumerate(self.bodies) if not isinstance(body, Robot)}
+            self._reach_m = [min(people.get(k, reach), reach) for k, reach in enumerate(self._reach_m)]
         self._posed: dict[int, tuple[Any, Any]] = {}
         self._gated: dict[int, tuple[Any, Any]] = {}
         """Postures to which the shapes of agents, and the capsules around them, were last moved (`_has_changed`)."""
@@ -86,7 +92,7 @@ class GivingWay:
         self._at: list[list[float]] = [actor.xz.tolist() for actor in actors]
         """Place of each agent; of the one whose turn it is, before that."""
         self._seen: dict[int, ObservedAgent] = {}
-        """What others see of the agents, as far as anybody has looked since they last acted."""
+        """Agents as others see them, for those whom somebody has looked at since they last acted."""
         self._settled: set[int] = set()
 
     @cached_property

@@ -161,7 +161,7 @@ class Traffic:
             actor.follow(self._state)
         several = len(self.actors) > 1
         rule = RightOfWay(world.floors[row], self.actors) if several else None
-        self._company = GivingWay(world.roster, self.actors, rule, agreed=several, people_see_robot=True)
+        self._company = GivingWay(world.roster, self.actors, rule, agreed=several, people_see_robot=True, in_clips=True)
         for actor in self.actors:
             # until it takes its first turn: an agent that follows another policy makes way for nobody
             actor.yields = False
