@@ -66,7 +66,7 @@ class SkippedTask(NamedTuple):
     """One episode that is no task."""
 
     home: str
-    index: int
+    episode: int
     """Index of the episode in the home."""
     reason: str
 
@@ -170,6 +170,6 @@ def skip_table(skipped: Sequence[SkippedTask]) -> str:
     """The table of a scene set that makes `SceneSet.place` skip some episodes, as TOML; empty if there are none."""
     by_home: dict[str, list[int]] = {}
     for each in sorted(skipped):
-        by_home.setdefault(each.home, []).append(each.index)
+        by_home.setdefault(each.home, []).append(each.episode)
     lines = [f"{home} = {indexes}" for home, indexes in by_home.items()]
     return "\n".join([f"[skipped.{Language.name}]", *lines]) if lines else ""

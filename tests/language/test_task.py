@@ -244,7 +244,7 @@ def test_episodes_that_are_no_task_or_are_not_completed_make_room_for_the_next(
 
     found, skipped = verify_home(Refuses(), home)
     assert [t.number for t in found] == [3, 15]
-    assert [(s.index, s.reason) for s in skipped] == [
+    assert [(s.episode, s.reason) for s in skipped] == [
         (0, "not completed by robot and person"),
         (1, "could not be sampled [H3-LANGUAGE-010]"),
     ]

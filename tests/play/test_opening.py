@@ -21,6 +21,7 @@ from h3data.recording.records import JOINTS
 from h3data_play import assets
 from h3data_play.drivers import DOOR_SHUT
 from h3data_play.live import EpisodeFactory, LiveGame
+from h3data_play.messages import Pick
 from h3data_play.plan import GameOrder
 from h3data_play.worker import Worker
 from sim_kinematic.tasks.resume import verify
@@ -44,6 +45,46 @@ def joints_told(player: Player, *, whole: bool) -> dict[int, float]:
     things = game.packed.objects if whole else game.packed.moved
     at = 16 + len(game.packed.agent_bytes) + things.nbytes
     return dict(struct.iter_unpack("<Hf", data[at:]))
+
+
+def test_a_player_is_told_only_of_what_their_own_eyes_have_met(tmp_path: Path):
+    """The server decides: neither points, nor what shuts a thing in, nor why it cannot be taken tell where it is."""
+    told: list[Any] = []
+
+    class Page:
+        def send(self, kind: str, key: str, body: Any) -> None:
+            if kind == "told":
+                told.append(body[1])
+
+    for observe in ("full", "seen"):
+        worker = Worker(Page(), [opening(tmp_path / observe, rules={"observe": observe}).plan])  # type: ignore[arg-type]
+        worker.begin("g", msgspec.to_builtins(GameOrder(index=0, name="000000", facts={})))
+        game = worker.games["g"].game
+        number = next(iter(game.drivers))
+        worker.here("g", {"agent": number, "here": True})
+        told.clear()
+        worker.step("g", None)
+        if observe == "full":
+            assert game.seen(number) is None
+            assert not any("seen" in message for message in told)
+            game.close()
+            continue
+        (message,) = (m for m in told if "seen" in m)
+        sight = game.session.play.team.objects.sight  # type: ignore[attr-defined]
+        assert [point is not None for point in message["seen"]] == sight.known[number].tolist()
+        assert message["seen"][MUG] is None
+        assert game.seen(-1) is None
+        assert game.barriers(number)[MUG][0] == -1, "it lies in a drawer, which is not told"
+        assert "not seen" in game.take(number, Pick(o=MUG, lead=True), "", 0.0)
+        told.clear()
+        sight.known[number, MUG], sight.where[number, MUG] = True, (1.0, 0.84, 2.0)
+        worker.step("g", None)
+        assert [m["seen"][MUG] for m in told if "seen" in m] == [[1.0, 0.8, 2.0]]
+        assert game.barriers(number)[MUG][0] >= 0
+        told.clear()
+        worker.step("g", None)
+        assert not any("seen" in m for m in told), "once"
+        game.close()
 
 
 @pytest.mark.slow  # quick: what cannot be opened; tasks/test_opening.py

@@ -223,7 +223,9 @@ class SkillDriver(Driver):
 
     def barred(self, k: int, lead: bool, *, at_goal: bool = False) -> str:
         """Reason why object ``k`` cannot be taken, or put at its goal, before something is opened; empty: it can."""
-        openables = self.session.play.team.openables  # type: ignore[attr-defined]
+        sight, openables = self.objects.sight, self.session.play.team.openables  # type: ignore[attr-defined]
+        if sight is not None and not at_goal and not sight.known[self.number, k]:
+            return sentence("not_seen")
         if openables is not None and openables.barrier_of(k, at_goal=at_goal) >= 0:
             return sentence("closed")
         point = self.objects.goals[k] if at_goal else self.objects.poses[k, :3]

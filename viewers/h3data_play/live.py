@@ -379,13 +379,26 @@ class LiveGame:
             return []
         # found again, in up to 50 ms, only when something has been opened, closed, taken or put down: nobody gets from one
         # side of a closed door to the other without
-        key = openables.joints.is_open(openables.positions).tobytes() + team.objects.held_by.tobytes()
+        sight = team.objects.sight
+        seen = np.ones(len(team.objects.names), np.bool_) if sight is None else sight.known[number]
+        key = openables.joints.is_open(openables.positions).tobytes() + team.objects.held_by.tobytes() + seen.tobytes()
         known = self._barriers.get(number)
         if known is None or known[0] is not team.floor or known[1] != key:
             barrier = partial(team.barrier, team.actors[number], detour_m=np.inf)
-            found = [[barrier(k, at_goal) for at_goal in (False, True)] for k in range(len(team.objects.names))]
+            found = [[barrier(k, False) if is_seen else -1, barrier(k, True)] for k, is_seen in enumerate(seen)]
             self._barriers[number] = known = team.floor, key, found
         return known[2]
+
+    def seen(self, number: int) -> list[list[float] | None] | None:
+        """Points [m] at which the player of agent ``number`` has last seen each object; None for one never seen or missed.
+
+        Altogether None if players know where everything is (the rule ``observe``), and for spectators.
+        """
+        sight = getattr(getattr(self.session.play.team, "objects", None), "sight", None)
+        if sight is None or number not in self.drivers:
+            return None
+        points = zip(sight.known[number], sight.where[number].round(1).tolist(), strict=True)
+        return [point if known else None for known, point in points]
 
     @property
     def floor(self) -> FreeSpace:

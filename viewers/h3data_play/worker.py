@@ -97,6 +97,7 @@ class Running:
     """CPU time of the latest steps, with packing and sending."""
     huds: dict[int, Any] = field(default_factory=dict)
     barriers: dict[int, Any] = field(default_factory=dict)
+    seen: dict[int, Any] = field(default_factory=dict)
     """Thing that each player was last asked to open first."""
     floors: dict[int, Any] = field(default_factory=dict)
     """Floor that each player was last sent, if it has ever changed; None: the page may have any."""
@@ -370,6 +371,7 @@ class Worker:
         running.whole = True
         running.huds.pop(number, None)
         running.barriers.pop(number, None)
+        running.seen.pop(number, None)
         if number in running.floors:
             running.floors[number] = None  # the page may have been loaded again
         if running.runs and not ran:
@@ -479,6 +481,10 @@ class Worker:
             if running.barriers.get(number, []) != barriers:
                 running.barriers[number] = barriers
                 self.channel.send("told", running.key, [number, {"barriers": barriers}])
+            seen = game.seen(number)
+            if running.seen.get(number) != seen:
+                running.seen[number] = seen
+                self.channel.send("told", running.key, [number, {"seen": seen}])
             if running.floors.get(number, game.session.episode.free) is not game.floor:
                 running.floors[number] = game.floor
                 self.channel.send("told", running.key, [number, {"floor": assets.floor_message(game.floor)}])

@@ -7,6 +7,7 @@ from typing import Any
 from sim_kinematic.agents.roster import kinds_of
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.rearrange import planner
+from sim_kinematic.policies.searching import Seeking
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.runner import run
@@ -29,8 +30,9 @@ def _simulated_solo_steps(task: Any, episode: RearrangeEpisode) -> int:
     kinds = kinds_of(episode.roster)
     first = kinds.index("human") if "human" in kinds else 0
     alone = episode.only(first)
-    plan = AssignedPolicy(planner("both", episode.seed, len(episode.targets)), "both", kinds[first], "both")
-    play = WorldRollout.of(task, alone, [plan])
+    policy: Any = planner("both", episode.seed, len(episode.targets))
+    policy = Seeking(policy) if episode.spec.observe == "seen" else policy
+    play = WorldRollout.of(task, alone, [AssignedPolicy(policy, "both", kinds[first], "both")])
     run(play)
     return play.step
 

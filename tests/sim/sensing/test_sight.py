@@ -129,6 +129,7 @@ def test_contents_are_seen_only_when_opened() -> None:
 def test_planners_find_things_and_recordings_tell_when(seed: int) -> None:
     recording = simulate(Rearrange(), episode(seed, max_steps=4000), {"robot": "complement", "human": "both"})
     assert recording.episode.info["ended"] == "success"
+    assert recording.episode.info["solo_steps"] < 4000, "the person alone, by whom efficiency is measured, searches too"
     first = {(e.agent, e.target): e.step for e in reversed(recording.events) if e.kind == "see"}
     picks = [e for e in recording.events if e.kind == "pick"]
     assert picks

@@ -1,7 +1,7 @@
 /** A session as it is played: what is pressed becomes messages, states become pictures, reasons become sentences. */
 
 import { Vector3, WebGLRenderer } from "three";
-import { deed, hints, holderText, situation, thumbText, type Barriers, type Situation } from "./player/actions.ts";
+import { deed, hints, holderText, situation, thumbText, type Barriers, type Seen, type Situation } from "./player/actions.ts";
 import { CameraRig, type View } from "./scene/camera.ts";
 import { Cues } from "./screen/cues.ts";
 import { Headset } from "./headset/xr.ts";
@@ -48,6 +48,8 @@ export class Game {
   now: Situation | null = null;
   /** What has to be opened first, as the server has told. */
   barriers: Barriers = [];
+  /** Where the player has seen each thing; null: they know where everything is. */
+  seen: Seen | null = null;
   frames = 0;
   headset: Headset | null = null;
   private readonly cues: Cues;
@@ -196,6 +198,7 @@ export class Game {
       else if (goal) this.net.send({ k: "place", p: goal.position, lead });
     } else if (next.kind === "turn") this.turn(next.joint);
     else if (next.kind === "take") this.net.send({ k: "pick", o: next.thing, lead });
+    else if (now.known.some((at, k) => !at && !now.done[k])) this.hud.toast(say("look_for_it"));
     else this.hud.toast(say(this.manifest.goals.length ? "all_there" : "nothing_to_take"));
   }
 
@@ -273,7 +276,7 @@ export class Game {
     if (!this.headset?.on) this.camera.follow(this.shown, this.world.solid, seconds);
     this.world.showBody(this.manifest.me, this.headset?.on || !this.camera.hidesBody);
     this.world.showHead(this.manifest.me, !this.headset?.on && this.camera.view !== "first");
-    this.now = situation(this.manifest, state, this.manifest.me, this.shown, this.barriers, this.world.joints.handles);
+    this.now = situation(this.manifest, state, this.manifest.me, this.shown, this.barriers, this.world.joints.handles, this.seen);
     this.preview(this.now);
     this.cues.draw(state, this.now, this.manifest.me, this.shown, this.camera.camera, this.camera.yaw);
     this.tell(state, this.now);
@@ -346,8 +349,8 @@ export class Game {
     this.hud.todo(this.manifest.goals.map((goal, k): TodoItem => {
       const who = holderText(this.manifest, state.things[k]!.held);
       const item = { thing: k, name: this.manifest.objects[k]!.label, done: now.done[k]! };
-      const where = say(now.shut[k] ? "shut_to_goal" : "to_goal", { goal: goal.label });
-      return { ...item, state: item.done ? say("there") : who || where };
+      const where = say(!now.known[k] ? "unseen_to_goal" : now.shut[k] ? "shut_to_goal" : "to_goal", { goal: goal.label });
+      return { ...item, state: item.done ? say("there") : (now.known[k] && who) || where };
     }));
     this.hud.thumb(...([false, true].map((lead) => thumbText(this.manifest, state, deed(now, lead), lead)) as [string, string]));
   }

@@ -2,7 +2,7 @@
 
 import { Refused, takeSeat } from "./link/flow.ts";
 import { Game } from "./game.ts";
-import type { Barriers } from "./player/actions.ts";
+import type { Barriers, Seen } from "./player/actions.ts";
 import { Hud } from "./screen/hud.ts";
 import { Net, type Link } from "./link/net.ts";
 import { unpacked } from "./link/packed.ts";
@@ -87,6 +87,7 @@ interface Message {
   /** For each thing the door or drawer to be opened before it is taken, and before it is put at its goal: what shuts it in,
    * or a door between rooms; -1: none. */
   barriers?: Barriers;
+  seen?: Seen;
   /** The distance grid of the floor as it is now, its cells as Base64 of zlib data. */
   floor?: SdfShape & { cells: string };
   can?: { p: number[]; why: string };
@@ -103,6 +104,7 @@ function hear(game: Game, hud: Hud, around: Around, message: Message): void {
     game.mark(message.hud.marker ?? null);
   }
   if (message.barriers) game.barriers = message.barriers;
+  if (message.seen) game.seen = message.seen;
   if (message.floor) {
     const { cells, ...map } = message.floor;
     void unpacked(cells).then((bytes) => game.sdf.replace(map, bytes.buffer));

@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import type { Manifest } from "../src/link/manifest.ts";
 import type { State } from "../src/link/wire.ts";
-import { deed, hints, situation, turnText, type Barriers, type Situation } from "../src/player/actions.ts";
+import { deed, hints, situation, turnText, type Barriers, type Seen, type Situation } from "../src/player/actions.ts";
 
 const DOOR = { name: "fridge/door", label: "fridge door", parent: -1, kind: 1, rest: 0, closed: 0, opened: 1.5, nodes: [] };
 const MANIFEST = {
@@ -27,6 +27,19 @@ test("where nothing opens, one press takes", () => {
   const [now] = at(3, 4, [], -1, [], []);
   assert.deepEqual([deed(now, false), deed(now, true)], [{ kind: "take", thing: 0 }, { kind: "take", thing: 0 }]);
   assert.equal(now.joint, -1);
+});
+
+test("things are offered where they have been seen, and those never seen are not", () => {
+  const [all, state] = at(3, 4, []);
+  const where = (seen: Seen | null): Situation => situation(MANIFEST, state, 0, { x: 0, z: 0, heading: 0 }, [], [], seen);
+  assert.deepEqual([all.next, all.far], [0, 3]);
+  const never = where([null, null]);
+  assert.deepEqual([never.next, never.known, deed(never, true)], [-1, [null, null], { kind: "none" }]);
+  assert.deepEqual(hints(never, MANIFEST, state, "keys", null), []);
+  const moved = where([null, [2, 1, 0]]);
+  assert.deepEqual([moved.next, moved.far, moved.known[1]], [1, 2, { x: 2, y: 1, z: 0 }]);
+  const [, held] = at(3, 4, [], 0);
+  assert.deepEqual(situation(MANIFEST, held, 0, { x: 0, z: 0, heading: 0 }, [], [], [null, null]).known[0], { x: 3, y: 1, z: 0 });
 });
 
 test("what is shut in is not taken before it is open", () => {

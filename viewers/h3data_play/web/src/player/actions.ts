@@ -15,6 +15,9 @@ const AT_GOAL_M = 0.15;
  * between rooms; -1: none. Empty: nothing opens. */
 export type Barriers = [number, number][];
 
+/** For each thing the point where the player has last seen it; null: not yet, or it is gone from there. */
+export type Seen = ([number, number, number] | null)[];
+
 export interface Situation {
   /** Thing in the player's hand; -1: none. */
   held: number;
@@ -35,6 +38,8 @@ export interface Situation {
   done: boolean[];
   /** Whether it is in something that is closed, or behind a closed door. */
   shut: boolean[];
+  /** Where the player knows it to be; null: they have to look for it. */
+  known: ({ x: number; y: number; z: number } | null)[];
 }
 
 /** What one press does: puts down, opens or closes a door or drawer, takes. */
@@ -51,6 +56,7 @@ export function deed(now: Situation, lead: boolean): Deed {
 
 export function situation(
   manifest: Manifest, state: State, me: number, base: Base, barriers: Barriers, handles: { x: number; z: number }[],
+  seen: Seen | null = null,
 ): Situation {
   const done = manifest.goals.map((goal, k) => {
     const thing = state.things[k]!;
@@ -58,6 +64,10 @@ export function situation(
     return thing.held < 0 && Math.hypot(thing.pose[0]! - x, thing.pose[1]! - y, thing.pose[2]! - z) < AT_GOAL_M;
   });
   const held = me < 0 ? -1 : state.things.findIndex((thing) => thing.held === me);
+  const known = state.things.map((thing, k) => {
+    const at = seen === null || thing.held === me ? thing.pose : seen[k];
+    return at ? { x: at[0]!, y: at[1]!, z: at[2]! } : null;
+  });
   let next = -1;
   let far = Infinity;
   if (held >= 0) {
@@ -65,7 +75,8 @@ export function situation(
     if (goal) far = Math.hypot(goal.position[0] - base.x, goal.position[2] - base.z);
   } else {
     state.things.forEach((thing, k) => {
-      const gap = Math.hypot(thing.pose[0]! - base.x, thing.pose[2]! - base.z);
+      const at = known[k];
+      const gap = at ? Math.hypot(at.x - base.x, at.z - base.z) : Infinity;
       if (thing.held < 0 && !done[k] && gap < far) [next, far] = [k, gap];
     });
   }
@@ -77,7 +88,7 @@ export function situation(
     const other = state.agents[k]!;
     return k !== me && agent.kind === "robot" && Math.hypot(other.x - base.x, other.z - base.z) < 1.2;
   });
-  return { held, next, first, forGoal: ofGoal >= 0, far, joint: gaps.indexOf(jointFar), jointFar, robot, done, shut: barriers.map(([own]) => own >= 0) };
+  return { held, next, first, forGoal: ofGoal >= 0, far, joint: gaps.indexOf(jointFar), jointFar, robot, done, shut: barriers.map(([own]) => own >= 0), known };
 }
 
 /** Open or close, whichever a door or drawer is not. */

@@ -104,7 +104,8 @@ export class Cues {
     }
     state.things.forEach((thing, k) => {
       const goal = this.manifest.goals[k];
-      if (!goal || now.done[k]) return;
+      const at = now.known[k];
+      if (!goal || now.done[k] || !at) return;
       const label = this.manifest.objects[k]!.label;
       const [x, y, z] = goal.position;
       if (thing.held >= 0)
@@ -116,7 +117,6 @@ export class Cues {
           far: own && Math.hypot(x - own.x, z - own.z),
         });
       else {
-        const at = this.world.things[k]!.position;
         marks.push({
           point: new Vector3(at.x, at.y + OVER_M, at.z),
           text: `${now.shut[k] ? say("shut_in", { thing: label }) : label} → ${goal.label}`,
@@ -136,10 +136,9 @@ export class Cues {
     });
     const things = state.things.map((thing, k) => {
       const goal = this.manifest.goals[k];
-      const at = this.world.things[k]!.position;
+      const at = now.known[k] ?? null;
       return {
-        x: at.x,
-        z: at.z,
+        at,
         goal: goal ? { x: goal.position[0], z: goal.position[2] } : null,
         done: now.done[k] ?? false,
         held: thing.held >= 0,

@@ -10,8 +10,8 @@ export interface MapAgent extends Base {
 }
 
 export interface MapThing {
-  x: number;
-  z: number;
+  /** Null: the player has to look for it. */
+  at: { x: number; z: number } | null;
   goal: { x: number; z: number } | null;
   done: boolean;
   held: boolean;
@@ -62,12 +62,12 @@ export class MiniMap {
         brush.lineWidth = unit * 0.09;
         brush.strokeRect(x - unit * 0.17, y - unit * 0.17, unit * 0.34, unit * 0.34);
       }
-      if (!thing.held) this.chip(thing, k, thing.done ? 0.55 : 1);
+      if (!thing.held && thing.at) this.chip(thing.at, k, thing.done);
     });
     if (marker) this.drawMarker(marker);
     for (const agent of agents) this.drawAgent(agent);
     // what is in a hand goes on top, or the agent would hide it
-    things.forEach((thing, k) => thing.held && this.chip(thing, k, 1));
+    things.forEach((thing, k) => thing.held && thing.at && this.chip(thing.at, k, false));
   }
 
   private drawMarker(marker: { x: number; z: number }): void {
@@ -86,10 +86,10 @@ export class MiniMap {
     return [(x - origin[0]) * this.scale, (z - origin[1]) * this.scale];
   }
 
-  private chip(thing: MapThing, k: number, opacity: number): void {
+  private chip(at: { x: number; z: number }, k: number, done: boolean): void {
     const { brush, scale } = this;
-    const [x, y] = this.at(thing.x, thing.z);
-    brush.globalAlpha = opacity;
+    const [x, y] = this.at(at.x, at.z);
+    brush.globalAlpha = done ? 0.55 : 1;
     brush.fillStyle = thingColor(k);
     brush.strokeStyle = "#10171d";
     brush.lineWidth = scale * 0.04;
@@ -101,7 +101,7 @@ export class MiniMap {
     brush.font = `700 ${Math.round(scale * 0.27)}px system-ui, sans-serif`;
     brush.textAlign = "center";
     brush.textBaseline = "middle";
-    brush.fillText(thing.done ? "✓" : thingLetter(k), x, y + scale * 0.015);
+    brush.fillText(done ? "✓" : thingLetter(k), x, y + scale * 0.015);
     brush.globalAlpha = 1;
   }
 
