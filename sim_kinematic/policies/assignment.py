@@ -239,7 +239,7 @@ def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
     if (found := SERVED.fullmatch(name)) and found["scheme"] in policy_servers().names():
         raise InputError(
             f"The policy was that of the server {found['name']!r} ({found['digest']}), whose address is not recorded. "
-            f"Hint: start it, and name its address as the policy: {found['scheme']}://host:port.",
+            "Hint: start it, and name its address as the policy.",
             code="H3-POLICY-064",
         )
     made = task.named_policy(kind, name, spec)
