@@ -302,7 +302,9 @@ class Talker(Expert):
         self.begun = True  # the plan is not shared
         self._names = [target.name for target in episode.targets]
         self._surfaces = surface_names(episode.scene)
-        self._heard, self._taken, self._handled = 0, -1, set[int]()
+        self._heard, self._taken = 0, -1
+        self._finished: set[int] = set()
+        """Errands of which somebody has said that they are done."""
         self._known: set[int] | None = None
         self._say: list[Message] = []
         self._next: Action | None = None
@@ -329,9 +331,10 @@ class Talker(Expert):
         elif now != before:
             self._say.append(say("i_leave", self._names[plan.errands[before].thing]))
         self._taken = now
-        for n in sorted(plan.handled - self._handled):
-            self._say.append(say("handled", self._names[plan.errands[n].thing]))
-        self._handled = set(plan.handled)
+        for n in sorted((plan.handled | (plan.brought & plan.done(view))) - self._finished):
+            kind = "handled" if plan.errands[n].handle else "brought"
+            self._say.append(say(kind, self._names[plan.errands[n].thing]))
+            self._finished.add(n)
         if view.places is not None:
             known = {k for k in range(len(self._names)) if view.is_known(k) and view.held_by[k] == NOBODY}
             for k in sorted(known - (self._known or set())):
@@ -354,10 +357,11 @@ class Talker(Expert):
                 plan.doing.pop(event.agent, None)
             if intent.kind == "i_take" and errands:
                 plan.doing[event.agent], plan.begun[event.agent] = errands[0], view.step
-            elif intent.kind == "handled":
-                found = {n for n in errands if plan.errands[n].handle}
-                plan.handled |= found
-                self._handled |= found
+            elif intent.kind in ("handled", "brought"):
+                handles = intent.kind == "handled"
+                found = {n for n in errands[: None if handles else 1] if plan.errands[n].handle == handles}
+                plan.handled |= found  # done, wherever it was seen last
+                self._finished |= found
             elif intent.kind == "is_in" and intent.names[1] in self._surfaces and not view.is_known(thing):
                 self.search = Search(self._surfaces.index(intent.names[1]))  # which looks there first
                 hinted = True

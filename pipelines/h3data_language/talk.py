@@ -10,7 +10,7 @@ from typing import NamedTuple
 from h3data.errors import InputError, suggest
 from h3data.policies import Message
 
-INTENTS = {"i_take": 1, "i_leave": 1, "handled": 1, "is_in": 2, "please_move": 0}
+INTENTS = {"i_take": 1, "i_leave": 1, "handled": 1, "brought": 1, "is_in": 2, "please_move": 0}
 """Number of names that follow each intent: things, and of ``is_in`` a thing and a surface or room."""
 
 

@@ -166,8 +166,9 @@ class LanguageModelPolicy:
             return "message"
         if reason == "found" and self._count(view) > self._known:
             return "found"
-        going = action is not None and action.skill in ("nav_to_object", "pick")
-        return "object_taken" if going and view.held_by[action.target] not in (NOBODY, self._number) else ""
+        if action is None or action.skill not in ("nav_to_object", "pick"):
+            return ""
+        return "object_taken" if view.held_by[action.target] not in (NOBODY, self._number) else ""
 
     def _count(self, view: RearrangeView) -> int:
         return sum(view.is_known(k) for k in range(len(view.objects)))

@@ -235,8 +235,8 @@ class Worker:
 
     @staticmethod
     def _arrived(view: RearrangeView, skill: str, target: int) -> bool:
-        done = view.last is not None and view.last.outcome == "done" and view.action is not None
-        return done and view.action[:2] == (skill, target)
+        last, action = view.last, view.action
+        return last is not None and action is not None and last.outcome == "done" and action[:2] == (skill, target)
 
     def _at_handle(self, view: RearrangeView, joint: int, skill: str) -> Action:
         return Action(skill if self._arrived(view, "nav_to_handle", joint) else "nav_to_handle", joint)

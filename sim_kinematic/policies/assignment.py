@@ -238,7 +238,7 @@ def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
     if found and found["scheme"] in policy_servers().names():
         raise InputError(
             f"The policy was that of the server {found['name']!r} ({found['digest']}), whose address is not recorded. "
-            f"Hint: start it, and name its address as the policy: {found['scheme']}://host:port.",
+            "Hint: start it, and name its address as the policy.",
             code="H3-POLICY-064",
         )
     # the task comes first: its files of weights and planners are none of the common policies

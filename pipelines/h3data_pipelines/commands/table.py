@@ -42,6 +42,7 @@ TABLE: dict[str, type[Command] | Group | None] = {
     "play": None,
     "serve": None,
     "language": None,
+    "llm": None,
     "import": Import,
     "export": Export,
     "rerender": Rerender,
