@@ -83,6 +83,6 @@ class LlmAgain:
 
 
 LLM = Group(
-    "Recorded answers of language models: shown, and carried out again without an endpoint.",
+    "Show recorded answers of language models, or replay them.",
     {"show": LlmShow, "again": LlmAgain},
 )

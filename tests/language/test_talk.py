@@ -158,7 +158,7 @@ def test_a_text_is_an_intent_only_in_its_form(text: str) -> None:
 
 @pytest.mark.parametrize("wrong", [("i_take",), ("sing", "x"), ("i_take", "the mug"), ("i_take", "")])
 def test_an_intent_that_is_none_is_refused(wrong: tuple[str, ...]) -> None:
-    with pytest.raises(InputError, match="H3-LANGUAGE-020"):
+    with pytest.raises(InputError, match="H3-LANGUAGE-021"):
         say(*wrong)
 
 

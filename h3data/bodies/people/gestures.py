@@ -40,7 +40,7 @@ class Gesture(NamedTuple):
     twist_deg: float = 35.0
     """Twist of the forearm and again of the wrist; positive turns the palm down."""
     seated: bool = False
-    """Whether only seated people do it."""
+    """True if only seated people do it."""
 
 
 _BOOK = ((0.52, -0.42, -0.22),)

@@ -54,7 +54,7 @@ def _draw(pen: ImageDraw.ImageDraw, board: Leaderboard, top: int) -> None:
             mean = cell.get("mean")
             if mean is None:
                 continue
-            ends = (mean if cell.get(name) is None else cell[name] for name in ("mean", "low", "high"))
+            ends = (mean if (value := cell.get(name)) is None else value for name in ("mean", "low", "high"))
             at, low, high = (left + width * end / most for end in ends)
             pen.line((low, y, high, y), COLOR, 3 * FINER)
             pen.ellipse((at - 5 * FINER, y - 5 * FINER, at + 5 * FINER, y + 5 * FINER), COLOR)

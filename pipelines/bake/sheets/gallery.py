@@ -62,14 +62,18 @@ def finds(recording: Recording) -> Track:
 def follows(recording: Recording) -> Track:
     """Length of the person's path while the robot is 1 to 2 m away."""
     away = recording.columns["metrics.dist_agents"]
-    return path_length(track_of(recording, 1)[0]) * over_window((away > 1) & (away < 2)) ** 4
+    return path_length(track_of(recording, 1)[0]) * over_window(np.where((away > 1) & (away < 2), 1.0, 0.0)) ** 4
 
 
 def gives_way(recording: Recording) -> Track:
     """Nearness of agents who both move in opposite directions without a touch."""
     (mine, _), (theirs, _) = track_of(recording, 0), track_of(recording, 1)
-    ahead, coming = (np.gradient(track, axis=0) * 30 for track in (mine, theirs))
-    meets = (np.hypot(*ahead.T) > 0.3) & (np.hypot(*coming.T) > 0.5) & ((ahead * coming).sum(1) < -0.15)
+    ahead, coming = (np.diff(track, axis=0, append=track[-1:]) * 30 for track in (mine, theirs))
+    meets = (
+        (np.hypot(ahead[:, 0], ahead[:, 1]) > 0.3)
+        & (np.hypot(coming[:, 0], coming[:, 1]) > 0.5)
+        & ((ahead * coming).sum(1) < -0.15)
+    )
     clear = over_window(recording.columns["metrics.collision"].astype(float), np.max) == 0
     score = np.where(meets, 1 / np.maximum(recording.columns["metrics.dist_agents"], 0.5), 0)
     return clear * score[STEPS // 2 : len(score) - (STEPS - STEPS // 2) + 1]

@@ -15,7 +15,7 @@ from h3data.progress import say
 
 @dataclass(frozen=True, kw_only=True)
 class Serve:
-    """Serve a policy over a websocket, in the protocol of openpi: to evaluate from another process, machine or simulator.
+    """Serve a policy over a websocket, in the protocol of openpi.
 
     Planners are shown the whole state, which only h3data sends; trained policies and those with --adapter are shown named
     observations, which any client may send. Without end until Ctrl-C. Needs the extra remote.
