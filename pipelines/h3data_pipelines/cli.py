@@ -135,7 +135,7 @@ def _print(text: str) -> None:
 
 
 def _close_stdout() -> None:
-    """Discards further output when the reader has closed the pipe (``| head``), also what Python flushes at exit."""
+    """Discards further output, also what Python flushes at exit: the reader has closed the pipe (``| head``), or a disk is full."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -146,7 +146,12 @@ def entry() -> None:
             signal.signal(number, signal.default_int_handler)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names may not fit the terminal's encoding
-    sys.exit(main())
+    code = main()
+    try:
+        sys.stdout.flush()
+    except OSError:  # `main` has said it; Python would say it again and exit with 120
+        _close_stdout()
+    sys.exit(code)
 
 
 if __name__ == "__main__":
