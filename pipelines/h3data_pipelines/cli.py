@@ -135,7 +135,7 @@ def _print(text: str) -> None:
 
 
 def _close_stdout() -> None:
-    """Discards further output, also what Python flushes at exit: the reader has closed the pipe (``| head``), or a disk is full."""
+    """Discards further output, also what Python flushes at exit: a reader has closed the pipe (``| head``), a disk is full."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
