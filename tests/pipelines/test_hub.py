@@ -245,6 +245,7 @@ def test_damage_on_the_way_is_noticed(dataset: Dataset, hub: Hub, tmp_path: Path
     assert require_checksums(tmp_path / "back") == 0
 
 
+@pytest.mark.slow
 def test_what_stands_in_the_way_is_said(
     dataset: Dataset, hub: Hub, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -350,6 +350,7 @@ def test_a_seat_that_nobody_is_connected_to_can_be_taken_over(tmp_path: Path, op
 
 
 # --- connections on which nothing happens -----------------------------------------------------------------------------
+@pytest.mark.slow
 def test_half_open_connections_are_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(connections, "IDLE_S", 0.5)
     monkeypatch.setattr(connections, "ANSWER_S", 0.5)

@@ -85,6 +85,7 @@ def test_who_was_killed_goes_on_to_the_same_weights(
     assert load_network(tmp_path / "other.npz").digest != load_network(tmp_path / "whole.npz").digest
 
 
+@pytest.mark.slow
 def test_advantages_end_with_their_episodes(example: dict[str, Any]) -> None:
     steps, worlds = 12, 5
     generator = torch.Generator().manual_seed(0)

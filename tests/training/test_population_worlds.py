@@ -85,7 +85,12 @@ def jobs_of(count: int, networks: dict[str, SkillPolicyNetwork], partner: str = 
 # --- the network --------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("agent", "without", "pixels"),
-    [(ROBOT, (), False), (ROBOT, ("humanoid_gps",), False), ("human", (), False), (ROBOT, (), True)],
+    [
+        (ROBOT, (), False),
+        pytest.param(ROBOT, ("humanoid_gps",), False, marks=pytest.mark.slow),
+        ("human", (), False),
+        (ROBOT, (), True),
+    ],
 )
 def test_inputs_and_scores_are_those_of_one_agent(agent: str, without: tuple[str, ...], pixels: bool) -> None:
     rng = np.random.default_rng(0)

@@ -101,7 +101,9 @@ def test_worlds_do_not_mix(home: Scene, bodies: tuple[Robot, Humanoid]) -> None:
             np.testing.assert_array_equal(picture[0], together[name][w], err_msg=name)
 
 
-@pytest.mark.parametrize("projection", ["perspective", "orthographic", "equirectangular"])
+@pytest.mark.parametrize(
+    "projection", ["perspective", "orthographic", pytest.param("equirectangular", marks=pytest.mark.slow)]
+)
 def test_pictures_are_the_same_where_people_out_of_view_are_not_skinned(
     home: Scene, bodies: tuple[Robot, Humanoid], projection: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
