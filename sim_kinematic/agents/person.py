@@ -81,9 +81,9 @@ REST_CURL, OPEN_CURL, CURL_MOST, CURL_STEP = 0.244, -0.2, 1.1, 0.12
 """Bend of each joint of a finger [rad]: in the rest pose; beyond it just before the hand takes something, at most, and by
 which it changes in a step."""
 CLOSES_FROM = 0.8
+"""Share of the path to a thing from which on a hand closes."""
 HANDLE_CURL = 0.9
 """Bend of each joint of a finger around a handle [rad]."""
-"""Share of the path to a thing from which on a hand closes."""
 HEAD_JOINTS = [JOINT_INDEX["neck"], JOINT_INDEX["head"]]
 LOOK_STEPS, LOOKED_RAD = 10, 0.15
 """The hand sets off after this many steps at most, or when the head has less than this left to turn."""

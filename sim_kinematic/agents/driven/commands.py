@@ -187,7 +187,7 @@ def interrupts_skill(action: Action) -> bool:
 
 def _index(name: str | int, objects: Objects) -> int:
     index = objects.names.index(name) if name in objects.names else name
-    if not isinstance(index, int) or not 0 <= index < len(objects.names):
+    if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(objects.names):
         raise InputError(
             f"There is no object {name!r} in this task. Expected one of: {', '.join(objects.names)}.", code="H3-SIM-003"
         )

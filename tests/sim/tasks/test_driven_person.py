@@ -216,6 +216,7 @@ def test_commands_come_back_from_json(playground: Session, command: PersonComman
         (Place((0.0, np.nan, 0.0)), r"(?s)a point.*3.*H3-SIM-005"),
         (Pick("unicorn"), r"(?s)'unicorn'.*H3-SIM-003"),
         (Pick(7), r"(?s)7.*H3-SIM-003"),
+        (Pick(True), "H3-SIM-003"),
         ("go", "H3-SIM-002"),
         (PersonCommand(do="jump"), "H3-SIM-001"),  # type: ignore[arg-type]
     ],

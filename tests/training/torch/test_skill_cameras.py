@@ -110,7 +110,8 @@ class OnTheDevice(TorchDispatchMode):
         return made
 
 
-@pytest.mark.parametrize("skill", [pytest.param(skill, marks=pytest.mark.slow) for skill in SKILL_NAMES])
+@pytest.mark.slow
+@pytest.mark.parametrize("skill", SKILL_NAMES)
 def test_a_step_and_its_frames_never_leave_the_device(skill: Skill) -> None:
     episode = episode_of("small:1")
     starts = draw_starts(episode, skill, 2, np.random.default_rng(1), path_m=(0.0, 5.0))
