@@ -57,8 +57,8 @@ class ObjectRoom:
             beside = np.hypot(*(pose[:3] - place)[[0, 2]]) > radius + other_radius + APART_M
             if not beside and pose[1] + low < place[1] + other_high and place[1] + other_low < pose[1] + high:
                 return "no_space"
-        # lowered by this much, the object would touch what carries it
         on_floor = pose[1] + low - floor_y <= SUPPORT_M
+        # lowered by this much, the object would touch what carries it
         return "" if on_floor or self._collides(k, pose, -SUPPORT_M) else "no_support"
 
     def _floor_below(self, pose: Array) -> float:

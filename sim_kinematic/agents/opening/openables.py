@@ -129,7 +129,7 @@ class ArticulatedParts:
             asset = self.scene.assets[instance.asset]
             own = tuple(r for r in asset.receptacles if r.name == name.partition("|")[2])
             kinds = [self.joints.parts[k][1].joint.kind for k in needed]
-            # doors first: a rack behind a door cannot slide out before it is open
+            # doors first: a rack behind one cannot slide out before the door is open
             order = sorted(zip(needed, kinds, strict=True), key=lambda pair: pair[1] == "prismatic")
             only = Asset(name=asset.name, mesh=asset.mesh, receptacles=own)
             found.append((instance, only, tuple(k for k, _ in order)))

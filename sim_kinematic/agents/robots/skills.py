@@ -243,7 +243,7 @@ class RobotActor(RobotDriver):
             if np.isfinite(left):
                 yield from self._fold_arm()
                 return (yield from self.drive_to(near[n, :2], facing=way[0, [0, 2]]))
-        # no stand leaves room to turn, as in a narrow hall: along the wall the hand reaches to the side
+        # no stand is left with room to turn, as in a narrow hall: along the wall the hand reaches to the side
         stands = handle_stands(self.free, self.robot, base, way[0], island=island_of(self.free, self.xz))
         stands = stands[stands_before(self.openables, k, stands, base.disc_offsets_m, base.disc_radius_m)]
         n = self._straightest(stands)
@@ -288,10 +288,10 @@ class RobotActor(RobotDriver):
                 self._step(0.0, 0.0, avoid=False)
                 yield
             hand = self._hand_at(leading.handles[step], robot)
-            # a handle that was lost is not taken again: the part goes on by itself
             if follows and not is_beyond_reach(self.robot, hand):
                 # no restarts: a posture from elsewhere would swing the arm around between two steps
                 answer = reach_posture(self.robot, hand, self.arm_goal, restarts=0)
+                # a handle that no posture reaches is not taken again: the part goes on by itself
                 follows = bool(answer.reached)
                 self.arm_goal = answer.joint_pos if follows else self.arm_goal
             self._step(0.0, 0.0, avoid=False)
