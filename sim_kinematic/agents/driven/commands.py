@@ -224,6 +224,7 @@ def _numbers(what: str, values: Sequence[float], count: int, most: float) -> Vec
     try:
         array = np.asarray(values, np.float64)
     except (TypeError, ValueError):
+        # of a wrong shape, so that one message refuses whatever was given
         array = np.full(0, np.nan)
     if array.shape != (count,) or not np.isfinite(array).all() or (np.abs(array) > most).any():
         within = "" if np.isinf(most) else f" up to {most:g}"

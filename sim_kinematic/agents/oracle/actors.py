@@ -201,8 +201,10 @@ class OraclePerson(PersonActor):
         """Put the object in front of their chest, turned as it was, and their right arm as if it held it."""
         name, pose = self.objects.names[k], self.objects.poses[k]
         stood = pose_multiply(pose_inverse(self.person.base), pose)[3:]
+        # relative to the root, so that the object turns with the person
         self._carry[3:] = stood
         self.person.objects[name] = pose.copy()
+        # for the arm, which carries something now; where the object is `_follow` says
         self.person.held = {"right": Held(name, np.array([0, 0, 0, 0, 0, 0, 1.0]), stood)}
         self._follow()
 
@@ -219,6 +221,7 @@ class OraclePerson(PersonActor):
 def _refusal(actor: OracleRobot | OraclePerson, action: Action) -> str:
     """Reason why a skill cannot start now; empty: it can."""
     why = actor.objects.why_not(actor.number, action)
+    # without an object there is no place to be at
     if why or action.target < 0:
         return why
     errand = actor.errands.of(action, actor.objects.poses)
@@ -238,6 +241,7 @@ def _handling(
     changes, ends = steps
     for step in range(1, ends + 1):
         stands()
+        # the attempt takes this step, also where it fails
         why = _hand_over(actor, action, errand) if step == changes else ""
         yield
         if why:

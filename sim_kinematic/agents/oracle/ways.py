@@ -56,6 +56,7 @@ class FloorCells:
     def of(cls, free: FreeSpace) -> FloorCells:
         """Cells of a free floor, with the corners of paths that are visible from the whole of each cell."""
         x0, z0, x1, z1 = free.polygon.bounds
+        # one cell more, as the first begins half a cell before the border
         shape = int(np.ceil((x1 - x0) / CELL_M)) + 1, int(np.ceil((z1 - z0) / CELL_M)) + 1
         origin = np.array([x0, z0]) - 0.5 * CELL_M
         # the middle first, as `argmax` below finds the first free sample
@@ -215,6 +216,7 @@ def _from_corners(graph: Graph, ends: NDArray, skip: float) -> tuple[NDArray, ND
                     before[v] = n + e if found[k] == v else graph.previous[found[k], v]
     for v in range(n):
         u = before[v]
+        # numbers from n on are ends, which are never passed over
         while 0 <= u < n and before[u] >= 0:
             dx, dz = graph.nodes[u, 0] - graph.nodes[v, 0], graph.nodes[u, 1] - graph.nodes[v, 1]
             if np.hypot(dx, dz) >= skip:
