@@ -74,12 +74,15 @@ def _draw_in_worlds(sdf, origin, cell, xz, heading, arms, busy, rate, aside, fre
             for k in range(2):
                 line, side = 2 * (w - begin) + k, 2.0 * k - 1.0
                 asks[line], along[count], most[count], lines[count] = 0.0, -end, 0.0, line
+                # the right of a heading h is (sin h, cos h) in (x, z); side is -1 for the left arm
                 x[count], z[count] = xz[w, 0] + sine * side * aside, xz[w, 1] + cosine * side * aside
                 c[count], s[count], enough[count] = cosine, sine, min(arms[w, k] + rate + ROUNDING, 1.0)
+                # the next line overwrites that of a busy arm, which asks for nothing and so comes out
                 count += k != busy
         while count > 0:
             for _ in range(LOOKS):
                 for n in range(count):  # cells, and places in them
+                    # samples of the field are at the middles of its cells
                     fx = (x[n] + c[n] * along[n] - low_x) / cell - 0.5
                     fz = (z[n] - s[n] * along[n] - low_z) / cell - 0.5
                     cx, cz = fx if fx > 0.0 else 0.0, fz if fz > 0.0 else 0.0
@@ -94,6 +97,7 @@ def _draw_in_worlds(sdf, origin, cell, xz, heading, arms, busy, rate, aside, fre
                     far = a[n] * ((1.0 - b[n]) * flat[below] + b[n] * flat[below + np.uint64(1)])
                     room[n] = near + far
                     if off_x[n] != 0.0 or off_z[n] != 0.0:
+                        # off the grid: the value at its border less the distance to it, as `sample_sdf`
                         room[n] -= cell * np.hypot(off_x[n], off_z[n])
                 for n in range(count):  # what they ask for, and where the next look is
                     share, beyond, stride = (free - room[n]) / (free - tight), abs(along[n]) - within, room[n] - free
@@ -101,6 +105,7 @@ def _draw_in_worlds(sdf, origin, cell, xz, heading, arms, busy, rate, aside, fre
                     need = need if need > most[n] else most[n]
                     at = along[n] + (stride if stride > step else step)
                     along[n], most[n] = at, need
+                    # the last term: farther on even a thing right on the line would ask for less than `need`
                     goes_on[n] = (at <= end) & (need < enough[n]) & (at - within < (1.0 - need) * fade + ROUNDING)
             left = 0
             for n in range(count):
@@ -124,6 +129,7 @@ def draw_arms(
     """
     if rules is None:
         return
+    # room is measured from the line, which is `aside_m` off the middle of the body
     width = width_m(body) - rules.aside_m
     _draw_in_worlds(
         free.sdf,
@@ -194,4 +200,5 @@ def width_m(body: Humanoid) -> float:
     """Return the distance [m] by which the capsules of a standing person with both arms folded extend to one side."""
     joints = body.joint_matrices(IDENTITY_POSE[None], *body.clip_pose([0], [0.0], arms=np.ones((1, 2))))
     start, end, radius = body.capsules_world(joints)
+    # z of the agent root frame is the person's side
     return float((np.abs(np.stack([start, end])[:, 0, :, 2]).max(0) + radius).max())

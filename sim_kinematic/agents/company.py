@@ -15,6 +15,7 @@ class Company(Protocol):
     """All step aside for each other when they are asked."""
     solid: bool
     """People who are driven from outside slide along the discs of the others."""
+    # untyped, because the modules of the actors import this one
     actors: Sequence[Any]
     bodies: list[Any]
 

@@ -78,6 +78,7 @@ class GivingWay:
         self._capsules = [
             RobotCapsules(body) if isinstance(body, Robot) else PersonCapsules(body) for body in self.bodies
         ]
+        # the gate allows for `quad_arm`; each agent has half of it, and a longer robot what it is longer
         longer = [robot_span(body) - AVOIDANCE.contact_span_m if isinstance(body, Robot) else 0 for body in self.bodies]
         self._reach_m = [AVOIDANCE.contact_gate_m / 2 + max(extra, 0.0) for extra in longer]
         """Distance from its place within which an agent may touch others [m]."""
@@ -131,6 +132,7 @@ class GivingWay:
         """Shows an agent the others before it moves: where they are and how they move."""
         seen, me.hindered_by = [self._observed(other) for other in self._avoided[me.number]], frozenset()
         if len(seen) > 1:
+            # stable: agents at the same distance keep the order of their numbers on every machine
             gaps = np.array([other.xz for other in seen]) - me.xz
             seen = [seen[k] for k in np.hypot(*gaps.T).argsort(kind="stable").tolist()]
         me.others = tuple(seen)
@@ -140,7 +142,9 @@ class GivingWay:
         number, count = other.number, self._moments
         if number not in self._seen:
             track, is_robot, moved = self._places[number], other.is_robot, number in self._acted
+            # a copy, because a robot's place is a view that its next step changes
             now = other.xz.copy() if moved else track[count - 1]
+            # who has moved in this step is one row ahead of the track: the interval is as long either way
             first = max(count - AVOIDANCE.velocity_steps - (not moved), 0)
             velocity = (now - track[first]) / (STEP_S * max(count - first - (not moved), 1))
             steps_aside = self.agreed and other.yields and other.path_start is None
@@ -163,6 +167,7 @@ class GivingWay:
         if not near:
             return False
         pairs = {other: (min(me.number, other), max(me.number, other)) for other in near}
+        # who touched before may go on touching, or the two could never part
         met = [other for other, pair in pairs.items() if pair not in self.touching and self._touch(*pair)]
         me.hindered_by |= frozenset(met)
         return bool(met)
@@ -182,6 +187,7 @@ class GivingWay:
     def comes_too_near(self, me: AnyActor) -> bool:
         """Returns whether a person has come nearer to the discs of others than they may in this step."""
         discs, was = self.discs_beside(me.number), self.track(me.number)[-1]
+        # never more than the gap that there was: whoever is too near already may stay, and leave
         least = np.minimum(self._person_radius_m + discs[:, 2], np.hypot(*(discs[:, :2] - was).T))
         return bool((np.hypot(*(discs[:, :2] - me.xz).T) < least - APART_TOLERANCE_M).any())
 
@@ -216,6 +222,7 @@ class GivingWay:
         """Returns whether two agents touch as they are now."""
         self._gate(self.actors[a])
         self._gate(self.actors[b])
+        # capsules first, at a tenth of the cost of posing the shapes; they almost always decide
         if not may_touch(self._capsules[a], self._capsules[b]):
             return False
         self._pose(self.actors[a])
@@ -251,6 +258,7 @@ def _has_changed(actor: AnyActor, kept: dict[int, tuple[Any, Any]]) -> bool:
     """Returns whether an agent's posture differs from the one that is ``kept`` of it, and keeps it."""
     place, quats = (*actor.xz.tolist(), actor.heading), None
     if isinstance(actor, RobotActor):
+        # by value, because a robot's joints are changed in place
         place = (*place, actor.joints.tobytes())
     else:
         quats = actor.person.quats  # whatever poses a person makes a new array

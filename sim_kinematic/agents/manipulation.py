@@ -31,6 +31,7 @@ def step_joint(position, command, most, lower, upper):
 
 @kernel(error_model="numpy")
 def _step_arms(joints, columns, action, most, lower, upper):
+    # all of them before anything moves, so that a step is made in every world or in none
     broken = first_not_finite(action)
     if broken >= 0:
         return broken
@@ -105,6 +106,7 @@ def _quaternion(frame):
 
 @kernel(error_model="numpy")
 def _grip_worlds(hand, object_pose, held_by, grip_pose, action, agent, nobody, reach):
+    # a loop of its own, so that nothing is taken anywhere if one of them is refused
     for w in range(len(action)):
         if not math.isfinite(action[w]):
             return w
@@ -115,6 +117,7 @@ def _grip_worlds(hand, object_pose, held_by, grip_pose, action, agent, nobody, r
                 holds = True
                 if action[w] < 0.0:
                     held_by[w, o] = nobody
+        # a hand that has just let go takes nothing in the same step
         if holds or action[w] <= 0.0:
             continue
         o, distance = nearest_free(hand[w], object_pose[w], held_by[w], nobody)
@@ -122,6 +125,7 @@ def _grip_worlds(hand, object_pose, held_by, grip_pose, action, agent, nobody, r
             held_by[w, o] = agent
             q = object_pose[w, o]
             grip = multiply(inverse(_quaternion(hand[w])), (q[3], q[4], q[5], q[6]))
+            # the object snaps to the hand and keeps its rotation, so that only this is relative to the hand
             grip_pose[w, o, :3] = 0.0
             for k in range(4):
                 grip_pose[w, o, 3 + k] = grip[k]

@@ -170,6 +170,7 @@ class Person:
         self.body, self.spec, self.free = body, spec, free
         self.spot: Array = self.state.xz[0]
         """Position on the floor [2] [m], a view."""
+        # place and heading are the state's own arrays, so they follow it without copies
         self._drawn = replace(self.state, arms=np.zeros((1, 2)))
         """The same place, and how far the arms are folded in."""
         self.tilts: dict[Hand, float] = {"left": 0.0, "right": 0.0}
@@ -206,6 +207,7 @@ class Person:
     @base.setter
     def base(self, pose: Array) -> None:
         self._base = pose
+        # in place, because `spot` and `_drawn` look at the same arrays
         self.state.xz[0, 0], self.state.xz[0, 1] = pose[0], pose[2]
         self.state.heading[0] = heading_from_quat(pose[3:])
 
@@ -230,6 +232,7 @@ class Person:
             )
         if base_pose is not None:
             self.base = np.array(base_pose, np.float64)
+        # of no kind, so that whatever motion comes next is blended with this pose
         self.transition = Transition()
         self.curl, self.gaze = np.zeros(2), np.zeros(6)
         self._assign(quats, pelvis, quats)
@@ -238,6 +241,7 @@ class Person:
         self.quats, self.pelvis, self.bare = quats, pelvis, bare
         for hand, held in self.held.items():
             pose = pose_multiply(self.palm(hand), held.grip)
+            # the place is rigid with the palm, the rotation is not: what stood upright keeps upright
             pose[3:] = quat_nlerp(self.upright(held), pose[3:], self.tilts[hand])
             self.objects[held.name] = pose
 
@@ -265,6 +269,7 @@ class Person:
     def reach_to(self, position: ArrayLike, hand: Hand = "right") -> ReachResult:
         """Put a palm at a world position [3] at once, or as near to it as it gets; the result says which."""
         result = reach(self.body, self.seen(position), hand)
+        # at once: an arm that is let out by small steps would keep the palm off its place
         self._drawn.arms[0, HANDS.index(hand)] = 0.0
         self.set_pose(self.with_arms(result.quats, hand), result.pelvis)
         return result
@@ -283,6 +288,7 @@ class Person:
         way = float(wrap_angle(heading - start))
         steps = max(int(np.ceil(abs(way) / (self.spec.turn_rad_s * STEP_S))), 1) if abs(way) > 1e-9 else 0
         for k in range(1, steps + 1):
+            # a share of the whole turn rather than a sum of steps, so that the last one ends on the heading
             self.base = np.append(self.base[:3], quat_from_heading(start + way * k / steps))
             self.stride()
             yield
@@ -318,6 +324,7 @@ class Person:
                 walk_humans(state, point[None], self.spec)
                 self.stride(state)
                 yield
+                # the blend gets to 0 only when the legs have come to rest, some steps after the arrival
                 if state.blend[0] == 0:
                     break
         yield from self.settle()
@@ -354,16 +361,19 @@ class Person:
         self._closing.pop(hand, None)
         palm = self.palm(hand)
         error = float(np.linalg.norm(palm[:3] - self.objects[name][:3]))
+        # the object may have been taken away while the hand was on its way
         if error > SNAP_M:
             self.look_at = None
             yield from self._move(hand, self._path_out(hand, target)[::-1], ends=(1.0, 0.0))
             return MotionResult(success=False, reason="missed", hand_error_m=error)
+        # the inverse of the heading, to which the rotation of what is held is relative
         heading = quat_from_heading(-heading_from_quat(self.base[3:]))
         self.held = {other: held for other, held in self.held.items() if held.name != name}  # from the other hand
         self.held[hand] = Held(
             name, pose_multiply(pose_inverse(palm), self.objects[name]), quat_multiply(heading, self.objects[name][3:])
         )
         self.look_at = None
+        # only the trunk goes back to standing: the arm carries in the reaching posture (`_carry_arm`)
         yield from self._move(hand, np.stack([target, self._carry_point(hand)]), ends=(1.0, 0.0), arms=(1.0, 1.0))
         yield from self._take_close(hand)
         return MotionResult(success=True, hand_error_m=error)
@@ -377,9 +387,11 @@ class Person:
         if not answer.reached:
             return _unreached(answer)
         yield from self._look(np.asarray(position, np.float64))
+        # the palm goes to the target itself, as an object is within `SNAP_M` of the palm that took it
         line = np.stack([self._carry_point(hand), target])
         for _ in self._move(hand, line, ends=(0.0, 1.0), arms=(1.0, 1.0)):
             yield
+        # before the hand goes back, which would take the object along
         del self.held[hand]
         self.look_at = None
         error = float(np.linalg.norm(self.objects[held.name][:3] - np.asarray(position, np.float64)))
@@ -404,6 +416,7 @@ class Person:
             self._closing[hand] = OPEN_CURL if share < CLOSES_FROM else HANDLE_CURL
             yield
         out = np.flatnonzero(~reacher(self.body, hand).reachable(local))
+        # up to the first point out of reach: a hand that has let go does not take hold again farther on
         held = int(out[0]) if len(out) else len(local)
         poses = reach_poses(self.body, local[:held], hand, trunk=np.ones(held), arm=np.ones(held))
         for k in range(len(local)):
@@ -454,11 +467,13 @@ class Person:
         ``ends`` says whether it begins and ends in the standing trunk (0) or the reaching one (1), ``arms`` the same of
         the elbow. Yields the share of the way.
         """
+        # a reach is solved for feet as in standing
         for _ in self.settle():
             yield 0.0
         poses, way = self._line(hand, corners, ends, ends if arms is None else arms)
         fastest = float(joint_steps(poses.quats).max(initial=0.0))
         if fastest > JOINT_STEP_RAD:
+            # how fast joints turn only the poses tell: the line is solved again, slower by the excess
             poses, way = self._line(hand, corners, ends, ends if arms is None else arms, fastest / JOINT_STEP_RAD)
         for quats, pelvis, at in zip(poses.quats, poses.pelvis, way, strict=True):
             self.walk.step(self.base)
@@ -476,6 +491,7 @@ class Person:
         for k, leg in enumerate(legs):
             steps = int(np.ceil(slower * max(leg / HAND_SPEED_MPS, HAND_LEAST_S) / STEP_S))
             u = np.arange(1, steps + 1)[:, None] / steps
+            # at rest at both corners; halfway it is 1.5 times as fast as `HAND_SPEED_MPS`, which is the mean
             u = u * u * (3 - 2 * u)
             points.append(corners[k] + u * (corners[k + 1] - corners[k]))
             done.append(legs[:k].sum() + u[:, 0] * leg)
@@ -523,9 +539,12 @@ class Person:
             share = fade.left * fade.left * (3 - 2 * fade.left)
             quats = quat_nlerp(quats, was_quats, np.full(len(quats), share))
             pelvis = pelvis + share * (was_pelvis - pelvis)
+            # half a step, because a sum of twelfths does not end exactly at 0
             fade = fade if fade.left > 0.5 / FADE_STEPS else Transition(kind)
+        # a pose of walking alone has its feet planted already
         if kind != "walk" or fade.quats is not None:
             self.walk.plant(quats, pelvis)
+        # the next transition starts from the bare pose: gaze and fingers are added to every pose anew
         self._assign(self._attend(quats, pelvis), pelvis, quats)
         self.transition = fade
 
@@ -544,6 +563,7 @@ class Person:
         if bends:
             curl_fingers(quats, self.curl)
         if turns:
+            # the kernel takes an array in either case; it is not read if the person looks at nothing
             target = np.zeros(3) if self.look_at is None else self.seen(self.look_at)
             looks, turning = self.look_at is not None, self.walk.head_turn
             self._to_turn = turn_gaze(self._offsets, quats, pelvis, target, looks, turning, self.gaze)
@@ -552,6 +572,7 @@ class Person:
     def curl_around(self, name: str) -> float:
         """Bend of each joint of a finger [rad] whose bones touch a round thing of an object's radius."""
         radius = min(max(self.sizes.get(name, GRIP_M), GRIP_WITHIN[0]), GRIP_WITHIN[1])
+        # bones of length l that touch a circle of radius r at their middles bend by 2 atan(l / 2r)
         return min(2 * math.atan(FINGER_M / 2 / (radius + FINGER_HALF)) - REST_CURL, CURL_MOST)
 
     def _look(self, point: Array) -> Generator[None, None, None]:
@@ -579,9 +600,11 @@ class Person:
             draw_arms(drawn, self.free, self.body, self.spec.arms, busy=moving)
             if any(drawn.arms[0].tolist()):
                 draw_in(quats[None], drawn.arms, shoulders_forward=True)
+            # an emptied hand goes back to 0 at the same rate, so that the next thing does not begin close
             for hand, close in self._close.items():
                 if close or hand in self.held:
                     self._close[hand] = close + min(max(self._wanted_close(hand, moving) - close, -rate), rate)
+        # last, over what drawing in has made of an arm that carries
         for hand in self.held:
             if hand != moving:
                 joints, arm = self._carry_arm(hand)
@@ -596,6 +619,7 @@ class Person:
         k = HANDS.index(hand)
         ahead, _, aside = self._carry_point(hand).tolist()
         wanted = held_close(self.free, self.state.xz[0], self.heading, (ahead, aside), self.spec, rules)
+        # no farther out than an arm that holds nothing would be here
         return max(wanted, float(self._drawn.arms[0, k]))
 
     def _take_close(self, hand: Hand) -> Generator[None, None, None]:
@@ -638,11 +662,13 @@ def _unreached(answer: ReachResult) -> MotionResult:
 
 def joint_steps(quats: Array) -> Array:
     """Returns how far each joint turns from one pose to the next, [T-1, 55] [rad], of local rotations [T, 55, 4]."""
+    # the absolute value, because q and -q are the same rotation
     return 2 * np.arccos(np.minimum(np.abs(np.sum(quats[1:] * quats[:-1], axis=-1)), 1.0))
 
 
 def _eased(way: Array, ends: tuple[float, float]) -> Array:
     """Weights [T] that go over between ``ends`` and 1 within `EASE_M` of either end of the way [T] [m]."""
+    # both eases have to fit into a short way; one of no length needs a divisor other than 0
     ease = min(EASE_M, way[-1] / 2) or 1.0
     weight = np.ones_like(way)
     for from_end, value in ((way, ends[0]), (way[-1] - way, ends[1])):

@@ -51,6 +51,7 @@ class BodyClearance:
         self._scenery, self._body = scenery_of(scene), body
         self._floor_y, self._heights = floor_y, room_heights(scene.rooms)
         start, end, radius = body.capsules_world(np.tile(np.eye(4), (1, 55, 1, 1)))
+        # capsules thinner than the tolerance would have no radius left
         thinner = shapes_from_capsules(start[0], end[0], np.maximum(radius - TOLERANCE_M, 0.25 * radius))
         self._parts: dict[Hand, tuple[_Part, _Part]] = {}
         for hand, names in REACHING_PARTS.items():
@@ -91,6 +92,7 @@ class BodyClearance:
         Stands on one ring round the point share them.
         """
         local = pose_multiply(pose_inverse(base), np.append(point, [0, 0, 0, 1.0]))[:3]
+        # rounded: seen from stands of one ring the point differs by rounding alone
         seen = hand, tuple(np.round(local, 4).tolist())
         if seen not in self._ways:
             if len(self._ways) >= WAYS_KEPT:
@@ -110,6 +112,7 @@ class BodyClearance:
 @lru_cache(maxsize=8)
 def _hand_paths(body: Humanoid) -> dict[tuple[Hand, tuple[float, ...]], Array]:
     """Cache of the paths of a body's hands for `BodyClearance._capsules`, shared by all homes."""
+    # only the key of the cache
     del body
     return {}
 

@@ -132,6 +132,7 @@ class PersonActor:
     def path_start(self) -> NDArray | None:
         """First point [2] of the path that the person walks; None without a path."""
         if isinstance(self._announced, partial):
+            # the first argument of `_joined` is the person's place, so nothing is joined for it
             return self._announced.args[0]
         return self._announced[0] if len(self._announced) else None
 
@@ -182,9 +183,11 @@ class PersonActor:
     def start(self, action: Action) -> Skill:
         """Begin a skill."""
         k = action.target
+        # before it is cleared: the next walk has to know that the last one was turned away
         self._goes_around |= self.turned_away
         self.turned_away = False
         self._trail.clear()
+        # who has come to an object keeps looking at it for the pick or the place that follows
         if action.skill not in ("pick", "place"):
             self.person.look_at = None
         if action.skill == "wait":
@@ -218,6 +221,7 @@ class PersonActor:
         gets_there = False
         for hand in hands:
             stands = self._clear_of_open(self.stands(point, hand))
+            # where all are crowded `nearest_stand` would choose one of them; the others may leave meanwhile
             for _ in range(AVOIDANCE.patience_steps):
                 if not len(stands) or not crowds(stands, self.others).all():
                     break
@@ -225,12 +229,14 @@ class PersonActor:
                 yield
             crowded = crowds(stands, self.others)
             if self._goes_around:
+                # turned away, they must not choose a stand behind whoever blocked them
                 crowded |= shut_off(self.free, self.xz, stands[:, :2], self.others)
             k, left = nearest_stand(
                 self.free, stands, self.xz, crowded, partial(self._has_room, point=point, hand=hand)
             )
             if np.isfinite(left):
                 break
+            # asked without the tests of room: tells a place without room for the body from one without a path
             gets_there |= bool(np.isfinite(nearest_stand(self.free, stands, self.xz)[1]))
         else:
             return SkillResult("failed", "no_room" if gets_there else "no_way")
@@ -241,12 +247,14 @@ class PersonActor:
         goal = self.free.snap(point[[0, 2]])
         if not np.isfinite(self.free.geodesic(self.xz, goal)):
             return SkillResult("failed", "no_way")
+        # heading 0 faces +x and positive turns left, so forward is (cos h, -sin h) in (x, z)
         x, z = point[[0, 2]] - goal
         return (yield from self._go_to(np.append(goal, np.arctan2(-z, x)), point))
 
     def stands(self, point: NDArray, hand: Hand, free: FreeSpace | None = None) -> Array:
         """Stands ``(x, z, heading)`` [N, 3] that can be walked to, from which a hand reaches a world point [3]."""
         free = free or self.free
+        # the floor is a part of the key, as a door that opens replaces it (`walk_on`)
         known = free, hand, island_of(free, self.xz), point.tobytes()
         if known not in self._stands:
             self._stands[known] = person_stands(free, self.person.body, point, hand, island=known[2])
@@ -273,6 +281,7 @@ class PersonActor:
         for hand in HANDS:
             stands = self.stands(way[0], hand)
             stands = stands[stands_before(self.openables, k, stands, (0.0,), AVOIDANCE.person.radius_m)]
+            # rather the whole way than a half: where the arm ends the part goes on by itself
             for last in (len(way) - 1, len(way) // 2, 0):
                 near = stands[[self._reaches(stand, way[last], hand) for stand in stands]] if len(stands) else stands
                 n, left = nearest_stand(self.free, near, self.xz, crowds(near, self.others) if len(near) else None)
@@ -283,6 +292,7 @@ class PersonActor:
     def _go_to(self, stand: Array, point: Array) -> Skill:
         """Walk to a stand ``(x, z, heading)`` [3] and look at a world point [3] there."""
         waited = yield from self._walk(stand[:2], facing=float(stand[2]))
+        # turned away in mid-walk: the skill ends at a stand and not in the middle of a step
         for _ in range(HALT_STEPS):
             stands = self._gait.blend[0] == 0 and self.person.walk.stands
             if not self.turned_away or stands or (self.aside is not None and len(self.aside)):
@@ -295,6 +305,7 @@ class PersonActor:
             )
         self.person.look_at = point.copy()
         self._goes_around = False
+        # a reach that follows settles the feet itself (`Person._move`)
         yield from self._careful(self.person.turn(float(stand[2]), settles=False))
         return SkillResult("done")
 
@@ -304,7 +315,9 @@ class PersonActor:
         leading = Leading(self.openables, k, opens=opens)
         stand = np.append(self.xz, self.heading)
         reached: list[Hand] = [hand for hand in HANDS if self._reaches(stand, leading.handles[0], hand)]
+        # where no hand reaches, `lead` refuses and says why
         motion = self._careful(self.person.lead(leading.handles, leading.advance, (reached or [HANDS[0]])[0]))
+        # whoever holds a handle cannot step aside for anybody
         self.yields = False
         while True:
             try:
@@ -330,6 +343,7 @@ class PersonActor:
         if len(path):
             dx, dz = path[0] - self.xz
             yield from self._careful(self.person.turn(float(np.arctan2(-dz, dx)), settles=False), TURN_PATIENCE_STEPS)
+        # the turn has moved the root alone: the gait still has the old heading
         if self._gait.blend[0] == 0:
             self._gait = self._set_off()
         k, waited, left, floor = 0, 0, False, self.free
@@ -346,6 +360,7 @@ class PersonActor:
                 yield
                 continue
             blocker = in_the_way(self.xz, path[k], self.others)
+            # in the first step of waiting and every tenth: each look floods the floor around all who stand
             if blocker is not None and not waits(self.number, blocker) and waited % 10 == 0:
                 detour = path_around(self.free, self.xz, goal, self.others)
                 path, k, blocker = (path, k, blocker) if detour is None else (detour, 0, None)
@@ -353,6 +368,7 @@ class PersonActor:
             self._pace(path[k] if blocker is None else None)
             yield
             there = np.hypot(*(path[k] - self.xz)) <= self.spec.arrive_m
+            # the last point counts once they have come to a stand there
             k += there and (k + 1 < len(path) or self._gait.blend[0] == 0)
         return waited
 
@@ -377,6 +393,7 @@ class PersonActor:
                 continue
             self.path = partial(_joined, self.xz, strider.ahead)
             if left:
+                # stepping aside has a speed of its own, so they set off from rest afterwards
                 strider.halt()
                 self._stand()
                 yield
@@ -395,6 +412,7 @@ class PersonActor:
     def _stride(self, strider: Strider, *, goes: bool) -> None:
         """One step along a path; where they would touch somebody they come to a stand."""
         gait, before = self._gait_here(), self._posture()
+        # the gait moves in place, and a step that touches somebody has to be taken back
         stopped = gait.copy()
         xz, heading = strider.step(self.xz, gait.heading.item(0), goes=goes)
         move_people(gait, xz[None], np.array([heading]), self.spec)
@@ -415,6 +433,7 @@ class PersonActor:
             if around is not None:
                 return around
         points = walking_path(self.free, self.xz, goal, self.spec)
+        # without their own place, as the points of `path_around`
         return points[1:] if len(points) else None
 
     def _stand(self) -> None:
@@ -442,6 +461,7 @@ class PersonActor:
         stopped, leg = gait.copy(), towards - self.xz
         left, bearing = float(np.hypot(*leg)), math.remainder(math.atan2(-leg[1], leg[0]) - self.heading, math.tau)
         most = self.spec.turn_rad_s * STEP_S
+        # the turn alone may touch somebody: then the same step is made without it
         for turn in (min(max(bearing, -most), most), 0.0):
             step = min(self._speed_aside(towards, bearing - turn) * STEP_S / max(left, 1e-9), 1.0)
             move_people(gait, (self.xz + step * leg)[None], gait.heading + turn, self.spec)
@@ -461,6 +481,7 @@ class PersonActor:
         They set off gradually, and brake before the next corner of the path aside.
         """
         most, stride, leg = self.spec.speed_mps, self.spec.stride, towards - self.xz
+        # the square of the cosine, as people on a path slow down where it is not ahead (`stride_step`)
         speed = max(most * max(math.cos(bearing), 0.0) ** 2, AWAY_MPS)
         if stride is None:
             return min(speed, most)
@@ -472,6 +493,7 @@ class PersonActor:
                 straight = (leg[0] * x + leg[1] * z) / max(left * math.hypot(x, z), 1e-9)
                 corner_mps = max(most * max(straight, 0.0) ** 2, AWAY_MPS)
                 break
+        # v^2 = v_end^2 + 2 a s: the speed from which they can still brake before the corner
         braked = math.sqrt(corner_mps**2 + 2 * stride.decel_mps2 * left)
         return max(min(speed, braked, self.person.walk.speed_mps + stride.accel_mps2 * STEP_S), CREEP_MPS)
 
@@ -483,7 +505,9 @@ class PersonActor:
         self._take(self._trail.pop())
         if self.meets():
             self._take(now)
+            # somebody stands behind them now, and all earlier postures lie beyond that place
             self._trail.clear()
+        # all of it is used up, so they try to step aside again first
         if not self._trail:
             self._held_up = 0
         self._follow()
@@ -506,6 +530,7 @@ class PersonActor:
             self._gait = stopped
             self._take(before)
             return False
+        # no `_walked`: it would reset the count, and they would try to turn again in the next step
         self._follow()
         return True
 
@@ -533,6 +558,7 @@ class PersonActor:
             walk_humans(gait, target[None], spec)
             person.stride(gait)
             if not self.meets():
+                # a step of coming to rest covers no ground, and is nothing to go back by
                 if gait.xz[0].tolist() != stopped.xz[0].tolist():
                     self._walked(before)
                 break
@@ -556,6 +582,7 @@ class PersonActor:
         After ``patience`` steps of waiting the motion is reversed and fails, unless it has changed what the hands hold.
         """
         before, done, holding = self._posture(), [], tuple(self.person.held)
+        # a motion leads to other postures, from which the steps of an earlier walk are no way back
         self._trail.clear()
         while True:
             try:
@@ -571,6 +598,7 @@ class PersonActor:
                     return MotionResult(success=False, reason="blocked")
                 self._follow()
                 yield
+                # the same posture again: a generator cannot be asked for its last step twice
                 self._take(after)
             self._follow()
             yield
@@ -583,6 +611,7 @@ class PersonActor:
         while done:
             self._take(done[-1])
             if self.meets():
+                # waits in the last posture that was free
                 self._take(now)
             else:
                 now = done.pop()
@@ -592,6 +621,7 @@ class PersonActor:
     def _gait_here(self) -> HumanState:
         """The gait so far; one of standing where something else has moved the person since."""
         gait = self._gait
+        # headings of a gait are never wrapped, those from the root's quaternion are
         turned = math.remainder(gait.heading.item(0) - self.heading, math.tau)
         if gait.xz[0].tolist() != self.xz.tolist() or abs(turned) > 1e-6:
             self._gait = gait = self._set_off()
@@ -619,6 +649,7 @@ class PersonActor:
 
     def _take(self, posture: _Posture) -> None:
         self.person.set_pose(posture.quats, posture.pelvis, posture.base)
+        # after `set_pose`, which resets transition, fingers and gaze, and moves what the hands hold
         self.person.walk.state[:] = posture.feet
         self.person.transition = posture.transition
         self.person.bare = posture.bare
@@ -635,7 +666,9 @@ class PersonActor:
         able: list[Hand] = [hand for hand in near if self._has_room(stand, point, hand)]
         if near and not able:
             return SkillResult("failed", "no_room")
+        # out of reach of every hand, the motion itself refuses and says why
         hand = able[0] if able else hands[0]
+        # the person's own entry may be old: others may have carried it since
         self.person.objects[name] = self.objects.poses[k].copy()
         motion = self._careful(self.person.pick(name, hand) if picks else self.person.place(point, hand))
         result = MotionResult(success=False)
@@ -664,11 +697,13 @@ class PersonActor:
 
     def _follow(self) -> None:
         """Tell the others what the hand holds."""
+        # one at a time, as `why_not` refuses a second object, though a body has two hands
         held = next(iter(self.person.held.values()), None)
         for k, name in enumerate(self.objects.names):
             if held is not None and held.name == name:
                 self.objects.held_by[k] = self.number
                 self.objects.poses[k] = self.person.objects[name]
+            # let go in this step: it stays where the hand left it
             elif self.objects.held_by[k] == self.number:
                 self.objects.held_by[k] = NOBODY
                 self.objects.poses[k] = self.person.objects[name]

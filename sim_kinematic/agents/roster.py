@@ -73,6 +73,7 @@ def make_roster(
     parsed = [_kind_and_model(name, robot=robot_name(robot), human=human) for name in listed]
     total, count = Counter(kind for kind, _ in parsed), Counter[str]()
     roster = []
+    # a stable sort: each kind keeps the order of the list
     for kind, model in sorted(parsed, key=lambda pair: pair[0] != "robot"):
         count[kind] += 1
         name = kind if total[kind] == 1 else f"{kind}_{count[kind]}"
@@ -165,9 +166,11 @@ def sample_places(
             continue
         distance, attempts = apart_m, 0
         while True:
+            # both are drawn in every attempt, whichever test it fails, so that the stream stays aligned
             (xz,), heading = free.sample(rng, 1), float(rng.uniform(-np.pi, np.pi))
             others = [place[:2] for place in places.values()]
             is_free = all(np.hypot(*(xz - other)) >= distance for other in others)
+            # one of the others is enough, as all of them are on one island
             is_free = is_free and (not others or bool(np.isfinite(free.geodesic(xz, others[0]))))
             if is_free and (not isinstance(agent.body, Robot) or fits[id(agent.body)](xz, heading)):
                 places[k] = np.append(xz, heading)

@@ -20,6 +20,7 @@ from h3data.scene import Scene
 from sim_kinematic.motion.state import NOBODY, WorldState
 
 if not TYPE_CHECKING:
+    # hidden from type checkers, which take a module with a `__getattr__` to have every name
     __getattr__ = refuse_renamed(__name__)
 
 SKILLS = (
@@ -249,6 +250,7 @@ class Objects:
         is_known = skill in SKILLS or (self.joints and skill in OPENING_SKILLS)
         if not is_known and not (skill == SEARCH and self.sight is not None):
             known = (*SKILLS, *(OPENING_SKILLS if self.joints else ()), *(() if self.sight is None else (SEARCH,)))
+            # an error and no recorded reason: this is a mistake of the caller, not a state of the world
             raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(known)}.", code="H3-SIM-022")
         if skill not in _WITH_TARGET:
             return ""
@@ -257,6 +259,7 @@ class Objects:
                 raise InputError(
                     f"{skill} needs one of the joints 0 to {len(self.joints) - 1}, got {k}.", code="H3-SIM-024"
                 )
+            # the hand is needed at the handle, not on the way there
             return "hand_full" if skill != "nav_to_handle" and self.held(agent) >= 0 else ""
         if skill == SEARCH:
             if not 0 <= k < len(self.sight.points):

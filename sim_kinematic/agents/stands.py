@@ -42,6 +42,7 @@ def person_stands(free: FreeSpace, body: Humanoid, point: ArrayLike, hand: Hand 
     distances = np.array(PERSON_DISTANCES_M)
     height = point[1] - float(free.height_at(point[[0, 2]]))
     d = np.concatenate([distances - SWAY_M, distances, distances + SWAY_M])
+    # as the person sees it: the point is as far to the right as they turn left of it in `_ring`
     points = np.stack([d * np.cos(side), np.full_like(d, height), d * np.sin(side)], axis=1)
     fine = reacher(body, hand).reachable(points).reshape(3, -1).all(0)
     return _on_island(free, point, _ring(point, distances[fine], side), island)
@@ -57,6 +58,7 @@ def robot_fits(robot: Robot, rules: BaseSpec, scene: Scene, free: FreeSpace) -> 
     floor, clear = floor_of(robot, base, scene, free), clear_of_furniture(scene, robot)
 
     def fits(xz: Array, heading: float) -> bool:
+        # the floor of a wider base may fall apart: island 0 is its largest
         leads_on = floor is free or int(floor.island(xz)) == 0
         return (
             leads_on and discs_fit(free, base, xz, heading) and clear(root_pose(robot, np.asarray(xz), heading, free))
@@ -81,6 +83,7 @@ def robot_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike
     point = np.asarray(point, np.float64)
     distances = reach_distances(robot, float(point[1] - free.height_at(point[[0, 2]])))
     stands = _on_island(free, point, _ring(point, distances, -reach_bearing(robot)), island)
+    # the circle that the base sweeps in a whole turn
     radius = max(abs(offset) for offset in base.disc_offsets_m) + base.disc_radius_m + ROOM_M
     return stands[free.signed_distance(stands[:, :2]) >= radius]
 
@@ -124,6 +127,7 @@ def nearest_stand(
         return -1, np.inf
     lengths = free.geodesic(np.broadcast_to(np.asarray(start_xz, np.float64), (len(stands), 2)), stands[:, :2])
     order = np.argsort(lengths if crowded is None else lengths + CROWDED_M * crowded, kind="stable")
+    # one at a time, because a test of room costs a posed arm or body, and the first success ends it
     for k in order[np.isfinite(lengths[order])].tolist():
         if is_clear is None or is_clear(stands[k]):
             return k, float(lengths[k])
@@ -134,6 +138,7 @@ def _ring(point: Array, distances: Array, side: float) -> Array:
     """Places [D * BEARINGS, 3] around a point, each heading ``side`` [rad] to the left of it."""
     angle, distance = np.meshgrid(np.arange(BEARINGS) * (2 * np.pi / BEARINGS), distances)
     angle, distance = angle.ravel(), distance.ravel()
+    # back from the point against the heading, whose forward is (cos h, -sin h) in (x, z)
     x, z = point[0] - distance * np.cos(angle), point[2] + distance * np.sin(angle)
     return np.stack([x, z, angle + side], axis=1)
 

@@ -92,11 +92,13 @@ class WaypointHuman:
 
     def _next_goal(self, position: NDArray[np.float64]) -> None:
         self._path = walking_path(self.free, position, self.next_goal(position), self.spec)
+        # point 0 of the path is where the person is
         self.leg = 1
         if self.spec.stride is not None:
             self._strides().begin(self._path)
 
     def _drawn(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
+        # by the number of the goal, so that the walk goes on the same wherever it is resumed
         rng = generator(self.seed, "human_goal", step=self.goal)
         candidates = self.free.sample(rng, 32)
         lengths = self.free.geodesic(np.broadcast_to(position, candidates.shape), candidates)
@@ -129,6 +131,7 @@ def with_room(free: FreeSpace, path: NDArray[np.float64], clearance_m: float) ->
     for k in range(1, len(path) - 1):
         for share in (1.0, 0.5, 0.25):
             moved = path[k] + share * (aside(free, path[k], clearance_m) - path[k])
+            # the corner before has moved already, the one after has not yet
             ends = roomy[k - 1], path[k + 1]
             apart = all(np.hypot(*(moved - end)) >= APART_M for end in ends)
             if apart and all(_sees(free, end, moved) for end in ends):
@@ -147,6 +150,7 @@ def aside(free: FreeSpace, point: NDArray[np.float64], clearance_m: float) -> ND
             break
         there = here + away / length * min(ASIDE_STEP_M, clearance_m - room)
         wider = float(free.signed_distance(there))
+        # on a ridge between two things there is no more room, and steps would go to and fro across it
         if wider < room + 1e-3:
             break
         here, room = there, wider
@@ -178,14 +182,17 @@ def _tangents_meet(arriving: NDArray[np.float64], leaving: NDArray[np.float64]) 
     """Returns where the lines through two legs [2, 2] cross ahead of the first; None if the turn between them is too wide."""
     u, v = arriving[1] - arriving[0], leaving[1] - leaving[0]
     cross = u[0] * v[1] - u[1] * v[0]
+    # a cross product of 0: parallel legs meet nowhere
     if abs(np.arctan2(cross, u @ v)) > ARC_TURN_MAX or cross == 0:
         return None
     gap = leaving[0] - arriving[0]
+    # a + s u = b + t v, solved for s by Cramer's rule
     return arriving[0] + u * ((gap[0] * v[1] - gap[1] * v[0]) / cross)
 
 
 def _sees(free: FreeSpace, a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
     """Returns whether the straight way from a to b is free: then it is the shortest."""
+    # hardly snapped: a point beside the floor would be moved onto it, and its way would pass as free
     return float(free.geodesic(a, b, max_snap_m=1e-3)) <= float(np.hypot(*(b - a))) + 1e-6
 
 

@@ -140,6 +140,7 @@ def action_of(command: Any, objects: Objects, agent: int) -> Action:
         raise InputError(
             f"Expected a PersonCommand, a skill, or a pair (forward, turn), got {command!r}.", code="H3-SIM-002"
         )
+    # any finite number, as it is clipped to -1..1 below
     forward, turn = _numbers("a velocity", (given.forward, given.turn), 2, np.inf)
     head = getattr(given, "head", None)
     left, right = (_target(getattr(given, side, None)) for side in ("left", "right"))
@@ -197,6 +198,7 @@ def _index(name: str | int, objects: Objects) -> int:
 def _joint(name: str | int, objects: Objects) -> int:
     names = objects.joints
     index = names.index(name) if name in names else name
+    # True is an int, and would be joint 1
     if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(names):
         there = f"Expected one of: {', '.join(names)}." if names else "Nothing in this home opens."
         raise InputError(f"There is no door or drawer {name!r}. {there}", code="H3-SIM-004")
@@ -222,6 +224,7 @@ def _numbers(what: str, values: Sequence[float], count: int, most: float) -> Vec
     try:
         array = np.asarray(values, np.float64)
     except (TypeError, ValueError):
+        # of a wrong shape, so that one message refuses whatever was given
         array = np.full(0, np.nan)
     if array.shape != (count,) or not np.isfinite(array).all() or (np.abs(array) > most).any():
         within = "" if np.isinf(most) else f" up to {most:g}"

@@ -58,9 +58,11 @@ class ObjectRoom:
             if not beside and pose[1] + low < place[1] + other_high and place[1] + other_low < pose[1] + high:
                 return "no_space"
         on_floor = pose[1] + low - floor_y <= SUPPORT_M
+        # lowered by this much, the object would touch what carries it
         return "" if on_floor or self._collides(k, pose, -SUPPORT_M) else "no_support"
 
     def _floor_below(self, pose: Array) -> float:
+        # objects lie on the treads of stairs, over which people's floor is a ramp
         return float(floor_heights(self._heights, self._floor_y, pose[[0, 2]], treads=True))
 
     def fallen(self, k: int, pose: Array) -> Array:
@@ -72,6 +74,7 @@ class ObjectRoom:
         while down > lowest and not self._collides(k, pose, max(down - FALL_STEP_M, lowest)):
             down = max(down - FALL_STEP_M, lowest)
         step = min(FALL_STEP_M, down - lowest)
+        # bisection of the last step: 2 cm / 2^6, or 0.3 mm
         for _ in range(FALL_HALVINGS):
             step /= 2
             if step and not self._collides(k, pose, down - step):
@@ -82,6 +85,7 @@ class ObjectRoom:
 
     def _is_inside(self, k: int, pose: Array) -> bool:
         """Returns whether the object is in something static deeper than it may be."""
+        # lifted, it touches only what is beside it; `contacts` takes the shapes where this test leaves them
         return self._collides(k, pose, SUNK_M) and any(
             contact.depth_m > INSIDE_M or abs(contact.normal[1]) > UPRIGHT
             for contact in contacts(self._scenery, self._shapes[k])
@@ -99,6 +103,7 @@ class ObjectRoom:
 def object_extent(scene: Scene, instance: Instance) -> tuple[float, float, float]:
     """Radius on the floor plane, lowest and highest point of a thing, from its origin [m]."""
     low, high = scene.assets[instance.asset].mesh.bounds.astype(np.float64) * instance.scale
+    # the origin need not be in the middle of the thing
     return float(np.hypot(*np.maximum(-low, high)[[0, 2]])), float(low[1]), float(high[1])
 
 

@@ -100,6 +100,7 @@ class DrivenPerson(PersonActor):
             return ""
         if skill == SIT:
             return "hand_full" if self.person.held else "" if self._nearest_seat() is not None else "no_seat"
+        # a place without a point of its own is one at the task's goal, as of other people
         if skill in ("drop", "hand_over") or (skill == "place" and action.command):
             held = self.objects.held(self.number)
             if held < 0 or held != k:
@@ -151,6 +152,7 @@ class DrivenPerson(PersonActor):
         robot = self._robot(action)
         if robot is None:
             return "not_a_robot"
+        # an arm at work does not yield: its hand is busy although it is empty yet
         if self.objects.held(robot.number) >= 0 or not robot.yields:
             return "robot_busy"
         return self._cannot_reach(self._meeting_point(robot), action.target)
@@ -208,6 +210,7 @@ class DrivenPerson(PersonActor):
     def _nearest_seat(self) -> SeatPlace | None:
         """The nearest seat that the person can use; None: there is none within `SEAT_WITHIN_M`."""
         others = () if self.company is None else self.company.actors
+        # only people who are driven have this field
         taken = [other.seat.stand for other in others if getattr(other, "seat", None) is not None]
         return None if self.seats is None else self.seats.nearest(self.xz, SEAT_WITHIN_M, taken)
 
@@ -222,6 +225,7 @@ class DrivenPerson(PersonActor):
         self.person.look_at = None
         if walked.outcome != "done":
             return walked
+        # sitting down begins with feet that stand
         yield from self.person.settle()
         walk = self.person.walk
         # feet that keep out of furniture would be pushed away from the seat that they stand close to
@@ -238,12 +242,14 @@ class DrivenPerson(PersonActor):
                 show_seated(self.person, place, place.stand, 1.0)
                 yield
         finally:
+            # also where another command closes this generator: getting up begins from wherever they are
             self._leaving = leave_seat(self._seated[0], place, self._seated[1])
 
     def _leave_seat(self) -> bool:
         """Makes one step of getting up; False: the person stands before the seat."""
         moved = None if self.seat is None or self._leaving is None else next(self._leaving, None)
         if self.seat is None or moved is None:
+            # not before they are off the seat: feet that keep out of furniture would be pushed away from it
             self.seat, self.person.walk.tables = None, self._tables
             return False
         self._drives, self.command, self._seated = True, (0.0, 0.0), moved
@@ -254,9 +260,11 @@ class DrivenPerson(PersonActor):
     def _drop(self, k: int) -> Skill:
         person, name = self.person, self.objects.names[k]
         hand = self._hands(k)[0]
+        # before the hand opens: the grip knows how the object stood
         pose = self._upright(k, person.objects[name][:3])
         del person.held[hand]
         person.objects[name] = pose if self.object_room is None else self.object_room.fallen(k, pose)
+        # blended, as the arm goes from carrying to hanging in this step
         person.leave()
         for _ in range(FADE_STEPS):
             self._drive(STAND)
@@ -299,6 +307,7 @@ class DrivenPerson(PersonActor):
         """Returns the point at which the hand gives, beside the robot's on the person's side, in the world [3]."""
         hand = robot.hand_pose[:3]
         towards = np.array([self.xz[0] - hand[0], 0.0, self.xz[1] - hand[2]])
+        # no farther than the person, who may stand nearer than that
         return hand + towards * (MEETING_M / max(float(np.linalg.norm(towards)), MEETING_M))
 
     def _upright(self, k: int, point: NDArray) -> Array:
@@ -317,6 +326,7 @@ class DrivenPerson(PersonActor):
             return
         self._drives, self.person.look_at = True, None
         gait, before = self._gait_here(), self._posture()
+        # once for both attempts: arms and head go on where the step is not made
         self._lead(command)
         stopped = gait.copy()
         for velocity in ((command.forward, command.turn), (0.0, 0.0)):
@@ -342,6 +352,7 @@ class DrivenPerson(PersonActor):
                 self._shares[k] = max(self._shares[k] - rate, 0.0)
                 continue
             way = np.array(target.position) - self._points[k]
+            # an arm that hangs has no point to come from: it takes the target and blends over to it
             most = HAND_MPS * STEP_S / max(float(np.linalg.norm(way)), 1e-9) if self._shares[k] else 1.0
             self._points[k] += min(most, 1.0) * way
             self._targets[k], self._shares[k] = target, min(self._shares[k] + rate, 1.0)
@@ -360,6 +371,7 @@ class DrivenPerson(PersonActor):
         for k, hand in enumerate(HANDS):
             if self._shares[k] > 0:
                 target, share, solver = self._targets[k], self._shares[k], reacher(body, hand)
+                # the kernel takes an array in either case, and the flag below says whether it counts
                 turn = _NO_TURN if target.rotation is None else np.array(target.rotation)
                 lead_arm(
                     solver.body,

@@ -48,6 +48,7 @@ class RoomDoors:
         closed[k] = joints_of(self.scene).closed[k]
         box = shapely.union_all(outlines(self.scene, k, closed)).minimum_rotated_rectangle
         corners = shapely.get_coordinates(box)
+        # a closed door is a thin box, whose long edge parts the two sides
         longest = max(np.diff(corners[:3], axis=0), key=lambda edge: float(np.hypot(*edge)))
         off = stands[:, :2] - corners[:4].mean(0)
         side = off[:, 0] * longest[1] - off[:, 1] * longest[0]
@@ -90,6 +91,7 @@ class RoomDoors:
             positions: Positions of all joints [J] [rad or m].
             detour_m: A path without opening doors that is longer by at most this is preferred.
         """
+        # the floor as it is first: half of the searches where no door is in the way
         around = nearest_stand(floor, stands(floor), start)[1]
         if np.isfinite(around) and around <= detour_m:
             return -1
@@ -98,5 +100,6 @@ class RoomDoors:
         if k < 0 or (np.isfinite(around) and around <= direct + detour_m):
             return -1
         path = self.open_floor.path(start, wanted[k, :2])
+        # a path that crosses none may end so close to a closed door that nobody can stand there yet
         doors = self.crossed(path, positions, self.open_floor.radius_m) or self.crossed(path[-2:], positions, BESIDE_M)
         return doors[0] if doors else -1

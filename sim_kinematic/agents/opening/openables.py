@@ -56,6 +56,7 @@ class ArticulatedParts:
         self._heights = room_heights(self.scene.rooms)
         by_name = {i.name: i for i in self.scene.instances}
         self._instances = [
+            # objects that lie on a part belong to it too, but they move by `_lying`, wherever they are then
             [by_name[name] for name in part.instances if by_name[name].motion == "static"]
             for _, part in self.joints.parts
         ]
@@ -87,6 +88,7 @@ class ArticulatedParts:
         key = self.positions.tobytes()
         if key not in self._scenes:
             if len(self._scenes) >= 8:
+                # the oldest: every position of a joint is a scene of its own
                 self._scenes.pop(next(iter(self._scenes)))
             self._scenes[key] = posed(self.scene, self.positions)
         return self._scenes[key]
@@ -108,12 +110,14 @@ class ArticulatedParts:
     def barrier_of(self, k: int, *, at_goal: bool = False) -> int:
         """The joint that has to be opened first to take object ``k``, or to put it at its goal; -1: none."""
         point = self.objects.goals[k] if at_goal else self.objects.poses[k, :3]
+        # what is in a hand is shut in by nothing, wherever the hand is
         if not at_goal and self.objects.held_by[k] != NOBODY:
             return -1
         return self.barrier_for(k, point)
 
     def barrier_for(self, k: int, point: Array) -> int:
         """The joint that has to be opened first to put object ``k`` with its origin at a world point [3]; -1: none."""
+        # receptacles carry things by their lowest point
         return self.barrier(point + np.array([0.0, self._extents[k][1], 0.0]))
 
     @cached_property
@@ -125,6 +129,7 @@ class ArticulatedParts:
             asset = self.scene.assets[instance.asset]
             own = tuple(r for r in asset.receptacles if r.name == name.partition("|")[2])
             kinds = [self.joints.parts[k][1].joint.kind for k in needed]
+            # doors first: a rack behind one cannot slide out before the door is open
             order = sorted(zip(needed, kinds, strict=True), key=lambda pair: pair[1] == "prismatic")
             only = Asset(name=asset.name, mesh=asset.mesh, receptacles=own)
             found.append((instance, only, tuple(k for k, _ in order)))
@@ -139,13 +144,16 @@ class ArticulatedParts:
         steps = max(STEPS_LEAST, int(np.ceil(abs(end - start) / (speed * STEP_S))))
         u = np.arange(1, steps + 1) / steps
         way = start + u * u * (3 - 2 * u) * (end - start)
+        # to the bit: a start plus a difference may miss it by rounding
         way[-1] = end
         return way
 
     def move(self, k: int, position: float) -> None:
         """Moves a joint, and with it the objects that lie on what it moves."""
         state, before = self.objects.state, self.joints.motions(self.positions)
+        # asked before it moves, while they lie where the part is
         lying = self._lying(k, before)
+        # float32, as recordings have it: what is replayed is what was done
         state.joint_pos[0, k] = np.float32(position)
         after = self.joints.motions(self.positions)
         for n, owner in lying:
@@ -167,6 +175,7 @@ class ArticulatedParts:
         thing, part = self.joints.parts[k]
         names, found = {part.name}, [k]
         first = next(n for n, (other, _) in enumerate(self.joints.parts) if other is thing)
+        # parts come after those that carry them, so one pass finds all
         for n, other in enumerate(thing.parts, first):
             if other.parent in names:
                 names.add(other.name)
@@ -215,11 +224,13 @@ class ArticulatedParts:
     def obstacle(self, k: int, *, opens: bool) -> str:
         """Name of the instance or object that blocks a joint; empty if there is none."""
         way = self.travel(k, opens=opens)
+        # a short way has fewer steps than frames, and none is tested twice
         frames = way[np.unique(np.linspace(0, len(way) - 1, FRAMES).astype(int))]
         positions = np.tile(self.positions, (len(frames), 1))
         positions[:, k] = frames
         motions = self.joints.motions(positions)
         own = {name for j in self._carried(k) for name in self.joints.parts[j][1].instances}
+        # a part always touches the body that it hangs in
         own.add(self.joints.parts[k][0].base)
         if k in self.doors:
             own |= {i.name for i in self.scene.instances if self.scene.assets[i.asset].category == "wall"}
@@ -233,6 +244,7 @@ class ArticulatedParts:
         points = self.points(k, frames)
         lying = {n for n, _ in self._lying(k, self.joints.motions(self.positions))}
         for n, (radius, low, high) in enumerate(self._extents):
+            # what lies on the part goes with it
             if n in lying or self.objects.held_by[n] != NOBODY:
                 continue
             gap = points - self.objects.poses[n, :3]
@@ -276,6 +288,7 @@ def _covered(points: Array, discs: Array) -> NDArray[np.bool_]:
 def _shrunk(shape: Shape) -> Shape:
     if not isinstance(shape, Box):
         return shape
+    # a thin panel keeps half of its thickness
     return Box(pose=shape.pose, half_extents=np.maximum(shape.half_extents - SHRUNK_M, 0.5 * shape.half_extents))
 
 

@@ -52,6 +52,7 @@ def within_reach(scene: Scene, receptacle: str, point: Array) -> ReachQuery | No
         return None
     there, motions, taken, before = opened
     mover = joints.owner.get(receptacle.partition("|")[0], -1)
+    # what lies on a part that opens goes with it
     moved = transform_points(motions[mover], point[None])[0] if mover >= 0 else point
     return ReachQuery(there, moved, taken, before)
 
@@ -71,6 +72,7 @@ def _opened(
     for k in sorted(needed, key=lambda k: joints.parts[k][1].joint.kind == "prismatic"):  # doors first
         if openables.obstacle(k, opens=True):
             return None
+        # the positions are copied there, so this is the home before the part opens
         before.append((openables_at(scene, openables.positions), k))
         openables.positions[k] = joints.opened[k]
     positions = openables.positions

@@ -90,6 +90,7 @@ class Leading:
         if self.openables.hits_agent(self.k, self.way[step : step + 1]) >= 0:
             self._waited += 1
             return False
+        # counted in a row: whoever gets in the way later is waited for anew
         self._waited = 0
         self.openables.move(self.k, float(self.way[step]))
         return True

@@ -53,6 +53,7 @@ class SubGoals:
     def of(self, action: Action, poses: Array) -> SubGoal:
         """Returns the sub-goal of a skill with an object, given the poses [K, 7] of all objects."""
         k = action.target
+        # exactly, because an oracle agent puts an object at its goal to the bit
         moved = action.skill in ("nav_to_goal", "place") or bool((poses[k, :3] == self.goals[k]).all())
         return SubGoal((self.to_goal if moved else self.to_start)[k], (self.goals if moved else self.starts)[k])
 
@@ -87,6 +88,7 @@ class OracleRobot(RobotActor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        # oracle agents heed nobody, which is simple enough for a device to repeat
         self.avoids = False
 
     def infeasible(self, action: Action) -> str:
@@ -116,6 +118,7 @@ class OracleRobot(RobotActor):
         while since <= STUCK_STEPS:
             before = number
             number, away = _way(errand, number, self.xz, VIA_M)
+            # the next corner is farther away than the one just reached, which would count as a stall
             best = best if number == before else np.inf
             is_end, error = number >= ways.corners, self.facing_error(errand)
             on_the_way, turning = left_to_do(away, error)
@@ -176,6 +179,7 @@ class OraclePerson(PersonActor):
     def _go(self, errand: SubGoal) -> Skill:
         """Walks straight from corner to corner, turning on the spot at each, and at the end turns to what they came for."""
         ways, number, within = errand.ways, errand.ways.start(self.xz), self.spec.arrive_m
+        # no count of stalled steps as for robots: nobody is in their way, and the legs of the path are free
         while True:
             number, away = _way(errand, number, self.xz, within)
             if number >= ways.corners and away <= within:
@@ -197,8 +201,10 @@ class OraclePerson(PersonActor):
         """Put the object in front of their chest, turned as it was, and their right arm as if it held it."""
         name, pose = self.objects.names[k], self.objects.poses[k]
         stood = pose_multiply(pose_inverse(self.person.base), pose)[3:]
+        # relative to the root, so that the object turns with the person
         self._carry[3:] = stood
         self.person.objects[name] = pose.copy()
+        # for the arm, which carries something now; where the object is `_follow` says
         self.person.held = {"right": Held(name, np.array([0, 0, 0, 0, 0, 0, 1.0]), stood)}
         self._follow()
 
@@ -215,6 +221,7 @@ class OraclePerson(PersonActor):
 def _refusal(actor: OracleRobot | OraclePerson, action: Action) -> str:
     """Reason why a skill cannot start now; empty: it can."""
     why = actor.objects.why_not(actor.number, action)
+    # without an object there is no place to be at
     if why or action.target < 0:
         return why
     errand = actor.errands.of(action, actor.objects.poses)
@@ -234,6 +241,7 @@ def _handling(
     changes, ends = steps
     for step in range(1, ends + 1):
         stands()
+        # the attempt takes this step, also where it fails
         why = _hand_over(actor, action, errand) if step == changes else ""
         yield
         if why:
@@ -251,6 +259,7 @@ def _hand_over(actor: OracleRobot | OraclePerson, action: Action, errand: SubGoa
         return ""
     if objects.held_by[k] != NOBODY:
         return "held_by_other"
+    # the errand is from the beginning of the skill; the object may have been carried away since
     if (objects.poses[k, :3] != errand.point).any():
         return "missed"
     objects.held_by[k] = actor.number

@@ -24,12 +24,14 @@ def is_there(away: Any, is_end: Any, best: Any, since: Any) -> Any:
         best: what it has left to do at the least so far (`left_to_do`), below 0 once it has begun to turn.
         since: steps since then.
     """
+    # `|` and `&`, because tensors have no `or` and `and`
     content = (since > STALLED_STEPS) | (best < 0.0)
     return is_end & ((away <= ARRIVED_M) | ((away <= NEARLY_M) & content))
 
 
 def left_to_do(away: Any, error_rad: Any) -> tuple[Any, Any]:
     """Returns a robot's remaining distance [m], and a negative measure of its remaining turn at the end of its path."""
+    # below 0 for every angle, so that turning at the end is nearer than any distance
     return away, 0.1 * abs(error_rad) - 1.0
 
 

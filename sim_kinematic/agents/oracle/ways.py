@@ -56,13 +56,16 @@ class FloorCells:
     def of(cls, free: FreeSpace) -> FloorCells:
         """Cells of a free floor, with the corners of paths that are visible from the whole of each cell."""
         x0, z0, x1, z1 = free.polygon.bounds
+        # one cell more, as the first begins half a cell before the border
         shape = int(np.ceil((x1 - x0) / CELL_M)) + 1, int(np.ceil((z1 - z0) / CELL_M)) + 1
         origin = np.array([x0, z0]) - 0.5 * CELL_M
+        # the middle first, as `argmax` below finds the first free sample
         steps = np.array([(0, 0), *((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j)]) * (0.5 * CELL_M)
         index = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), -1).reshape(-1, 2)
         samples = (origin + (index + 0.5) * CELL_M)[:, None] + steps
         samples[~free.is_navigable(samples)] = np.nan
         seen = np.isfinite(samples[..., 0])
+        # where no sample is free `argmax` is 0, and the middle is NaN as documented
         middles = samples[np.arange(len(samples)), seen.argmax(1)]
         start, corners, away, whole = _cell_corners(free.graph, middles, samples)
         return cls(
@@ -113,6 +116,7 @@ class PathTable:
         """Length [...] [m] of the path from points [..., 2]; inf: there is none."""
         xz = np.asarray(xz, np.float64)
         number = self.first[self.cell(xz)].astype(np.int64)
+        # where there is no path, -1 reads the last point, and the result is thrown away
         gap = self.points[number] - xz
         return np.where(number < 0, np.inf, np.sqrt(gap[..., 0] ** 2 + gap[..., 1] ** 2) + self.left[number])
 
@@ -155,6 +159,7 @@ def _spread(first: NDArray[np.int64]) -> NDArray[np.int64]:
     """The way of a neighbour for cells [nx, nz] that have none themselves."""
     for _ in range(SPREAD):
         padded, near = np.pad(first, 1, constant_values=NONE), first.copy()
+        # neighbours across a side before those across a corner, which are farther away
         for i, j in ((0, 1), (2, 1), (1, 0), (1, 2), (0, 0), (0, 2), (2, 0), (2, 2)):
             moved = padded[i : i + first.shape[0], j : j + first.shape[1]]
             near = np.where(near == NONE, moved, near)
@@ -181,6 +186,7 @@ def _cell_corners(graph: Graph, middles: NDArray, samples: NDArray) -> tuple[NDA
         if not np.isfinite(middles[c, 0]):
             continue
         found, length = visible_nodes(graph, middles[c, 0], middles[c, 1])
+        # how many corners all cells see is known only afterwards, so the arrays double
         while start[c] + len(found) > len(corners):
             corners, away = np.concatenate((corners, corners)), np.concatenate((away, away))
             whole = np.concatenate((whole, whole))
@@ -206,9 +212,11 @@ def _from_corners(graph: Graph, ends: NDArray, skip: float) -> tuple[NDArray, ND
                 length = away[k] + graph.distance[found[k], v]
                 if length < left[v]:
                     left[v] = length
+                    # the point before v on the way from the end is the one after v on the way there
                     before[v] = n + e if found[k] == v else graph.previous[found[k], v]
     for v in range(n):
         u = before[v]
+        # numbers from n on are ends, which are never passed over
         while 0 <= u < n and before[u] >= 0:
             dx, dz = graph.nodes[u, 0] - graph.nodes[v, 0], graph.nodes[u, 1] - graph.nodes[v, 1]
             if np.hypot(dx, dz) >= skip:
@@ -251,6 +259,7 @@ def _from_cells(
                 best, nearest = length, corners[k]
         for e in range(len(ends)):
             length = np.hypot(ends[e, 0] - x, ends[e, 1] - z)
+            # the length first: what is no shorter need not be looked for through the home
             if length < max(best, safe) and sees(graph, x, z, ends[e, 0], ends[e, 1]):
                 if length < best:
                     best, nearest = length, n + e

@@ -52,6 +52,7 @@ class ArmClearance:
         rest = robot.link_matrices(IDENTITY_POSE[None], robot.rest[None])[0]
         self._shoulder = np.asarray(rest[links[0], :3, 3], np.float64)
         at = np.asarray(robot.hand_position, np.float64)
+        # a capsule of no length is a ball
         held = Capsule(start=at, end=at, radius=HELD_M)
         in_hand = [
             (k, shape) for k in links if k == hand or robot.links[k].parent == hand for shape in robot.links[k].shapes
@@ -139,6 +140,7 @@ class ArmClearance:
         share = np.linspace(0.0, 1.0, FRAMES)[:, None]
         postures = np.vstack([self._robot.rest + share * (over - self._robot.rest), at])
         links = self._robot.link_matrices(np.tile(IDENTITY_POSE, (len(postures), 1)), postures)
+        # the hand's last posture is left out: there it is in touch with what the object lies on
         return links[:-1, self._hand.links], links[:, self._arm.links]
 
 
@@ -162,12 +164,14 @@ def reach_line(robot: Robot, hand: Array) -> tuple[Array, Array] | None:
     if not at.reached:
         return None
     raised = hand + np.array([0, APPROACH_M, 0, 0, 0, 0, 0])
+    # no restarts: from the posture at the target, so that the arm moves little between the two
     return reach_posture(robot, raised, at.joint_pos, restarts=0).joint_pos, at.joint_pos
 
 
 @lru_cache(maxsize=8)
 def _arm_paths(robot: Robot) -> dict[tuple[float, float], tuple[Array, Array] | None]:
     """Paths of a robot's arm that `ArmClearance._way` has computed, shared between homes."""
+    # only the key of the cache
     del robot
     return {}
 
@@ -182,6 +186,7 @@ def arm_links(robot: Robot) -> list[int]:
     """The links that an arm joint moves, and what hangs on them."""
     moved = {int(robot.joint_links[c]) for c in robot.require_arm()}
     links: list[int] = []
+    # links come parents first, so one pass finds all that hang on the arm
     for k, link in enumerate(robot.links):
         if k in moved or link.parent in links:
             links.append(k)

@@ -77,6 +77,7 @@ class RobotDriver:
         self._arm = np.array(self.robot.arm_columns, np.intp)
         self.state: RobotState = self.objects.state.robots[self.number]
         """Its own part of the state of one world."""
+        # a copy: `obey` writes into it, and the resting posture is the robot's own
         self.arm_goal = self.robot.rest.copy()
         self.empty_base, self._carrying_base = self.base, carrying_base_of(self.robot, self.base)
         self._folded_m = float(np.hypot(*self._hand_in_root(self.robot.rest)[[0, 2]])) if self._arm.size else 0.0
@@ -143,11 +144,13 @@ class RobotDriver:
 
     def _announce(self, via: NDArray, goal: NDArray) -> None:
         """Lets the others know by which points it goes on from here."""
+        # a view of the state, which may have changed by the time that somebody reads the path
         xz = self.xz.copy()
 
         def path() -> NDArray[np.floating]:
             return np.vstack([xz, *(via if len(via) else self.free.path(xz, goal, max_snap_m=1.0)), goal])
 
+        # not computed yet: in most steps nobody reads it, and each would cost a shortest path
         self._start, self._path = xz, path
 
     @property
@@ -188,12 +191,14 @@ class RobotDriver:
 
     def _move(self, forward: float, turn: float, steps: int) -> Skill:
         for _ in range(steps):
+            # at full speed from the first step on, for the lengths of `PRIMITIVES`
             self._step(forward, turn, eases=False)
             yield
         return SkillResult("done")
 
     def _wait(self, steps: int) -> Skill:
         """Stands where it is in nobody's way."""
+        # agents that agree are asked to step aside when somebody comes, so they need no retreat
         goal = None if self.agreed else retreat_place(self.free, self.xz, self.others, wider_m=wider_by(self.base))
         for _ in range(steps):
             if self.aside is not None:
@@ -211,6 +216,7 @@ class RobotDriver:
             self._step(0.0, 0.0)
             return
         pose = np.append(self.xz, self.heading)
+        # metres and radians alike: a turn on the spot is progress too
         if np.abs(pose - self._held_up[0]).max() > AVOIDANCE.via_m:
             self._held_up, self._commands = (pose, 0), self._commands if self._held_up[1] else []
         self._held_up = self._held_up[0], self._held_up[1] + 1
@@ -224,7 +230,9 @@ class RobotDriver:
     def _drive(self, towards: NDArray, left_m: float = np.inf) -> None:
         """Drives one step towards a floor point [2]; ``left_m`` is the length of the path on which it brakes [m]."""
         error = self._error_to(towards)
+        # a command of 1 covers `_stride_m`, so the last step ends at the goal and not beyond it
         forward = min(self._no_faster_than(towards, error), left_m / self._stride_m)
+        # bases under Habitat's rules do not brake: they drive as they did, to the bit
         if self.base.maneuvers:
             (x, z), (to_x, to_z), accel = self.xz.tolist(), towards.tolist(), AVOIDANCE.accel_mps2
             corner = braking_speed(accel, math.hypot(to_x - x, to_z - z), AVOIDANCE.corner_mps)
@@ -248,6 +256,7 @@ class RobotDriver:
             if self.aside is not None:
                 self._step_aside()
                 yield
+                # stepping aside is no stall, and leads to another place: both counts begin anew
                 best, since, via = np.inf, 0, NO_PATH if self.aside is not None else self._via(goal)
                 continue
             if since and since % AVOIDANCE.maneuver_after_steps == 0 and tried < AVOIDANCE.maneuvers:
@@ -260,6 +269,7 @@ class RobotDriver:
                 if detour is not None:
                     via, best, detours = detour[:-1], np.inf, detours + 1
             if len(via) and np.hypot(*(via[0] - self.xz)) < AVOIDANCE.via_m:
+                # the next point is farther away than the one just reached, which would count as a stall
                 via, best = via[1:], np.inf
             if self.agreed:  # nobody else asks for it
                 self._announce(via, goal)
@@ -273,6 +283,7 @@ class RobotDriver:
                 if abs(error) < FACING_RAD:
                     return SkillResult("done")
                 self._step(0.0, self._turn(error), goal)
+                # below 0, so that turning at the end is nearer than any distance; 0.01 rad count as 1 mm
                 left = 0.1 * abs(error) - 1.0
             else:
                 self._drive(waypoint, left)
@@ -287,6 +298,7 @@ class RobotDriver:
 
     def _maneuver(self, goal: NDArray, bearing: float | None = None) -> Generator[None, None, bool]:
         """Gets on towards a floor point [2] where it is stuck; returns whether it did all of a maneuver, if it found one."""
+        # the plan holds for the others where they are now
         stood = {other.number: other.xz for other in self._seen()}
         commands = self._maneuver_to(goal, bearing)
         for forward, turn in commands:
@@ -297,6 +309,7 @@ class RobotDriver:
                 forward, turn, goal, avoid=False
             )  # the maneuver keeps clear of the others by itself, if more closely
             yield
+            # the rest of the plan starts from a place that it has not got to
             if self.hindered_by and (self.state.xz[0] == before[0]).all() and self.heading == before[1]:
                 return False
         return len(commands) > 0
@@ -333,6 +346,7 @@ class RobotDriver:
         """The forward command, 0..1, at a heading error [rad]: slow enough to turn to a near point instead of circling it."""
         ahead, aside = max(0.0, float(np.cos(error))) ** 2, abs(float(np.sin(error)))
         (x, z), (goal_x, goal_z) = self.xz.tolist(), towards.tolist()
+        # the bearing of a point at distance d turns by v sin(e) / d: at most half as fast as the base turns
         turned = self.base.max_turn_rad_s * STEP_S * float(np.hypot(goal_x - x, goal_z - z))
         return min(ahead, 0.5 * turned / max(aside * self._stride_m, 1e-9))
 
@@ -345,6 +359,7 @@ class RobotDriver:
 
     def _leg(self, goal: NDArray) -> tuple[float, NDArray]:
         """Length of the path to a floor point [2] [m], and where to drive first; infinity and the point where there is none."""
+        # nearer points are passed over: an inflated corner is an arc of points 5 cm apart
         length, waypoint = self.free.first_leg(self.xz, goal, beyond_m=self.base.disc_radius_m / 2, max_snap_m=1.0)
         return length, goal if math.isinf(length) else waypoint
 
@@ -391,6 +406,7 @@ class RobotDriver:
         if joints.tobytes() != self.arm_goal.tobytes():  # most of the time the arm is where it is to be
             self._move_arm(joints[0])
         if self.meets():
+            # first the base alone: the arm may go on where it was the driving that touched somebody
             state.xz[:], state.heading[:] = xz, heading
             if self.base.maneuvers:  # it speeds up from rest
                 self.command = 0.0, 0.0
@@ -406,10 +422,12 @@ class RobotDriver:
         missing = self.arm_goal[self._arm] - arm
         far = max(map(abs, missing.tolist()), default=0.0)
         if far > 0.0:
+            # all joints by the same share: the straight line between postures that `ArmClearance` has checked
             self.joints[self._arm] = self.arm_goal[self._arm] if far <= most else arm + missing * (most / far)
 
     def _choose_base(self) -> None:
         """Has the base keep clear by what the hand carries too, from where it has the room for that."""
+        # the same record: the discs of the base cover what is carried already
         if self._carrying_base is self.empty_base:
             return
         if self.objects.held(self.number) < 0:
@@ -422,4 +440,5 @@ def _has_come_near(other: ObservedAgent, stood: dict[int, NDArray], xz: NDArray)
     """Returns whether another agent has moved since a maneuver was planned, and is near the robot at ``xz`` [2]."""
     if float(np.hypot(*(other.xz - xz))) > AVOIDANCE.retreat_m:
         return False
+    # who is new was too far away to be planned around
     return other.number not in stood or float(np.hypot(*(other.xz - stood[other.number]))) > AVOIDANCE.moving_m

@@ -55,6 +55,7 @@ def reach_posture(robot: Robot, target: ArrayLike, q0: Array | None = None, *, r
         answer = solve_ik(robot, robot.hand_name, target, q0, offset=robot.hand_position, restarts=restarts)
         return ReachPostures(answer.joint_pos, answer.reached)
     free = _with_free_yaw(robot)
+    # for the joint that `_with_free_yaw` adds; the answer is returned without it
     start = None if q0 is None else np.append(q0, 0.0)
     answer = solve_ik(free, free.hand_name, target, start, offset=free.hand_position, restarts=restarts)
     return ReachPostures(answer.joint_pos[..., :-1], answer.reached)
@@ -93,6 +94,7 @@ def _stretched_arm(robot: Robot) -> _StretchedArm:
     wrist, length = -np.asarray(robot.hand_position, np.float64), REACH_SLACK_M
     for link in chain[: chain.index(shoulder) + 1]:
         origin = robot.origins[link]
+        # distances are measured from the origin of the first joint, which adds nothing
         offset = np.linalg.norm(origin[:3, 3]) if link != shoulder else 0.0
         if link == robot.hand_link and len(robot.require_arm()) >= ALL_DIRECTIONS and robot.kinds[link] == TURNS:
             local = origin[:3, :3].T @ origin[:3, 3]
@@ -119,6 +121,7 @@ def hand_turn(robot: Robot) -> Array:
     """Returns the rotation (quaternion) of the hand's link in the agent root frame for what lies in its reach direction."""
     c, s = np.cos(HAND_PITCH_RAD), np.sin(HAND_PITCH_RAD)
     ahead, up = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
+    # columns are the axes of the hand, ahead, left and up, in the agent root frame
     level = np.stack([ahead, np.cross(up, ahead), up], axis=1)
     return quat_from_matrix(_turned_left(reach_bearing(robot)) @ level @ robot.hand_axes.T)
 
@@ -178,8 +181,10 @@ def _turned_left(angle: float) -> NDArray[np.float64]:
 def _with_free_yaw(robot: Robot) -> Robot:
     """A robot whose hand turns freely about what is vertical when it picks, through where it holds things: one more joint."""
     c, s = np.cos(HAND_PITCH_RAD), np.sin(HAND_PITCH_RAD)
+    # of a hand that is pitched by p, up is sin p times ahead plus cos p times its own up
     vertical = robot.hand_axes @ np.array([s, 0.0, c])
     origin = np.eye(4)
+    # about the point at which the hand holds things, so that the added joint does not move it
     origin[:3, 3] = robot.hand_position
     hand = robot.links[robot.hand_link]
     wrist = RobotLink(name="free_yaw", parent=robot.hand_link, mesh=None, shapes=(), inertial=hand.inertial)

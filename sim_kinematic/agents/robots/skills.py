@@ -62,6 +62,7 @@ def checked_command(command: ArrayLike, robot: Robot) -> Array:
     try:
         action = np.asarray(command, np.float64)
     except (TypeError, ValueError):
+        # of a wrong shape, so that one message refuses whatever was given
         action = np.full(0, np.nan)
     if action.shape != (count,) or not np.isfinite(action).all():
         raise InputError(
@@ -82,6 +83,7 @@ class RobotActor(RobotDriver):
         why = self.objects.why_not(self.number, action)
         if not why and self.openables is not None:
             why = self._barred(self.openables, action)
+        # learned picks and places drive there themselves, so reach from here does not count
         if action.skill in self.learned:
             return why or self.learned[action.skill].infeasible(self, action)
         if why or action.skill not in ("pick", "place"):
@@ -135,8 +137,10 @@ class RobotActor(RobotDriver):
         self.command = float(action[0]), float(action[1])
         self.yields = False  # whoever gives commands hears nobody ask: the others get past as past furniture
         self._choose_base()
+        # base, arm, grip, in this order: the hand takes what is near it at the end of the step
         drive_robots(self.state, self.free, action[None, :2], self.base)
         move_arms(self.state, robot, action[None, 2:-1], rules)
+        # every step leads the arm towards its goal, and would undo the command otherwise
         self.arm_goal = self.joints.copy()
         hand = robot_hands(self.state, robot, self.free)
         grip_objects(state, hand, action[-1:], rules, agent=self.number)
@@ -155,7 +159,9 @@ class RobotActor(RobotDriver):
         if len(command) > 2:
             self.arm_goal = self.joints.copy()
             moved = self.arm + np.asarray(command[2:-1], np.float64) * rules.joint_step
+            # clipped here, because a step goes to its goal whatever the limits of the joints
             self.arm_goal[self._arm] = np.clip(moved, self.robot.lower[self._arm], self.robot.upper[self._arm])
+        # as in training, where a base follows each command at once
         self._step(float(command[0]), float(command[1]), towards, eases=False)
         if len(command) > 2:
             hand = robot_hands(self.state, self.robot, self.free)
@@ -191,6 +197,7 @@ class RobotActor(RobotDriver):
             stands = stands[stands_clear(stands, ajar, base.disc_offsets_m, base.disc_radius_m)]
         k, left = self._stand_with_room(stands, point)
         if not np.isfinite(left):
+            # asked without the tests of room: tells a blocked arm from a missing path
             gets_there = np.isfinite(nearest_stand(self.free, stands, self.xz)[1])
             return SkillResult("failed", "no_room" if gets_there else "no_way")
         yield from self._fold_arm()
@@ -228,6 +235,7 @@ class RobotActor(RobotDriver):
         base = self.base
         stands = stands[stands_before(self.openables, k, stands, base.disc_offsets_m, base.disc_radius_m)]
         reach = reach_distances(self.robot, float(way[-1, 1] - self.free.height_at(way[-1, [0, 2]])))
+        # the initial values stand for an arm that reaches nothing at this height
         least, most = float(np.min(reach, initial=np.inf)), float(np.max(reach, initial=0.0))
         ends = np.hypot(*(stands[:, :2] - way[-1, [0, 2]]).T)
         for near in (stands[(ends >= least) & (ends <= most)], stands):
@@ -235,12 +243,14 @@ class RobotActor(RobotDriver):
             if np.isfinite(left):
                 yield from self._fold_arm()
                 return (yield from self.drive_to(near[n, :2], facing=way[0, [0, 2]]))
+        # no stand is left with room to turn, as in a narrow hall: along the wall the hand reaches to the side
         stands = handle_stands(self.free, self.robot, base, way[0], island=island_of(self.free, self.xz))
         stands = stands[stands_before(self.openables, k, stands, base.disc_offsets_m, base.disc_radius_m)]
         n = self._straightest(stands)
         if n < 0:
             return SkillResult("failed", "no_way")
         yield from self._fold_arm()
+        # `drive_to` turns to a point, so the wanted heading becomes one far away
         ahead = stands[n, 2] + reach_bearing(self.robot)
         facing = stands[n, :2] + HORIZON_M * np.array([np.cos(ahead), -np.sin(ahead)])
         return (yield from self.drive_to(stands[n, :2], facing=facing))
@@ -255,6 +265,7 @@ class RobotActor(RobotDriver):
         order = np.argsort(lengths + crowded, kind="stable")
         best, least = -1, np.inf
         for n in order[np.isfinite(lengths[order])][:TRIED].tolist():
+            # by the last leg it arrives; the rest of the turn has to be made where there is little room
             leg = np.diff(self.free.path(self.xz, stands[n, :2], max_snap_m=1.0)[-2:], axis=0)
             came = float(np.arctan2(-leg[-1, 1], leg[-1, 0])) if len(leg) else self.heading
             cost = lengths[n] + crowded[n] + TURN_M_RAD * abs(float(wrap_angle(stands[n, 2] - came)))
@@ -278,7 +289,9 @@ class RobotActor(RobotDriver):
                 yield
             hand = self._hand_at(leading.handles[step], robot)
             if follows and not is_beyond_reach(self.robot, hand):
+                # no restarts: a posture from elsewhere would swing the arm around between two steps
                 answer = reach_posture(self.robot, hand, self.arm_goal, restarts=0)
+                # a handle that no posture reaches is not taken again: the part goes on by itself
                 follows = bool(answer.reached)
                 self.arm_goal = answer.joint_pos if follows else self.arm_goal
             self._step(0.0, 0.0, avoid=False)
@@ -309,12 +322,14 @@ class RobotActor(RobotDriver):
         1 is within the margin; 2 is contact, or no path to the stand for a robot that was turned away from it before.
         """
         crowded = np.zeros(len(stands), np.int64)
+        # who steps aside when asked takes no stand away
         for other in avoided([other for other in self.others if not other.steps_aside]):
             for level, margin in ((1, other.margin_m), (2, AVOIDANCE.still_margin_m)):
                 crowded = np.maximum(crowded, is_crowded(self.base, stands, other, margin) * level)
         if self._goes_around:
             shut = shut_off(self.free, self.xz, stands[:, :2], self.others, radius_m=self.base.disc_radius_m)
             crowded = np.maximum(crowded, 2 * shut)
+        # where it did not get to counts as close to somebody: free stands come first
         for place in self._gave_up:
             crowded = np.maximum(crowded, np.hypot(*(stands[:, :2] - place).T) < AVOIDANCE.via_m)
         return crowded
@@ -333,11 +348,13 @@ class RobotActor(RobotDriver):
         over, at = self._reach_line(self._hand_target(Action("pick", k)))
         yield from self._bring_hand(over, at)
         gap = float(np.linalg.norm(self.hand_pose[:3] - self.objects.poses[k, :3]))
+        # another agent may have taken the object, or carried it off, while the arm moved
         if gap > self.grip_m or self.objects.held_by[k] != NOBODY:
             if self._is_instant:
                 yield  # the arm has moved in this step
             return SkillResult("failed", "out_of_reach" if gap > self.grip_m else "held_by_other")
         self.objects.held_by[k] = self.number
+        # as the hand found it, up to `grip_m` away: nothing snaps to the hand as in `grip_objects`
         self.objects.state.grip_pose[0, k] = pose_multiply(pose_inverse(self.hand_pose), self.objects.poses[k])
         yield from self._withdraw_hand(over)
         return SkillResult("done")
@@ -364,6 +381,7 @@ class RobotActor(RobotDriver):
             return hand
         grip = self.objects.state.grip_pose[0, k]
         turned = pose_multiply(np.append(np.zeros(3), hand_turn(self.robot)), grip)
+        # the object is to be at the goal, so the hand ends short of it by the grip
         return np.concatenate([hand[:3] - turned[:3], hand[3:]])
 
     def _hand_at(self, point: NDArray, robot: Robot | None = None) -> Array:
@@ -421,6 +439,7 @@ class RobotActor(RobotDriver):
 
     def _bring_arm(self, posture: Array) -> Generator[None, None, None]:
         self.arm_goal, self.yields = posture, False
+        # compared exactly, because the last step of `_move_arm` takes the goal itself
         while np.any(self.joints[self._arm] != posture[self._arm]):
             self._step(0.0, 0.0, avoid=False)
             yield
