@@ -460,6 +460,7 @@ class _PairContacts:
             robot_reach(m.body, m.body.rest) if isinstance(m.body, Robot) else clip_reach(m.body, person_contact)
             for m in roster
         ]
+        # 1 mm wider than the gate of `touching_many`, which asks by places rounded to float32
         gates = [
             reach[a] + reach[b] if own is None else own.gate_m + 1e-3
             for (a, b), own in zip(pairs, self._of, strict=True)
