@@ -416,7 +416,7 @@ OF_SKILLS = (
 # the order of the table counts here: rows up to ``arm_joints`` are those of any agent
 SENSORS = _rows(*list(TABLE)[: list(TABLE).index("arm_joints") + 1])
 """Sensors of agents of any task whose agents drive and walk."""
-# without sensors for which the context of rearrangement has no map, path or target
+# those left out need fields that `RearrangeContext` lacks, or are other_velocity by another name
 SENSES = _rows(
     *(
         name
